@@ -1,0 +1,76 @@
+# Everything from a fresh checkout. Each target makes .venv when it is missing.
+#
+#   make demo    the whole story on the recorded default   make bench   speed of the simulator
+#   make test    the tests (make test ARGS="-m slow")       make clean   remove .venv and caches
+#   make check   ruff and pyright
+#
+# PYTHON chooses the interpreter (3.11 or newer): make demo PYTHON=python3.12
+
+PYTHON ?= python3
+ARGS ?=
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+# Marks inside .venv. `place` holds this folder's name: a copied or moved .venv is made anew.
+# `installing` is there while pip works: when it is found, pip was interrupted.
+PLACE := $(VENV)/.place
+INSTALLING := $(VENV)/.installing
+CORE := $(VENV)/.core
+FULL := $(VENV)/.full
+
+ifneq ($(shell cat $(PLACE) 2>/dev/null),$(CURDIR))
+.PHONY: $(PLACE)
+else ifneq ($(wildcard $(INSTALLING)),)
+.PHONY: $(PLACE)
+else ifeq ($(shell $(BIN)/python -c "print(1)" 2>/dev/null),)
+.PHONY: $(PLACE)
+endif
+
+.PHONY: demo test check bench clean
+.NOTPARALLEL:
+.DELETE_ON_ERROR:
+
+demo: $(CORE)
+	@$(BIN)/gendom demo $(ARGS)
+
+test: $(FULL)
+	@$(BIN)/python -m pytest $(ARGS)
+
+check: $(FULL)
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check
+	@$(BIN)/pyright
+
+bench: $(CORE)
+	@$(BIN)/python benchmarks/forward.py $(ARGS)
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(PLACE):
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "make: $(PYTHON) is missing or older than 3.11; install Python 3.11 or newer," \
+	       "or name one: make PYTHON=python3.12" >&2; exit 2; }
+	@echo "making $(VENV) with $$($(PYTHON) --version)"
+	@rm -rf $(VENV)
+	@$(PYTHON) -m venv $(VENV) || { \
+	  echo "make: no virtual environment came of it; on Debian: apt install python3-venv" >&2; \
+	  rm -rf $(VENV); exit 2; }
+	@printf '%s\n' "$(CURDIR)" > $@
+
+$(CORE): $(PLACE) pyproject.toml constraints.txt
+	@echo "installing gendom and its core (about 150 MB to fetch, 1 to 3 minutes the first time)"
+	@touch $(INSTALLING)
+	@$(PIP) install -qq -c constraints.txt -e .
+	@rm $(INSTALLING)
+	@touch $@
+
+$(FULL): $(PLACE) pyproject.toml constraints.txt
+	@echo "installing gendom with test and training tools (torch is large: 1 to 10 minutes)"
+	@touch $(INSTALLING)
+	@$(PIP) install -qq -c constraints.txt -e '.[dev,train]'
+	@rm $(INSTALLING)
+	@touch $(CORE) $@

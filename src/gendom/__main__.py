@@ -1,0 +1,7 @@
+"""`python -m gendom`."""
+
+import sys
+
+from gendom.cli import main
+
+sys.exit(main())

@@ -1,0 +1,173 @@
+"""The command line: `gendom COMMAND ...`, one module for each command.
+
+A command's module has a frozen dataclass `Command`: its fields are the flags, their docstrings
+the help, and `run()` does the work and returns the exit code. Results go to stdout, the log and
+all complaints to stderr. Exit codes: 0 done, 1 a fault of the program, 2 a fault of the input,
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import os
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+
+from gendom import __version__
+from gendom.errors import GendomError
+
+# Command -> module that holds it, and one line of help.
+COMMANDS = {
+    "demo": ("gendom.cli.demo", "from a recorded lift to an action carried out: the whole story"),
+    "estimate": ("gendom.cli.estimate", "Young's modulus and Poisson's ratio from a recording"),
+    "replay": ("gendom.cli.replay", "simulate a recorded motion and compare it with the clouds"),
+    "act": ("gendom.cli.act", "the action that reaches a goal with a given object"),
+    "dataset": ("gendom.cli.dataset", "simulate demonstrations"),
+    "train": ("gendom.cli.train", "train a policy on demonstrations"),
+    "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
+    "check": ("gendom.cli.check", "validate a recording and say what is in it"),
+}
+
+# Import name -> the extra that brings it.
+_EXTRAS = {
+    "torch": "train",
+    "onnx": "train",
+    "mujoco": "reality",
+    "pyrealsense2": "camera",
+    "cv2": "camera",
+    "xarm": "robot",
+    "imageio": "viz",
+    "viser": "viz",
+    "ray": "cluster",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        argv: Arguments after the program's name; by default those of this process.
+
+    Returns:
+        The exit code.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in words
+    words = [word for word in words if word != "--debug"]
+    if words in ([], ["-h"], ["--help"], ["help"]):
+        print(_usage(), file=sys.stdout if words else sys.stderr)
+        return 0 if words else 2
+    if words[0] == "--version":
+        print(f"gendom {__version__}")
+        return 0
+    name = words[0]
+    if name not in COMMANDS:
+        print(f"gendom: {_unknown(name)}", file=sys.stderr)
+        return 2
+    try:
+        with _log_to_stderr(name, logging.DEBUG if debug else logging.INFO):
+            code = _run(name, words[1:])
+            sys.stdout.flush()
+            return code
+    except BrokenPipeError:
+        _drop_stdout()
+        return 141  # as a process that the closed pipe has ended
+    except (KeyboardInterrupt, Exception) as error:
+        if debug:
+            traceback.print_exc()
+        message, code = _explain(error)
+        for line in message.splitlines():
+            print(f"gendom {name}: {line}", file=sys.stderr)
+        return code
+
+
+def _run(name: str, words: list[str]) -> int:
+    import tyro
+
+    command_class = import_module(COMMANDS[name][0]).Command
+    try:
+        command = tyro.cli(
+            command_class,
+            prog=f"gendom {name}",
+            args=words,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+    except SystemExit as stop:  # help, or flags that are not understood
+        return stop.code if isinstance(stop.code, int) else 2
+    return command.run()
+
+
+def _usage() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {line}" for name, (_, line) in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: gendom COMMAND [flags]",
+            "",
+            "Show it one lift of a rope or a cloth, and the robot handles that object.",
+            "",
+            *lines,
+            "",
+            "gendom COMMAND --help tells a command's flags; --debug shows tracebacks;",
+            "gendom --version tells the version.",
+        ]
+    )
+
+
+def _unknown(name: str) -> str:
+    kind = "flag" if name.startswith("-") else "command"
+    near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
+    advice = f"did you mean {near[0]!r}?" if near else "see gendom --help"
+    return f"there is no {kind} {name!r}; {advice}"
+
+
+def _explain(error: BaseException) -> tuple[str, int]:
+    """What to tell the user, and the exit code."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted", 130
+    if isinstance(error, GendomError):
+        return str(error), 2
+    if isinstance(error, ModuleNotFoundError):
+        package = (error.name or "").partition(".")[0]
+        if package in _EXTRAS:
+            extra = _EXTRAS[package]
+            return f"needs {package}; install it with: pip install 'gendom[{extra}]'", 2
+    if isinstance(error, OSError):
+        place = f"{error.filename}: " if error.filename else ""
+        return f"{place}{error.strerror or error}", 2
+    first = (str(error).splitlines() or [""])[0]
+    return (
+        f"internal error: {type(error).__name__}: {first}; "
+        "run it again with --debug and report what it prints",
+        1,
+    )
+
+
+@contextmanager
+def _log_to_stderr(name: str, level: int) -> Iterator[None]:
+    """Show the package's log while a command runs, and leave logging as it was."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter(f"gendom {name}: %(message)s"))
+    logger = logging.getLogger("gendom")
+    before = logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(level)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before[0])
+        logger.propagate = before[1]
+
+
+def _drop_stdout() -> None:
+    """Let the interpreter's last flush go nowhere."""
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValueError):  # stdout has been replaced or is closed
+        return

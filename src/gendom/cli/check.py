@@ -1,0 +1,111 @@
+"""`gendom check`: validate a recording and say what is in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from gendom.datasets import Fault, Recording
+from gendom.errors import RecordingError
+from gendom.files import to_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Validate a recording and print what is in it.
+
+    Exit code 0: it can be used, perhaps with warnings. 2: it cannot; every fault is listed.
+    """
+
+    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
+    """A gendom-recording/1 file (.npz), or a folder of .ply files, gripper.csv, object.toml."""
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        warnings: list[Fault] = []
+        try:
+            recording = Recording.read(self.recording, on_warning=warnings.append)
+        except RecordingError as error:
+            if self.json:
+                faults = [fault_entry(f) for f in error.faults] or [
+                    {"what": error.what, "where": error.where, "fix": error.fix}
+                ]
+                print(to_json({"path": self.recording, "valid": False, "faults": faults}))
+            raise
+        summary = summarize(recording)
+        if self.json:
+            entries = [fault_entry(w) for w in warnings]
+            print(to_json({"path": self.recording, "valid": True, **summary, "warnings": entries}))
+        else:
+            print(summary_text(str(self.recording), summary, warnings))
+        return 0
+
+
+def fault_entry(fault: Fault) -> dict[str, str]:
+    """A fault for JSON."""
+    return {"what": fault.what, "where": fault.where, "fix": fault.fix}
+
+
+def summarize(recording: Recording) -> dict[str, Any]:
+    """What a recording holds, in metres and seconds, ready for JSON."""
+    counts = np.diff(recording.offsets)
+    used = counts[recording.frame_valid]
+    position = recording.gripper_position
+    steps = np.linalg.norm(np.diff(position, axis=0), axis=2)
+    held = recording.object
+    sizes = ("length", "diameter", "width", "height", "thickness")
+    return {
+        "kind": held.kind,
+        "sizes": {n: getattr(held, n) for n in sizes if getattr(held, n) is not None},
+        "mass": held.mass,
+        "grasp": held.grasp,
+        "frames": recording.num_frames,
+        "empty_frames": int((counts == 0).sum()),
+        "points_per_frame": {
+            "min": int(used.min()),
+            "median": float(np.median(used)),
+            "max": int(used.max()),
+        },
+        "time": {"first": recording.time[0], "last": recording.time[-1]},
+        "grippers": [
+            {
+                "path_length": float(steps[:, gripper].sum()),
+                "rise": float(position[-1, gripper, 2] - position[0, gripper, 2]),
+            }
+            for gripper in range(recording.num_grippers)
+        ],
+        "gripper_source": recording.gripper_source,
+        "gripper_axis": recording.gripper_axis is not None,
+        "table_height": recording.table_height,
+        "quasi_static": recording.quasi_static,
+        "source": recording.source,
+    }
+
+
+def summary_text(path: str, summary: dict[str, Any], warnings: list[Fault]) -> str:
+    """The same for people."""
+    sizes = ", ".join(f"{name} {value:.4g} m" for name, value in summary["sizes"].items())
+    mass = "unknown" if summary["mass"] is None else f"{summary['mass']:.4g} kg"
+    points, time, table = summary["points_per_frame"], summary["time"], summary["table_height"]
+    frames = str(summary["frames"])
+    if summary["empty_frames"]:
+        frames += f", {summary['empty_frames']} of them empty"
+    grippers = "; ".join(
+        f"path {g['path_length']:.3g} m, rise {g['rise']:.3g} m" for g in summary["grippers"]
+    )
+    rows = [
+        ("object", f"{summary['kind']}, {sizes}, mass {mass}, held by: {summary['grasp']}"),
+        ("frames", frames),
+        ("points", f"{points['min']} to {points['max']} a frame, median {points['median']:g}"),
+        ("time", f"{time['first']:.4g} to {time['last']:.4g} s"),
+        ("grippers", f"{len(summary['grippers'])} ({summary['gripper_source']}): {grippers}"),
+        ("table", "none" if table is None else f"at z = {table:.4g} m"),
+        ("motion", "quasi-static" if summary["quasi_static"] else "dynamic"),
+    ]
+    lines = [f"{path}: can be used", *(f"  {name:<9} {text}" for name, text in rows)]
+    return "\n".join(lines + [f"  warning   {warning}" for warning in warnings])

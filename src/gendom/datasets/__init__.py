@@ -1,0 +1,7 @@
+"""Recordings and sets of demonstrations."""
+
+from gendom.datasets.checks import Fault
+from gendom.datasets.ply import read_ply, write_ply
+from gendom.datasets.recording import ObjectDescription, Recording
+
+__all__ = ["Fault", "ObjectDescription", "Recording", "read_ply", "write_ply"]

@@ -1,0 +1,289 @@
+"""What can be wrong with the content of a recording.
+
+The form of its arrays is checked where they are made, in `gendom.datasets.recording`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from gendom.errors import one_line
+
+if TYPE_CHECKING:
+    from gendom.datasets.recording import ObjectDescription, Recording
+
+KINDS = ("rope", "cloth")
+GRASPS = ("end", "corner", "center", "both ends")
+GRIPPER_SOURCES = ("commanded", "measured")
+NEEDED_SIZES = {"rope": ("length",), "cloth": ("width", "height")}
+SIZES = ("length", "diameter", "width", "height", "thickness", "mass")
+
+MAX_GRASP_DISTANCE = 0.15
+"""A gripper farther than this from every point in every frame [m] does not hold the object."""
+_MAX_EXTENT = 20.0  # [m]; what is larger was written in millimetres
+_MIN_TRAVEL = 1e-3  # [m]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing wrong with a recording; `str()` gives it in one line."""
+
+    what: str
+    where: str
+    """The key, and the frame where there is one."""
+    fix: str
+    """What to do about it."""
+    severity: str = "error"
+    """"error" (the recording cannot be used) or "warning"."""
+
+    def __str__(self) -> str:
+        return one_line(self.what, where=self.where, fix=self.fix)
+
+
+def check(recording: Recording) -> list[Fault]:
+    """Everything that is wrong with the content, errors before warnings."""
+    faults = [*_check_object(recording.object), *_check_fields(recording)]
+    number_faults = [*_check_numbers(recording), *_check_time(recording)]
+    faults += number_faults
+    if not number_faults:
+        unit_faults = _check_units(recording)
+        faults += [*_check_frames(recording), *unit_faults]
+        if not any(fault.severity == "error" for fault in unit_faults):
+            faults += _check_grippers(recording)
+    return sorted(faults, key=lambda fault: fault.severity)
+
+
+def _check_object(description: ObjectDescription) -> list[Fault]:
+    faults = []
+    if description.kind not in KINDS:
+        faults.append(
+            Fault(
+                f"is {description.kind!r}", "object.kind", f"give {' or '.join(map(repr, KINDS))}"
+            )
+        )
+    if description.grasp not in GRASPS:
+        faults.append(
+            Fault(
+                f"is {description.grasp!r}",
+                "object.grasp",
+                f"give one of {', '.join(map(repr, GRASPS))}",
+            )
+        )
+    for name in SIZES:
+        value = getattr(description, name)
+        unit = "kg" if name == "mass" else "metres"
+        if value is None:
+            if name in NEEDED_SIZES.get(description.kind, ()):
+                faults.append(
+                    Fault(
+                        f"is missing for a {description.kind}",
+                        f"object.{name}",
+                        f"measure it and give {unit}",
+                    )
+                )
+        elif not (math.isfinite(value) and value > 0.0):
+            faults.append(
+                Fault(f"is {value}", f"object.{name}", f"give {unit} above 0, or null if unknown")
+            )
+    return faults
+
+
+def _check_fields(recording: Recording) -> list[Fault]:
+    faults = []
+    height = recording.table_height
+    if height is not None and not math.isfinite(height):
+        faults.append(
+            Fault(f"is {height}", "table_height", "give metres, or null where there is no table")
+        )
+    if recording.gripper_source not in GRIPPER_SOURCES:
+        faults.append(
+            Fault(
+                f"is {recording.gripper_source!r}",
+                "gripper_source",
+                "give 'commanded' or 'measured'",
+            )
+        )
+    return faults
+
+
+def _check_numbers(recording: Recording) -> list[Fault]:
+    """NaN and infinity anywhere, and the length of the axes."""
+    faults = []
+    bad_points = ~np.isfinite(recording.points).all(axis=1)
+    if bad_points.any():
+        frame_of = np.repeat(np.arange(recording.num_frames), np.diff(recording.offsets))
+        frames, counts = np.unique(frame_of[bad_points], return_counts=True)
+        faults.append(
+            Fault(
+                f"{counts[0]} of {len(recording.frame(int(frames[0])))} points are not finite"
+                + (
+                    f", and {counts[1:].sum()} in {len(frames) - 1} more" if len(frames) > 1 else ""
+                ),
+                f"points, frame {frames[0]}",
+                "drop points without depth before writing",
+            )
+        )
+    for name in ("time", "gripper_position", "gripper_axis", "camera_positions"):
+        array = getattr(recording, name)
+        if array is None:
+            continue
+        bad = ~np.isfinite(array.reshape(len(array), -1)).all(axis=1)
+        if bad.any():
+            label = "camera" if name == "camera_positions" else "frame"
+            faults.append(
+                Fault(
+                    f"is not finite in {bad.sum()} of {len(bad)} {label}s",
+                    f"{name}, {label} {int(np.argmax(bad))}",
+                    "give numbers, or cut those frames" if label == "frame" else "give numbers",
+                )
+            )
+        elif name == "gripper_axis":
+            length = np.linalg.norm(array, axis=2)
+            off = (np.abs(length - 1.0) > 0.01).any(axis=1)
+            if off.any():
+                t = int(np.argmax(off))
+                worst = length[t][np.argmax(np.abs(length[t] - 1.0))]
+                faults.append(
+                    Fault(
+                        f"has length {worst:.3g}, not 1",
+                        f"gripper_axis, frame {t}",
+                        "give unit vectors, or leave it out",
+                    )
+                )
+    return faults
+
+
+def _check_time(recording: Recording) -> list[Fault]:
+    step = np.diff(recording.time)
+    if not np.isfinite(recording.time).all() or (step > 0).all():
+        return []
+    t = int(np.argmax(step <= 0)) + 1
+    return [
+        Fault(
+            f"goes from {recording.time[t - 1]:.6g} s to {recording.time[t]:.6g} s",
+            f"time, frame {t}",
+            "sort the frames and drop repeated ones; each must be later than the one before",
+        )
+    ]
+
+
+def _check_frames(recording: Recording) -> list[Fault]:
+    """Frames without points."""
+    valid = recording.frame_valid
+    if valid.all():
+        return []
+    if not valid.any():
+        return [Fault("all frames are empty", "points", "check the cropping and the depth range")]
+    early = max(3, math.ceil(0.1 * len(valid)))
+    if not valid[:early].any():
+        return [
+            Fault(
+                f"the first {int(np.argmax(valid))} frames are empty, so the start is not seen",
+                "points, frame 0",
+                "cut them off, or record from before the lift",
+            )
+        ]
+    empty = np.flatnonzero(~valid)
+    listed = ", ".join(map(str, empty[:8])) + (", ..." if len(empty) > 8 else "")
+    return [
+        Fault(
+            f"{len(empty)} of {len(valid)} frames are empty ({listed})",
+            "points",
+            "nothing need be done: they are skipped",
+            "warning",
+        )
+    ]
+
+
+def _check_units(recording: Recording) -> list[Fault]:
+    """Coordinates or sizes in millimetres, and clouds far larger than the object."""
+    extents = [np.ptp(cloud, axis=0).max() for cloud in recording.frames() if len(cloud)]
+    if not extents:
+        return []
+    extent = float(np.median(extents))
+    size = recording.object.size
+    if size is not None and not (math.isfinite(size) and size > 0.0):
+        size = None  # a fault of its own
+    other = "" if size is None else f", the object {size:.4g} m"
+    if extent > _MAX_EXTENT or (size is not None and extent > 100.0 * size):
+        looks = "they look like millimetres; divide by 1000"
+        fix = looks if extent > _MAX_EXTENT else "give points and sizes in metres"
+        return [Fault(f"a frame spans {extent:.4g} m{other}", "points", fix)]
+    if size is not None and size > 100.0 * extent:
+        name = "length" if recording.object.kind == "rope" else "width and object.height"
+        return [
+            Fault(
+                f"the object spans {size:.4g} m, a frame {extent:.4g} m",
+                f"object.{name}",
+                "they look like millimetres; divide by 1000",
+            )
+        ]
+    travel = np.ptp(recording.gripper_position, axis=0).max()
+    if travel > _MAX_EXTENT:
+        return [
+            Fault(
+                f"moves by {travel:.4g} m",
+                "gripper_position",
+                "it looks like millimetres; divide by 1000",
+            )
+        ]
+    if size is not None and extent > 1.5 * size:
+        return [
+            Fault(
+                f"a frame spans {extent:.3g} m, the object only {size:.3g} m",
+                "points",
+                "check the sizes, and that robot and table are cropped away",
+                "warning",
+            )
+        ]
+    return []
+
+
+def _check_grippers(recording: Recording) -> list[Fault]:
+    """Whether each gripper is at the object, and whether any moves."""
+    if not recording.frame_valid.any():
+        return []
+    faults = []
+    frames = np.flatnonzero(recording.frame_valid)
+    distance = np.array(
+        [KDTree(recording.frame(int(t))).query(recording.gripper_position[t])[0] for t in frames]
+    )
+    for gripper in range(recording.num_grippers):
+        far = distance[:, gripper] > MAX_GRASP_DISTANCE
+        if not far.any():
+            continue
+        nearest = distance[:, gripper].min()
+        if far.all():
+            faults.append(
+                Fault(
+                    f"never comes nearer to the object than {nearest:.3g} m",
+                    f"gripper_position, gripper {gripper}",
+                    "check that both are metres in the same (robot base) frame",
+                )
+            )
+        else:
+            faults.append(
+                Fault(
+                    f"is farther than {MAX_GRASP_DISTANCE} m from the object in {far.sum()} of "
+                    f"{len(far)} frames, first in frame {frames[np.argmax(far)]}",
+                    f"gripper_position, gripper {gripper}",
+                    "check that the object did not slip out",
+                    "warning",
+                )
+            )
+    travel = np.linalg.norm(np.ptp(recording.gripper_position, axis=0), axis=1)
+    if travel.max() < _MIN_TRAVEL:
+        faults.append(
+            Fault(
+                f"moves by {travel.max():.2g} m in all",
+                "gripper_position",
+                "record a lift; a rest tells little about the object",
+                "warning",
+            )
+        )
+    return faults

@@ -1,0 +1,408 @@
+"""Point clouds in the Polygon File Format (PLY), and a recording as a folder of them.
+
+Source of the format: Greg Turk, "The PLY Polygon File Format" (1994).
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gendom.errors import RecordingError
+from gendom.files import atomic_path
+
+_TYPES = {
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+_BYTE_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_MAX_HEADER = 1 << 16
+
+# Keys of object.toml that belong beside the table [object]. TOML gives keys written below a
+# table's head to that table, so they are also looked for there.
+_TOP_KEYS = (
+    "table_height",
+    "gripper_source",
+    "quasi_static",
+    "camera_positions",
+    "source",
+    "notes",
+)
+
+
+@dataclass(frozen=True)
+class _Property:
+    name: str
+    type: str  # NumPy code of the value
+    count_type: str | None  # NumPy code of a list's length; None for a scalar
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[_Property] = field(default_factory=list)
+
+    @property
+    def has_list(self) -> bool:
+        return any(p.count_type is not None for p in self.properties)
+
+    @property
+    def xyz(self) -> list[int]:
+        """Places of x, y and z among the properties."""
+        names = [p.name if p.count_type is None else "" for p in self.properties]
+        return [names.index(axis) for axis in "xyz"]
+
+    @property
+    def xyz_type(self) -> np.dtype:
+        """The type that holds all three."""
+        return np.result_type(*(self.properties[i].type for i in self.xyz))
+
+
+def read_ply(path: str | os.PathLike) -> np.ndarray:
+    """The vertices of a PLY file, ascii or binary.
+
+    Other vertex properties and other elements are skipped.
+
+    Returns:
+        [n, 3] positions in the file's unit, float32 or float64 as stored (integers become
+        float64). n may be 0.
+
+    Raises:
+        RecordingError: The file is missing, no PLY, cut short, or without x, y, z.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise RecordingError("no such file", where=str(path), fix="check the path") from None
+    except OSError as error:
+        raise RecordingError(
+            f"cannot be read ({error.strerror})", where=str(path), fix="check the path"
+        ) from None
+    try:
+        encoding, elements, start = _parse_header(data)
+        if encoding == "ascii":
+            points = _ascii_vertices(data[start:].split(), elements)
+        else:
+            points = _binary_vertices(data, start, elements, _BYTE_ORDER[encoding])
+    except _PlyFault as fault:
+        raise RecordingError(
+            str(fault), where=str(path), fix="export the point cloud again as PLY"
+        ) from None
+    return points if points.dtype.kind == "f" else points.astype(np.float64)
+
+
+def write_ply(path: str | os.PathLike, points: np.ndarray, *, text: bool = False) -> None:
+    """Write points as a PLY file, atomically: binary little endian, or ascii with `text`.
+
+    Args:
+        path: The file to write.
+        points: [n, 3] positions; float64 is stored as double, everything else as float.
+        text: Write ascii (exact: reading it gives the same numbers).
+
+    Raises:
+        RecordingError: `points` is not [n, 3].
+        GendomError: The place cannot be written.
+    """
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise RecordingError(
+            f"points have shape {points.shape}", where=str(path), fix="give [n, 3]"
+        )
+    name, code = ("double", "<f8") if points.dtype == np.float64 else ("float", "<f4")
+    points = points.astype(code)
+    header = [
+        "ply",
+        f"format {'ascii' if text else 'binary_little_endian'} 1.0",
+        f"element vertex {len(points)}",
+        *(f"property {name} {axis}" for axis in "xyz"),
+        "end_header",
+    ]
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        file.write(("\n".join(header) + "\n").encode("ascii"))
+        if text:
+            for point in points:
+                file.write((" ".join(str(value) for value in point) + "\n").encode("ascii"))
+        else:
+            file.write(points.tobytes())
+
+
+def read_ply_folder(
+    folder: str | os.PathLike,
+) -> tuple[list[np.ndarray], dict[str, np.ndarray], dict[str, Any]]:
+    """The parts of a recording kept as a folder.
+
+    The folder holds
+        *.ply: one cloud a frame, in natural order of their names (2 before 10);
+        gripper.csv: one row a frame; header time,x,y,z (and ax,ay,az: the axis along the
+            object) for one gripper, or time,x0,y0,z0,x1,y1,z1,... (and ax0,ay0,az0,...);
+        object.toml: table [object] with the sizes, and table_height, gripper_source,
+            quasi_static, source, notes, camera_positions and anything else.
+
+    Returns:
+        clouds (T arrays [n, 3]), arrays (time [T], gripper_position [T, G, 3], perhaps
+        gripper_axis [T, G, 3]) and the content of object.toml in the layout of a recording's
+        `meta`.
+
+    Raises:
+        RecordingError: Something is missing, malformed or does not fit together.
+    """
+    folder = Path(folder)
+    files = sorted(
+        (p for p in folder.iterdir() if p.suffix.lower() == ".ply" and not p.name.startswith(".")),
+        key=lambda p: natural_key(p.name),
+    )
+    if not files:
+        raise RecordingError(
+            "holds no .ply file", where=str(folder), fix="put one PLY point cloud a frame there"
+        )
+    meta = _read_object(folder / "object.toml")
+    arrays = _read_gripper(folder / "gripper.csv")
+    rows = len(arrays["time"])
+    if rows != len(files):
+        raise RecordingError(
+            f"{len(files)} .ply files but {rows} rows in gripper.csv",
+            where=str(folder),
+            fix="give one row a frame",
+        )
+    return [read_ply(path) for path in files], arrays, meta
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Sorting key under which frame_2 comes before frame_10."""
+    return [
+        (0, int(part), part) if part.isdecimal() else (1, 0, part.casefold())
+        for part in re.split(r"(\d+)", name)
+        if part
+    ]
+
+
+class _PlyFault(Exception):
+    """What is wrong with a file, before its name is known."""
+
+
+def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
+    """Encoding, elements and the offset of the first byte of data."""
+    if not re.match(rb"ply[ \t]*\r?\n", data):
+        raise _PlyFault("is not a PLY file (it does not begin with the line 'ply')")
+    end = re.search(rb"\nend_header[ \t]*\r?\n", data[:_MAX_HEADER])
+    if end is None:
+        raise _PlyFault("has no end_header")
+    encoding = None
+    elements: list[_Element] = []
+    for line in data[: end.start()].decode("latin-1").splitlines()[1:]:
+        words = line.split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        if words[0] == "format" and len(words) == 3:
+            encoding = words[1]
+        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal():
+            elements.append(_Element(words[1], int(words[2])))
+        elif words[0] == "property" and elements:
+            elements[-1].properties.append(_parse_property(words, line))
+        else:
+            raise _PlyFault(f"has the header line {line.strip()!r}, which is not understood")
+    if encoding not in _BYTE_ORDER:
+        raise _PlyFault(f"has the format {encoding!r}, not one of {', '.join(_BYTE_ORDER)}")
+    vertex = next((e for e in elements if e.name == "vertex"), None)
+    if vertex is None:
+        raise _PlyFault("has no element 'vertex'")
+    scalars = [p.name for p in vertex.properties if p.count_type is None]
+    for axis in "xyz":
+        if scalars.count(axis) != 1:
+            raise _PlyFault(f"has {scalars.count(axis)} vertex properties {axis!r}, not one")
+    return encoding, elements, end.end()
+
+
+def _parse_property(words: list[str], line: str) -> _Property:
+    if len(words) == 3 and words[1] in _TYPES:
+        return _Property(words[2], _TYPES[words[1]], None)
+    if len(words) == 5 and words[1] == "list" and words[2] in _TYPES and words[3] in _TYPES:
+        return _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
+    raise _PlyFault(f"has the header line {line.strip()!r}, which is not understood")
+
+
+def _ascii_vertices(tokens: list[bytes], elements: list[_Element]) -> np.ndarray:
+    at = 0
+    for element in elements:
+        wanted = element.name == "vertex"
+        width = len(element.properties)
+        if element.has_list:
+            rows = []
+            for _ in range(element.count):
+                row = []
+                for prop in element.properties:
+                    _check_length(len(tokens), at + 1, "numbers")
+                    row.append(tokens[at])
+                    at += 1 if prop.count_type is None else 1 + _count(tokens[at], prop)
+                if wanted:
+                    rows.append(row)
+        elif wanted:
+            _check_length(len(tokens), at + element.count * width, "numbers")
+            rows = np.array(tokens[at : at + element.count * width]).reshape(-1, width)
+        else:
+            at += element.count * width
+            continue
+        if wanted:
+            table = np.array(rows).reshape(element.count, width)[:, element.xyz]
+            try:
+                return table.astype(np.float64).astype(element.xyz_type)
+            except ValueError as error:
+                raise _PlyFault(f"has a coordinate that is no number ({error})") from None
+    raise AssertionError("the header was checked to have a vertex element")
+
+
+def _binary_vertices(data: bytes, at: int, elements: list[_Element], order: str) -> np.ndarray:
+    for element in elements:
+        wanted = element.name == "vertex"
+        if not element.has_list:
+            row = np.dtype([(f"f{i}", order + p.type) for i, p in enumerate(element.properties)])
+            size = element.count * row.itemsize
+            if wanted:
+                _check_length(len(data), at + size, "bytes")
+                rows = np.frombuffer(data, row, element.count, at)
+                return np.stack([rows[f"f{i}"].astype(element.xyz_type) for i in element.xyz], 1)
+            at += size
+            continue
+        _check_length(len(data), at + element.count, "bytes")  # a row has at least one
+        points = np.empty((element.count if wanted else 0, 3), element.xyz_type if wanted else "f4")
+        axis_of = {place: axis for axis, place in enumerate(element.xyz)} if wanted else {}
+        for row in range(element.count):
+            for place, prop in enumerate(element.properties):
+                first = np.dtype(order + (prop.count_type or prop.type))
+                _check_length(len(data), at + first.itemsize, "bytes")
+                value = np.frombuffer(data, first, 1, at)[0]
+                at += first.itemsize
+                if prop.count_type is not None:
+                    at += _count(value, prop) * np.dtype(prop.type).itemsize
+                elif place in axis_of:
+                    points[row, axis_of[place]] = value
+        if wanted:
+            return points
+    raise AssertionError("the header was checked to have a vertex element")
+
+
+def _count(value: bytes | np.number, prop: _Property) -> int:
+    """A list's length."""
+    try:
+        count = int(value)
+    except ValueError:
+        count = -1
+    if count < 0:
+        raise _PlyFault(f"has {value!r} as the length of the list {prop.name!r}")
+    return count
+
+
+def _check_length(there: int, needed: int, unit: str) -> None:
+    if there < needed:
+        raise _PlyFault(f"is cut short: {there} {unit} where at least {needed} are announced")
+
+
+def _read_object(path: Path) -> dict[str, Any]:
+    """object.toml in the layout of a recording's meta."""
+    try:
+        meta = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise RecordingError(
+            "no such file",
+            where=str(path),
+            fix="write one with the table [object]: kind, sizes in metres, grasp",
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RecordingError(
+            f"is not TOML ({error})", where=str(path), fix="mend that line"
+        ) from None
+    table = meta.get("object")
+    if isinstance(table, dict):
+        for key in _TOP_KEYS:
+            if key in table and key not in meta:
+                meta[key] = table.pop(key)
+    return meta
+
+
+def _read_gripper(path: Path) -> dict[str, np.ndarray]:
+    """gripper.csv as time [T], gripper_position [T, G, 3] and perhaps gripper_axis [T, G, 3]."""
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            lines = [(reader.line_num, row) for row in reader if row]
+    except FileNotFoundError:
+        raise RecordingError(
+            "no such file", where=str(path), fix="write one row a frame under time,x,y,z"
+        ) from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(f"is not CSV ({error})", where=str(path), fix="save as CSV") from None
+    if not lines:
+        raise RecordingError("is empty", where=str(path), fix="write the header time,x,y,z")
+    header = [name.strip() for name in lines[0][1]]
+    position, axis = _gripper_columns(header, path)
+    table = np.empty((len(lines) - 1, len(header)))
+    for i, (number, row) in enumerate(lines[1:]):
+        if len(row) != len(header):
+            raise RecordingError(
+                f"{len(row)} values under {len(header)} column names",
+                where=f"{path}, line {number}",
+                fix="give one value a column",
+            )
+        for j, text in enumerate(row):
+            try:
+                table[i, j] = float(text)
+            except ValueError:
+                raise RecordingError(
+                    f"{text!r} is no number",
+                    where=f"{path}, line {number}, column {header[j]}",
+                    fix="give seconds and metres",
+                ) from None
+    arrays = {
+        "time": table[:, header.index("time")],
+        "gripper_position": table[:, position].reshape(len(table), -1, 3),
+    }
+    if axis:
+        arrays["gripper_axis"] = table[:, axis].reshape(len(table), -1, 3)
+    return arrays
+
+
+def _gripper_columns(header: list[str], path: Path) -> tuple[list[int], list[int]]:
+    """Columns of the positions and of the axes, gripper after gripper."""
+    count = 0
+    while f"x{count}" in header:
+        count += 1
+    tails = [str(g) for g in range(count)] or [""]
+    position = [f"{axis}{tail}" for tail in tails for axis in "xyz"]
+    axes = [f"a{axis}{tail}" for tail in tails for axis in "xyz"]
+    if not set(axes) & set(header):
+        axes = []
+    expected = ["time", *position, *axes]
+    missing = [name for name in expected if name not in header]
+    unknown = [name for name in header if name not in expected]
+    twice = sorted({name for name in header if header.count(name) > 1})
+    for names, verb in ((missing, "lacks"), (unknown, "has unknown"), (twice, "repeats")):
+        if names:
+            raise RecordingError(
+                f"the header {verb} {', '.join(map(repr, names))}",
+                where=str(path),
+                fix="use time,x,y,z[,ax,ay,az], or time,x0,y0,z0,x1,... for several grippers",
+            )
+    return [header.index(n) for n in position], [header.index(n) for n in axes]

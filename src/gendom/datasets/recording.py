@@ -1,0 +1,558 @@
+"""The recording of one demonstration: clouds, gripper motion and the object's description.
+
+On disk it is `gendom-recording/1`, a NumPy `.npz` without pickles:
+
+    points            float32 [S, 3]     all frames' points [m], world frame, z up
+    offsets           int64   [T + 1]    frame t is points[offsets[t]:offsets[t + 1]]
+    time              float64 [T]        [s]
+    gripper_position  float64 [T, G, 3]  where each gripper holds the object [m]
+    gripper_axis      float64 [T, G, 3]  optional: unit vector along the object at the clamp
+    meta              JSON text          object, table_height, gripper_source, quasi_static,
+                                         source, notes, camera_positions, and anything else
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gendom.datasets.checks import GRASPS, KINDS, NEEDED_SIZES, SIZES, Fault, check
+from gendom.datasets.ply import read_ply_folder
+from gendom.errors import GendomError, RecordingError
+from gendom.files import atomic_path, to_json
+
+FORMAT = "gendom-recording/1"
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectDescription:
+    """What is held: kind, sizes at rest, and where it is grasped. None means unknown."""
+
+    kind: str
+    """"rope" or "cloth"."""
+    length: float | None = None
+    """Rope: length [m]; always needed."""
+    diameter: float | None = None
+    """Rope: diameter [m]."""
+    width: float | None = None
+    """Cloth: first side [m]; always needed."""
+    height: float | None = None
+    """Cloth: second side [m]; always needed."""
+    thickness: float | None = None
+    """Cloth: thickness [m]."""
+    mass: float | None = None
+    """Total mass [kg]."""
+    grasp: str = "end"
+    """"end", "corner", "center" or "both ends"."""
+    extra: dict[str, Any] = field(default_factory=dict)
+    """Other keys of the file's `object`, kept and written back."""
+
+    @property
+    def size(self) -> float | None:
+        """Largest distance between two points of the object laid out flat [m]."""
+        if self.kind == "rope":
+            return self.length
+        if self.width is None or self.height is None:
+            return None
+        return math.hypot(self.width, self.height)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """T frames of a point cloud, with the motion of G grippers that hold the object.
+
+    World frame, z up, metres and seconds. Arrays are converted to the types below and are
+    read-only; take `.copy()` to change one.
+
+    Raises:
+        RecordingError: An array has another shape or no numbers in it, or `offsets` does not
+            divide `points`. What the numbers mean is checked by `validate`, not here.
+    """
+
+    points: np.ndarray
+    """[S, 3] float32: all frames' points, one after another [m]."""
+    offsets: np.ndarray
+    """[T + 1] int64: frame t is points[offsets[t]:offsets[t + 1]]."""
+    time: np.ndarray
+    """[T] float64: strictly increasing [s]."""
+    gripper_position: np.ndarray
+    """[T, G, 3] float64: where each gripper holds the object [m]."""
+    gripper_axis: np.ndarray | None = None
+    """[T, G, 3] float64: unit vector along the object at the clamp; None: unknown."""
+    object: ObjectDescription
+    table_height: float | None = None
+    """z of the table [m]; None: nothing below the object."""
+    gripper_source: str = "commanded"
+    """"commanded" or "measured"."""
+    quasi_static: bool = False
+    """True: inertia plays no part and the clock may be rescaled."""
+    camera_positions: np.ndarray | None = None
+    """[K, 3] float64 [m]; None: unknown."""
+    source: str = ""
+    notes: str = ""
+    extra: dict[str, Any] = field(default_factory=dict)
+    """Other keys of the file's `meta`, kept and written back."""
+
+    def __post_init__(self):
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        converted, faults = _convert(arrays)
+        if faults:
+            raise RecordingError(faults=faults)
+        for name, array in converted.items():
+            object.__setattr__(self, name, array)
+
+    @property
+    def num_frames(self) -> int:
+        """T."""
+        return len(self.time)
+
+    @property
+    def num_grippers(self) -> int:
+        """G."""
+        return self.gripper_position.shape[1]
+
+    @property
+    def frame_valid(self) -> np.ndarray:
+        """[T] bool: the frame has points."""
+        return np.diff(self.offsets) > 0
+
+    def frame(self, t: int) -> np.ndarray:
+        """[n, 3] float32: the points of frame t [m]; a negative t counts from the end.
+
+        Raises:
+            IndexError: There is no such frame.
+        """
+        if not -self.num_frames <= t < self.num_frames:
+            raise IndexError(f"frame {t} of a recording with {self.num_frames} frames")
+        t %= self.num_frames
+        return self.points[self.offsets[t] : self.offsets[t + 1]]
+
+    def frames(self, which: Sequence[int] | range | None = None) -> list[np.ndarray]:
+        """The points of several frames, of all without an argument."""
+        return [self.frame(t) for t in (range(self.num_frames) if which is None else which)]
+
+    def head(self, n: int) -> Recording:
+        """The first n frames.
+
+        Raises:
+            RecordingError: n is not in 1..T.
+        """
+        if not 1 <= n <= self.num_frames:
+            raise RecordingError(
+                f"cannot take the first {n} of {self.num_frames} frames",
+                fix=f"choose 1 to {self.num_frames}",
+            )
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values["points"] = self.points[: self.offsets[n]]
+        values["offsets"] = self.offsets[: n + 1]
+        for name in ("time", "gripper_position", "gripper_axis"):
+            if values[name] is not None:
+                values[name] = values[name][:n]
+        return Recording(**values)
+
+    @classmethod
+    def from_frames(
+        cls,
+        frames: Sequence[npt.ArrayLike],
+        *,
+        time: npt.ArrayLike,
+        gripper_position: npt.ArrayLike,
+        gripper_axis: npt.ArrayLike | None = None,
+        object: ObjectDescription,
+        **other: Any,
+    ) -> Recording:
+        """A recording from one cloud a frame.
+
+        Args:
+            frames: T arrays [n, 3] [m]; n may differ and may be 0.
+            time: [T] [s].
+            gripper_position: [T, G, 3], or [T, 3] for one gripper [m].
+            gripper_axis: Like `gripper_position`, unit vectors; or None.
+            object: What is held.
+            other: The remaining fields, by name.
+
+        Raises:
+            RecordingError: A cloud is not [n, 3], or the lengths do not fit together.
+        """
+        clouds = [np.asarray(cloud) for cloud in frames]
+        for t, cloud in enumerate(clouds):
+            if cloud.ndim != 2 or cloud.shape[1] != 3:
+                raise RecordingError(
+                    f"has shape {list(cloud.shape)}", where=f"frame {t}", fix="give [n, 3]"
+                )
+        position = np.asarray(gripper_position)
+        axis = None if gripper_axis is None else np.asarray(gripper_axis)
+        return cls(
+            points=np.concatenate([np.zeros((0, 3), np.float32), *clouds]),
+            offsets=np.cumsum([0, *map(len, clouds)]),
+            time=np.asarray(time),
+            gripper_position=position[:, None] if position.ndim == 2 else position,
+            gripper_axis=axis[:, None] if axis is not None and axis.ndim == 2 else axis,
+            object=object,
+            **other,
+        )
+
+    @classmethod
+    def read(
+        cls, path: str | os.PathLike, *, on_warning: Callable[[Fault], None] | None = None
+    ) -> Recording:
+        """Read and validate a recording.
+
+        Args:
+            path: A `gendom-recording/1` file, or a folder of PLY files with gripper.csv and
+                object.toml (see `gendom.datasets.ply.read_ply_folder`).
+            on_warning: Called with every fault that does not prevent use; by default they are
+                logged.
+
+        Raises:
+            RecordingError: The recording cannot be read or used; one line a fault.
+        """
+        path = Path(path)
+        if path.is_dir():
+            clouds, arrays, meta = read_ply_folder(path)
+            arrays["points"] = np.concatenate([np.zeros((0, 3), np.float32), *clouds])
+            arrays["offsets"] = np.cumsum([0, *map(len, clouds)])
+            where, faults = str(path / "object.toml"), []
+            if "table_height" not in meta:
+                faults.append(
+                    Fault(
+                        "is not given, so there is no table",
+                        "table_height",
+                        "add table_height = z of the table in metres if there is one",
+                        "warning",
+                    )
+                )
+        else:
+            arrays, meta = _read_npz(path)
+            where, faults = str(path), _missing_keys(meta)
+        values, meta_faults = _parse_meta(meta)
+        faults += meta_faults
+        arrays["camera_positions"] = values.pop("camera_positions")
+        converted, array_faults = _convert(arrays)
+        if errors := [f for f in [*array_faults, *faults] if f.severity == "error"]:
+            raise RecordingError(where=str(path) if array_faults else where, faults=errors)
+        recording = cls(**converted, **values)
+        faults += recording.validate()
+        if errors := [f for f in faults if f.severity == "error"]:
+            raise RecordingError(where=str(path), faults=errors)
+        for fault in faults:
+            if on_warning is not None:
+                on_warning(fault)
+            else:
+                _log.warning("%s: %s", path, fault)
+        return recording
+
+    def write(self, path: str | os.PathLike) -> None:
+        """Write a `gendom-recording/1` file, atomically; `path` ends in .npz.
+
+        Raises:
+            RecordingError: `path` has another suffix, or `extra` has no JSON form.
+            GendomError: The place cannot be written.
+        """
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise RecordingError(
+                f"has the suffix {path.suffix!r}", where=str(path), fix="name the file .npz"
+            )
+        arrays = {name: getattr(self, name) for name in _STORED_ARRAYS}
+        arrays = {name: array for name, array in arrays.items() if array is not None}
+        try:
+            meta = to_json(self._meta())
+        except GendomError as error:
+            raise RecordingError(
+                error.what, where=f"{path}: meta.{error.where}", fix=error.fix
+            ) from None
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(file, meta=np.array(meta), allow_pickle=False, **arrays)
+
+    def _meta(self) -> dict[str, Any]:
+        sizes = NEEDED_SIZES.get(self.object.kind, ())
+        optional = {"rope": ("diameter",), "cloth": ("thickness",)}.get(self.object.kind, ())
+        shown = (*sizes, *optional, "mass")
+        description = {"kind": self.object.kind}
+        for name in SIZES:
+            value = getattr(self.object, name)
+            if name in shown or value is not None:
+                description[name] = value
+        meta = {
+            "format": FORMAT,
+            "object": {**description, "grasp": self.object.grasp, **self.object.extra},
+            "table_height": self.table_height,
+            "gripper_source": self.gripper_source,
+            "quasi_static": self.quasi_static,
+            "source": self.source,
+            "notes": self.notes,
+        }
+        if self.camera_positions is not None:
+            meta["camera_positions"] = self.camera_positions
+        return {**meta, **{k: v for k, v in self.extra.items() if k not in meta}}
+
+    def validate(self) -> list[Fault]:
+        """Everything that is wrong with the content, errors before warnings."""
+        return check(self)
+
+
+# Arrays of a recording: type, shape (a letter is any length, the same wherever it appears).
+_ARRAYS = {
+    "points": (np.float32, ("S", 3)),
+    "offsets": (np.int64, ("T + 1",)),
+    "time": (np.float64, ("T",)),
+    "gripper_position": (np.float64, ("T", "G", 3)),
+    "gripper_axis": (np.float64, ("T", "G", 3)),
+    "camera_positions": (np.float64, ("K", 3)),
+}
+_STORED_ARRAYS = ("points", "offsets", "time", "gripper_position", "gripper_axis")
+_OPTIONAL_ARRAYS = ("gripper_axis", "camera_positions")
+
+
+def _convert(arrays: Mapping[str, Any]) -> tuple[dict[str, np.ndarray | None], list[Fault]]:
+    """Arrays in their own types and read-only, and faults of type, shape and offsets."""
+    converted: dict[str, np.ndarray | None] = {}
+    faults = []
+    for name, (dtype, shape) in _ARRAYS.items():
+        value = arrays.get(name)
+        if value is None and name in _OPTIONAL_ARRAYS:
+            converted[name] = None
+            continue
+        if value is None:
+            faults.append(Fault("is missing", name, f"add it: {_form(name)}"))
+            continue
+        array = np.asarray(value)
+        wanted_kinds = "iu" if dtype is np.int64 else "iuf"
+        if array.dtype.kind not in wanted_kinds and array.size:
+            faults.append(Fault(f"has the type {array.dtype}", name, f"give {_form(name)}"))
+            continue
+        if array.ndim != len(shape) or any(
+            isinstance(want, int) and have != want
+            for have, want in zip(array.shape, shape, strict=False)
+        ):
+            faults.append(Fault(f"has shape {list(array.shape)}", name, f"give {_form(name)}"))
+            continue
+        with np.errstate(over="ignore"):  # becomes infinite, which `validate` finds
+            array = np.ascontiguousarray(array, dtype=dtype).view()
+        array.flags.writeable = False
+        converted[name] = array
+    return converted, faults or _check_lengths(converted)
+
+
+def _form(name: str) -> str:
+    dtype, shape = _ARRAYS[name]
+    return f"{np.dtype(dtype)} [{', '.join(map(str, shape))}]"
+
+
+def _check_lengths(arrays: Mapping[str, np.ndarray | None]) -> list[Fault]:
+    """Whether the arrays, each right by itself, fit together."""
+    points, offsets, time = arrays["points"], arrays["offsets"], arrays["time"]
+    position, axis = arrays["gripper_position"], arrays["gripper_axis"]
+    assert points is not None and offsets is not None and time is not None
+    assert position is not None
+    frames = len(time)
+    if frames == 0:
+        return [Fault("is empty", "time", "give at least one frame")]
+    faults = []
+    if len(offsets) != frames + 1:
+        faults.append(
+            Fault(
+                f"has {len(offsets)} entries for {frames} frames",
+                "offsets",
+                f"give {frames + 1}, one more than time has",
+            )
+        )
+    else:
+        step = np.diff(offsets)
+        if offsets[0] != 0 or offsets[-1] != len(points):
+            faults.append(
+                Fault(
+                    f"runs from {offsets[0]} to {offsets[-1]}, but there are {len(points)} points",
+                    "offsets",
+                    f"let it run from 0 to {len(points)}",
+                )
+            )
+        if (step < 0).any():
+            t = int(np.argmax(step < 0))
+            faults.append(
+                Fault(
+                    f"falls from {offsets[t]} to {offsets[t + 1]}",
+                    f"offsets, frame {t}",
+                    "let it never decrease",
+                )
+            )
+    if len(position) != frames:
+        faults.append(
+            Fault(
+                f"has {len(position)} frames, but time has {frames}",
+                "gripper_position",
+                "give one position a frame",
+            )
+        )
+    if position.shape[1] == 0:
+        faults.append(Fault("has no gripper", "gripper_position", "give at least one: [T, 1, 3]"))
+    if axis is not None and axis.shape != position.shape:
+        faults.append(
+            Fault(
+                f"has shape {list(axis.shape)}, but gripper_position {list(position.shape)}",
+                "gripper_axis",
+                "give one unit vector for each position, or leave it out",
+            )
+        )
+    return faults
+
+
+# What a damaged zip file or array header makes the readers below raise.
+_LOAD_ERRORS = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    RuntimeError,
+    MemoryError,
+    SyntaxError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The arrays and the parsed `meta` of a recording's file."""
+
+    def fault(what: str, fix: str) -> RecordingError:
+        return RecordingError(what, where=str(path), fix=fix)
+
+    if path.suffix.lower() == ".ply":
+        raise fault("is a single cloud", "give the folder that holds all frames")
+    try:
+        with open(path, "rb") as file:
+            if file.read(2) != b"PK":
+                raise fault("is no .npz file", f"write {FORMAT} with numpy.savez")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                names = [name for name in (*_STORED_ARRAYS, "meta") if name in archive.files]
+                stored = {name: archive[name] for name in names}
+    except FileNotFoundError:
+        raise fault("no such file", "check the path") from None
+    except _LOAD_ERRORS as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise fault(f"cannot be read ({error.strerror})", "check the file") from None
+        if "allow_pickle" in str(error):
+            raise fault(
+                "holds Python objects (pickles), which are never loaded",
+                "write its arrays as numbers and meta as JSON text",
+            ) from None
+        raise fault(f"is damaged ({_short(error)})", "copy or record it again") from None
+    meta = stored.pop("meta", None)
+    if meta is None:
+        raise fault("meta: is missing", f"add JSON text with format = {FORMAT!r}")
+    try:
+        if meta.size != 1 or meta.dtype.kind not in "US":
+            raise ValueError(f"it is {meta.dtype} {list(meta.shape)}")
+        parsed = json.loads(meta.item())
+    except ValueError as error:
+        raise fault(
+            f"meta: is not JSON text ({_short(error)})", "write it with json.dumps"
+        ) from None
+    if not isinstance(parsed, dict):
+        raise fault("meta: is not a JSON object", "write it with json.dumps from a dict")
+    if parsed.get("format") != FORMAT:
+        raise fault(
+            f"meta.format: is {parsed.get('format')!r}", f"only {FORMAT!r} can be read here"
+        )
+    return stored, parsed
+
+
+def _short(error: BaseException) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0][:120]
+
+
+def _missing_keys(meta: Mapping[str, Any]) -> list[Fault]:
+    fixes = {
+        "table_height": "add z of the table in metres, or null where there is none",
+        "gripper_source": "add 'commanded' or 'measured'",
+        "quasi_static": "add true or false",
+    }
+    return [
+        Fault("is missing", f"meta.{key}", fix) for key, fix in fixes.items() if key not in meta
+    ]
+
+
+def _parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
+    """Fields of a `Recording` from its meta, and faults of type."""
+    rest = {key: value for key, value in meta.items() if key != "format"}
+    values: dict[str, Any] = {}
+    faults = []
+
+    def take(source: dict, key: str, default: Any, right: Callable[[Any], bool], want: str, at=""):
+        value = source.pop(key, default)
+        if right(value):
+            return value
+        faults.append(Fault(f"is {_short_value(value)}", f"{at}{key}", f"give {want}"))
+        return default
+
+    table = rest.pop("object", None)
+    if not isinstance(table, dict):
+        what = "is missing" if table is None else f"is {_short_value(table)}"
+        faults.append(Fault(what, "object", "give kind, sizes in metres and grasp"))
+    else:
+        table = dict(table)
+        kind = take(table, "kind", None, _is_text, " or ".join(map(repr, KINDS)), "object.")
+        sizes = {
+            key: take(table, key, None, _is_number_or_none, "a number, or null", "object.")
+            for key in SIZES
+        }
+        default_grasp = "corner" if kind == "cloth" else "end"
+        grasp = take(table, "grasp", default_grasp, _is_text, f"one of {GRASPS}", "object.")
+        values["object"] = ObjectDescription(kind=kind, grasp=grasp, extra=table, **sizes)
+    values["table_height"] = take(
+        rest, "table_height", None, _is_number_or_none, "metres, or null for no table"
+    )
+    values["gripper_source"] = take(
+        rest, "gripper_source", "commanded", _is_text, "'commanded' or 'measured'"
+    )
+    values["quasi_static"] = take(
+        rest, "quasi_static", False, lambda v: isinstance(v, bool), "true or false"
+    )
+    for key in ("source", "notes"):
+        values[key] = take(rest, key, "", _is_text, "text")
+    cameras = rest.pop("camera_positions", None)
+    if cameras is not None:
+        try:
+            cameras = np.array(cameras, dtype=np.float64)
+        except (TypeError, ValueError):
+            cameras = np.empty((0, 0))
+        if cameras.ndim != 2 or cameras.shape[1] != 3:
+            faults.append(
+                Fault("is no list of positions", "camera_positions", "give [K, 3] in metres")
+            )
+            cameras = None
+    values["camera_positions"] = cameras
+    values["extra"] = rest
+    return values, faults
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_number_or_none(value: Any) -> bool:
+    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
+
+
+def _short_value(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else text[:37] + "..."

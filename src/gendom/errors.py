@@ -1,0 +1,112 @@
+"""Faults that the user can mend.
+
+Every message is one line: where, what, and what to do about it. The command line prints it
+without a traceback and exits with code 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+
+class GendomError(Exception):
+    """Base of all faults that the user can mend.
+
+    Args:
+        what: What is wrong.
+        where: The file, field, frame or flag it was found in.
+        fix: What to do about it.
+
+    `str()` gives "where: what; fix", without the parts left out.
+    """
+
+    def __init__(self, what: str, *, where: str | None = None, fix: str | None = None):
+        self.what = what
+        self.where = where
+        self.fix = fix
+        super().__init__(one_line(what, where=where, fix=fix))
+
+
+class RecordingError(GendomError):
+    """A recording cannot be read, written or used.
+
+    `faults` lists everything that was found (`gendom.datasets.Fault`); the message then has one
+    line for each.
+    """
+
+    def __init__(
+        self,
+        what: str = "",
+        *,
+        where: str | None = None,
+        fix: str | None = None,
+        faults: Sequence[Any] = (),
+    ):
+        super().__init__(what, where=where, fix=fix)
+        self.faults = tuple(faults)
+        if self.faults:
+            prefix = f"{where}: " if where else ""
+            self.args = ("\n".join(f"{prefix}{fault}" for fault in self.faults),)
+
+
+class ParameterError(GendomError):
+    """A material, simulation or method parameter is out of its range."""
+
+
+class DeviceError(GendomError):
+    """A compute device, camera or robot is absent or refuses."""
+
+
+class SimulationError(GendomError):
+    """A simulation left the range in which it means anything (NaN, inversion, escape).
+
+    Attributes:
+        world: Index of the world in the batch, or None.
+        time: Simulated time of the fault [s], or None.
+        parameters: That world's parameters by name, e.g. {"E": 5e3, "nu": 0.3}.
+        particle: Index of the first particle concerned, or None.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        where: str | None = None,
+        fix: str | None = None,
+        world: int | None = None,
+        time: float | None = None,
+        parameters: Mapping[str, float] | None = None,
+        particle: int | None = None,
+    ):
+        self.world = world
+        self.time = time
+        self.parameters = dict(parameters or {})
+        self.particle = particle
+        if where is None:
+            where = ", ".join(self._place()) or None
+        super().__init__(what, where=where, fix=fix)
+
+    def _place(self) -> list[str]:
+        place = []
+        if self.world is not None:
+            place.append(f"world {self.world}")
+        if self.particle is not None:
+            place.append(f"particle {self.particle}")
+        if self.time is not None:
+            place.append(f"t = {self.time:.6g} s")
+        return place + [f"{name} = {value:.6g}" for name, value in self.parameters.items()]
+
+
+class PolicyError(GendomError):
+    """A policy file cannot be used, or a goal lies outside what the policy was trained on."""
+
+
+class DatasetError(GendomError):
+    """A set of demonstrations is missing, incomplete or of another kind."""
+
+
+def one_line(what: str, *, where: str | None = None, fix: str | None = None) -> str:
+    """ "where: what; fix", without the parts left out."""
+    line = f"{where}: {what}" if where else what
+    return f"{line}; {fix}" if fix else line

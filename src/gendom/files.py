@@ -1,0 +1,155 @@
+"""Files that are either whole or absent, and JSON that every reader understands."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gendom.errors import GendomError
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
+    """A temporary path in the same folder that becomes `path` when the block succeeds.
+
+    The block writes a file there. If it raises (Ctrl-C included) the temporary file is removed
+    and an older `path` stays as it was. Missing folders are made. The temporary name keeps the
+    suffix, for writers that choose a format by it.
+
+    Raises:
+        GendomError: `path` is a folder, or its folder cannot be made or written.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise GendomError("is a folder", where=str(path), fix="name a file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GendomError(
+            f"cannot make the folder ({error.strerror})",
+            where=str(path.parent),
+            fix="choose another place",
+        ) from error
+    if not os.access(path.parent, os.W_OK):
+        raise GendomError(
+            "no permission to write here", where=str(path.parent), fix="choose another place"
+        )
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.tmp{path.suffix}")
+    try:
+        yield temporary
+        with open(temporary, "rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
+            temporary.unlink(missing_ok=True)
+
+
+def to_json(value: Any) -> str:
+    """`value` as indented JSON text.
+
+    Besides what JSON knows, takes dataclasses, enums, paths and NumPy scalars and arrays.
+
+    Raises:
+        GendomError: A number is NaN or infinite (JSON has neither; the message names its
+            place), or a value has no JSON form.
+    """
+    return json.dumps(_plain(value, ""), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def write_json(path: str | os.PathLike, value: Mapping[str, Any]) -> None:
+    """Write `value` to `path` as JSON, atomically.
+
+    Raises:
+        GendomError: As `to_json` and `atomic_path`.
+    """
+    try:
+        text = to_json(value)
+    except GendomError as error:
+        raise GendomError(error.what, where=f"{path}: {error.where}", fix=error.fix) from None
+    with atomic_path(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def read_json(path: str | os.PathLike) -> dict[str, Any]:
+    """The JSON object in `path`.
+
+    Raises:
+        GendomError: The file is missing, unreadable, no JSON, or no object.
+    """
+    path = Path(path)
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+    except FileNotFoundError:
+        raise GendomError("no such file", where=str(path), fix="check the path") from None
+    except OSError as error:
+        raise GendomError(
+            f"cannot be read ({error.strerror})", where=str(path), fix="check the path"
+        ) from None
+    except json.JSONDecodeError as error:
+        raise GendomError(
+            f"is not JSON ({error.msg} in line {error.lineno})",
+            where=str(path),
+            fix="write the file again",
+        ) from None
+    except ValueError as error:  # not UTF-8, or NaN
+        raise GendomError(
+            f"is not JSON ({error})", where=str(path), fix="write the file again"
+        ) from None
+    if not isinstance(value, dict):
+        raise GendomError(
+            f"holds a JSON {type(value).__name__}, not an object",
+            where=str(path),
+            fix="check that it is the right file",
+        )
+    return value
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a JSON number")
+
+
+def _plain(value: Any, where: str) -> Any:
+    """`value` made of dict, list, str, int, float, bool and None only."""
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, Enum):
+        return _plain(value.value, where)
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise GendomError(
+                f"is {value}, which JSON cannot hold",
+                where=where or "value",
+                fix="store null where a number is unknown",
+            )
+        return float(value)
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v, f"{where}.{k}" if where else str(k)) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v, f"{where}[{i}]") for i, v in enumerate(value)]
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, (np.generic, np.ndarray)):
+        return _plain(value.tolist(), where)
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value), where)
+    raise GendomError(
+        f"is a {type(value).__name__}, which JSON cannot hold",
+        where=where or "value",
+        fix="convert it first",
+    )

@@ -1,0 +1,5 @@
+"""Material parameters and constitutive laws."""
+
+from gendom.materials.parameters import Material
+
+__all__ = ["Material"]

@@ -1,0 +1,77 @@
+"""Elastic parameters as estimated, simulated and shown to policies."""
+
+import math
+from dataclasses import dataclass
+
+from gendom.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """An isotropic elastic material, with an optional yield stress.
+
+    Motion under gravity depends on E / density, so two materials of equal ``specific_modulus``
+    and ``nu`` move alike.
+
+    Raises:
+        ParameterError: If a value lies outside its physical range.
+    """
+
+    E: float = 1.0e6
+    """Young's modulus [Pa]."""
+    nu: float = 0.3
+    """Poisson's ratio [-], in (-1, 0.5)."""
+    density: float = 1000.0
+    """Mass density [kg/m^3]."""
+    yield_stress: float = math.inf
+    """Von Mises yield stress of the deviatoric Hencky stress [Pa]; infinite means elastic."""
+
+    def __post_init__(self) -> None:
+        for name in ("E", "nu", "density"):
+            value = getattr(self, name)
+            if not math.isfinite(value):
+                raise ParameterError(f"{name} must be a finite number, got {value}")
+        if self.E <= 0.0:
+            raise ParameterError(f"Young's modulus E must be positive [Pa], got {self.E}")
+        if not -1.0 < self.nu < 0.5:
+            raise ParameterError(f"Poisson's ratio nu must lie in (-1, 0.5), got {self.nu}")
+        if self.density <= 0.0:
+            raise ParameterError(f"density must be positive [kg/m^3], got {self.density}")
+        if not self.yield_stress > 0.0:
+            raise ParameterError(f"yield_stress must be positive [Pa], got {self.yield_stress}")
+
+    @property
+    def lame(self) -> tuple[float, float]:
+        """Lamé parameters (mu, lam) [Pa]."""
+        mu = self.E / (2.0 * (1.0 + self.nu))
+        return mu, 2.0 * mu * self.nu / (1.0 - 2.0 * self.nu)
+
+    @property
+    def specific_modulus(self) -> float:
+        """E / density [m^2/s^2]."""
+        return self.E / self.density
+
+    @property
+    def wave_speed(self) -> float:
+        """Speed of pressure waves sqrt((lam + 2 mu) / density) [m/s]."""
+        mu, lam = self.lame
+        return math.sqrt((lam + 2.0 * mu) / self.density)
+
+
+def bending_length(specific_modulus: float, radius_of_gyration: float, gravity: float) -> float:
+    """Length scale on which gravity bends a rod, (E I / (linear density g))^(1/3) [m].
+
+    With I / A = k^2 this is (E / density k^2 / g)^(1/3). Source: Wang (1986), "A critical
+    review of the heavy elastica".
+
+    Args:
+        specific_modulus: E / density [m^2/s^2].
+        radius_of_gyration: k of the section, sqrt(I / A) [m]; d / 4 for a round section.
+        gravity: Magnitude of gravity [m/s^2].
+    """
+    return (specific_modulus * radius_of_gyration**2 / gravity) ** (1.0 / 3.0)
+
+
+def specific_modulus_of(length: float, radius_of_gyration: float, gravity: float) -> float:
+    """E / density [m^2/s^2] of a rod with this bending length [m]; inverse of the above."""
+    return length**3 * gravity / radius_of_gyration**2

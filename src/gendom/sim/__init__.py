@@ -1,0 +1,19 @@
+"""MLS-MPM simulation of ropes and cloths, batched over worlds."""
+
+from gendom.sim.bodies import Body, cloth, rope
+from gendom.sim.gripper import Gripper
+from gendom.sim.simulator import CFL, GRAVITY, Box, Simulator, Table, open_device, stable_substep
+
+__all__ = [
+    "CFL",
+    "GRAVITY",
+    "Body",
+    "Box",
+    "Gripper",
+    "Simulator",
+    "Table",
+    "cloth",
+    "open_device",
+    "rope",
+    "stable_substep",
+]

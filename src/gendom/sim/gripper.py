@@ -1,0 +1,77 @@
+"""Grippers: what they hold, where they go, when they let go."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gripper:
+    """A gripper that carries all material inside a sphere along a timed path.
+
+    Between two knots it moves on a straight line at constant speed and turns at constant rate;
+    outside the path it stands still.
+
+    Raises:
+        ParameterError: If shapes do not agree, times do not increase or a number is not finite.
+    """
+
+    time: ArrayLike
+    """[K] times of the knots [s]."""
+    position: ArrayLike
+    """[K, 3] centre at each knot [m]."""
+    quat_xyzw: ArrayLike | None = None
+    """[K, 4] orientation at each knot, or None for a gripper that never turns."""
+    radius: float
+    """Radius of the sphere [m]."""
+    hold_from: float = -math.inf
+    """Closes at this time [s]."""
+    hold_until: float = math.inf
+    """Opens at this time [s]."""
+
+    def __post_init__(self) -> None:
+        t = np.atleast_1d(np.asarray(self.time, dtype=float))
+        p = np.atleast_2d(np.asarray(self.position, dtype=float))
+        if t.ndim != 1 or p.shape != (len(t), 3):
+            raise ParameterError(
+                f"gripper path needs time [K] and position [K, 3], got {t.shape} and {p.shape}"
+            )
+        if not (np.isfinite(t).all() and np.isfinite(p).all()):
+            raise ParameterError("gripper path holds a number that is not finite")
+        if np.any(np.diff(t) <= 0.0):
+            raise ParameterError("gripper path: times must increase from knot to knot")
+        if not self.radius > 0.0:
+            raise ParameterError(f"gripper radius must be positive [m], got {self.radius}")
+        object.__setattr__(self, "time", t)
+        object.__setattr__(self, "position", p)
+        if self.quat_xyzw is not None:
+            q = np.asarray(self.quat_xyzw, dtype=float)
+            if q.shape != (len(t), 4) or np.any(np.linalg.norm(q, axis=1) < 1e-6):
+                raise ParameterError(f"gripper quat_xyzw must be [{len(t)}, 4] and not zero")
+            object.__setattr__(self, "quat_xyzw", q)
+
+    @classmethod
+    def still(cls, position: ArrayLike, *, radius: float, **hold: float) -> "Gripper":
+        """A gripper that stays at ``position`` [3] [m]."""
+        return cls(time=[0.0], position=[position], radius=radius, **hold)
+
+    @property
+    def spin(self) -> NDArray[np.float64]:
+        """[K, 3] angular velocity from each knot to the next, in world axes [rad/s]."""
+        t = np.asarray(self.time)
+        rates = np.zeros((len(t), 3))
+        if self.quat_xyzw is not None and len(t) > 1:
+            pose = Rotation.from_quat(self.quat_xyzw)
+            turn = (pose[1:] * pose[:-1].inv()).as_rotvec()
+            rates[:-1] = turn / np.diff(t)[:, None]
+        return rates
+
+    def position_at(self, time: ArrayLike) -> NDArray[np.float64]:
+        """[..., 3] centre at given times [s]."""
+        p = np.asarray(self.position)
+        return np.stack([np.interp(time, np.asarray(self.time), p[:, a]) for a in range(3)], -1)

@@ -1,0 +1,604 @@
+"""Batched simulation of one body in many worlds."""
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import DeviceError, ParameterError, SimulationError
+from gendom.files import atomic_path
+from gendom.materials import Material
+from gendom.sim import kernels
+from gendom.sim.bodies import Body
+from gendom.sim.gripper import Gripper
+
+GRAVITY = (0.0, 0.0, -9.81)
+"""Standard gravity, z up [m/s^2]."""
+
+CFL = 0.4
+"""Default share of the time in which a pressure wave crosses one cell."""
+
+RECOVERY = 1000.0
+"""Default rate at which F follows the particles' positions [1/s]."""
+
+SUBSTEPS_A_GRAPH = 8
+"""Substeps recorded in one CUDA graph."""
+
+LARGEST_GRID = 1 << 24
+"""Nodes a world may use; a run that wants more has an object that flies apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A horizontal plane that nothing falls through, with Coulomb friction per world."""
+
+    height: float
+    """[m]."""
+    friction: float | ArrayLike = 0.3
+    """Coefficient of friction, one number or [W]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """Walls: no velocity outwards beyond them."""
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+
+class Simulator:
+    """MLS-MPM of W worlds that differ in material, friction, gravity, damping and gripper paths.
+
+    All worlds share the body's geometry. State arrays are [W, N]; nothing is stored for space
+    that the body does not occupy.
+
+    Args:
+        body: What is simulated, at rest.
+        materials: One a world.
+        grippers: Grippers shared by all worlds, or one sequence of them for each world.
+        table: Table, or None for open space.
+        gravity: [3] or [W, 3] [m/s^2].
+        damping: Rate at which velocities decay, one number or [W] [1/s].
+        box: Walls, or None.
+        recovery: Rate at which F of an elastic body follows its particles' positions [1/s];
+            0 switches this off. Yielding bodies keep their own F.
+        law: Elastic law, see ``gendom.materials.laws.LAWS``.
+        substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
+        cfl: Share of the limit dx / wave speed (see ``stable_substep``).
+        positions: [N, 3] or [W, N, 3] initial positions, if not the body's own [m].
+        dtype: ``float32`` or ``float64``.
+        device: ``cpu``, ``cuda`` or ``cuda:0`` and so on.
+        threads: Worlds simulated side by side on the CPU (default: all cores given to us).
+
+    Raises:
+        ParameterError: If arguments do not fit together.
+        DeviceError: If the device is not there.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        materials: Sequence[Material],
+        *,
+        grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
+        table: Table | None = None,
+        gravity: ArrayLike = GRAVITY,
+        damping: float | ArrayLike = 0.0,
+        box: Box | None = None,
+        recovery: float = RECOVERY,
+        law: str = "neo-hookean",
+        substep: float | None = None,
+        cfl: float = CFL,
+        positions: ArrayLike | None = None,
+        dtype: str = "float32",
+        device: str = "cpu",
+        threads: int | None = None,
+    ):
+        if not materials:
+            raise ParameterError("a simulation needs at least one material (one a world)")
+        if dtype not in ("float32", "float64"):
+            raise ParameterError(f"dtype must be float32 or float64, got {dtype!r}")
+        W = len(materials)
+        self.body = body
+        self.materials = tuple(materials)
+        self.time = 0.0
+        self.device = open_device(device)
+        self.dtype = dtype
+        self._threads = threads or len(os.sched_getaffinity(0))
+        self._numpy = np.dtype(dtype)
+        self._real = wp.float32 if dtype == "float32" else wp.float64
+        self.law = law
+        plastic = any(math.isfinite(m.yield_stress) for m in materials)
+        try:
+            self._k = kernels.make_kernels(self._real, law, plastic=plastic)
+        except ValueError as error:
+            raise ParameterError(str(error)) from None
+        self.substep = np.array([substep or stable_substep(m, body.dx, cfl=cfl) for m in materials])
+
+        lame = np.array([m.lame for m in materials])
+        k, real = self._k, self._real
+        every = [self._grippers_of(grippers, w) for w in range(W)]
+        count = {len(g) for g in every}
+        if len(count) != 1:
+            raise ParameterError(f"every world needs the same number of grippers, got {count}")
+        self._every_gripper = every
+        paths = _stack_paths(every)
+        G = count.pop()
+        friction = table.friction if table is not None else 0.0
+        self._recovery = 0.0 if plastic else recovery
+        self._lattice = self._array(body.lattice, wp.int32)
+        self._rest_frames = self._array(body.rest_frames, k.mat33)
+        self._box = box
+        self._table = table
+        self._z0 = table.height if table is not None else 0.0
+        self._world = {
+            "mu": self._array(lame[:, 0], real),
+            "lam": self._array(lame[:, 1], real),
+            "yield_stress": self._array(
+                np.minimum([m.yield_stress for m in materials], 1e30), real
+            ),
+            "mass": self._array(np.array([m.density for m in materials]) * body.volume, real),
+            "gravity": self._array(self._spread(gravity, (W, 3), "gravity"), k.vec3),
+            "damping": self._array(self._spread(damping, (W,), "damping"), real),
+            "friction": self._array(self._spread(friction, (W,), "friction"), real),
+            "path_time": self._array(paths["time"], wp.float64),
+            "path_position": self._array(paths["position"], wp.vec3d),
+            "path_spin": self._array(paths["spin"], wp.vec3d),
+            "hold_from": self._array(paths["hold_from"], wp.float64),
+            "hold_until": self._array(paths["hold_until"], wp.float64),
+            "grip_radius": self._array(paths["radius"], real),
+            "grip_centre": self._zeros((W, G), k.vec3),
+            "grip_velocity": self._zeros((W, G), k.vec3),
+            "grip_spin": self._zeros((W, G), k.vec3),
+            "grip_closed": self._zeros((W, G), wp.int32),
+            "dt": self._zeros(W, wp.float64),
+            "step": self._zeros(W, wp.int32),
+            "steps": self._zeros(W, wp.int32),
+            "travel": self._zeros(W, real),
+            "status": self._zeros(W, wp.int32),
+            "culprit": self._zeros(W, wp.int32),
+        }
+        N = body.num_particles
+        x0 = body.x if positions is None else np.asarray(positions, dtype=float)
+        x0 = self._spread(x0, (W, N, 3), "positions")
+        if not np.isfinite(x0).all():
+            raise ParameterError("positions hold numbers that are not finite")
+        self._state = {
+            "x": self._array(x0, k.vec3),
+            "v": self._zeros((W, N), k.vec3),
+            "C": self._zeros((W, N), k.mat33),
+            "F": self._array(np.broadcast_to(np.eye(3), (W, N, 3, 3)), k.mat33),
+        }
+        self._columns = _room_for(x0, body.dx)
+        self._last_good = {name: a.numpy().copy() for name, a in self._state.items()}
+        self._last_good_time = 0.0
+        self._scratch: dict[str, wp.array] | None = None
+
+    # ---- what a user reads -------------------------------------------------------------------
+
+    @property
+    def num_worlds(self) -> int:
+        return len(self.materials)
+
+    def positions(self) -> NDArray[np.floating]:
+        """[W, N, 3] particle positions now [m]."""
+        return self._state["x"].numpy().copy()
+
+    def velocities(self) -> NDArray[np.floating]:
+        """[W, N, 3] particle velocities now [m/s]."""
+        return self._state["v"].numpy().copy()
+
+    def deformation_gradients(self) -> NDArray[np.floating]:
+        """[W, N, 3, 3] deformation gradients F now [-]."""
+        return self._state["F"].numpy().copy()
+
+    def set_velocities(self, v: ArrayLike) -> None:
+        """Set particle velocities, [3], [N, 3] or [W, N, 3] [m/s]."""
+        shape = (self.num_worlds, self.body.num_particles, 3)
+        self._state["v"].assign(self._spread(v, shape, "velocities").astype(self._numpy))
+
+    def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
+        """Write x, v, C, F, the time and the parameters of all worlds to an ``.npz`` file.
+
+        Args:
+            path: File to write, atomically.
+            last_good: The state before the frame in which a run failed, not the present one.
+        """
+        state = self._last_good if last_good else {n: a.numpy() for n, a in self._state.items()}
+        with atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(
+                file,
+                time=self._last_good_time if last_good else self.time,
+                E=[m.E for m in self.materials],
+                nu=[m.nu for m in self.materials],
+                density=[m.density for m in self.materials],
+                substep=self.substep,
+                **state,  # pyright: ignore[reportArgumentType]
+            )
+
+    def run(
+        self,
+        times: ArrayLike,
+        *,
+        on_frame: Callable[[int], None] | None = None,
+        particles: ArrayLike | None = None,
+    ) -> NDArray[np.floating]:
+        """Simulate to each of the given times.
+
+        Args:
+            times: [T] not decreasing, not before ``self.time`` [s].
+            on_frame: Called with the number of frames done, from one thread at a time.
+            particles: [P] indices of the particles to record (default: all).
+
+        Returns:
+            [T, W, P, 3] positions [m].
+
+        Raises:
+            ParameterError: If the times run backwards.
+            SimulationError: If a world diverges or a particle turns inside out. The error names
+                world, time and parameters; ``save_state(path, last_good=True)`` then keeps the
+                last frame before it.
+        """
+        t = np.atleast_1d(np.asarray(times, dtype=float))
+        if t.ndim != 1 or len(t) == 0 or not np.isfinite(t).all():
+            raise ParameterError("times must be a non-empty list of finite numbers [s]")
+        if np.any(np.diff(np.concatenate([[self.time], t])) < 0.0):
+            raise ParameterError("times must not decrease nor lie before the simulator's time")
+        chosen = slice(None) if particles is None else np.asarray(particles, dtype=int)
+        picked = np.arange(self.body.num_particles)[chosen]
+        frames = np.empty((len(t), self.num_worlds, len(picked), 3), dtype=self._numpy)
+        if self.device.is_cuda:
+            self._run_cuda(t, frames, picked, on_frame)
+        else:
+            self._run_cpu(t, frames, picked, on_frame)
+        self.time = float(t[-1])
+        return frames
+
+    # ---- CPU: every thread takes a world from the first frame to the last ---------------------------
+
+    def _run_cpu(self, times, frames, picked, on_frame) -> None:
+        views = {name: a.numpy() for name, a in {**self._world, **self._state}.items()}
+        began = self.time
+        done = np.zeros(self.num_worlds, dtype=int)
+        stop = False
+
+        def one_world(w: int) -> SimulationError | None:
+            grid = self._make_grid(1)
+            views["travel"][w] = 1e30
+            now = began
+            for f, until in enumerate(times):
+                if stop:
+                    return None
+                for name, good in self._last_good.items():
+                    good[w] = views[name][w]
+                self._plan(views, w, until - now)
+                while views["step"][w] < views["steps"][w]:
+                    self._launch_advance(w, now, grid)
+                    status = views["status"][w]
+                    if status == kernels.GRID_FULL:
+                        try:
+                            grid = self._grow_grid(grid)
+                        except _GridExhausted:
+                            views["status"][w] = status = kernels.DIVERGED
+                    if status not in (kernels.OK, kernels.GRID_FULL):
+                        return self._failure(w, now, views)
+                now = until
+                frames[f, w] = views["x"][w, picked]
+                done[w] = f + 1
+            return None
+
+        # the slowest worlds go first, so that no thread ends alone
+        order = np.argsort(self.substep)
+        with ThreadPoolExecutor(max_workers=self._threads) as pool:
+            jobs = [pool.submit(one_world, int(w)) for w in order]
+            try:
+                reported = 0
+                while not all(job.done() for job in jobs):
+                    for job in jobs:
+                        if not job.done():
+                            _wait(job)
+                            break
+                    if on_frame is not None and done.min() > reported:
+                        reported = int(done.min())
+                        on_frame(reported)
+            except BaseException:
+                stop = True
+                raise
+        if on_frame is not None and done.min() > reported:
+            on_frame(int(done.min()))
+        failures = [error for job in jobs if (error := job.result()) is not None]
+        if failures:
+            self._last_good_time = min(e.time or 0.0 for e in failures)
+            raise failures[0]
+        self._last_good_time = float(times[-1])
+
+    def _launch_advance(self, w: int, now: float, grid: dict[str, wp.array]) -> None:
+        a, s = self._world, self._state
+        wp.launch(
+            self._k.advance,
+            dim=1,
+            inputs=[
+                w, a["step"], a["steps"], now, a["dt"],
+                a["mu"], a["lam"], a["yield_stress"], a["mass"], self.body.volume,
+                self._lattice, self._rest_frames, self._recovery,
+                self.body.dx, self._z0, a["gravity"], a["damping"],
+                int(self._table is not None), a["friction"], *self._walls(),
+                a["path_time"], a["path_position"], a["path_spin"],
+                a["hold_from"], a["hold_until"], a["grip_radius"],
+                a["grip_centre"], a["grip_velocity"], a["grip_spin"], a["grip_closed"],
+                s["x"], s["v"], s["C"], s["F"],
+                *(grid[name] for name in _GRID_ORDER),
+                a["travel"], a["status"], a["culprit"],
+            ],
+            device=self.device,
+        )  # fmt: skip
+
+    # ---- CUDA: all worlds in lockstep, substeps replayed from a graph -----------------------------
+
+    def _run_cuda(self, times, frames, picked, on_frame) -> None:
+        a = self._world
+        host = {name: a[name].numpy() for name in ("step", "steps", "dt", "status")}
+        if self._scratch is None:
+            self._scratch = self._make_grid(self.num_worlds) | {
+                "stale": self._zeros(self.num_worlds, wp.int32),
+                "fastest": self._zeros(self.num_worlds, self._real),
+                "trouble": self._zeros(self.num_worlds, wp.int32),
+                "time": self._zeros(1, wp.float64),
+            }
+        graph = None
+        index = self._array(picked.astype(np.int32), wp.int32)
+        a["travel"].fill_(1e30)
+        now = self.time
+        for f, until in enumerate(times):
+            self._last_good = {name: arr.numpy() for name, arr in self._state.items()}
+            self._last_good_time = now
+            for w in range(self.num_worlds):
+                self._plan(host, w, until - now)
+            for name, values in host.items():
+                a[name].assign(values)
+            self._scratch["time"].fill_(now)
+            done = 0
+            while (left := int(host["steps"].max()) - done) > 0:
+                if graph is None:
+                    with wp.ScopedCapture(device=self.device) as capture:
+                        for _ in range(SUBSTEPS_A_GRAPH):
+                            self._launch_stages(self._scratch)
+                    graph = capture.graph
+                for _ in range(math.ceil(left / SUBSTEPS_A_GRAPH)):
+                    wp.capture_launch(graph)
+                host["step"] = a["step"].numpy()
+                host["status"] = status = a["status"].numpy()
+                done = int(host["step"].min())
+                full = status == kernels.GRID_FULL
+                if full.any():
+                    grown = self._grow_grid({n: self._scratch[n] for n in _GRID_ORDER})
+                    self._scratch |= grown
+                    graph = None
+                    a["travel"].fill_(1e30)
+                    a["status"].assign(np.where(full, kernels.OK, status).astype(np.int32))
+                    status = np.where(full, kernels.OK, status)
+                if (status != kernels.OK).any():
+                    w = int(np.argmax(status != kernels.OK))
+                    views = {n: a[n].numpy() for n in ("status", "step", "dt", "culprit")}
+                    raise self._failure(w, now, views)
+                if not full.any():
+                    done = int(host["steps"].max())
+            now = float(until)
+            self.time = now
+            frames[f] = self._state["x"].numpy()[:, index.numpy()]
+            if on_frame is not None:
+                on_frame(f + 1)
+
+    def _launch_stages(self, g: dict[str, wp.array]) -> None:
+        """One substep of every world that still runs: clear, p2g, grid update, g2p."""
+        k, a, s = self._k, self._world, self._state
+        W, N = self.num_worlds, self.body.num_particles
+        dx, z0 = self.body.dx, self._z0
+        M = g["grid"].shape[1]
+        going = [a["step"], a["steps"], a["status"]]
+        grip = [a["grip_centre"], a["grip_velocity"], a["grip_spin"], a["grip_closed"]]
+
+        def launch(kernel, dim, inputs) -> None:
+            wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)
+
+        launch(k.begin, W, [
+            *going, g["time"], a["dt"], dx, a["path_time"], a["path_position"], a["path_spin"],
+            a["hold_from"], a["hold_until"], a["travel"], *grip, g["bounds"], g["stale"],
+        ])  # fmt: skip
+        launch(k.locate, (W, N), [g["stale"], s["x"], dx, g["bounds"]])
+        launch(k.empty, g["low"].shape, [g["stale"], g["low"], g["high"]])
+        launch(k.mark, (W, N), [g["stale"], s["x"], dx, z0, g["bounds"], g["low"], g["high"]])
+        launch(k.lay, W, [
+            g["stale"], g["bounds"], g["low"], g["high"], g["start"], g["cell"], g["level"],
+            g["count"], a["travel"], a["status"],
+        ])  # fmt: skip
+        launch(k.clear, (W, M), [a["status"], g["count"], g["grid"], g["fastest"]])
+        launch(k.recover, (W, N), [
+            *going, a["dt"], s["x"], self._lattice, self._rest_frames, self._recovery, s["F"],
+        ])  # fmt: skip
+        launch(k.p2g, (W, N), [
+            *going, s["x"], s["v"], s["C"], s["F"], a["mu"], a["lam"], a["mass"],
+            self.body.volume, a["dt"], dx, z0, g["bounds"], g["start"], g["grid"],
+        ])  # fmt: skip
+        launch(k.grid_update, (W, M), [
+            *going, a["dt"], dx, z0, a["gravity"], a["damping"], int(self._table is not None),
+            a["friction"], *self._walls(), *grip, a["grip_radius"],
+            g["bounds"], g["cell"], g["level"], g["count"], g["grid"],
+        ])  # fmt: skip
+        launch(k.g2p, (W, N), [
+            *going, a["dt"], a["mu"], a["yield_stress"], dx, z0, g["bounds"], g["start"],
+            g["grid"], s["x"], s["v"], s["C"], s["F"], g["fastest"], g["trouble"], a["culprit"],
+        ])  # fmt: skip
+        launch(k.end, W, [
+            a["steps"], a["dt"], g["fastest"], g["trouble"], a["step"], a["travel"], a["status"],
+        ])  # fmt: skip
+
+    # ---- shared by both devices ------------------------------------------------------------------
+
+    def _plan(self, views, w: int, interval: float) -> None:
+        """Divide a frame's interval into equal substeps no longer than the world's limit."""
+        n = max(1, math.ceil(interval / self.substep[w] - 1e-9)) if interval > 0.0 else 0
+        views["steps"][w] = n
+        views["step"][w] = 0
+        views["dt"][w] = interval / n if n else 0.0
+        views["status"][w] = kernels.OK
+
+    def _failure(self, w: int, frame_start: float, views) -> SimulationError:
+        m = self.materials[w]
+        time = frame_start + float(views["step"][w]) * float(views["dt"][w])
+        inverted = views["status"][w] == kernels.INVERTED
+        what = (
+            "a particle turned inside out"
+            if inverted
+            else "velocities grew beyond one cell a substep"
+        )
+        return SimulationError(
+            what,
+            where=f"world {w} at {time:.4f} s (E {m.E:.6g} Pa, nu {m.nu:.4g}, density "
+            f"{m.density:.6g} kg/m^3, substep {views['dt'][w]:.3g} s)",
+            fix="use a smaller substep or cfl, or slower gripper motion",
+            world=w,
+            time=time,
+            parameters={"E": m.E, "nu": m.nu, "density": m.density},
+            particle=int(views["culprit"][w]) if inverted else None,
+        )
+
+    def _walls(self):
+        lower = self._box.lower if self._box is not None else (-1e30,) * 3
+        upper = self._box.upper if self._box is not None else (1e30,) * 3
+        return self._k.vec3(*lower), self._k.vec3(*upper)
+
+    def _make_grid(self, worlds: int) -> dict[str, wp.array]:
+        X, Y, M = self._columns
+        return {
+            "bounds": self._zeros((worlds, 4), wp.int32),
+            "low": self._zeros((worlds, X, Y), wp.int32),
+            "high": self._zeros((worlds, X, Y), wp.int32),
+            "start": self._zeros((worlds, X, Y), wp.int32),
+            "cell": self._zeros((worlds, M), wp.int32),
+            "level": self._zeros((worlds, M), wp.int32),
+            "count": self._zeros(worlds, wp.int32),
+            "grid": self._zeros((worlds, M), self._k.vec4),
+        }
+
+    def _grow_grid(self, grid: dict[str, wp.array]) -> dict[str, wp.array]:
+        """A larger grid for the same worlds; its columns are laid anew before the next substep."""
+        bounds = grid["bounds"].numpy()
+        window = (bounds[:, 2:] - bounds[:, :2] + 1).max(axis=0)
+        X, Y, M = self._columns
+        have = grid["low"].shape[1:]
+        limit = 1 << kernels.CELL_BITS
+        if window.max() > limit or M > LARGEST_GRID:
+            raise _GridExhausted
+        if window[0] > have[0] or window[1] > have[1]:
+            X = max(X, min(limit, int(window[0]) + 8))
+            Y = max(Y, min(limit, int(window[1]) + 8))
+        else:
+            M = max(M, 2 * grid["grid"].shape[1])
+        self._columns = (X, Y, M)
+        return self._make_grid(len(bounds))
+
+    @staticmethod
+    def _grippers_of(grippers: Sequence[Any], w: int) -> Sequence[Gripper]:
+        if len(grippers) and not isinstance(grippers[0], Gripper):
+            if w >= len(grippers):
+                raise ParameterError(f"no grippers given for world {w} of the batch")
+            return grippers[w]
+        return grippers
+
+    def _spread(self, values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+        try:
+            return np.broadcast_to(np.asarray(values, dtype=float), shape)
+        except ValueError:
+            raise ParameterError(
+                f"{name} has shape {np.shape(values)}, which does not fit {shape}"
+            ) from None
+
+    def _array(self, values: Any, dtype: Any) -> wp.array:
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
+    def _zeros(self, shape: Any, dtype: Any) -> wp.array:
+        return wp.zeros(shape, dtype=dtype, device=self.device)
+
+
+class _GridExhausted(Exception):
+    """The object spreads over more nodes than any real one does."""
+
+
+_GRID_ORDER = ("bounds", "low", "high", "start", "cell", "level", "count", "grid")
+
+
+def stable_substep(material: Material, dx: float, *, cfl: float = CFL) -> float:
+    """Longest substep [s] at a share ``cfl`` of the Courant limit dx / wave speed.
+
+    The wave speed is that of small strains; ``CFL`` leaves room for stiffening under compression.
+    Source: Courant, Friedrichs and Lewy (1928).
+    """
+    return cfl * dx / material.wave_speed
+
+
+def open_device(name: str) -> Any:
+    """The Warp device of that name.
+
+    Raises:
+        DeviceError: If there is none, with what to use instead.
+    """
+    if wp.config.log_level < wp.LOG_ERROR:
+        wp.config.log_level = wp.LOG_ERROR  # what concerns users, this function says itself
+    wp.init()
+    try:
+        return wp.get_device(name)
+    except Exception:
+        raise DeviceError(
+            f"there is no device {name!r} on this machine",
+            where="device",
+            fix="use --device cpu, or install an NVIDIA driver for cuda",
+        ) from None
+
+
+def _stack_paths(every: Sequence[Sequence[Gripper]]) -> dict[str, NDArray[np.float64]]:
+    """Gripper paths as arrays [W, G, K]; shorter ones repeat their last knot."""
+    W, G = len(every), len(every[0])
+    K = max([2] + [len(np.asarray(g.time)) for grippers in every for g in grippers])
+    out = {
+        "time": np.zeros((W, G, K)),
+        "position": np.zeros((W, G, K, 3)),
+        "spin": np.zeros((W, G, K, 3)),
+        "hold_from": np.zeros((W, G)),
+        "hold_until": np.zeros((W, G)),
+        "radius": np.zeros((W, G)),
+    }
+    for w, grippers in enumerate(every):
+        for g, gripper in enumerate(grippers):
+            t = np.asarray(gripper.time)
+            out["time"][w, g] = np.concatenate([t, np.full(K - len(t), t[-1])])
+            out["position"][w, g] = np.concatenate(
+                [gripper.position, np.repeat(np.asarray(gripper.position)[-1:], K - len(t), 0)]
+            )
+            out["spin"][w, g, : len(t)] = gripper.spin
+            out["hold_from"][w, g] = gripper.hold_from
+            out["hold_until"][w, g] = gripper.hold_until
+            out["radius"][w, g] = gripper.radius
+    return out
+
+
+def _room_for(x: NDArray[np.float64], dx: float) -> tuple[int, int, int]:
+    """Columns in x and y and nodes that the first grid offers; grows when the body needs more."""
+    extent = (x.max(axis=1) - x.min(axis=1)).max(axis=0) / dx
+    side = int(np.ceil(extent[:2].max())) + 8
+    cells = len(np.unique(np.floor(x[0] / dx).astype(int), axis=0))
+    return min(side, 1 << kernels.CELL_BITS), min(side, 1 << kernels.CELL_BITS), 16 * cells + 512
+
+
+def _wait(job) -> None:
+    try:
+        job.exception(timeout=0.05)
+    except TimeoutError:
+        pass

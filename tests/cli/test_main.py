@@ -1,0 +1,205 @@
+"""The command line: exit codes, one line for a fault, and `gendom check`."""
+
+import json
+import logging
+import subprocess
+import sys
+import types
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from gendom import __version__, cli
+from gendom.datasets import ObjectDescription, Recording
+from gendom.errors import GendomError
+
+
+@pytest.fixture
+def command(monkeypatch):
+    """Put a command named `act` in place whose `run` is the given function."""
+
+    def install(run):
+        @dataclass(frozen=True, kw_only=True)
+        class Command:
+            """A command for tests."""
+
+            size: int = 1
+            """A number."""
+
+            def run(self) -> int:
+                return run(self)
+
+        module = types.ModuleType("gendom_test_command")
+        module.Command = Command  # pyright: ignore[reportAttributeAccessIssue]
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        monkeypatch.setitem(cli.COMMANDS, "act", (module.__name__, "for tests"))
+
+    return install
+
+
+@pytest.fixture
+def recording(tmp_path):
+    clouds = [np.linspace([0.0, 0.0, 0.0], [0.4, 0.0, 0.01 * t], 10 + t) for t in range(3)]
+    recording = Recording.from_frames(
+        [*clouds, np.zeros((0, 3))],
+        time=[0.0, 0.5, 1.0, 1.5],
+        gripper_position=np.array([[0.4, 0.0, 0.01 * t] for t in range(4)]),
+        object=ObjectDescription(kind="rope", length=0.4, diameter=0.01),
+        table_height=-0.01,
+    )
+    path = tmp_path / "lift.npz"
+    recording.write(path)
+    return path
+
+
+def raising(error):
+    def run(_):
+        raise error
+
+    return run
+
+
+def test_help_lists_every_command(capsys):
+    assert cli.main(["--help"]) == 0
+    out = capsys.readouterr().out
+    for name, (_, line) in cli.COMMANDS.items():
+        assert f"  {name} " in out and line in out
+
+
+def test_version(capsys):
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"gendom {__version__}\n"
+
+
+def test_no_command_is_a_usage_error(capsys):
+    assert cli.main([]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("usage: gendom COMMAND")
+
+
+@pytest.mark.parametrize(
+    ("word", "line"),
+    [
+        ("estimte", "gendom: there is no command 'estimte'; did you mean 'estimate'?\n"),
+        ("zzz", "gendom: there is no command 'zzz'; see gendom --help\n"),
+        ("--zzz", "gendom: there is no flag '--zzz'; see gendom --help\n"),
+    ],
+)
+def test_unknown_command(capsys, word, line):
+    assert cli.main([word]) == 2
+    assert capsys.readouterr().err == line
+
+
+def test_flags_reach_the_command_and_its_code_comes_back(command):
+    command(lambda self: self.size)
+    assert cli.main(["act", "--size", "7"]) == 7
+
+
+def test_usage_errors_of_a_command(command, capsys):
+    command(lambda self: 0)
+    assert cli.main(["act", "--size", "many"]) == 2
+    assert cli.main(["act", "--zize", "1"]) == 2
+    assert capsys.readouterr().out == ""
+    assert cli.main(["act", "--help"]) == 0
+    assert "A number." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (GendomError("is odd", where="a", fix="mend it"), 2, "a: is odd; mend it"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (FileNotFoundError(2, "No such file", "a.txt"), 2, "a.txt: No such file"),
+        (
+            ModuleNotFoundError("No module named 'torch'", name="torch"),
+            2,
+            "needs torch; install it with: pip install 'gendom[train]'",
+        ),
+        (
+            ZeroDivisionError("by zero\nmore"),
+            1,
+            "internal error: ZeroDivisionError: by zero; "
+            "run it again with --debug and report what it prints",
+        ),
+    ],
+)
+def test_faults_are_one_line(command, capsys, error, code, line):
+    command(raising(error))
+    assert cli.main(["act"]) == code
+    out, err = capsys.readouterr()
+    assert (out, err) == ("", f"gendom act: {line}\n")
+
+
+@pytest.mark.parametrize("words", [["--debug", "act"], ["act", "--debug"]])
+def test_debug_shows_the_traceback(command, capsys, words):
+    command(raising(GendomError("is odd")))
+    assert cli.main(words) == 2
+    err = capsys.readouterr().err
+    assert "Traceback" in err and err.endswith("gendom act: is odd\n")
+
+
+def test_log_goes_to_stderr(command, capsys):
+    def run(_):
+        logging.getLogger("gendom.somewhere").warning("careful")
+        return 0
+
+    command(run)
+    assert cli.main(["act"]) == 0
+    assert capsys.readouterr() == ("", "gendom act: careful\n")
+    logger = logging.getLogger("gendom")
+    assert not logger.handlers and logger.propagate
+
+
+def test_closed_pipe_is_quiet(recording):
+    line = f'"{sys.executable}" -m gendom check "{recording}"; echo $? >&2'
+    result = subprocess.run(
+        ["bash", "-c", f"({line}) | true"], capture_output=True, text=True, check=True
+    )
+    assert result.stderr.strip() in ("0", "141")  # 0: it wrote before the reader was gone
+
+
+def test_check_prints_a_summary(recording, capsys):
+    assert cli.main(["check", str(recording)]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert out == (
+        f"{recording}: can be used\n"
+        "  object    rope, length 0.4 m, diameter 0.01 m, mass unknown, held by: end\n"
+        "  frames    4, 1 of them empty\n"
+        "  points    10 to 12 a frame, median 11\n"
+        "  time      0 to 1.5 s\n"
+        "  grippers  1 (commanded): path 0.03 m, rise 0.03 m\n"
+        "  table     at z = -0.01 m\n"
+        "  motion    dynamic\n"
+        "  warning   points: 1 of 4 frames are empty (3); nothing need be done: they are skipped\n"
+    )
+
+
+def test_check_as_json(recording, capsys):
+    assert cli.main(["check", str(recording), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["valid"] and summary["kind"] == "rope"
+    assert summary["sizes"] == {"length": 0.4, "diameter": 0.01}
+    assert summary["points_per_frame"] == {"min": 10, "median": 11.0, "max": 12}
+    assert [w["where"] for w in summary["warnings"]] == ["points"]
+
+
+def test_check_refuses(recording, tmp_path, capsys):
+    with np.load(recording) as file:
+        arrays = dict(file)
+    arrays["time"][2] = 0.0
+    del arrays["gripper_position"]
+    bad = tmp_path / "bad.npz"
+    np.savez(bad, **arrays)
+    line = f"gendom check: {bad}: gripper_position: is missing; add it: float64 [T, G, 3]\n"
+    assert cli.main(["check", str(bad)]) == 2
+    assert capsys.readouterr() == ("", line)
+    assert cli.main(["check", str(bad), "--json"]) == 2
+    out, err = capsys.readouterr()
+    assert err == line
+    assert json.loads(out)["faults"] == [
+        {"what": "is missing", "where": "gripper_position", "fix": "add it: float64 [T, G, 3]"}
+    ]
+    assert cli.main(["check", str(tmp_path / "absent.npz")]) == 2
+    assert capsys.readouterr().err.endswith("absent.npz: no such file; check the path\n")

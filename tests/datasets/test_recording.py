@@ -1,0 +1,424 @@
+"""gendom-recording/1: nothing is lost, and every fault is told in one line."""
+
+import json
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gendom.datasets import ObjectDescription, Recording
+from gendom.errors import GendomError, RecordingError
+
+
+def stored(recording, tmp_path):
+    """The recording's file as a dict of arrays and its meta as a dict."""
+    recording.write(tmp_path / "good.npz")
+    with np.load(tmp_path / "good.npz") as file:
+        arrays = {name: file[name] for name in file.files}
+    return arrays, json.loads(arrays.pop("meta").item())
+
+
+def save(path, arrays, meta):
+    np.savez(path, meta=np.array(json.dumps(meta)), **arrays)
+    return path
+
+
+def refusal(path):
+    """The lines with which reading is refused, without the path."""
+    with pytest.raises(RecordingError) as caught:
+        Recording.read(path)
+    lines = str(caught.value).splitlines()
+    assert all(line.startswith(f"{path}: ") for line in lines)
+    return [line.removeprefix(f"{path}: ") for line in lines]
+
+
+def test_round_trip_keeps_everything(lift, tmp_path):
+    lift.write(tmp_path / "lift.npz")
+    again = Recording.read(tmp_path / "lift.npz")
+    for name in ("points", "offsets", "time", "gripper_position", "gripper_axis"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(lift, name))
+        assert getattr(again, name).dtype == getattr(lift, name).dtype
+    np.testing.assert_array_equal(again.camera_positions, lift.camera_positions)
+    for name in ("object", "table_height", "gripper_source", "quasi_static", "source", "notes"):
+        assert getattr(again, name) == getattr(lift, name)
+    assert again.extra == {"operator": "nobody", "takes": [1, 2]}
+    assert again.object.extra == {"colour": "red"}
+
+
+def test_file_has_the_documented_types(lift, tmp_path):
+    arrays, meta = stored(lift, tmp_path)
+    types = {name: (array.dtype, array.ndim) for name, array in arrays.items()}
+    assert types == {
+        "points": (np.float32, 2),
+        "offsets": (np.int64, 1),
+        "time": (np.float64, 1),
+        "gripper_position": (np.float64, 3),
+        "gripper_axis": (np.float64, 3),
+    }
+    assert meta["format"] == "gendom-recording/1"
+    assert meta["object"] == {
+        "kind": "rope",
+        "length": 0.4,
+        "diameter": None,
+        "mass": 0.02,
+        "grasp": "end",
+        "colour": "red",
+    }
+
+
+def test_interrupted_write_leaves_the_old_file(lift, tmp_path, monkeypatch):
+    def half(file, **_):
+        file.write(b"PK")
+        raise KeyboardInterrupt
+
+    path = tmp_path / "lift.npz"
+    lift.write(path)
+    before = path.read_bytes()
+    monkeypatch.setattr(np, "savez_compressed", half)
+    with pytest.raises(KeyboardInterrupt):
+        lift.write(path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_refused_write_leaves_the_old_file(lift, tmp_path):
+    path = tmp_path / "lift.npz"
+    lift.write(path)
+    before = path.read_bytes()
+    with pytest.raises(RecordingError, match=r"meta\.gain: is nan, which JSON cannot hold"):
+        replace(lift, extra={"gain": float("nan")}).write(path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_write_asks_for_the_suffix(lift, tmp_path):
+    with pytest.raises(RecordingError, match=r"name the file \.npz"):
+        lift.write(tmp_path / "lift.npy")
+
+
+def test_frames_and_head(lift):
+    assert (lift.num_frames, lift.num_grippers) == (5, 1)
+    assert [len(cloud) for cloud in lift.frames()] == [20, 21, 22, 23, 24]
+    np.testing.assert_array_equal(lift.frame(-1), lift.points[-24:])
+    with pytest.raises(IndexError):
+        lift.frame(5)
+    head = lift.head(2)
+    assert head.num_frames == 2 and len(head.points) == 41
+    assert head.gripper_position.shape == head.gripper_axis.shape == (2, 1, 3)
+    np.testing.assert_array_equal(head.frame(1), lift.frame(1))
+    assert head.object == lift.object and head.extra == lift.extra
+    for n in (0, 6):
+        with pytest.raises(RecordingError, match="choose 1 to 5"):
+            lift.head(n)
+
+
+def test_arrays_are_read_only_and_the_callers_stay_writable():
+    points = np.zeros((2, 3), np.float32)
+    recording = Recording(
+        points=points,
+        offsets=np.array([0, 2]),
+        time=np.zeros(1),
+        gripper_position=np.zeros((1, 1, 3)),
+        object=ObjectDescription(kind="rope", length=1.0),
+    )
+    with pytest.raises(ValueError, match="read-only"):
+        recording.points[0] = 1.0
+    points[0] = 1.0
+
+
+def test_from_frames_says_which_cloud_is_wrong(lift):
+    with pytest.raises(RecordingError, match=r"frame 1: has shape \[4, 2\]; give \[n, 3\]"):
+        Recording.from_frames(
+            [np.zeros((4, 3)), np.zeros((4, 2))],
+            time=np.arange(2.0),
+            gripper_position=np.zeros((2, 3)),
+            object=lift.object,
+        )
+
+
+def test_several_faults_are_several_lines(lift, tmp_path):
+    arrays, meta = stored(lift, tmp_path)
+    meta["object"]["length"] = None
+    meta["gripper_source"] = "guessed"
+    arrays["time"] = arrays["time"][::-1]
+    lines = refusal(save(tmp_path / "bad.npz", arrays, meta))
+    assert lines == [
+        "object.length: is missing for a rope; measure it and give metres",
+        "gripper_source: is 'guessed'; give 'commanded' or 'measured'",
+        "time, frame 1: goes from 0.4 s to 0.3 s; "
+        "sort the frames and drop repeated ones; each must be later than the one before",
+    ]
+
+
+def set_nan(array, *index):
+    array[index] = np.nan
+
+
+ARRAY_FAULTS = {
+    "points missing": (lambda a: a.pop("points"), "points: is missing; add it: float32 [S, 3]"),
+    "time missing": (lambda a: a.pop("time"), "time: is missing; add it: float64 [T]"),
+    "points flat": (
+        lambda a: a.update(points=a["points"][:, :2]),
+        "points: has shape [110, 2]; give float32 [S, 3]",
+    ),
+    "gripper without its axis": (
+        lambda a: a.update(gripper_position=a["gripper_position"][:, 0]),
+        "gripper_position: has shape [5, 3]; give float64 [T, G, 3]",
+    ),
+    "text for points": (
+        lambda a: a.update(points=a["points"].astype("U")),
+        "points: has the type <U32; give float32 [S, 3]",
+    ),
+    "offsets not whole": (
+        lambda a: a.update(offsets=a["offsets"].astype(float)),
+        "offsets: has the type float64; give int64 [T + 1]",
+    ),
+    "offsets too few": (
+        lambda a: a.update(offsets=a["offsets"][:-1]),
+        "offsets: has 5 entries for 5 frames; give 6, one more than time has",
+    ),
+    "offsets short of the points": (
+        lambda a: a.update(points=np.concatenate([a["points"], a["points"]])),
+        "offsets: runs from 0 to 110, but there are 220 points; let it run from 0 to 220",
+    ),
+    "offsets fall": (
+        lambda a: a.update(offsets=np.array([0, 50, 41, 63, 86, 110])),
+        "offsets, frame 1: falls from 50 to 41; let it never decrease",
+    ),
+    "gripper too short": (
+        lambda a: a.update(
+            gripper_position=a["gripper_position"][:3], gripper_axis=a["gripper_axis"][:3]
+        ),
+        "gripper_position: has 3 frames, but time has 5; give one position a frame",
+    ),
+    "no gripper": (
+        lambda a: a.update(gripper_position=np.zeros((5, 0, 3)), gripper_axis=np.zeros((5, 0, 3))),
+        "gripper_position: has no gripper; give at least one: [T, 1, 3]",
+    ),
+    "axis of another shape": (
+        lambda a: a.update(gripper_axis=np.zeros((5, 2, 3))),
+        "gripper_axis: has shape [5, 2, 3], but gripper_position [5, 1, 3]; "
+        "give one unit vector for each position, or leave it out",
+    ),
+    "points not finite": (
+        lambda a: set_nan(a["points"], slice(42, 44), 1),
+        "points, frame 2: 2 of 22 points are not finite; drop points without depth before writing",
+    ),
+    "gripper not finite": (
+        lambda a: set_nan(a["gripper_position"], 3, 0, 2),
+        "gripper_position, frame 3: is not finite in 1 of 5 frames; "
+        "give numbers, or cut those frames",
+    ),
+    "time not finite": (
+        lambda a: set_nan(a["time"], 4),
+        "time, frame 4: is not finite in 1 of 5 frames; give numbers, or cut those frames",
+    ),
+    "axis not of length 1": (
+        lambda a: a["gripper_axis"].__imul__(0.5),
+        "gripper_axis, frame 0: has length 0.5, not 1; give unit vectors, or leave it out",
+    ),
+    "time repeats": (
+        lambda a: a["time"].__setitem__(2, a["time"][1]),
+        "time, frame 2: goes from 0.1 s to 0.1 s; "
+        "sort the frames and drop repeated ones; each must be later than the one before",
+    ),
+    "all frames empty": (
+        lambda a: a.update(points=a["points"][:0], offsets=np.zeros(6, int)),
+        "points: all frames are empty; check the cropping and the depth range",
+    ),
+    "empty start": (
+        lambda a: a.update(points=a["points"][63:], offsets=np.array([0, 0, 0, 0, 23, 47])),
+        "points, frame 0: the first 3 frames are empty, so the start is not seen; "
+        "cut them off, or record from before the lift",
+    ),
+    "gripper elsewhere": (
+        lambda a: a["gripper_position"].__iadd__([1.0, 0.0, 0.0]),
+        "gripper_position, gripper 0: never comes nearer to the object than 0.999 m; "
+        "check that both are metres in the same (robot base) frame",
+    ),
+    "points in millimetres": (
+        lambda a: a["points"].__imul__(1000.0),
+        "points: a frame spans 401 m, the object 0.4 m; they look like millimetres; divide by 1000",
+    ),
+    "gripper in millimetres": (
+        lambda a: a["gripper_position"].__imul__(1000.0),
+        "gripper_position: moves by 40 m; it looks like millimetres; divide by 1000",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ARRAY_FAULTS)
+def test_fault_in_an_array(lift, tmp_path, case):
+    arrays, meta = stored(lift, tmp_path)
+    spoil, line = ARRAY_FAULTS[case]
+    spoil(arrays)
+    assert refusal(save(tmp_path / "bad.npz", arrays, meta)) == [line]
+
+
+META_FAULTS = {
+    "another format": (
+        lambda m: m.update(format="gendom-static/1"),
+        "meta.format: is 'gendom-static/1'; only 'gendom-recording/1' can be read here",
+    ),
+    "no object": (
+        lambda m: m.pop("object"),
+        "object: is missing; give kind, sizes in metres and grasp",
+    ),
+    "no table_height": (
+        lambda m: m.pop("table_height"),
+        "meta.table_height: is missing; add z of the table in metres, or null where there is none",
+    ),
+    "no quasi_static": (
+        lambda m: m.pop("quasi_static"),
+        "meta.quasi_static: is missing; add true or false",
+    ),
+    "quasi_static as text": (
+        lambda m: m.update(quasi_static="yes"),
+        "quasi_static: is 'yes'; give true or false",
+    ),
+    "table_height as text": (
+        lambda m: m.update(table_height="low"),
+        "table_height: is 'low'; give metres, or null for no table",
+    ),
+    "unknown kind": (
+        lambda m: m["object"].update(kind="sponge"),
+        "object.kind: is 'sponge'; give 'rope' or 'cloth'",
+    ),
+    "unknown grasp": (
+        lambda m: m["object"].update(grasp="middle"),
+        "object.grasp: is 'middle'; give one of 'end', 'corner', 'center', 'both ends'",
+    ),
+    "cloth without a side": (
+        lambda m: m["object"].update(kind="cloth", width=0.3),
+        "object.height: is missing for a cloth; measure it and give metres",
+    ),
+    "negative size": (
+        lambda m: m["object"].update(diameter=-0.01),
+        "object.diameter: is -0.01; give metres above 0, or null if unknown",
+    ),
+    "size as text": (
+        lambda m: m["object"].update(mass="20 g"),
+        "object.mass: is '20 g'; give a number, or null",
+    ),
+    "length in millimetres": (
+        lambda m: m["object"].update(length=400.0),
+        "object.length: the object spans 400 m, a frame 0.401 m; "
+        "they look like millimetres; divide by 1000",
+    ),
+    "length in kilometres": (
+        lambda m: m["object"].update(length=0.0004),
+        "points: a frame spans 0.401 m, the object 0.0004 m; give points and sizes in metres",
+    ),
+    "cameras not positions": (
+        lambda m: m.update(camera_positions=[1.0, 2.0]),
+        "camera_positions: is no list of positions; give [K, 3] in metres",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", META_FAULTS)
+def test_fault_in_meta(lift, tmp_path, case):
+    arrays, meta = stored(lift, tmp_path)
+    spoil, line = META_FAULTS[case]
+    spoil(meta)
+    assert refusal(save(tmp_path / "bad.npz", arrays, meta)) == [line]
+
+
+def test_sizes_that_are_not_known_may_be_null(lift, tmp_path):
+    arrays, meta = stored(lift, tmp_path)
+    meta["object"] = {"kind": "cloth", "width": 0.3, "height": 0.3, "thickness": None}
+    recording = Recording.read(save(tmp_path / "cloth.npz", arrays, meta))
+    assert recording.object == ObjectDescription(
+        kind="cloth", width=0.3, height=0.3, grasp="corner"
+    )
+
+
+def test_warnings_do_not_prevent_reading(lift, tmp_path, caplog):
+    """An empty frame is kept and marked; a cloud too wide and a slipped grip are told."""
+    arrays, meta = stored(lift, tmp_path)
+    arrays["offsets"] = np.array([0, 0, 41, 63, 86, 110])
+    arrays["points"][:, 0] *= 2.0
+    arrays["gripper_position"][4, 0, 0] = 1.2
+    path = save(tmp_path / "odd.npz", arrays, meta)
+    faults = []
+    recording = Recording.read(path, on_warning=faults.append)
+    assert recording.frame_valid.tolist() == [False, True, True, True, True]
+    assert [str(fault) for fault in faults] == [
+        "points: 1 of 5 frames are empty (0); nothing need be done: they are skipped",
+        "points: a frame spans 0.802 m, the object only 0.4 m; "
+        "check the sizes, and that robot and table are cropped away",
+        "gripper_position, gripper 0: is farther than 0.15 m from the object in 1 of 4 frames, "
+        "first in frame 4; check that the object did not slip out",
+    ]
+    with caplog.at_level(logging.WARNING):
+        Recording.read(path)
+    assert len(caplog.records) == 3
+
+
+def test_a_gripper_at_rest_is_told(lift):
+    rest = replace(lift, gripper_position=np.tile(lift.gripper_position[:1], (5, 1, 1)))
+    (fault,) = rest.validate()
+    assert fault.severity == "warning" and fault.what.startswith("moves by 0 m")
+
+
+def test_files_that_are_no_recordings(lift, tmp_path):
+    lift.write(tmp_path / "good.npz")
+    whole = (tmp_path / "good.npz").read_bytes()
+    path = tmp_path / "bad.npz"
+
+    path.write_bytes(whole[: len(whole) // 2])
+    assert "is damaged (" in refusal(path)[0]
+    path.write_bytes(b"")
+    assert refusal(path)[0].startswith("is no .npz file")
+    path.write_bytes(whole[:200] + bytes(50) + whole[250:])
+    assert "is damaged (" in refusal(path)[0]
+    np.savez(path, points=np.zeros((1, 3)))
+    assert refusal(path) == ["meta: is missing; add JSON text with format = 'gendom-recording/1'"]
+    np.savez(path, meta=np.array("{"))
+    assert refusal(path)[0].startswith("meta: is not JSON text")
+    np.savez(path, meta=np.array("[]"))
+    assert refusal(path)[0].startswith("meta: is not a JSON object")
+    with open(path, "wb") as file:
+        np.save(file, np.zeros(3))
+    assert refusal(path)[0].startswith("is no .npz file")
+    assert refusal(tmp_path / "absent.npz") == ["no such file; check the path"]
+
+
+def test_pickles_are_never_loaded(tmp_path):
+    path = tmp_path / "pickle.npz"
+    np.savez(path, meta=np.array({"format": "gendom-recording/1"}, dtype=object))
+    assert refusal(path)[0].startswith("holds Python objects (pickles), which are never loaded")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "frames", "grippers"),
+    [
+        ("rope_red_lift.npz", "rope", 120, 1),
+        ("cloth_lift_tan.npz", "cloth", 25, 1),
+        ("cloth_fold_tan.npz", "cloth", 25, 1),
+        ("cable_dlo3_train_001.npz", "rope", 500, 2),
+    ],
+)
+def test_real_recordings(real_data, tmp_path, name, kind, frames, grippers):
+    if not (real_data / name).is_file():
+        pytest.skip(f"no {name} in {real_data}")
+    recording = Recording.read(real_data / name)
+    assert recording.object.kind == kind
+    assert (recording.num_frames, recording.num_grippers) == (frames, grippers)
+    assert not [fault for fault in recording.validate() if fault.severity == "error"]
+    recording.write(tmp_path / name)
+    with np.load(real_data / name) as old, np.load(tmp_path / name) as new:
+        assert sorted(old.files) == sorted(new.files)
+        for key in set(old.files) - {"meta"}:
+            np.testing.assert_array_equal(new[key], old[key])
+            assert new[key].dtype == old[key].dtype
+        assert json.loads(new["meta"].item()) == json.loads(old["meta"].item())
+
+
+def test_another_kind_of_real_file_is_refused(real_data):
+    path = real_data / "wire_white_loop.npz"
+    if not path.is_file():
+        pytest.skip(f"no {path.name} in {real_data}")
+    with pytest.raises(GendomError, match="gendom-static/1"):
+        Recording.read(path)

@@ -1,0 +1,93 @@
+"""Files are whole or absent, and JSON holds no NaN."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gendom.errors import GendomError
+from gendom.files import atomic_path, read_json, to_json, write_json
+
+
+def test_success_replaces_and_leaves_nothing_else(tmp_path):
+    path = tmp_path / "new" / "a.txt"
+    for text in ("one", "two"):
+        with atomic_path(path) as temporary:
+            assert temporary.parent == path.parent and temporary.suffix == ".txt"
+            temporary.write_text(text)
+        assert path.read_text() == text
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_failure_keeps_the_old_file(tmp_path, error):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(error), atomic_path(path) as temporary:
+        temporary.write_text("half")
+        raise error
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_places_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    for path, what in ((tmp_path, "is a folder"), (tmp_path / "file" / "a", "cannot make")):
+        with pytest.raises(GendomError, match=what), atomic_path(path):
+            pass
+
+
+def test_json_round_trip(tmp_path):
+    @dataclass
+    class Point:
+        x: float
+
+    value = {"a": np.float32(0.5), "b": np.arange(3), "c": None, "d": Point(1.0), "e": Path("f")}
+    write_json(tmp_path / "a.json", value)
+    assert read_json(tmp_path / "a.json") == {
+        "a": 0.5,
+        "b": [0, 1, 2],
+        "c": None,
+        "d": {"x": 1.0},
+        "e": "f",
+    }
+
+
+@pytest.mark.parametrize("number", [float("nan"), np.float64("inf")])
+def test_json_refuses_what_is_not_finite(tmp_path, number):
+    path = tmp_path / "a.json"
+    with pytest.raises(GendomError, match=r"a\.json: fit\.E\[1\]: is (nan|inf), which JSON cannot"):
+        write_json(path, {"fit": {"E": np.array([1.0, number])}})
+    assert not path.exists()
+
+
+def test_json_refuses_unknown_types():
+    with pytest.raises(GendomError, match="a: is a set, which JSON cannot hold"):
+        to_json({"a": set()})
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        (b"{", r"is not JSON \(.* in line 1\)"),
+        (b"[1]", "holds a JSON list, not an object"),
+        (b'{"a": NaN}', "NaN is not a JSON number"),
+        (b"\xff\xfe", "is not JSON"),
+    ],
+)
+def test_json_that_cannot_be_used(tmp_path, content, what):
+    (tmp_path / "a.json").write_bytes(content)
+    with pytest.raises(GendomError, match=what) as caught:
+        read_json(tmp_path / "a.json")
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_json(tmp_path):
+    with pytest.raises(GendomError, match=r"absent\.json: no such file; check the path"):
+        read_json(tmp_path / "absent.json")
+
+
+def test_json_text_is_strict():
+    assert json.loads(to_json({"a": True, "b": "ü"})) == {"a": True, "b": "ü"}
