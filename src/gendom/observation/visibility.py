@@ -2,29 +2,27 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from gendom.errors import ParameterError
 
-CELL = 1.25
-"""Width of the cells in which points hide one another, in spacings."""
+FROM_ABOVE = 20.0
+"""Height of the viewpoint that stands for "from above", in sizes of the object."""
 
-DEPTH = 2.25
-"""How far behind the nearest point of its cell a point is still seen, in spacings."""
+FLIP_RADIUS = 30.0
+"""Radius of the spherical flip, in distances of the farthest point."""
 
 
-def visible(
-    points: ArrayLike, *, spacing: float, camera_positions: ArrayLike | None = None
-) -> NDArray[np.bool_]:
-    """Mark the points that no other point hides, from any of the cameras.
+def visible(points: ArrayLike, *, camera_positions: ArrayLike | None = None) -> NDArray[np.bool_]:
+    """Mark the points that no others hide, from any of the cameras.
 
-    Points are sorted into square cells across the line of sight, ``CELL`` spacings wide; a point
-    is hidden when its cell holds a point nearer by more than ``DEPTH`` spacings. A surface steeper
-    than their ratio counts as seen edge-on.
+    Hidden point removal: points are mirrored in a sphere around the viewpoint, and those on the
+    convex hull of the result are seen. Source: Katz, Tal and Basri (2007), "Direct visibility
+    of point sets".
 
     Args:
         points: [n, 3] [m].
-        spacing: Distance between neighbouring points of the object [m].
-        camera_positions: [K, 3] optical centres [m], or None for a view from straight above.
+        camera_positions: [K, 3] optical centres [m], or None for a view from far above.
 
     Returns:
         [n] True where a camera sees the point.
@@ -33,29 +31,25 @@ def visible(
         ParameterError: If shapes do not fit.
     """
     p = np.asarray(points, dtype=float)
-    if p.ndim != 2 or p.shape[1] != 3:
-        raise ParameterError(f"points must be [n, 3], got {p.shape}")
+    if p.ndim != 2 or p.shape[1] != 3 or len(p) == 0:
+        raise ParameterError(f"points must be [n > 0, 3], got {p.shape}")
     if camera_positions is None:
-        return _front(p[:, :2], -p[:, 2], spacing)
+        size = max(float(np.ptp(p, axis=0).max()), 1e-6)
+        cameras = np.array([p.mean(axis=0) + [0.0, 0.0, FROM_ABOVE * size]])
+    else:
+        cameras = np.atleast_2d(np.asarray(camera_positions, dtype=float))
+        if cameras.shape[1] != 3:
+            raise ParameterError(f"camera_positions must be [K, 3], got {cameras.shape}")
     seen = np.zeros(len(p), dtype=bool)
-    cameras = np.atleast_2d(np.asarray(camera_positions, dtype=float))
-    if cameras.shape[1] != 3:
-        raise ParameterError(f"camera_positions must be [K, 3], got {cameras.shape}")
     for camera in cameras:
         ray = p - camera
-        distance = np.linalg.norm(ray, axis=1)
-        axis = ray.mean(axis=0)
-        axis /= np.linalg.norm(axis)
-        side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
-        side /= np.linalg.norm(side)
-        across = np.stack([ray @ side, ray @ np.cross(side, axis)], axis=1)
-        scale = np.median(distance) / np.maximum(ray @ axis, 1e-6)
-        seen |= _front(across * scale[:, None], distance, spacing)
+        distance = np.linalg.norm(ray, axis=1, keepdims=True)
+        radius = FLIP_RADIUS * distance.max()
+        flipped = ray + 2.0 * (radius - distance) * ray / distance
+        try:
+            hull = ConvexHull(np.concatenate([flipped, np.zeros((1, 3))]))
+        except QhullError:  # too few points for a solid: none hides another
+            seen[:] = True
+            continue
+        seen[hull.vertices[hull.vertices < len(p)]] = True
     return seen
-
-
-def _front(across: NDArray, depth: NDArray, spacing: float) -> NDArray[np.bool_]:
-    cell = np.floor((across - across.min(axis=0)) / (CELL * spacing)).astype(np.int64)
-    nearest = np.full(tuple(cell.max(axis=0) + 1), np.inf)
-    np.minimum.at(nearest, (cell[:, 0], cell[:, 1]), depth)
-    return depth <= nearest[cell[:, 0], cell[:, 1]] + DEPTH * spacing

@@ -29,28 +29,17 @@ class Body:
     dx: float
     """Size of a grid cell [m]."""
     thickness: float
-    """Diameter or thickness that is simulated [m]."""
-    true_thickness: float
-    """Diameter or thickness of the real object [m]."""
-
-    @property
-    def rest_frames(self) -> NDArray[np.float64]:
-        """[N, 3, 3] inverses of the rest differences along the lattice axes [1/m]."""
-        first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
-        return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
+    """Diameter of a rope, thickness of a cloth [m]."""
 
     @property
     def num_particles(self) -> int:
         return len(self.x)
 
     @property
-    def specific_modulus_scale(self) -> float:
-        """E / density that is simulated over that of the real object [-].
-
-        A sheet simulated thicker than it is keeps its weight and its bending stiffness when
-        E h^2 / density stays the same.
-        """
-        return (self.true_thickness / self.thickness) ** 2
+    def rest_frames(self) -> NDArray[np.float64]:
+        """[N, 3, 3] inverses of the rest differences along the lattice axes [1/m]."""
+        first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
+        return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
 
     def moved(self, offset: ArrayLike) -> "Body":
         """The same body shifted by ``offset`` [3] [m]."""
@@ -138,7 +127,6 @@ def rope(
         volume=math.pi / 4.0 * diameter**2 * total / n,
         dx=dx,
         thickness=diameter,
-        true_thickness=diameter,
     )
 
 
@@ -153,8 +141,10 @@ def cloth(
 ) -> Body:
     """A flat rectangular cloth in a horizontal plane.
 
-    A sheet thinner than one cell is simulated one cell thick, with two layers of particles;
-    ``Body.specific_modulus_scale`` says what that does to E / density.
+    A sheet thinner than one cell has two layers of particles, so far apart that their second
+    moment of area is that of the sheet, h^2 / 12 for each unit of area. It need not be simulated
+    thicker than it is: its layers stretch and shorten with the curvature of a velocity field
+    that the grid resolves, however thin the sheet.
 
     Args:
         width, height: Sizes along the cloth's own first and second axis [m].
@@ -167,14 +157,15 @@ def cloth(
         ParameterError: If a size is not positive.
     """
     _check_positive(width=width, height=height, thickness=thickness, dx=dx)
-    simulated = max(thickness, dx)
-    shape = [max(2, round(size / (dx / 2.0))) for size in (width, height, simulated)]
+    shape = [max(2, round(size / (dx / 2.0))) for size in (width, height, thickness)]
     ticks = [
         (np.arange(n) + 0.5) * (size / n)
-        for n, size in zip(shape, (width, height, simulated), strict=True)
+        for n, size in zip(shape, (width, height, thickness), strict=True)
     ]
+    ticks[2] -= thickness / 2.0
+    if shape[2] == 2:
+        ticks[2] = np.array([-1.0, 1.0]) * thickness / math.sqrt(12.0)
     local = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-    local[:, 2] -= simulated / 2.0
     c, s = math.cos(yaw), math.sin(yaw)
     x = np.asarray(corner, dtype=float) + local @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
     return Body(
@@ -182,10 +173,9 @@ def cloth(
         x=x,
         material_coordinates=local,
         lattice=_neighbours(np.argwhere(np.ones(shape))),
-        volume=width * height * simulated / len(x),
+        volume=width * height * thickness / len(x),
         dx=dx,
-        thickness=simulated,
-        true_thickness=thickness,
+        thickness=thickness,
     )
 
 

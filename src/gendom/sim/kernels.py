@@ -34,6 +34,9 @@ EMPTY_BELOW = 1 << 20
 RECOVER_EVERY = 16
 """Substeps from one recovery of the deformation gradient to the next."""
 
+SMALLEST_VOLUME = 0.2
+"""Relative volume below which positions no longer tell F."""
+
 CELL_BITS = 10
 """Bits of a packed node index inside the window, one group an axis."""
 
@@ -389,13 +392,17 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     def recovered_gradient(
         w: int,
         p: int,
+        F: mat33,
+        blend: real,
         x: wp.array2d(dtype=vec3),
         lattice: wp.array3d(dtype=wp.int32),  # [N, 3, 2]
         rest_frame: wp.array(dtype=mat33),  # [N]
     ):
-        """F of particle p from differences to its neighbours in the rest lattice.
+        """F drawn towards the differences of positions to the neighbours in the rest lattice.
 
         An F summed up over time slowly loses strain that the grid does not see; positions do not.
+        Where neighbours have changed sides (a crumpled sheet) their differences mean nothing, and
+        F stays as it is.
         """
         a = x[w, lattice[p, 0, 1]] - x[w, lattice[p, 0, 0]]
         b = x[w, lattice[p, 1, 1]] - x[w, lattice[p, 1, 0]]
@@ -405,7 +412,11 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
             a[1], b[1], c[1],
             a[2], b[2], c[2],
         )  # fmt: skip
-        return D * rest_frame[p]
+        G = D * rest_frame[p]
+        result = F
+        if wp.determinant(G) > real(SMALLEST_VOLUME):
+            result = F + blend * (G - F)
+        return result
 
     # ---- CPU: one thread, one world, many substeps -------------------------------------------
 
@@ -502,8 +513,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     )  # fmt: skip
                 if step % RECOVER_EVERY == 0 and blend > real(0.0):
                     for p in range(N):
-                        G = recovered_gradient(w, p, x, lattice, rest_frame)
-                        F[w, p] = F[w, p] + blend * (G - F[w, p])
+                        F[w, p] = recovered_gradient(w, p, F[w, p], blend, x, lattice, rest_frame)
                 nodes = count[0]
                 for n in range(nodes):
                     grid[0, n] = vec4()
@@ -677,8 +687,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         w, p = wp.tid()
         if step[w] % RECOVER_EVERY == 0 and runs(w, step, steps, status):
             blend = real(1.0) - wp.exp(-recovery * real(dt[w]) * real(recovery_span))
-            G = recovered_gradient(w, p, x, lattice, rest_frame)
-            F[w, p] = F[w, p] + blend * (G - F[w, p])
+            F[w, p] = recovered_gradient(w, p, F[w, p], blend, x, lattice, rest_frame)
 
     @wp.kernel(enable_backward=False)
     def p2g(

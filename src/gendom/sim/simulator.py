@@ -73,6 +73,7 @@ class Simulator:
         substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
         cfl: Share of the limit dx / wave speed (see ``stable_substep``).
         positions: [N, 3] or [W, N, 3] initial positions, if not the body's own [m].
+        start_time: Time of the initial state [s].
         dtype: ``float32`` or ``float64``.
         device: ``cpu``, ``cuda`` or ``cuda:0`` and so on.
         threads: Worlds simulated side by side on the CPU (default: all cores given to us).
@@ -97,6 +98,7 @@ class Simulator:
         substep: float | None = None,
         cfl: float = CFL,
         positions: ArrayLike | None = None,
+        start_time: float = 0.0,
         dtype: str = "float32",
         device: str = "cpu",
         threads: int | None = None,
@@ -108,7 +110,7 @@ class Simulator:
         W = len(materials)
         self.body = body
         self.materials = tuple(materials)
-        self.time = 0.0
+        self.time = start_time
         self.device = open_device(device)
         self.dtype = dtype
         self._threads = threads or len(os.sched_getaffinity(0))
@@ -178,7 +180,7 @@ class Simulator:
         }
         self._columns = _room_for(x0, body.dx)
         self._last_good = {name: a.numpy().copy() for name, a in self._state.items()}
-        self._last_good_time = 0.0
+        self._last_good_time = start_time
         self._scratch: dict[str, wp.array] | None = None
 
     # ---- what a user reads -------------------------------------------------------------------

@@ -1,0 +1,103 @@
+"""`gendom dataset`: simulate demonstrations."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from gendom.files import to_json
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Simulate demonstrations of a task with random objects and actions, to train a policy on.
+
+    Stop it and run it again: it goes on where it stopped. A larger size extends a set.
+    """
+
+    task: Annotated[
+        tyro.conf.Positional[Literal["rope-reaching"]], tyro.conf.arg(metavar="rope-reaching")
+    ]
+    """What is demonstrated."""
+    size: int
+    """Number of demonstrations."""
+    out: Path
+    """Folder for the set: dataset.json and shards of Parquet."""
+    seed: int = 0
+    """Seed of all random draws."""
+    device: str = "cpu"
+    """cpu, cuda or cuda:0 and so on."""
+    shard_size: int = 256
+    """Demonstrations in one file, and on CUDA in one batch."""
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        from gendom.datasets.demonstrations import generate
+        from gendom.tasks import TASKS
+
+        began = time.monotonic()
+        with tqdm(total=self.size, unit="demo", desc=self.task, smoothing=0.0) as bar:
+            known = False
+
+            def progress(done: int, total: int) -> None:
+                nonlocal known
+                if not known:
+                    bar.initial = done  # what was there already must not count as fast work
+                    known = True
+                bar.update(done - bar.n)
+
+            table = generate(
+                TASKS[self.task](),
+                self.size,
+                self.out,
+                seed=self.seed,
+                device=self.device,
+                shard_size=self.shard_size,
+                progress=progress,
+            )
+        summary = {
+            "path": self.out,
+            "task": self.task,
+            "seed": self.seed,
+            **summarize(table),
+            "seconds": time.monotonic() - began,
+        }
+        print(to_json(summary) if self.json else summary_text(summary))
+        return 0
+
+
+def summarize(table: pa.Table) -> dict[str, Any]:
+    """How many demonstrations a set holds, how many failed, and the goals they reached."""
+    ok = table["ok"].to_numpy()
+    goals = {}
+    for name in table.column_names:
+        values = table[name].to_numpy()[ok]
+        if name.startswith("goal_") and len(values):
+            low, median, high = np.percentile(values, [0, 50, 100])
+            goals[name] = {"min": low, "median": median, "max": high}
+    return {"size": len(table), "failed": int((~ok).sum()), "goals": goals}
+
+
+def summary_text(summary: dict[str, Any]) -> str:
+    """The same for people."""
+    failed = f", {summary['failed']} of them failed" if summary["failed"] else ""
+    lines = [
+        f"{summary['path']}: {summary['size']} demonstrations of {summary['task']}{failed}",
+        *(
+            f"  {name:<7} {g['min']:.4g} to {g['max']:.4g} m, median {g['median']:.4g} m"
+            for name, g in summary["goals"].items()
+        ),
+        f"  seed    {summary['seed']}",
+        f"  took    {summary['seconds']:.3g} s",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,21 @@
+"""Parameters of an object from one recorded lift."""
+
+from gendom.estimation.estimate import (
+    Estimate,
+    EstimateSettings,
+    Progress,
+    estimate,
+    replay_chamfer,
+)
+from gendom.estimation.lift import Lift, ReplaySettings, Theta
+
+__all__ = [
+    "Estimate",
+    "EstimateSettings",
+    "Lift",
+    "Progress",
+    "ReplaySettings",
+    "Theta",
+    "estimate",
+    "replay_chamfer",
+]

@@ -1,0 +1,475 @@
+"""From one recorded lift to Young's modulus and Poisson's ratio, with intervals."""
+
+import math
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from gendom.datasets import Recording
+from gendom.errors import ParameterError, SimulationError
+from gendom.estimation.gauss_newton import (
+    Bounds,
+    Normal,
+    Start,
+    descend,
+    noise_variance,
+    posterior_covariance,
+)
+from gendom.estimation.lift import Lift, ReplaySettings, Theta
+from gendom.materials.parameters import bending_length, specific_modulus_of
+from gendom.observation import DensityGrid, chamfer
+
+GRAVITY = 9.81
+"""[m/s^2]."""
+
+COARSE = 2.0 / 3.0
+"""Grid cells of the first, cheap stage for each cell of the last."""
+
+COARSE_LEVELS = (8, 16)
+"""Resolutions of the density grids compared in the first stage: wide cells pull from afar."""
+
+FINE_LEVELS = (16, 32, 64)
+"""Resolutions of the density grids compared in the last stage; 64 is the paper's."""
+
+COARSE_FRAMES = 30
+"""Frames compared in the first stage."""
+
+LEAST_GAIN = {"coarse": 1e-2, "fine": 1e-3}
+"""Share of the loss that a step must still win for a start to go on."""
+
+SAME = np.array([0.1, 1.0, 1e-3])
+"""Starts nearer to each other than this after the first stage (log E, nu, grip offset [m]) go on
+as one: nu is not told apart there."""
+
+STEPS = np.array([0.03, 0.01, 5e-4])
+"""Differences for the Jacobian in log E, nu and grip offset [m]."""
+
+FRAME_EFFECT = 4
+"""Independent figures that one independent frame contributes (shapes are smooth)."""
+
+INDEPENDENT_FRAMES = 12
+"""Frames of a lift that differ enough to count as independent."""
+
+IDENTIFIABLE = 0.5
+"""A parameter counts as identifiable when the data cut its prior deviation at least this far."""
+
+NU_PRIOR = (0.3, 0.06)
+"""Mean and standard deviation of Poisson's ratio before seeing data."""
+
+OFFSET_PRIOR = {"commanded": 0.01, "measured": 0.002}
+"""Standard deviation of the grip offset [m] by the source of the gripper's path."""
+
+BENDING_RANGE = (0.08, 1.2)
+"""Bending lengths searched for, in sizes of the object."""
+
+START_RANGE = (0.2, 0.7)
+"""Bending lengths from which starts are drawn, in sizes of the object."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimateSettings:
+    """How parameters are estimated."""
+
+    starts: int = 3
+    """Random starts."""
+    frames: str = "all"
+    """``all`` or ``last``: the frames whose densities are compared."""
+    max_iterations: int = 12
+    """Evaluations a start may spend in each stage."""
+    seed: int = 0
+    level: float = 0.9
+    """Probability that the intervals claim."""
+    replay: ReplaySettings = ReplaySettings()
+
+    def __post_init__(self) -> None:
+        if self.starts < 1:
+            raise ParameterError(f"starts must be at least 1, got {self.starts}")
+        if self.frames not in ("all", "last"):
+            raise ParameterError(f"frames must be 'all' or 'last', got {self.frames!r}")
+        if not 0.0 < self.level < 1.0:
+            raise ParameterError(f"level must lie between 0 and 1, got {self.level}")
+        if self.max_iterations < 2:
+            raise ParameterError(f"max_iterations must be at least 2, got {self.max_iterations}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """What an estimation has done so far."""
+
+    stage: str
+    iteration: int
+    done: float
+    """Share of the largest possible work, 0 to 1."""
+    best: Theta
+    loss: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """The result, as ``estimate.json`` has it."""
+
+    theta: Theta
+    lift: Lift = field(repr=False)
+    positions: NDArray[np.float64] = field(repr=False)
+    """[T, N, 3] particles of the best fit at ``lift.frames`` [m]."""
+    chamfer: NDArray[np.float64] = field(repr=False)
+    """[T] distance to all particles [m]."""
+    record: dict[str, Any] = field(repr=False)
+    """The JSON document, format ``gendom-estimate/1``."""
+
+
+def estimate(
+    recording: Recording,
+    settings: EstimateSettings | None = None,
+    *,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Estimate:
+    """Estimate an object's elastic parameters from one recorded lift.
+
+    Every start first descends on a coarse grid, then on the full one. Ctrl-C ends the search
+    and keeps the best found so far.
+
+    Args:
+        recording: The lift.
+        settings: Starts, frames, seed, resolution.
+        on_progress: Called after each iteration.
+
+    Raises:
+        RecordingError: If the recording shows too little to place the object.
+        SimulationError: If every start diverges.
+        KeyboardInterrupt: If interrupted before anything was found.
+    """
+    settings = settings or EstimateSettings()
+    began = clock.perf_counter()
+    fine = Lift(recording, settings.replay)
+    coarse = fine.at_resolution(COARSE * settings.replay.cells_across)
+    bounds, starts = _starts(fine, settings)
+    interrupted = False
+    history: list[dict[str, Any]] = []
+    finished: list[Start] = []
+    effective = FRAME_EFFECT * min(len(_compared(fine, settings)), INDEPENDENT_FRAMES)
+    frames = _compared(fine, settings)
+    few = frames[:: -(-len(frames) // COARSE_FRAMES)]
+    stages = (
+        ("coarse", _Comparison(coarse, few, COARSE_LEVELS)),
+        ("fine", _Comparison(fine, frames, FINE_LEVELS)),
+    )
+    total = len(stages) * settings.max_iterations
+    heirs = list(range(settings.starts))
+    initial = [s.initial for s in starts]
+    try:
+        for number, (stage, comparison) in enumerate(stages):
+            for iteration in descend(
+                comparison.models,
+                starts,
+                bounds,
+                effective=effective,
+                max_iterations=settings.max_iterations,
+                least_gain=LEAST_GAIN[stage],
+            ):
+                alive = [s for s in starts if s.model is not None]
+                if on_progress is not None and alive:
+                    best = min(alive, key=lambda s: s.model.sse)  # pyright: ignore
+                    on_progress(
+                        Progress(
+                            stage=stage,
+                            iteration=iteration,
+                            done=(number * settings.max_iterations + iteration) / total,
+                            best=_theta(best.theta),
+                            loss=best.model.sse,  # pyright: ignore
+                        )
+                    )
+            finished = [s for s in starts if s.model is not None]
+            history += _history(starts, stage)
+            if not finished:
+                raise SimulationError(
+                    "no start could be simulated",
+                    where=f"{stage} stage",
+                    fix="check the recording's units and gripper path",
+                )
+            if stage == "coarse":
+                starts, heirs = _merge(starts)
+    except KeyboardInterrupt:
+        interrupted = True
+        tried = [s for s in starts if s.model is not None]
+        history += _history(tried, "interrupted")
+        finished = tried or finished
+        if not finished:
+            raise
+    return _result(
+        fine, finished, bounds, settings, history, initial, heirs,
+        effective=effective, seconds=clock.perf_counter() - began, interrupted=interrupted,
+    )  # fmt: skip
+
+
+def replay_chamfer(
+    lift: Lift, positions: NDArray[np.float64], frames: Sequence[int] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Chamfer distance a frame, to all particles and to those the cameras could see [T] [m].
+
+    Particles outside the recorded space (``Lift.floor``) cannot have points near them and do not
+    count on their side.
+
+    Args:
+        lift: The recording's lift.
+        positions: [T, N, 3] simulated particles at these frames [m].
+        frames: Recorded frames (default: all with points).
+    """
+    chosen = lift.frames if frames is None else frames
+    whole, surface = [], []
+    for t, x in zip(chosen, positions, strict=True):
+        cloud = lift.recording.frame(t)
+        whole.append(chamfer(cloud, x, of_b=lift.inside(x)))
+        visible = lift.visible(x)
+        surface.append(chamfer(cloud, x[visible], of_b=lift.inside(x[visible])))
+    return np.array(whole), np.array(surface)
+
+
+class _Comparison:
+    """Densities of a recording, and how a lift's simulated densities differ from them."""
+
+    def __init__(self, lift: Lift, frames: Sequence[int], levels: Sequence[int]):
+        self.lift = lift
+        self.frames = list(frames)
+        clouds = [lift.recording.frame(t).astype(float) for t in self.frames]
+        around = np.concatenate([*clouds, lift.body.x, lift.recording.gripper_position[:, 0]])
+        self.grids = [
+            DensityGrid.around(around, margin=0.05 * lift.size, resolution=level)
+            for level in levels
+        ]
+        self.seen = [np.stack([grid.splat(c) for c in clouds]) for grid in self.grids]
+        # residuals relative to the recorded density; slopes grow with 1 / cell, so that this
+        # weight lets each level pull alike
+        weight = np.array([grid.cell**2 for grid in self.grids])
+        weight /= weight.sum()
+        self.scales = [w / (d**2).sum() for w, d in zip(weight, self.seen, strict=True)]
+
+    def models(self, thetas: list[NDArray[np.float64]]) -> list[Normal | None]:
+        """Quadratic models at parameter vectors, from one batch of worlds."""
+        steps = [np.where(theta + STEPS > [np.inf, 0.45, np.inf], -STEPS, STEPS) for theta in thetas]
+        worlds = [
+            [theta] + [theta + np.eye(3)[k] * step[k] for k in range(3)]
+            for theta, step in zip(thetas, steps, strict=True)
+        ]
+        alive = list(range(len(thetas)))
+        positions = None
+        while alive:
+            batch = [_theta(v) for n in alive for v in worlds[n]]
+            try:
+                positions = self.lift.simulate(batch, frames=self.frames)
+                break
+            except SimulationError as error:
+                assert error.world is not None
+                del alive[error.world // 4]
+        models: list[Normal | None] = [None] * len(thetas)
+        if positions is not None:
+            for m, n in enumerate(alive):
+                models[n] = self._model(positions[:, 4 * m : 4 * m + 4], steps[n])
+        return models
+
+    def _model(self, x: NDArray[np.float64], step: NDArray[np.float64]) -> Normal:
+        """From particles [T, 4, N, 3] of a point and its three neighbours."""
+        sse, gradient, hessian = 0.0, np.zeros(3), np.zeros((3, 3))
+        for t in range(len(x)):
+            # neighbours show the same particles: who is seen must not change within a difference
+            shown = x[t][:, self.lift.visible(x[t, 0]) & self.lift.inside(x[t, 0])]
+            for grid, seen, scale in zip(self.grids, self.seen, self.scales, strict=True):
+                density = grid.splat(shown)
+                r = density[0] - seen[t]
+                J = (density[1:] - density[0]) / step[:, None]
+                sse += scale * float(r @ r)
+                gradient += scale * (J @ r)
+                hessian += scale * (J @ J.T)
+        return Normal(sse=sse, gradient=gradient, hessian=hessian)
+
+
+def _theta(vector: NDArray[np.float64]) -> Theta:
+    return Theta(
+        specific_modulus=math.exp(vector[0]), nu=float(vector[1]), grip_offset=float(vector[2])
+    )
+
+
+def _compared(lift: Lift, settings: EstimateSettings) -> list[int]:
+    return lift.frames[-1:] if settings.frames == "last" else lift.frames
+
+
+def _starts(lift: Lift, settings: EstimateSettings) -> tuple[Bounds, list[Start]]:
+    def log_modulus(share: float) -> float:
+        length = share * lift.size
+        return math.log(specific_modulus_of(length, lift.radius_of_gyration, GRAVITY))
+
+    low, high = log_modulus(BENDING_RANGE[0]), log_modulus(BENDING_RANGE[1])
+    offset = OFFSET_PRIOR.get(lift.recording.gripper_source, OFFSET_PRIOR["commanded"])
+    bounds = Bounds(
+        low=np.array([low, 0.05, -5.0 * offset]),
+        high=np.array([high, 0.45, 5.0 * offset]),
+        # the modulus is searched over this range without preference: a very wide Gaussian
+        mean=np.array([(low + high) / 2.0, NU_PRIOR[0], 0.0]),
+        sd=np.array([(high - low) / 2.0, NU_PRIOR[1], offset]),
+        largest_step=np.array([1.0, 0.05, offset]),
+        tolerance=np.array([5e-3, 2e-3, 2e-4]),
+    )
+    rng = np.random.default_rng(settings.seed)
+    starts = []
+    for _ in range(settings.starts):
+        share = math.exp(rng.uniform(math.log(START_RANGE[0]), math.log(START_RANGE[1])))
+        theta = np.array([log_modulus(share), rng.uniform(0.2, 0.4), 0.0])
+        starts.append(Start(initial=theta, theta=theta))
+    return bounds, starts
+
+
+def _merge(starts: Sequence[Start]) -> tuple[list[Start], list[int]]:
+    """Starts of the next stage, the best of each group, and for each old start its heir's number.
+
+    A start that was never simulated goes on with the best of all.
+    """
+    order = sorted(
+        (n for n, s in enumerate(starts) if s.model is not None),
+        key=lambda n: starts[n].model.sse,  # pyright: ignore
+    )
+    kept: list[int] = []
+    heirs = [0] * len(starts)
+    for n in order:
+        for number, k in enumerate(kept):
+            if np.all(np.abs(starts[n].theta - starts[k].theta) < SAME):
+                heirs[n] = number
+                break
+        else:
+            heirs[n] = len(kept)
+            kept.append(n)
+    return [Start(initial=starts[k].initial, theta=starts[k].theta) for k in kept], heirs
+
+
+def _history(starts: Sequence[Start], stage: str) -> list[dict[str, Any]]:
+    return [
+        {
+            "stage": stage,
+            "start": number,
+            "iteration": iteration,
+            "specific_modulus": math.exp(theta[0]),
+            "poissons_ratio": float(theta[1]),
+            "grip_offset": float(theta[2]),
+            "loss": sse,
+        }
+        for number, start in enumerate(starts)
+        for iteration, theta, sse in start.history
+    ]
+
+
+def _result(
+    lift: Lift,
+    starts: list[Start],
+    bounds: Bounds,
+    settings: EstimateSettings,
+    history: list[dict[str, Any]],
+    initial: list[NDArray[np.float64]],
+    heirs: list[int],
+    *,
+    effective: float,
+    seconds: float,
+    interrupted: bool,
+) -> Estimate:
+    def objective(s: Start) -> float:
+        assert s.model is not None
+        prior = float(np.sum(((s.theta - bounds.mean) / bounds.sd) ** 2))
+        return s.model.sse + prior * noise_variance(s.model.sse, effective)
+
+    best = min(starts, key=objective)
+    assert best.model is not None
+    theta = _theta(best.theta)
+    covariance = posterior_covariance(best.model, bounds, effective=effective)
+    sd = np.sqrt(np.diag(covariance))
+    z = float(norm.ppf(0.5 + settings.level / 2.0))
+    positions = lift.simulate([theta])[:, 0]
+    whole, surface = replay_chamfer(lift, positions)
+    specific = [theta.specific_modulus * math.exp(sign * z * sd[0]) for sign in (-1.0, 1.0)]
+    density = lift.density
+    k = lift.radius_of_gyration
+
+    def bends(s: float) -> float:
+        return bending_length(s, k, GRAVITY)
+
+    described = lift.recording.object
+    record: dict[str, Any] = {
+        "format": "gendom-estimate/1",
+        "youngs_modulus": theta.specific_modulus * density,
+        "poissons_ratio": theta.nu,
+        "density": density,
+        "density_assumed": lift.density_assumed,
+        "specific_modulus": theta.specific_modulus,
+        "bending_length": bends(theta.specific_modulus),
+        "grip_offset": theta.grip_offset,
+        "intervals": {
+            "level": settings.level,
+            "youngs_modulus": [s * density for s in specific],
+            "specific_modulus": specific,
+            "bending_length": [bends(s) for s in specific],
+            "poissons_ratio": [
+                float(np.clip(theta.nu + sign * z * sd[1], bounds.low[1], bounds.high[1]))
+                for sign in (-1.0, 1.0)
+            ],
+        },
+        "identifiable": {
+            "youngs_modulus": bool(sd[0] < IDENTIFIABLE * bounds.sd[0]),
+            "poissons_ratio": bool(sd[1] < IDENTIFIABLE * bounds.sd[1]),
+        },
+        "chamfer_last": float(whole[-1]),
+        "chamfer_mean": float(whole.mean()),
+        "chamfer_last_surface": float(surface[-1]),
+        "chamfer_mean_surface": float(surface.mean()),
+        "loss": best.model.sse,
+        "iterations": sum(s.iterations for s in starts),
+        "seconds": seconds,
+        "method": "gauss-newton",
+        "frames": settings.frames,
+        "seed": settings.seed,
+        "device": lift.settings.device,
+        "interrupted": interrupted,
+        "object": {
+            "kind": described.kind,
+            "length": described.length,
+            "width": described.width,
+            "height": described.height,
+            "diameter": lift.body.thickness if described.kind == "rope" else None,
+            "thickness": lift.body.thickness if described.kind == "cloth" else None,
+            "mass": described.mass,
+        },
+        "simulation": {
+            "particles": lift.body.num_particles,
+            "dx": lift.body.dx,
+            "cells_across": lift.settings.cells_across,
+            "clock": lift.clock,
+            "damping": lift.damping,
+            "friction": lift.settings.friction,
+            "law": lift.settings.law,
+            "dtype": lift.settings.dtype,
+        },
+        "notes": lift.notes,
+        "starts": [
+            {
+                "initial": _named(theta0),
+                "final": _named(starts[heir].theta),
+                "bending_length": bends(math.exp(starts[heir].theta[0])),
+                "loss": starts[heir].model.sse,  # pyright: ignore
+                "converged": bool(starts[heir].done),
+                "descent": heir,
+            }
+            for theta0, heir in zip(initial, heirs, strict=True)
+            if heir < len(starts)
+        ],
+        "history": history,
+    }
+    return Estimate(theta=theta, lift=lift, positions=positions, chamfer=whole, record=record)
+
+
+def _named(vector: NDArray[np.float64]) -> dict[str, float]:
+    return {
+        "specific_modulus": math.exp(vector[0]),
+        "poissons_ratio": float(vector[1]),
+        "grip_offset": float(vector[2]),
+    }

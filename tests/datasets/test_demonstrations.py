@@ -1,0 +1,305 @@
+"""Sets of demonstrations: reproducible, resumable, and clear about what is wrong with them.
+
+A task that takes no time stands in for a simulation; one test simulates a rope.
+"""
+
+import json
+import shutil
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from gendom.datasets.demonstrations import generate, load, read_description
+from gendom.errors import DatasetError, GendomError, ParameterError
+from gendom.tasks import RopeReaching
+from gendom.tasks.base import Outcomes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Throwing:
+    """Throw a ball: it lands at speed^2 / gravity. Throws of more than 9 m/s fail."""
+
+    name: ClassVar[str] = "throwing"
+    action_names: ClassVar[tuple[str, ...]] = ("speed",)
+    goal_names: ClassVar[tuple[str, ...]] = ("x",)
+
+    gravity: float = 9.81
+    thrown: list = field(default_factory=list, compare=False)
+    """Batches simulated, by their speeds."""
+    stop_at: int | None = None
+    """Interrupted in this batch."""
+
+    @property
+    def parameter_ranges(self):
+        return {"mass": (1.0, 2.0)}
+
+    def settings(self):
+        return {"gravity": self.gravity}
+
+    def draw(self, rng):
+        return {"speed": rng.uniform(0.0, 10.0), "mass": rng.uniform(1.0, 2.0)}
+
+    def demonstrate(self, draws, *, device, dtype):
+        if len(self.thrown) == self.stop_at:
+            raise KeyboardInterrupt
+        speed = np.array([draw["speed"] for draw in draws])
+        self.thrown.append(speed)
+        failed = speed > 9.0
+        goal = np.where(failed, np.nan, speed**2 / self.gravity)
+        faults = tuple("flew away" if bad else None for bad in failed)
+        return Outcomes(columns={"goal_x": goal}, faults=faults)
+
+    @property
+    def count(self):
+        return sum(map(len, self.thrown))
+
+
+def make(folder, size=10, *, task=None, seed=5, shard_size=4, **options):
+    return generate(task or Throwing(), size, folder, seed=seed, shard_size=shard_size, **options)
+
+
+def shard(folder, number):
+    return folder / f"shard-{number:05d}.parquet"
+
+
+@pytest.fixture
+def whole(tmp_path):
+    """A set of ten in three shards."""
+    make(tmp_path / "whole")
+    return tmp_path / "whole"
+
+
+# ---- content -------------------------------------------------------------------------------------
+
+
+def test_columns_and_description(whole):
+    table = load(whole)
+    assert table.column_names == ["demonstration", "speed", "mass", "goal_x", "ok", "fault"]
+    assert table["demonstration"].to_pylist() == list(range(10))
+    assert table.schema.field("demonstration").type == pa.int64()
+    assert table.schema.field("goal_x").type == pa.float64()
+    assert table.schema.field("ok").type == pa.bool_()
+    about = json.loads((whole / "dataset.json").read_text())
+    assert about["format"] == "gendom-demonstrations/1"
+    assert about["task"] == {"name": "throwing", "gravity": 9.81}
+    assert about["parameter_ranges"] == {"mass": [1.0, 2.0]}
+    assert (about["size"], about["seed"], about["shard_size"]) == (10, 5, 4)
+    assert (about["device"], about["dtype"]) == ("cpu", "float32")
+    assert read_description(whole) == about
+    assert sorted(path.name for path in whole.iterdir()) == [
+        "dataset.json", *(f"shard-0000{n}.parquet" for n in range(3))
+    ]  # fmt: skip
+
+
+def test_every_number_comes_from_the_seed_and_the_index(whole):
+    for row in load(whole).to_pylist():
+        rng = np.random.default_rng([5, row["demonstration"]])
+        assert row["speed"] == rng.uniform(0.0, 10.0)
+        assert row["mass"] == rng.uniform(1.0, 2.0)
+
+
+def test_what_fails_is_kept_and_says_so(tmp_path):
+    table = make(tmp_path / "set", 60)
+    failed = [row for row in table.to_pylist() if not row["ok"]]
+    assert 0 < len(failed) < 30
+    for row in failed:
+        assert row["goal_x"] is None and row["fault"] == "flew away" and row["speed"] > 9.0
+    for row in table.to_pylist():
+        if row["ok"]:
+            assert row["fault"] is None and row["goal_x"] == row["speed"] ** 2 / 9.81
+
+
+def test_progress_counts_up_to_the_size(tmp_path):
+    seen = []
+    make(tmp_path / "set", progress=lambda done, size: seen.append((done, size)))
+    assert seen == [(0, 10), (4, 10), (8, 10), (10, 10)]
+    seen.clear()
+    make(tmp_path / "set", 12, progress=lambda done, size: seen.append((done, size)))
+    assert seen == [(10, 12), (12, 12)]
+
+
+# ---- resuming and extending ----------------------------------------------------------------------
+
+
+def test_an_interrupted_set_keeps_whole_shards_and_goes_on(tmp_path, whole):
+    folder = tmp_path / "cut"
+    with pytest.raises(KeyboardInterrupt):
+        make(folder, task=Throwing(stop_at=2))
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "dataset.json", "shard-00000.parquet", "shard-00001.parquet"
+    ]  # fmt: skip
+    with pytest.raises(DatasetError, match="holds 8 of 10 demonstrations"):
+        load(folder)
+    task = Throwing()
+    assert make(folder, task=task).equals(load(whole))
+    assert task.count == 2
+
+
+def test_a_shard_alone_equals_that_of_a_full_run(whole):
+    before = shard(whole, 1).read_bytes()
+    shard(whole, 1).unlink()
+    task = Throwing()
+    make(whole, task=task)
+    assert task.count == 4
+    assert shard(whole, 1).read_bytes() == before
+
+
+def test_a_finished_set_is_left_alone(whole):
+    before = {path.name: path.stat().st_mtime_ns for path in whole.iterdir()}
+    task = Throwing()
+    make(whole, task=task)
+    assert task.count == 0
+    assert {path.name: path.stat().st_mtime_ns for path in whole.iterdir()} == before
+
+
+@pytest.mark.parametrize("size", [11, 12, 13, 21])
+def test_a_larger_size_extends(tmp_path, whole, size):
+    task = Throwing()
+    extended = make(whole, size, task=task)
+    assert task.count == size - 10
+    assert read_description(whole)["size"] == size
+    assert extended.equals(make(tmp_path / "fresh", size))
+
+
+def test_the_shard_size_changes_no_row(tmp_path, whole):
+    assert make(tmp_path / "set", shard_size=7).equals(load(whole))
+
+
+def test_a_damaged_shard_is_simulated_again(whole, caplog):
+    good = load(whole)
+    shard(whole, 2).write_bytes(shard(whole, 2).read_bytes()[:100])
+    task = Throwing()
+    assert make(whole, task=task).equals(good)
+    assert task.count == 2
+    assert "shard-00002.parquet" in caplog.text
+
+
+# ---- what is refused -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        ({"seed": 6}, "seed is 5 there and 6 here"),
+        ({"shard_size": 5}, "shard_size is 4 there and 5 here"),
+        ({"size": 9}, "size is 10 there and only 9 here"),
+        ({"dtype": "float64"}, 'dtype is "float32" there and "float64" here'),
+        ({"device": "cuda:1"}, 'device is "cpu" there and "cuda" here'),
+        ({"task": Throwing(gravity=1.6)}, "task.gravity is 9.81 there and 1.6 here"),
+        ({"task": RopeReaching()}, 'task.name is "throwing" there and "rope-reaching" here'),
+    ],
+)
+def test_another_set_is_refused(whole, change, says):
+    before = {path.name: path.read_bytes() for path in whole.iterdir()}
+    with pytest.raises(DatasetError) as error:
+        make(whole, **change)
+    assert says in str(error.value) and str(whole) in str(error.value)
+    assert "\n" not in str(error.value)
+    assert {path.name: path.read_bytes() for path in whole.iterdir()} == before
+
+
+@pytest.mark.parametrize("change", [{"size": 0}, {"shard_size": 0}, {"seed": -1}])
+def test_numbers_out_of_range_are_refused(tmp_path, change):
+    with pytest.raises(ParameterError, match=next(iter(change))):
+        make(tmp_path / "set", **change)
+    assert not (tmp_path / "set").exists()
+
+
+def test_a_run_that_fails_at_once_leaves_no_folder(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        make(tmp_path / "set", task=Throwing(stop_at=0))
+    assert not (tmp_path / "set").exists()
+
+
+def test_shards_without_a_description_are_refused(whole):
+    (whole / "dataset.json").unlink()
+    with pytest.raises(DatasetError, match=r"no dataset\.json"):
+        make(whole)
+    with pytest.raises(DatasetError, match=r"no dataset\.json"):
+        load(whole)
+
+
+def test_a_missing_shard(whole):
+    shard(whole, 0).unlink()
+    with pytest.raises(DatasetError, match="holds 6 of 10 demonstrations"):
+        load(whole)
+
+
+def test_a_damaged_shard_is_named(whole):
+    shard(whole, 1).write_bytes(b"not Parquet")
+    with pytest.raises(DatasetError, match=r"shard-00001\.parquet: is damaged"):
+        load(whole)
+
+
+def test_a_shard_of_another_set_is_named(tmp_path, whole):
+    make(tmp_path / "other", seed=6)
+    shutil.copy(shard(tmp_path / "other", 1), shard(whole, 1))
+    with pytest.raises(DatasetError, match=r"shard-00001\.parquet: belongs to another set"):
+        load(whole)
+
+
+def test_a_shard_in_another_one_s_place_is_named(whole):
+    shutil.copy(shard(whole, 0), shard(whole, 1))
+    with pytest.raises(DatasetError, match=r"shard-00001\.parquet: .* demonstrations 4 and"):
+        load(whole)
+
+
+def test_a_parquet_file_from_elsewhere_is_named(whole):
+    pq.write_table(pa.table({"a": [1, 2]}), shard(whole, 2))
+    with pytest.raises(DatasetError, match=r"shard-00002\.parquet"):
+        load(whole)
+
+
+def test_folders_that_hold_no_set(tmp_path):
+    with pytest.raises(DatasetError, match="no such folder"):
+        load(tmp_path / "nowhere")
+    with pytest.raises(DatasetError, match=r"no dataset\.json"):
+        load(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DatasetError, match="is not a folder"):
+        load(tmp_path / "file")
+
+
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        ("{", "is not JSON"),
+        ('{"format": "gendom-recording/1"}', "has the format 'gendom-recording/1'"),
+        ('{"format": "gendom-demonstrations/1", "shard_size": 4, "task": {}}', "usable size"),
+        ('{"format": "gendom-demonstrations/1", "size": 4, "shard_size": 4}', "usable task"),
+    ],
+)
+def test_a_bad_description_is_named(tmp_path, text, says):
+    (tmp_path / "dataset.json").write_text(text)
+    with pytest.raises(GendomError, match=says) as error:
+        load(tmp_path)
+    assert "dataset.json" in str(error.value)
+
+
+# ---- with a rope ---------------------------------------------------------------------------------
+
+
+def test_rope_reaching_is_reproducible(tmp_path):
+    task = RopeReaching(cells_across=1.0)
+    table = generate(task, 3, tmp_path / "set", seed=1, shard_size=2)
+    assert table.column_names == [
+        "demonstration", "release_x", "release_z", "youngs_modulus", "poissons_ratio", "density",
+        "specific_modulus", "length", "diameter", "goal_x", "sideways", "substep", "ok", "fault",
+    ]  # fmt: skip
+    assert table["ok"].to_pylist() == [True] * 3
+    goals = table["goal_x"].to_numpy()
+    assert np.all((goals > task.length) & (goals < 2.0 * task.length))
+    shard(tmp_path / "set", 1).unlink()
+    assert generate(task, 3, tmp_path / "set", seed=1, shard_size=2).equals(table)
+    with pytest.raises(DatasetError, match="cells_across"):
+        generate(replace(task, cells_across=1.1), 3, tmp_path / "set", seed=1, shard_size=2)
+
+
+def test_an_absent_device_leaves_no_folder(tmp_path):
+    with pytest.raises(GendomError, match="no device"):
+        generate(RopeReaching(), 1, tmp_path / "set", seed=0, device="cuda:77")
+    assert not (tmp_path / "set").exists()

@@ -1,0 +1,70 @@
+"""Animations are valid GIFs of the right length."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from gendom.errors import GendomError
+from gendom.viz import encode_gif, write_gif
+
+
+def count(image):
+    return sum(1 for _ in ImageSequence.Iterator(image))
+
+
+def test_frames_durations_and_loop(make_lift, tmp_path):
+    path = tmp_path / "lift.gif"
+    write_gif(path, **make_lift(frames=20), fps=12.5, max_frames=8, width=320)
+    with Image.open(path) as image:
+        assert (image.format, count(image), image.width) == ("GIF", 8, 320)
+        assert image.info["loop"] == 0
+        durations = []
+        for t in range(8):
+            image.seek(t)
+            image.load()
+            durations.append(image.info["duration"])
+    assert durations == [80] * 7 + [1080]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_equal_frames_are_not_merged(make_lift):
+    lift = make_lift(frames=5)
+    for name in ("recorded", "simulated"):
+        lift[name] = [lift[name][0]] * 5
+    lift["times"] = 0.001 * np.arange(5)  # the same to two decimals
+    lift["gripper"] = None
+    lift["chamfer"] = None
+    with Image.open(io.BytesIO(encode_gif(**lift, width=320))) as image:
+        assert count(image) == 5
+
+
+def test_same_input_same_bytes(make_lift):
+    first, second = (encode_gif(**make_lift(frames=4), width=320) for _ in range(2))
+    assert first == second
+
+
+def test_a_long_lift_stays_small(make_lift):
+    data = encode_gif(**make_lift(frames=120, recorded=150, simulated=4000))
+    assert len(data) < 1_500_000
+    with Image.open(io.BytesIO(data)) as image:
+        assert count(image) == 60
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fps": 0.0}, "fps: is 0; give 1 to 50"),
+        ({"fps": float("nan")}, "fps: is nan"),
+        ({"max_frames": 0}, "max_frames: is 0"),
+        ({"view": "yx"}, "view: is 'yx'"),
+    ],
+)
+def test_bad_input_keeps_the_old_file(make_lift, tmp_path, change, message):
+    path = tmp_path / "lift.gif"
+    path.write_text("old")
+    with pytest.raises(GendomError, match=message):
+        write_gif(path, **make_lift(frames=3), **change)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]

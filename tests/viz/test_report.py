@@ -1,0 +1,326 @@
+"""Reports are one valid file each that asks nothing of the network."""
+
+import base64
+import io
+import json
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gendom.errors import GendomError
+from gendom.viz import (
+    ActionSummary,
+    CloudSequence,
+    EstimateSummary,
+    LiftPictures,
+    PolicyRun,
+    Provenance,
+    ReachOutcome,
+    ReportContent,
+    write_report,
+)
+from gendom.viz.report import render_report
+from gendom.viz.turnable import encode_scene
+
+VOID = {"meta", "img", "input", "br", "link", "hr"}
+
+
+class Page(HTMLParser):
+    """Collects text, images and addresses, and checks that every element is closed."""
+
+    def __init__(self, source):
+        super().__init__()
+        self.open, self.text, self.images, self.addresses, self.ids = [], [], [], [], []
+        self.scene = None
+        self.feed(source)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.addresses += [v for k, v in attrs if k in ("src", "href", "srcset", "action", "data")]
+        if "id" in attributes:
+            self.ids.append(attributes["id"])
+        if tag == "img":
+            assert attributes["alt"]
+            self.images.append(attributes["src"])
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if not {"script", "style"} & set(self.open):
+            self.text.append(data)
+        elif data.startswith("{"):
+            self.scene = json.loads(data)
+
+    @property
+    def words(self):
+        return re.sub(r"\s+", " ", " ".join(self.text))
+
+
+def estimate(**changes):
+    history = [
+        {
+            "start": start,
+            "iteration": k,
+            "youngs_modulus": 1800.0 + 500.0 * 0.5**k,
+            "poissons_ratio": 0.3,
+            "loss": 100.0 * 0.5**k + start,
+        }
+        for start in range(2)
+        for k in range(4)
+    ]
+    final = {"youngs_modulus": 1800.0, "poissons_ratio": 0.3}
+    return {
+        "format": "gendom-estimate/1",
+        "youngs_modulus": 1834.0,
+        "poissons_ratio": 0.312,
+        "density": 1.0,
+        "density_assumed": True,
+        "specific_modulus": 1834.0,
+        "bending_length": 0.113,
+        "intervals": {
+            "level": 0.95,
+            "youngs_modulus": [1790.0, 1902.0],
+            "poissons_ratio": [0.211, 0.391],
+            "specific_modulus": [1790.0, 1902.0],
+        },
+        "identifiable": {"youngs_modulus": True, "poissons_ratio": False},
+        "chamfer_mean": 0.0082,
+        "loss": 100.0,
+        "method": "gauss-newton",
+        "object": {"kind": "rope", "length": 0.26, "mass": None},
+        "starts": [{"initial": final, "final": final, "loss": loss} for loss in (1.0, 2.0)],
+        "history": history,
+    } | changes
+
+
+def run(reached):
+    reached = np.array(reached)
+    path = np.stack([np.linspace(0.1, reached.flat[0], 9), np.zeros(9), np.ones(9)], axis=1)
+    return PolicyRun(
+        action=np.array([0.2, 0.5]), reached=reached, tip_path=path, shape_at_release=path[::-1]
+    )
+
+
+def outcomes():
+    return [
+        ReachOutcome(goal=np.array(goal), ours=run(goal + 0.004), without=run(goal - 0.02))
+        for goal in (0.3, 0.35, 0.4)
+    ]
+
+
+def content(recorded_lift, **changes):
+    parts = {
+        "title": "A rope",
+        "recording_source": "Made by a simulator.",
+        "lift": LiftPictures(clouds=CloudSequence(**recorded_lift)),
+        "estimate": EstimateSummary(
+            values=estimate(),
+            truth={"youngs_modulus": 1850.0, "poissons_ratio": 0.35},
+            bounds={"youngs_modulus": (500.0, 10500.0), "poissons_ratio": (0.2, 0.4)},
+        ),
+        "action": ActionSummary(outcomes=outcomes(), action_names=("x [m]", "z [m]")),
+        "provenance": Provenance(
+            commands=("gendom demo",), seeds={"all": 7}, stage_seconds={"estimate": 3.0}
+        ),
+    }
+    return ReportContent(**parts | changes)
+
+
+def test_whole_report(make_lift, tmp_path):
+    path = tmp_path / "report.html"
+    write_report(path, content(make_lift()))
+    source = path.read_text(encoding="utf-8")
+    assert len(source) < 3_000_000
+    page = Page(source)
+    assert not re.search(r"https?:|//[a-z]+\.", re.sub(r"base64,[^\"]*", "", source))
+    assert page.addresses and all(a.startswith("data:image/") for a in page.addresses)
+    assert len(page.ids) == len(set(page.ids))
+    kinds = [decode(image) for image in page.images]
+    # animation; filmstrip; loss, E, nu, Chamfer; goals; swing
+    assert kinds == ["gif", "png", *["svg+xml"] * 6]
+    for text in (
+        "Made by a simulator.",
+        "1.834 kPa",
+        "95 % interval",
+        "1.790 to 1.902 kPa",
+        "The lift does not determine this: the interval is mostly the prior.",
+        "Assumed, not measured",
+        "not determined",
+        "113 mm",
+        "−0.9 %",
+        "lies inside the interval",
+        "gendom demo",
+        "all 7",
+        "takes away 80 % of the error",
+    ):
+        assert text in page.words, text
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def decode(address):
+    """The kind of an image in a data address, after a look inside."""
+    match = re.fullmatch(r"data:image/([a-z+]+);base64,(.+)", address)
+    assert match
+    kind, code = match.groups()
+    data = base64.b64decode(code, validate=True)
+    if kind == "svg+xml":
+        root = ElementTree.fromstring(data)
+        assert root.tag.endswith("svg")
+        for element in root.iter():
+            for name, value in element.attrib.items():
+                if name.endswith("href"):
+                    assert value.startswith("#")
+    else:
+        with Image.open(io.BytesIO(data)) as image:
+            image.load()
+            assert image.format == kind.upper()
+    return kind
+
+
+def test_same_content_same_bytes(make_lift):
+    first, second = (render_report(content(make_lift(frames=3))) for _ in range(2))
+    assert first == second
+
+
+def test_missing_parts_are_left_out():
+    page = Page(render_report(ReportContent(title="Nothing")))
+    assert page.images == [] and "The action" not in page.words
+    bare = EstimateSummary(values={"youngs_modulus": 2e6, "poissons_ratio": 0.3})
+    page = Page(render_report(ReportContent(title="Bare", estimate=bare)))
+    assert "2 MPa" in page.words
+    for absent in ("interval", "True value", "Density", "Loss"):
+        assert absent not in page.words
+
+
+def test_one_goal_one_policy_and_a_goal_in_the_plane(make_lift):
+    one = ActionSummary(outcomes=[ReachOutcome(goal=np.array(0.3), ours=run(0.31))])
+    page = Page(render_report(ReportContent(title="One", action=one)))
+    assert "Without parameters" not in page.words and "10.0 mm" in page.words
+    assert len(page.images) == 1  # only the swing
+    plane = [
+        ReachOutcome(goal=np.array([0.3, 0.2 + dz]), ours=run([0.33, 0.24 + dz]))
+        for dz in (0.0, 0.1)
+    ]
+    page = Page(render_report(ReportContent(title="Plane", action=ActionSummary(outcomes=plane))))
+    assert "50.0 mm" in page.words and len(page.images) == 2
+
+
+def test_a_worse_policy_is_not_praised():
+    worse = ReachOutcome(goal=np.array(0.3), ours=run(0.35), without=run(0.31))
+    source = render_report(ReportContent(title="Worse", action=ActionSummary(outcomes=[worse])))
+    assert "here the estimate did not help" in source
+
+
+def test_all_text_is_escaped(make_lift):
+    bad = "<script>alert('&')</script>\""
+    report = content(
+        make_lift(frames=2),
+        title=bad,
+        summary=bad,
+        recording_source=bad,
+        lift=LiftPictures(clouds=CloudSequence(**make_lift(frames=2)), note=bad),
+        estimate=EstimateSummary(
+            values=estimate(method=bad, device=bad, seed=bad, object={bad: bad})
+        ),
+        action=ActionSummary(outcomes=outcomes(), note=bad, goal_name=bad, action_names=(bad, bad)),
+        provenance=Provenance(
+            commands=(bad,),
+            version=bad,
+            date=bad,
+            device=bad,
+            seeds={bad: 1},
+            stage_seconds={bad: 1.0},
+            facts={bad: bad},
+            warnings=(bad,),
+        ),
+    )
+    source = render_report(report)
+    assert "<script>alert" not in source
+    assert Page(source).words.count(bad) >= 20
+
+
+def test_scene_holds_the_points_it_names(make_lift):
+    lift = make_lift(frames=5, recorded=40, simulated=50_000)
+    scene = json.loads(encode_scene(CloudSequence(**lift), max_frames=3))
+    data = base64.b64decode(scene["points"])
+    points = np.frombuffer(data, dtype="<u2").reshape(-1, 3) / 65535.0
+    low, high = np.array(scene["low"]), np.array(scene["high"])
+    points = low + points * (high - low)
+    simulated, recorded = scene["clouds"]
+    assert recorded["offsets"][-1] == len(points)
+    assert len(data) <= 420_000
+    assert scene["times"] == pytest.approx([0.0, 0.2, 0.4])
+    kept = points[recorded["offsets"][1] : recorded["offsets"][2]]
+    inside = ((lift["recorded"][2] > low) & (lift["recorded"][2] < high)).all(axis=1)
+    assert kept[inside] == pytest.approx(lift["recorded"][2][inside], abs=1e-5)
+    assert np.diff(simulated["offsets"]).min() > 10_000
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: EstimateSummary(values=estimate(format="x/2")), "estimate.format: is 'x/2'"),
+        (
+            lambda: EstimateSummary(values=estimate(poissons_ratio=None)),
+            "estimate.poissons_ratio: is no number",
+        ),
+        (
+            lambda: EstimateSummary(values=estimate(intervals={"youngs_modulus": [1.0]})),
+            r"estimate.intervals.youngs_modulus: is \[1.0\]",
+        ),
+        (lambda: PolicyRun(action=np.array([np.nan]), reached=np.ones(1)), "action: holds NaN"),
+        (
+            lambda: PolicyRun(action=np.ones(1), reached=np.ones(1), tip_path=np.zeros(3)),
+            "tip_path: has shape",
+        ),
+        (
+            lambda: PolicyRun(action=np.ones(1), reached=np.ones(1), tip_path=np.zeros((3, 2))),
+            "tip_path: is no",
+        ),
+        (lambda: ReachOutcome(goal=np.zeros(3), ours=run(0.3)), r"goal: has shape \[3\]"),
+        (lambda: ReachOutcome(goal=np.zeros(2), ours=run(0.3)), "ours.reached: has shape"),
+        (lambda: ActionSummary(outcomes=[]), "outcomes: is empty"),
+        (
+            lambda: ActionSummary(outcomes=outcomes(), action_names=("x",)),
+            "action_names: has 1 names for 2 numbers",
+        ),
+        (lambda: ActionSummary(outcomes=outcomes(), shown=3), "shown: is 3"),
+    ],
+)
+def test_bad_content(make, message):
+    with pytest.raises(GendomError, match=message):
+        make()
+
+
+def test_failure_keeps_the_old_file(make_lift, tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    lift = LiftPictures(clouds=CloudSequence(**make_lift(frames=2)), view="nowhere")
+    with pytest.raises(GendomError, match="view: is 'nowhere'"):
+        write_report(path, content(make_lift(frames=2), lift=lift))
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_viz_needs_neither_estimation_nor_policies():
+    code = (
+        "import sys, gendom.viz; "
+        "print(*sorted(m for m in sys.modules if m.startswith('gendom.') or m == 'torch' "
+        "or m == 'warp' or m == 'matplotlib.pyplot'))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    found = {".".join(name.split(".")[:2]) for name in result.stdout.split()}
+    assert found == {"gendom.errors", "gendom.files", "gendom.viz"}
