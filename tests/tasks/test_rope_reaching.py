@@ -155,13 +155,13 @@ def test_sampled_actions_fill_what_is_allowed():
     for values, low, high in [
         (actions[:, 0], 0.24, 0.9),
         (actions[:, 1], 0.24, 1.0),
-        (distance, 0.4, 0.94),
+        (distance, 0.6, 0.94),
     ]:
         assert low <= values.min() < low + 0.02 and high - 0.02 < values.max() <= high
     # uniform: of two equal squares, each wholly allowed, none gets more
     squares = [
         int(np.sum((np.abs(actions[:, 0] - x) < 0.1) & (np.abs(actions[:, 1] - z) < 0.1)))
-        for x, z in [(0.5, 0.6), (0.5, 0.85)]
+        for x, z in [(0.5, 0.5), (0.4, 0.66)]
     ]
     assert abs(squares[0] - squares[1]) < 4.0 * math.sqrt(sum(squares))
     for action in actions[:50] * L:
@@ -173,7 +173,7 @@ def test_sampled_actions_fill_what_is_allowed():
     [
         ((0.5, 0.2), "x in"),  # box
         ((0.06, 0.06), "from the top"),  # a corner that the rope cannot reach
-        ((0.22, 0.24), "0.1 to 0.235 m from the top"),  # too close
+        ((0.22, 0.24), "0.15 to 0.235 m from the top"),  # too close
         ((0.1, math.nan), "finite"),
         ((0.1, 0.1, 0.1), "two finite numbers"),
         (0.1, "two finite numbers"),

@@ -54,7 +54,7 @@ PAPER_TIMES = (0.38, 0.57, 1.14)
 RELEASE_X, RELEASE_Z = (0.24, 0.9), (0.24, 1.0)
 """Box of release points, in rope lengths from the robot's base."""
 
-RELEASE_DISTANCE = (0.4, 0.94)
+RELEASE_DISTANCE = (0.6, 0.94)
 """Distance of a release point from where the top is held, in rope lengths."""
 
 TOP_HEIGHT = 1.1
@@ -92,9 +92,9 @@ class RopeReaching:
     to the release point (x, 0, z), holds still, and opens at `release_time`; the top stays held.
 
     Action: release point (x, z) [m]. Releases are drawn uniformly from the box x in [0.24, 0.9]
-    L, z in [0.24, 1.0] L, less what is closer to the top's gripper than 0.4 L or farther than
+    L, z in [0.24, 1.0] L, less what is closer to the top's gripper than 0.6 L or farther than
     0.94 L. The paper draws from the whole box, but a rope does not stretch to its far corners,
-    and close to the top it only kinks.
+    and close to the top it stands in an arc that may fall to either side.
 
     Goal: the farthest x [m] that the tip reaches in its first swing. It is the maximum from
     release to `end_time`, which comes 0.53 of the pendulum's period after the release: the tip
