@@ -13,7 +13,7 @@ from gendom.files import read_json, to_json, write_json
 from gendom.materials import Material
 
 if TYPE_CHECKING:
-    from gendom.policies import Policy
+    pass
 
 _ESTIMATE = "gendom-estimate/1"
 _ACTION = "gendom-action/1"
@@ -203,4 +203,3 @@ def result_text(result: dict[str, Any], out: Path | None) -> str:
     else:
         lines.append(f"  written  {out}")
     return "\n".join(lines)
-

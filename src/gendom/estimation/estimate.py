@@ -39,6 +39,9 @@ FINE_LEVELS = (16, 32, 64)
 COARSE_FRAMES = 30
 """Frames compared in the first stage."""
 
+COARSE_ITERATIONS = 8
+"""Evaluations a start may spend in the first stage, at most."""
+
 LEAST_GAIN = {"coarse": 1e-2, "fine": 1e-3}
 """Share of the loss that a step must still win for a start to go on."""
 
@@ -156,20 +159,20 @@ def estimate(
     frames = _compared(fine, settings)
     few = frames[:: -(-len(frames) // COARSE_FRAMES)]
     stages = (
-        ("coarse", _Comparison(coarse, few, COARSE_LEVELS)),
-        ("fine", _Comparison(fine, frames, FINE_LEVELS)),
+        ("coarse", _Comparison(coarse, few, COARSE_LEVELS), COARSE_ITERATIONS),
+        ("fine", _Comparison(fine, frames, FINE_LEVELS), settings.max_iterations),
     )
-    total = len(stages) * settings.max_iterations
+    spent = 0
     heirs = list(range(settings.starts))
     initial = [s.initial for s in starts]
     try:
-        for number, (stage, comparison) in enumerate(stages):
+        for number, (stage, comparison, most) in enumerate(stages):
             for iteration in descend(
                 comparison.models,
                 starts,
                 bounds,
                 effective=effective,
-                max_iterations=settings.max_iterations,
+                max_iterations=min(most, settings.max_iterations),
                 least_gain=LEAST_GAIN[stage],
             ):
                 alive = [s for s in starts if s.model is not None]
@@ -179,13 +182,14 @@ def estimate(
                         Progress(
                             stage=stage,
                             iteration=iteration,
-                            done=(number * settings.max_iterations + iteration) / total,
+                            done=(number + iteration / most) / len(stages),
                             best=_theta(best.theta),
                             loss=best.model.sse,  # pyright: ignore
                         )
                     )
             finished = [s for s in starts if s.model is not None]
-            history += _history(starts, stage)
+            history += _history(starts, stage, fine.density, spent)
+            spent += max(s.iterations for s in starts)
             if not finished:
                 raise SimulationError(
                     "no start could be simulated",
@@ -197,7 +201,7 @@ def estimate(
     except KeyboardInterrupt:
         interrupted = True
         tried = [s for s in starts if s.model is not None]
-        history += _history(tried, "interrupted")
+        history += _history(tried, "interrupted", fine.density, spent)
         finished = tried or finished
         if not finished:
             raise
@@ -345,15 +349,14 @@ def _merge(starts: Sequence[Start]) -> tuple[list[Start], list[int]]:
     return [Start(initial=starts[k].initial, theta=starts[k].theta) for k in kept], heirs
 
 
-def _history(starts: Sequence[Start], stage: str) -> list[dict[str, Any]]:
+def _history(starts: Sequence[Start], stage: str, density: float, after: int) -> list[dict]:
+    """Iterations of one stage, numbered on from those before it."""
     return [
         {
             "stage": stage,
             "start": number,
-            "iteration": iteration,
-            "specific_modulus": math.exp(theta[0]),
-            "poissons_ratio": float(theta[1]),
-            "grip_offset": float(theta[2]),
+            "iteration": after + iteration,
+            **_named(theta, density),
             "loss": sse,
         }
         for number, start in enumerate(starts)
@@ -452,8 +455,8 @@ def _result(
         "notes": lift.notes,
         "starts": [
             {
-                "initial": _named(theta0),
-                "final": _named(starts[heir].theta),
+                "initial": _named(theta0, density),
+                "final": _named(starts[heir].theta, density),
                 "bending_length": bends(math.exp(starts[heir].theta[0])),
                 "loss": starts[heir].model.sse,  # pyright: ignore
                 "converged": bool(starts[heir].done),
@@ -467,8 +470,9 @@ def _result(
     return Estimate(theta=theta, lift=lift, positions=positions, chamfer=whole, record=record)
 
 
-def _named(vector: NDArray[np.float64]) -> dict[str, float]:
+def _named(vector: NDArray[np.float64], density: float) -> dict[str, float]:
     return {
+        "youngs_modulus": math.exp(vector[0]) * density,
         "specific_modulus": math.exp(vector[0]),
         "poissons_ratio": float(vector[1]),
         "grip_offset": float(vector[2]),

@@ -127,9 +127,7 @@ def draw_cases(
         raise SimulationError(
             f"{failed} of {count} cases failed {_ROUNDS} times", fix="choose other ranges"
         )
-    return Cases(
-        task=task, draws=tuple(kept), goal=goal, seed=seed, device=device, dtype=dtype
-    )
+    return Cases(task=task, draws=tuple(kept), goal=goal, seed=seed, device=device, dtype=dtype)
 
 
 def score(policy: Policy, cases: Cases) -> Score:

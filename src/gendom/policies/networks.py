@@ -31,6 +31,11 @@ class PhysicalNetwork(nn.Module):
         architecture: A key of `ARCHITECTURES`.
     """
 
+    input_mean: Tensor
+    input_scale: Tensor
+    output_mean: Tensor
+    output_scale: Tensor
+
     def __init__(
         self, inputs: Sequence[Column], outputs: Sequence[Column], architecture: str = "smooth"
     ):

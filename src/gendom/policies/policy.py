@@ -139,7 +139,7 @@ class Description:
                 description.task[name]
             for name in PARAMETERS:
                 description.parameters[name]
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
             raise PolicyError(
                 f"its description is incomplete or broken ({type(error).__name__}: {error})",
                 where=where,

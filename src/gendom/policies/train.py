@@ -21,6 +21,7 @@ from __future__ import annotations
 import logging
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -88,7 +89,7 @@ class Training:
     epochs: int = 300
     """Passes over the demonstrations, for each network."""
     batch_size: int = 256
-    learning_rate: float = 2e-3
+    learning_rate: float = 4e-3
     """Peak of the learning rate, which then falls to zero along a cosine."""
     weight_decay: float = 1e-4
     pull: float = 1.0
@@ -328,16 +329,19 @@ def _export(
     names = [column.name for column in description.inputs]
     example = tuple(torch.ones(2, 1) for _ in names)
     with atomic_path(Path(path)) as temporary:
-        torch.onnx.export(
-            policy,
-            example,
-            str(temporary),
-            input_names=names,
-            output_names=["action"],
-            dynamic_axes={name: {0: "batch"} for name in (*names, "action")},
-            opset_version=_OPSET,
-            dynamo=False,
-        )
+        with warnings.catch_warnings():
+            # the exporter that torch recommends instead needs a further package
+            warnings.simplefilter("ignore", DeprecationWarning)
+            torch.onnx.export(
+                policy,
+                example,
+                str(temporary),
+                input_names=names,
+                output_names=["action"],
+                dynamic_axes={name: {0: "batch"} for name in (*names, "action")},
+                opset_version=_OPSET,
+                dynamo=False,
+            )
         model = onnx.load(str(temporary))
         entry = model.metadata_props.add()
         entry.key, entry.value = METADATA_KEY, description.to_json()

@@ -57,9 +57,9 @@ def rope(
 ) -> Body:
     """A rope of round section, straight or along a centre line.
 
-    The lattice of particles is scaled so that its second moment of area is that of the round
-    section, d^2 / 16 for each unit of area; bending therefore starts from the right stiffness
-    at every resolution.
+    Particles are points to the simulator, so the lattice is scaled until their mean squared
+    distance from the axis is the section's second moment, d^2 / 16 for each unit of area: bending
+    starts from the right stiffness at every resolution.
 
     Args:
         diameter: [m].
@@ -99,8 +99,7 @@ def rope(
     a, b = (g.ravel() for g in np.meshgrid(ticks, ticks, indexing="ij"))
     inside = a**2 + b**2 <= (diameter / 2) ** 2
     section = np.stack([a[inside], b[inside]], axis=1)
-    moment = np.mean(section[:, 0] ** 2) + (diameter / m) ** 2 / 12.0
-    section *= (diameter / 4.0) / math.sqrt(moment)
+    section *= (diameter / 4.0) / math.sqrt(np.mean(section[:, 0] ** 2))
 
     side, up = _frames(tangent)
     x = centre[:, None] + side[:, None] * section[None, :, :1] + up[:, None] * section[None, :, 1:]
@@ -141,10 +140,10 @@ def cloth(
 ) -> Body:
     """A flat rectangular cloth in a horizontal plane.
 
-    A sheet thinner than one cell has two layers of particles, so far apart that their second
-    moment of area is that of the sheet, h^2 / 12 for each unit of area. It need not be simulated
-    thicker than it is: its layers stretch and shorten with the curvature of a velocity field
-    that the grid resolves, however thin the sheet.
+    Layers of particles, two at least, stand so far apart that their mean squared distance from
+    the middle is the sheet's second moment, h^2 / 12 for each unit of area. A sheet thinner than
+    a cell need not be simulated thicker than it is: its layers stretch and shorten with the
+    curvature of a velocity field that the grid resolves.
 
     Args:
         width, height: Sizes along the cloth's own first and second axis [m].
@@ -163,8 +162,7 @@ def cloth(
         for n, size in zip(shape, (width, height, thickness), strict=True)
     ]
     ticks[2] -= thickness / 2.0
-    if shape[2] == 2:
-        ticks[2] = np.array([-1.0, 1.0]) * thickness / math.sqrt(12.0)
+    ticks[2] *= thickness / math.sqrt(12.0 * np.mean(ticks[2] ** 2))
     local = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
     c, s = math.cos(yaw), math.sin(yaw)
     x = np.asarray(corner, dtype=float) + local @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])

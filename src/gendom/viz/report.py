@@ -476,7 +476,10 @@ def _estimate_charts(summary: EstimateSummary) -> list[str]:
         chosen = order.index(best) if best in order else None
         if key == "loss":
             chart = loss_chart(history, chosen)
-            figures.append(_figure(chart, "Loss in each iteration", "Logarithmic scale."))
+            said = "Logarithmic scale."
+            if len({entry.get("stage") for entry in entries}) > 1:
+                said += " It jumps where the search passes from the coarse grid to the fine one."
+            figures.append(_figure(chart, "Loss in each iteration", said))
         else:
             true = _number(truth.get(key))
             true = None if true is None else factor * true

@@ -1,0 +1,125 @@
+"""Densities of clouds: weights, translation, and what lies off the grid."""
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError
+from gendom.observation import DensityGrid, density_distance
+
+GRID = DensityGrid(origin=np.array([-1.0, 0.5, 2.0]), cell=0.1, shape=(20, 12, 16))
+
+
+def cloud(n, seed=0, *, margin=0.25):
+    """[n, 3] points that stay ``margin`` away from the sides of GRID."""
+    size = GRID.cell * (np.array(GRID.shape) - 1)
+    u = np.random.default_rng(seed).uniform(size=(n, 3))
+    return GRID.origin + margin + u * (size - 2.0 * margin)
+
+
+def shaped(density):
+    """Densities on the grid's own axes."""
+    return density.reshape(*density.shape[:-1], *GRID.shape)
+
+
+def test_weights_sum_to_one():
+    """Every cloud on the grid has density one in all, however many points it has."""
+    for n in (1, 7, 1000):
+        d = GRID.splat(cloud(n))
+        assert d.shape == (GRID.num_nodes,)
+        assert d.sum() == pytest.approx(1.0, abs=1e-12)
+        assert d.min() >= 0.0
+
+
+def test_a_point_on_a_node_weighs_it_most():
+    """Weights of a point on node (3, 4, 5): 3/4 a side in the middle, 1/8 beside it."""
+    d = shaped(GRID.splat((GRID.origin + 0.1 * np.array([3, 4, 5]))[None]))
+    side = np.array([0.125, 0.75, 0.125])
+    assert d[2:5, 3:6, 4:7] == pytest.approx(np.einsum("i,j,k->ijk", side, side, side))
+    assert np.count_nonzero(d > 1e-15) == 27
+
+
+def test_density_has_the_clouds_mean():
+    """The density's centre is the cloud's, and each axis' variance is cell^2 / 4 wider."""
+    p = cloud(200)
+    d = shaped(GRID.splat(p))
+    for axis in range(3):
+        along = d.sum(axis=tuple(a for a in range(3) if a != axis))
+        at = GRID.origin[axis] + GRID.cell * np.arange(GRID.shape[axis])
+        mean = along @ at
+        assert mean == pytest.approx(p[:, axis].mean())
+        variance = along @ (at - mean) ** 2
+        assert variance == pytest.approx(p[:, axis].var() + GRID.cell**2 / 4.0)
+
+
+def test_number_of_points_does_not_matter():
+    """Each point ten times over is the same density."""
+    p = cloud(50)
+    assert np.allclose(GRID.splat(p), GRID.splat(np.repeat(p, 10, axis=0)), atol=1e-15)
+    assert density_distance(GRID, p, np.repeat(p, 3, axis=0)) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_shift_by_a_cell_shifts_the_grid(axis):
+    """A cloud moved by one cell has the same density one node further."""
+    p = cloud(60)
+    here = shaped(GRID.splat(p))
+    there = shaped(GRID.splat(p + GRID.cell * np.eye(3)[axis]))
+    assert np.allclose(np.roll(here, 1, axis=axis), there, atol=1e-12)
+    assert not np.allclose(here, there, atol=1e-4)
+
+
+def test_points_off_the_grid_are_ignored():
+    """A point out of reach keeps its share but gives it to no node, on any of the six sides."""
+    p = cloud(9)
+    size = GRID.cell * (np.array(GRID.shape) - 1)
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            away = GRID.origin + size / 2.0 + side * (size / 2.0 + 0.5) * np.eye(3)[axis]
+            d = GRID.splat(np.concatenate([p, away[None]]))
+            assert np.allclose(d, 0.9 * GRID.splat(p), atol=1e-15)
+
+
+def test_batches_equal_their_clouds():
+    """[2, 3, n, 3] clouds give the densities of each."""
+    p = np.stack([cloud(30, seed) for seed in range(6)]).reshape(2, 3, 30, 3)
+    d = GRID.splat(p)
+    assert d.shape == (2, 3, GRID.num_nodes)
+    for i, j in np.ndindex(2, 3):
+        assert np.allclose(d[i, j], GRID.splat(p[i, j]), atol=1e-15)
+
+
+def test_distance_goes_from_zero_to_two():
+    """Equal clouds are 0 apart, distant ones 2, and the order does not matter."""
+    a, b = cloud(20), cloud(30, seed=1)
+    far = GRID.origin + [0.3, 0.3, 0.3], GRID.origin + [1.2, 0.6, 1.2]
+    assert density_distance(GRID, a, a) == 0.0
+    assert density_distance(GRID, far[0][None], far[1][None]) == pytest.approx(2.0)
+    assert 0.0 < density_distance(GRID, a, b) < 2.0
+    assert density_distance(GRID, a, b) == pytest.approx(density_distance(GRID, b, a))
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.07])
+def test_a_grid_around_points_holds_them(margin):
+    """No weight of the points, nor of any within the margin, is lost; the longest side is full."""
+    p = np.random.default_rng(3).uniform(size=(40, 3)) * [2.0, 1.0, 0.5]
+    grid = DensityGrid.around(p, margin=margin, resolution=24)
+    corners = np.array([p.min(axis=0) - margin, p.max(axis=0) + margin])
+    assert max(grid.shape) == 24
+    for q in (p, corners):
+        assert grid.splat(q).sum() == pytest.approx(1.0, abs=1e-9)
+    assert grid.cell == pytest.approx(np.ptp(corners, axis=0).max() / 21.0)
+
+
+@pytest.mark.parametrize(
+    ("points", "options", "words"),
+    [
+        (np.zeros((0, 3)), {}, "finite points"),
+        ([[0.0, np.nan, 0.0]], {}, "finite points"),
+        ([[0.0, 0.0, 0.0]] * 3, {}, "coincide"),
+        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], {"resolution": 3}, "resolution"),
+    ],
+)
+def test_bad_grids_are_refused(points, options, words):
+    """No points, points that are none and a grid too coarse raise."""
+    with pytest.raises(ParameterError, match=words):
+        DensityGrid.around(points, **options)

@@ -1,0 +1,203 @@
+"""Ropes and cloths at rest: volume, second moments, spacing, lattice."""
+
+import math
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError
+from gendom.sim import cloth, rope
+
+
+def arc(radius, angle, n=400):
+    """Points [n, 3] of a circular arc that starts at the origin along x."""
+    a = np.linspace(0.0, angle, n)
+    return np.stack([radius * np.sin(a), radius * (1 - np.cos(a)), np.full(n, 0.1)], axis=1)
+
+
+def section(body):
+    """[n, 2] particles of the first cross-section in the rope's own frame."""
+    along = body.material_coordinates[:, 0]
+    return body.material_coordinates[along == along[0], 1:]
+
+
+@pytest.mark.parametrize("cells", [1.0, 1.5, 2.0, 3.3, 5.0])
+def test_rope_volume_is_exact(cells):
+    """Particles share pi / 4 d^2 L, also along a bent line and when a length is stated."""
+    for body, length in (
+        (rope(diameter=0.02, length=0.31, cells_across=cells), 0.31),
+        (rope(diameter=0.02, centre_line=arc(0.2, 1.0, n=4000), cells_across=cells), 0.2),
+        (rope(diameter=0.02, centre_line=arc(0.2, 1.0), length=0.5, cells_across=cells), 0.5),
+    ):
+        volume = body.volume * body.num_particles
+        assert volume == pytest.approx(math.pi / 4 * 0.02**2 * length, rel=1e-6)
+
+
+def test_cloth_volume_is_exact():
+    """Particles share width * height * thickness, whatever the cell."""
+    for dx in (0.003, 0.01, 0.04):
+        body = cloth(width=0.3, height=0.2, thickness=0.001, dx=dx)
+        assert body.volume * body.num_particles == pytest.approx(0.3 * 0.2 * 0.001)
+
+
+@pytest.mark.parametrize("cells", [1.0, 1.5, 2.0, 3.0, 4.5])
+def test_rope_bends_like_its_round_section(cells):
+    """Mean squared distance of particles from both middle planes is d^2 / 16, uncorrelated.
+
+    Particles carry stress at points, so their own second moment is the one that bends.
+    """
+    s = section(rope(diameter=0.02, length=0.2, cells_across=cells))
+    moments = s.T @ s / len(s)
+    assert np.allclose(moments, np.eye(2) * 0.02**2 / 16.0, rtol=1e-9, atol=1e-12)
+    assert np.allclose(s.mean(axis=0), 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize(("thickness", "layers"), [(0.001, 2), (0.009, 2), (0.015, 3), (0.04, 8)])
+def test_cloth_bends_like_its_section(thickness, layers):
+    """Layers have mean z^2 = h^2 / 12 about the middle plane; two when thinner than a cell."""
+    body = cloth(width=0.2, height=0.1, thickness=thickness, dx=0.01, corner=(0, 0, 0.3))
+    z = body.x[:, 2] - 0.3
+    assert len(np.unique(z.round(9))) == layers
+    assert np.mean(z**2) == pytest.approx(thickness**2 / 12.0)
+    assert abs(z.mean()) < 1e-15
+
+
+def test_spacing_is_half_a_cell():
+    """Neighbours stand half a cell apart along the body, within rounding to a whole number."""
+    body = rope(diameter=0.02, length=0.301, cells_across=2.0)
+    assert body.dx == pytest.approx(0.01)
+    assert np.diff(np.unique(body.material_coordinates[:, 0])) == pytest.approx(0.301 / 60)
+    sheet = cloth(width=0.2, height=0.1, thickness=0.04, dx=0.01)
+    assert sheet.num_particles == 40 * 20 * 8
+    for axis, loose in ((0, 1e-6), (1, 1e-6), (2, 0.01)):  # layers are spread to bend rightly
+        steps = np.diff(np.unique(sheet.x[:, axis].round(9)))
+        assert steps == pytest.approx(0.005, rel=loose)
+
+
+def test_straight_rope_lies_where_it_is_told():
+    """Slices stand evenly from ``start`` along ``direction``, half a spacing inside both ends."""
+    body = rope(diameter=0.01, length=0.2, start=(1.0, 2.0, 3.0), direction=(0.0, 3.0, 4.0))
+    unit = np.array([0.0, 0.6, 0.8])
+    along = body.material_coordinates[:, 0]
+    for s in np.unique(along):
+        middle = body.x[along == s].mean(axis=0)
+        assert middle == pytest.approx(np.array([1.0, 2.0, 3.0]) + s * unit)
+    assert along.min() == pytest.approx(0.2 - along.max())
+    assert np.allclose((body.x - [1.0, 2.0, 3.0]) @ unit, along)
+
+
+def test_rope_follows_its_centre_line():
+    """Slices of a rope along an arc stand on the arc, at right angles to it."""
+    radius = 0.15
+    body = rope(diameter=0.01, centre_line=arc(radius, 1.5, n=2000))
+    along, across = body.material_coordinates[:, 0], body.material_coordinates[:, 1]
+    for s in np.unique(along)[3:-3:7]:
+        here = along == s
+        a = s / radius
+        on_arc = [radius * math.sin(a), radius * (1 - math.cos(a)), 0.1]
+        assert body.x[here].mean(axis=0) == pytest.approx(on_arc, abs=1e-6)
+        tangent = np.array([math.cos(a), math.sin(a), 0.0])
+        assert np.abs((body.x[here] - on_arc) @ tangent).max() < 1e-4 * 0.01
+        # its own first axis across is horizontal and turns with the line
+        outwards = (body.x[here] - on_arc) @ np.array([-math.sin(a), math.cos(a), 0.0])
+        assert outwards == pytest.approx(across[here], abs=1e-7)
+
+
+def test_stated_length_cuts_or_extends_the_centre_line():
+    """A shorter length ends on the line; a longer one goes on straight."""
+    line = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.2, 0.0, 0.0]]
+    short = rope(diameter=0.01, centre_line=line, length=0.05)
+    long = rope(diameter=0.01, centre_line=line, length=0.4)
+    assert short.x[:, 0].max() == pytest.approx(0.05 - 0.00125)
+    assert long.x[:, 0].max() == pytest.approx(0.4 - 0.00125)
+    assert np.abs(long.x[:, 1:]).max() <= 0.005
+
+
+def test_upright_rope_has_a_section():
+    """A rope along z, where "horizontal" does not choose a side, is as round as any other."""
+    up = rope(diameter=0.02, length=0.1, direction=(0, 0, 1))
+    flat = rope(diameter=0.02, length=0.1)
+    for axes in ((0, 1), (1, 0)):
+        assert np.sort(up.x[:, axes[0]]) == pytest.approx(np.sort(flat.x[:, 1]), abs=1e-12)
+    assert up.x[:, 2].max() == pytest.approx(0.0975)
+
+
+def test_cloth_turns_about_its_corner():
+    """``yaw`` turns the sheet counter-clockwise about ``corner``; its own coordinates stay."""
+    sizes = {"width": 0.3, "height": 0.1, "thickness": 0.002, "dx": 0.02}
+    flat = cloth(**sizes, corner=(1.0, 2.0, 3.0))
+    turned = cloth(**sizes, corner=(1.0, 2.0, 3.0), yaw=math.pi / 2)
+    d = flat.x - [1.0, 2.0, 3.0]
+    assert turned.x == pytest.approx(np.stack([-d[:, 1], d[:, 0], d[:, 2]], 1) + [1.0, 2.0, 3.0])
+    assert np.array_equal(turned.material_coordinates, flat.material_coordinates)
+    assert d[:, :2].min() > 0.0
+    assert np.allclose(flat.material_coordinates, d)
+
+
+BODIES = {
+    "rope": lambda: rope(diameter=0.02, length=0.2, cells_across=3.0),
+    "thin rope": lambda: rope(diameter=0.02, length=0.2, cells_across=1.0),
+    "bent rope": lambda: rope(diameter=0.02, centre_line=arc(0.1, 1.2), cells_across=2.0),
+    "cloth": lambda: cloth(width=0.2, height=0.1, thickness=0.001, dx=0.01, yaw=0.3),
+    "block": lambda: cloth(width=0.04, height=0.03, thickness=0.05, dx=0.01),
+}
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_neighbours_are_mutual(name):
+    """Who stands behind me has me before it; only the body's surface has itself for neighbour."""
+    body = BODIES[name]()
+    me = np.arange(body.num_particles)
+    for axis in range(3):
+        before, behind = body.lattice[:, axis, 0], body.lattice[:, axis, 1]
+        has = behind != me
+        assert np.array_equal(before[behind[has]], me[has])
+        assert np.array_equal(behind[before[before != me]], me[before != me])
+        assert has.any()
+        step = body.material_coordinates[behind[has]] - body.material_coordinates[me[has]]
+        assert np.all(step[:, axis] > 0.0)
+        others = [a for a in range(3) if a != axis]
+        assert np.abs(step[:, others]).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_rest_frames_give_back_any_affine_map(name):
+    """Differences to the neighbours times the rest frame are A when x = A X + b: I at rest."""
+    body = BODIES[name]()
+    A = np.eye(3) + 0.3 * np.random.default_rng(1).normal(size=(3, 3))
+    for G in (np.eye(3), A):
+        x = body.x @ G.T + [1.0, 2.0, 3.0]
+        D = np.swapaxes(x[body.lattice[:, :, 1]] - x[body.lattice[:, :, 0]], 1, 2)
+        assert np.abs(D @ body.rest_frames - G).max() < 1e-9
+
+
+def test_moved():
+    """A moved body is the same but for its place; the first one stays."""
+    body = rope(diameter=0.01, length=0.1)
+    other = body.moved((0.1, 0.2, 0.3))
+    assert np.allclose(other.x - body.x, [0.1, 0.2, 0.3])
+    assert other.lattice is body.lattice
+    assert body.x[:, 0].min() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: rope(diameter=0.0, length=0.1), "diameter"),
+        (lambda: rope(diameter=0.01, length=-0.1), "length"),
+        (lambda: rope(diameter=0.01, length=math.nan), "length"),
+        (lambda: rope(diameter=0.01, length=0.1, cells_across=0.0), "cells_across"),
+        (lambda: rope(diameter=0.01), "needs its length"),
+        (lambda: rope(diameter=0.01, length=0.1, direction=(0, 0, 0)), "zero vector"),
+        (lambda: rope(diameter=0.01, centre_line=[[0, 0, 0]]), "centre_line"),
+        (lambda: rope(diameter=0.01, centre_line=[[0, 0], [1, 0]]), "centre_line"),
+        (lambda: rope(diameter=0.01, centre_line=[[0, 0, 0]] * 2 + [[1, 0, 0]]), "repeats a point"),
+        (lambda: cloth(width=0.0, height=0.1, thickness=0.01, dx=0.01), "width"),
+        (lambda: cloth(width=0.1, height=0.1, thickness=math.inf, dx=0.01), "thickness"),
+        (lambda: cloth(width=0.1, height=0.1, thickness=0.01, dx=0.0), "dx"),
+    ],
+)
+def test_bad_sizes_are_refused(make, words):
+    """The error names the size or the line that makes no body."""
+    with pytest.raises(ParameterError, match=words):
+        make()

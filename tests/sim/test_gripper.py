@@ -1,0 +1,81 @@
+"""Gripper paths: interpolation, spin from orientations, and what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import ParameterError
+from gendom.sim import Gripper
+
+
+def path(**changes):
+    """Arguments of a gripper with three knots."""
+    arguments = {
+        "time": [0.0, 1.0, 3.0],
+        "position": [[0.0, 0.0, 0.0], [1.0, 0.0, 2.0], [1.0, 4.0, 0.0]],
+        "radius": 0.01,
+    }
+    return {**arguments, **changes}
+
+
+def test_positions_between_and_beyond_knots():
+    """Straight lines between knots; still before the first and after the last."""
+    at = Gripper(**path()).position_at([-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 9.0])
+    expected = [[0, 0, 0], [0, 0, 0], [0.5, 0, 1], [1, 0, 2], [1, 2, 1], [1, 4, 0], [1, 4, 0]]
+    assert np.allclose(at, expected, atol=1e-15)
+    assert np.array_equal(Gripper(**path()).position_at(0.5), [0.5, 0.0, 1.0])
+
+
+def test_spin_carries_one_orientation_into_the_next():
+    """exp(spin * interval) times the pose at a knot is the pose at the next, in world axes."""
+    poses = Rotation.from_rotvec([[0.3, -0.2, 0.1], [1.0, 0.5, -0.7], [-0.4, 0.9, 0.2]])
+    gripper = Gripper(**path(quat_xyzw=poses.as_quat()))
+    for k, interval in enumerate((1.0, 2.0)):
+        turned = Rotation.from_rotvec(gripper.spin[k] * interval) * poses[k]
+        assert (turned * poses[k + 1].inv()).magnitude() < 1e-12
+    assert np.array_equal(gripper.spin[-1], np.zeros(3))
+
+
+def test_spin_takes_the_short_way():
+    """q and -q are one orientation; quaternions need not be of unit length."""
+    q = Rotation.from_rotvec([[0, 0, 0], [0, 0, 0.5], [0, 0, 1.5]]).as_quat()
+    spin = Gripper(**path(quat_xyzw=q * np.array([[1.0], [-3.0], [0.2]]))).spin
+    assert np.allclose(spin, [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], atol=1e-12)
+
+
+def test_no_orientation_no_spin():
+    """Without orientations, or with a single knot, a gripper never turns."""
+    assert np.array_equal(Gripper(**path()).spin, np.zeros((3, 3)))
+    one = Gripper(time=[0.0], position=[[0, 0, 0]], quat_xyzw=[[0, 0, 1, 1]], radius=0.01)
+    assert np.array_equal(one.spin, np.zeros((1, 3)))
+
+
+def test_still():
+    """A still gripper is at one place at all times and takes hold times."""
+    gripper = Gripper.still((1.0, 2.0, 3.0), radius=0.02, hold_until=0.5)
+    assert np.array_equal(gripper.position_at([-5.0, 5.0]), [[1.0, 2.0, 3.0]] * 2)
+    assert gripper.hold_until == 0.5
+    assert gripper.hold_from == -math.inf
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"time": [0.0, 1.0]}, r"\(2,\) and \(3, 3\)"),
+        ({"position": [[0.0, 0.0]] * 3}, r"position \[K, 3\]"),
+        ({"time": [0.0, 1.0, 1.0]}, "times must increase"),
+        ({"time": [0.0, 2.0, 1.0]}, "times must increase"),
+        ({"time": [0.0, 1.0, math.nan]}, "not finite"),
+        ({"position": [[0.0, 0.0, math.inf]] * 3}, "not finite"),
+        ({"radius": 0.0}, "radius must be positive"),
+        ({"radius": math.nan}, "radius must be positive"),
+        ({"quat_xyzw": [[0.0, 0.0, 0.0, 1.0]] * 2}, r"\[3, 4\]"),
+        ({"quat_xyzw": [[0.0, 0.0, 0.0, 0.0]] * 3}, "not zero"),
+    ],
+)
+def test_bad_paths_are_refused(changes, words):
+    """Shapes that disagree, times that stand still and numbers that are none raise."""
+    with pytest.raises(ParameterError, match=words):
+        Gripper(**path(**changes))
