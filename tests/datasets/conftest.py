@@ -1,22 +1,9 @@
-"""Recordings for the tests: one made here, and real ones where they are present."""
-
-import os
-from pathlib import Path
+"""A recording for the tests, made here."""
 
 import numpy as np
 import pytest
 
 from gendom.datasets import ObjectDescription, Recording
-
-
-@pytest.fixture(scope="session")
-def real_data() -> Path:
-    """The folder of real recordings; the test skips where there is none."""
-    default = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-    folder = Path(os.environ.get("GENDOM_TEST_DATA", default))
-    if not folder.is_dir():
-        pytest.skip(f"no real recordings in {folder}; set GENDOM_TEST_DATA")
-    return folder
 
 
 @pytest.fixture

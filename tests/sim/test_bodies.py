@@ -171,6 +171,28 @@ def test_rest_frames_give_back_any_affine_map(name):
         assert np.abs(D @ body.rest_frames - G).max() < 1e-9
 
 
+def test_surface_of_a_rope_is_its_skin():
+    """Outer particles stand half a diameter from the axis, also of a bent rope, on every side."""
+    radius = 0.15
+    body = rope(diameter=0.02, centre_line=arc(radius, 1.5, n=2000), cells_across=2.5)
+    skin = body.surface(body.x)
+    centre = np.array([0.0, radius, 0.1])
+    flat = np.linalg.norm((skin - centre)[:, :2], axis=1) - radius
+    height = skin[:, 2] - centre[2]
+    assert np.hypot(flat, height) == pytest.approx(0.01, abs=1e-5)
+    turn = np.arctan2(height, flat)
+    assert np.histogram(turn, bins=6, range=(-np.pi, np.pi))[0].min() > 0.1 * len(skin)
+    # batches of clouds are as many skins, and skins move with their bodies
+    both = body.surface(np.stack([body.x, body.x + 1.0]))
+    assert np.allclose(both, np.stack([skin, skin + 1.0]))
+
+
+def test_surface_of_a_cloth_is_its_particles():
+    """A cloth is thin: nothing is moved or left out."""
+    sheet = cloth(width=0.2, height=0.1, thickness=0.001, dx=0.01)
+    assert np.array_equal(sheet.surface(sheet.x), sheet.x)
+
+
 def test_moved():
     """A moved body is the same but for its place; the first one stays."""
     body = rope(diameter=0.01, length=0.1)

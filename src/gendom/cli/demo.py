@@ -96,9 +96,8 @@ class Command:
         for goal, ours, without in runs:
             print(
                 f"goal {goal:.3f} m: release at ({ours.action[0]:.3f}, {ours.action[1]:.3f}) m, "
-                f"reached {float(ours.reached):.3f} m, off by "
-                f"{1e3 * abs(float(ours.reached) - goal):.1f} mm "
-                f"(without parameters {1e3 * abs(float(without.reached) - goal):.1f} mm)"
+                f"reached {ours.reached.item():.3f} m, off by {1e3 * _error(ours, goal):.1f} mm "
+                f"(without parameters {1e3 * _error(without, goal):.1f} mm)"
             )
         self.out.mkdir(parents=True, exist_ok=True)
         lift = found.lift
@@ -188,6 +187,11 @@ def _carry_out(
     return [(goal, runs[2 * k], runs[2 * k + 1]) for k, goal in enumerate(goals)]
 
 
+def _error(run: PolicyRun, goal: float) -> float:
+    """|reached - goal| [m]."""
+    return abs(run.reached.item() - goal)
+
+
 def _outcomes(runs: Sequence[tuple[float, PolicyRun, PolicyRun]]) -> list[dict[str, Any]]:
     return [
         {
@@ -195,8 +199,8 @@ def _outcomes(runs: Sequence[tuple[float, PolicyRun, PolicyRun]]) -> list[dict[s
             **{
                 name: {
                     "action": run.action.tolist(),
-                    "reached": float(run.reached),
-                    "error": abs(float(run.reached) - goal),
+                    "reached": run.reached.item(),
+                    "error": _error(run, goal),
                 }
                 for name, run in (("with_parameters", ours), ("without_parameters", without))
             },

@@ -75,10 +75,9 @@ def result_text(result: dict[str, Any]) -> str:
         if entry["error"]["mean"] is None:
             lines.append("  all simulations failed")
             continue
-        lines += [
-            f"  {name:<7} {value:.5f} m  {100.0 * entry['error_over_length'][name]:6.2f} % of length"
-            for name, value in entry["error"].items()
-        ]
+        for name, value in entry["error"].items():
+            percent = 100.0 * entry["error_over_length"][name]
+            lines.append(f"  {name:<7} {value:.5f} m  {percent:6.2f} % of the length")
         lines += [
             f"  {count} {what}"
             for count, what in (

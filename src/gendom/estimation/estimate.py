@@ -30,6 +30,9 @@ GRAVITY = 9.81
 COARSE = 2.0 / 3.0
 """Grid cells of the first, cheap stage for each cell of the last."""
 
+HURRY = 2.0
+"""How much faster the first stage replays quasi-static motion."""
+
 COARSE_LEVELS = (8, 16)
 """Resolutions of the density grids compared in the first stage: wide cells pull from afar."""
 
@@ -150,7 +153,7 @@ def estimate(
     settings = settings or EstimateSettings()
     began = clock.perf_counter()
     fine = Lift(recording, settings.replay)
-    coarse = fine.at_resolution(COARSE * settings.replay.cells_across)
+    coarse = fine.coarser(COARSE, hurry=HURRY)
     bounds, starts = _starts(fine, settings)
     interrupted = False
     history: list[dict[str, Any]] = []
@@ -159,8 +162,8 @@ def estimate(
     frames = _compared(fine, settings)
     few = frames[:: -(-len(frames) // COARSE_FRAMES)]
     stages = (
-        ("coarse", _Comparison(coarse, few, COARSE_LEVELS), COARSE_ITERATIONS),
-        ("fine", _Comparison(fine, frames, FINE_LEVELS), settings.max_iterations),
+        ("coarse", _Comparison(coarse, few, COARSE_LEVELS, (0, 2)), COARSE_ITERATIONS),
+        ("fine", _Comparison(fine, frames, FINE_LEVELS, (0, 1, 2)), settings.max_iterations),
     )
     spent = 0
     heirs = list(range(settings.starts))
@@ -229,16 +232,28 @@ def replay_chamfer(
     for t, x in zip(chosen, positions, strict=True):
         cloud = lift.recording.frame(t)
         whole.append(chamfer(cloud, x, of_b=lift.inside(x)))
-        visible = lift.visible(x)
-        surface.append(chamfer(cloud, x[visible], of_b=lift.inside(x[visible])))
+        skin = lift.body.surface(x)
+        skin = skin[lift.visible(skin)]
+        surface.append(chamfer(cloud, skin, of_b=lift.inside(skin)))
     return np.array(whole), np.array(surface)
 
 
 class _Comparison:
     """Densities of a recording, and how a lift's simulated densities differ from them."""
 
-    def __init__(self, lift: Lift, frames: Sequence[int], levels: Sequence[int]):
+    def __init__(
+        self, lift: Lift, frames: Sequence[int], levels: Sequence[int], free: Sequence[int]
+    ):
+        """Prepare the recorded side.
+
+        Args:
+            lift: How to simulate.
+            frames: Recorded frames to compare.
+            levels: Resolutions of the density grids.
+            free: Parameters that get a Jacobian; the others stay where their prior pulls them.
+        """
         self.lift = lift
+        self.free = list(free)
         self.frames = list(frames)
         clouds = [lift.recording.frame(t).astype(float) for t in self.frames]
         around = np.concatenate([*clouds, lift.body.x, lift.recording.gripper_position[:, 0]])
@@ -257,9 +272,10 @@ class _Comparison:
         """Quadratic models at parameter vectors, from one batch of worlds."""
         steps = [np.where(theta + STEPS > [np.inf, 0.45, np.inf], -STEPS, STEPS) for theta in thetas]
         worlds = [
-            [theta] + [theta + np.eye(3)[k] * step[k] for k in range(3)]
+            [theta] + [theta + np.eye(3)[k] * step[k] for k in self.free]
             for theta, step in zip(thetas, steps, strict=True)
         ]
+        size = 1 + len(self.free)
         alive = list(range(len(thetas)))
         positions = None
         while alive:
@@ -269,26 +285,28 @@ class _Comparison:
                 break
             except SimulationError as error:
                 assert error.world is not None
-                del alive[error.world // 4]
+                del alive[error.world // size]
         models: list[Normal | None] = [None] * len(thetas)
         if positions is not None:
             for m, n in enumerate(alive):
-                models[n] = self._model(positions[:, 4 * m : 4 * m + 4], steps[n])
+                models[n] = self._model(positions[:, size * m : size * (m + 1)], steps[n])
         return models
 
     def _model(self, x: NDArray[np.float64], step: NDArray[np.float64]) -> Normal:
-        """From particles [T, 4, N, 3] of a point and its three neighbours."""
+        """From particles [T, 1 + free, N, 3] of a point and its neighbours."""
+        free = np.ix_(self.free, self.free)
         sse, gradient, hessian = 0.0, np.zeros(3), np.zeros((3, 3))
         for t in range(len(x)):
-            # neighbours show the same particles: who is seen must not change within a difference
-            shown = x[t][:, self.lift.visible(x[t, 0]) & self.lift.inside(x[t, 0])]
+            # neighbours show the same points: who is seen must not change within a difference
+            skin = self.lift.body.surface(x[t])
+            shown = skin[:, self.lift.visible(skin[0]) & self.lift.inside(skin[0])]
             for grid, seen, scale in zip(self.grids, self.seen, self.scales, strict=True):
                 density = grid.splat(shown)
                 r = density[0] - seen[t]
-                J = (density[1:] - density[0]) / step[:, None]
+                J = (density[1:] - density[0]) / step[self.free, None]
                 sse += scale * float(r @ r)
-                gradient += scale * (J @ r)
-                hessian += scale * (J @ J.T)
+                gradient[self.free] += scale * (J @ r)
+                hessian[free] += scale * (J @ J.T)
         return Normal(sse=sse, gradient=gradient, hessian=hessian)
 
 

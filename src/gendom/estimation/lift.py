@@ -160,23 +160,23 @@ class Lift:
         times = self._sim_time(self.recording.time[chosen])
         return simulator.run(times, on_frame=on_frame)
 
-    def inside(self, particles: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """[N] which particles [N, 3] lie in the recorded space: all, or all above ``floor``."""
+    def inside(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """[n] which points [n, 3] lie in the recorded space: all, or all above ``floor``."""
         if self.floor is None:
-            return np.ones(len(particles), dtype=bool)
-        above = particles[:, 2] > self.floor
-        return above if above.any() else np.ones(len(particles), dtype=bool)
+            return np.ones(len(points), dtype=bool)
+        above = points[:, 2] > self.floor
+        return above if above.any() else np.ones(len(points), dtype=bool)
 
-    def visible(self, particles: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """[N] which particles [N, 3] the cameras could see; all of an unwatched cloth.
+    def visible(self, surface: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """[n] which points [n, 3] of the object's surface the cameras could see.
 
-        Without camera positions a rope is seen from above; a hanging cloth is thin enough that
+        Without camera positions a rope is seen from above; of a cloth everything counts, since
         both of its sides lie where the cloud is.
         """
         cameras = self.recording.camera_positions
         if cameras is None and self.body.kind == "cloth":
-            return np.ones(len(particles), dtype=bool)
-        return visible(particles, camera_positions=cameras)
+            return np.ones(len(surface), dtype=bool)
+        return visible(surface, camera_positions=cameras)
 
     @property
     def table_height(self) -> float | None:
@@ -400,7 +400,9 @@ class Lift:
             return ASSUMED_DENSITY, True
         return mass / (self.body.volume * self.body.num_particles), False
 
-    def at_resolution(self, cells_across: float) -> "Lift":
-        """The same lift on a coarser or finer grid, on the same clock."""
-        settings = replace(self.settings, cells_across=cells_across, clock=self.clock)
-        return Lift(self.recording, settings)
+    def coarser(self, share: float, *, hurry: float) -> "Lift":
+        """The same lift on a grid with ``share`` of the cells, quasi-static motion ``hurry`` times
+        as fast."""
+        clock = self.clock * (hurry if self.recording.quasi_static else 1.0)
+        cells = self.settings.cells_across * share
+        return Lift(self.recording, replace(self.settings, cells_across=cells, clock=clock))

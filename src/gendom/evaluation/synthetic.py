@@ -77,8 +77,7 @@ def synthetic_rope_lift(
     middle = np.array([grip[0] + length / 2.0, 0.0, 0.0])
     cameras = middle + np.array([[0.0, -0.7, 0.4], [0.0, 0.7, 0.4]])
     rng = np.random.default_rng(seed)
-    surface = _onto_surface(x, body.material_coordinates, diameter)
-    clouds = [_seen(cloud, cameras, points, rng, noise) for cloud in surface]
+    clouds = [_seen(cloud, cameras, points, rng, noise) for cloud in body.surface(x)]
     volume = math.pi / 4.0 * diameter**2 * length
     return Recording.from_frames(
         clouds,
@@ -105,25 +104,6 @@ def synthetic_rope_lift(
             }
         },
     )
-
-
-def _onto_surface(x: NDArray, material_coordinates: NDArray, diameter: float) -> NDArray:
-    """[T, N, 3] the outer particles moved out to the rope's surface.
-
-    Particles stand for the material around them; a camera sees the skin.
-    """
-    section = material_coordinates[:, 1:]
-    radius = np.linalg.norm(section, axis=1)
-    outer = radius > 0.6 * radius.max()
-    rings = np.unique(np.round(material_coordinates[:, 0], 9), return_inverse=True)[1]
-    count = np.bincount(rings)
-    skin = np.empty((len(x), int(outer.sum()), 3))
-    for t, cloud in enumerate(x):
-        centre = np.stack([np.bincount(rings, cloud[:, a]) / count for a in range(3)], axis=1)
-        out = cloud[outer] - centre[rings[outer]]
-        out *= (diameter / 2.0) / np.linalg.norm(out, axis=1, keepdims=True)
-        skin[t] = centre[rings[outer]] + out
-    return skin
 
 
 def _seen(

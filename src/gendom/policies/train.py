@@ -163,7 +163,6 @@ def train(
             errors = _train_distal(
                 policy, act, teacher, data, taught, validation, training, progress
             )
-        settings = asdict(training)
         description = Description(
             task=demonstrations.task,
             method=training.method,
@@ -177,7 +176,7 @@ def train(
                 for column in [getattr(demonstrations, name)]
             },
             training={
-                **settings,
+                **asdict(training),
                 "demonstrations": len(demonstrations),
                 "held_out": held,
                 "errors": errors,

@@ -41,6 +41,25 @@ class Body:
         first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
         return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
 
+    def surface(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
+        """[..., M, 3] points on the object's skin for particle positions [..., N, 3] [m].
+
+        Particles stand for the material around them; what a camera sees of a rope lies further
+        out. Its outer particles are moved away from the middle of their section, to half a
+        diameter. A cloth is thin: its particles are its skin.
+        """
+        x = np.asarray(x, dtype=float)
+        if self.kind != "rope":
+            return x
+        per_section = len(self.x) // len(np.unique(self.material_coordinates[:, 0]))
+        radius = np.linalg.norm(self.material_coordinates[:per_section, 1:], axis=1)
+        sections = x.reshape(*x.shape[:-2], -1, per_section, 3)
+        out = sections - sections.mean(axis=-2, keepdims=True)
+        out = out[..., radius > 0.6 * radius.max(), :]
+        length = np.linalg.norm(out, axis=-1, keepdims=True)
+        skin = sections.mean(axis=-2, keepdims=True) + out * (self.thickness / 2.0 / length)
+        return skin.reshape(*x.shape[:-2], -1, 3)
+
     def moved(self, offset: ArrayLike) -> "Body":
         """The same body shifted by ``offset`` [3] [m]."""
         return replace(self, x=self.x + np.asarray(offset, dtype=float))

@@ -1,7 +1,9 @@
 """Batched simulation of one body in many worlds."""
 
+import functools
 import math
 import os
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -113,7 +115,7 @@ class Simulator:
         self.time = start_time
         self.device = open_device(device)
         self.dtype = dtype
-        self._threads = threads or len(os.sched_getaffinity(0))
+        self._threads = threads or _cores()
         self._numpy = np.dtype(dtype)
         self._real = wp.float32 if dtype == "float32" else wp.float64
         self.law = law
@@ -552,9 +554,7 @@ def open_device(name: str) -> Any:
     Raises:
         DeviceError: If there is none, with what to use instead.
     """
-    if wp.config.log_level < wp.LOG_ERROR:
-        wp.config.log_level = wp.LOG_ERROR  # what concerns users, this function says itself
-    wp.init()
+    _start_warp()
     try:
         return wp.get_device(name)
     except Exception:
@@ -563,6 +563,28 @@ def open_device(name: str) -> Any:
             where="device",
             fix="use --device cpu, or install an NVIDIA driver for cuda",
         ) from None
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@functools.cache
+def _start_warp() -> None:
+    """Start Warp without its banner and its remark that a machine has no GPU."""
+    wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)
+    sys.stderr.flush()
+    kept = os.dup(2)  # the remark comes from native code, past sys.stderr
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+            wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def _stack_paths(every: Sequence[Sequence[Gripper]]) -> dict[str, NDArray[np.float64]]:

@@ -1,0 +1,275 @@
+"""Known parameters come back from lifts that were simulated with them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from gendom.datasets import ObjectDescription, Recording
+from gendom.errors import ParameterError, RecordingError
+from gendom.estimation import (
+    EstimateSettings,
+    Lift,
+    ReplaySettings,
+    Theta,
+    estimate,
+    replay_chamfer,
+)
+from gendom.files import to_json
+from gendom.materials.parameters import bending_length, specific_modulus_of
+
+LENGTH, DIAMETER, DENSITY = 0.2, 0.012, 1000.0
+MODULUS = specific_modulus_of(0.35 * LENGTH, DIAMETER / 4.0, 9.81)
+"""E / density of a rope that bends over 7 cm [m^2/s^2]."""
+
+CHEAP = ReplaySettings(cells_across=1.0, clock=5.0, threads=1)
+"""A coarse and quick replay; the recording made with it is as quick."""
+
+KEYS = {
+    "bending_length", "chamfer_last", "chamfer_last_surface", "chamfer_mean",
+    "chamfer_mean_surface", "density", "density_assumed", "device", "format", "frames",
+    "grip_offset", "history", "identifiable", "interrupted", "intervals", "iterations", "loss",
+    "method", "notes", "object", "poissons_ratio", "seconds", "seed", "simulation",
+    "specific_modulus", "starts", "youngs_modulus",
+}  # fmt: skip
+
+
+def recording(clouds, **changes):
+    """A slow lift by 10 cm in 1.6 s, then 0.4 s of rest, seen as these clouds."""
+    time = np.linspace(0.0, 2.0, len(clouds))
+    height = DIAMETER / 2.0 + 0.1 * np.minimum(time / 1.6, 1.0)
+    mass = DENSITY * math.pi / 4.0 * DIAMETER**2 * LENGTH
+    values = {
+        "object": ObjectDescription(kind="rope", length=LENGTH, diameter=DIAMETER, mass=mass),
+        "table_height": 0.0,
+        "gripper_source": "measured",
+        "quasi_static": True,
+        "source": "made by a test",
+    }
+    return Recording.from_frames(
+        clouds,
+        time=time,
+        gripper_position=np.stack([0.0 * time, 0.0 * time, height], axis=1),
+        **{**values, **changes},
+    )
+
+
+def at_rest():
+    """[300, 3] the upper side of the straight rope on its table."""
+    x = np.linspace(0.0, LENGTH, 300)
+    return np.stack([x, 0.0 * x, np.full(300, DIAMETER)], axis=1)
+
+
+def synthetic(replay=CHEAP, *, frames=10, modulus=MODULUS, seed=0):
+    """A recording of a rope with known parameters: 120 points a frame with 1 mm noise."""
+    rng = np.random.default_rng(seed)
+    lift = Lift(recording([at_rest()] * frames), replay)
+    clouds = []
+    for x in lift.simulate([Theta(specific_modulus=modulus, nu=0.3)])[:, 0]:
+        skin = lift.body.surface(x)
+        shown = skin[lift.visible(skin)]
+        shown = shown[rng.choice(len(shown), size=min(120, len(shown)), replace=False)]
+        clouds.append(shown + 0.001 * rng.normal(size=shown.shape))
+    return recording(clouds)
+
+
+@pytest.fixture(scope="module")
+def lifted():
+    return synthetic()
+
+
+@pytest.fixture(scope="module")
+def result(lifted):
+    """The estimate from one start, and what was reported on the way."""
+    reports = []
+    settings = EstimateSettings(starts=1, replay=CHEAP)
+    return estimate(lifted, settings, on_progress=reports.append), reports
+
+
+# ---- recovery -------------------------------------------------------------------------------------
+
+
+def test_known_modulus_comes_back(result):
+    """E within 10 %, inside its interval; nu not identifiable, its interval spans the prior's."""
+    record = result[0].record
+    assert record["specific_modulus"] == pytest.approx(MODULUS, rel=0.1)
+    low, high = record["intervals"]["specific_modulus"]
+    assert low < MODULUS < high < 1.5 * MODULUS
+    assert record["identifiable"] == {"youngs_modulus": True, "poissons_ratio": False}
+    low, high = record["intervals"]["poissons_ratio"]
+    assert high - low > 0.1
+    start = record["starts"][0]["initial"]["specific_modulus"]
+    assert not 0.9 * MODULUS < start < 1.1 * MODULUS  # it had some way to go
+    assert abs(record["grip_offset"]) < 1e-3
+
+
+def test_another_seed_finds_the_same(lifted, result):
+    """A start drawn elsewhere ends at the same modulus within 5 %."""
+    other = estimate(lifted, EstimateSettings(starts=1, seed=1, replay=CHEAP)).record
+    first = result[0].record
+    assert other["seed"] == 1
+    starts = [r["starts"][0]["initial"]["specific_modulus"] for r in (first, other)]
+    assert abs(math.log(starts[0] / starts[1])) > 0.1
+    assert other["specific_modulus"] == pytest.approx(MODULUS, rel=0.1)
+    assert other["specific_modulus"] == pytest.approx(first["specific_modulus"], rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_known_modulus_comes_back_from_a_finer_world(seed):
+    """A rope simulated at two cells and the default clock, replayed at 1.5: E within 10 %."""
+    seen = synthetic(ReplaySettings(cells_across=2.0), frames=12, seed=seed)
+    settings = EstimateSettings(starts=2, seed=seed, replay=ReplaySettings(cells_across=1.5))
+    record = estimate(seen, settings).record
+    assert record["specific_modulus"] == pytest.approx(MODULUS, rel=0.1)
+    assert not record["identifiable"]["poissons_ratio"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.25, 0.5])
+def test_softer_and_stiffer_ropes_come_back(share):
+    """Bending over a quarter and over half of its length: E within 10 %."""
+    modulus = specific_modulus_of(share * LENGTH, DIAMETER / 4.0, 9.81)
+    record = estimate(synthetic(modulus=modulus), EstimateSettings(starts=2, replay=CHEAP)).record
+    assert record["specific_modulus"] == pytest.approx(modulus, rel=0.1)
+
+
+# ---- the result -----------------------------------------------------------------------------------
+
+
+def test_record_is_gendom_estimate_1(result):
+    """All keys are there, it has a JSON form, and its numbers agree with each other."""
+    estimated = result[0]
+    record = estimated.record
+    assert record["format"] == "gendom-estimate/1"
+    assert set(record) == KEYS
+    assert to_json(record)
+    assert record["density"] == pytest.approx(DENSITY) and not record["density_assumed"]
+    assert record["youngs_modulus"] == pytest.approx(record["specific_modulus"] * DENSITY)
+    assert record["specific_modulus"] == estimated.theta.specific_modulus
+    k = DIAMETER / 4.0
+    assert record["bending_length"] == pytest.approx(
+        bending_length(record["specific_modulus"], k, 9.81)
+    )
+    intervals = record["intervals"]
+    assert intervals["level"] == 0.9
+    for name in ("youngs_modulus", "specific_modulus", "bending_length", "poissons_ratio"):
+        assert intervals[name][0] < record[name] < intervals[name][1]
+    assert record["simulation"]["cells_across"] == 1.0
+    assert record["simulation"]["clock"] == 5.0
+    assert not record["interrupted"]
+    assert record["iterations"] >= 2
+    assert {h["stage"] for h in record["history"]} == {"coarse", "fine"}
+
+
+def test_chamfer_is_that_of_the_best_fit(lifted, result):
+    """The reported distances are those of the positions handed out, frame by frame."""
+    estimated = result[0]
+    record = estimated.record
+    whole, surface = replay_chamfer(estimated.lift, estimated.positions)
+    assert np.array_equal(whole, estimated.chamfer)
+    assert len(whole) == lifted.num_frames
+    assert record["chamfer_last"] == whole[-1]
+    assert record["chamfer_mean"] == pytest.approx(whole.mean())
+    assert record["chamfer_last_surface"] == surface[-1]
+    assert surface.mean() < whole.mean() < 0.01  # noise and the unseen lower side
+    again = replay_chamfer(estimated.lift, estimated.positions[[2, 5]], frames=[2, 5])[0]
+    assert np.array_equal(again, whole[[2, 5]])
+
+
+def test_progress_is_reported(result):
+    """Coarse before fine, the share of work never falls, losses are finite."""
+    reports = result[1]
+    stages = [p.stage for p in reports]
+    assert stages == sorted(stages) and set(stages) == {"coarse", "fine"}
+    done = [p.done for p in reports]
+    assert done == sorted(done) and 0.0 < done[0] and done[-1] <= 1.0
+    assert all(np.isfinite(p.loss) and p.best.specific_modulus > 0.0 for p in reports)
+
+
+def test_ctrl_c_keeps_the_best_so_far(lifted):
+    """An interrupt after the first iteration gives a whole result that says so."""
+
+    def interrupt(progress):
+        raise KeyboardInterrupt
+
+    settings = EstimateSettings(starts=1, replay=CHEAP)
+    record = estimate(lifted, settings, on_progress=interrupt).record
+    assert record["interrupted"]
+    assert set(record) == KEYS
+    assert record["iterations"] == 1
+    assert [h["stage"] for h in record["history"]] == ["interrupted"]
+    initial = record["starts"][0]["initial"]["specific_modulus"]
+    assert record["specific_modulus"] == pytest.approx(initial)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"starts": 0}, "starts"),
+        ({"frames": "first"}, "'all' or 'last'"),
+        ({"max_iterations": 1}, "max_iterations"),
+        ({"level": 1.0}, "level"),
+        ({"level": 0.0}, "level"),
+    ],
+)
+def test_bad_settings_are_refused(settings, words):
+    """The error names the setting."""
+    with pytest.raises(ParameterError, match=words):
+        EstimateSettings(**settings)
+
+
+# ---- the replay -----------------------------------------------------------------------------------
+
+
+def test_quasi_static_replay_does_not_depend_on_the_clock():
+    """At half the default speed particles are elsewhere by less than 2 mm, in every frame."""
+    seen = recording([at_rest()] * 6)
+    theta = [Theta(specific_modulus=MODULUS)]
+    default = Lift(seen, ReplaySettings(cells_across=1.5, threads=1))
+    slow = Lift(seen, ReplaySettings(cells_across=1.5, threads=1, clock=default.clock / 2.0))
+    x, y = (lift.simulate(theta)[:, 0] for lift in (default, slow))
+    assert np.linalg.norm(x - y, axis=-1).max() < 0.002
+    assert np.ptp(x[-1, :, 2]) > 0.09  # it was lifted
+    assert default.clock == pytest.approx(2.0 * 0.12 / 0.1)
+
+
+def test_a_dynamic_recording_keeps_its_clock():
+    """Only quasi-static recordings are replayed faster or slower than they were made."""
+    assert Lift(recording([at_rest()] * 3, quasi_static=False)).clock == 1.0
+
+
+def test_rope_is_placed_where_it_is_seen():
+    """The body lies along the cloud on the table, from half a diameter behind the gripper on."""
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    cloud = at_rest()
+    cloud[:, :2] = cloud[:, :2] @ turn.T
+    lift = Lift(recording([cloud] * 3), ReplaySettings(cells_across=2.0))
+    x = lift.body.x
+    along = x[:, :2] @ turn[:, 0]
+    across = x[:, :2] @ turn[:, 1]
+    assert along.min() == pytest.approx(-DIAMETER / 2.0, abs=0.002)
+    assert np.ptp(along) == pytest.approx(LENGTH, abs=0.004)
+    assert np.abs(across).max() < DIAMETER / 2.0 + 1e-3
+    assert x[:, 2].mean() == pytest.approx(DIAMETER / 2.0)
+    assert x[:, 2].min() > 0.0
+    assert lift.grip[0] == pytest.approx([0.0, 0.0, DIAMETER / 2.0], abs=lift.body.dx / 2.0)
+
+
+def test_unknown_mass_assumes_a_density():
+    """Without a mass the density is assumed and said to be; motion does not depend on it."""
+    description = ObjectDescription(kind="rope", length=LENGTH, diameter=DIAMETER)
+    seen = recording([at_rest()] * 3, object=description)
+    lift = Lift(seen, CHEAP)
+    assert lift.density_assumed and lift.density == 1000.0
+    heavy = ObjectDescription(kind="rope", length=LENGTH, diameter=DIAMETER, mass=0.1)
+    other = Lift(recording([at_rest()] * 3, object=heavy), CHEAP)
+    assert other.density == pytest.approx(0.1 / (math.pi / 4 * DIAMETER**2 * LENGTH))
+    theta = [Theta(specific_modulus=MODULUS)]
+    assert np.abs(other.simulate(theta) - lift.simulate(theta)).max() < 1e-9
+
+
+def test_a_recording_without_points_cannot_be_lifted():
+    """The error is the recording's, not one of array shapes."""
+    with pytest.raises(RecordingError, match="no frame holds a point"):
+        Lift(recording([np.zeros((0, 3))] * 3))
