@@ -230,7 +230,6 @@ def _report(
     )
 
     frames = found.lift.frames
-    length = float(recording.object.length or 0.0)
     write_report(
         command.out / "report.html",
         ReportContent(
@@ -257,7 +256,6 @@ def _report(
                     for goal, ours, without in runs
                 ],
                 action_names=task.action_names,
-                origin=(length, 0.0, 0.0),
             ),
             provenance=Provenance(
                 commands=[f"gendom demo --out {command.out} --seed {command.seed}"],

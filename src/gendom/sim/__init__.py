@@ -2,18 +2,23 @@
 
 from gendom.sim.bodies import Body, cloth, rope
 from gendom.sim.gripper import Gripper
+from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.simulator import CFL, GRAVITY, Box, Simulator, Table, open_device, stable_substep
 
 __all__ = [
     "CFL",
     "GRAVITY",
+    "METRIC",
+    "PAPER",
     "Body",
     "Box",
     "Gripper",
+    "Preset",
     "Simulator",
     "Table",
     "cloth",
     "open_device",
+    "preset",
     "rope",
     "stable_substep",
 ]

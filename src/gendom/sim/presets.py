@@ -1,0 +1,97 @@
+"""Named sets of simulator settings."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from gendom.errors import ParameterError
+from gendom.materials import Material
+from gendom.sim.simulator import GRAVITY, RECOVERY, Box, Table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """Units, resolution and physics that belong together.
+
+    Use it as ``Simulator(body, [preset.material(E=..., nu=...)], **preset.settings())``.
+    """
+
+    name: str
+    dx: float | None
+    """Size of a grid cell [m], or None where the body chooses it."""
+    density: float
+    """[kg/m^3]."""
+    yield_stress: float
+    """[Pa]."""
+    law: str
+    gravity: tuple[float, float, float]
+    """[m/s^2]."""
+    substep: float | None
+    """[s], or None for each world's stability limit."""
+    table: Table | None
+    box: Box | None
+    recovery: float
+    """[1/s]."""
+
+    def material(self, *, E: float, nu: float) -> Material:
+        """A material of this preset's density and yield stress."""
+        return Material(E=E, nu=nu, density=self.density, yield_stress=self.yield_stress)
+
+    def settings(self) -> dict[str, Any]:
+        """Keyword arguments for ``Simulator``."""
+        return {
+            "law": self.law,
+            "gravity": self.gravity,
+            "substep": self.substep,
+            "table": self.table,
+            "box": self.box,
+            "recovery": self.recovery,
+        }
+
+
+METRIC = Preset(
+    name="metric",
+    dx=None,
+    density=1000.0,
+    yield_stress=math.inf,
+    law="neo-hookean",
+    gravity=GRAVITY,
+    substep=None,
+    table=None,
+    box=None,
+    recovery=RECOVERY,
+)
+"""SI units; the default of every part of this package."""
+
+_CELL = 1.0 / 64.0
+
+PAPER = Preset(
+    name="paper",
+    dx=_CELL,
+    density=1.0,
+    yield_stress=200.0,
+    law="fixed-corotated",
+    gravity=(0.0, 0.0, -12.0),
+    substep=1e-4,
+    table=Table(height=2.0 * _CELL, friction=0.5),
+    box=Box(lower=(2.0 * _CELL,) * 3, upper=(1.0 - 3.0 * _CELL,) * 3),
+    recovery=0.0,
+)
+"""The unit cube of the GenDOM authors' code, z up: 64 cells, density 1, their gravity, substep,
+yield stress, floor of three node layers and walls. At E above about 3,000 its substep is longer than
+the stability limit: only the yield stress keeps such worlds together."""
+
+_PRESETS = {p.name: p for p in (METRIC, PAPER)}
+
+
+def preset(name: str) -> Preset:
+    """A preset by name.
+
+    Raises:
+        ParameterError: If there is none of that name.
+    """
+    if name not in _PRESETS:
+        raise ParameterError(
+            f"there is no preset {name!r}", fix=f"choose one of {', '.join(_PRESETS)}"
+        )
+    return _PRESETS[name]
