@@ -22,28 +22,28 @@ def compiled(name, *, plastic):
 
     @wp.kernel(enable_backward=False, module="unique")
     def stress_kernel(
-        F: wp.array(dtype=wp.mat33d),
+        F: wp.array[wp.mat33d],
         mu: wp.float64,
         lam: wp.float64,
-        tau: wp.array(dtype=wp.mat33d),
+        tau: wp.array[wp.mat33d],
     ):
         p = wp.tid()
-        tau[p] = stress(F[p], mu, lam)
+        tau[p] = stress(F[p], mu, lam)  # pyright: ignore[reportIndexIssue]
 
     @wp.kernel(enable_backward=False, module="unique")
     def return_kernel(
-        F: wp.array(dtype=wp.mat33d),
+        F: wp.array[wp.mat33d],
         mu: wp.float64,
         yield_stress: wp.float64,
-        result: wp.array(dtype=wp.mat33d),
+        result: wp.array[wp.mat33d],
     ):
         p = wp.tid()
-        result[p] = return_map(F[p], mu, yield_stress)
+        result[p] = return_map(F[p], mu, yield_stress)  # pyright: ignore[reportIndexIssue]
 
     return stress_kernel, return_kernel
 
 
-def launch(kernel, F, a, b):
+def launch(kernel, F, a, b) -> np.ndarray:
     """The kernel's answer [n, 3, 3] for F [n, 3, 3] and its two numbers."""
     F = wp.array(np.ascontiguousarray(F), dtype=wp.mat33d, device="cpu")
     out = wp.zeros_like(F)
@@ -51,12 +51,12 @@ def launch(kernel, F, a, b):
     return out.numpy()
 
 
-def stress_of(name, F, mu=MU, lam=LAM):
+def stress_of(name, F, mu=MU, lam=LAM) -> np.ndarray:
     """tau [n, 3, 3] [Pa]."""
     return launch(compiled(name, plastic=False)[0], F, mu, lam)
 
 
-def yielded(F, yield_stress, mu=MU):
+def yielded(F, yield_stress, mu=MU) -> np.ndarray:
     """F [n, 3, 3] after the von Mises return."""
     return launch(compiled("neo-hookean", plastic=True)[1], F, mu, yield_stress)
 
@@ -179,5 +179,5 @@ def test_nothing_flows_below_the_yield_stress():
 
 def test_unknown_law():
     """The error lists the laws there are."""
-    with pytest.raises(ValueError, match="'rubber'.*neo-hookean, fixed-corotated"):
+    with pytest.raises(ValueError, match=r"'rubber'.*neo-hookean, fixed-corotated"):
         make_law("rubber", wp.float64, plastic=False)

@@ -10,7 +10,7 @@ from gendom.observation import chamfer
 def clouds(n=40, m=25):
     """Two random clouds of different size."""
     rng = np.random.default_rng(0)
-    return rng.normal(size=(n, 3)), rng.normal(size=(m, 3)) + [0.5, 0.0, 0.0]
+    return rng.normal(size=(n, 3)), rng.normal(size=(m, 3)) + np.array([0.5, 0.0, 0.0])
 
 
 def pairs(a, b):

@@ -91,9 +91,9 @@ def test_batches_equal_their_clouds():
 def test_distance_goes_from_zero_to_two():
     """Equal clouds are 0 apart, distant ones 2, and the order does not matter."""
     a, b = cloud(20), cloud(30, seed=1)
-    far = GRID.origin + [0.3, 0.3, 0.3], GRID.origin + [1.2, 0.6, 1.2]
+    far = GRID.origin + np.array([[[0.3, 0.3, 0.3]], [[1.2, 0.6, 1.2]]])
     assert density_distance(GRID, a, a) == 0.0
-    assert density_distance(GRID, far[0][None], far[1][None]) == pytest.approx(2.0)
+    assert density_distance(GRID, *far) == pytest.approx(2.0)
     assert 0.0 < density_distance(GRID, a, b) < 2.0
     assert density_distance(GRID, a, b) == pytest.approx(density_distance(GRID, b, a))
 

@@ -128,7 +128,8 @@ def test_cloth_turns_about_its_corner():
     flat = cloth(**sizes, corner=(1.0, 2.0, 3.0))
     turned = cloth(**sizes, corner=(1.0, 2.0, 3.0), yaw=math.pi / 2)
     d = flat.x - [1.0, 2.0, 3.0]
-    assert turned.x == pytest.approx(np.stack([-d[:, 1], d[:, 0], d[:, 2]], 1) + [1.0, 2.0, 3.0])
+    expected = np.stack([1.0 - d[:, 1], 2.0 + d[:, 0], 3.0 + d[:, 2]], axis=1)
+    assert turned.x == pytest.approx(expected)
     assert np.array_equal(turned.material_coordinates, flat.material_coordinates)
     assert d[:, :2].min() > 0.0
     assert np.allclose(flat.material_coordinates, d)

@@ -88,10 +88,9 @@ class Command:
         )
         policies = (Policy.pretrained(), Policy.pretrained(parameters=False))
         goals = self.goal or _default_goals(policies[0], found)
+        sizes = found.record["object"]
         with _timed(seconds, "act and carry out"):
-            task = policies[0].task().scaled_to(
-                recording.object.length, recording.object.diameter
-            )
+            task = policies[0].task().scaled_to(sizes["length"], sizes["diameter"])
             runs = _carry_out(task, policies, goals, found, truth, self.device)
         for goal, ours, without in runs:
             print(

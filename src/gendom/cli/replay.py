@@ -45,7 +45,11 @@ class Command:
         recording = Recording.read(self.recording)
         lift, theta = replay_setup(recording, read_json(self.params), str(self.params), self.device)
         with tqdm(total=len(lift.frames), desc="replaying", unit="frame", leave=False) as bar:
-            x = lift.simulate([theta], on_frame=lambda done: bar.update(done - bar.n))[:, 0]
+
+            def show(done: int) -> None:
+                bar.update(done - bar.n)
+
+            x = lift.simulate([theta], on_frame=show)[:, 0]
         whole, surface = replay_chamfer(lift, x)
         record: dict[str, Any] = {
             "format": "gendom-replay/1",

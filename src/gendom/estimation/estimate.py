@@ -76,10 +76,10 @@ NU_PRIOR = (0.3, 0.06)
 OFFSET_PRIOR = {"commanded": 0.01, "measured": 0.002}
 """Standard deviation of the grip offset [m] by the source of the gripper's path."""
 
-BENDING_RANGE = {"rope": (0.08, 1.2), "cloth": (0.025, 0.2)}
+BENDING_RANGE = {"rope": (0.08, 1.2), "cloth": (0.015, 0.1)}
 """Bending lengths searched for, in lengths of a rope or diagonals of a cloth."""
 
-START_RANGE = {"rope": (0.2, 0.7), "cloth": (0.04, 0.09)}
+START_RANGE = {"rope": (0.2, 0.7), "cloth": (0.03, 0.06)}
 """Bending lengths from which starts are drawn, likewise."""
 
 
@@ -96,7 +96,7 @@ class EstimateSettings:
     seed: int = 0
     level: float = 0.9
     """Probability that the intervals claim."""
-    replay: ReplaySettings = ReplaySettings()
+    replay: ReplaySettings = field(default_factory=ReplaySettings)
 
     def __post_init__(self) -> None:
         if self.starts < 1:
@@ -127,9 +127,9 @@ class Estimate:
 
     theta: Theta
     lift: Lift = field(repr=False)
-    positions: NDArray[np.float64] = field(repr=False)
+    positions: NDArray[np.floating] = field(repr=False)
     """[T, N, 3] particles of the best fit at ``lift.frames`` [m]."""
-    chamfer: NDArray[np.float64] = field(repr=False)
+    chamfer: NDArray[np.floating] = field(repr=False)
     """[T] distance to all particles [m]."""
     record: dict[str, Any] = field(repr=False)
     """The JSON document, format ``gendom-estimate/1``."""
@@ -221,8 +221,8 @@ def estimate(
 
 
 def replay_chamfer(
-    lift: Lift, positions: NDArray[np.float64], frames: Sequence[int] | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    lift: Lift, positions: NDArray[np.floating], frames: Sequence[int] | None = None
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Chamfer distance a frame, to all particles and to those the cameras could see [T] [m].
 
     Particles outside the recorded space (``Lift.floor``) cannot have points near them and do not
@@ -274,9 +274,11 @@ class _Comparison:
         weight /= weight.sum()
         self.scales = [w / (d**2).sum() for w, d in zip(weight, self.seen, strict=True)]
 
-    def models(self, thetas: list[NDArray[np.float64]]) -> list[Normal | None]:
+    def models(self, thetas: list[NDArray[np.floating]]) -> list[Normal | None]:
         """Quadratic models at parameter vectors, from one batch of worlds."""
-        steps = [np.where(theta + STEPS > [np.inf, 0.45, np.inf], -STEPS, STEPS) for theta in thetas]
+        steps = [
+            np.where(theta + STEPS > [np.inf, 0.45, np.inf], -STEPS, STEPS) for theta in thetas
+        ]
         worlds = [
             [theta] + [theta + np.eye(3)[k] * step[k] for k in self.free]
             for theta, step in zip(thetas, steps, strict=True)
@@ -298,7 +300,7 @@ class _Comparison:
                 models[n] = self._model(positions[:, size * m : size * (m + 1)], steps[n])
         return models
 
-    def _model(self, x: NDArray[np.float64], step: NDArray[np.float64]) -> Normal:
+    def _model(self, x: NDArray[np.floating], step: NDArray[np.floating]) -> Normal:
         """From particles [T, 1 + free, N, 3] of a point and its neighbours."""
         free = np.ix_(self.free, self.free)
         sse, gradient, hessian = 0.0, np.zeros(3), np.zeros((3, 3))
@@ -316,7 +318,7 @@ class _Comparison:
         return Normal(sse=sse, gradient=gradient, hessian=hessian)
 
 
-def _theta(vector: NDArray[np.float64]) -> Theta:
+def _theta(vector: NDArray[np.floating]) -> Theta:
     return Theta(
         specific_modulus=math.exp(vector[0]), nu=float(vector[1]), grip_offset=float(vector[2])
     )
@@ -332,7 +334,7 @@ def _starts(lift: Lift, settings: EstimateSettings) -> tuple[Bounds, list[Start]
         return math.log(specific_modulus_of(length, lift.radius_of_gyration, GRAVITY))
 
     low, high = (log_modulus(share) for share in BENDING_RANGE[lift.body.kind])
-    first = [math.log(share) for share in START_RANGE[lift.body.kind]]
+    near, far = (math.log(share) for share in START_RANGE[lift.body.kind])
     offset = OFFSET_PRIOR.get(lift.recording.gripper_source, OFFSET_PRIOR["commanded"])
     bounds = Bounds(
         low=np.array([low, 0.05, -5.0 * offset]),
@@ -346,7 +348,9 @@ def _starts(lift: Lift, settings: EstimateSettings) -> tuple[Bounds, list[Start]
     rng = np.random.default_rng(settings.seed)
     starts = []
     for _ in range(settings.starts):
-        theta = np.array([log_modulus(math.exp(rng.uniform(*first))), rng.uniform(0.2, 0.4), 0.0])
+        theta = np.array(
+            [log_modulus(math.exp(rng.uniform(near, far))), rng.uniform(0.2, 0.4), 0.0]
+        )
         starts.append(Start(initial=theta, theta=theta))
     return bounds, starts
 
@@ -394,7 +398,7 @@ def _result(
     bounds: Bounds,
     settings: EstimateSettings,
     history: list[dict[str, Any]],
-    initial: list[NDArray[np.float64]],
+    initial: list[NDArray[np.floating]],
     heirs: list[int],
     *,
     effective: float,
@@ -495,7 +499,7 @@ def _result(
     return Estimate(theta=theta, lift=lift, positions=positions, chamfer=whole, record=record)
 
 
-def _named(vector: NDArray[np.float64], density: float) -> dict[str, float]:
+def _named(vector: NDArray[np.floating], density: float) -> dict[str, float]:
     return {
         "youngs_modulus": math.exp(vector[0]) * density,
         "specific_modulus": math.exp(vector[0]),

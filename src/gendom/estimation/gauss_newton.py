@@ -16,9 +16,9 @@ class Normal:
 
     sse: float
     """Sum of squared residuals."""
-    gradient: NDArray[np.float64]
+    gradient: NDArray[np.floating]
     """[P] J^T r."""
-    hessian: NDArray[np.float64]
+    hessian: NDArray[np.floating]
     """[P, P] J^T J."""
 
 
@@ -26,25 +26,25 @@ class Normal:
 class Start:
     """One start on its way down."""
 
-    initial: NDArray[np.float64]
-    theta: NDArray[np.float64]
+    initial: NDArray[np.floating]
+    theta: NDArray[np.floating]
     model: Normal | None = None
     damping: float = 1e-2
     iterations: int = 0
     done: bool = False
-    history: list[tuple[int, NDArray[np.float64], float]] = field(default_factory=list)
+    history: list[tuple[int, NDArray[np.floating], float]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
     """Where parameters may go, and what was believed before seeing data."""
 
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    sd: NDArray[np.float64]
-    largest_step: NDArray[np.float64]
-    tolerance: NDArray[np.float64]
+    low: NDArray[np.floating]
+    high: NDArray[np.floating]
+    mean: NDArray[np.floating]
+    sd: NDArray[np.floating]
+    largest_step: NDArray[np.floating]
+    tolerance: NDArray[np.floating]
     """A start has arrived when its step is below this in every parameter."""
 
 
@@ -54,7 +54,7 @@ def noise_variance(sse: float, effective: float) -> float:
 
 
 def descend(
-    evaluate: Callable[[list[NDArray[np.float64]]], list[Normal | None]],
+    evaluate: Callable[[list[NDArray[np.floating]]], list[Normal | None]],
     starts: list[Start],
     bounds: Bounds,
     *,
@@ -103,13 +103,15 @@ def descend(
         yield iteration
 
 
-def posterior_covariance(model: Normal, bounds: Bounds, *, effective: float) -> NDArray[np.float64]:
+def posterior_covariance(
+    model: Normal, bounds: Bounds, *, effective: float
+) -> NDArray[np.floating]:
     """[P, P] covariance of the parameters: inverse of data information plus prior (Laplace)."""
     variance = noise_variance(model.sse, effective)
     return np.linalg.inv(model.hessian / variance + np.diag(1.0 / bounds.sd**2))
 
 
-def _propose(start: Start, bounds: Bounds, precision, effective: float) -> NDArray[np.float64]:
+def _propose(start: Start, bounds: Bounds, precision, effective: float) -> NDArray[np.floating]:
     if start.model is None:
         return np.clip(start.theta, bounds.low, bounds.high)
     variance = noise_variance(start.model.sse, effective)

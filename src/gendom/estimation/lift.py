@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
@@ -42,7 +42,7 @@ SHOWN_AT_REST = 0.5
 RAMP_SPEED = 0.1
 """Speed at which the gripper takes the object from rest to its first recorded position [m/s]."""
 
-CLOTH_CELLS = 20
+CLOTH_CELLS = 14
 """Grid cells along a cloth's longer side at full resolution."""
 
 
@@ -112,9 +112,10 @@ class Lift:
         self.radius = self._grip_radius()
         self.clock = self._choose_clock()
         quasi = recording.quasi_static
-        self.damping = self.settings.damping
-        if self.damping is None:
-            self.damping = QUASI_STATIC_DAMPING if quasi else DYNAMIC_DAMPING
+        damping = self.settings.damping
+        if damping is None:
+            damping = QUASI_STATIC_DAMPING if quasi else DYNAMIC_DAMPING
+        self.damping = damping
         self.density, self.density_assumed = self._density()
         self.floor = self._find_floor()
 
@@ -122,9 +123,7 @@ class Lift:
 
     def material(self, theta: Theta) -> Material:
         """The object's material for these parameters."""
-        return Material(
-            E=theta.specific_modulus * self.density, nu=theta.nu, density=self.density
-        )
+        return Material(E=theta.specific_modulus * self.density, nu=theta.nu, density=self.density)
 
     def simulate(
         self,
@@ -132,7 +131,7 @@ class Lift:
         *,
         frames: Sequence[int] | None = None,
         on_frame: Callable[[int], None] | None = None,
-    ) -> NDArray[np.float64]:
+    ) -> NDArray[np.floating]:
         """Particle positions [T, W, N, 3] at recorded frames (default: all with points) [m].
 
         Raises:
@@ -198,7 +197,7 @@ class Lift:
 
     # ---- initial state ---------------------------------------------------------------------------
 
-    def _place_rope(self) -> tuple[Body, NDArray[np.float64]]:
+    def _place_rope(self) -> tuple[Body, NDArray[np.floating]]:
         """The rope along its centre line and the held points [G, 3]."""
         described = self.recording.object
         assert described.length is not None  # the recording's own check
@@ -225,7 +224,7 @@ class Lift:
             held.append(body.x[far].mean(axis=0))
         return body, np.array(held)
 
-    def _line_from(self, grip: NDArray, diameter: float, length: float) -> NDArray[np.float64]:
+    def _line_from(self, grip: NDArray, diameter: float, length: float) -> NDArray[np.floating]:
         """Centre line of a rope at rest, from half a diameter behind the gripper on."""
         early = self._early_points(diameter)
         flat = early[:, :2] - grip[:2]
@@ -252,7 +251,7 @@ class Lift:
         xy = grip[:2] + s[:, None] * axis + curve[:, None] * side
         return np.concatenate([xy, np.full((len(s), 1), height)], axis=1)
 
-    def _line_between(self, grip: NDArray) -> NDArray[np.float64]:
+    def _line_between(self, grip: NDArray) -> NDArray[np.floating]:
         """Centre line of a rope held at both ends, from the first frame."""
         cloud = self.recording.frame(self.frames[0]).astype(float)
         if not self.recording.extra.get("ordered_markers", False):
@@ -265,7 +264,7 @@ class Lift:
         self.notes.append("held at both ends: its first shape is taken as free of stress")
         return cloud
 
-    def _place_cloth(self) -> tuple[Body, NDArray[np.float64]]:
+    def _place_cloth(self) -> tuple[Body, NDArray[np.floating]]:
         """The flat cloth and the held point [1, 3]."""
         described = self.recording.object
         width, height = described.width, described.height
@@ -284,9 +283,7 @@ class Lift:
         local = np.zeros(2) if described.grasp == "corner" else np.array([width, height]) / 2
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         corner = np.append(grip[:2] - turn @ local, mid)
-        body = cloth(
-            width=width, height=height, thickness=thickness, dx=dx, corner=corner, yaw=yaw
-        )
+        body = cloth(width=width, height=height, thickness=thickness, dx=dx, corner=corner, yaw=yaw)
         return body, np.array([[grip[0], grip[1], mid]])
 
     def _cloth_yaw(self, width: float, height: float) -> float:
@@ -314,14 +311,14 @@ class Lift:
 
         return float(min(turns, key=outside))
 
-    def _early_points(self, size: float) -> NDArray[np.float64]:
+    def _early_points(self, size: float) -> NDArray[np.floating]:
         """Points of the frames before the gripper has moved by ``size`` [m]."""
         path = self.recording.gripper_position[:, 0]
         moved = np.linalg.norm(path - path[self.frames[0]], axis=1)
         early = [t for t in self.frames if moved[t] <= size] or self.frames[:1]
         return np.concatenate([self.recording.frame(t) for t in early]).astype(float)
 
-    # ---- motion -----------------------------------------------------------------------------------
+    # ---- motion ----------------------------------------------------------------------------------
 
     def _grip_radius(self) -> float:
         if self.body.kind == "rope":
@@ -338,7 +335,7 @@ class Lift:
         duration = float(self.recording.time[-1] - self.recording.time[0])
         return duration * QUASI_STATIC_SPEED / max(float(length), 1e-6)
 
-    def _sim_time(self, recorded: ArrayLike) -> NDArray[np.float64]:
+    def _sim_time(self, recorded: ArrayLike) -> NDArray[np.floating]:
         t = np.asarray(recorded, dtype=float)
         return (t - self.recording.time[self.frames[0]]) / self.clock
 
@@ -346,7 +343,7 @@ class Lift:
         """Height below which the recording shows nothing although the object lies there [m]."""
         if self.table_height is None:
             return None
-        first = cKDTree(self.recording.frame(self.frames[0]).astype(float))
+        first = KDTree(self.recording.frame(self.frames[0]).astype(float))
         gaps = first.query(self.body.x)[0]
         shown = float(np.mean(gaps < 0.05 * self.size))
         if shown >= SHOWN_AT_REST:
@@ -358,7 +355,7 @@ class Lift:
         )
         return lowest + FLOOR_MARGIN
 
-    def _hanging(self, rise: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def _hanging(self, rise: NDArray[np.floating]) -> NDArray[np.floating] | None:
         """[K, 4] turn of the grip: a pinched corner does not stay level, it hangs.
 
         Args:

@@ -58,10 +58,8 @@ def synthetic_rope_lift(
         The recording. ``extra["truth"]`` holds the parameters, for evaluation only.
     """
     start = np.array([0.35, 0.0, diameter / 2.0])
-    body = rope(
-        length=length, diameter=diameter, start=start, direction=(1, 0, 0), cells_across=CELLS_ACROSS
-    )
-    grip = start + [diameter / 2.0, 0.0, 0.0]
+    body = rope(length=length, diameter=diameter, start=start, cells_across=CELLS_ACROSS)
+    grip = start + np.array([diameter / 2.0, 0.0, 0.0])
     share = np.linspace(0.0, 1.0, frames)
     path = grip + share[:, None] * np.array([0.0, 0.0, rise])
     seconds = rise / LIFT_SPEED

@@ -4,6 +4,11 @@ A law maps the deformation gradient F to the Kirchhoff stress tau = J sigma; a r
 maps a trial F to the F that the yield surface allows. The simulator's kernels only loop.
 """
 
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
 import functools
 from typing import Any, NamedTuple
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gendom.errors import ParameterError
 
@@ -25,7 +25,7 @@ def chamfer(a: ArrayLike, b: ArrayLike, *, of_b: NDArray[np.bool_] | None = None
     for name, cloud in (("a", a), ("b", b)):
         if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) == 0:
             raise ParameterError(f"chamfer needs clouds [n > 0, 3], {name} is {cloud.shape}")
-    to_b = cKDTree(b).query(a)[0]
+    to_b = KDTree(b).query(a)[0]
     counted = b if of_b is None or not np.any(of_b) else b[of_b]
-    to_a = cKDTree(a).query(counted)[0]
+    to_a = KDTree(a).query(counted)[0]
     return float(to_b.mean() + to_a.mean())

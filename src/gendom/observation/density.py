@@ -20,7 +20,7 @@ class DensityGrid:
     of 100 points compares with one of 1,000. Source: Kuroki et al. (2024), section III-C.
     """
 
-    origin: NDArray[np.float64]
+    origin: NDArray[np.floating]
     """[3] position of node (0, 0, 0) [m]."""
     cell: float
     """Edge of a cell [m]."""
@@ -49,19 +49,20 @@ class DensityGrid:
         if len(p) == 0 or not np.isfinite(p).all():
             raise ParameterError("a density grid needs finite points to stand around")
         if resolution < 4:
-            raise ParameterError(f"a density grid needs a resolution of 4 or more, got {resolution}")
+            raise ParameterError(f"a density grid needs 4 nodes or more, got {resolution}")
         low, high = p.min(axis=0) - margin, p.max(axis=0) + margin
         cell = float((high - low).max()) / (resolution - 3)
         if cell <= 0.0:
             raise ParameterError("all points coincide: give the density grid a margin [m]")
         shape = np.minimum(np.ceil((high - low) / cell).astype(int) + 3, resolution)
-        return cls(origin=low - cell, cell=cell, shape=(int(shape[0]), int(shape[1]), int(shape[2])))
+        x, y, z = (int(n) for n in shape)
+        return cls(origin=low - cell, cell=cell, shape=(x, y, z))
 
     @property
     def num_nodes(self) -> int:
         return int(np.prod(self.shape))
 
-    def splat(self, points: ArrayLike) -> NDArray[np.float64]:
+    def splat(self, points: ArrayLike) -> NDArray[np.floating]:
         """Densities [..., X * Y * Z] of clouds [..., n, 3]; a node off the grid takes nothing.
 
         Each cloud's weights sum to one when it lies on the grid.
@@ -77,7 +78,7 @@ class DensityGrid:
         size = np.array(self.shape)[:, None]
         w = np.where((node >= 0) & (node < size), w, 0.0)
         node = np.clip(node, 0, size - 1)
-        X, Y, Z = self.shape
+        _, Y, Z = self.shape
         first = (np.arange(len(q)) * self.num_nodes)[:, None, None, None, None]
         x, y, z = node[:, :, 0], node[:, :, 1], node[:, :, 2]
         index = first + (x[:, :, :, None, None] * Y + y[:, :, None, :, None]) * Z
@@ -85,9 +86,8 @@ class DensityGrid:
         wx, wy, wz = w[:, :, 0] / n, w[:, :, 1], w[:, :, 2]
         weight = wx[:, :, :, None, None] * wy[:, :, None, :, None] * wz[:, :, None, None, :]
         total = len(q) * self.num_nodes
-        return np.bincount(index.ravel(), weight.ravel(), minlength=total).reshape(
-            *lead, self.num_nodes
-        )
+        sums = np.bincount(index.ravel(), weight.ravel(), minlength=total)
+        return sums.astype(float).reshape(*lead, self.num_nodes)
 
 
 def density_distance(grid: DensityGrid, a: ArrayLike, b: ArrayLike) -> float:

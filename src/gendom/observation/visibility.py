@@ -35,7 +35,7 @@ def visible(points: ArrayLike, *, camera_positions: ArrayLike | None = None) -> 
         raise ParameterError(f"points must be [n > 0, 3], got {p.shape}")
     if camera_positions is None:
         size = max(float(np.ptp(p, axis=0).max()), 1e-6)
-        cameras = np.array([p.mean(axis=0) + [0.0, 0.0, FROM_ABOVE * size]])
+        cameras = np.atleast_2d(p.mean(axis=0) + np.array([0.0, 0.0, FROM_ABOVE * size]))
     else:
         cameras = np.atleast_2d(np.asarray(camera_positions, dtype=float))
         if cameras.shape[1] != 3:

@@ -18,12 +18,12 @@ class Body:
 
     kind: str
     """``rope`` or ``cloth``."""
-    x: NDArray[np.float64]
+    x: NDArray[np.floating]
     """[N, 3] rest positions [m]."""
-    material_coordinates: NDArray[np.float64]
+    material_coordinates: NDArray[np.floating]
     """[N, 3] positions in the object's own frame [m]: along, across and through it."""
     lattice: NDArray[np.int32]
-    """[N, 3, 2] for each particle and lattice axis, the neighbours before and behind (or itself)."""
+    """[N, 3, 2] for each particle and axis, the neighbours before and behind (or itself)."""
     volume: float
     """Volume of one particle [m^3]."""
     dx: float
@@ -36,12 +36,12 @@ class Body:
         return len(self.x)
 
     @property
-    def rest_frames(self) -> NDArray[np.float64]:
+    def rest_frames(self) -> NDArray[np.floating]:
         """[N, 3, 3] inverses of the rest differences along the lattice axes [1/m]."""
         first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
         return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
 
-    def surface(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
+    def surface(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
         """[..., M, 3] points on the object's skin for particle positions [..., N, 3] [m].
 
         Particles stand for the material around them; what a camera sees of a rope lies further
@@ -216,13 +216,13 @@ def _neighbours(cells: NDArray[np.int64]) -> NDArray[np.int32]:
     return found
 
 
-def _arc_length(line: NDArray[np.float64]) -> NDArray[np.float64]:
+def _arc_length(line: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
 def _along_line(
-    line: NDArray[np.float64], along: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    line: NDArray[np.floating], along: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Points [M, 3] and unit tangents [M, 3] at arc lengths; straight beyond both ends."""
     s = _arc_length(line)
     steps = np.diff(line, axis=0)
@@ -237,7 +237,7 @@ def _along_line(
     return points, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
 
 
-def _frames(tangent: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _frames(tangent: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Two unit normals [M, 3] of each tangent; the first is horizontal where that is defined."""
     reference = np.array([0.0, 0.0, 1.0])
     if np.max(np.abs(tangent @ reference)) > 0.99:

@@ -58,10 +58,10 @@ class Gripper:
     @classmethod
     def still(cls, position: ArrayLike, *, radius: float, **hold: float) -> "Gripper":
         """A gripper that stays at ``position`` [3] [m]."""
-        return cls(time=[0.0], position=[position], radius=radius, **hold)
+        return cls(time=[0.0], position=np.atleast_2d(position), radius=radius, **hold)
 
     @property
-    def spin(self) -> NDArray[np.float64]:
+    def spin(self) -> NDArray[np.floating]:
         """[K, 3] angular velocity from each knot to the next, in world axes [rad/s]."""
         t = np.asarray(self.time)
         rates = np.zeros((len(t), 3))
@@ -71,7 +71,8 @@ class Gripper:
             rates[:-1] = turn / np.diff(t)[:, None]
         return rates
 
-    def position_at(self, time: ArrayLike) -> NDArray[np.float64]:
+    def position_at(self, time: ArrayLike) -> NDArray[np.floating]:
         """[..., 3] centre at given times [s]."""
-        p = np.asarray(self.position)
-        return np.stack([np.interp(time, np.asarray(self.time), p[:, a]) for a in range(3)], -1)
+        t, knots = np.asarray(time, dtype=float), np.asarray(self.time, dtype=float)
+        p = np.asarray(self.position, dtype=float)
+        return np.stack([np.interp(t, knots, p[:, a]) for a in range(3)], axis=-1)

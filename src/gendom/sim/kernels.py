@@ -12,6 +12,11 @@ materials"; Hu et al. (2018) for the moving least squares variant, which is not 
 Shapes: W worlds, N particles, G grippers, K path knots, X x Y grid columns, M grid nodes.
 """
 
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
 import functools
 from types import SimpleNamespace
 from typing import Any

@@ -64,6 +64,7 @@ METRIC = Preset(
 """SI units; the default of every part of this package."""
 
 _CELL = 1.0 / 64.0
+_LOWER, _UPPER = 2.0 * _CELL, 1.0 - 3.0 * _CELL
 
 PAPER = Preset(
     name="paper",
@@ -74,12 +75,12 @@ PAPER = Preset(
     gravity=(0.0, 0.0, -12.0),
     substep=1e-4,
     table=Table(height=2.0 * _CELL, friction=0.5),
-    box=Box(lower=(2.0 * _CELL,) * 3, upper=(1.0 - 3.0 * _CELL,) * 3),
+    box=Box(lower=(_LOWER, _LOWER, _LOWER), upper=(_UPPER, _UPPER, _UPPER)),
     recovery=0.0,
 )
 """The unit cube of the GenDOM authors' code, z up: 64 cells, density 1, their gravity, substep,
-yield stress, floor of three node layers and walls. At E above about 3,000 its substep is longer than
-the stability limit: only the yield stress keeps such worlds together."""
+yield stress, floor of three node layers and walls. At E above about 3,000 its substep is longer
+than the stability limit: only the yield stress keeps such worlds together."""
 
 _PRESETS = {p.name: p for p in (METRIC, PAPER)}
 

@@ -1,5 +1,6 @@
 """Batched simulation of one body in many worlds."""
 
+import contextlib
 import functools
 import math
 import os
@@ -191,17 +192,17 @@ class Simulator:
     def num_worlds(self) -> int:
         return len(self.materials)
 
-    def positions(self) -> NDArray[np.floating]:
+    def positions(self) -> NDArray[Any]:
         """[W, N, 3] particle positions now [m]."""
-        return self._state["x"].numpy().copy()
+        return np.array(self._state["x"].numpy())
 
-    def velocities(self) -> NDArray[np.floating]:
+    def velocities(self) -> NDArray[Any]:
         """[W, N, 3] particle velocities now [m/s]."""
-        return self._state["v"].numpy().copy()
+        return np.array(self._state["v"].numpy())
 
-    def deformation_gradients(self) -> NDArray[np.floating]:
+    def deformation_gradients(self) -> NDArray[Any]:
         """[W, N, 3, 3] deformation gradients F now [-]."""
-        return self._state["F"].numpy().copy()
+        return np.array(self._state["F"].numpy())
 
     def set_velocities(self, v: ArrayLike) -> None:
         """Set particle velocities, [3], [N, 3] or [W, N, 3] [m/s]."""
@@ -265,7 +266,7 @@ class Simulator:
         self.time = float(t[-1])
         return frames
 
-    # ---- CPU: every thread takes a world from the first frame to the last ---------------------------
+    # ---- CPU: every thread takes a world from the first frame to the last -----------------------
 
     def _run_cpu(self, times, frames, picked, on_frame) -> None:
         views = {name: a.numpy() for name, a in {**self._world, **self._state}.items()}
@@ -344,7 +345,7 @@ class Simulator:
             device=self.device,
         )  # fmt: skip
 
-    # ---- CUDA: all worlds in lockstep, substeps replayed from a graph -----------------------------
+    # ---- CUDA: all worlds in lockstep, substeps replayed from a graph --------------------------
 
     def _run_cuda(self, times, frames, picked, on_frame) -> None:
         a = self._world
@@ -356,8 +357,7 @@ class Simulator:
                 "trouble": self._zeros(self.num_worlds, wp.int32),
                 "time": self._zeros(1, wp.float64),
             }
-        graph = None
-        index = self._array(picked.astype(np.int32), wp.int32)
+        graph: Any = None
         a["travel"].fill_(1e30)
         now = self.time
         for f, until in enumerate(times):
@@ -396,7 +396,7 @@ class Simulator:
                     done = int(host["steps"].max())
             now = float(until)
             self.time = now
-            frames[f] = self._state["x"].numpy()[:, index.numpy()]
+            frames[f] = self.positions()[:, picked]
             if on_frame is not None:
                 on_frame(f + 1)
 
@@ -517,7 +517,7 @@ class Simulator:
             return grippers[w]
         return grippers
 
-    def _spread(self, values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+    def _spread(self, values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.floating]:
         try:
             return np.broadcast_to(np.asarray(values, dtype=float), shape)
         except ValueError:
@@ -587,7 +587,7 @@ def _start_warp() -> None:
         os.close(kept)
 
 
-def _stack_paths(every: Sequence[Sequence[Gripper]]) -> dict[str, NDArray[np.float64]]:
+def _stack_paths(every: Sequence[Sequence[Gripper]]) -> dict[str, NDArray[np.floating]]:
     """Gripper paths as arrays [W, G, K]; shorter ones repeat their last knot."""
     W, G = len(every), len(every[0])
     K = max([2] + [len(np.asarray(g.time)) for grippers in every for g in grippers])
@@ -613,7 +613,7 @@ def _stack_paths(every: Sequence[Sequence[Gripper]]) -> dict[str, NDArray[np.flo
     return out
 
 
-def _room_for(x: NDArray[np.float64], dx: float) -> tuple[int, int, int]:
+def _room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
     """Columns in x and y and nodes that the first grid offers; grows when the body needs more."""
     extent = (x.max(axis=1) - x.min(axis=1)).max(axis=0) / dx
     side = int(np.ceil(extent[:2].max())) + 8
@@ -622,7 +622,5 @@ def _room_for(x: NDArray[np.float64], dx: float) -> tuple[int, int, int]:
 
 
 def _wait(job) -> None:
-    try:
+    with contextlib.suppress(TimeoutError):
         job.exception(timeout=0.05)
-    except TimeoutError:
-        pass
