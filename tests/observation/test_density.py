@@ -116,7 +116,7 @@ def test_a_grid_around_points_holds_them(margin):
         (np.zeros((0, 3)), {}, "finite points"),
         ([[0.0, np.nan, 0.0]], {}, "finite points"),
         ([[0.0, 0.0, 0.0]] * 3, {}, "coincide"),
-        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], {"resolution": 3}, "resolution"),
+        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], {"resolution": 3}, "needs"),
     ],
 )
 def test_bad_grids_are_refused(points, options, words):

@@ -207,6 +207,9 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         there, _ = path_point(w, g, t + dt, path_time, path_position)
         velocity = (there - here) / dt
         spin = path_spin[w, g, knot]
+        last = path_time.shape[2] - 1
+        if t < path_time[w, g, 0] or t >= path_time[w, g, last]:
+            spin = wp.vec3d()
         centre_out[w, g] = vec3(real(here[0]), real(here[1]), real(here[2]))
         velocity_out[w, g] = vec3(real(velocity[0]), real(velocity[1]), real(velocity[2]))
         spin_out[w, g] = vec3(real(spin[0]), real(spin[1]), real(spin[2]))

@@ -183,7 +183,7 @@ class Simulator:
         }
         self._columns = _room_for(x0, body.dx)
         self._last_good = {name: a.numpy().copy() for name, a in self._state.items()}
-        self._last_good_time = start_time
+        self._last_good_time = np.full(W, start_time)
         self._scratch: dict[str, wp.array] | None = None
 
     # ---- what a user reads -------------------------------------------------------------------
@@ -214,7 +214,8 @@ class Simulator:
 
         Args:
             path: File to write, atomically.
-            last_good: The state before the frame in which a run failed, not the present one.
+            last_good: The state at the start of the last frame, each world's own (``time`` is then
+                [W]); after a failure the last that means anything.
         """
         state = self._last_good if last_good else {n: a.numpy() for n, a in self._state.items()}
         with atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
@@ -281,6 +282,7 @@ class Simulator:
             for f, until in enumerate(times):
                 if stop:
                     return None
+                self._last_good_time[w] = now
                 for name, good in self._last_good.items():
                     good[w] = views[name][w]
                 self._plan(views, w, until - now)
@@ -320,9 +322,7 @@ class Simulator:
             on_frame(int(done.min()))
         failures = [error for job in jobs if (error := job.result()) is not None]
         if failures:
-            self._last_good_time = min(e.time or 0.0 for e in failures)
             raise failures[0]
-        self._last_good_time = float(times[-1])
 
     def _launch_advance(self, w: int, now: float, grid: dict[str, wp.array]) -> None:
         a, s = self._world, self._state
@@ -362,7 +362,7 @@ class Simulator:
         now = self.time
         for f, until in enumerate(times):
             self._last_good = {name: arr.numpy() for name, arr in self._state.items()}
-            self._last_good_time = now
+            self._last_good_time[:] = now
             for w in range(self.num_worlds):
                 self._plan(host, w, until - now)
             for name, values in host.items():
