@@ -627,6 +627,14 @@ def test_state_now(tmp_path):
         ({"dtype": "float16"}, "float16"),
         ({"law": "rubber"}, "'rubber'.*neo-hookean"),
         ({"gravity": (0.0, -9.81)}, "gravity"),
+        ({"gravity": (0.0, 0.0, np.nan)}, "gravity must be finite"),
+        ({"damping": -1.0}, "damping"),
+        ({"recovery": np.nan}, "recovery"),
+        ({"substep": -1e-3}, "substep"),
+        ({"substep": 0.0}, "substep"),
+        ({"cfl": 0.0}, "cfl"),
+        ({"threads": 0}, "threads"),
+        ({"start_time": np.nan}, "start_time"),
         ({"damping": [1.0, 2.0]}, "damping"),
         ({"table": Table(height=0.0, friction=[0.1, 0.2])}, "friction"),
         ({"positions": np.zeros((5, 3))}, "positions"),
@@ -682,3 +690,34 @@ def test_yielding_body_stays_flat():
         heights.append(np.ptp(s.run([1.0])[0, 0, :, 2]))
     assert heights[0] == pytest.approx(0.035, rel=0.08)
     assert heights[1] < 0.9 * heights[0]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Table(height=np.nan),
+        lambda: Table(height=0.0, friction=-0.3),
+        lambda: Table(height=0.0, friction=[0.1, np.nan]),
+        lambda: Box(lower=(1.0, 1.0, 1.0), upper=(0.0, 0.0, 0.0)),
+    ],
+)
+def test_bad_scenery_is_refused(make):
+    """Numbers that are none, friction below zero and walls turned round raise."""
+    with pytest.raises(ParameterError):
+        make()
+
+
+def test_unknown_particles_are_refused():
+    """Recording a particle that is not there raises before anything runs."""
+    s = lifted_rope()
+    with pytest.raises(ParameterError, match="particles"):
+        s.run([0.05], particles=[10**6])
+    assert s.time == 0.0
+
+
+def test_recovery_does_not_depend_on_the_frame_rate():
+    """Frames of one substep give the same motion as one long frame, recovery included."""
+    long, short = lifted_rope(substep=1e-4), lifted_rope(substep=1e-4)
+    a = long.run([0.05])[-1]
+    b = short.run(np.arange(1, 501) * 1e-4)[-1]
+    assert np.abs(a - b).max() < 1e-9

@@ -218,11 +218,8 @@ class Lift:
             centre_line=line,
             cells_across=self.settings.cells_across,
         )
-        held = [body.x[body.material_coordinates[:, 0] <= max(start, body.dx)].mean(axis=0)]
-        if len(grip) > 1:
-            far = body.material_coordinates[:, 0] >= described.length - body.dx
-            held.append(body.x[far].mean(axis=0))
-        return body, np.array(held)
+        ends = [start] if len(grip) == 1 else [start, described.length]
+        return body, _centre_at(body, np.array(ends))
 
     def _line_from(self, grip: NDArray, diameter: float, length: float) -> NDArray[np.floating]:
         """Centre line of a rope at rest, from half a diameter behind the gripper on."""
@@ -403,3 +400,11 @@ class Lift:
         clock = self.clock * (hurry if self.recording.quasi_static else 1.0)
         cells = self.settings.cells_across * share
         return Lift(self.recording, replace(self.settings, cells_across=cells, clock=clock))
+
+
+def _centre_at(body: Body, along: NDArray[np.floating]) -> NDArray[np.floating]:
+    """[K, 3] points of a rope's centre line at distances [K] from its first end [m]."""
+    s, section = np.unique(body.material_coordinates[:, 0], return_inverse=True)
+    count = np.bincount(section)
+    centre = [np.bincount(section, body.x[:, a]) / count for a in range(3)]
+    return np.stack([np.interp(along, s, c) for c in centre], axis=-1)

@@ -432,7 +432,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     def advance(
         # which world, which substeps; grid arrays hold this world alone
         w: int,
-        step_inout: wp.array(dtype=wp.int32),  # [W] substeps done
+        step_inout: wp.array(dtype=wp.int32),  # [W] substeps of this frame done
+        age_inout: wp.array(dtype=wp.int32),  # [W] substeps done in all
         steps: wp.array(dtype=wp.int32),  # [W] substeps to do
         time: wp.float64,  # [s] at substep 0
         dt: wp.array(dtype=wp.float64),  # [W] [s]
@@ -490,6 +491,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         keep = wp.exp(-damping[w] * h)
         blend = real(1.0) - wp.exp(-recovery * h * real(recovery_span))
         step = step_inout[w]
+        age = age_inout[w]
         travel = travel_inout[w]
         status = int(OK)
         while step < steps[w] and status == OK:
@@ -519,7 +521,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                         w, g, t, dt[w], path_time, path_position, path_spin,
                         hold_from, hold_until, grip_centre, grip_velocity, grip_spin, grip_closed,
                     )  # fmt: skip
-                if step % RECOVER_EVERY == 0 and blend > real(0.0):
+                if age % RECOVER_EVERY == 0 and blend > real(0.0):
                     for p in range(N):
                         F[w, p] = recovered_gradient(w, p, F[w, p], blend, x, lattice, rest_frame)
                 nodes = count[0]
@@ -560,7 +562,9 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     status = DIVERGED
                 travel += h * wp.sqrt(fastest)
                 step += 1
+                age += 1
         step_inout[w] = step
+        age_inout[w] = age
         travel_inout[w] = travel
         status_inout[w] = status
 
@@ -682,6 +686,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False)
     def recover(
+        age: wp.array(dtype=wp.int32),
         step: wp.array(dtype=wp.int32),
         steps: wp.array(dtype=wp.int32),
         status: wp.array(dtype=wp.int32),
@@ -693,7 +698,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         F: wp.array2d(dtype=mat33),
     ):
         w, p = wp.tid()
-        if step[w] % RECOVER_EVERY == 0 and runs(w, step, steps, status):
+        if age[w] % RECOVER_EVERY == 0 and runs(w, step, steps, status):
             blend = real(1.0) - wp.exp(-recovery * real(dt[w]) * real(recovery_span))
             F[w, p] = recovered_gradient(w, p, F[w, p], blend, x, lattice, rest_frame)
 
@@ -809,11 +814,13 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         fastest: wp.array(dtype=real),
         trouble: wp.array(dtype=wp.int32),
         step: wp.array(dtype=wp.int32),
+        age: wp.array(dtype=wp.int32),
         travel: wp.array(dtype=real),
         status: wp.array(dtype=wp.int32),
     ):
         w = wp.tid()
         if runs(w, step, steps, status):
+            age[w] = age[w] + 1
             travel[w] = travel[w] + real(dt[w]) * wp.sqrt(fastest[w])
             step[w] = step[w] + 1
             if trouble[w] > OK:

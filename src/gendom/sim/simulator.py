@@ -47,6 +47,10 @@ class Table:
     friction: float | ArrayLike = 0.3
     """Coefficient of friction, one number or [W]."""
 
+    def __post_init__(self) -> None:
+        check_numbers("table height", self.height)
+        check_numbers("friction", self.friction, least=0.0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
@@ -54,6 +58,11 @@ class Box:
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        check_numbers("box", (self.lower, self.upper))
+        if np.any(np.asarray(self.lower) >= np.asarray(self.upper)):
+            raise ParameterError(f"box must have lower < upper, got {self.lower}, {self.upper}")
 
 
 class Simulator:
@@ -110,6 +119,15 @@ class Simulator:
             raise ParameterError("a simulation needs at least one material (one a world)")
         if dtype not in ("float32", "float64"):
             raise ParameterError(f"dtype must be float32 or float64, got {dtype!r}")
+        check_numbers("damping", damping, least=0.0)
+        check_numbers("recovery", recovery, least=0.0)
+        check_numbers("gravity", gravity)
+        check_numbers("start_time", start_time)
+        check_numbers("cfl", cfl, above=0.0)
+        if substep is not None:
+            check_numbers("substep", substep, above=0.0)
+        if threads is not None and threads < 1:
+            raise ParameterError(f"threads must be at least 1, got {threads}")
         W = len(materials)
         self.body = body
         self.materials = tuple(materials)
@@ -165,6 +183,7 @@ class Simulator:
             "grip_closed": self._zeros((W, G), wp.int32),
             "dt": self._zeros(W, wp.float64),
             "step": self._zeros(W, wp.int32),
+            "age": self._zeros(W, wp.int32),
             "steps": self._zeros(W, wp.int32),
             "travel": self._zeros(W, real),
             "status": self._zeros(W, wp.int32),
@@ -258,7 +277,12 @@ class Simulator:
         if np.any(np.diff(np.concatenate([[self.time], t])) < 0.0):
             raise ParameterError("times must not decrease nor lie before the simulator's time")
         chosen = slice(None) if particles is None else np.asarray(particles, dtype=int)
-        picked = np.arange(self.body.num_particles)[chosen]
+        try:
+            picked = np.arange(self.body.num_particles)[chosen]
+        except IndexError:
+            raise ParameterError(
+                f"particles must be indices below {self.body.num_particles}"
+            ) from None
         frames = np.empty((len(t), self.num_worlds, len(picked), 3), dtype=self._numpy)
         if self.device.is_cuda:
             self._run_cuda(t, frames, picked, on_frame)
@@ -330,7 +354,7 @@ class Simulator:
             self._k.advance,
             dim=1,
             inputs=[
-                w, a["step"], a["steps"], now, a["dt"],
+                w, a["step"], a["age"], a["steps"], now, a["dt"],
                 a["mu"], a["lam"], a["yield_stress"], a["mass"], self.body.volume,
                 self._lattice, self._rest_frames, self._recovery,
                 self.body.dx, self._z0, a["gravity"], a["damping"],
@@ -425,7 +449,8 @@ class Simulator:
         ])  # fmt: skip
         launch(k.clear, (W, M), [a["status"], g["count"], g["grid"], g["fastest"]])
         launch(k.recover, (W, N), [
-            *going, a["dt"], s["x"], self._lattice, self._rest_frames, self._recovery, s["F"],
+            a["age"], *going, a["dt"], s["x"], self._lattice, self._rest_frames, self._recovery,
+            s["F"],
         ])  # fmt: skip
         launch(k.p2g, (W, N), [
             *going, s["x"], s["v"], s["C"], s["F"], a["mu"], a["lam"], a["mass"],
@@ -441,7 +466,8 @@ class Simulator:
             g["grid"], s["x"], s["v"], s["C"], s["F"], g["fastest"], g["trouble"], a["culprit"],
         ])  # fmt: skip
         launch(k.end, W, [
-            a["steps"], a["dt"], g["fastest"], g["trouble"], a["step"], a["travel"], a["status"],
+            a["steps"], a["dt"], g["fastest"], g["trouble"], a["step"], a["age"], a["travel"],
+            a["status"],
         ])  # fmt: skip
 
     # ---- shared by both devices ------------------------------------------------------------------
@@ -530,6 +556,21 @@ class Simulator:
 
     def _zeros(self, shape: Any, dtype: Any) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device=self.device)
+
+
+def check_numbers(
+    name: str, values: ArrayLike, *, least: float = -math.inf, above: float = -math.inf
+) -> None:
+    """Refuse numbers that are not finite or lie below ``least``, or not above ``above``.
+
+    Raises:
+        ParameterError: With the name and the offending values.
+    """
+    a = np.asarray(values, dtype=float)
+    if not np.isfinite(a).all() or (a < least).any() or (a <= above).any():
+        limit = f" and above {above:g}" if above > -math.inf else ""
+        limit = f" and at least {least:g}" if least > -math.inf else limit
+        raise ParameterError(f"{name} must be finite{limit}, got {values}")
 
 
 class _GridExhausted(Exception):
