@@ -291,3 +291,12 @@ def test_a_recording_without_points_cannot_be_lifted():
     """The error is the recording's, not one of array shapes."""
     with pytest.raises(RecordingError, match="no frame holds a point"):
         Lift(recording([np.zeros((0, 3))] * 3))
+
+
+@pytest.mark.parametrize(
+    "setting", [{"clock": 0.0}, {"clock": np.nan}, {"cells_across": -1.0}, {"friction": -0.1}]
+)
+def test_bad_replay_settings_are_refused(setting):
+    """Numbers that make no replay raise before anything is simulated."""
+    with pytest.raises(ParameterError, match=next(iter(setting))):
+        ReplaySettings(**setting)

@@ -26,7 +26,7 @@ class Command:
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
     """A gendom-recording/1 file (.npz), or a folder of .ply files, gripper.csv, object.toml."""
     out: Path | None = None
-    """Folder for estimate.json and lift.gif."""
+    """Folder for estimate.json."""
     json: bool = False
     """Print the estimate as JSON."""
     method: Literal["gauss-newton"] = "gauss-newton"

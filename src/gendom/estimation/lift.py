@@ -13,7 +13,7 @@ from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.materials import Material
 from gendom.observation import visible
-from gendom.sim import CFL, Body, Gripper, Simulator, Table, cloth, rope
+from gendom.sim import CFL, Body, Gripper, Simulator, Table, check_numbers, cloth, rope
 
 QUASI_STATIC_SPEED = 0.12
 """Gripper speed at which quasi-static recordings are replayed [m/s]."""
@@ -62,6 +62,14 @@ class ReplaySettings:
     dtype: str = "float64"
     device: str = "cpu"
     threads: int | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers("cells_across", self.cells_across, above=0.0)
+        check_numbers("friction", self.friction, least=0.0)
+        if self.clock is not None:
+            check_numbers("clock", self.clock, above=0.0)
+        if self.damping is not None:
+            check_numbers("damping", self.damping, least=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

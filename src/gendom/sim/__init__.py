@@ -3,7 +3,16 @@
 from gendom.sim.bodies import Body, cloth, rope
 from gendom.sim.gripper import Gripper
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
-from gendom.sim.simulator import CFL, GRAVITY, Box, Simulator, Table, open_device, stable_substep
+from gendom.sim.simulator import (
+    CFL,
+    GRAVITY,
+    Box,
+    Simulator,
+    Table,
+    check_numbers,
+    open_device,
+    stable_substep,
+)
 
 __all__ = [
     "CFL",
@@ -16,6 +25,7 @@ __all__ = [
     "Preset",
     "Simulator",
     "Table",
+    "check_numbers",
     "cloth",
     "open_device",
     "preset",

@@ -597,8 +597,10 @@ def open_device(name: str) -> Any:
     """
     _start_warp()
     try:
+        if name.startswith("cuda") and not wp.is_cuda_available():
+            raise ValueError(name)
         return wp.get_device(name)
-    except Exception:
+    except (ValueError, RuntimeError):
         raise DeviceError(
             f"there is no device {name!r} on this machine",
             where="device",
