@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from gendom.datasets import Fault, ObjectDescription, Recording
     from gendom.errors import GendomError
     from gendom.estimation import estimate
+    from gendom.policies import Policy
     from gendom.tasks import RopeReaching
 
 __version__ = "0.1.0"
@@ -24,6 +25,7 @@ _EXPORTS = {
     "Fault": "gendom.datasets",
     "GendomError": "gendom.errors",
     "ObjectDescription": "gendom.datasets",
+    "Policy": "gendom.policies",
     "Recording": "gendom.datasets",
     "RopeReaching": "gendom.tasks",
     "estimate": "gendom.estimation",
@@ -33,6 +35,7 @@ __all__ = [
     "Fault",
     "GendomError",
     "ObjectDescription",
+    "Policy",
     "Recording",
     "RopeReaching",
     "__version__",
