@@ -60,8 +60,11 @@ RELEASE_DISTANCE = (0.6, 0.94)
 TOP_HEIGHT = 1.1
 """Height at which the top is held, in rope lengths; it is one length in front of the base."""
 
-GRIP = 0.75
-"""Radius of a gripper, in rope diameters."""
+GRIP = 0.042
+"""Radius of the held regions in rope lengths: the free length does not depend on thickness."""
+
+LEAST_GRIP = 0.75
+"""Least radius of the held regions in diameters: less does not hold a thick rope."""
 
 FRAMES = 150
 """Times at which the tip is recorded between release and end."""
@@ -205,7 +208,7 @@ class RopeReaching:
             ParameterError: As `check_action`.
         """
         x, z = self.check_action(action)
-        radius = GRIP * self.diameter
+        radius = max(GRIP * self.length, LEAST_GRIP * self.diameter)
         return [
             Gripper.still(self.top, radius=radius),
             Gripper(
