@@ -119,11 +119,15 @@ def test_another_seed_finds_the_same(lifted, result):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_known_modulus_comes_back_from_a_finer_world(seed):
-    """A rope simulated at two cells and the default clock, replayed at 1.5: E within 10 %."""
+    """A rope simulated at two cells, replayed at 1.5: the interval holds the truth.
+
+    Two grids do not agree better than ``GRID_ERROR``, so the interval has to allow for it.
+    """
     seen = synthetic(ReplaySettings(cells_across=2.0), frames=12, seed=seed)
     settings = EstimateSettings(starts=2, seed=seed, replay=ReplaySettings(cells_across=1.5))
     record = estimate(seen, settings).record
-    assert record["specific_modulus"] == pytest.approx(MODULUS, rel=0.1)
+    low, high = record["intervals"]["specific_modulus"]
+    assert low < MODULUS < high < 2.0 * low
     assert not record["identifiable"]["poissons_ratio"]
 
 
