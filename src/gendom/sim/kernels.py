@@ -84,6 +84,15 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         """Derivatives of the weights above with respect to f."""
         return vec3(f - real(1.5), real(-2.0) * (f - real(1.0)), f - real(0.5))
 
+    @wp.func
+    def place_on_grid(x: vec3, inv_dx: real, z0: real):
+        """Lowest of a particle's 27 nodes, and how many cells above it the particle lies."""
+        y = vec3(x[0], x[1], x[2] - z0) * inv_dx
+        bx = int(wp.floor(y[0] - real(0.5)))
+        by = int(wp.floor(y[1] - real(0.5)))
+        bz = int(wp.floor(y[2] - real(0.5)))
+        return bx, by, bz, y[0] - real(bx), y[1] - real(by), y[2] - real(bz)
+
     # ---- the grid's columns: contiguous runs of nodes along z around the particles ---------------
 
     @wp.func
@@ -239,13 +248,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         grid_out: wp.array2d(dtype=vec4),  # [W, M] momentum and mass
     ):
         """Add a particle's mass, momentum and stress impulse to its 27 nodes."""
-        y = vec3(x[0], x[1], x[2] - z0) * inv_dx
-        bx = int(wp.floor(y[0] - real(0.5)))
-        by = int(wp.floor(y[1] - real(0.5)))
-        bz = int(wp.floor(y[2] - real(0.5)))
-        fx = y[0] - real(bx)
-        fy = y[1] - real(by)
-        fz = y[2] - real(bz)
+        bx, by, bz, fx, fy, fz = place_on_grid(x, inv_dx, z0)
         wx = bspline(fx)
         wy = bspline(fy)
         wz = bspline(fz)
@@ -338,13 +341,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         squares MPM takes C for both: F then forgets strain as the object crosses cells, and thin
         ropes creep.
         """
-        y = vec3(x[0], x[1], x[2] - z0) * inv_dx
-        bx = int(wp.floor(y[0] - real(0.5)))
-        by = int(wp.floor(y[1] - real(0.5)))
-        bz = int(wp.floor(y[2] - real(0.5)))
-        fx = y[0] - real(bx)
-        fy = y[1] - real(by)
-        fz = y[2] - real(bz)
+        bx, by, bz, fx, fy, fz = place_on_grid(x, inv_dx, z0)
         wx = bspline(fx)
         wy = bspline(fy)
         wz = bspline(fz)
