@@ -1,7 +1,9 @@
 """Constitutive laws as Warp functions, made for one floating-point type.
 
 A law maps the deformation gradient F to the Kirchhoff stress tau = J sigma; a return mapping
-maps a trial F to the F that the yield surface allows. The simulator's kernels only loop.
+maps a trial F to the F that the yield surface allows. Each has its transpose beside it, which
+carries derivatives of a loss from the result to the arguments; a name with ``_bar`` is the
+derivative of the loss by that quantity. The simulator's kernels only loop.
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -29,11 +31,15 @@ class Law(NamedTuple):
 
     Attributes:
         stress: (F, mu, lam) -> tau [Pa].
+        stress_back: (F, mu, lam, tau_bar) -> F_bar, mu_bar, lam_bar.
         return_map: (F trial, mu, yield stress) -> F [-].
+        return_map_back: (F trial, mu, yield stress, F_bar) -> F trial_bar, mu_bar, yield_bar.
     """
 
     stress: Any
+    stress_back: Any
     return_map: Any
+    return_map_back: Any
 
 
 @functools.cache
@@ -50,12 +56,23 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
     """
     mat33 = wp.types.matrix((3, 3), real)
     vec3 = wp.types.vector(3, real)
+    close = 1.0e-3 if real == wp.float32 else 1.0e-7
 
     @wp.func
     def neo_hookean(F: mat33, mu: real, lam: real):
         """tau = mu (F F^T - I) + lam log(J) I. Source: Bonet and Wood (2008), chapter 6."""
         eye = wp.identity(n=3, dtype=real)
         return mu * (F * wp.transpose(F) - eye) + (lam * wp.log(wp.determinant(F))) * eye
+
+    @wp.func
+    def neo_hookean_back(F: mat33, mu: real, lam: real, tau_bar: mat33):
+        """Transpose of ``neo_hookean``."""
+        eye = wp.identity(n=3, dtype=real)
+        log_J = wp.log(wp.determinant(F))
+        trace = wp.trace(tau_bar)
+        F_bar = mu * ((tau_bar + wp.transpose(tau_bar)) * F)
+        F_bar += (lam * trace) * wp.transpose(wp.inverse(F))
+        return F_bar, wp.ddot(tau_bar, F * wp.transpose(F) - eye), log_J * trace
 
     @wp.func
     def rotation_of(F: mat33):
@@ -83,6 +100,29 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
         ) * eye
 
     @wp.func
+    def rotation_of_back(F: mat33, R: mat33, R_bar: mat33):
+        """Transpose of ``rotation_of``, from R^T dF - dF^T R = Omega P + P Omega, dR = R Omega."""
+        P = wp.transpose(R) * F
+        B = wp.transpose(R) * R_bar
+        M = wp.trace(P) * wp.identity(n=3, dtype=real) - P
+        y = wp.inverse(M) * vec3(B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1])
+        return R * wp.skew(y)
+
+    @wp.func
+    def fixed_corotated_back(F: mat33, mu: real, lam: real, tau_bar: mat33):
+        """Transpose of ``fixed_corotated``."""
+        R = rotation_of(F)
+        J = wp.determinant(F)
+        trace = wp.trace(tau_bar)
+        two = real(2.0)
+        pulled = (two * mu) * (tau_bar * F)
+        F_bar = pulled - rotation_of_back(F, R, pulled)
+        F_bar += (two * mu) * (wp.transpose(tau_bar) * (F - R))
+        F_bar += (lam * trace * J * (two * J - real(1.0))) * wp.transpose(wp.inverse(F))
+        mu_bar = two * wp.ddot(tau_bar, (F - R) * wp.transpose(F))
+        return F_bar, mu_bar, trace * J * (J - real(1.0))
+
+    @wp.func
     def von_mises(F: mat33, mu: real, yield_stress: real):
         """Radial return in Hencky strain: |2 mu dev(eps)| <= yield stress.
 
@@ -108,11 +148,75 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
         return result
 
     @wp.func
+    def von_mises_back(F: mat33, mu: real, yield_stress: real, F_bar: mat33):
+        """Transpose of ``von_mises``.
+
+        For F' = U f(s) V^T the change of U^T F' V is, off the diagonal, (f_i - f_j)/(s_i - s_j)
+        times the symmetric and (f_i + f_j)/(s_i + s_j) times the skew part of U^T dF V; on the
+        diagonal it is df. Source: Papadopoulo and Lourakis (2000), on derivatives of the SVD.
+        """
+        U = mat33()
+        s = vec3()
+        V = mat33()
+        wp.svd3(F, U, s, V)
+        floor = real(SMALLEST_STRETCH)
+        eps = vec3(
+            wp.log(wp.max(s[0], floor)), wp.log(wp.max(s[1], floor)), wp.log(wp.max(s[2], floor))
+        )
+        mean = (eps[0] + eps[1] + eps[2]) / real(3.0)
+        dev = eps - vec3(mean, mean, mean)
+        norm = wp.length(dev)
+        reach = yield_stress / (real(2.0) * mu)
+        result = F_bar
+        mu_bar = real(0.0)
+        yield_bar = real(0.0)
+        if norm > reach:
+            # kept strain: mean + reach * direction
+            direction = dev / norm
+            f = vec3()
+            for i in range(3):
+                f[i] = wp.exp(mean + reach * direction[i])
+            A = wp.transpose(U) * F_bar * V
+            strain_bar = vec3(A[0, 0] * f[0], A[1, 1] * f[1], A[2, 2] * f[2])
+            reach_bar = wp.dot(strain_bar, direction)
+            average = (strain_bar[0] + strain_bar[1] + strain_bar[2]) / real(3.0)
+            eps_bar = vec3(average, average, average)
+            centred = strain_bar - eps_bar
+            eps_bar += (reach / norm) * (centred - wp.dot(centred, direction) * direction)
+            B = mat33()
+            for i in range(3):
+                if s[i] > floor:
+                    B[i, i] = eps_bar[i] / s[i]
+            for i in range(3):
+                for j in range(3):
+                    if i != j:
+                        even = real(0.5) * (A[i, j] + A[j, i])
+                        odd = real(0.5) * (A[i, j] - A[j, i])
+                        # equal stretches: the limit of (f_i - f_j) / (s_i - s_j)
+                        slope = (reach / norm) * f[i] / s[i]
+                        if wp.abs(s[i] - s[j]) > real(close) * s[i]:
+                            slope = (f[i] - f[j]) / (s[i] - s[j])
+                        B[i, j] = slope * even + (f[i] + f[j]) / (s[i] + s[j]) * odd
+            result = U * B * wp.transpose(V)
+            yield_bar = reach_bar / (real(2.0) * mu)
+            mu_bar = -reach_bar * reach / mu
+        return result, mu_bar, yield_bar
+
+    @wp.func
     def elastic(F: mat33, mu: real, yield_stress: real):
         """No plastic flow."""
         return F
 
-    laws = {"neo-hookean": neo_hookean, "fixed-corotated": fixed_corotated}
-    if name not in laws:
+    @wp.func
+    def elastic_back(F: mat33, mu: real, yield_stress: real, F_bar: mat33):
+        """Transpose of ``elastic``."""
+        return F_bar, real(0.0), real(0.0)
+
+    stresses = {
+        "neo-hookean": (neo_hookean, neo_hookean_back),
+        "fixed-corotated": (fixed_corotated, fixed_corotated_back),
+    }
+    if name not in stresses:
         raise ValueError(f"unknown elastic law {name!r}: choose one of {', '.join(LAWS)}")
-    return Law(stress=laws[name], return_map=von_mises if plastic else elastic)
+    maps = (von_mises, von_mises_back) if plastic else (elastic, elastic_back)
+    return Law(*stresses[name], *maps)

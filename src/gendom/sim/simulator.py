@@ -20,6 +20,7 @@ from gendom.files import atomic_path
 from gendom.materials import Material
 from gendom.sim import kernels
 from gendom.sim.bodies import Body
+from gendom.sim.columns import CELL_BITS
 from gendom.sim.gripper import Gripper
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -84,6 +85,7 @@ class Simulator:
         law: Elastic law, see ``gendom.materials.laws.LAWS``.
         substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
         cfl: Share of the limit dx / wave speed (see ``stable_substep``).
+        stiffness: Share of its material's E that each particle has, [N] or [W, N] [-].
         positions: [N, 3] or [W, N, 3] initial positions, if not the body's own [m].
         start_time: Time of the initial state [s].
         dtype: ``float32`` or ``float64``.
@@ -109,6 +111,7 @@ class Simulator:
         law: str = "neo-hookean",
         substep: float | None = None,
         cfl: float = CFL,
+        stiffness: ArrayLike = 1.0,
         positions: ArrayLike | None = None,
         start_time: float = 0.0,
         dtype: str = "float32",
@@ -143,7 +146,15 @@ class Simulator:
             self._k = kernels.make_kernels(self._real, law, plastic=plastic)
         except ValueError as error:
             raise ParameterError(str(error)) from None
-        self.substep = np.array([substep or stable_substep(m, body.dx, cfl=cfl) for m in materials])
+        check_numbers("stiffness", stiffness, above=0.0)
+        self.stiffness = self._spread(stiffness, (W, body.num_particles), "stiffness")
+        stiffest = np.sqrt(self.stiffness.max(axis=1))
+        self.substep = np.array(
+            [
+                substep or stable_substep(m, body.dx, cfl=cfl) / s
+                for m, s in zip(materials, stiffest, strict=True)
+            ]
+        )
 
         lame = np.array([m.lame for m in materials])
         k, real = self._k, self._real
@@ -162,8 +173,8 @@ class Simulator:
         self._table = table
         self._z0 = table.height if table is not None else 0.0
         self._world = {
-            "mu": self._array(lame[:, 0], real),
-            "lam": self._array(lame[:, 1], real),
+            "mu": self._array(lame[:, :1] * self.stiffness, real),
+            "lam": self._array(lame[:, 1:] * self.stiffness, real),
             "yield_stress": self._array(
                 np.minimum([m.yield_stress for m in materials], 1e30), real
             ),
@@ -362,9 +373,9 @@ class Simulator:
                 a["path_time"], a["path_position"], a["path_spin"],
                 a["hold_from"], a["hold_until"], a["grip_radius"],
                 a["grip_centre"], a["grip_velocity"], a["grip_spin"], a["grip_closed"],
-                s["x"], s["v"], s["C"], s["F"],
-                *(grid[name] for name in _GRID_ORDER),
-                a["travel"], a["status"], a["culprit"],
+                w, 0, s["x"], s["v"], s["C"], s["F"],
+                *(grid[name] for name in _GRID_ORDER), grid["layout_of"], grid["grid"],
+                grid["grid"], a["travel"], a["status"], a["culprit"],
             ],
             device=self.device,
         )  # fmt: skip
@@ -406,7 +417,7 @@ class Simulator:
                 done = int(host["step"].min())
                 full = status == kernels.GRID_FULL
                 if full.any():
-                    grown = self._grow_grid({n: self._scratch[n] for n in _GRID_ORDER})
+                    grown = self._grow_grid(self._scratch)
                     self._scratch |= grown
                     graph = None
                     a["travel"].fill_(1e30)
@@ -515,6 +526,7 @@ class Simulator:
             "cell": self._zeros((worlds, M), wp.int32),
             "level": self._zeros((worlds, M), wp.int32),
             "count": self._zeros(worlds, wp.int32),
+            "layout_of": self._zeros(worlds, wp.int32),
             "grid": self._zeros((worlds, M), self._k.vec4),
         }
 
@@ -524,7 +536,7 @@ class Simulator:
         window = (bounds[:, 2:] - bounds[:, :2] + 1).max(axis=0)
         X, Y, M = self._columns
         have = grid["low"].shape[1:]
-        limit = 1 << kernels.CELL_BITS
+        limit = 1 << CELL_BITS
         if window.max() > limit or M > LARGEST_GRID:
             raise _GridExhausted
         if window[0] > have[0] or window[1] > have[1]:
@@ -577,7 +589,7 @@ class _GridExhausted(Exception):
     """The object spreads over more nodes than any real one does."""
 
 
-_GRID_ORDER = ("bounds", "low", "high", "start", "cell", "level", "count", "grid")
+_GRID_ORDER = ("bounds", "low", "high", "start", "cell", "level", "count")
 
 
 def stable_substep(material: Material, dx: float, *, cfl: float = CFL) -> float:
@@ -661,7 +673,7 @@ def _room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
     extent = (x.max(axis=1) - x.min(axis=1)).max(axis=0) / dx
     side = int(np.ceil(extent[:2].max())) + 8
     cells = len(np.unique(np.floor(x[0] / dx).astype(int), axis=0))
-    return min(side, 1 << kernels.CELL_BITS), min(side, 1 << kernels.CELL_BITS), 16 * cells + 512
+    return min(side, 1 << CELL_BITS), min(side, 1 << CELL_BITS), 16 * cells + 512
 
 
 def _wait(job) -> None:

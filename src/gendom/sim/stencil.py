@@ -1,0 +1,248 @@
+"""Sums over the 27 grid nodes around a particle, the inner loops of every substep.
+
+A particle with coefficients q, a_b, t_b (b = x, y, z; four lanes each) and grid values h_n forms
+
+    P = sum_n h_n . (w_n (q + i a_x + j a_y + k a_z) + w_n,x t_x + w_n,y t_y + w_n,z t_z)
+
+with quadratic B-spline weights w_n of the node (i, j, k) in 0..2 and their derivatives by the
+particle's place f in cells. Everything that particles and grid exchange is a derivative of P:
+``scatter`` adds dP/dh to the grid, ``gather`` returns dP/dq, dP/da, dP/dt, and the reverse mode
+needs dP/df besides. B-splines: Steffen, Kirby and Berzins (2008).
+
+Written as native code because Warp's own vectors neither become SIMD lanes on the CPU nor one
+vector atomic on CUDA: the same text is compiled for both.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+_LANES = """
+#if defined(__CUDA_ARCH__)
+    typedef wp::vec_t<4, REAL> lanes;
+    const auto each = [](lanes a, lanes b) { return wp::cw_mul(a, b); };
+#else
+    typedef REAL lanes __attribute__((ext_vector_type(4), aligned(sizeof(REAL))));
+    const auto each = [](lanes a, lanes b) { return a * b; };
+#endif
+    const auto load = [](const wp::vec_t<4, REAL>& a) { return *(const lanes*)&a; };
+    const REAL half = REAL(0.5);
+    const REAL wx[3] = {half * (REAL(1.5) - fx) * (REAL(1.5) - fx),
+                        REAL(0.75) - (fx - REAL(1)) * (fx - REAL(1)),
+                        half * (fx - half) * (fx - half)};
+    const REAL wy[3] = {half * (REAL(1.5) - fy) * (REAL(1.5) - fy),
+                        REAL(0.75) - (fy - REAL(1)) * (fy - REAL(1)),
+                        half * (fy - half) * (fy - half)};
+    const REAL wz[3] = {half * (REAL(1.5) - fz) * (REAL(1.5) - fz),
+                        REAL(0.75) - (fz - REAL(1)) * (fz - REAL(1)),
+                        half * (fz - half) * (fz - half)};
+    const REAL sx[3] = {fx - REAL(1.5), REAL(-2) * (fx - REAL(1)), fx - half};
+    const REAL sy[3] = {fy - REAL(1.5), REAL(-2) * (fy - REAL(1)), fy - half};
+    const REAL sz[3] = {fz - REAL(1.5), REAL(-2) * (fz - REAL(1)), fz - half};
+"""
+
+_COEFFICIENTS = """
+    const lanes Q = load(q), A0 = load(a0), A1 = load(a1), A2 = load(a2);
+    const lanes T0 = load(t0), T1 = load(t1), T2 = load(t2);
+"""
+
+_SCATTER = """
+    wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);
+    const auto add = [nodes](int n, lanes h) {
+#if defined(__CUDA_ARCH__)
+        ATOMIC_ADD
+#else
+        *(lanes*)(nodes + n) += h;
+#endif
+    };
+    #pragma unroll
+    for (int i = 0; i < 3; ++i) {
+        const lanes Qi = Q + A0 * REAL(i);
+        #pragma unroll
+        for (int j = 0; j < 3; ++j) {
+            const int n = wp::index(start, layout, ci + i, cj + j) + bz;
+            const REAL w = wx[i] * wy[j];
+            const lanes b = (Qi + A1 * REAL(j)) * w + T0 * (sx[i] * wy[j]) + T1 * (wx[i] * sy[j]);
+            const lanes s = A2 * w;
+            const lanes t = T2 * w;
+            add(n, b * wz[0] + t * sz[0]);
+            add(n + 1, (b + s) * wz[1] + t * sz[1]);
+            add(n + 2, (b + s + s) * wz[2] + t * sz[2]);
+        }
+    }
+"""
+
+_GATHER = """
+    const wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);
+    lanes V = load(wp::vec_t<4, REAL>());
+    lanes C0 = V, C1 = V, C2 = V, D0 = V, D1 = V, D2 = V;
+    SLOPE_BEGIN
+    #pragma unroll
+    for (int i = 0; i < 3; ++i) {
+        #pragma unroll
+        for (int j = 0; j < 3; ++j) {
+            const int n = wp::index(start, layout, ci + i, cj + j) + bz;
+            const REAL w = wx[i] * wy[j], dx = sx[i] * wy[j], dy = wx[i] * sy[j];
+            const lanes h0 = load(nodes[n]), h1 = load(nodes[n + 1]), h2 = load(nodes[n + 2]);
+            const lanes u1 = h1 * wz[1], u2 = h2 * wz[2];
+            const lanes u = h0 * wz[0] + u1 + u2;
+            const lanes k = u1 + u2 + u2;
+            const lanes z = h0 * sz[0] + h1 * sz[1] + h2 * sz[2];
+            const lanes s = u * w;
+            V = V + s;
+            C0 = C0 + s * REAL(i);
+            C1 = C1 + s * REAL(j);
+            C2 = C2 + k * w;
+            D0 = D0 + u * dx;
+            D1 = D1 + u * dy;
+            D2 = D2 + z * w;
+            SLOPE_ROW
+        }
+    }
+    wp::mat_t<ROWS, 4, REAL> out;
+    #pragma unroll
+    for (int a = 0; a < 4; ++a) {
+        out.data[0][a] = V[a];
+        out.data[1][a] = C0[a];
+        out.data[2][a] = C1[a];
+        out.data[3][a] = C2[a];
+        out.data[4][a] = D0[a];
+        out.data[5][a] = D1[a];
+        out.data[6][a] = D2[a];
+    }
+    SLOPE_END
+    return out;
+"""
+
+_SLOPE_BEGIN = "lanes X = V, Y = V, Z = V;"
+
+_SLOPE_ROW = """
+            const REAL xx = (i == 1 ? REAL(-2) : REAL(1)) * wy[j];
+            const REAL yy = (j == 1 ? REAL(-2) : REAL(1)) * wx[i];
+            const REAL xy = sx[i] * sy[j];
+            const lanes zk = h1 * sz[1] + h2 * (sz[2] + sz[2]);
+            const lanes zz = h0 - h1 - h1 + h2;
+            const lanes Qij = Q + A0 * REAL(i) + A1 * REAL(j);
+            const lanes p = each(u, Qij) + each(k, A2) + each(z, T2);
+            const lanes p0 = each(u, T0), p1 = each(u, T1);
+            X = X + p * dx + p0 * xx + p1 * xy;
+            Y = Y + p * dy + p0 * xy + p1 * yy;
+            Z = Z + (each(z, Qij) + each(zk, A2) + each(zz, T2)) * w
+                  + each(z, T0) * dx + each(z, T1) * dy;
+"""
+
+_SLOPE_END = """
+    out.data[7][0] = X[0] + X[1] + X[2] + X[3];
+    out.data[7][1] = Y[0] + Y[1] + Y[2] + Y[3];
+    out.data[7][2] = Z[0] + Z[1] + Z[2] + Z[3];
+    out.data[7][3] = REAL(0);
+"""
+
+_ATOMIC_ADD = {
+    wp.float32: """
+#if __CUDA_ARCH__ >= 900
+        atomicAdd((float4*)(nodes + n), make_float4(h[0], h[1], h[2], h[3]));
+#else
+        wp::atomic_add(nodes + n, h);
+#endif
+""",
+    wp.float64: "wp::atomic_add(nodes + n, h);",
+}
+
+
+def _native(text: str, real: Any, **parts: str) -> str:
+    """The text with its parts and its scalar type put in."""
+    for name, part in parts.items():
+        text = text.replace(name, part)
+    return text.replace("REAL", "wp::float32" if real == wp.float32 else "wp::float64")
+
+
+@functools.cache
+def make_stencil(real: Any) -> SimpleNamespace:
+    """Build the sums for one scalar type.
+
+    All take a grid's array, its row and its layout (see ``gendom.sim.columns``), the particle's
+    lowest node as column (ci, cj) of the layout and level bz, and the particle's place
+    f = (fx, fy, fz) above that node in cells, each in 0.5..1.5.
+
+    Returns:
+        Namespace with ``scatter`` (adds to the grid), ``gather`` (rows V, C0..C2, D0..D2 of a
+        7 x 4 matrix: dP/dq, dP/da, dP/dt) and ``gather_with_slope`` (8 x 4: dP/df besides).
+    """
+    vec4 = wp.types.vector(4, real)
+    sums = wp.types.matrix((7, 4), real)
+    sums_and_slope = wp.types.matrix((8, 4), real)
+
+    @wp.func_native(_native(_LANES + _COEFFICIENTS + _SCATTER, real, ATOMIC_ADD=_ATOMIC_ADD[real]))
+    def scatter(
+        grid: wp.array2d(dtype=vec4),
+        row: int,
+        start: wp.array3d(dtype=wp.int32),
+        layout: int,
+        ci: int,
+        cj: int,
+        bz: int,
+        fx: real,
+        fy: real,
+        fz: real,
+        q: vec4,
+        a0: vec4,
+        a1: vec4,
+        a2: vec4,
+        t0: vec4,
+        t1: vec4,
+        t2: vec4,
+    ): ...
+
+    plain = {"SLOPE_BEGIN": "", "SLOPE_ROW": "", "SLOPE_END": "", "ROWS": "7"}
+
+    @wp.func_native(_native(_LANES + _GATHER, real, **plain))
+    def gather(
+        grid: wp.array2d(dtype=vec4),
+        row: int,
+        start: wp.array3d(dtype=wp.int32),
+        layout: int,
+        ci: int,
+        cj: int,
+        bz: int,
+        fx: real,
+        fy: real,
+        fz: real,
+    ) -> sums: ...
+
+    sloped = {
+        "SLOPE_BEGIN": _SLOPE_BEGIN,
+        "SLOPE_ROW": _SLOPE_ROW,
+        "SLOPE_END": _SLOPE_END,
+        "ROWS": "8",
+    }
+
+    @wp.func_native(_native(_LANES + _COEFFICIENTS + _GATHER, real, **sloped))
+    def gather_with_slope(
+        grid: wp.array2d(dtype=vec4),
+        row: int,
+        start: wp.array3d(dtype=wp.int32),
+        layout: int,
+        ci: int,
+        cj: int,
+        bz: int,
+        fx: real,
+        fy: real,
+        fz: real,
+        q: vec4,
+        a0: vec4,
+        a1: vec4,
+        a2: vec4,
+        t0: vec4,
+        t1: vec4,
+        t2: vec4,
+    ) -> sums_and_slope: ...
+
+    return SimpleNamespace(
+        vec4=vec4, scatter=scatter, gather=gather, gather_with_slope=gather_with_slope
+    )
