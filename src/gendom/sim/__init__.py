@@ -3,6 +3,7 @@
 from gendom.sim.bodies import Body, cloth, rope
 from gendom.sim.gripper import Gripper
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
+from gendom.sim.rollout import Gradients, Rollout
 from gendom.sim.simulator import (
     CFL,
     GRAVITY,
@@ -21,8 +22,10 @@ __all__ = [
     "PAPER",
     "Body",
     "Box",
+    "Gradients",
     "Gripper",
     "Preset",
+    "Rollout",
     "Simulator",
     "Table",
     "check_numbers",

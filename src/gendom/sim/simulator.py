@@ -166,6 +166,7 @@ class Simulator:
         paths = _stack_paths(every)
         G = count.pop()
         friction = table.friction if table is not None else 0.0
+        self._plastic = plastic
         self._recovery = 0.0 if plastic else recovery
         self._lattice = self._array(body.lattice, wp.int32)
         self._rest_frames = self._array(body.rest_frames, k.mat33)
@@ -212,6 +213,11 @@ class Simulator:
             "F": self._array(np.broadcast_to(np.eye(3), (W, N, 3, 3)), k.mat33),
         }
         self._columns = _room_for(x0, body.dx)
+        self._views: dict[str, NDArray[Any]] = {}
+        self._state_views: dict[str, NDArray[Any]] = {}
+        if not self.device.is_cuda:
+            self._views = {name: a.numpy() for name, a in self._world.items()}
+            self._state_views = {name: a.numpy() for name, a in self._state.items()}
         self._last_good = {name: a.numpy().copy() for name, a in self._state.items()}
         self._last_good_time = np.full(W, start_time)
         self._scratch: dict[str, wp.array] | None = None
@@ -282,11 +288,7 @@ class Simulator:
                 world, time and parameters; ``save_state(path, last_good=True)`` then keeps the
                 last frame before it.
         """
-        t = np.atleast_1d(np.asarray(times, dtype=float))
-        if t.ndim != 1 or len(t) == 0 or not np.isfinite(t).all():
-            raise ParameterError("times must be a non-empty list of finite numbers [s]")
-        if np.any(np.diff(np.concatenate([[self.time], t])) < 0.0):
-            raise ParameterError("times must not decrease nor lie before the simulator's time")
+        t = self._checked(times)
         chosen = slice(None) if particles is None else np.asarray(particles, dtype=int)
         try:
             picked = np.arange(self.body.num_particles)[chosen]
@@ -302,10 +304,19 @@ class Simulator:
         self.time = float(t[-1])
         return frames
 
+    def _checked(self, times: ArrayLike) -> NDArray[np.float64]:
+        """[T] times that the simulator can be run to."""
+        t = np.atleast_1d(np.asarray(times, dtype=float))
+        if t.ndim != 1 or len(t) == 0 or not np.isfinite(t).all():
+            raise ParameterError("times must be a non-empty list of finite numbers [s]")
+        if np.any(np.diff(np.concatenate([[self.time], t])) < 0.0):
+            raise ParameterError("times must not decrease nor lie before the simulator's time")
+        return t
+
     # ---- CPU: every thread takes a world from the first frame to the last -----------------------
 
     def _run_cpu(self, times, frames, picked, on_frame) -> None:
-        views = {name: a.numpy() for name, a in {**self._world, **self._state}.items()}
+        views = self._views
         began = self.time
         done = np.zeros(self.num_worlds, dtype=int)
         stop = False
@@ -319,20 +330,14 @@ class Simulator:
                     return None
                 self._last_good_time[w] = now
                 for name, good in self._last_good.items():
-                    good[w] = views[name][w]
+                    good[w] = self._state_views[name][w]
                 self._plan(views, w, until - now)
-                while views["step"][w] < views["steps"][w]:
-                    self._launch_advance(w, now, grid)
-                    status = views["status"][w]
-                    if status == kernels.GRID_FULL:
-                        try:
-                            grid = self._grow_grid(grid)
-                        except _GridExhausted:
-                            views["status"][w] = status = kernels.DIVERGED
-                    if status not in (kernels.OK, kernels.GRID_FULL):
-                        return self._failure(w, now, views)
+                try:
+                    grid = self._advance_world(w, now, grid)
+                except SimulationError as error:
+                    return error
                 now = until
-                frames[f, w] = views["x"][w, picked]
+                frames[f, w] = self._state_views["x"][w, picked]
                 done[w] = f + 1
             return None
 
@@ -359,8 +364,37 @@ class Simulator:
         if failures:
             raise failures[0]
 
-    def _launch_advance(self, w: int, now: float, grid: dict[str, wp.array]) -> None:
-        a, s = self._world, self._state
+    def _advance_world(self, w: int, now: float, grid: dict[str, wp.array]) -> dict[str, wp.array]:
+        """Take world w through its planned substeps; returns the grid, larger if it had to grow.
+
+        Raises:
+            SimulationError: If the world diverges.
+        """
+        views = self._views
+        while views["step"][w] < views["steps"][w]:
+            self._launch_advance(w, now, grid, self._state, w, 0, grid["grid"])
+            status = views["status"][w]
+            if status == kernels.GRID_FULL:
+                try:
+                    grid = self._grow_grid(grid)
+                except _GridExhausted:
+                    views["status"][w] = status = kernels.DIVERGED
+            if status not in (kernels.OK, kernels.GRID_FULL):
+                raise self._failure(w, now, views)
+        return grid
+
+    def _launch_advance(
+        self,
+        w: int,
+        now: float,
+        grid: dict[str, wp.array],
+        rows: dict[str, wp.array],
+        first: int,
+        stride: int,
+        velocity: wp.array,
+    ) -> None:
+        """Call the kernel on state rows and grid; see there for ``first`` and ``stride``."""
+        a = self._world
         wp.launch(
             self._k.advance,
             dim=1,
@@ -373,9 +407,9 @@ class Simulator:
                 a["path_time"], a["path_position"], a["path_spin"],
                 a["hold_from"], a["hold_until"], a["grip_radius"],
                 a["grip_centre"], a["grip_velocity"], a["grip_spin"], a["grip_closed"],
-                w, 0, s["x"], s["v"], s["C"], s["F"],
+                first, stride, rows["x"], rows["v"], rows["C"], rows["F"],
                 *(grid[name] for name in _GRID_ORDER), grid["layout_of"], grid["grid"],
-                grid["grid"], a["travel"], a["status"], a["culprit"],
+                velocity, a["travel"], a["status"], a["culprit"],
             ],
             device=self.device,
         )  # fmt: skip
@@ -483,12 +517,15 @@ class Simulator:
 
     # ---- shared by both devices ------------------------------------------------------------------
 
-    def _plan(self, views, w: int, interval: float) -> None:
-        """Divide a frame's interval into equal substeps no longer than the world's limit."""
+    def _divide(self, w: int, interval: float) -> tuple[int, float]:
+        """Number and length [s] of a frame's equal substeps, no longer than the world's limit."""
         n = max(1, math.ceil(interval / self.substep[w] - 1e-9)) if interval > 0.0 else 0
-        views["steps"][w] = n
+        return n, interval / n if n else 0.0
+
+    def _plan(self, views, w: int, interval: float) -> None:
+        """Set world w's counters to a frame's interval [s]."""
+        views["steps"][w], views["dt"][w] = self._divide(w, interval)
         views["step"][w] = 0
-        views["dt"][w] = interval / n if n else 0.0
         views["status"][w] = kernels.OK
 
     def _failure(self, w: int, frame_start: float, views) -> SimulationError:
@@ -516,23 +553,32 @@ class Simulator:
         upper = self._box.upper if self._box is not None else (1e30,) * 3
         return self._k.vec3(*lower), self._k.vec3(*upper)
 
-    def _make_grid(self, worlds: int) -> dict[str, wp.array]:
+    def _make_grid(self, layouts: int, *, make: Any = wp.zeros) -> dict[str, wp.array]:
         X, Y, M = self._columns
+
+        def array(shape: Any, dtype: Any) -> wp.array:
+            return make(shape, dtype=dtype, device=self.device)
+
         return {
-            "bounds": self._zeros((worlds, 4), wp.int32),
-            "low": self._zeros((worlds, X, Y), wp.int32),
-            "high": self._zeros((worlds, X, Y), wp.int32),
-            "start": self._zeros((worlds, X, Y), wp.int32),
-            "cell": self._zeros((worlds, M), wp.int32),
-            "level": self._zeros((worlds, M), wp.int32),
-            "count": self._zeros(worlds, wp.int32),
-            "layout_of": self._zeros(worlds, wp.int32),
-            "grid": self._zeros((worlds, M), self._k.vec4),
+            "bounds": array((layouts, 4), wp.int32),
+            "low": array((layouts, X, Y), wp.int32),
+            "high": array((layouts, X, Y), wp.int32),
+            "start": array((layouts, X, Y), wp.int32),
+            "cell": array((layouts, M), wp.int32),
+            "level": array((layouts, M), wp.int32),
+            "count": array(layouts, wp.int32),
+            "layout_of": array(layouts, wp.int32),
+            "grid": array((layouts, M), self._k.vec4),
         }
 
     def _grow_grid(self, grid: dict[str, wp.array]) -> dict[str, wp.array]:
         """A larger grid for the same worlds; its columns are laid anew before the next substep."""
         bounds = grid["bounds"].numpy()
+        self._make_room(bounds, grid)
+        return self._make_grid(len(bounds))
+
+    def _make_room(self, bounds: NDArray[Any], grid: dict[str, wp.array]) -> None:
+        """Let later grids hold these bounds [L, 4], for which this grid was too small."""
         window = (bounds[:, 2:] - bounds[:, :2] + 1).max(axis=0)
         X, Y, M = self._columns
         have = grid["low"].shape[1:]
@@ -545,7 +591,6 @@ class Simulator:
         else:
             M = max(M, 2 * grid["grid"].shape[1])
         self._columns = (X, Y, M)
-        return self._make_grid(len(bounds))
 
     @staticmethod
     def _grippers_of(grippers: Sequence[Any], w: int) -> Sequence[Gripper]:

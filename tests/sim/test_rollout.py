@@ -1,0 +1,214 @@
+"""Derivatives through whole simulations against central differences, and the rollout's promises."""
+
+import math
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Material
+from gendom.sim import Box, Gripper, Rollout, Simulator, Table, rope
+
+TIMES = [0.015, 0.03]
+NOTHING = {
+    "E": 0.0,
+    "nu": 0.0,
+    "density": 0.0,
+    "yield_stress": 0.0,
+    "friction": 0.0,
+    "damping": 0.0,
+    "gravity": np.zeros(3),
+    "positions": 0.0,
+    "velocities": np.zeros(3),
+    "stiffness": 0.0,
+    "gripper_positions": np.zeros((3, 3)),
+}
+SCALE = {"E": 2.0e5, "density": 1000.0}
+
+
+def scene(law="neo-hookean", yields_at=math.inf, *, dtype="float64", worlds=1, box=None, **by):
+    """A rope that slides on its table while a gripper lifts its end; ``by`` moves what goes in."""
+    d = {**NOTHING, **by}
+    body = rope(diameter=0.014, length=0.08, start=(0.0, 0.0, 0.0075), cells_across=2.0)
+    path = np.array([[0.0, 0.0, 0.0072], [0.005, 0.002, 0.02], [0.012, 0.004, 0.03]])
+    gripper = Gripper(time=[0.0, 0.02, 0.04], position=path + d["gripper_positions"], radius=0.006)
+    material = Material(
+        E=2.0e5 * (1.0 + d["E"]),
+        nu=0.3 + d["nu"],
+        density=1000.0 * (1.0 + d["density"]),
+        yield_stress=yields_at + d["yield_stress"] * 2.0e3,
+    )
+    simulator = Simulator(
+        body,
+        [material] * worlds,
+        grippers=[gripper],
+        table=Table(height=0.0, friction=0.3 + d["friction"]),
+        damping=2.0 + d["damping"],
+        gravity=np.array([0.5, 0.2, -9.81]) + d["gravity"],
+        box=box,
+        law=law,
+        substep=2.0e-4,
+        stiffness=1.0 + d["stiffness"],
+        positions=body.x + d["positions"],
+        dtype=dtype,
+        threads=1,
+    )
+    simulator.set_velocities(np.array([0.3, 0.1, 0.0]) + d["velocities"])
+    return simulator
+
+
+def weights(shape):
+    """[...] a fixed random linear loss."""
+    return np.random.default_rng(0).standard_normal(shape)
+
+
+def directions(simulator):
+    """One random direction for each quantity, and the step along it."""
+    r = np.random.default_rng(1)
+    N = simulator.body.num_particles
+    return {
+        "E": (1.0, 3e-6),
+        "nu": (1.0, 3e-6),
+        "density": (1.0, 3e-6),
+        "yield_stress": (1.0, 1e-5),
+        "friction": (1.0, 1e-5),
+        "damping": (1.0, 1e-4),
+        "gravity": (r.standard_normal(3), 1e-4),
+        "positions": (r.standard_normal((N, 3)), 3e-9),
+        "velocities": (r.standard_normal(3), 1e-6),
+        "stiffness": (r.standard_normal(N), 1e-5),
+        "gripper_positions": (r.standard_normal((3, 3)), 3e-9),
+    }
+
+
+@pytest.mark.parametrize(
+    ("law", "yields_at"),
+    [("neo-hookean", math.inf), ("fixed-corotated", math.inf), ("neo-hookean", 2.0e3)],
+)
+def test_derivatives_by_everything_equal_central_differences(law, yields_at):
+    simulator = scene(law, yields_at)
+    rollout = Rollout(simulator)
+    x = rollout.forward(TIMES)
+    bar = weights(x.shape)
+    gradients = rollout.backward(bar)
+
+    def loss(**by):
+        return float((scene(law, yields_at, **by).run(TIMES) * bar).sum())
+
+    for name, (direction, h) in directions(simulator).items():
+        if name == "yield_stress" and not math.isfinite(yields_at):
+            assert gradients.yield_stress[0] == 0.0
+            continue
+        found = getattr(gradients, name)[0]
+        if name == "gripper_positions":
+            found = found[0]
+        scale = 2.0e3 if name == "yield_stress" else SCALE.get(name, 1.0)
+        found = float((found * scale * direction).sum())
+        expected = (loss(**{name: h * direction}) - loss(**{name: -h * direction})) / (2.0 * h)
+        assert found == pytest.approx(expected, rel=2e-6), name
+
+
+def test_walls_pass_no_derivative_through():
+    wall = Box(lower=(-1.0, -1.0, -1.0), upper=(0.07, 1.0, 1.0))
+
+    def make(**by):
+        return scene(box=wall, **by)
+
+    rollout = Rollout(make())
+    x = rollout.forward([0.02])
+    bar = weights(x.shape)
+    g = rollout.backward(bar)
+    v = np.array([1.0, 0.2, 0.3])
+    up, down = (make(velocities=s * 1e-6 * v).run([0.02]) for s in (1.0, -1.0))
+    expected = ((up - down) * bar).sum() / 2e-6
+    assert (g.velocities[0] * v).sum() == pytest.approx(expected, rel=1e-6)
+
+
+def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit():
+    recorded, repeated = Rollout(scene(worlds=2)), Rollout(scene(worlds=2), memory=0.0)
+    x, y = recorded.forward(TIMES), repeated.forward(TIMES)
+    assert np.array_equal(x, y)
+    assert np.array_equal(x, scene(worlds=2).run(TIMES))
+    bar = weights(x.shape)
+    a, b = recorded.backward(bar), repeated.backward(bar)
+    for name in NOTHING:
+        assert np.array_equal(getattr(a, name), getattr(b, name)), name
+
+
+def test_worlds_do_not_mix():
+    both, one = Rollout(scene(worlds=2)), Rollout(scene())
+    x = both.forward(TIMES)
+    one.forward(TIMES)
+    bar = weights(x.shape)
+    g, h = both.backward(bar), one.backward(bar[:, 1:])
+    assert np.array_equal(g.E[1:], h.E)
+    assert np.array_equal(g.positions[1:], h.positions)
+
+
+def test_float32_points_where_float64_does():
+    rollouts = {dtype: Rollout(scene(dtype=dtype)) for dtype in ("float32", "float64")}
+    g = {}
+    for dtype, rollout in rollouts.items():
+        x = rollout.forward(TIMES)
+        g[dtype] = rollout.backward(weights(x.shape))
+    for name in ("positions", "velocities", "stiffness", "gripper_positions"):
+        a, b = (np.ravel(getattr(g[d], name)).astype(float) for d in ("float32", "float64"))
+        assert a @ b / np.linalg.norm(a) / np.linalg.norm(b) > 0.9999, name
+    assert g["float32"].E == pytest.approx(g["float64"].E, rel=1e-2)
+
+
+def test_a_path_shorter_than_others_keeps_its_derivatives_at_its_own_knots():
+    body = rope(diameter=0.014, length=0.05, start=(0.0, 0.0, 0.1), cells_across=2.0)
+    short = Gripper(time=[0.0, 0.005], position=[[0.0, 0, 0.1], [0.0, 0, 0.101]], radius=0.01)
+    long = Gripper(time=[0.0, 0.01, 0.02, 0.03], position=[[0.05, 0, 0.1]] * 4, radius=0.005)
+    simulator = Simulator(
+        body, [Material(E=2e5, nu=0.3, density=1000.0)], grippers=[short, long], dtype="float64"
+    )
+    rollout = Rollout(simulator)
+    x = rollout.forward([0.02])
+    g = rollout.backward(np.ones_like(x)).gripper_positions
+    assert g.shape == (1, 2, 4, 3)
+    assert np.all(g[0, 0, 2:] == 0.0)
+    assert np.abs(g[0, 0, 1]).max() > 0.1
+
+
+def test_derivatives_that_overflow_name_particle_time_and_cause():
+    simulator = scene(dtype="float32")
+    rollout = Rollout(simulator)
+    x = rollout.forward([0.03])
+    with pytest.raises(SimulationError, match="derivative by the state of particle") as caught:
+        rollout.backward(np.full(x.shape, 1e30))
+    assert caught.value.particle is not None
+    assert caught.value.world == 0
+    assert 0.0 <= caught.value.time <= 0.03
+
+
+def test_misuse_is_refused():
+    rollout = Rollout(scene())
+    with pytest.raises(ParameterError, match="forward before backward"):
+        rollout.backward(np.zeros((1, 1, 1, 3)))
+    x = rollout.forward([0.001])
+    with pytest.raises(ParameterError, match="make another"):
+        rollout.forward([0.002])
+    with pytest.raises(ParameterError, match="must be"):
+        rollout.backward(x[..., :2])
+    with pytest.raises(ParameterError, match="not finite"):
+        rollout.backward(x * np.nan)
+    used = scene()
+    used.run([0.001])
+    with pytest.raises(ParameterError, match="has not been run"):
+        Rollout(used)
+
+
+def test_a_long_rollout_stays_within_its_memory():
+    rollout = Rollout(scene(), memory=0.0)
+    x = rollout.forward([0.4])  # 2,000 substeps
+    states = sum(
+        view.nbytes
+        for world in rollout._stretches
+        for stretch in world
+        for view in (stretch.begin or {}).values()
+    )
+    row = x[0].size // 3 * 24 * 8
+    assert states == math.ceil(2000 / 64) * row
+    assert all(stretch.recording is None for world in rollout._stretches for stretch in world)
