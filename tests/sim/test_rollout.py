@@ -180,6 +180,7 @@ def test_derivatives_that_overflow_name_particle_time_and_cause():
         rollout.backward(np.full(x.shape, 1e30))
     assert caught.value.particle is not None
     assert caught.value.world == 0
+    assert caught.value.time is not None
     assert 0.0 <= caught.value.time <= 0.03
 
 

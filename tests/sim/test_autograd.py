@@ -1,0 +1,81 @@
+"""The simulation as a PyTorch function."""
+
+import math
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError
+from gendom.sim import Gripper, Table, rope
+
+torch = pytest.importorskip("torch", reason="needs the extra train")
+
+from gendom.sim.autograd import simulate  # noqa: E402
+
+
+def setup():
+    body = rope(diameter=0.014, length=0.06, start=(0.0, 0.0, 0.0075), cells_across=2.0)
+    gripper = Gripper(time=[0.0, 0.03], position=[[0, 0, 0.0075], [0.01, 0, 0.03]], radius=0.006)
+    return body, {"grippers": [gripper], "table": Table(height=0.0), "options": {"substep": 2e-4}}
+
+
+def loss_of(log_E, path, *, worlds=1):
+    body, scene = setup()
+    x = simulate(
+        body,
+        [0.01, 0.03],
+        E=torch.exp(log_E).expand(worlds),
+        nu=0.3,
+        density=1000.0,
+        friction=0.4,
+        gripper_positions=path,
+        **scene,
+    )
+    return torch.sqrt(((x[-1] - x[0]) ** 2).sum(-1) + 1e-8).sum(dim=(-1)).sum()
+
+
+def test_a_torch_loss_reaches_its_tensors_through_the_simulation():
+    log_E = torch.tensor(math.log(2e5), dtype=torch.float64, requires_grad=True)
+    start = torch.tensor([[[0, 0, 0.0075], [0.01, 0, 0.03]]], dtype=torch.float64)
+    path = start.clone().requires_grad_()
+    loss_of(log_E, path).backward()
+    h = 1e-5
+    expected = (loss_of(log_E.detach() + h, start) - loss_of(log_E.detach() - h, start)) / (2 * h)
+    assert float(log_E.grad) == pytest.approx(float(expected), rel=1e-5)
+    step = torch.zeros_like(start)
+    step[0, 1, 2] = 1e-9  # small: nodes that enter or leave the grip make the loss jump
+    up, down = loss_of(log_E.detach(), start + step), loss_of(log_E.detach(), start - step)
+    assert float(path.grad[0, 1, 2]) == pytest.approx(float(up - down) / 2e-9, rel=1e-5)
+
+
+def test_what_worlds_share_gets_the_sum_of_their_derivatives():
+    def grad(worlds):
+        log_E = torch.tensor(math.log(2e5), dtype=torch.float64, requires_grad=True)
+        path = torch.tensor([[[0, 0, 0.0075], [0.01, 0, 0.03]]], dtype=torch.float64)
+        loss_of(log_E, path, worlds=worlds).backward()
+        return float(log_E.grad)
+
+    assert grad(3) == pytest.approx(3.0 * grad(1), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"youngs": 1.0}, "unknown"),
+        ({"nu": torch.zeros(2, 2)}, "axes"),
+        ({"E": torch.ones(2) * 1e5, "nu": torch.ones(3) * 0.3}, "different numbers"),
+        ({"positions": torch.zeros(5, 3)}, "positions has shape"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_named(change, message):
+    body, scene = setup()
+    given = {"E": 1e5, "nu": 0.3, "density": 1000.0, **change}
+    with pytest.raises(ParameterError, match=message):
+        simulate(body, [0.01], **scene, **given)
+
+
+def test_friction_needs_a_table():
+    body, scene = setup()
+    scene["table"] = None
+    with pytest.raises(ParameterError, match="without a table"):
+        simulate(body, [0.01], E=1e5, nu=0.3, density=1000.0, friction=np.float64(0.2), **scene)
