@@ -22,6 +22,7 @@ import warp as wp
 from gendom.materials.laws import make_law
 from gendom.sim.boundary import make_boundary
 from gendom.sim.columns import CELL_BITS, CELL_MASK, EMPTY_BELOW, MARGIN, make_columns
+from gendom.sim.stencil import FUSED
 from gendom.sim.transfers import make_transfers
 
 OK = 0
@@ -44,8 +45,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
 
     Returns:
         Namespace with the vector types, ``advance`` (CPU) and the stages of a substep (CUDA):
-        ``begin``, ``locate``, ``empty``, ``mark``, ``lay``, ``clear``, ``recover``,
-        ``p2g``, ``grid_update``, ``g2p``, ``end``.
+        ``tally``, ``locate``, ``empty``, ``mark``, ``lay`` where a graph begins, then ``p2g``,
+        ``grid_update``, ``g2p`` for each of its substeps.
     """
     law = make_law(law_name, real, plastic=plastic)
     return_map = law.return_map
@@ -69,7 +70,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
 
     # ---- CPU: one thread, one world, many substeps -------------------------------------------
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options=FUSED)
     def advance(
         # which world, which substeps; grid arrays hold this world alone
         w: int,
@@ -228,73 +229,90 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         travel_inout[w] = travel
         status_inout[w] = status
 
-    # ---- CUDA: one kernel a stage, all worlds; a world that is done or failed stands still -------
+    # ---- CUDA: a graph of GRAPH substeps; columns are laid anew only where it begins ------------
+    #
+    # A world that would leave its columns, that has done its substeps or that failed stands still
+    # for the rest of the graph. Inside a graph nothing but the substep's three kernels runs: how
+    # far a world has travelled is summed from each substep's largest speed by whoever asks.
 
     @wp.func
-    def runs(w: int, step: wp.array(dtype=wp.int32), steps: wp.array(dtype=wp.int32),
-             status: wp.array(dtype=wp.int32)):  # fmt: skip
-        return step[w] < steps[w] and status[w] == OK
-
-    @wp.kernel(enable_backward=False)
-    def begin(
+    def runs(
+        w: int,
+        r: int,  # number of the substep in its graph
+        dx: real,
+        dt: wp.array(dtype=wp.float64),
         step: wp.array(dtype=wp.int32),
         steps: wp.array(dtype=wp.int32),
         status: wp.array(dtype=wp.int32),
-        time: wp.array(dtype=wp.float64),  # [1]
-        dt: wp.array(dtype=wp.float64),
-        dx: real,
-        path_time: wp.array3d(dtype=wp.float64),
-        path_position: wp.array3d(dtype=wp.vec3d),
-        path_spin: wp.array3d(dtype=wp.vec3d),
-        hold_from: wp.array2d(dtype=wp.float64),
-        hold_until: wp.array2d(dtype=wp.float64),
+        trouble: wp.array(dtype=wp.int32),
         travel: wp.array(dtype=real),
-        # results
-        grip_centre: wp.array2d(dtype=vec3),
-        grip_velocity: wp.array2d(dtype=vec3),
-        grip_spin: wp.array2d(dtype=vec3),
-        grip_closed: wp.array2d(dtype=wp.int32),
-        bounds: wp.array2d(dtype=wp.int32),
-        stale: wp.array(dtype=wp.int32),  # [W] 1 where the columns must be laid anew
+        fastest: wp.array2d(dtype=real),
     ):
+        going = step[w] + r < steps[w] and status[w] == OK and trouble[w] == OK
+        if going:
+            far = travel[w]
+            for q in range(r):
+                far += real(dt[w]) * wp.sqrt(fastest[w, q])
+            going = far < real(MARGIN) * dx
+        return going
+
+    @wp.kernel(enable_backward=False)
+    def tally(
+        dx: real,
+        dt: wp.array(dtype=wp.float64),
+        step: wp.array(dtype=wp.int32),
+        age: wp.array(dtype=wp.int32),
+        travel: wp.array(dtype=real),
+        status: wp.array(dtype=wp.int32),
+        trouble: wp.array(dtype=wp.int32),
+        done: wp.array(dtype=wp.int32),  # [W] substeps done in the graph that has ended
+        fastest: wp.array2d(dtype=real),  # [W, GRAPH] largest squared speed of each
+        bounds: wp.array2d(dtype=wp.int32),
+    ):
+        """Count what a graph has done; call before the next one, and before reading ``step``."""
         w = wp.tid()
-        stale[w] = 0
-        if runs(w, step, steps, status):
-            if travel[w] >= real(MARGIN) * dx:
-                stale[w] = 1
-                forget_bounds(w, bounds)
-            t = time[0] + wp.float64(step[w]) * dt[w]
-            for g in range(grip_closed.shape[1]):
-                place_gripper(
-                    w, g, t, dt[w], path_time, path_position, path_spin,
-                    hold_from, hold_until, grip_centre, grip_velocity, grip_spin, grip_closed,
-                )  # fmt: skip
+        n = done[w]
+        far = travel[w]
+        for q in range(n):
+            far += real(dt[w]) * wp.sqrt(fastest[w, q])
+        for q in range(fastest.shape[1]):
+            fastest[w, q] = real(0.0)
+        travel[w] = far
+        step[w] = step[w] + n
+        age[w] = age[w] + n
+        done[w] = 0
+        if status[w] == OK and trouble[w] != OK:
+            status[w] = trouble[w]
+        trouble[w] = OK
+        if far >= real(MARGIN) * dx:
+            forget_bounds(w, bounds)
 
     @wp.kernel(enable_backward=False)
     def locate(
-        stale: wp.array(dtype=wp.int32),
+        travel: wp.array(dtype=real),
         x: wp.array2d(dtype=vec3),
         dx: real,
         bounds: wp.array2d(dtype=wp.int32),
     ):
         w, p = wp.tid()
-        if stale[w] == 1:
+        if travel[w] >= real(MARGIN) * dx:
             locate_particle(w, x[w, p], real(1.0) / dx, bounds)
 
     @wp.kernel(enable_backward=False)
     def empty(
-        stale: wp.array(dtype=wp.int32),
+        travel: wp.array(dtype=real),
+        dx: real,
         low: wp.array3d(dtype=wp.int32),
         high: wp.array3d(dtype=wp.int32),
     ):
         w, i, j = wp.tid()
-        if stale[w] == 1:
+        if travel[w] >= real(MARGIN) * dx:
             low[w, i, j] = EMPTY_BELOW
             high[w, i, j] = -EMPTY_BELOW
 
     @wp.kernel(enable_backward=False)
     def mark(
-        stale: wp.array(dtype=wp.int32),
+        travel: wp.array(dtype=real),
         x: wp.array2d(dtype=vec3),
         dx: real,
         z0: real,
@@ -303,12 +321,12 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         high: wp.array3d(dtype=wp.int32),
     ):
         w, p = wp.tid()
-        if stale[w] == 1:
+        if travel[w] >= real(MARGIN) * dx:
             mark_particle(w, x[w, p], real(1.0) / dx, z0, bounds, low, high)
 
     @wp.kernel(enable_backward=False)
     def lay(
-        stale: wp.array(dtype=wp.int32),
+        dx: real,
         bounds: wp.array2d(dtype=wp.int32),
         low: wp.array3d(dtype=wp.int32),
         high: wp.array3d(dtype=wp.int32),
@@ -320,7 +338,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         status: wp.array(dtype=wp.int32),
     ):
         w = wp.tid()
-        if stale[w] == 1:
+        if travel[w] >= real(MARGIN) * dx and status[w] == OK:
             X = bounds[w, 2] - bounds[w, 0] + 1
             Y = bounds[w, 3] - bounds[w, 1] + 1
             count[w] = cell.shape[1] + 1
@@ -332,41 +350,32 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                 travel[w] = real(0.0)
 
     @wp.kernel(enable_backward=False)
-    def clear(
-        status: wp.array(dtype=wp.int32),
-        count: wp.array(dtype=wp.int32),
-        grid: wp.array2d(dtype=vec4),
-        fastest: wp.array(dtype=real),
-    ):
-        w, n = wp.tid()
-        if n == 0:
-            fastest[w] = real(0.0)
-        if status[w] == OK and n < count[w]:
-            grid[w, n] = vec4()
-
-    @wp.kernel(enable_backward=False)
-    def recover(
-        age: wp.array(dtype=wp.int32),
+    def p2g(
+        r: int,
+        dx: real,
+        dt: wp.array(dtype=wp.float64),
         step: wp.array(dtype=wp.int32),
         steps: wp.array(dtype=wp.int32),
         status: wp.array(dtype=wp.int32),
-        dt: wp.array(dtype=wp.float64),
-        x: wp.array2d(dtype=vec3),
+        trouble: wp.array(dtype=wp.int32),
+        travel: wp.array(dtype=real),
+        fastest: wp.array2d(dtype=real),
+        # grippers
+        time: wp.array(dtype=wp.float64),  # [1] of the frame's substep 0
+        path_time: wp.array3d(dtype=wp.float64),
+        path_position: wp.array3d(dtype=wp.vec3d),
+        path_spin: wp.array3d(dtype=wp.vec3d),
+        hold_from: wp.array2d(dtype=wp.float64),
+        hold_until: wp.array2d(dtype=wp.float64),
+        grip_centre: wp.array2d(dtype=vec3),
+        grip_velocity: wp.array2d(dtype=vec3),
+        grip_spin: wp.array2d(dtype=vec3),
+        grip_closed: wp.array2d(dtype=wp.int32),
+        # particles
+        age: wp.array(dtype=wp.int32),
         lattice: wp.array3d(dtype=wp.int32),
         rest_frame: wp.array(dtype=mat33),
         recovery: real,
-        F: wp.array2d(dtype=mat33),
-    ):
-        w, p = wp.tid()
-        if age[w] % RECOVER_EVERY == 0 and runs(w, step, steps, status):
-            blend = real(1.0) - wp.exp(-recovery * real(dt[w]) * real(recovery_span))
-            F[w, p] = recovered_gradient(w, p, F[w, p], blend, x, lattice, rest_frame)
-
-    @wp.kernel(enable_backward=False)
-    def p2g(
-        step: wp.array(dtype=wp.int32),
-        steps: wp.array(dtype=wp.int32),
-        status: wp.array(dtype=wp.int32),
         x: wp.array2d(dtype=vec3),
         v: wp.array2d(dtype=vec3),
         C: wp.array2d(dtype=mat33),
@@ -375,27 +384,42 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         lam: wp.array2d(dtype=real),
         mass: wp.array(dtype=real),
         volume: real,
-        dt: wp.array(dtype=wp.float64),
-        dx: real,
         z0: real,
         bounds: wp.array2d(dtype=wp.int32),
         start: wp.array3d(dtype=wp.int32),
-        grid: wp.array2d(dtype=vec4),
+        momentum: wp.array2d(dtype=vec4),
     ):
         w, p = wp.tid()
-        if runs(w, step, steps, status):
+        if runs(w, r, dx, dt, step, steps, status, trouble, travel, fastest):
+            if p == 0:
+                t = time[0] + wp.float64(step[w] + r) * dt[w]
+                for g in range(grip_closed.shape[1]):
+                    place_gripper(
+                        w, g, t, dt[w], path_time, path_position, path_spin,
+                        hold_from, hold_until, grip_centre, grip_velocity, grip_spin, grip_closed,
+                    )  # fmt: skip
+            h = real(dt[w])
+            Fp = F[w, p]
+            if (age[w] + r) % RECOVER_EVERY == 0:
+                blend = real(1.0) - wp.exp(-recovery * h * real(recovery_span))
+                Fp = recovered_gradient(w, p, Fp, blend, x, lattice, rest_frame)
+                F[w, p] = Fp
             scatter_particle(
-                x[w, p], v[w, p], C[w, p], F[w, p], mu[w, p], lam[w, p], mass[w], volume,
-                real(dt[w]), real(1.0) / dx, z0, w, bounds, start, w, grid,
+                x[w, p], v[w, p], C[w, p], Fp, mu[w, p], lam[w, p], mass[w], volume,
+                h, real(1.0) / dx, z0, w, bounds, start, w, momentum,
             )  # fmt: skip
 
     @wp.kernel(enable_backward=False)
     def grid_update(
+        r: int,
+        dx: real,
+        dt: wp.array(dtype=wp.float64),
         step: wp.array(dtype=wp.int32),
         steps: wp.array(dtype=wp.int32),
         status: wp.array(dtype=wp.int32),
-        dt: wp.array(dtype=wp.float64),
-        dx: real,
+        trouble: wp.array(dtype=wp.int32),
+        travel: wp.array(dtype=real),
+        fastest: wp.array2d(dtype=real),
         z0: real,
         gravity: wp.array(dtype=vec3),
         damping: wp.array(dtype=real),
@@ -412,47 +436,59 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         cell: wp.array2d(dtype=wp.int32),
         level: wp.array2d(dtype=wp.int32),
         count: wp.array(dtype=wp.int32),
-        grid: wp.array2d(dtype=vec4),
+        momentum: wp.array2d(dtype=vec4),  # [W, M] left empty for the next substep
+        velocity: wp.array2d(dtype=vec4),  # [W, M]
     ):
         w, n = wp.tid()
-        if runs(w, step, steps, status) and n < count[w]:
-            q = grid[w, n]
+        # one after the other: most threads of a world stand beyond its last node
+        if n >= count[w]:
+            return
+        if runs(w, r, dx, dt, step, steps, status, trouble, travel, fastest):
+            q = momentum[w, n]
+            momentum[w, n] = vec4()
+            u = vec3()
             if q[3] > real(0.0):
                 h = real(dt[w])
                 u = update_node(
                     w, q, bounds[w, 0] + (cell[w, n] >> CELL_BITS),
                     bounds[w, 1] + (cell[w, n] & mask), level[w, n], h, dx, z0,
-                    gravity[w], wp.exp(-damping[w] * h), table, friction[w], box_lower, box_upper,
+                    gravity[w], wp.exp(-damping[w] * h), table, friction[w],
+                    box_lower, box_upper,
                     grip_centre, grip_velocity, grip_spin, grip_closed, grip_radius,
                 )  # fmt: skip
-                grid[w, n] = vec4(u[0], u[1], u[2], q[3])
+            velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
 
     @wp.kernel(enable_backward=False)
     def g2p(
+        r: int,
+        dx: real,
+        dt: wp.array(dtype=wp.float64),
         step: wp.array(dtype=wp.int32),
         steps: wp.array(dtype=wp.int32),
         status: wp.array(dtype=wp.int32),
-        dt: wp.array(dtype=wp.float64),
+        trouble: wp.array(dtype=wp.int32),  # [W] status found by any particle
+        travel: wp.array(dtype=real),
+        fastest: wp.array2d(dtype=real),
+        done: wp.array(dtype=wp.int32),
         mu: wp.array2d(dtype=real),
         yield_stress: wp.array(dtype=real),
-        dx: real,
         z0: real,
         bounds: wp.array2d(dtype=wp.int32),
         start: wp.array3d(dtype=wp.int32),
-        grid: wp.array2d(dtype=vec4),
+        velocity: wp.array2d(dtype=vec4),
         x: wp.array2d(dtype=vec3),
         v: wp.array2d(dtype=vec3),
         C: wp.array2d(dtype=mat33),
         F: wp.array2d(dtype=mat33),
-        fastest: wp.array(dtype=real),  # [W] largest squared speed of this substep
-        trouble: wp.array(dtype=wp.int32),  # [W] status found by any particle
         culprit: wp.array(dtype=wp.int32),
     ):
         w, p = wp.tid()
-        if runs(w, step, steps, status):
+        if runs(w, r, dx, dt, step, steps, status, trouble, travel, fastest):
             h = real(dt[w])
-            vp, Cp, Dp = gather_particle(x[w, p], real(1.0) / dx, z0, w, bounds, start, w, grid)
-            Fp = return_map(F[w, p] + h * (Dp * F[w, p]), mu[w, p], yield_stress[w])
+            xp = x[w, p]
+            Fp = F[w, p]
+            vp, Cp, Dp = gather_particle(xp, real(1.0) / dx, z0, w, bounds, start, w, velocity)
+            Fp = return_map(Fp + h * (Dp * Fp), mu[w, p], yield_stress[w])
             speed = wp.length_sq(vp)
             if not (speed * h * h <= dx * dx):
                 wp.atomic_max(trouble, w, DIVERGED)
@@ -460,46 +496,26 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
             elif wp.determinant(Fp) <= real(0.0):
                 wp.atomic_max(trouble, w, INVERTED)
                 culprit[w] = p
-            x[w, p] = x[w, p] + h * vp
+            x[w, p] = xp + h * vp
             v[w, p] = vp
             C[w, p] = Cp
             F[w, p] = Fp
-            if speed > fastest[w]:
-                wp.atomic_max(fastest, w, speed)
-
-    @wp.kernel(enable_backward=False)
-    def end(
-        steps: wp.array(dtype=wp.int32),
-        dt: wp.array(dtype=wp.float64),
-        fastest: wp.array(dtype=real),
-        trouble: wp.array(dtype=wp.int32),
-        step: wp.array(dtype=wp.int32),
-        age: wp.array(dtype=wp.int32),
-        travel: wp.array(dtype=real),
-        status: wp.array(dtype=wp.int32),
-    ):
-        w = wp.tid()
-        if runs(w, step, steps, status):
-            age[w] = age[w] + 1
-            travel[w] = travel[w] + real(dt[w]) * wp.sqrt(fastest[w])
-            step[w] = step[w] + 1
-            if trouble[w] > OK:
-                status[w] = trouble[w]
+            if p == 0:
+                done[w] = r + 1
+            if speed > fastest[w, r]:
+                wp.atomic_max(fastest, w, r, speed)
 
     return SimpleNamespace(
         vec3=vec3,
         vec4=vec4,
         mat33=mat33,
         advance=advance,
-        begin=begin,
+        tally=tally,
         locate=locate,
         empty=empty,
         mark=mark,
         lay=lay,
-        clear=clear,
-        recover=recover,
         p2g=p2g,
         grid_update=grid_update,
         g2p=g2p,
-        end=end,
     )

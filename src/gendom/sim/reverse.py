@@ -22,6 +22,7 @@ from gendom.materials.laws import make_law
 from gendom.sim.boundary import make_boundary
 from gendom.sim.columns import CELL_BITS, CELL_MASK
 from gendom.sim.kernels import OK, RECOVER_EVERY
+from gendom.sim.stencil import FUSED
 from gendom.sim.transfers import make_transfers
 
 NOT_FINITE = 4
@@ -57,7 +58,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> Any:
     recovery_span = float(RECOVER_EVERY)
     largest = 1.0e37 if real == wp.float32 else 1.0e300
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", module_options=FUSED)
     def reverse(
         w: int,
         slots: int,  # substeps to reverse

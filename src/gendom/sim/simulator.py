@@ -420,12 +420,14 @@ class Simulator:
         a = self._world
         host = {name: a[name].numpy() for name in ("step", "steps", "dt", "status")}
         if self._scratch is None:
-            self._scratch = self._make_grid(self.num_worlds) | {
-                "stale": self._zeros(self.num_worlds, wp.int32),
-                "fastest": self._zeros(self.num_worlds, self._real),
-                "trouble": self._zeros(self.num_worlds, wp.int32),
+            W = self.num_worlds
+            self._scratch = self._make_grid(W) | {
+                "fastest": self._zeros((W, SUBSTEPS_A_GRAPH), self._real),
+                "trouble": self._zeros(W, wp.int32),
+                "done": self._zeros(W, wp.int32),
                 "time": self._zeros(1, wp.float64),
             }
+            self._scratch["velocity"] = self._zeros(self._scratch["grid"].shape, self._k.vec4)
         graph: Any = None
         a["travel"].fill_(1e30)
         now = self.time
@@ -437,82 +439,87 @@ class Simulator:
             for name, values in host.items():
                 a[name].assign(values)
             self._scratch["time"].fill_(now)
-            done = 0
-            while (left := int(host["steps"].max()) - done) > 0:
+            left = int((host["steps"] - host["step"]).max())
+            while left > 0:
                 if graph is None:
                     with wp.ScopedCapture(device=self.device) as capture:
-                        for _ in range(SUBSTEPS_A_GRAPH):
-                            self._launch_stages(self._scratch)
+                        self._launch_layout(self._scratch)
+                        for r in range(SUBSTEPS_A_GRAPH):
+                            self._launch_substep(self._scratch, r)
                     graph = capture.graph
                 for _ in range(math.ceil(left / SUBSTEPS_A_GRAPH)):
                     wp.capture_launch(graph)
+                self._launch_tally(self._scratch)
                 host["step"] = a["step"].numpy()
                 host["status"] = status = a["status"].numpy()
-                done = int(host["step"].min())
                 full = status == kernels.GRID_FULL
                 if full.any():
-                    grown = self._grow_grid(self._scratch)
-                    self._scratch |= grown
+                    self._scratch |= self._grow_grid(self._scratch)
+                    self._scratch["velocity"] = self._zeros(
+                        self._scratch["grid"].shape, self._k.vec4
+                    )
                     graph = None
                     a["travel"].fill_(1e30)
-                    a["status"].assign(np.where(full, kernels.OK, status).astype(np.int32))
-                    status = np.where(full, kernels.OK, status)
+                    status = np.where(full, kernels.OK, status).astype(np.int32)
+                    a["status"].assign(status)
                 if (status != kernels.OK).any():
                     w = int(np.argmax(status != kernels.OK))
                     views = {n: a[n].numpy() for n in ("status", "step", "dt", "culprit")}
                     raise self._failure(w, now, views)
-                if not full.any():
-                    done = int(host["steps"].max())
+                left = int((host["steps"] - host["step"]).max())
             now = float(until)
             self.time = now
             frames[f] = self.positions()[:, picked]
             if on_frame is not None:
                 on_frame(f + 1)
 
-    def _launch_stages(self, g: dict[str, wp.array]) -> None:
-        """One substep of every world that still runs: clear, p2g, grid update, g2p."""
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, block_dim=128)
+
+    def _launch_tally(self, g: dict[str, wp.array]) -> None:
+        a = self._world
+        self._launch(self._k.tally, self.num_worlds, [
+            self.body.dx, a["dt"], a["step"], a["age"], a["travel"], a["status"], g["trouble"],
+            g["done"], g["fastest"], g["bounds"],
+        ])  # fmt: skip
+
+    def _launch_layout(self, g: dict[str, wp.array]) -> None:
+        """Lay the columns of every world that has travelled too far on its last ones."""
+        k, a = self._k, self._world
+        W, N = self.num_worlds, self.body.num_particles
+        x, dx, z0, travel = self._state["x"], self.body.dx, self._z0, a["travel"]
+        self._launch_tally(g)
+        self._launch(k.locate, (W, N), [travel, x, dx, g["bounds"]])
+        self._launch(k.empty, g["low"].shape, [travel, dx, g["low"], g["high"]])
+        self._launch(k.mark, (W, N), [travel, x, dx, z0, g["bounds"], g["low"], g["high"]])
+        self._launch(k.lay, W, [
+            dx, *(g[name] for name in _GRID_ORDER), travel, a["status"],
+        ])  # fmt: skip
+
+    def _launch_substep(self, g: dict[str, wp.array], r: int) -> None:
+        """Substep r of a graph for every world that still runs."""
         k, a, s = self._k, self._world, self._state
         W, N = self.num_worlds, self.body.num_particles
-        dx, z0 = self.body.dx, self._z0
-        M = g["grid"].shape[1]
-        going = [a["step"], a["steps"], a["status"]]
+        going = [
+            r, self.body.dx, a["dt"], a["step"], a["steps"], a["status"], g["trouble"],
+            a["travel"], g["fastest"],
+        ]  # fmt: skip
         grip = [a["grip_centre"], a["grip_velocity"], a["grip_spin"], a["grip_closed"]]
-
-        def launch(kernel, dim, inputs) -> None:
-            wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)
-
-        launch(k.begin, W, [
-            *going, g["time"], a["dt"], dx, a["path_time"], a["path_position"], a["path_spin"],
-            a["hold_from"], a["hold_until"], a["travel"], *grip, g["bounds"], g["stale"],
+        self._launch(k.p2g, (W, N), [
+            *going, g["time"], a["path_time"], a["path_position"], a["path_spin"],
+            a["hold_from"], a["hold_until"], *grip,
+            a["age"], self._lattice, self._rest_frames, self._recovery,
+            s["x"], s["v"], s["C"], s["F"], a["mu"], a["lam"], a["mass"], self.body.volume,
+            self._z0, g["bounds"], g["start"], g["grid"],
         ])  # fmt: skip
-        launch(k.locate, (W, N), [g["stale"], s["x"], dx, g["bounds"]])
-        launch(k.empty, g["low"].shape, [g["stale"], g["low"], g["high"]])
-        launch(k.mark, (W, N), [g["stale"], s["x"], dx, z0, g["bounds"], g["low"], g["high"]])
-        launch(k.lay, W, [
-            g["stale"], g["bounds"], g["low"], g["high"], g["start"], g["cell"], g["level"],
-            g["count"], a["travel"], a["status"],
-        ])  # fmt: skip
-        launch(k.clear, (W, M), [a["status"], g["count"], g["grid"], g["fastest"]])
-        launch(k.recover, (W, N), [
-            a["age"], *going, a["dt"], s["x"], self._lattice, self._rest_frames, self._recovery,
-            s["F"],
-        ])  # fmt: skip
-        launch(k.p2g, (W, N), [
-            *going, s["x"], s["v"], s["C"], s["F"], a["mu"], a["lam"], a["mass"],
-            self.body.volume, a["dt"], dx, z0, g["bounds"], g["start"], g["grid"],
-        ])  # fmt: skip
-        launch(k.grid_update, (W, M), [
-            *going, a["dt"], dx, z0, a["gravity"], a["damping"], int(self._table is not None),
+        self._launch(k.grid_update, (W, g["grid"].shape[1]), [
+            *going, self._z0, a["gravity"], a["damping"], int(self._table is not None),
             a["friction"], *self._walls(), *grip, a["grip_radius"],
-            g["bounds"], g["cell"], g["level"], g["count"], g["grid"],
+            g["bounds"], g["cell"], g["level"], g["count"], g["grid"], g["velocity"],
         ])  # fmt: skip
-        launch(k.g2p, (W, N), [
-            *going, a["dt"], a["mu"], a["yield_stress"], dx, z0, g["bounds"], g["start"],
-            g["grid"], s["x"], s["v"], s["C"], s["F"], g["fastest"], g["trouble"], a["culprit"],
-        ])  # fmt: skip
-        launch(k.end, W, [
-            a["steps"], a["dt"], g["fastest"], g["trouble"], a["step"], a["age"], a["travel"],
-            a["status"],
+        self._launch(k.g2p, (W, N), [
+            *going, g["done"], a["mu"], a["yield_stress"], self._z0, g["bounds"], g["start"],
+            g["velocity"], s["x"], s["v"], s["C"], s["F"], a["culprit"],
         ])  # fmt: skip
 
     # ---- shared by both devices ------------------------------------------------------------------
