@@ -44,7 +44,7 @@ check: $(FULL)
 	@$(BIN)/pyright
 
 bench: $(CORE)
-	@$(BIN)/python benchmarks/forward.py $(ARGS)
+	@$(BIN)/gendom bench $(ARGS)
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache

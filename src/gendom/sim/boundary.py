@@ -66,6 +66,7 @@ def make_boundary(real: Any) -> SimpleNamespace:
 
     @wp.func
     def place_gripper(
+        row: int,
         w: int,
         g: int,
         t: wp.float64,
@@ -87,13 +88,13 @@ def make_boundary(real: Any) -> SimpleNamespace:
         last = path_time.shape[2] - 1
         if t < path_time[w, g, 0] or t >= path_time[w, g, last]:
             spin = wp.vec3d()
-        centre_out[w, g] = vec3(real(here[0]), real(here[1]), real(here[2]))
-        velocity_out[w, g] = vec3(real(velocity[0]), real(velocity[1]), real(velocity[2]))
-        spin_out[w, g] = vec3(real(spin[0]), real(spin[1]), real(spin[2]))
+        centre_out[row, g] = vec3(real(here[0]), real(here[1]), real(here[2]))
+        velocity_out[row, g] = vec3(real(velocity[0]), real(velocity[1]), real(velocity[2]))
+        spin_out[row, g] = vec3(real(spin[0]), real(spin[1]), real(spin[2]))
         closed = int(OPEN)
         if t >= hold_from[w, g] and t < hold_until[w, g]:
             closed = int(CLOSED)
-        closed_out[w, g] = closed
+        closed_out[row, g] = closed
 
     @wp.func
     def path_point_back(
@@ -127,6 +128,7 @@ def make_boundary(real: Any) -> SimpleNamespace:
     @wp.func
     def update_node(
         w: int,
+        row: int,
         q: vec4,
         i: int,
         j: int,
@@ -146,8 +148,12 @@ def make_boundary(real: Any) -> SimpleNamespace:
         grip_closed: wp.array2d(dtype=wp.int32),
         grip_radius: wp.array2d(dtype=real),
     ):
-        """Velocity of a node after gravity, damping, table, walls and grippers."""
-        v = keep * (vec3(q[0], q[1], q[2]) / q[3]) + dt * gravity
+        """Velocity of a node after gravity, damping, table, walls and grippers.
+
+        Damping takes the same share of every impulse of the substep: were gravity's left out, a
+        body at rest would carry too little stress. ``row`` is that of the grippers' placement.
+        """
+        v = keep * (vec3(q[0], q[1], q[2]) / q[3] + dt * gravity)
         at = vec3(real(i) * dx, real(j) * dx, z0 + real(k) * dx)
         for a in range(3):
             if at[a] <= box_lower[a]:
@@ -161,17 +167,18 @@ def make_boundary(real: Any) -> SimpleNamespace:
                 left = real(1.0) + friction * v[2] / slip
             v = vec3(left * v[0], left * v[1], real(0.0))
         for g in range(grip_closed.shape[1]):
-            if grip_closed[w, g] == CLOSED:
+            if grip_closed[row, g] == CLOSED:
                 # a particle is rigid when its whole stencil is held: one cell further
                 reach = grip_radius[w, g] + dx
-                r = at - grip_centre[w, g]
+                r = at - grip_centre[row, g]
                 if wp.length_sq(r) < reach * reach:
-                    v = grip_velocity[w, g] + wp.cross(grip_spin[w, g], r)
+                    v = grip_velocity[row, g] + wp.cross(grip_spin[row, g], r)
         return v
 
     @wp.func
     def update_node_back(
         w: int,
+        row: int,
         q: vec4,
         bar: vec3,
         i: int,
@@ -200,13 +207,13 @@ def make_boundary(real: Any) -> SimpleNamespace:
         at = vec3(real(i) * dx, real(j) * dx, z0 + real(k) * dx)
         holder = int(-1)
         for g in range(grip_closed.shape[1]):
-            if grip_closed[w, g] == CLOSED:
+            if grip_closed[row, g] == CLOSED:
                 reach = grip_radius[w, g] + dx
-                if wp.length_sq(at - grip_centre[w, g]) < reach * reach:
+                if wp.length_sq(at - grip_centre[row, g]) < reach * reach:
                     holder = g
         result = vec4()
         if holder >= 0:
-            about = wp.cross(grip_spin[w, holder], bar)  # -(d/dcentre) of spin x (at - centre)
+            about = wp.cross(grip_spin[row, holder], bar)  # -(d/dcentre) of spin x (at - centre)
             wp.atomic_add(
                 velocity_bar,
                 w,
@@ -220,7 +227,7 @@ def make_boundary(real: Any) -> SimpleNamespace:
                 wp.vec3d(wp.float64(about[0]), wp.float64(about[1]), wp.float64(about[2])),
             )
         else:
-            v = keep * (vec3(q[0], q[1], q[2]) / q[3]) + dt * gravity
+            v = keep * (vec3(q[0], q[1], q[2]) / q[3] + dt * gravity)
             open_axis = vec3(real(1.0), real(1.0), real(1.0))
             for a in range(3):
                 if at[a] <= box_lower[a] and v[a] < real(0.0):
@@ -245,13 +252,14 @@ def make_boundary(real: Any) -> SimpleNamespace:
                     wp.atomic_add(friction_bar, w, wp.float64(along * v[2] / slip))
             b = wp.cw_mul(b, open_axis)
             p = vec3(q[0], q[1], q[2]) / q[3]
-            wp.atomic_add(keep_bar, w, wp.float64(wp.dot(b, p)))
+            wp.atomic_add(keep_bar, w, wp.float64(wp.dot(b, p + dt * gravity)))
+            b = keep * b
             wp.atomic_add(
                 gravity_bar,
                 w,
                 wp.vec3d(wp.float64(dt * b[0]), wp.float64(dt * b[1]), wp.float64(dt * b[2])),
             )
-            b = (keep / q[3]) * b
+            b = b / q[3]
             result = vec4(b[0], b[1], b[2], -wp.dot(b, p))
         return result
 

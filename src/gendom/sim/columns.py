@@ -36,8 +36,8 @@ def make_columns(real: Any) -> SimpleNamespace:
     """Build the functions that number the nodes, for one scalar type.
 
     Returns:
-        Namespace with ``forget_bounds``, ``locate_particle``, ``mark_particle``, ``lay_columns``,
-        to be called in this order over all particles.
+        Namespace with ``forget_bounds``, ``locate_particle``, ``mark_particle``, to be called
+        in this order over all particles, then ``lay_columns``, or ``lay_column`` for each.
     """
     vec3 = wp.types.vector(3, real)
 
@@ -88,14 +88,40 @@ def make_columns(real: Any) -> SimpleNamespace:
                     wp.atomic_max(high_out, layout, i, j, k1)
 
     @wp.func
-    def lay_columns(
+    def lay_column(
         layout: int,
-        bounds: wp.array2d(dtype=wp.int32),
+        i: int,
+        j: int,
+        first: int,
         low: wp.array3d(dtype=wp.int32),
         high: wp.array3d(dtype=wp.int32),
         start_out: wp.array3d(dtype=wp.int32),  # [L, X, Y] node k is number start + k
         cell_out: wp.array2d(dtype=wp.int32),  # [L, M] packed column of each node
         level_out: wp.array2d(dtype=wp.int32),  # [L, M] k of each node
+    ):
+        """Number a column's nodes from ``first`` on; returns 1 where there is no room for them."""
+        k0 = low[layout, i, j]
+        k1 = high[layout, i, j]
+        start_out[layout, i, j] = first - k0
+        full = int(0)
+        if k0 <= k1:
+            if first + k1 - k0 < cell_out.shape[1]:
+                for k in range(k0, k1 + 1):
+                    cell_out[layout, first + k - k0] = (i << CELL_BITS) | j
+                    level_out[layout, first + k - k0] = k
+            else:
+                full = 1
+        return full
+
+    @wp.func
+    def lay_columns(
+        layout: int,
+        bounds: wp.array2d(dtype=wp.int32),
+        low: wp.array3d(dtype=wp.int32),
+        high: wp.array3d(dtype=wp.int32),
+        start_out: wp.array3d(dtype=wp.int32),
+        cell_out: wp.array2d(dtype=wp.int32),
+        level_out: wp.array2d(dtype=wp.int32),
         count_out: wp.array(dtype=wp.int32),  # [L] nodes in use
     ):
         """Number the nodes of a layout; the count may exceed the room for them."""
@@ -104,20 +130,14 @@ def make_columns(real: Any) -> SimpleNamespace:
         n = int(0)
         for i in range(X):
             for j in range(Y):
-                k0 = low[layout, i, j]
-                k1 = high[layout, i, j]
-                start_out[layout, i, j] = n - k0
-                if k0 <= k1:
-                    if n + k1 - k0 < cell_out.shape[1]:
-                        for k in range(k0, k1 + 1):
-                            cell_out[layout, n + k - k0] = (i << CELL_BITS) | j
-                            level_out[layout, n + k - k0] = k
-                    n += k1 - k0 + 1
+                lay_column(layout, i, j, n, low, high, start_out, cell_out, level_out)
+                n += wp.max(0, high[layout, i, j] - low[layout, i, j] + 1)
         count_out[layout] = n
 
     return SimpleNamespace(
         forget_bounds=forget_bounds,
         locate_particle=locate_particle,
         mark_particle=mark_particle,
+        lay_column=lay_column,
         lay_columns=lay_columns,
     )

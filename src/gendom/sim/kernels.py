@@ -45,8 +45,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
 
     Returns:
         Namespace with the vector types, ``advance`` (CPU) and the stages of a substep (CUDA):
-        ``tally``, ``locate``, ``empty``, ``mark``, ``lay`` where a graph begins, then ``p2g``,
-        ``grid_update``, ``g2p`` for each of its substeps.
+        ``tally``, ``place``, ``locate``, ``empty``, ``mark``, ``lay`` where a graph begins, then
+        ``p2g``, ``grid_update``, ``g2p`` for each of its substeps.
     """
     law = make_law(law_name, real, plastic=plastic)
     return_map = law.return_map
@@ -57,6 +57,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     forget_bounds = columns.forget_bounds
     locate_particle = columns.locate_particle
     mark_particle = columns.mark_particle
+    lay_column = columns.lay_column
     lay_columns = columns.lay_columns
     boundary = make_boundary(real)
     place_gripper = boundary.place_gripper
@@ -175,7 +176,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                 t = time + wp.float64(step) * dt[w]
                 for g in range(grip_closed.shape[1]):
                     place_gripper(
-                        w, g, t, dt[w], path_time, path_position, path_spin,
+                        w, w, g, t, dt[w], path_time, path_position, path_spin,
                         hold_from, hold_until, grip_centre, grip_velocity, grip_spin, grip_closed,
                     )  # fmt: skip
                 if age % RECOVER_EVERY == 0 and blend > real(0.0):
@@ -195,7 +196,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     q = momentum[slot, n]
                     if q[3] > real(0.0):
                         u = update_node(
-                            w, q, bounds[layout, 0] + (cell[layout, n] >> CELL_BITS),
+                            w, w, q, bounds[layout, 0] + (cell[layout, n] >> CELL_BITS),
                             bounds[layout, 1] + (cell[layout, n] & mask), level[layout, n], h, dx,
                             z0, gravity[w], keep, table, friction[w], box_lower, box_upper,
                             grip_centre, grip_velocity, grip_spin, grip_closed, grip_radius,
@@ -267,7 +268,9 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         trouble: wp.array(dtype=wp.int32),
         done: wp.array(dtype=wp.int32),  # [W] substeps done in the graph that has ended
         fastest: wp.array2d(dtype=real),  # [W, GRAPH] largest squared speed of each
+        stale: wp.array(dtype=wp.int32),  # [W] 1 where the columns must be laid anew
         bounds: wp.array2d(dtype=wp.int32),
+        count: wp.array(dtype=wp.int32),
     ):
         """Count what a graph has done; call before the next one, and before reading ``step``."""
         w = wp.tid()
@@ -284,35 +287,62 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         if status[w] == OK and trouble[w] != OK:
             status[w] = trouble[w]
         trouble[w] = OK
-        if far >= real(MARGIN) * dx:
+        # a world that found no room keeps its bounds: the host reads from them what it needs
+        if far >= real(MARGIN) * dx and status[w] == OK:
+            stale[w] = 1
+            travel[w] = real(0.0)
+            count[w] = 0
             forget_bounds(w, bounds)
 
     @wp.kernel(enable_backward=False)
+    def place(
+        step: wp.array(dtype=wp.int32),
+        dt: wp.array(dtype=wp.float64),
+        time: wp.array(dtype=wp.float64),  # [1] of the frame's substep 0
+        path_time: wp.array3d(dtype=wp.float64),
+        path_position: wp.array3d(dtype=wp.vec3d),
+        path_spin: wp.array3d(dtype=wp.vec3d),
+        hold_from: wp.array2d(dtype=wp.float64),
+        hold_until: wp.array2d(dtype=wp.float64),
+        grip_centre: wp.array2d(dtype=vec3),  # [GRAPH * W, G]
+        grip_velocity: wp.array2d(dtype=vec3),
+        grip_spin: wp.array2d(dtype=vec3),
+        grip_closed: wp.array2d(dtype=wp.int32),
+    ):
+        """Grippers in every substep of the graph that begins."""
+        r, w = wp.tid()
+        t = time[0] + wp.float64(step[w] + r) * dt[w]
+        for g in range(grip_closed.shape[1]):
+            place_gripper(
+                r * step.shape[0] + w, w, g, t, dt[w], path_time, path_position, path_spin,
+                hold_from, hold_until, grip_centre, grip_velocity, grip_spin, grip_closed,
+            )  # fmt: skip
+
+    @wp.kernel(enable_backward=False)
     def locate(
-        travel: wp.array(dtype=real),
+        stale: wp.array(dtype=wp.int32),
         x: wp.array2d(dtype=vec3),
         dx: real,
         bounds: wp.array2d(dtype=wp.int32),
     ):
         w, p = wp.tid()
-        if travel[w] >= real(MARGIN) * dx:
+        if stale[w] == 1:
             locate_particle(w, x[w, p], real(1.0) / dx, bounds)
 
     @wp.kernel(enable_backward=False)
     def empty(
-        travel: wp.array(dtype=real),
-        dx: real,
+        stale: wp.array(dtype=wp.int32),
         low: wp.array3d(dtype=wp.int32),
         high: wp.array3d(dtype=wp.int32),
     ):
         w, i, j = wp.tid()
-        if travel[w] >= real(MARGIN) * dx:
+        if stale[w] == 1:
             low[w, i, j] = EMPTY_BELOW
             high[w, i, j] = -EMPTY_BELOW
 
     @wp.kernel(enable_backward=False)
     def mark(
-        travel: wp.array(dtype=real),
+        stale: wp.array(dtype=wp.int32),
         x: wp.array2d(dtype=vec3),
         dx: real,
         z0: real,
@@ -321,12 +351,12 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         high: wp.array3d(dtype=wp.int32),
     ):
         w, p = wp.tid()
-        if travel[w] >= real(MARGIN) * dx:
+        if stale[w] == 1:
             mark_particle(w, x[w, p], real(1.0) / dx, z0, bounds, low, high)
 
     @wp.kernel(enable_backward=False)
     def lay(
-        dx: real,
+        stale: wp.array(dtype=wp.int32),
         bounds: wp.array2d(dtype=wp.int32),
         low: wp.array3d(dtype=wp.int32),
         high: wp.array3d(dtype=wp.int32),
@@ -334,20 +364,21 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         cell: wp.array2d(dtype=wp.int32),
         level: wp.array2d(dtype=wp.int32),
         count: wp.array(dtype=wp.int32),
-        travel: wp.array(dtype=real),
         status: wp.array(dtype=wp.int32),
     ):
-        w = wp.tid()
-        if travel[w] >= real(MARGIN) * dx and status[w] == OK:
-            X = bounds[w, 2] - bounds[w, 0] + 1
-            Y = bounds[w, 3] - bounds[w, 1] + 1
-            count[w] = cell.shape[1] + 1
-            if X <= low.shape[1] and Y <= low.shape[2]:
-                lay_columns(w, bounds, low, high, start, cell, level, count)
-            if count[w] > cell.shape[1]:
+        w, i, j = wp.tid()
+        if stale[w] == 1:
+            if i >= bounds[w, 2] - bounds[w, 0] + 1 or j >= bounds[w, 3] - bounds[w, 1] + 1:
+                return
+            # in any order: sums do not depend on a node's number
+            first = wp.atomic_add(count, w, wp.max(0, high[w, i, j] - low[w, i, j] + 1))
+            full = lay_column(w, i, j, first, low, high, start, cell, level)
+            if (
+                full == 1
+                or bounds[w, 2] - bounds[w, 0] >= low.shape[1]
+                or bounds[w, 3] - bounds[w, 1] >= low.shape[2]
+            ):
                 status[w] = GRID_FULL
-            else:
-                travel[w] = real(0.0)
 
     @wp.kernel(enable_backward=False)
     def p2g(
@@ -360,18 +391,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         trouble: wp.array(dtype=wp.int32),
         travel: wp.array(dtype=real),
         fastest: wp.array2d(dtype=real),
-        # grippers
-        time: wp.array(dtype=wp.float64),  # [1] of the frame's substep 0
-        path_time: wp.array3d(dtype=wp.float64),
-        path_position: wp.array3d(dtype=wp.vec3d),
-        path_spin: wp.array3d(dtype=wp.vec3d),
-        hold_from: wp.array2d(dtype=wp.float64),
-        hold_until: wp.array2d(dtype=wp.float64),
-        grip_centre: wp.array2d(dtype=vec3),
-        grip_velocity: wp.array2d(dtype=vec3),
-        grip_spin: wp.array2d(dtype=vec3),
-        grip_closed: wp.array2d(dtype=wp.int32),
-        # particles
+        stale: wp.array(dtype=wp.int32),
         age: wp.array(dtype=wp.int32),
         lattice: wp.array3d(dtype=wp.int32),
         rest_frame: wp.array(dtype=mat33),
@@ -390,14 +410,9 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         momentum: wp.array2d(dtype=vec4),
     ):
         w, p = wp.tid()
+        if r == 0 and p == 0:
+            stale[w] = 0  # laid by now
         if runs(w, r, dx, dt, step, steps, status, trouble, travel, fastest):
-            if p == 0:
-                t = time[0] + wp.float64(step[w] + r) * dt[w]
-                for g in range(grip_closed.shape[1]):
-                    place_gripper(
-                        w, g, t, dt[w], path_time, path_position, path_spin,
-                        hold_from, hold_until, grip_centre, grip_velocity, grip_spin, grip_closed,
-                    )  # fmt: skip
             h = real(dt[w])
             Fp = F[w, p]
             if (age[w] + r) % RECOVER_EVERY == 0:
@@ -450,7 +465,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
             if q[3] > real(0.0):
                 h = real(dt[w])
                 u = update_node(
-                    w, q, bounds[w, 0] + (cell[w, n] >> CELL_BITS),
+                    w, r * steps.shape[0] + w, q, bounds[w, 0] + (cell[w, n] >> CELL_BITS),
                     bounds[w, 1] + (cell[w, n] & mask), level[w, n], h, dx, z0,
                     gravity[w], wp.exp(-damping[w] * h), table, friction[w],
                     box_lower, box_upper,
@@ -511,6 +526,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         mat33=mat33,
         advance=advance,
         tally=tally,
+        place=place,
         locate=locate,
         empty=empty,
         mark=mark,

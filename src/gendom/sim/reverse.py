@@ -146,7 +146,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> Any:
             t = time + wp.float64(begun + slot) * dt
             for g in range(grip_closed.shape[1]):
                 place_gripper(
-                    w, g, t, dt, path_time, path_position, path_spin,
+                    w, w, g, t, dt, path_time, path_position, path_spin,
                     hold_from, hold_until, grip_centre, grip_velocity, grip_spin, grip_closed,
                 )  # fmt: skip
                 grip_centre_bar[w, g] = wp.vec3d()
@@ -157,7 +157,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> Any:
                 q = momentum[slot, n]
                 if q[3] > real(0.0):
                     u = update_node(
-                        w, q, bounds[layout, 0] + (cell[layout, n] >> CELL_BITS),
+                        w, w, q, bounds[layout, 0] + (cell[layout, n] >> CELL_BITS),
                         bounds[layout, 1] + (cell[layout, n] & mask), level[layout, n], h, dx, z0,
                         gravity[w], keep, table, friction[w], box_lower, box_upper,
                         grip_centre, grip_velocity, grip_spin, grip_closed, grip_radius,
@@ -187,7 +187,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> Any:
                 if q[3] > real(0.0):
                     b = grid_bar[0, n]
                     grid_bar[0, n] = update_node_back(
-                        w, q, vec3(b[0], b[1], b[2]),
+                        w, w, q, vec3(b[0], b[1], b[2]),
                         bounds[layout, 0] + (cell[layout, n] >> CELL_BITS),
                         bounds[layout, 1] + (cell[layout, n] & mask), level[layout, n], h, dx, z0,
                         gravity[w], keep, table, friction[w], box_lower, box_upper,

@@ -370,6 +370,6 @@ class _Sums:
 def _for_worlds(s: Simulator, work: Any) -> None:
     """Do the work for every world on the simulator's threads; the first failure is raised."""
     order = np.argsort(s.substep)
-    with ThreadPoolExecutor(max_workers=s._threads) as pool:
+    with ThreadPoolExecutor(max_workers=s.threads) as pool:
         for job in [pool.submit(work, int(w)) for w in order]:
             job.result()

@@ -137,7 +137,7 @@ class Simulator:
         self.time = start_time
         self.device = open_device(device)
         self.dtype = dtype
-        self._threads = threads or _cores()
+        self.threads = threads or _cores()
         self._numpy = np.dtype(dtype)
         self._real = wp.float32 if dtype == "float32" else wp.float64
         self.law = law
@@ -343,7 +343,7 @@ class Simulator:
 
         # the slowest worlds go first, so that no thread ends alone
         order = np.argsort(self.substep)
-        with ThreadPoolExecutor(max_workers=self._threads) as pool:
+        with ThreadPoolExecutor(max_workers=self.threads) as pool:
             jobs = [pool.submit(one_world, int(w)) for w in order]
             try:
                 reported = 0
@@ -425,10 +425,15 @@ class Simulator:
                 "fastest": self._zeros((W, SUBSTEPS_A_GRAPH), self._real),
                 "trouble": self._zeros(W, wp.int32),
                 "done": self._zeros(W, wp.int32),
+                "stale": self._zeros(W, wp.int32),
                 "time": self._zeros(1, wp.float64),
             }
             self._scratch["velocity"] = self._zeros(self._scratch["grid"].shape, self._k.vec4)
+            placed = (SUBSTEPS_A_GRAPH * W, a["grip_closed"].shape[1])
+            for name in ("grip_centre", "grip_velocity", "grip_spin", "grip_closed"):
+                self._scratch[name] = self._zeros(placed, a[name].dtype)
         graph: Any = None
+        graphs = 1
         a["travel"].fill_(1e30)
         now = self.time
         for f, until in enumerate(times):
@@ -447,7 +452,9 @@ class Simulator:
                         for r in range(SUBSTEPS_A_GRAPH):
                             self._launch_substep(self._scratch, r)
                     graph = capture.graph
-                for _ in range(math.ceil(left / SUBSTEPS_A_GRAPH)):
+                # a few at first: a world that finds no room for its nodes is soon noticed
+                graphs = min(2 * graphs, math.ceil(left / SUBSTEPS_A_GRAPH))
+                for _ in range(graphs):
                     wp.capture_launch(graph)
                 self._launch_tally(self._scratch)
                 host["step"] = a["step"].numpy()
@@ -459,6 +466,7 @@ class Simulator:
                         self._scratch["grid"].shape, self._k.vec4
                     )
                     graph = None
+                    graphs = 1
                     a["travel"].fill_(1e30)
                     status = np.where(full, kernels.OK, status).astype(np.int32)
                     a["status"].assign(status)
@@ -480,20 +488,26 @@ class Simulator:
         a = self._world
         self._launch(self._k.tally, self.num_worlds, [
             self.body.dx, a["dt"], a["step"], a["age"], a["travel"], a["status"], g["trouble"],
-            g["done"], g["fastest"], g["bounds"],
+            g["done"], g["fastest"], g["stale"], g["bounds"], g["count"],
         ])  # fmt: skip
 
     def _launch_layout(self, g: dict[str, wp.array]) -> None:
-        """Lay the columns of every world that has travelled too far on its last ones."""
+        """Begin a graph: place its grippers, lay the columns of worlds that travelled too far."""
         k, a = self._k, self._world
         W, N = self.num_worlds, self.body.num_particles
-        x, dx, z0, travel = self._state["x"], self.body.dx, self._z0, a["travel"]
+        x, dx, stale = self._state["x"], self.body.dx, g["stale"]
+        low, high = g["low"], g["high"]
         self._launch_tally(g)
-        self._launch(k.locate, (W, N), [travel, x, dx, g["bounds"]])
-        self._launch(k.empty, g["low"].shape, [travel, dx, g["low"], g["high"]])
-        self._launch(k.mark, (W, N), [travel, x, dx, z0, g["bounds"], g["low"], g["high"]])
-        self._launch(k.lay, W, [
-            dx, *(g[name] for name in _GRID_ORDER), travel, a["status"],
+        self._launch(k.place, (SUBSTEPS_A_GRAPH, W), [
+            a["step"], a["dt"], g["time"], a["path_time"], a["path_position"], a["path_spin"],
+            a["hold_from"], a["hold_until"],
+            g["grip_centre"], g["grip_velocity"], g["grip_spin"], g["grip_closed"],
+        ])  # fmt: skip
+        self._launch(k.locate, (W, N), [stale, x, dx, g["bounds"]])
+        self._launch(k.empty, low.shape, [stale, low, high])
+        self._launch(k.mark, (W, N), [stale, x, dx, self._z0, g["bounds"], low, high])
+        self._launch(k.lay, low.shape, [
+            stale, *(g[name] for name in _GRID_ORDER), a["status"],
         ])  # fmt: skip
 
     def _launch_substep(self, g: dict[str, wp.array], r: int) -> None:
@@ -504,11 +518,9 @@ class Simulator:
             r, self.body.dx, a["dt"], a["step"], a["steps"], a["status"], g["trouble"],
             a["travel"], g["fastest"],
         ]  # fmt: skip
-        grip = [a["grip_centre"], a["grip_velocity"], a["grip_spin"], a["grip_closed"]]
+        grip = [g["grip_centre"], g["grip_velocity"], g["grip_spin"], g["grip_closed"]]
         self._launch(k.p2g, (W, N), [
-            *going, g["time"], a["path_time"], a["path_position"], a["path_spin"],
-            a["hold_from"], a["hold_until"], *grip,
-            a["age"], self._lattice, self._rest_frames, self._recovery,
+            *going, g["stale"], a["age"], self._lattice, self._rest_frames, self._recovery,
             s["x"], s["v"], s["C"], s["F"], a["mu"], a["lam"], a["mass"], self.body.volume,
             self._z0, g["bounds"], g["start"], g["grid"],
         ])  # fmt: skip
@@ -725,7 +737,7 @@ def _room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
     extent = (x.max(axis=1) - x.min(axis=1)).max(axis=0) / dx
     side = int(np.ceil(extent[:2].max())) + 8
     cells = len(np.unique(np.floor(x[0] / dx).astype(int), axis=0))
-    return min(side, 1 << CELL_BITS), min(side, 1 << CELL_BITS), 16 * cells + 512
+    return min(side, 1 << CELL_BITS), min(side, 1 << CELL_BITS), 8 * cells + 256
 
 
 def _wait(job) -> None:
