@@ -179,7 +179,7 @@ def _plan(s: Simulator, w: int, began: float, times: NDArray[np.float64]) -> lis
     plan: list[_Stretch] = []
     now, age = began, 0
     for f, until in enumerate(times):
-        n, dt = s._divide(w, until - now)
+        n, dt = (value.item() for value in s._divide(w, until - now))
         cuts = [*range(0, n, STRETCH), n] if n else [0, 0]
         for a, b in itertools.pairwise(cuts):
             ends = f if b == n else -1

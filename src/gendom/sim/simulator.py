@@ -218,7 +218,7 @@ class Simulator:
         if not self.device.is_cuda:
             self._views = {name: a.numpy() for name, a in self._world.items()}
             self._state_views = {name: a.numpy() for name, a in self._state.items()}
-        self._last_good = {name: a.numpy().copy() for name, a in self._state.items()}
+        self._last_good = {name: wp.clone(a) for name, a in self._state.items()}
         self._last_good_time = np.full(W, start_time)
         self._scratch: dict[str, wp.array] | None = None
 
@@ -253,7 +253,8 @@ class Simulator:
             last_good: The state at the start of the last frame, each world's own (``time`` is then
                 [W]); after a failure the last that means anything.
         """
-        state = self._last_good if last_good else {n: a.numpy() for n, a in self._state.items()}
+        kept = self._last_good if last_good else self._state
+        state = {name: a.numpy() for name, a in kept.items()}
         with atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(
                 file,
@@ -330,7 +331,7 @@ class Simulator:
                     return None
                 self._last_good_time[w] = now
                 for name, good in self._last_good.items():
-                    good[w] = self._state_views[name][w]
+                    good.numpy()[w] = self._state_views[name][w]
                 self._plan(views, w, until - now)
                 try:
                     grid = self._advance_world(w, now, grid)
@@ -418,7 +419,7 @@ class Simulator:
 
     def _run_cuda(self, times, frames, picked, on_frame) -> None:
         a = self._world
-        host = {name: a[name].numpy() for name in ("step", "steps", "dt", "status")}
+        host: dict[str, Any] = {n: a[n].numpy() for n in ("step", "steps", "dt", "status")}
         if self._scratch is None:
             W = self.num_worlds
             self._scratch = self._make_grid(W) | {
@@ -432,15 +433,17 @@ class Simulator:
             placed = (SUBSTEPS_A_GRAPH * W, a["grip_closed"].shape[1])
             for name in ("grip_centre", "grip_velocity", "grip_spin", "grip_closed"):
                 self._scratch[name] = self._zeros(placed, a[name].dtype)
+        chosen = self._state["x"][:, wp.array(picked, dtype=wp.int32, device=self.device)]
         graph: Any = None
         graphs = 1
         a["travel"].fill_(1e30)
         now = self.time
         for f, until in enumerate(times):
-            self._last_good = {name: arr.numpy() for name, arr in self._state.items()}
+            for name, array in self._state.items():
+                wp.copy(self._last_good[name], array)
             self._last_good_time[:] = now
-            for w in range(self.num_worlds):
-                self._plan(host, w, until - now)
+            host["steps"], host["dt"] = self._divide(slice(None), until - now)
+            host["step"][:], host["status"][:] = 0, kernels.OK
             for name, values in host.items():
                 a[name].assign(values)
             self._scratch["time"].fill_(now)
@@ -477,7 +480,7 @@ class Simulator:
                 left = int((host["steps"] - host["step"]).max())
             now = float(until)
             self.time = now
-            frames[f] = self.positions()[:, picked]
+            frames[f] = chosen.contiguous().numpy()
             if on_frame is not None:
                 on_frame(f + 1)
 
@@ -536,10 +539,12 @@ class Simulator:
 
     # ---- shared by both devices ------------------------------------------------------------------
 
-    def _divide(self, w: int, interval: float) -> tuple[int, float]:
-        """Number and length [s] of a frame's equal substeps, no longer than the world's limit."""
-        n = max(1, math.ceil(interval / self.substep[w] - 1e-9)) if interval > 0.0 else 0
-        return n, interval / n if n else 0.0
+    def _divide(self, w: int | slice, interval: float) -> tuple[Any, Any]:
+        """Number and length [s] of a frame's equal substeps, no longer than each world's limit."""
+        if not interval > 0.0:
+            return 0 * self.substep[w].astype(np.int32), 0.0 * self.substep[w]
+        n = np.maximum(1, np.ceil(interval / self.substep[w] - 1e-9)).astype(np.int32)
+        return n, interval / n
 
     def _plan(self, views, w: int, interval: float) -> None:
         """Set world w's counters to a frame's interval [s]."""
