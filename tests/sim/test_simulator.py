@@ -721,3 +721,24 @@ def test_recovery_does_not_depend_on_the_frame_rate():
     a = long.run([0.05])[-1]
     b = short.run(np.arange(1, 501) * 1e-4)[-1]
     assert np.abs(a - b).max() < 1e-9
+
+
+def test_a_world_that_diverges_leaves_the_others_alone():
+    stiff = Material(E=2.0e7, nu=0.3, density=1000.0)
+    options = {"substep": 5e-4}
+    times = [0.02, 0.04, 0.06]
+    body = block()
+    kick = np.random.default_rng(0).standard_normal((body.num_particles, 3))
+    batch = simulator(body, [SOFT, stiff, SOFT], **options)
+    batch.set_velocities(0.1 * kick)
+    x = batch.run(times, keep_going=True)
+    alone = simulator(body, [SOFT], **options)
+    alone.set_velocities(0.1 * kick)
+    expected = alone.run(times)
+    assert list(batch.failures) == [1]
+    assert batch.failures[1].world == 1
+    assert np.isnan(x[-1, 1]).all()
+    assert np.array_equal(x[:, 0], expected[:, 0]) and np.array_equal(x[:, 2], expected[:, 0])
+    batch.run([0.08], keep_going=True)  # and it stays where it is
+    with pytest.raises(SimulationError, match="world 1"):
+        batch.run([0.1])

@@ -149,6 +149,8 @@ class Simulator:
         check_numbers("stiffness", stiffness, above=0.0)
         self.stiffness = self._spread(stiffness, (W, body.num_particles), "stiffness")
         stiffest = np.sqrt(self.stiffness.max(axis=1))
+        self.failures: dict[int, SimulationError] = {}
+        self._keep_going = False
         self.substep = np.array(
             [
                 substep or stable_substep(m, body.dx, cfl=cfl) / s
@@ -272,6 +274,7 @@ class Simulator:
         *,
         on_frame: Callable[[int], None] | None = None,
         particles: ArrayLike | None = None,
+        keep_going: bool = False,
     ) -> NDArray[np.floating]:
         """Simulate to each of the given times.
 
@@ -279,13 +282,16 @@ class Simulator:
             times: [T] not decreasing, not before ``self.time`` [s].
             on_frame: Called with the number of frames done, from one thread at a time.
             particles: [P] indices of the particles to record (default: all).
+            keep_going: Let a world that diverges stand still while the others go on; its error is
+                found in ``failures``, and its positions are NaN from then on.
 
         Returns:
             [T, W, P, 3] positions [m].
 
         Raises:
             ParameterError: If the times run backwards.
-            SimulationError: If a world diverges or a particle turns inside out. The error names
+            SimulationError: If a world diverges or a particle turns inside out, unless told to
+                keep going. The error names
                 world, time and parameters; ``save_state(path, last_good=True)`` then keeps the
                 last frame before it.
         """
@@ -298,6 +304,7 @@ class Simulator:
                 f"particles must be indices below {self.body.num_particles}"
             ) from None
         frames = np.empty((len(t), self.num_worlds, len(picked), 3), dtype=self._numpy)
+        self._keep_going = keep_going
         if self.device.is_cuda:
             self._run_cuda(t, frames, picked, on_frame)
         else:
@@ -322,25 +329,31 @@ class Simulator:
         done = np.zeros(self.num_worlds, dtype=int)
         stop = False
 
-        def one_world(w: int) -> SimulationError | None:
+        def one_world(w: int) -> None:
             grid = self._make_grid(1)
             views["travel"][w] = 1e30
             now = began
             for f, until in enumerate(times):
                 if stop:
-                    return None
+                    return
                 self._last_good_time[w] = now
                 for name, good in self._last_good.items():
                     good.numpy()[w] = self._state_views[name][w]
                 self._plan(views, w, until - now)
-                try:
-                    grid = self._advance_world(w, now, grid)
-                except SimulationError as error:
-                    return error
+                if w not in self.failures:
+                    try:
+                        grid = self._advance_world(w, now, grid)
+                    except SimulationError as error:
+                        self.failures[w] = error
+                if w in self.failures:
+                    if not self._keep_going:
+                        return
+                    frames[f:, w] = np.nan
+                    done[w] = len(times)
+                    return
                 now = until
                 frames[f, w] = self._state_views["x"][w, picked]
                 done[w] = f + 1
-            return None
 
         # the slowest worlds go first, so that no thread ends alone
         order = np.argsort(self.substep)
@@ -361,9 +374,10 @@ class Simulator:
                 raise
         if on_frame is not None and done.min() > reported:
             on_frame(int(done.min()))
-        failures = [error for job in jobs if (error := job.result()) is not None]
-        if failures:
-            raise failures[0]
+        for job in jobs:
+            job.result()
+        if self.failures and not self._keep_going:
+            raise self.failures[min(self.failures)]
 
     def _advance_world(self, w: int, now: float, grid: dict[str, wp.array]) -> dict[str, wp.array]:
         """Take world w through its planned substeps; returns the grid, larger if it had to grow.
@@ -444,6 +458,8 @@ class Simulator:
             self._last_good_time[:] = now
             host["steps"], host["dt"] = self._divide(slice(None), until - now)
             host["step"][:], host["status"][:] = 0, kernels.OK
+            for w in self.failures:
+                host["steps"][w] = 0
             for name, values in host.items():
                 a[name].assign(values)
             self._scratch["time"].fill_(now)
@@ -473,14 +489,19 @@ class Simulator:
                     a["travel"].fill_(1e30)
                     status = np.where(full, kernels.OK, status).astype(np.int32)
                     a["status"].assign(status)
-                if (status != kernels.OK).any():
-                    w = int(np.argmax(status != kernels.OK))
+                failed = np.flatnonzero(status != kernels.OK)
+                if len(failed):
                     views = {n: a[n].numpy() for n in ("status", "step", "dt", "culprit")}
-                    raise self._failure(w, now, views)
+                    for w in failed:
+                        self.failures.setdefault(int(w), self._failure(int(w), now, views))
+                    if not self._keep_going:
+                        raise self.failures[int(failed[0])]
+                    host["steps"][failed] = host["step"][failed]
                 left = int((host["steps"] - host["step"]).max())
             now = float(until)
             self.time = now
             frames[f] = chosen.contiguous().numpy()
+            frames[f, list(self.failures)] = np.nan
             if on_frame is not None:
                 on_frame(f + 1)
 

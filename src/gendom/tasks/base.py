@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from gendom.errors import SimulationError
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,36 +52,3 @@ class Task(Protocol):
     ) -> Outcomes:
         """Simulate draws side by side. One that diverges is recorded as failed, others go on."""
         ...
-
-
-def surviving(
-    run: Callable[[list[int]], T], count: int
-) -> Iterator[tuple[list[int], T | SimulationError]]:
-    """Simulate worlds in batches as large as divergence allows.
-
-    A batch in which a world diverges is simulated again without it, in two halves: should
-    several worlds diverge, each of them then costs only a part of the batch.
-
-    Args:
-        run: Simulates the worlds of the given indices together.
-        count: Number of worlds W.
-
-    Yields:
-        Indices and what `run` returned for them, or a single index and its error. Every index
-        comes once, in no particular order.
-    """
-    waiting = [list(range(count))] if count else []
-    while waiting:
-        batch = waiting.pop()
-        try:
-            result = run(batch)
-        except SimulationError as error:
-            if len(batch) == 1:
-                yield batch, error
-                continue
-            if error.world is not None:
-                yield [batch.pop(error.world)], error
-            middle = len(batch) // 2
-            waiting += [half for half in (batch[middle:], batch[:middle]) if half]
-        else:
-            yield batch, result

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -31,7 +31,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Body, Gripper, Simulator, rope, stable_substep
 from gendom.sim.simulator import RECOVERY
-from gendom.tasks.base import Outcomes, surviving
+from gendom.tasks.base import Outcomes
 
 LENGTH, DIAMETER, GRAVITY = 0.25, 0.014, 9.81
 """The rope [m] and gravity [m/s^2] that the constants below are given for."""
@@ -87,6 +87,8 @@ class ReachingOutcome:
     """[T] [s]."""
     positions: NDArray[np.floating] | None = None
     """[T, W, N, 3] all particles [m], if they were asked for."""
+    failures: Mapping[int, SimulationError] = field(default_factory=dict)
+    """Worlds that diverged, where told to keep going; their numbers above are NaN."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -355,6 +357,7 @@ class RopeReaching:
         threads: int | None = None,
         on_frame: Callable[[int], None] | None = None,
         record_particles: bool = False,
+        keep_going: bool = False,
     ) -> ReachingOutcome:
         """Carry out W releases with W ropes, side by side.
 
@@ -367,10 +370,11 @@ class RopeReaching:
             on_frame: Called with the number of recorded frames that are done in all worlds.
             record_particles: Also return all particles, and begin at time 0 instead of at the
                 release, T being twice as large.
+            keep_going: Let a world that diverges end with NaN while the others go on.
 
         Raises:
             ParameterError: If an action is out of limits or the numbers do not agree.
-            SimulationError: If a world diverges; `world` says which.
+            SimulationError: If a world diverges, unless told to keep going; `world` says which.
         """
         points = np.atleast_2d(np.asarray(actions, dtype=float))
         if points.ndim != 2 or len(points) != len(materials):
@@ -399,7 +403,10 @@ class RopeReaching:
             before = np.linspace(0.0, self.release_time, FRAMES, endpoint=False)
             times = np.concatenate([before, times])
         recorded = simulator.run(
-            times, on_frame=on_frame, particles=None if record_particles else tip
+            times,
+            on_frame=on_frame,
+            particles=None if record_particles else tip,
+            keep_going=keep_going,
         )
         ends = recorded[:, :, tip] if record_particles else recorded
         path = ends.astype(np.float64).mean(axis=2)
@@ -410,6 +417,7 @@ class RopeReaching:
             tip_path=path,
             times=times,
             positions=recorded if record_particles else None,
+            failures=simulator.failures,
         )
 
     def demonstrate(
@@ -440,19 +448,14 @@ class RopeReaching:
         # worlds of like substep go together: a batch takes as long as its slowest
         order = np.argsort(substep, kind="stable")
         for group in np.split(order, range(BATCH, len(order), BATCH)):
-
-            def run(worlds: list[int], group: NDArray[np.intp] = group) -> ReachingOutcome:
-                numbers = group[worlds]
-                chosen = [materials[w] for w in numbers]
-                return self.simulate(actions[numbers], chosen, device=device, dtype=dtype)
-
-            for worlds, result in surviving(run, len(group)):
-                numbers = group[worlds]
-                if isinstance(result, SimulationError):
-                    when = "" if result.time is None else f" at {result.time:.4f} s"
-                    faults[numbers[0]] = result.what + when
-                else:
-                    goal[numbers], sideways[numbers] = result.reached, result.sideways
+            chosen = [materials[w] for w in group]
+            result = self.simulate(
+                actions[group], chosen, device=device, dtype=dtype, keep_going=True
+            )
+            goal[group], sideways[group] = result.reached, result.sideways
+            for w, error in result.failures.items():
+                when = "" if error.time is None else f" at {error.time:.4f} s"
+                faults[group[w]] = error.what + when
         columns = {"goal_x": goal, "sideways": sideways, "substep": substep}
         return Outcomes(columns=columns, faults=tuple(faults))
 

@@ -1,0 +1,103 @@
+"""Orders of convergence in the substep and in the size of a cell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.materials import Material
+from gendom.sim import GRAVITY
+from gendom.validation.check import Check, Settings
+from gendom.validation.specimens import block, sections, stations
+
+LENGTH = 0.1
+
+EULER = "symplectic Euler is of order 1: x - x0 - v0 t - g t^2 / 2 = g h t / 2"
+WAVE = "u = (v0 / omega) cos(pi x / L) sin(omega t), omega = pi sqrt(E / rho) / L, nu = 0"
+SPLINE = (
+    "order 2 of quadratic B-splines (Steffen, Kirby, Berzins 2008) and of the leapfrog that "
+    "symplectic Euler is for positions (Hairer, Lubich, Wanner 2006)"
+)
+
+
+def order(settings: Settings) -> list[Check]:
+    """A falling block; a free bar that vibrates along its axis for half a period.
+
+    The bar's analytic answer tells the order of the error when cells and substeps shrink
+    together. With cells as they are and substeps halved, answers should differ less and less:
+    their differences tell the order in the substep alone.
+    """
+    counts = (8, 16, 32) if settings.quick else (8, 16, 32, 64)
+    errors = [_wave_error(settings, n) for n in counts]
+    shares = (0.2, 0.1, 0.05) if settings.quick else (0.2, 0.1, 0.05, 0.025)
+    answers = [_wave(settings, 16, share)[0] for share in shares]
+    steps = [math.sqrt(np.mean((a - b) ** 2)) for a, b in pairwise(answers)]
+    return [
+        Check.within(
+            "order in dt, fall of a block",
+            "-",
+            1.0,
+            _slope([1.0, 0.5, 0.25], [_fall_error(settings, h) for h in (4e-4, 2e-4, 1e-4)]),
+            settings.round_off(1e-6, 0.05),
+            EULER,
+        ),
+        Check.within(
+            f"order in dx with dt / dx fixed, bar of {counts[0]} to {counts[-1]} cells",
+            "-",
+            2.0,
+            _slope([1.0 / n for n in counts], errors),
+            settings.round_off(0.3, 0.6),
+            f"{WAVE}; {SPLINE}",
+        ),
+        Check.within(
+            "order in dt with dx fixed, bar of 16 cells",
+            "-",
+            2.0,
+            _slope(shares[:-1], steps),
+            0.5,
+            SPLINE,
+        ),
+    ]
+
+
+def _fall_error(settings: Settings, h: float) -> float:
+    """Distance of a falling block from the parabola after 0.1 s in substeps h [m]."""
+    dx, t = 0.01, 0.1
+    s = settings.simulator(block((2 * dx, 2 * dx, 2 * dx), dx), [Material(E=1.0e4)], substep=h)
+    x = s.run([t])[0, 0].astype(float)
+    return float(np.abs(x - s.body.x - np.array(GRAVITY) * t**2 / 2.0).max())
+
+
+def _wave(
+    settings: Settings, cells: int, share: float
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Displacement of each section, simulated and analytic, in units of the amplitude [S]."""
+    dx, material = LENGTH / cells, Material(E=1.0e5, nu=0.0, density=1000.0)
+    c = math.sqrt(material.specific_modulus)
+    omega = math.pi * c / LENGTH
+    body = block((LENGTH, 2.0 * dx, 2.0 * dx), dx, centre=(LENGTH / 2.0, 0.0, 0.0))
+    s = settings.simulator(body, [material], gravity=(0.0, 0.0, 0.0), cfl=share)
+    # small enough to be linear, large enough for single precision
+    speed = (1e-4 if settings.dtype == "float64" else 1e-2) * c
+    v = np.zeros_like(body.x)
+    v[:, 0] = speed * np.cos(math.pi * body.material_coordinates[:, 0] / LENGTH)
+    s.set_velocities(v)
+    time = 0.4 * 2.0 * math.pi / omega
+    x = s.run([time])[0, 0].astype(float)
+    u = sections(x - body.x, body)[:, 0] / (speed / omega)
+    return u, np.cos(math.pi * stations(body) / LENGTH) * math.sin(omega * time)
+
+
+def _wave_error(settings: Settings, cells: int) -> float:
+    """Root mean square error of the wave, in units of its amplitude."""
+    u, exact = _wave(settings, cells, 0.2)
+    return math.sqrt(np.mean((u - exact) ** 2))
+
+
+def _slope(sizes: Sequence[float], errors: Sequence[float]) -> float:
+    """Exponent p of errors ~ sizes^p, by least squares of their logarithms."""
+    return float(np.polyfit(np.log(sizes), np.log(errors), 1)[0])

@@ -1,0 +1,121 @@
+"""A block on the table: stopping distance, sticking, sliding."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gendom.materials import Material
+from gendom.sim import GRAVITY, Gripper, Simulator, Table
+from gendom.sim.simulator import RECOVERY
+from gendom.validation.check import Check, Settings
+from gendom.validation.specimens import block
+
+SIDE = 0.04
+MATERIAL = Material(E=1.0e6, nu=0.3, density=1000.0)
+
+COULOMB = "Coulomb friction (Coulomb 1785)"
+
+
+def sliding(settings: Settings) -> list[Check]:
+    """A block pushed along the table, until it stops."""
+    friction = np.array([0.2, 0.5])
+    g, v = -GRAVITY[2], 1.0
+    s, start = resting_block(settings, friction, np.tile(GRAVITY, (2, 1)))
+    before = s.positions().mean(axis=1)[:, 0]
+    s.set_velocities((v, 0.0, 0.0))
+    s.run([start + 1.5 * v / (friction.min() * g)])
+    way = s.positions().mean(axis=1)[:, 0] - before
+    return [
+        Check.within_share(
+            f"stopping distance at mu = {mu:g}",
+            "m",
+            v**2 / (2.0 * mu * g),
+            float(way[w]),
+            0.03,
+            "v^2 / (2 mu g), " + COULOMB,
+        )
+        for w, mu in enumerate(friction)
+    ]
+
+
+def sticking(settings: Settings) -> list[Check]:
+    """A block under tilted gravity, for 0.5 s below and above the angle of friction."""
+    mu, g, time = 0.3, -GRAVITY[2], 0.5
+    shares = np.array([0.8, 0.95, 1.1, 1.25])
+    angle = shares * math.atan(mu)
+    pull = np.stack([g * np.sin(angle), 0.0 * angle, -g * np.cos(angle)], axis=1)
+    s, start = resting_block(settings, np.full(len(angle), mu), pull)
+    s.run([start + 0.1])
+    x0, v0 = (a.mean(axis=1)[:, 0].astype(float) for a in (s.positions(), s.velocities()))
+    s.run([start + 0.1 + time])
+    x1, v1 = (a.mean(axis=1)[:, 0].astype(float) for a in (s.positions(), s.velocities()))
+    checks = []
+    for w, share in enumerate(shares):
+        if share < 1.0:
+            checks.append(
+                Check.within(
+                    f"way in 0.5 s at {share:g} atan(mu)",
+                    "m",
+                    0.0,
+                    x1[w] - x0[w],
+                    1e-4,
+                    "no slip below atan(mu), " + COULOMB,
+                )
+            )
+        else:
+            checks.append(
+                Check.within_share(
+                    f"acceleration at {share:g} atan(mu)",
+                    "m/s^2",
+                    g * (math.sin(angle[w]) - mu * math.cos(angle[w])),
+                    (v1[w] - v0[w]) / time,
+                    0.05,
+                    "g (sin a - mu cos a), " + COULOMB,
+                )
+            )
+    return checks
+
+
+def resting_block(
+    settings: Settings, friction: ArrayLike, gravity: ArrayLike
+) -> tuple[Simulator, float]:
+    """A block at rest under its weight, one world for each friction and gravity.
+
+    A first simulator with damping lets it come to rest; a second, without, starts from there and
+    holds it until the deformation gradients have followed the positions. Otherwise it bounces,
+    and slides while the table hardly carries it.
+
+    Args:
+        settings: How to run.
+        friction: [W].
+        gravity: [W, 3] [m/s^2].
+
+    Returns:
+        The simulator, and the time at which the block is let go [s].
+    """
+    dx = SIDE / (2 if settings.quick else 3)
+    body = block((2.0 * SIDE, SIDE, SIDE), dx, centre=(0.003, 0.001, SIDE / 2.0 + dx / 4.0))
+    mu = np.asarray(friction, dtype=float)
+    pull = np.asarray(gravity, dtype=float)
+    omega = math.pi * MATERIAL.wave_speed / (2.0 * SIDE)
+    worlds = [MATERIAL] * len(mu)
+    # friction that holds everything, so that no block slides away before its time
+    first = settings.simulator(
+        body, worlds, table=Table(height=0.0, friction=10.0), gravity=pull, damping=omega
+    )
+    first.run([20.0 / omega])
+    held = 10.0 / RECOVERY
+    hands = Gripper.still(body.x.mean(axis=0), radius=1.0, hold_until=held)
+    s = settings.simulator(
+        body,
+        worlds,
+        table=Table(height=0.0, friction=mu),
+        gravity=pull,
+        grippers=[hands],
+        positions=first.positions(),
+    )
+    s.run([held])
+    return s, held

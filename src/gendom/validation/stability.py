@@ -1,0 +1,123 @@
+"""Random worlds at the default substep, and at longer ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from gendom.materials import Material
+from gendom.sim import CFL, Body, Gripper, Simulator, Table, cloth
+from gendom.tasks import RopeReaching
+from gendom.validation.check import Check, Settings
+
+SOURCE = "Courant, Friedrichs and Lewy (1928): the substep is a share of dx / wave speed"
+
+SPECIFIC_MODULUS = (500.0, 10500.0)
+"""Range of E / density in the paper's units, a 0.5 m rope under gravity 12 [m^2/s^2]."""
+
+NU = (0.2, 0.4)
+"""Range of Poisson's ratio in the paper."""
+
+LONGER = (1.5, 2.0, 2.5)
+"""Substeps tried besides the default, as multiples of it."""
+
+BATCH = 1024
+"""Worlds simulated at once."""
+
+Scene = Callable[[np.random.Generator], list[Gripper]]
+
+
+def stability(settings: Settings) -> list[Check]:
+    """Ropes that are carried, held and released; ropes pulled away sideways; cloths lifted by
+    their centre and dropped faster and faster: random E, nu and motions, none may diverge.
+
+    3,334 worlds of each kind on a GPU, 24 on a CPU, 3 where quick. Longer substeps are run with
+    fewer, to show where the limit is.
+    """
+    count = 3334 if settings.device.startswith("cuda") else 3 if settings.quick else 24
+    cells, dx = (1.0, 0.04) if settings.quick else (1.5, 0.02)
+    task = RopeReaching(length=0.5, diameter=0.028, gravity=12.0, cells_across=cells)
+    rope = task.body()
+    square = cloth(width=0.4, height=0.4, thickness=0.01, dx=dx, corner=(-0.2, -0.2, 0.0101))
+    kinds: list[tuple[str, Body, Scene, Table | None, float]] = [
+        ("rope carried, held, released", rope, lambda rng: _carry(task, rng), None, task.end_time),
+        ("rope pulled sideways", rope, lambda rng: _pull(task, rng), None, 0.7),
+        ("cloth lifted and dropped", square, _lift_and_drop, Table(height=0.0), 1.2),
+    ]
+    checks = []
+    for name, body, scene, table, until in kinds:
+        shares = [1.0] if settings.quick else [1.0, *LONGER]
+        for share in shares:
+            worlds = count if share == 1.0 else max(1, count // 4)
+            rng = np.random.default_rng(0)
+            materials = [_material(rng) for _ in range(worlds)]
+            grippers = [scene(rng) for _ in range(worlds)]
+            failed = _diverged(settings, body, materials, grippers, table, until, share)
+            label = "default substep" if share == 1.0 else f"{share:g} x that (for information)"
+            checks.append(
+                Check.within(
+                    f"diverged of {worlds}, {name}, {label}",
+                    "-",
+                    0.0,
+                    failed / worlds,
+                    0.0 if share == 1.0 else 1.0,
+                    SOURCE,
+                )
+            )
+    return checks
+
+
+def _diverged(
+    settings: Settings,
+    body: Body,
+    materials: Sequence[Material],
+    grippers: Sequence[Sequence[Gripper]],
+    table: Table | None,
+    until: float,
+    share: float,
+) -> int:
+    """Number of worlds that do not reach the end; worlds of like stiffness run together."""
+    failed = 0
+    order = np.argsort([m.E for m in materials])
+    for group in np.split(order, range(BATCH, len(order), BATCH)):
+        simulator: Simulator = settings.simulator(
+            body,
+            [materials[w] for w in group],
+            grippers=[list(grippers[w]) for w in group],
+            table=table,
+            gravity=(0.0, 0.0, -12.0),
+            cfl=share * CFL,
+        )
+        simulator.run(np.linspace(0.0, until, 11)[1:], particles=[0], keep_going=True)
+        failed += len(simulator.failures)
+    return failed
+
+
+def _material(rng: np.random.Generator) -> Material:
+    return Material(E=1000.0 * rng.uniform(*SPECIFIC_MODULUS), nu=rng.uniform(*NU), density=1000.0)
+
+
+def _carry(task: RopeReaching, rng: np.random.Generator) -> list[Gripper]:
+    return task.grippers(task.sample_actions(rng, 1)[0])
+
+
+def _pull(task: RopeReaching, rng: np.random.Generator) -> list[Gripper]:
+    """The held top moves away at once, at 1 to 2 m/s for 50 ms, and stops."""
+    top = task.top
+    away = np.array([rng.uniform(1.0, 2.0) * 0.05, 0.0, 0.0])
+    path = [top, top + away]
+    return [Gripper(time=[0.0, 0.05], position=path, radius=task.diameter)]
+
+
+def _lift_and_drop(rng: np.random.Generator) -> list[Gripper]:
+    """A cloth's centre goes up by 0.32 m at constant speed, then down faster and faster."""
+    start = np.array([0.0, 0.0, 0.015])
+    high = rng.uniform(0.2, 0.32)
+    u = np.linspace(0.0, 1.0, 17)
+    slope = rng.uniform(0.1, 0.65)
+    down = (1.0 - slope) * u + slope * u**2
+    time = np.concatenate([[0.0], 0.6 + 0.5 * u])
+    height = np.concatenate([[0.0], high * (1.0 - down)])
+    path = start + height[:, None] * [0.0, 0.0, 1.0]
+    return [Gripper(time=time, position=path, radius=0.03)]

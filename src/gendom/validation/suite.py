@@ -1,0 +1,88 @@
+"""All cases, by name, and how one is run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.validation import (
+    bars,
+    beams,
+    chain,
+    consistency,
+    convergence,
+    energy,
+    free_motion,
+    friction,
+    stability,
+)
+from gendom.validation.check import Case, Check, Settings
+
+CASES = {
+    case.name: case
+    for case in (
+        Case(name="free-fall", title="a thrown block", run=free_motion.free_fall),
+        Case(name="free-flight", title="a spinning block", run=free_motion.free_flight),
+        Case(name="objectivity", title="a turned problem", run=free_motion.objectivity),
+        Case(name="cantilever", title="a strip's small sag", run=beams.cantilever),
+        Case(name="elastica", title="a strip's large sag", run=beams.elastica),
+        Case(name="axial-vibration", title="a clamped bar", run=bars.axial_vibration),
+        Case(name="tension", title="a bar under its own weight", run=bars.tension),
+        Case(name="hanging-chain", title="a soft rope's swing", run=chain.hanging_chain),
+        Case(name="sliding", title="a block pushed along the table", run=friction.sliding),
+        Case(name="sticking", title="a block on a slope", run=friction.sticking),
+        Case(name="order", title="orders of convergence", run=convergence.order),
+        Case(name="energy", title="energy without work", run=energy.energy),
+        Case(name="batch", title="worlds together and alone", run=consistency.batch),
+        Case(name="precision", title="single and double precision", run=consistency.precision),
+        Case(name="stability", title="random worlds", run=stability.stability),
+    )
+}
+"""Every case by its name, in the order in which they run."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What came of a case."""
+
+    case: Case
+    checks: list[Check]
+    failure: str | None
+    """Why the simulation stopped, or None."""
+    seconds: float
+
+    @property
+    def passed(self) -> bool:
+        return self.failure is None and all(check.passed for check in self.checks)
+
+
+def choose(names: Sequence[str]) -> list[Case]:
+    """The cases of these names, in the suite's order; all for no names.
+
+    Raises:
+        ParameterError: If there is no case of a name.
+    """
+    for name in names:
+        if name not in CASES:
+            raise ParameterError(
+                f"there is no case {name!r}", where="--only", fix=f"choose from {', '.join(CASES)}"
+            )
+    return [case for name, case in CASES.items() if not names or name in names]
+
+
+def run_cases(cases: Sequence[Case], settings: Settings) -> Iterator[Result]:
+    """Run cases one after the other. A simulation that fails ends its case, not the suite.
+
+    Raises:
+        ParameterError, DeviceError: If the settings do not make a simulator.
+    """
+    for case in cases:
+        began = time.monotonic()
+        checks, failure = [], None
+        try:
+            checks = case.run(settings)
+        except SimulationError as error:
+            failure = str(error)
+        yield Result(case=case, checks=checks, failure=failure, seconds=time.monotonic() - began)

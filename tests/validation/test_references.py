@@ -1,0 +1,167 @@
+"""The numerical references and the readings, against what is known without a simulator."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.special import jn_zeros
+
+from gendom.errors import SimulationError
+from gendom.materials import Material
+from gendom.sim import Gripper, Simulator, cloth, rope
+from gendom.validation.beams import heavy_elastica
+from gendom.validation.chain import lowest_frequency
+from gendom.validation.check import Check
+from gendom.validation.energy import growth
+from gendom.validation.specimens import block, end, energies, momenta, sections, stations, swing
+
+
+def test_light_elastica_is_a_beam():
+    """At a tenth of a bending length the tip sags by ratio^3 / 8."""
+    assert heavy_elastica(0.1)([1.0])[0, 1] == pytest.approx(-(0.1**3) / 8.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 3.0])
+def test_elastica_has_least_energy(ratio):
+    """Its shape minimises bending and gravitational energy of a chain of 200 rods, found apart."""
+    n = 200
+    ds = 1.0 / n
+    weight = ratio**3 * (1.0 - (np.arange(n) + 0.5) * ds) * ds
+
+    def energy(theta):
+        bend = np.diff(theta)
+        first = theta[0]  # half a rod from the clamp
+        value = (bend @ bend) / (2 * ds) + first**2 / ds + weight @ np.sin(theta)
+        slope = weight * np.cos(theta)
+        slope[1:] += bend / ds
+        slope[:-1] -= bend / ds
+        slope[0] += 2 * first / ds
+        return value, slope
+
+    theta = minimize(
+        energy, np.full(n, -0.1), jac=True, method="L-BFGS-B", options={"maxiter": 20000}
+    ).x
+    tip = np.array([np.cos(theta).sum(), np.sin(theta).sum()]) * ds
+    assert heavy_elastica(ratio)([1.0])[0] == pytest.approx(tip, abs=2e-3)
+
+
+def test_thin_unstretched_rope_is_a_chain():
+    """The stiff rope's frequency tends to (j01 / 2) sqrt(g / L) from above."""
+    chain = jn_zeros(0, 1)[0] / 2.0 * math.sqrt(9.81 / 0.4)
+    found = [lowest_frequency(1e9, k, 0.4, 9.81) for k in (1e-6, 1e-7)]
+    assert chain < found[1] < found[0]
+    assert found[1] == pytest.approx(chain, rel=0.005)
+
+
+def test_weightless_rope_is_a_cantilever():
+    """Without gravity the frequency is 1.8751^2 sqrt(E / density) k / L^2; the terms suffice."""
+    beam = 1.8751040687**2 * math.sqrt(2.0e3) * 0.003 / 0.4**2
+    assert lowest_frequency(2.0e3, 0.003, 0.4, 0.0, terms=12) == pytest.approx(beam, rel=1e-7)
+    few, many = (lowest_frequency(200.0, 0.00125, 0.5, 9.81, terms=n) for n in (30, 60))
+    assert few == pytest.approx(many, rel=1e-4)
+
+
+def test_stretch_slows_a_rope():
+    """A rope of equal bending stiffness that stretches by 1 % on average is slower by under 1 %.
+
+    By Rayleigh's quotient the loss is half the stretch, weighted with tension times slope^2.
+    """
+    soft, stiff = 9.81 * 0.5 * 50, 1e7
+    slow = lowest_frequency(soft, 1e-5, 0.5, 9.81)
+    fast = lowest_frequency(stiff, 1e-5 * math.sqrt(soft / stiff), 0.5, 9.81)
+    assert 0.990 < slow / fast < 0.9975
+
+
+def test_swing_reads_frequency_and_decay():
+    t = np.linspace(0.0, 3.0, 90)
+    y = 0.3 + np.exp(-0.4 * t) * (2.0 * np.cos(5.0 * t) - np.sin(5.0 * t))
+    assert swing(t, y, 5.5) == pytest.approx((5.0, 0.4), rel=1e-6)
+
+
+def test_swing_refuses_noise():
+    t = np.linspace(0.0, 3.0, 90)
+    with pytest.raises(SimulationError, match="no single"):
+        swing(t, np.random.default_rng(0).normal(size=90), 5.0)
+
+
+def test_block_is_what_a_cloth_is():
+    """Same particles, neighbours and volume, but for the cloth's layers, which stand wider."""
+    one = block((0.04, 0.03, 0.02), 0.01, centre=(0.02, 0.015, 0.0))
+    other = cloth(width=0.04, height=0.03, thickness=0.02, dx=0.01)
+    assert np.allclose(one.x[:, :2], other.x[:, :2])
+    assert np.array_equal(one.lattice, other.lattice)
+    assert one.volume == pytest.approx(other.volume)
+    assert one.volume * one.num_particles == pytest.approx(0.04 * 0.03 * 0.02)
+    assert np.ptp(one.x[:, 2]) == pytest.approx(0.015)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        block((0.05, 0.02, 0.02), 0.01, centre=(0.025, 0.0, 0.0)),
+        rope(diameter=0.02, length=0.05, cells_across=2.0),
+        cloth(width=0.05, height=0.02, thickness=0.01, dx=0.01, corner=(0.0, -0.01, 0.0)),
+    ],
+)
+def test_sections_and_end(body):
+    """Section means lie on the axis at their stations, the end at the body's length."""
+    expected = np.stack([stations(body), 0 * stations(body), 0 * stations(body)], axis=1)
+    assert np.allclose(sections(body.x, body), expected, atol=1e-12)
+    assert np.allclose(sections(np.stack([body.x] * 2), body), expected, atol=1e-12)
+    assert end(body.x, body) == pytest.approx([0.05, 0.0, 0.0], abs=1e-12)
+
+
+def free(body, material, **options):
+    return Simulator(body, [material], gravity=(0, 0, 0), dtype="float64", threads=1, **options)
+
+
+def test_momenta_of_a_moving_block():
+    """P = M v, L = c x P for a block that only moves."""
+    body, material = block((0.04, 0.03, 0.02), 0.01, centre=(0.1, 0.2, 0.3)), Material(density=500)
+    s = free(body, material)
+    s.set_velocities((1.0, 2.0, 3.0))
+    mass = 500.0 * 0.04 * 0.03 * 0.02
+    P, L = momenta(s)
+    assert P == pytest.approx(mass * np.array([1.0, 2.0, 3.0]))
+    assert L == pytest.approx(np.cross([0.1, 0.2, 0.3], P), abs=1e-12)
+
+
+def test_energies_of_a_moving_block():
+    """m v^2 / 2, none elastic, -m g . x."""
+    body = block((0.04, 0.03, 0.02), 0.01, centre=(0.1, 0.2, 0.3))
+    s = free(body, Material(density=500.0))
+    s.set_velocities((1.0, 2.0, 3.0))
+    mass = 500.0 * 0.04 * 0.03 * 0.02
+    assert energies(s, (0, 0, -10.0)) == pytest.approx((mass * 7.0, 0.0, mass * 3.0), abs=1e-15)
+
+
+def test_elastic_energy_is_that_of_small_strains():
+    """A bar stretched by 1 % with Poisson's contraction holds E strain^2 / 2 for each volume.
+
+    Held while its deformation gradients follow its positions.
+    """
+    body, material = block((0.04, 0.03, 0.02), 0.01), Material(E=1.0e4, nu=0.3)
+    strain = 0.01
+    x = body.x * (1.0 + strain * np.array([1.0, -0.3, -0.3]))
+    hands = Gripper.still((0, 0, 0), radius=1.0)
+    s = free(body, material, grippers=[hands], positions=x, recovery=1e4)
+    s.run([0.05])
+    _, elastic, _ = energies(s, (0, 0, 0))
+    assert elastic == pytest.approx(1.0e4 * strain**2 / 2.0 * 0.04 * 0.03 * 0.02, rel=0.02)
+
+
+def test_growth_is_the_largest_rise():
+    assert growth(np.array([3.0, 1.0, 2.0, 0.5, 1.0])) == 1.0
+    assert growth(np.array([3.0, 2.0, 1.0])) == 0.0
+
+
+def test_check_errors():
+    """Relative errors are shares of the expected value, others have its unit; NaN is refused."""
+    share = Check.within_share("a", "m", -2.0, -2.1, 0.05, "s")
+    assert share.error == pytest.approx(0.05) and share.relative
+    assert not Check.within_share("a", "m", 2.0, 2.2, 0.05, "s").passed
+    own = Check.within("a", "m", 0.0, -0.3, 0.3, "s")
+    assert own.error == 0.3 and own.passed and not own.relative
+    with pytest.raises(SimulationError, match="a: measured nan"):
+        Check.within("a", "m", 0.0, math.nan, 0.3, "s")
