@@ -29,8 +29,8 @@ CHEAP = ReplaySettings(cells_across=1.0, clock=5.0, threads=1)
 KEYS = {
     "bending_length", "chamfer_last", "chamfer_last_surface", "chamfer_mean",
     "chamfer_mean_surface", "density", "density_assumed", "device", "format", "frames",
-    "grip_offset", "history", "identifiable", "interrupted", "intervals", "iterations", "loss",
-    "method", "notes", "object", "poissons_ratio", "seconds", "seed", "simulation",
+    "grip_offset", "history", "hold", "identifiable", "interrupted", "intervals", "iterations",
+    "loss", "method", "notes", "object", "poissons_ratio", "seconds", "seed", "simulation",
     "specific_modulus", "starts", "youngs_modulus",
 }  # fmt: skip
 

@@ -7,11 +7,13 @@ from gendom.estimation.estimate import (
     estimate,
     replay_chamfer,
 )
+from gendom.estimation.hold import Hold
 from gendom.estimation.lift import Lift, ReplaySettings, Theta
 
 __all__ = [
     "Estimate",
     "EstimateSettings",
+    "Hold",
     "Lift",
     "Progress",
     "ReplaySettings",

@@ -1,8 +1,9 @@
 """A recorded lift as a simulation with unknowns: initial state, gripper motion, clock."""
 
+import logging
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,10 +11,16 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
-from gendom.errors import RecordingError
+from gendom.errors import RecordingError, SimulationError
+from gendom.estimation.gauss_newton import Bounds
+from gendom.estimation.hold import NAMES, Hold, as_hold, fit_hold
+from gendom.estimation.placing import place
 from gendom.materials import Material
+from gendom.materials.parameters import specific_modulus_of
 from gendom.observation import visible
-from gendom.sim import CFL, Body, Gripper, Simulator, Table, check_numbers, cloth, rope
+from gendom.sim import CFL, GRAVITY, Gripper, Simulator, Table, check_numbers
+
+_log = logging.getLogger(__name__)
 
 QUASI_STATIC_SPEED = 0.12
 """Gripper speed at which quasi-static recordings are replayed [m/s]."""
@@ -27,10 +34,14 @@ DYNAMIC_DAMPING = 1.0
 ASSUMED_DENSITY = 1000.0
 """Density where the mass is unknown [kg/m^3]: only E / density shows in the motion."""
 
-ASSUMED_THICKNESS = 0.001
-"""Thickness of a cloth that the recording does not state [m]."""
+CLOTH_DAMPING = 3.0
+"""Damping of cloths on the recorded clock: the drag of the air on a sheet [1/s]."""
 
-HANG_RISE = 2.0
+CLOTH_GRIP = 0.045
+"""How far from the held point a cloth moves with the gripper, at every resolution: fingers and
+the folds between them [m]."""
+
+HANG_RISE = 1.0
 """Rise over which a held corner turns from lying to hanging, in reaches of the grip."""
 
 FLOOR_MARGIN = 0.003
@@ -42,8 +53,29 @@ SHOWN_AT_REST = 0.5
 RAMP_SPEED = 0.1
 """Speed at which the gripper takes the object from rest to its first recorded position [m/s]."""
 
-CLOTH_CELLS = 14
-"""Grid cells along a cloth's longer side at full resolution."""
+HOLD_CELLS = 0.6
+"""Share of those cells with which the hold of a corner is found."""
+
+HOLD_FRAMES = 10
+"""Frames from which the hold of a corner is found."""
+
+NOMINAL_BENDING = 0.08
+"""Bending length with which the hold of a corner is found, in diagonals of the cloth."""
+
+HOLD_MEAN = Hold(lag=0.05, inset=0.02, tilt=1.4, sink=0.005)
+"""How the corner of a cloth is held, before seeing the clouds."""
+
+HOLD_SD = {
+    "commanded": Hold(lag=0.1, height=0.02, inset=0.02, aside=0.015, turn=0.2, tilt=0.2, sink=0.01),
+    "measured": Hold(
+        lag=0.02, height=0.005, inset=0.02, aside=0.015, turn=0.2, tilt=0.2, sink=0.01
+    ),
+}
+"""Standard deviations of that by the source of the gripper's path: an arm trails its commands and
+what it is sent to is a point of the hand, not of the fingertips."""
+
+HOLD_RANGE = 4.0
+"""How far from that mean a hold is looked for, in standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,42 +122,50 @@ class Lift:
     The object starts at rest on its table: a rope along its visible centre line, from the
     gripper on, as long as stated; a cloth as the flat square that holds most of the recorded
     points, held where the recording says. It is carried along the recorded path; heights below
-    rest mean slack.
+    rest mean slack. How the corner of a cloth is held is found from the clouds, with a nominal
+    material on a coarse grid.
 
     Args:
         recording: What was seen.
         settings: How to simulate it.
+        hold: How the corner of a cloth is held, or None to find it.
 
     Raises:
         RecordingError: If the recording shows too little to place the object.
     """
 
-    def __init__(self, recording: Recording, settings: ReplaySettings | None = None):
+    def __init__(
+        self,
+        recording: Recording,
+        settings: ReplaySettings | None = None,
+        *,
+        hold: Hold | None = None,
+    ):
         self.recording = recording
         self.settings = settings or ReplaySettings()
         self.notes: list[str] = []
         self.frames = [t for t in range(recording.num_frames) if recording.frame_valid[t]]
         if not self.frames:
             raise RecordingError("no frame holds a point", where="points", fix="record again")
-        if recording.object.kind == "rope":
-            self.body, self.grip = self._place_rope()
-        elif recording.object.kind == "cloth":
-            self.body, self.grip = self._place_cloth()
-        else:
-            raise RecordingError(
-                f"objects of kind {recording.object.kind!r} cannot be simulated",
-                where="meta.object.kind",
-                fix="use rope or cloth",
-            )
+        self.body, self.grip = place(recording, self.settings.cells_across, self.notes)
         self.radius = self._grip_radius()
         self.clock = self._choose_clock()
         quasi = recording.quasi_static
         damping = self.settings.damping
         if damping is None:
-            damping = QUASI_STATIC_DAMPING if quasi else DYNAMIC_DAMPING
+            dynamic = CLOTH_DAMPING if self.body.kind == "cloth" else DYNAMIC_DAMPING
+            damping = QUASI_STATIC_DAMPING if quasi else dynamic
         self.damping = damping
         self.density, self.density_assumed = self._density()
         self.floor = self._find_floor()
+        self._flat = self.body.x
+        self.hold = hold
+        if hold is None and self.held_by_corner:
+            _log.info("finding how the corner is held")
+            self.hold = self._find_hold()
+        if self.hold is not None:
+            x = self._laid(self.hold)
+            self.body = replace(self.body, x=x - [0.0, 0.0, self.hold.sink])
 
     # ---- what the estimator needs -------------------------------------------------------------
 
@@ -138,16 +178,26 @@ class Lift:
         thetas: Sequence[Theta],
         *,
         frames: Sequence[int] | None = None,
+        holds: Sequence[Hold] | None = None,
         on_frame: Callable[[int], None] | None = None,
     ) -> NDArray[np.floating]:
         """Particle positions [T, W, N, 3] at recorded frames (default: all with points) [m].
+
+        Args:
+            thetas: W sets of parameters.
+            frames: Recorded frames.
+            holds: How each world holds its cloth (default: ``hold``).
+            on_frame: Called with the number of frames done.
 
         Raises:
             SimulationError: If a world diverges.
         """
         chosen = self.frames if frames is None else list(frames)
-        grippers = [self._grippers(theta) for theta in thetas]
+        every = [self.hold] * len(thetas) if holds is None else list(holds)
+        grippers = [self._grippers(theta, h) for theta, h in zip(thetas, every, strict=True)]
         begin = min(float(np.asarray(g.time)[0]) for world in grippers for g in world)
+        times = self._sim_time(self.recording.time[chosen])
+        begin = min(begin, float(times[0]))  # a path that lags begins after the clouds
         table = None
         if self.table_height is not None:
             table = Table(height=self.table_height, friction=self.settings.friction)
@@ -159,13 +209,16 @@ class Lift:
             damping=self.damping,
             law=self.settings.law,
             cfl=CFL,
+            positions=[self._flat if h is None else self._laid(h) for h in every],
             start_time=begin,
             dtype=self.settings.dtype,
             device=self.settings.device,
             threads=self.settings.threads,
         )
-        times = self._sim_time(self.recording.time[chosen])
-        return simulator.run(times, on_frame=on_frame)
+        x = simulator.run(times, on_frame=on_frame)
+        # worlds share one table: where it lies lower, everything was simulated that much higher
+        x[..., 2] -= np.array([0.0 if h is None else h.sink for h in every])[:, None]
+        return x
 
     def inside(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
         """[n] which points [n, 3] lie in the recorded space: all, or all above ``floor``."""
@@ -186,6 +239,11 @@ class Lift:
         return visible(surface, camera_positions=cameras)
 
     @property
+    def held_by_corner(self) -> bool:
+        """Whether this is a cloth held by a corner."""
+        return self.body.kind == "cloth" and self.recording.object.grasp == "corner"
+
+    @property
     def table_height(self) -> float | None:
         return self.recording.table_height
 
@@ -203,132 +261,13 @@ class Lift:
             return float(np.ptp(self.body.material_coordinates[:, 0]))
         return float(np.linalg.norm(np.ptp(self.body.material_coordinates[:, :2], axis=0)))
 
-    # ---- initial state ---------------------------------------------------------------------------
-
-    def _place_rope(self) -> tuple[Body, NDArray[np.floating]]:
-        """The rope along its centre line and the held points [G, 3]."""
-        described = self.recording.object
-        assert described.length is not None  # the recording's own check
-        diameter = described.diameter
-        if diameter is None:
-            diameter = described.length / 50.0
-            self.notes.append(f"diameter not stated: {diameter:.4g} m assumed (length / 50)")
-        grip = self.recording.gripper_position[self.frames[0]]
-        if len(grip) > 1:
-            line = self._line_between(grip)
-            start = 0.0
-        else:
-            line = self._line_from(grip[0], diameter, described.length)
-            start = diameter / 2.0
-        body = rope(
-            diameter=diameter,
-            length=described.length,
-            centre_line=line,
-            cells_across=self.settings.cells_across,
-        )
-        ends = [start] if len(grip) == 1 else [start, described.length]
-        return body, _centre_at(body, np.array(ends))
-
-    def _line_from(self, grip: NDArray, diameter: float, length: float) -> NDArray[np.floating]:
-        """Centre line of a rope at rest, from half a diameter behind the gripper on."""
-        early = self._early_points(diameter)
-        flat = early[:, :2] - grip[:2]
-        far = flat[np.linalg.norm(flat, axis=1) > 0.25 * length]
-        if len(far) < 5:
-            raise RecordingError(
-                "the first frames show too little of the rope to tell which way it lies",
-                where=f"frames {self.frames[0]}-{self.frames[min(9, len(self.frames) - 1)]}",
-                fix="record from the rope at rest on",
-            )
-        axis = far.mean(axis=0) / np.linalg.norm(far.mean(axis=0))
-        side = np.array([-axis[1], axis[0]])
-        along, across = flat @ axis, flat @ side
-        # bends of the visible line, held straight where a hole in the cloud leaves it open
-        fit = np.polynomial.Polynomial.fit(along, across, 2, domain=[0.0, length])
-        keep = np.abs(across - fit(along)) < 2.0 * np.std(across - fit(along)) + 1e-6
-        fit = np.polynomial.Polynomial.fit(along[keep], across[keep], 2, domain=[0.0, length])
-        s = np.linspace(-diameter / 2.0, length, 60)
-        inside = np.clip(s, along.min(), along.max())
-        curve = fit(inside) + fit.deriv()(inside) * (s - inside)
-        height = float(np.median(early[:, 2])) - diameter / 2.0
-        if self.table_height is not None:
-            height = self.table_height + diameter / 2.0
-        xy = grip[:2] + s[:, None] * axis + curve[:, None] * side
-        return np.concatenate([xy, np.full((len(s), 1), height)], axis=1)
-
-    def _line_between(self, grip: NDArray) -> NDArray[np.floating]:
-        """Centre line of a rope held at both ends, from the first frame."""
-        cloud = self.recording.frame(self.frames[0]).astype(float)
-        if not self.recording.extra.get("ordered_markers", False):
-            axis = (grip[1] - grip[0]) / np.linalg.norm(grip[1] - grip[0])
-            cloud = cloud[np.argsort((cloud - grip[0]) @ axis)]
-            bins = np.array_split(cloud, min(24, max(2, len(cloud) // 4)))
-            cloud = np.array([b.mean(axis=0) for b in bins])
-        elif np.linalg.norm(cloud[0] - grip[0]) > np.linalg.norm(cloud[-1] - grip[0]):
-            cloud = cloud[::-1]
-        self.notes.append("held at both ends: its first shape is taken as free of stress")
-        return cloud
-
-    def _place_cloth(self) -> tuple[Body, NDArray[np.floating]]:
-        """The flat cloth and the held point [1, 3]."""
-        described = self.recording.object
-        width, height = described.width, described.height
-        assert width is not None and height is not None  # the recording's own check
-        thickness = described.thickness
-        if thickness is None:
-            thickness = ASSUMED_THICKNESS
-            self.notes.append(f"thickness not stated: {thickness * 1e3:.3g} mm assumed")
-        dx = max(width, height) / CLOTH_CELLS * 1.5 / self.settings.cells_across
-        grip = self.recording.gripper_position[self.frames[0], 0]
-        yaw = self._cloth_yaw(width, height)
-        low = self.table_height
-        if low is None:
-            low = float(np.percentile(self._early_points(dx)[:, 2], 5))
-        mid = low + thickness / 2.0
-        local = np.zeros(2) if described.grasp == "corner" else np.array([width, height]) / 2
-        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-        corner = np.append(grip[:2] - turn @ local, mid)
-        body = cloth(width=width, height=height, thickness=thickness, dx=dx, corner=corner, yaw=yaw)
-        return body, np.array([[grip[0], grip[1], mid]])
-
-    def _cloth_yaw(self, width: float, height: float) -> float:
-        """Turn of the flat cloth about the held point.
-
-        Held by a corner it hangs evenly about its diagonal, so the diagonal points to where the
-        lifted cloud is. Held elsewhere, the turn whose footprint holds the low points best.
-        """
-        grip = self.recording.gripper_position[self.frames[0], 0]
-        if self.recording.object.grasp == "corner":
-            later = self.frames[len(self.frames) // 2 :]
-            towards = [self.recording.frame(t)[:, :2].mean(axis=0) - grip[:2] for t in later]
-            x, y = np.median(np.array(towards, dtype=float), axis=0)
-            return math.atan2(y, x) - math.atan2(height, width)
-        points = np.concatenate([self.recording.frame(t) for t in self.frames]).astype(float)
-        base = self.table_height if self.table_height is not None else points[:, 2].min()
-        low = points[points[:, 2] < base + 0.15 * max(width, height)]
-        flat = (low if len(low) > 50 else points)[:, :2] - grip[:2]
-        turns = np.linspace(0.0, math.pi, 72, endpoint=False)
-
-        def outside(yaw: float) -> float:
-            c, s = math.cos(yaw), math.sin(yaw)
-            local = np.abs(flat @ np.array([[c, -s], [s, c]])) - np.array([width, height]) / 2
-            return float(np.linalg.norm(np.maximum(local, 0.0), axis=1).mean())
-
-        return float(min(turns, key=outside))
-
-    def _early_points(self, size: float) -> NDArray[np.floating]:
-        """Points of the frames before the gripper has moved by ``size`` [m]."""
-        path = self.recording.gripper_position[:, 0]
-        moved = np.linalg.norm(path - path[self.frames[0]], axis=1)
-        early = [t for t in self.frames if moved[t] <= size] or self.frames[:1]
-        return np.concatenate([self.recording.frame(t) for t in early]).astype(float)
-
     # ---- motion ----------------------------------------------------------------------------------
 
     def _grip_radius(self) -> float:
         if self.body.kind == "rope":
             return 0.75 * self.body.thickness
-        return 1.25 * self.body.dx
+        # what moves with the gripper reaches one cell beyond its radius
+        return max(CLOTH_GRIP - self.body.dx, 0.25 * self.body.dx)
 
     def _choose_clock(self) -> float:
         if self.settings.clock is not None:
@@ -360,38 +299,128 @@ class Lift:
         )
         return lowest + FLOOR_MARGIN
 
-    def _hanging(self, rise: NDArray[np.floating]) -> NDArray[np.floating] | None:
+    def _find_hold(self) -> Hold:
+        """How the corner is held, from the frames in which it hangs."""
+        height = self.recording.gripper_position[:, 0, 2]
+        rise = height - height[self.frames[0]]
+        hanging = [t for t in self.frames if rise[t] > HANG_RISE * (self.radius + self.body.dx)]
+        if not hanging:
+            self.notes.append("the corner is never lifted: taken as held at its very tip")
+            return Hold()
+        chosen = hanging[:: -(-len(hanging) // HOLD_FRAMES)]
+        bending = NOMINAL_BENDING * self.size
+        theta = Theta(
+            specific_modulus=specific_modulus_of(bending, self.radius_of_gyration, -GRAVITY[2])
+        )
+        coarse = self.coarser(HOLD_CELLS, hurry=1.0)
+        bounds = self._hold_bounds()
+        mean, sd = as_hold(bounds.mean), as_hold(bounds.sd)
+        # one guess at the stated point, one at fingertips below it that reach further in: what
+        # lies between them looks alike from afar, and a search from one side stays there
+        lower = replace(
+            mean,
+            lag=mean.lag + sd.lag / 2.0,
+            height=-1.5 * sd.height,
+            inset=mean.inset + sd.inset,
+            sink=mean.sink + sd.sink,
+        )
+        try:
+            return fit_hold(
+                lambda holds: coarse.simulate([theta] * len(holds), frames=chosen, holds=holds),
+                [self.recording.frame(t) for t in chosen],
+                self.floor,
+                bounds,
+                [mean, lower],
+            )
+        except SimulationError as error:
+            self.notes.append(f"how the corner is held could not be found: {error}")
+            return mean
+
+    def _hold_bounds(self) -> Bounds:
+        """Limits and prior of the hold, in the order of its fields."""
+        described = self.recording.object
+        assert described.width is not None and described.height is not None
+        sd = HOLD_SD.get(self.recording.gripper_source, HOLD_SD["commanded"])
+        mean = HOLD_MEAN
+        if self.recording.gripper_source == "measured":
+            mean = replace(mean, lag=0.0)
+        spread = np.array(astuple(sd))
+        low = np.array(astuple(mean)) - HOLD_RANGE * spread
+        high = np.array(astuple(mean)) + HOLD_RANGE * spread
+        least = {"lag": 0.0, "inset": 0.0, "sink": 0.0}
+        most = {"inset": min(described.width, described.height) / 4.0}
+        if self.recording.quasi_static:
+            # its clock is rescaled, so that a lag in seconds means nothing
+            mean = replace(mean, lag=0.0)
+            most["lag"] = 0.0
+        if self.floor is None:
+            # a table that is seen lies where it is stated
+            mean = replace(mean, sink=0.0)
+            most["sink"] = 0.0
+        for name, value in least.items():
+            low[NAMES.index(name)] = max(low[NAMES.index(name)], value)
+        for name, value in most.items():
+            high[NAMES.index(name)] = min(high[NAMES.index(name)], value)
+        return Bounds(
+            low=low,
+            high=high,
+            mean=np.array(astuple(mean)),
+            sd=spread,
+            largest_step=spread,
+            tolerance=0.02 * spread,
+        )
+
+    def _laid(self, hold: Hold) -> NDArray[np.floating]:
+        """[N, 3] particles of the flat cloth held like this, on the stated table [m]."""
+        c, s = math.cos(hold.turn), math.sin(hold.turn)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        inwards = self._inwards()
+        left = np.array([-inwards[1], inwards[0], 0.0])
+        x = self._flat - self.grip[0] - hold.inset * inwards - hold.aside * left
+        return self.grip[0] + x @ turn.T
+
+    def _inwards(self) -> NDArray[np.floating]:
+        """[3] horizontal unit vector from the held corner along the diagonal, before any turn."""
+        towards = self._flat.mean(axis=0) - self.grip[0]
+        towards[2] = 0.0
+        return towards / np.linalg.norm(towards)
+
+    def _hanging(self, rise: NDArray[np.floating], hold: Hold) -> NDArray[np.floating]:
         """[K, 4] turn of the grip: a pinched corner does not stay level, it hangs.
 
         Args:
             rise: [K] height of the gripper above the resting object [m].
+            hold: How the corner is held.
         """
-        if self.body.kind != "cloth" or self.recording.object.grasp != "corner":
-            return None
-        inwards = self.body.x.mean(axis=0) - self.grip[0]
-        axis = np.cross(inwards / np.linalg.norm(inwards), [0.0, 0.0, -1.0])
+        c, s = math.cos(hold.turn), math.sin(hold.turn)
+        inwards = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._inwards()
+        axis = np.cross(inwards, [0.0, 0.0, -1.0])
         reach = self.radius + self.body.dx
-        angle = math.pi / 2.0 * np.clip(rise / (HANG_RISE * reach), 0.0, 1.0)
+        angle = hold.tilt * np.clip(rise / (HANG_RISE * reach), 0.0, 1.0)
         return Rotation.from_rotvec(angle[:, None] * axis).as_quat()
 
-    def _grippers(self, theta: Theta) -> list[Gripper]:
+    def _grippers(self, theta: Theta, hold: Hold | None) -> list[Gripper]:
         """The recorded paths, moved onto the held points, with slack and a ramp from rest."""
         made = []
         first = self.frames[0]
         time = self._sim_time(self.recording.time[first:])
+        higher = theta.grip_offset
+        if hold is not None:
+            time = time + hold.lag / self.clock
+            higher += hold.height + hold.sink
         for g, held in enumerate(self.grip):
             path = self.recording.gripper_position[first:, g].astype(float).copy()
             path[:, :2] += held[:2] - path[0, :2]
-            path[:, 2] += theta.grip_offset
+            path[:, 2] += higher
             if self.table_height is not None:
                 path[:, 2] = np.maximum(path[:, 2], held[2])
             knots, at = time, path
             away = np.linalg.norm(path[0] - held)
             if away > 0.0:
                 # the first recorded position is reached before the first frame, not in a jump
-                knots = np.concatenate([[-away / RAMP_SPEED - 1e-3], time])
+                knots = np.concatenate([[time[0] - away / RAMP_SPEED - 1e-3], time])
                 at = np.concatenate([held[None], path])
-            turn = self._hanging(at[:, 2] - held[2])
+            turn = None if hold is None else self._hanging(at[:, 2] - held[2], hold)
             made.append(Gripper(time=knots, position=at, quat_xyzw=turn, radius=self.radius))
         return made
 
@@ -406,13 +435,7 @@ class Lift:
         """The same lift on a grid with ``share`` of the cells, quasi-static motion ``hurry`` times
         as fast."""
         clock = self.clock * (hurry if self.recording.quasi_static else 1.0)
+        hold = self.hold or (Hold() if self.held_by_corner else None)
         cells = self.settings.cells_across * share
-        return Lift(self.recording, replace(self.settings, cells_across=cells, clock=clock))
-
-
-def _centre_at(body: Body, along: NDArray[np.floating]) -> NDArray[np.floating]:
-    """[K, 3] points of a rope's centre line at distances [K] from its first end [m]."""
-    s, section = np.unique(body.material_coordinates[:, 0], return_inverse=True)
-    count = np.bincount(section)
-    centre = [np.bincount(section, body.x[:, a]) / count for a in range(3)]
-    return np.stack([np.interp(along, s, c) for c in centre], axis=-1)
+        settings = replace(self.settings, cells_across=cells, clock=clock)
+        return Lift(self.recording, settings, hold=hold)
