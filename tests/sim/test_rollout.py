@@ -8,6 +8,9 @@ import pytest
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Box, Gripper, Rollout, Simulator, Table, rope
+from gendom.sim.batch_tape import BatchTape
+from gendom.sim.gradients import Sums
+from gendom.sim.world_tape import WorldTape
 
 TIMES = [0.015, 0.03]
 NOTHING = {
@@ -219,14 +222,33 @@ def test_misuse_is_refused():
 
 
 def test_a_long_rollout_stays_within_its_memory():
-    rollout = Rollout(scene(), memory=0.0)
-    x = rollout.forward([0.4])  # 2,000 substeps
-    states = sum(
-        view.nbytes
-        for world in rollout._stretches
-        for stretch in world
-        for view in (stretch.begin or {}).values()
-    )
+    tape = WorldTape(scene(), memory=0.0)
+    x = tape.forward(np.array([0.4]))  # 2,000 substeps
+    kept = tape._stretches[0]
+    states = sum(view.nbytes for stretch in kept for view in (stretch.begin or {}).values())
     row = x[0].size // 3 * 24 * 8
     assert states == math.ceil(2000 / 64) * row
-    assert all(stretch.recording is None for world in rollout._stretches for stretch in world)
+    assert all(stretch.recording is None for stretch in kept)
+
+
+@pytest.mark.parametrize("yields_at", [math.inf, 2.0e3])
+@pytest.mark.parametrize("memory", [0.0, 1e9])
+def test_all_worlds_together_give_the_derivatives_of_each_alone(yields_at, memory):
+    """The GPU's stages, which run on the CPU too, against the CPU's own kernel."""
+    times = np.array(TIMES)
+    tapes = [
+        WorldTape(scene(yields_at=yields_at, worlds=2), memory=1e9),
+        BatchTape(scene(yields_at=yields_at, worlds=2), memory=memory),
+    ]
+    frames = [tape.forward(times) for tape in tapes]
+    np.testing.assert_allclose(frames[1], frames[0], rtol=0.0, atol=1e-13)
+    found = []
+    for tape in tapes:
+        sums = Sums(tape.simulator)
+        tape.backward(weights(frames[0].shape), sums)
+        found.append(sums.gradients(tape.simulator))
+    for name in NOTHING:
+        expected = getattr(found[0], name)
+        np.testing.assert_allclose(
+            getattr(found[1], name), expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max()
+        )

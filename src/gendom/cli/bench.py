@@ -33,7 +33,7 @@ class Command:
     seed: int = 0
     """Seed of the points that the ropes are carried to."""
     gradient: bool = False
-    """Time forward and backward together too (CPU)."""
+    """Time forward and backward together too."""
     json: bool = False
     """Print JSON."""
 

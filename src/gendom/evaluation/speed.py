@@ -70,12 +70,12 @@ def measure_speed(
         threads: Worlds side by side on the CPU (None: all cores).
         seconds: Simulated time [s].
         runs: Rollouts timed after one that compiles.
-        gradient: Also time the reverse mode (CPU).
+        gradient: Also time the reverse mode.
         seed: Of the carried-to points.
 
     Raises:
         DeviceError: If the device is not there.
-        ParameterError: If numbers do not fit, or a gradient is asked of a GPU.
+        ParameterError: If numbers do not fit.
     """
     task = RopeReaching(cells_across=2.0)
     body = task.body()

@@ -1,9 +1,10 @@
 """MLS-MPM simulation of ropes and cloths, batched over worlds."""
 
 from gendom.sim.bodies import Body, cloth, rope
+from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
-from gendom.sim.rollout import Gradients, Rollout
+from gendom.sim.rollout import Rollout
 from gendom.sim.simulator import (
     CFL,
     GRAVITY,

@@ -13,7 +13,7 @@ from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper
-from gendom.sim.rollout import MEMORY, Rollout
+from gendom.sim.rollout import Rollout
 from gendom.sim.simulator import Simulator, Table
 
 _NAMES = (
@@ -37,7 +37,7 @@ def simulate(
     *,
     grippers: Sequence[Gripper] = (),
     table: Table | None = None,
-    memory: float = MEMORY,
+    memory: float | None = None,
     options: dict[str, Any] | None = None,
     **given: Tensor | float,
 ) -> Tensor:
@@ -48,7 +48,7 @@ def simulate(
         times: [T] not decreasing [s].
         grippers: Shared by all worlds; ``gripper_positions`` moves their knots.
         table: Its friction is replaced where ``friction`` is given.
-        memory: Bound on what is kept for the backward pass [bytes].
+        memory: Bound on what is kept for the backward pass [bytes] (default: as ``Rollout``).
         options: Further arguments of ``Simulator`` (``law``, ``substep``, ``dtype``, ``threads``).
         given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and, where wanted, ``yield_stress`` [Pa],
             ``damping`` [1/s], ``friction``: numbers or [W]; ``gravity`` [3] or [W, 3];

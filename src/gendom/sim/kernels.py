@@ -451,7 +451,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         cell: wp.array2d(dtype=wp.int32),
         level: wp.array2d(dtype=wp.int32),
         count: wp.array(dtype=wp.int32),
-        momentum: wp.array2d(dtype=vec4),  # [W, M] left empty for the next substep
+        recorded: int,  # 1: the momentum stays for the reverse; 0: left empty for the next substep
+        momentum: wp.array2d(dtype=vec4),  # [W, M]
         velocity: wp.array2d(dtype=vec4),  # [W, M]
     ):
         w, n = wp.tid()
@@ -460,7 +461,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
             return
         if runs(w, r, dx, dt, step, steps, status, trouble, travel, fastest):
             q = momentum[w, n]
-            momentum[w, n] = vec4()
+            if recorded == 0:
+                momentum[w, n] = vec4()
             u = vec3()
             if q[3] > real(0.0):
                 h = real(dt[w])
@@ -492,9 +494,11 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         start: wp.array3d(dtype=wp.int32),
         velocity: wp.array2d(dtype=vec4),
         x: wp.array2d(dtype=vec3),
-        v: wp.array2d(dtype=vec3),
-        C: wp.array2d(dtype=mat33),
         F: wp.array2d(dtype=mat33),
+        x_out: wp.array2d(dtype=vec3),
+        v_out: wp.array2d(dtype=vec3),
+        C_out: wp.array2d(dtype=mat33),
+        F_out: wp.array2d(dtype=mat33),
         culprit: wp.array(dtype=wp.int32),
     ):
         w, p = wp.tid()
@@ -511,14 +515,34 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
             elif wp.determinant(Fp) <= real(0.0):
                 wp.atomic_max(trouble, w, INVERTED)
                 culprit[w] = p
-            x[w, p] = xp + h * vp
-            v[w, p] = vp
-            C[w, p] = Cp
-            F[w, p] = Fp
+            x_out[w, p] = xp + h * vp
+            v_out[w, p] = vp
+            C_out[w, p] = Cp
+            F_out[w, p] = Fp
             if p == 0:
                 done[w] = r + 1
             if speed > fastest[w, r]:
                 wp.atomic_max(fastest, w, r, speed)
+
+    @wp.kernel(enable_backward=False)
+    def take(
+        done: wp.array(dtype=wp.int32),
+        x: wp.array3d(dtype=vec3),  # [GRAPH + 1, W, N]
+        v: wp.array3d(dtype=vec3),
+        C: wp.array3d(dtype=mat33),
+        F: wp.array3d(dtype=mat33),
+        x_out: wp.array2d(dtype=vec3),  # [W, N]
+        v_out: wp.array2d(dtype=vec3),
+        C_out: wp.array2d(dtype=mat33),
+        F_out: wp.array2d(dtype=mat33),
+    ):
+        """The state in which each world has left a recorded graph."""
+        w, p = wp.tid()
+        row = done[w]
+        x_out[w, p] = x[row, w, p]
+        v_out[w, p] = v[row, w, p]
+        C_out[w, p] = C[row, w, p]
+        F_out[w, p] = F[row, w, p]
 
     return SimpleNamespace(
         vec3=vec3,
@@ -534,4 +558,5 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         p2g=p2g,
         grid_update=grid_update,
         g2p=g2p,
+        take=take,
     )

@@ -1,8 +1,9 @@
 """The substep backwards: derivatives of a loss carried from a later state to an earlier one.
 
 The CPU kernel walks through one recorded stretch of one world from its last substep to its
-first. Each substep's grid is kept by the recording, so only the grid's velocities are made again;
-the transposes are those of ``transfers``, ``boundary`` and ``materials.laws``.
+first; on CUDA each stage of a substep is a kernel over all worlds. Each substep's grid is kept by
+the recording, so only the grid's velocities are made again; the transposes are those of
+``transfers``, ``boundary`` and ``materials.laws``.
 
 A name with ``_bar`` is the derivative of the loss by that quantity. Shapes: W worlds, N
 particles, G grippers, K path knots, S recorded substeps, X x Y grid columns, M nodes.
@@ -14,6 +15,7 @@ particles, G grippers, K path knots, S recorded substeps, X x Y grid columns, M 
 # pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -178,7 +180,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> Any:
                 x_part, gradient = gather_particle_back(
                     xp, v_bar[w, p] + h * moved_bar, C_bar[w, p],
                     h * (trial_bar * wp.transpose(Fp)), inv_dx, z0, layout, bounds, start,
-                    velocity, grid_bar,
+                    0, velocity, grid_bar,
                 )  # fmt: skip
                 x_bar[w, p] = moved_bar + x_part
                 F_bar[w, p] = trial_bar + h * (wp.transpose(gradient) * trial_bar)
@@ -203,7 +205,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> Any:
             for p in range(N):
                 x_part, vb, Cb, F_part, mu_part, lam_part, mass_part = scatter_particle_back(
                     x[slot, p], v[slot, p], C[slot, p], F[slot, p], mu[w, p], lam[w, p], mass[w],
-                    volume, h, inv_dx, z0, layout, bounds, start, grid_bar,
+                    volume, h, inv_dx, z0, layout, bounds, start, 0, grid_bar,
                 )  # fmt: skip
                 x_bar[w, p] = x_bar[w, p] + x_part
                 v_bar[w, p] = vb
@@ -227,3 +229,283 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> Any:
         status_out[w] = status
 
     return reverse
+
+
+@functools.cache
+def make_reverse_stages(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
+    """Build the CUDA kernels that reverse one recorded substep of all worlds.
+
+    Substep r of a graph is reversed in the worlds that have done it (``r < done[w]``).
+
+    Args:
+        real: ``wp.float32`` or ``wp.float64``.
+        law_name: Elastic law, see ``gendom.materials.laws``.
+        plastic: Whether particles yield.
+
+    Returns:
+        Namespace with ``grid_again``, ``gather_back``, ``grid_back``, ``scatter_back``,
+        ``world_back``, ``recover_back``, to be called in this order.
+    """
+    law = make_law(law_name, real, plastic=plastic)
+    return_map_back = law.return_map_back
+    vec3 = wp.types.vector(3, real)
+    vec4 = wp.types.vector(4, real)
+    mat33 = wp.types.matrix((3, 3), real)
+    boundary = make_boundary(real)
+    place_gripper_back = boundary.place_gripper_back
+    update_node = boundary.update_node
+    update_node_back = boundary.update_node_back
+    transfers = make_transfers(real, law.stress, law.stress_back)
+    scatter_particle_back = transfers.scatter_particle_back
+    gather_particle = transfers.gather_particle
+    gather_particle_back = transfers.gather_particle_back
+    recovered_gradient_back = transfers.recovered_gradient_back
+    yields = wp.constant(1 if plastic else 0)
+    mask = CELL_MASK
+    recovery_span = float(RECOVER_EVERY)
+    largest = 1.0e37 if real == wp.float32 else 1.0e300
+
+    @wp.kernel(enable_backward=False)
+    def grid_again(
+        r: int,
+        done: wp.array(dtype=wp.int32),
+        dt: wp.array(dtype=wp.float64),
+        dx: real,
+        z0: real,
+        gravity: wp.array(dtype=vec3),
+        damping: wp.array(dtype=real),
+        table: int,
+        friction: wp.array(dtype=real),
+        box_lower: vec3,
+        box_upper: vec3,
+        grip_centre: wp.array2d(dtype=vec3),  # [GRAPH * W, G]
+        grip_velocity: wp.array2d(dtype=vec3),
+        grip_spin: wp.array2d(dtype=vec3),
+        grip_closed: wp.array2d(dtype=wp.int32),
+        grip_radius: wp.array2d(dtype=real),
+        bounds: wp.array2d(dtype=wp.int32),
+        cell: wp.array2d(dtype=wp.int32),
+        level: wp.array2d(dtype=wp.int32),
+        count: wp.array(dtype=wp.int32),
+        momentum: wp.array2d(dtype=vec4),
+        velocity: wp.array2d(dtype=vec4),
+        grid_bar: wp.array2d(dtype=vec4),
+    ):
+        """Velocities of the substep's grid once more, and an empty grid of derivatives."""
+        w, n = wp.tid()
+        if n >= count[w] or r >= done[w]:
+            return
+        q = momentum[w, n]
+        u = vec3()
+        if q[3] > real(0.0):
+            h = real(dt[w])
+            u = update_node(
+                w, r * done.shape[0] + w, q, bounds[w, 0] + (cell[w, n] >> CELL_BITS),
+                bounds[w, 1] + (cell[w, n] & mask), level[w, n], h, dx, z0,
+                gravity[w], wp.exp(-damping[w] * h), table, friction[w], box_lower, box_upper,
+                grip_centre, grip_velocity, grip_spin, grip_closed, grip_radius,
+            )  # fmt: skip
+        velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
+        grid_bar[w, n] = vec4()
+
+    @wp.kernel(enable_backward=False)
+    def gather_back(
+        r: int,
+        done: wp.array(dtype=wp.int32),
+        dt: wp.array(dtype=wp.float64),
+        dx: real,
+        z0: real,
+        mu: wp.array2d(dtype=real),
+        yield_stress: wp.array(dtype=real),
+        bounds: wp.array2d(dtype=wp.int32),
+        start: wp.array3d(dtype=wp.int32),
+        velocity: wp.array2d(dtype=vec4),
+        grid_bar: wp.array2d(dtype=vec4),
+        x: wp.array2d(dtype=vec3),
+        F: wp.array2d(dtype=mat33),
+        x_bar: wp.array2d(dtype=vec3),
+        v_bar: wp.array2d(dtype=vec3),
+        C_bar: wp.array2d(dtype=mat33),
+        F_bar: wp.array2d(dtype=mat33),
+        mu_bar: wp.array2d(dtype=real),
+        yield_bar: wp.array2d(dtype=real),
+    ):
+        w, p = wp.tid()
+        if r >= done[w]:
+            return
+        h = real(dt[w])
+        inv_dx = real(1.0) / dx
+        xp = x[w, p]
+        Fp = F[w, p]
+        moved_bar = x_bar[w, p]
+        trial_bar = F_bar[w, p]
+        if yields == 1:
+            _v, _C, D = gather_particle(xp, inv_dx, z0, w, bounds, start, w, velocity)
+            trial_bar, mu_part, yield_part = return_map_back(
+                Fp + h * (D * Fp), mu[w, p], yield_stress[w], trial_bar
+            )
+            mu_bar[w, p] = mu_bar[w, p] + mu_part
+            yield_bar[w, p] = yield_bar[w, p] + yield_part
+        x_part, gradient = gather_particle_back(
+            xp, v_bar[w, p] + h * moved_bar, C_bar[w, p], h * (trial_bar * wp.transpose(Fp)),
+            inv_dx, z0, w, bounds, start, w, velocity, grid_bar,
+        )  # fmt: skip
+        x_bar[w, p] = moved_bar + x_part
+        F_bar[w, p] = trial_bar + h * (wp.transpose(gradient) * trial_bar)
+
+    @wp.kernel(enable_backward=False)
+    def grid_back(
+        r: int,
+        done: wp.array(dtype=wp.int32),
+        dt: wp.array(dtype=wp.float64),
+        dx: real,
+        z0: real,
+        gravity: wp.array(dtype=vec3),
+        damping: wp.array(dtype=real),
+        table: int,
+        friction: wp.array(dtype=real),
+        box_lower: vec3,
+        box_upper: vec3,
+        grip_centre: wp.array2d(dtype=vec3),
+        grip_spin: wp.array2d(dtype=vec3),
+        grip_closed: wp.array2d(dtype=wp.int32),
+        grip_radius: wp.array2d(dtype=real),
+        bounds: wp.array2d(dtype=wp.int32),
+        cell: wp.array2d(dtype=wp.int32),
+        level: wp.array2d(dtype=wp.int32),
+        count: wp.array(dtype=wp.int32),
+        momentum: wp.array2d(dtype=vec4),
+        grip_centre_bar: wp.array2d(dtype=wp.vec3d),  # [W, G]
+        grip_velocity_bar: wp.array2d(dtype=wp.vec3d),  # [W, G]
+        friction_bar: wp.array(dtype=wp.float64),
+        keep_bar: wp.array(dtype=wp.float64),
+        gravity_bar: wp.array(dtype=wp.vec3d),
+        grid_bar: wp.array2d(dtype=vec4),
+    ):
+        w, n = wp.tid()
+        if n >= count[w] or r >= done[w]:
+            return
+        q = momentum[w, n]
+        if q[3] > real(0.0):
+            h = real(dt[w])
+            b = grid_bar[w, n]
+            grid_bar[w, n] = update_node_back(
+                w, r * done.shape[0] + w, q, vec3(b[0], b[1], b[2]),
+                bounds[w, 0] + (cell[w, n] >> CELL_BITS), bounds[w, 1] + (cell[w, n] & mask),
+                level[w, n], h, dx, z0, gravity[w], wp.exp(-damping[w] * h), table, friction[w],
+                box_lower, box_upper, grip_centre, grip_spin, grip_closed, grip_radius,
+                grip_centre_bar, grip_velocity_bar, friction_bar, keep_bar, gravity_bar,
+            )  # fmt: skip
+
+    @wp.kernel(enable_backward=False)
+    def scatter_back(
+        r: int,
+        done: wp.array(dtype=wp.int32),
+        dt: wp.array(dtype=wp.float64),
+        dx: real,
+        z0: real,
+        mu: wp.array2d(dtype=real),
+        lam: wp.array2d(dtype=real),
+        mass: wp.array(dtype=real),
+        volume: real,
+        bounds: wp.array2d(dtype=wp.int32),
+        start: wp.array3d(dtype=wp.int32),
+        grid_bar: wp.array2d(dtype=vec4),
+        x: wp.array2d(dtype=vec3),
+        v: wp.array2d(dtype=vec3),
+        C: wp.array2d(dtype=mat33),
+        F: wp.array2d(dtype=mat33),
+        x_bar: wp.array2d(dtype=vec3),
+        v_bar: wp.array2d(dtype=vec3),
+        C_bar: wp.array2d(dtype=mat33),
+        F_bar: wp.array2d(dtype=mat33),
+        mu_bar: wp.array2d(dtype=real),
+        lam_bar: wp.array2d(dtype=real),
+        mass_bar: wp.array2d(dtype=real),
+        status: wp.array(dtype=wp.int32),
+        slot_out: wp.array(dtype=wp.int32),
+        culprit_out: wp.array(dtype=wp.int32),
+    ):
+        w, p = wp.tid()
+        if r >= done[w]:
+            return
+        x_part, vb, Cb, F_part, mu_part, lam_part, mass_part = scatter_particle_back(
+            x[w, p], v[w, p], C[w, p], F[w, p], mu[w, p], lam[w, p], mass[w],
+            volume, real(dt[w]), real(1.0) / dx, z0, w, bounds, start, w, grid_bar,
+        )  # fmt: skip
+        x_bar[w, p] = x_bar[w, p] + x_part
+        v_bar[w, p] = vb
+        C_bar[w, p] = Cb
+        F_bar[w, p] = F_bar[w, p] + F_part
+        mu_bar[w, p] = mu_bar[w, p] + mu_part
+        lam_bar[w, p] = lam_bar[w, p] + lam_part
+        mass_bar[w, p] = mass_bar[w, p] + mass_part
+        size = wp.length_sq(x_part) + wp.length_sq(vb) + wp.ddot(F_part, F_part)
+        # the first one found is named; a NaN is not below anything
+        if not (size < real(largest)) and wp.atomic_max(status, w, NOT_FINITE) == OK:
+            culprit_out[w] = p
+            slot_out[w] = r
+
+    @wp.kernel(enable_backward=False)
+    def world_back(
+        r: int,
+        done: wp.array(dtype=wp.int32),
+        dt: wp.array(dtype=wp.float64),
+        damping: wp.array(dtype=real),
+        step: wp.array(dtype=wp.int32),  # [W] substeps of the frame done before the graph
+        time: wp.float64,
+        path_time: wp.array3d(dtype=wp.float64),
+        grip_closed: wp.array2d(dtype=wp.int32),
+        grip_centre_bar: wp.array2d(dtype=wp.vec3d),
+        grip_velocity_bar: wp.array2d(dtype=wp.vec3d),
+        keep_bar: wp.array(dtype=wp.float64),
+        damping_bar: wp.array(dtype=wp.float64),
+        path_bar: wp.array3d(dtype=wp.vec3d),
+    ):
+        """What a substep's nodes say of grippers' paths and of damping."""
+        w = wp.tid()
+        if r >= done[w]:
+            return
+        t = time + wp.float64(step[w] + r) * dt[w]
+        for g in range(grip_closed.shape[1]):
+            if grip_closed[r * done.shape[0] + w, g] == 1:
+                place_gripper_back(
+                    w, g, t, dt[w], path_time, grip_centre_bar[w, g], grip_velocity_bar[w, g],
+                    path_bar,
+                )  # fmt: skip
+            grip_centre_bar[w, g] = wp.vec3d()
+            grip_velocity_bar[w, g] = wp.vec3d()
+        h = real(dt[w])
+        damping_bar[w] = damping_bar[w] - wp.float64(h * wp.exp(-damping[w] * h)) * keep_bar[w]
+        keep_bar[w] = wp.float64(0.0)
+
+    @wp.kernel(enable_backward=False)
+    def recover_back(
+        r: int,
+        done: wp.array(dtype=wp.int32),
+        dt: wp.array(dtype=wp.float64),
+        age: wp.array(dtype=wp.int32),  # [W] substeps done in all before the graph
+        lattice: wp.array3d(dtype=wp.int32),
+        rest_frame: wp.array(dtype=mat33),
+        recovery: real,
+        x: wp.array2d(dtype=vec3),
+        x_bar: wp.array2d(dtype=vec3),
+        F_bar: wp.array2d(dtype=mat33),
+    ):
+        w, p = wp.tid()
+        if r >= done[w] or (age[w] + r) % RECOVER_EVERY != 0:
+            return
+        blend = real(1.0) - wp.exp(-recovery * real(dt[w]) * real(recovery_span))
+        if blend > real(0.0):
+            F_bar[w, p] = recovered_gradient_back(
+                w, p, F_bar[w, p], blend, w, x, lattice, rest_frame, x_bar
+            )
+
+    return SimpleNamespace(
+        grid_again=grid_again,
+        gather_back=gather_back,
+        grid_back=grid_back,
+        scatter_back=scatter_back,
+        world_back=world_back,
+        recover_back=recover_back,
+    )

@@ -222,7 +222,9 @@ class Simulator:
             self._state_views = {name: a.numpy() for name, a in self._state.items()}
         self._last_good = {name: wp.clone(a) for name, a in self._state.items()}
         self._last_good_time = np.full(W, start_time)
-        self._scratch: dict[str, wp.array] | None = None
+        self._scratch: dict[str, wp.array] = {}
+        self._graph: Any = None
+        self._graphs = 1
 
     # ---- what a user reads -------------------------------------------------------------------
 
@@ -241,6 +243,10 @@ class Simulator:
     def deformation_gradients(self) -> NDArray[Any]:
         """[W, N, 3, 3] deformation gradients F now [-]."""
         return np.array(self._state["F"].numpy())
+
+    def substeps_done(self) -> NDArray[Any]:
+        """[W] substeps that each world has done."""
+        return np.array(self._world["age"].numpy())
 
     def set_velocities(self, v: ArrayLike) -> None:
         """Set particle velocities, [3], [N, 3] or [W, N, 3] [m/s]."""
@@ -306,7 +312,7 @@ class Simulator:
         frames = np.empty((len(t), self.num_worlds, len(picked), 3), dtype=self._numpy)
         self._keep_going = keep_going
         if self.device.is_cuda:
-            self._run_cuda(t, frames, picked, on_frame)
+            self._run_batch(t, frames, picked, on_frame)
         else:
             self._run_cpu(t, frames, picked, on_frame)
         self.time = float(t[-1])
@@ -431,11 +437,28 @@ class Simulator:
 
     # ---- CUDA: all worlds in lockstep, substeps replayed from a graph --------------------------
 
-    def _run_cuda(self, times, frames, picked, on_frame) -> None:
-        a = self._world
-        host: dict[str, Any] = {n: a[n].numpy() for n in ("step", "steps", "dt", "status")}
-        if self._scratch is None:
-            W = self.num_worlds
+    def _run_batch(self, times, frames, picked, on_frame) -> None:
+        self._begin_batch()
+        chosen = self._state["x"][:, wp.array(picked, dtype=wp.int32, device=self.device)]
+        now = self.time
+        for f, until in enumerate(times):
+            for name, array in self._state.items():
+                wp.copy(self._last_good[name], array)
+            self._last_good_time[:] = now
+            self._plan_batch(now, until)
+            while self._advance_batch(now):
+                pass
+            now = float(until)
+            self.time = now
+            frames[f] = chosen.contiguous().numpy()
+            frames[f, list(self.failures)] = np.nan
+            if on_frame is not None:
+                on_frame(f + 1)
+
+    def _begin_batch(self) -> None:
+        """Make the batch's grid if there is none; columns are laid anew in any case."""
+        a, W = self._world, self.num_worlds
+        if not self._scratch:
             self._scratch = self._make_grid(W) | {
                 "fastest": self._zeros((W, SUBSTEPS_A_GRAPH), self._real),
                 "trouble": self._zeros(W, wp.int32),
@@ -447,63 +470,80 @@ class Simulator:
             placed = (SUBSTEPS_A_GRAPH * W, a["grip_closed"].shape[1])
             for name in ("grip_centre", "grip_velocity", "grip_spin", "grip_closed"):
                 self._scratch[name] = self._zeros(placed, a[name].dtype)
-        chosen = self._state["x"][:, wp.array(picked, dtype=wp.int32, device=self.device)]
-        graph: Any = None
-        graphs = 1
+        self._graph = None
+        self._graphs = 1
         a["travel"].fill_(1e30)
-        now = self.time
-        for f, until in enumerate(times):
-            for name, array in self._state.items():
-                wp.copy(self._last_good[name], array)
-            self._last_good_time[:] = now
-            host["steps"], host["dt"] = self._divide(slice(None), until - now)
-            host["step"][:], host["status"][:] = 0, kernels.OK
-            for w in self.failures:
-                host["steps"][w] = 0
-            for name, values in host.items():
-                a[name].assign(values)
-            self._scratch["time"].fill_(now)
-            left = int((host["steps"] - host["step"]).max())
-            while left > 0:
-                if graph is None:
-                    with wp.ScopedCapture(device=self.device) as capture:
-                        self._launch_layout(self._scratch)
-                        for r in range(SUBSTEPS_A_GRAPH):
-                            self._launch_substep(self._scratch, r)
-                    graph = capture.graph
-                # a few at first: a world that finds no room for its nodes is soon noticed
-                graphs = min(2 * graphs, math.ceil(left / SUBSTEPS_A_GRAPH))
-                for _ in range(graphs):
-                    wp.capture_launch(graph)
-                self._launch_tally(self._scratch)
-                host["step"] = a["step"].numpy()
-                host["status"] = status = a["status"].numpy()
-                full = status == kernels.GRID_FULL
-                if full.any():
-                    self._scratch |= self._grow_grid(self._scratch)
-                    self._scratch["velocity"] = self._zeros(
-                        self._scratch["grid"].shape, self._k.vec4
-                    )
-                    graph = None
-                    graphs = 1
-                    a["travel"].fill_(1e30)
-                    status = np.where(full, kernels.OK, status).astype(np.int32)
-                    a["status"].assign(status)
-                failed = np.flatnonzero(status != kernels.OK)
-                if len(failed):
-                    views = {n: a[n].numpy() for n in ("status", "step", "dt", "culprit")}
-                    for w in failed:
-                        self.failures.setdefault(int(w), self._failure(int(w), now, views))
-                    if not self._keep_going:
-                        raise self.failures[int(failed[0])]
-                    host["steps"][failed] = host["step"][failed]
-                left = int((host["steps"] - host["step"]).max())
-            now = float(until)
-            self.time = now
-            frames[f] = chosen.contiguous().numpy()
-            frames[f, list(self.failures)] = np.nan
-            if on_frame is not None:
-                on_frame(f + 1)
+
+    def _plan_batch(self, now: float, until: float) -> None:
+        """Set every world's counters to the frame from ``now`` to ``until`` [s]."""
+        a = self._world
+        steps, dt = self._divide(slice(None), until - now)
+        steps[list(self.failures)] = 0
+        a["steps"].assign(steps)
+        a["dt"].assign(dt)
+        a["step"].zero_()
+        a["status"].zero_()
+        self._scratch["time"].fill_(now)
+
+    def _advance_batch(self, now: float, *, most: int = 1 << 30) -> bool:
+        """Take all worlds through some of their planned substeps, at most so many graphs.
+
+        Returns:
+            Whether there is more to do.
+
+        Raises:
+            SimulationError: If a world diverges, unless told to keep going.
+        """
+        a, g = self._world, self._scratch
+        left = int((a["steps"].numpy() - a["step"].numpy()).max())
+        if left <= 0:
+            return False
+        if self._graph is None and self.device.is_cuda:
+            with wp.ScopedCapture(device=self.device) as capture:
+                self._launch_graph()
+            self._graph = capture.graph
+        # a few at first: a world that finds no room for its nodes is soon noticed
+        self._graphs = min(2 * self._graphs, math.ceil(left / SUBSTEPS_A_GRAPH), most)
+        for _ in range(self._graphs):
+            if self._graph is None:
+                self._launch_graph()
+            else:
+                wp.capture_launch(self._graph)
+        self._launch_tally(g)
+        return self._settle_batch(now)
+
+    def _settle_batch(self, now: float) -> bool:
+        """See to worlds that found no room or failed; whether there is more to do.
+
+        Raises:
+            SimulationError: If a world diverged, unless told to keep going.
+        """
+        a, g = self._world, self._scratch
+        status = a["status"].numpy()
+        full = status == kernels.GRID_FULL
+        if full.any():
+            g |= self._grow_grid(g)
+            g["velocity"] = self._zeros(g["grid"].shape, self._k.vec4)
+            self._graph = None
+            self._graphs = 1
+            a["travel"].fill_(1e30)
+            status = np.where(full, kernels.OK, status).astype(np.int32)
+            a["status"].assign(status)
+        failed = np.flatnonzero(status != kernels.OK)
+        if len(failed):
+            views = {n: a[n].numpy() for n in ("status", "step", "steps", "dt", "culprit")}
+            for w in failed:
+                self.failures.setdefault(int(w), self._failure(int(w), now, views))
+            if not self._keep_going:
+                raise self.failures[int(failed[0])]
+            views["steps"][failed] = views["step"][failed]
+            a["steps"].assign(views["steps"])
+        return bool((a["steps"].numpy() > a["step"].numpy()).any())
+
+    def _launch_graph(self) -> None:
+        self._launch_layout(self._scratch)
+        for r in range(SUBSTEPS_A_GRAPH):
+            self._launch_substep(self._scratch, r, self._state, self._state)
 
     def _launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, block_dim=128)
@@ -534,9 +574,21 @@ class Simulator:
             stale, *(g[name] for name in _GRID_ORDER), a["status"],
         ])  # fmt: skip
 
-    def _launch_substep(self, g: dict[str, wp.array], r: int) -> None:
-        """Substep r of a graph for every world that still runs."""
-        k, a, s = self._k, self._world, self._state
+    def _launch_substep(
+        self,
+        g: dict[str, wp.array],
+        r: int,
+        before: dict[str, wp.array],
+        after: dict[str, wp.array],
+        momentum: wp.array | None = None,
+    ) -> None:
+        """Substep r of a graph, from one state to the next, for every world that still runs.
+
+        ``momentum`` is an empty grid that stays as the substep left it, for the reverse.
+        """
+        k, a, s = self._k, self._world, before
+        recorded = momentum is not None
+        momentum = g["grid"] if momentum is None else momentum
         W, N = self.num_worlds, self.body.num_particles
         going = [
             r, self.body.dx, a["dt"], a["step"], a["steps"], a["status"], g["trouble"],
@@ -546,16 +598,18 @@ class Simulator:
         self._launch(k.p2g, (W, N), [
             *going, g["stale"], a["age"], self._lattice, self._rest_frames, self._recovery,
             s["x"], s["v"], s["C"], s["F"], a["mu"], a["lam"], a["mass"], self.body.volume,
-            self._z0, g["bounds"], g["start"], g["grid"],
+            self._z0, g["bounds"], g["start"], momentum,
         ])  # fmt: skip
         self._launch(k.grid_update, (W, g["grid"].shape[1]), [
             *going, self._z0, a["gravity"], a["damping"], int(self._table is not None),
             a["friction"], *self._walls(), *grip, a["grip_radius"],
-            g["bounds"], g["cell"], g["level"], g["count"], g["grid"], g["velocity"],
+            g["bounds"], g["cell"], g["level"], g["count"], int(recorded), momentum,
+            g["velocity"],
         ])  # fmt: skip
         self._launch(k.g2p, (W, N), [
             *going, g["done"], a["mu"], a["yield_stress"], self._z0, g["bounds"], g["start"],
-            g["velocity"], s["x"], s["v"], s["C"], s["F"], a["culprit"],
+            g["velocity"], s["x"], s["F"], after["x"], after["v"], after["C"], after["F"],
+            a["culprit"],
         ])  # fmt: skip
 
     # ---- shared by both devices ------------------------------------------------------------------

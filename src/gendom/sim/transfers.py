@@ -119,7 +119,8 @@ def make_transfers(real: Any, stress: Any, stress_back: Any) -> SimpleNamespace:
         layout: int,
         bounds: wp.array2d(dtype=wp.int32),
         start: wp.array3d(dtype=wp.int32),
-        grid_bar: wp.array2d(dtype=vec4),  # [1, M] by momentum and mass
+        row: int,
+        grid_bar: wp.array2d(dtype=vec4),  # [rows, M] by momentum and mass
     ):
         """Transpose of ``scatter_particle``: derivatives by x, v, C, F, mu, lam and mass."""
         bx, by, bz, fx, fy, fz = place_on_grid(x, inv_dx, z0)
@@ -131,7 +132,7 @@ def make_transfers(real: Any, stress: Any, stress_back: Any) -> SimpleNamespace:
         T = impulse * stress(F, mu, lam)
         q = vec4(mass * v[0], mass * v[1], mass * v[2], mass) - fx * a0 - fy * a1 - fz * a2
         R = gather_with_slope(
-            grid_bar, 0, start, layout, bx - bounds[layout, 0], by - bounds[layout, 1], bz,
+            grid_bar, row, start, layout, bx - bounds[layout, 0], by - bounds[layout, 1], bz,
             fx, fy, fz, q, a0, a1, a2, column(T, 0), column(T, 1), column(T, 2),
         )  # fmt: skip
         H = R[0]
@@ -189,8 +190,9 @@ def make_transfers(real: Any, stress: Any, stress_back: Any) -> SimpleNamespace:
         layout: int,
         bounds: wp.array2d(dtype=wp.int32),
         start: wp.array3d(dtype=wp.int32),
-        grid: wp.array2d(dtype=vec4),  # [1, M] velocity and mass
-        grid_bar_out: wp.array2d(dtype=vec4),  # [1, M] by velocity
+        row: int,
+        grid: wp.array2d(dtype=vec4),  # [rows, M] velocity and mass
+        grid_bar_out: wp.array2d(dtype=vec4),  # [rows, M] by velocity
     ):
         """Transpose of ``gather_particle``: adds to the grid's, returns the derivative by x.
 
@@ -209,9 +211,9 @@ def make_transfers(real: Any, stress: Any, stress_back: Any) -> SimpleNamespace:
         t1 = column(d, 1)
         t2 = column(d, 2)
         q = vec4(v_bar[0], v_bar[1], v_bar[2], real(0.0)) - fx * a0 - fy * a1 - fz * a2
-        scatter(grid_bar_out, 0, start, layout, ci, cj, bz, fx, fy, fz, q, a0, a1, a2, t0, t1, t2)
+        scatter(grid_bar_out, row, start, layout, ci, cj, bz, fx, fy, fz, q, a0, a1, a2, t0, t1, t2)
         R = gather_with_slope(
-            grid, 0, start, layout, ci, cj, bz, fx, fy, fz, q, a0, a1, a2, t0, t1, t2
+            grid, row, start, layout, ci, cj, bz, fx, fy, fz, q, a0, a1, a2, t0, t1, t2
         )
         V = R[0]
         x_bar = vec3(R[7, 0] - wp.dot(V, a0), R[7, 1] - wp.dot(V, a1), R[7, 2] - wp.dot(V, a2))
