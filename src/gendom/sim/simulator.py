@@ -816,7 +816,9 @@ def _room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
     """Columns in x and y and nodes that the first grid offers; grows when the body needs more."""
     extent = (x.max(axis=1) - x.min(axis=1)).max(axis=0) / dx
     side = int(np.ceil(extent[:2].max())) + 8
-    cells = len(np.unique(np.floor(x[0] / dx).astype(int), axis=0))
+    cell = np.floor(x[0] / dx).astype(np.int64)
+    cell -= cell.min(axis=0)
+    cells = len(np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))))
     return min(side, 1 << CELL_BITS), min(side, 1 << CELL_BITS), 8 * cells + 256
 
 
