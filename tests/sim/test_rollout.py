@@ -252,3 +252,38 @@ def test_all_worlds_together_give_the_derivatives_of_each_alone(yields_at, memor
         np.testing.assert_allclose(
             getattr(found[1], name), expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max()
         )
+
+
+@pytest.mark.slow
+def test_float32_points_where_float64_does_after_a_whole_lift():
+    body = rope(diameter=0.012, length=0.3, start=(0.0, 0.0, 0.006), cells_across=1.5)
+    t = np.linspace(0.0, 1.6, 41)
+    path = np.stack([0.1 * np.sin(0.75 * t) ** 2, 0.0 * t, 0.006 + 0.125 * t], axis=1)
+    times = np.linspace(0.1, 1.6, 16)
+
+    def lift(dtype, E=1.0e6, nu=0.3):
+        return Simulator(
+            body,
+            [Material(E=E, nu=nu, density=1000.0)],
+            grippers=[Gripper(time=t, position=path, radius=0.009)],
+            table=Table(height=0.0),
+            damping=4.0,
+            dtype=dtype,
+            threads=1,
+        )
+
+    seen = lift("float64", 1.3e6, 0.33).run(times)
+    found = {}
+    for dtype in ("float32", "float64"):
+        rollout = Rollout(lift(dtype))
+        x = rollout.forward(times)
+        found[dtype] = rollout.backward(2.0 * (x - seen))
+    for name in ("stiffness", "gripper_positions", "positions", "velocities", "gravity"):
+        a, b = (np.ravel(getattr(found[d], name)).astype(float) for d in ("float32", "float64"))
+        assert a @ b / np.linalg.norm(a) / np.linalg.norm(b) > 0.999, name
+
+    def loss(E):
+        return float(((lift("float64", E).run(times) - seen) ** 2).sum())
+
+    expected = (loss(1.0003e6) - loss(0.9997e6)) / 600.0
+    assert found["float64"].E[0] == pytest.approx(expected, rel=0.02)
