@@ -36,8 +36,8 @@ class Command:
     """Seed of all random draws."""
     device: str = "cpu"
     """cpu, cuda or cuda:0 and so on."""
-    shard_size: int = 256
-    """Demonstrations in one file, and on CUDA in one batch."""
+    shard_size: int | None = None
+    """Demonstrations in one file (default: 256 on the CPU, 4096 on CUDA)."""
     json: bool = False
     """Print JSON."""
 

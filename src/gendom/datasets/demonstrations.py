@@ -41,6 +41,10 @@ _METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
 _log = logging.getLogger(__name__)
 
 
+SHARD_SIZE = {"cpu": 256, "cuda": 4096}
+"""Default numbers of demonstrations in a shard: some minutes of work."""
+
+
 def generate(
     task: Task,
     size: int,
@@ -49,7 +53,7 @@ def generate(
     seed: int,
     device: str = "cpu",
     dtype: str = "float32",
-    shard_size: int = 256,
+    shard_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pa.Table:
     """Simulate a set of demonstrations, or what is missing of one, and load it.
@@ -62,9 +66,10 @@ def generate(
         size: Number of demonstrations.
         out: Folder of the set; made if it is missing.
         seed: Seed of all draws, 0 or more.
-        device: ``cpu``, ``cuda`` or ``cuda:0`` and so on. On CUDA a shard is one batch.
+        device: ``cpu``, ``cuda`` or ``cuda:0`` and so on. On CUDA a shard is
+            handed to the task at once.
         dtype: ``float32`` or ``float64``.
-        shard_size: Demonstrations in a shard.
+        shard_size: Demonstrations in a shard (default: ``SHARD_SIZE`` of the device).
         progress: Called with the number of demonstrations done, those already there included,
             and `size`.
 
@@ -76,6 +81,8 @@ def generate(
         ParameterError: A number is out of range.
         DeviceError: The device is not there.
     """
+    if shard_size is None:
+        shard_size = SHARD_SIZE["cuda" if device.startswith("cuda") else "cpu"]
     for name, value, least in [("size", size, 1), ("shard_size", shard_size, 1), ("seed", seed, 0)]:
         if value < least:
             raise ParameterError(f"is {value}", where=name, fix=f"give {least} or more")
