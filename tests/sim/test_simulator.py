@@ -742,3 +742,20 @@ def test_a_world_that_diverges_leaves_the_others_alone():
     batch.run([0.08], keep_going=True)  # and it stays where it is
     with pytest.raises(SimulationError, match="world 1"):
         batch.run([0.1])
+
+
+def test_a_spin_that_is_set_with_its_affine_velocities_stays():
+    body = block()
+    omega = np.array([0.0, 0.0, 20.0])
+    out = body.x - body.x.mean(axis=0)
+    spin = np.array([[0.0, -20.0, 0.0], [20.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    kept = {}
+    for name, affine in (("with", spin), ("without", 0.0)):
+        s = simulator(body, gravity=(0.0, 0.0, 0.0))
+        s.set_velocities(np.cross(omega, out), affine)
+        s.run([10.0 * s.substep[0]])
+        assert s.affine_velocities().shape == (1, body.num_particles, 3, 3)
+        v = s.velocities()[0]
+        kept[name] = np.cross(out, v)[:, 2].sum() / np.cross(out, np.cross(omega, out))[:, 2].sum()
+    assert kept["with"] == pytest.approx(1.0, abs=0.03)
+    assert kept["without"] < 0.9

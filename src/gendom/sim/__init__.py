@@ -8,6 +8,7 @@ from gendom.sim.rollout import Rollout
 from gendom.sim.simulator import (
     CFL,
     GRAVITY,
+    RECOVERY,
     Box,
     Simulator,
     Table,
@@ -21,6 +22,7 @@ __all__ = [
     "GRAVITY",
     "METRIC",
     "PAPER",
+    "RECOVERY",
     "Body",
     "Box",
     "Gradients",

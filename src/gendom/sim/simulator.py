@@ -240,6 +240,11 @@ class Simulator:
         """[W, N, 3] particle velocities now [m/s]."""
         return np.array(self._state["v"].numpy())
 
+    def affine_velocities(self) -> NDArray[Any]:
+        """[W, N, 3, 3] affine velocities C now: what APIC carries of a particle's surroundings,
+        the velocity gradient of a rigid or evenly stretching body [1/s]."""
+        return np.array(self._state["C"].numpy())
+
     def deformation_gradients(self) -> NDArray[Any]:
         """[W, N, 3, 3] deformation gradients F now [-]."""
         return np.array(self._state["F"].numpy())
@@ -248,10 +253,21 @@ class Simulator:
         """[W] substeps that each world has done."""
         return np.array(self._world["age"].numpy())
 
-    def set_velocities(self, v: ArrayLike) -> None:
-        """Set particle velocities, [3], [N, 3] or [W, N, 3] [m/s]."""
+    def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
+        """Set particle velocities.
+
+        Args:
+            v: [3], [N, 3] or [W, N, 3] [m/s].
+            affine: Affine velocities C, [3, 3], [N, 3, 3] or [W, N, 3, 3] [1/s]. Without them a
+                body that is to spin loses some of its spin at once.
+
+        Raises:
+            ParameterError: If shapes do not fit.
+        """
         shape = (self.num_worlds, self.body.num_particles, 3)
+        C = self._spread(affine, (*shape, 3), "affine velocities")
         self._state["v"].assign(self._spread(v, shape, "velocities").astype(self._numpy))
+        self._state["C"].assign(C.astype(self._numpy))
 
     def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
         """Write x, v, C, F, the time and the parameters of all worlds to an ``.npz`` file.

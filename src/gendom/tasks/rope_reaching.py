@@ -29,8 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Body, Gripper, Simulator, rope, stable_substep
-from gendom.sim.simulator import RECOVERY
+from gendom.sim import RECOVERY, Body, Gripper, Simulator, rope, stable_substep
 from gendom.tasks.base import Outcomes
 
 LENGTH, DIAMETER, GRAVITY = 0.25, 0.014, 9.81

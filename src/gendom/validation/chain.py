@@ -10,8 +10,7 @@ from scipy.linalg import eigh
 from scipy.special import j0, jn_zeros
 
 from gendom.materials import Material
-from gendom.sim import GRAVITY, Gripper, rope
-from gendom.sim.simulator import RECOVERY
+from gendom.sim import GRAVITY, RECOVERY, Gripper, rope
 from gendom.validation.check import Check, Settings
 from gendom.validation.specimens import across, clamp_beyond, end, swing
 

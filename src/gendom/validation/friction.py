@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gendom.materials import Material
-from gendom.sim import GRAVITY, Gripper, Simulator, Table
-from gendom.sim.simulator import RECOVERY
+from gendom.sim import GRAVITY, RECOVERY, Gripper, Simulator, Table
 from gendom.validation.check import Check, Settings
 from gendom.validation.specimens import block
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
@@ -112,15 +109,6 @@ def swing(t: NDArray[np.floating], y: NDArray[np.floating], omega: float) -> tup
     return float(found.x[0]) * omega, float(found.x[1]) * omega
 
 
-def affine_velocities(simulator: Simulator) -> NDArray[np.floating]:
-    """[W, N, 3, 3] affine velocities C of the particles now [1/s], read from a saved state."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "state.npz"
-        simulator.save_state(path)
-        with np.load(path) as state:
-            return state["C"].astype(float)
-
-
 def momenta(simulator: Simulator) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Linear and angular momentum of world 0: [3] [kg m/s] and [3] about the origin [kg m^2/s].
 
@@ -130,7 +118,7 @@ def momenta(simulator: Simulator) -> tuple[NDArray[np.floating], NDArray[np.floa
     body = simulator.body
     m = simulator.materials[0].density * body.volume
     x, v = simulator.positions()[0].astype(float), simulator.velocities()[0].astype(float)
-    B = affine_velocities(simulator)[0].sum(axis=0) * body.dx**2 / 4.0
+    B = simulator.affine_velocities()[0].astype(float).sum(axis=0) * body.dx**2 / 4.0
     own = np.array([B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]])
     return m * v.sum(axis=0), m * (np.cross(x, v).sum(axis=0) + own)
 
@@ -146,7 +134,7 @@ def energies(simulator: Simulator, gravity: ArrayLike) -> tuple[float, float, fl
     body, material = simulator.body, simulator.materials[0]
     mu, lam = material.lame
     m = material.density * body.volume
-    v, C = simulator.velocities()[0].astype(float), affine_velocities(simulator)[0]
+    v, C = simulator.velocities()[0].astype(float), simulator.affine_velocities()[0].astype(float)
     kinetic = 0.5 * m * (np.sum(v**2) + body.dx**2 / 4.0 * np.sum(C**2))
     F = simulator.deformation_gradients()[0].astype(float)
     log_J = np.log(np.linalg.det(F))
