@@ -30,6 +30,8 @@ COMMANDS = {
     "train": ("gendom.cli.train", "train a policy on demonstrations"),
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
+    "calibrate": ("gendom.cli.calibrate", "where a camera stands, from pictures of a board"),
+    "perceive": ("gendom.cli.perceive", "from depth pictures to a recording"),
     "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
     "validate": ("gendom.cli.validate", "measure the simulator against analytic mechanics"),
 }
