@@ -140,6 +140,7 @@ def make_boundary(real: Any) -> SimpleNamespace:
         keep: real,
         table: int,
         friction: real,
+        walls: int,
         box_lower: vec3,
         box_upper: vec3,
         grip_centre: wp.array2d(dtype=vec3),
@@ -155,11 +156,12 @@ def make_boundary(real: Any) -> SimpleNamespace:
         """
         v = keep * (vec3(q[0], q[1], q[2]) / q[3] + dt * gravity)
         at = vec3(real(i) * dx, real(j) * dx, z0 + real(k) * dx)
-        for a in range(3):
-            if at[a] <= box_lower[a]:
-                v[a] = wp.max(v[a], real(0.0))
-            if at[a] >= box_upper[a]:
-                v[a] = wp.min(v[a], real(0.0))
+        if walls == 1:
+            for a in range(3):
+                if at[a] <= box_lower[a]:
+                    v[a] = wp.max(v[a], real(0.0))
+                if at[a] >= box_upper[a]:
+                    v[a] = wp.min(v[a], real(0.0))
         if table == 1 and k <= 0 and v[2] < real(0.0):
             slip = wp.sqrt(v[0] * v[0] + v[1] * v[1])
             left = real(0.0)
@@ -191,6 +193,7 @@ def make_boundary(real: Any) -> SimpleNamespace:
         keep: real,
         table: int,
         friction: real,
+        walls: int,
         box_lower: vec3,
         box_upper: vec3,
         grip_centre: wp.array2d(dtype=vec3),
@@ -229,13 +232,14 @@ def make_boundary(real: Any) -> SimpleNamespace:
         else:
             v = keep * (vec3(q[0], q[1], q[2]) / q[3] + dt * gravity)
             open_axis = vec3(real(1.0), real(1.0), real(1.0))
-            for a in range(3):
-                if at[a] <= box_lower[a] and v[a] < real(0.0):
-                    v[a] = real(0.0)
-                    open_axis[a] = real(0.0)
-                if at[a] >= box_upper[a] and v[a] > real(0.0):
-                    v[a] = real(0.0)
-                    open_axis[a] = real(0.0)
+            if walls == 1:
+                for a in range(3):
+                    if at[a] <= box_lower[a] and v[a] < real(0.0):
+                        v[a] = real(0.0)
+                        open_axis[a] = real(0.0)
+                    if at[a] >= box_upper[a] and v[a] > real(0.0):
+                        v[a] = real(0.0)
+                        open_axis[a] = real(0.0)
             b = bar
             if table == 1 and k <= 0 and v[2] < real(0.0):
                 slip = wp.sqrt(v[0] * v[0] + v[1] * v[1])

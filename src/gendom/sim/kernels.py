@@ -96,6 +96,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         damping: wp.array(dtype=real),  # [W] [1/s]
         table: int,
         friction: wp.array(dtype=real),  # [W]
+        walls: int,
         box_lower: vec3,
         box_upper: vec3,
         # grippers
@@ -198,7 +199,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                         u = update_node(
                             w, w, q, bounds[layout, 0] + (cell[layout, n] >> CELL_BITS),
                             bounds[layout, 1] + (cell[layout, n] & mask), level[layout, n], h, dx,
-                            z0, gravity[w], keep, table, friction[w], box_lower, box_upper,
+                            z0, gravity[w], keep, table, friction[w], walls, box_lower, box_upper,
                             grip_centre, grip_velocity, grip_spin, grip_closed, grip_radius,
                         )  # fmt: skip
                         velocity[0, n] = vec4(u[0], u[1], u[2], q[3])
@@ -440,6 +441,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         damping: wp.array(dtype=real),
         table: int,
         friction: wp.array(dtype=real),
+        walls: int,
         box_lower: vec3,
         box_upper: vec3,
         grip_centre: wp.array2d(dtype=vec3),
@@ -470,7 +472,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     w, r * steps.shape[0] + w, q, bounds[w, 0] + (cell[w, n] >> CELL_BITS),
                     bounds[w, 1] + (cell[w, n] & mask), level[w, n], h, dx, z0,
                     gravity[w], wp.exp(-damping[w] * h), table, friction[w],
-                    box_lower, box_upper,
+                    walls, box_lower, box_upper,
                     grip_centre, grip_velocity, grip_spin, grip_closed, grip_radius,
                 )  # fmt: skip
             velocity[w, n] = vec4(u[0], u[1], u[2], q[3])

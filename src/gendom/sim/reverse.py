@@ -84,6 +84,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> Any:
         damping: wp.array(dtype=real),
         table: int,
         friction: wp.array(dtype=real),
+        walls: int,
         box_lower: vec3,
         box_upper: vec3,
         # grippers
@@ -161,7 +162,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> Any:
                     u = update_node(
                         w, w, q, bounds[layout, 0] + (cell[layout, n] >> CELL_BITS),
                         bounds[layout, 1] + (cell[layout, n] & mask), level[layout, n], h, dx, z0,
-                        gravity[w], keep, table, friction[w], box_lower, box_upper,
+                        gravity[w], keep, table, friction[w], walls, box_lower, box_upper,
                         grip_centre, grip_velocity, grip_spin, grip_closed, grip_radius,
                     )  # fmt: skip
                     velocity[0, n] = vec4(u[0], u[1], u[2], q[3])
@@ -192,7 +193,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> Any:
                         w, w, q, vec3(b[0], b[1], b[2]),
                         bounds[layout, 0] + (cell[layout, n] >> CELL_BITS),
                         bounds[layout, 1] + (cell[layout, n] & mask), level[layout, n], h, dx, z0,
-                        gravity[w], keep, table, friction[w], box_lower, box_upper,
+                        gravity[w], keep, table, friction[w], walls, box_lower, box_upper,
                         grip_centre, grip_spin, grip_closed, grip_radius,
                         grip_centre_bar, grip_velocity_bar, friction_bar, keep_bar, gravity_bar,
                     )  # fmt: skip
@@ -276,6 +277,7 @@ def make_reverse_stages(real: Any, law_name: str, *, plastic: bool) -> SimpleNam
         damping: wp.array(dtype=real),
         table: int,
         friction: wp.array(dtype=real),
+        walls: int,
         box_lower: vec3,
         box_upper: vec3,
         grip_centre: wp.array2d(dtype=vec3),  # [GRAPH * W, G]
@@ -302,7 +304,8 @@ def make_reverse_stages(real: Any, law_name: str, *, plastic: bool) -> SimpleNam
             u = update_node(
                 w, r * done.shape[0] + w, q, bounds[w, 0] + (cell[w, n] >> CELL_BITS),
                 bounds[w, 1] + (cell[w, n] & mask), level[w, n], h, dx, z0,
-                gravity[w], wp.exp(-damping[w] * h), table, friction[w], box_lower, box_upper,
+                gravity[w], wp.exp(-damping[w] * h), table, friction[w], walls,
+                box_lower, box_upper,
                 grip_centre, grip_velocity, grip_spin, grip_closed, grip_radius,
             )  # fmt: skip
         velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
@@ -364,6 +367,7 @@ def make_reverse_stages(real: Any, law_name: str, *, plastic: bool) -> SimpleNam
         damping: wp.array(dtype=real),
         table: int,
         friction: wp.array(dtype=real),
+        walls: int,
         box_lower: vec3,
         box_upper: vec3,
         grip_centre: wp.array2d(dtype=vec3),
@@ -393,7 +397,7 @@ def make_reverse_stages(real: Any, law_name: str, *, plastic: bool) -> SimpleNam
                 w, r * done.shape[0] + w, q, vec3(b[0], b[1], b[2]),
                 bounds[w, 0] + (cell[w, n] >> CELL_BITS), bounds[w, 1] + (cell[w, n] & mask),
                 level[w, n], h, dx, z0, gravity[w], wp.exp(-damping[w] * h), table, friction[w],
-                box_lower, box_upper, grip_centre, grip_spin, grip_closed, grip_radius,
+                walls, box_lower, box_upper, grip_centre, grip_spin, grip_closed, grip_radius,
                 grip_centre_bar, grip_velocity_bar, friction_bar, keep_bar, gravity_bar,
             )  # fmt: skip
 

@@ -663,10 +663,11 @@ class Simulator:
             particle=int(views["culprit"][w]) if inverted else None,
         )
 
-    def _walls(self):
-        lower = self._box.lower if self._box is not None else (-1e30,) * 3
-        upper = self._box.upper if self._box is not None else (1e30,) * 3
-        return self._k.vec3(*lower), self._k.vec3(*upper)
+    def _walls(self) -> tuple[int, Any, Any]:
+        """Whether there are walls, and where."""
+        if self._box is None:
+            return 0, self._k.vec3(), self._k.vec3()
+        return 1, self._k.vec3(*self._box.lower), self._k.vec3(*self._box.upper)
 
     def _make_grid(self, layouts: int, *, make: Any = wp.zeros) -> dict[str, wp.array]:
         X, Y, M = self._columns
