@@ -267,3 +267,9 @@ def test_bad_folders(folder, case):
         Recording.read(folder)
     assert str(caught.value).startswith(message.format(folder))
     assert "\n" not in str(caught.value)
+
+
+def test_a_gripper_table_without_rows(folder):
+    (folder / "gripper.csv").write_text("time,x,y,z\n")
+    with pytest.raises(RecordingError, match="no rows"):
+        Recording.read(folder)

@@ -178,8 +178,8 @@ def read_ply_folder(
         raise RecordingError(
             "holds no .ply file", where=str(folder), fix="put one PLY point cloud a frame there"
         )
-    meta = _read_object(folder / "object.toml")
-    arrays = _read_gripper(folder / "gripper.csv")
+    meta = read_object(folder / "object.toml")
+    arrays = read_gripper(folder / "gripper.csv")
     rows = len(arrays["time"])
     if rows != len(files):
         raise RecordingError(
@@ -320,7 +320,7 @@ def _check_length(there: int, needed: int, unit: str) -> None:
         raise _PlyFault(f"is cut short: {there} {unit} where at least {needed} are announced")
 
 
-def _read_object(path: Path) -> dict[str, Any]:
+def read_object(path: Path) -> dict[str, Any]:
     """object.toml in the layout of a recording's meta."""
     try:
         meta = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -342,7 +342,7 @@ def _read_object(path: Path) -> dict[str, Any]:
     return meta
 
 
-def _read_gripper(path: Path) -> dict[str, np.ndarray]:
+def read_gripper(path: Path) -> dict[str, np.ndarray]:
     """gripper.csv as time [T], gripper_position [T, G, 3] and perhaps gripper_axis [T, G, 3]."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
@@ -356,6 +356,10 @@ def _read_gripper(path: Path) -> dict[str, np.ndarray]:
         raise RecordingError(f"is not CSV ({error})", where=str(path), fix="save as CSV") from None
     if not lines:
         raise RecordingError("is empty", where=str(path), fix="write the header time,x,y,z")
+    if len(lines) == 1:
+        raise RecordingError(
+            "holds a header and no rows", where=str(path), fix="write one row a frame"
+        )
     header = [name.strip() for name in lines[0][1]]
     position, axis = _gripper_columns(header, path)
     table = np.empty((len(lines) - 1, len(header)))

@@ -240,7 +240,7 @@ class Recording:
         else:
             arrays, meta = _read_npz(path)
             where, faults = str(path), _missing_keys(meta)
-        values, meta_faults = _parse_meta(meta)
+        values, meta_faults = parse_meta(meta)
         faults += meta_faults
         arrays["camera_positions"] = values.pop("camera_positions")
         converted, array_faults = _convert(arrays)
@@ -491,7 +491,7 @@ def _missing_keys(meta: Mapping[str, Any]) -> list[Fault]:
     ]
 
 
-def _parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
+def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
     """Fields of a `Recording` from its meta, and faults of type."""
     rest = {key: value for key, value in meta.items() if key != "format"}
     values: dict[str, Any] = {}

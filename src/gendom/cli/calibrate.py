@@ -1,0 +1,84 @@
+"""`gendom calibrate`: where a camera stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from scipy.spatial.transform import Rotation
+
+from gendom.cli.check import fault_entry
+from gendom.datasets import Fault
+from gendom.errors import GendomError
+from gendom.files import to_json
+from gendom.perception.calibration import Calibration, calibrate, read_views
+from gendom.perception.camera import read_camera, write_camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Find a camera's pose from pictures of a ChArUco board that the robot holds.
+
+    The folder has board.toml, poses.csv and the pictures; see docs/perception.md. Refuses when
+    the poses do not determine the camera's place.
+    """
+
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+    """Folder with board.toml, poses.csv and pictures."""
+    camera: Path
+    """camera.toml with the intrinsics of the stream that took the pictures."""
+    out: Path | None = None
+    """Where to write camera.toml with T_world_camera; may be the same file."""
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        warnings: list[Fault] = []
+        camera = read_camera(self.camera)
+        views = read_views(self.folder, camera, on_warning=warnings.append)
+        try:
+            found = calibrate(camera, views)
+        except GendomError as error:
+            lost = f" ({len(warnings)} left out, first {warnings[0]})" if warnings else ""
+            raise GendomError(
+                error.what + lost, where=error.where or str(self.folder), fix=error.fix
+            ) from None
+        if self.out is not None:
+            write_camera(self.out, camera.at(found.T_world_camera))
+        if self.json:
+            entries = [fault_entry(w) for w in warnings]
+            print(to_json({"out": self.out, **_summary(found), "warnings": entries}))
+        else:
+            print(_text(found, warnings))
+            if self.out is not None:
+                print(f"written: {self.out}")
+        return 0
+
+
+def _summary(found: Calibration) -> dict[str, Any]:
+    return {
+        "T_world_camera": found.T_world_camera,
+        "T_gripper_board": found.T_gripper_board,
+        "reprojection_rms": found.rms,
+        "reprojection_rms_by_picture": found.rms_by_picture,
+        "sigma_position": found.sigma_position,
+        "sigma_angle": found.sigma_angle,
+    }
+
+
+def _text(found: Calibration, warnings: list[Fault]) -> str:
+    x, y, z = found.T_world_camera[:3, 3]
+    worst = max(found.rms_by_picture, key=lambda name: found.rms_by_picture[name])
+    quaternion = Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()
+    lines = [
+        f"T_world_camera from {len(found.rms_by_picture)} pictures",
+        f"  position       {x:.4f}, {y:.4f}, {z:.4f} m (standard deviation "
+        f"{1e3 * found.sigma_position:.2f} mm)",
+        f"  quaternion     {', '.join(f'{q:.5f}' for q in quaternion)} (x, y, z, w; standard "
+        f"deviation {found.sigma_angle:.3f} degrees)",
+        f"  reprojection   {found.rms:.3f} pixels RMS, most in {worst} "
+        f"({found.rms_by_picture[worst]:.3f})",
+    ]
+    return "\n".join(lines + [f"  warning   {warning}" for warning in warnings])

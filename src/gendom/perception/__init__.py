@@ -1,0 +1,40 @@
+"""From depth pictures to point clouds: cameras, segmentation, fusion, calibration."""
+
+from gendom.perception.calibration import Board, BoardView, Calibration, calibrate, find_board
+from gendom.perception.camera import Camera, read_camera, write_camera
+from gendom.perception.cloud import STAGES, CloudSettings, FusedCloud, View, perceive_frame
+from gendom.perception.folder import PngCamera, PngWriter, RobotPath, Sighting, read_sighting
+from gendom.perception.frames import Frame, FrameSource, Pictures, match_frames
+from gendom.perception.perceive import Perceived, PerceptionSettings, perceive, read_seen_by
+from gendom.perception.robot import CapsulePath, Capsules
+
+__all__ = [
+    "STAGES",
+    "Board",
+    "BoardView",
+    "Calibration",
+    "Camera",
+    "CapsulePath",
+    "Capsules",
+    "CloudSettings",
+    "Frame",
+    "FrameSource",
+    "FusedCloud",
+    "Perceived",
+    "PerceptionSettings",
+    "Pictures",
+    "PngCamera",
+    "PngWriter",
+    "RobotPath",
+    "Sighting",
+    "View",
+    "calibrate",
+    "find_board",
+    "match_frames",
+    "perceive",
+    "perceive_frame",
+    "read_camera",
+    "read_seen_by",
+    "read_sighting",
+    "write_camera",
+]

@@ -1,0 +1,396 @@
+"""Where a camera stands: T_world_camera from pictures of a board that the robot holds.
+
+The board is a ChArUco board somewhere on the gripper; where on it need not be known. For each
+picture i, with the robot's pose T_world_gripper,i,
+
+    T_world_camera T_camera_board,i = T_world_gripper,i T_gripper_board,
+
+which is hand-eye calibration. A first solution comes from Park and Martin (1994), "Robot sensor
+calibration: solving AX = XB on the Euclidean group", through OpenCV. It is then refined: of both
+unknown transforms, those that make the reprojection error of all corners least.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from gendom.datasets import Fault
+from gendom.errors import GendomError, RecordingError
+from gendom.perception.camera import Camera
+from gendom.perception.folder import read_png
+
+MIN_PICTURES = 5
+MIN_TURN = 5.0
+"""The board must turn by this much about each of two axes [degrees], RMS over all pairs."""
+MAX_RMS = 2.0
+"""Above this reprojection error [pixels] poses and pictures do not belong together."""
+MAX_SIGMA = 0.005
+"""Above this standard deviation of the camera's position [m] the pictures do not determine it."""
+
+_MIN_CORNERS = 6
+_MIN_PIXEL_SIGMA = 0.1  # corners are hardly found better [pixels]
+_COLUMNS = ("picture", "x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Board:
+    """A ChArUco board: a chessboard with a marker in each white square."""
+
+    squares_x: int
+    """Columns of squares."""
+    squares_y: int
+    """Rows of squares."""
+    square: float
+    """Side of a square, as printed [m]."""
+    marker: float
+    """Side of a marker, as printed [m]."""
+    dictionary: str = "DICT_5X5_100"
+    """OpenCV's name of the markers."""
+    legacy: bool = False
+    """Printed by OpenCV before 4.6, with an even number of rows."""
+
+    def __post_init__(self):
+        if self.squares_x < 3 or self.squares_y < 3:
+            raise GendomError(
+                f"{self.squares_x} x {self.squares_y} squares", where="board", fix="use 3 or more"
+            )
+        if not 0.0 < self.marker < self.square < 1.0:
+            raise GendomError(
+                f"square {self.square}, marker {self.marker}",
+                where="board",
+                fix="give metres, the marker smaller than the square",
+            )
+
+    def opencv(self) -> Any:
+        """The same as cv2.aruco.CharucoBoard.
+
+        Raises:
+            GendomError: There is no such dictionary.
+        """
+        import cv2
+
+        number = getattr(cv2.aruco, self.dictionary, None)
+        if not self.dictionary.startswith("DICT_") or number is None:
+            raise GendomError(
+                f"there is no dictionary {self.dictionary!r}",
+                where="board",
+                fix="use OpenCV's names, such as DICT_4X4_50 or DICT_5X5_100",
+            )
+        board = cv2.aruco.CharucoBoard(
+            (self.squares_x, self.squares_y),
+            self.square,
+            self.marker,
+            cv2.aruco.getPredefinedDictionary(number),
+        )
+        board.setLegacyPattern(self.legacy)
+        return board
+
+
+@dataclass(frozen=True, eq=False)
+class BoardView:
+    """The board's corners in one picture, and where the robot held it."""
+
+    name: str
+    """What messages call it."""
+    points: npt.NDArray[np.float64]
+    """[n, 3] the corners on the board [m]."""
+    pixels: npt.NDArray[np.float64]
+    """[n, 2] the same in the picture."""
+    T_world_gripper: npt.NDArray[np.float64]
+    """[4, 4] gripper to world [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A camera's pose and how well it is known."""
+
+    T_world_camera: npt.NDArray[np.float64]
+    """[4, 4] camera to world [m]."""
+    T_gripper_board: npt.NDArray[np.float64]
+    """[4, 4] board to gripper [m]."""
+    rms: float
+    """Reprojection error of all corners [pixels]."""
+    rms_by_picture: dict[str, float]
+    """The same of each picture [pixels]."""
+    sigma_position: float
+    """Standard deviation of the camera's position [m]."""
+    sigma_angle: float
+    """Standard deviation of its direction [degrees]."""
+
+
+def find_board(picture: npt.NDArray[np.uint8], board: Board) -> tuple[np.ndarray, np.ndarray]:
+    """The board's inner corners in a grey picture [height, width].
+
+    Returns:
+        Points [n, 3] on the board [m] and pixels [n, 2]; n is 0 where fewer than 6 are found or
+        all on one line.
+    """
+    import cv2
+
+    model = board.opencv()
+    refined = cv2.aruco.CharucoParameters()
+    refined.tryRefineMarkers = True
+    pixels, ids, _, _ = cv2.aruco.CharucoDetector(model, refined).detectBoard(picture)
+    none = np.zeros((0, 3)), np.zeros((0, 2))
+    if ids is None or len(ids) < _MIN_CORNERS or model.checkCharucoCornersCollinear(ids):
+        return none
+    points = np.asarray(model.getChessboardCorners(), np.float64)[np.asarray(ids, np.int64).ravel()]
+    pixels = pixels.reshape(-1, 2)
+    # Once more in a window that ends where the markers begin, on a picture smoothed by a pixel:
+    # on rendered boards that halves the detector's own error.
+    spacing = np.median(KDTree(pixels).query(pixels, k=2)[0][:, 1])
+    gap = 0.5 * (1.0 - board.marker / board.square) * spacing
+    half = int(np.clip(gap, 2, 10))
+    stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-4)
+    cv2.cornerSubPix(cv2.GaussianBlur(picture, (0, 0), 1.0), pixels, (half, half), (-1, -1), stop)
+    return points, pixels.astype(np.float64)
+
+
+def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
+    """`T_world_camera` from the board's corners at known poses of the gripper.
+
+    Args:
+        camera: Its intrinsics and distortion; its pose is not used.
+        views: At least five, with the board turned about two axes.
+
+    Raises:
+        GendomError: Too few pictures; the poses turn the board too little or about one axis
+            only, which leaves the camera's place open; or poses and pictures do not fit.
+    """
+    import cv2
+
+    if len(views) < MIN_PICTURES:
+        raise GendomError(
+            f"the board is found in {len(views)} pictures, {MIN_PICTURES} are needed",
+            fix="take more, with the board large and sharp in the picture",
+        )
+    _check_turns(views)
+    distortion = np.array(camera.distortion)
+    boards = [_board_pose(camera, view) for view in views]
+    # OpenCV solves for a camera on the gripper. For one that looks at the gripper the roles of
+    # world and gripper change, so the robot's poses go in inverted.
+    inverse = [np.linalg.inv(view.T_world_gripper) for view in views]
+    R, t = cv2.calibrateHandEye(
+        [T[:3, :3] for T in inverse],
+        [T[:3, 3] for T in inverse],
+        [T[:3, :3] for T in boards],
+        [T[:3, 3] for T in boards],
+        method=cv2.CALIB_HAND_EYE_PARK,
+    )
+    start = np.eye(4)
+    start[:3, :3], start[:3, 3] = R, t.ravel()
+    holds = [T @ start @ board for T, board in zip(inverse, boards, strict=True)]
+    hold = np.eye(4)
+    hold[:3, :3] = Rotation.from_matrix([T[:3, :3] for T in holds]).mean().as_matrix()
+    hold[:3, 3] = np.median([T[:3, 3] for T in holds], axis=0)
+
+    def residual(change: np.ndarray) -> np.ndarray:
+        T_camera_world = np.linalg.inv(_moved(start, change[:6]))
+        T_gripper_board = _moved(hold, change[6:])
+        errors = []
+        for view in views:
+            T = T_camera_world @ view.T_world_gripper @ T_gripper_board
+            rotation = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+            pixels, _ = cv2.projectPoints(view.points, rotation, T[:3, 3], camera.K, distortion)
+            errors.append((pixels.reshape(-1, 2) - view.pixels).ravel())
+        return np.concatenate(errors)
+
+    # Radians and metres in one vector: the columns' own sizes make them comparable.
+    found = least_squares(residual, np.zeros(12), x_scale="jac", method="lm")
+    lengths = np.cumsum([2 * len(view.points) for view in views])[:-1]
+    by_picture = {
+        view.name: float(np.sqrt(2.0 * np.mean(part**2)))
+        for view, part in zip(views, np.split(found.fun, lengths), strict=True)
+    }
+    rms = float(np.sqrt(2.0 * np.mean(found.fun**2)))
+    if not rms <= MAX_RMS:
+        worst = max(by_picture, key=lambda name: by_picture[name])
+        raise GendomError(
+            f"the corners are {rms:.2g} pixels from where the robot's poses put them, most in "
+            f"{worst} ({by_picture[worst]:.2g})",
+            fix="check that poses belong to the pictures, K to the stream, and the board's sizes",
+        )
+    sigma = max(rms / np.sqrt(2.0), _MIN_PIXEL_SIGMA)
+    singular, V = np.linalg.svd(found.jac, full_matrices=False)[1:]
+    with np.errstate(divide="ignore"):
+        variance = sigma**2 * ((V / singular[:, None]) ** 2).sum(axis=0)
+    position, angle = np.sqrt(variance[3:6].sum()), np.sqrt(variance[:3].sum())
+    if not position <= MAX_SIGMA:
+        raise GendomError(
+            f"the poses leave the camera's place open by {1e3 * position:.3g} mm",
+            fix="take more pictures, with the board turned more and at different places",
+        )
+    return Calibration(
+        T_world_camera=_moved(start, found.x[:6]),
+        T_gripper_board=_moved(hold, found.x[6:]),
+        rms=rms,
+        rms_by_picture=by_picture,
+        sigma_position=float(position),
+        sigma_angle=float(np.degrees(angle)),
+    )
+
+
+def _moved(T: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """T turned about its own axes by change[:3] [rad], moved in the outer ones by change[3:]."""
+    moved = T.copy()
+    moved[:3, :3] = T[:3, :3] @ Rotation.from_rotvec(change[:3]).as_matrix()
+    moved[:3, 3] += change[3:]
+    return moved
+
+
+def _check_turns(views: Sequence[BoardView]) -> None:
+    """Whether the gripper turns about two axes.
+
+    About one axis only, the camera's place along it is open (Tsai and Lenz, 1989).
+    """
+    R = Rotation.from_matrix([view.T_world_gripper[:3, :3] for view in views])
+    turns = np.concatenate([(R[i].inv() * R[i + 1 :]).as_rotvec() for i in range(len(views) - 1)])
+    squares = np.linalg.eigvalsh(turns.T @ turns / len(turns))
+    second, first = np.degrees(np.sqrt(np.maximum(squares, 0.0)))[1:]
+    if second < MIN_TURN:
+        how = "hardly turn the board" if first < MIN_TURN else "turn the board about one axis only"
+        raise GendomError(
+            f"the poses {how}: {first:.2g} degrees about one axis, {second:.2g} about a second",
+            fix="tilt it by 20 degrees or more, to the sides as well as forwards and back",
+        )
+
+
+def _board_pose(camera: Camera, view: BoardView) -> np.ndarray:
+    """T_camera_board [4, 4] from one picture."""
+    import cv2
+
+    found, rotation, t = cv2.solvePnP(
+        view.points, view.pixels, camera.K, np.array(camera.distortion), flags=cv2.SOLVEPNP_IPPE
+    )
+    if not found:
+        raise GendomError("no pose fits the corners", where=view.name, fix="leave it out")
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(rotation.ravel()).as_matrix(), t.ravel()
+    return T
+
+
+def read_views(
+    folder: str | os.PathLike, camera: Camera, *, on_warning: Callable[[Fault], None]
+) -> list[BoardView]:
+    """The views of a folder with board.toml, poses.csv and pictures.
+
+    board.toml has the fields of `Board`; poses.csv the columns picture,x,y,z,qx,qy,qz,qw: a PNG
+    file in the folder and T_world_gripper at that moment, metres and a unit quaternion.
+
+    Args:
+        folder: Where they are.
+        camera: What took the pictures.
+        on_warning: Called for each picture that is left out: damaged, or without the board.
+
+    Raises:
+        GendomError: board.toml or poses.csv is missing or malformed, or a picture has not the
+            camera's size.
+    """
+    folder = Path(folder)
+    board = read_board(folder / "board.toml")
+    views = []
+    for name, T in _read_poses(folder / "poses.csv"):
+        path = folder / name
+        try:
+            picture = read_png(path)
+        except RecordingError as error:
+            on_warning(Fault(f"{error.what}; left out", str(path), error.fix or "", "warning"))
+            continue
+        if picture.size != (camera.width, camera.height):
+            raise RecordingError(
+                f"is {picture.width} x {picture.height}, the camera {camera.width} x "
+                f"{camera.height}",
+                where=str(path),
+                fix="take the pictures with the stream whose K is given",
+            )
+        points, pixels = find_board(np.asarray(picture.convert("L")), board)
+        if len(points) == 0:
+            on_warning(
+                Fault(
+                    "the board is not found; left out",
+                    str(path),
+                    "have it large, sharp and flat in the picture; check board.toml",
+                    "warning",
+                )
+            )
+            continue
+        views.append(BoardView(name, points, pixels, T))
+    return views
+
+
+def read_board(path: str | os.PathLike) -> Board:
+    """The board of a file board.toml with the fields of `Board`.
+
+    Raises:
+        GendomError: The file is missing or malformed.
+    """
+    path = Path(path)
+    try:
+        return Board(**tomllib.loads(path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        what = "no such file"
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        what = f"cannot be read ({error})"
+    except TypeError as error:  # a field that is missing, unknown or of another type
+        what = f"does not describe a board ({str(error).removeprefix('Board.__init__() ')})"
+    except GendomError as error:
+        raise GendomError(error.what, where=str(path), fix=error.fix) from None
+    raise GendomError(
+        what, where=str(path), fix="give squares_x, squares_y, square, marker (m), dictionary"
+    )
+
+
+def _read_poses(path: Path) -> list[tuple[str, np.ndarray]]:
+    """Pictures and T_world_gripper [4, 4] of poses.csv."""
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            lines = [[text.strip() for text in row] for row in csv.reader(file) if row]
+    except FileNotFoundError:
+        raise RecordingError(
+            "no such file", where=str(path), fix=f"write {','.join(_COLUMNS)}"
+        ) from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(
+            f"cannot be read ({error})", where=str(path), fix="save it as CSV"
+        ) from None
+    if not lines or tuple(lines[0]) != _COLUMNS:
+        raise RecordingError(
+            "has another header", where=str(path), fix=f"write {','.join(_COLUMNS)}"
+        )
+    poses = []
+    for number, row in enumerate(lines[1:], start=2):
+        where = f"{path}, line {number}"
+        try:
+            values = np.array([float(text) for text in row[1:]])
+        except ValueError:
+            values = np.array([])
+        if len(values) != 7 or not np.isfinite(values).all():
+            raise RecordingError("is no pose", where=where, fix="give a picture and 7 numbers")
+        if abs(np.linalg.norm(values[3:]) - 1.0) > 0.01:
+            raise RecordingError(
+                f"quaternion of length {np.linalg.norm(values[3:]):.3g}",
+                where=where,
+                fix="give a unit quaternion, qx, qy, qz, qw",
+            )
+        if np.linalg.norm(values[:3]) > 20.0:
+            raise RecordingError(
+                f"is {np.linalg.norm(values[:3]):.4g} m from the robot's base",
+                where=where,
+                fix="give metres, not millimetres",
+            )
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = Rotation.from_quat(values[3:]).as_matrix(), values[:3]
+        poses.append((row[0], T))
+    return poses

@@ -1,0 +1,271 @@
+"""A depth camera's model: intrinsics, distortion, depth unit and pose, and its file camera.toml.
+
+    width = 640                  # pixels
+    height = 480
+    depth_unit = 0.001           # metres a count of the depth pictures
+    K = [[385.0, 0.0, 319.5], [0.0, 385.0, 239.5], [0.0, 0.0, 1.0]]   # pixels
+    distortion = []              # OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]
+    T_world_camera = [[...], [...], [...], [0.0, 0.0, 0.0, 1.0]]      # camera to world [m]
+
+Axes are OpenCV's: x right, y down, z forward; pixel (0, 0) is centred at u = v = 0.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gendom.errors import RecordingError
+from gendom.files import atomic_path
+
+_DISTORTION_LENGTHS = (0, 4, 5, 8)
+_MAX_DISTANCE = 20.0  # [m]; a camera farther from the robot's base was given in millimetres
+_KEYS = ("width", "height", "depth_unit", "K", "distortion", "T_world_camera")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Camera:
+    """A pinhole camera with OpenCV's distortion, at rest in the world.
+
+    Raises:
+        RecordingError: A value cannot be that of a camera; names it and says what to give.
+    """
+
+    name: str
+    """What messages call it."""
+    width: int
+    """Columns of its pictures."""
+    height: int
+    """Rows."""
+    K: npt.NDArray[np.float64]
+    """[3, 3] intrinsic matrix [pixels]."""
+    T_world_camera: npt.NDArray[np.float64] | None
+    """[4, 4] camera to world [m]; None: not calibrated yet."""
+    depth_unit: float = 1e-3
+    """Metres a count of the depth pictures."""
+    distortion: tuple[float, ...] = ()
+    """OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; empty: none."""
+
+    def __post_init__(self):
+        for name, shape in (("K", (3, 3)), ("T_world_camera", (4, 4))):
+            value = getattr(self, name)
+            if value is None and name == "T_world_camera":
+                continue
+            array = _numbers(value, shape, f"{self.name}: {name}")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
+        for what, where, fix in self._faults():
+            raise RecordingError(what, where=f"{self.name}: {where}", fix=fix)
+
+    def _faults(self):
+        """(what, where, fix) of everything wrong."""
+        if self.width < 1 or self.height < 1:
+            yield f"is {self.width} x {self.height}", "width, height", "give the pictures' size"
+        if not (np.isfinite(self.depth_unit) and self.depth_unit > 0.0):
+            yield (
+                f"is {self.depth_unit}",
+                "depth_unit",
+                "give metres a count: 0.001 for depth in millimetres",
+            )
+        K = self.K
+        if not (K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1])) or K[1, 0] != 0:
+            yield (
+                "is no intrinsic matrix",
+                "K",
+                "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, fx and fy above 0",
+            )
+        elif not (-1 < K[0, 2] < self.width and -1 < K[1, 2] < self.height):
+            yield (
+                f"has its centre ({K[0, 2]:g}, {K[1, 2]:g}) outside {self.width} x {self.height}",
+                "K",
+                "take the intrinsics of the stream with these pictures' size",
+            )
+        if len(self.distortion) not in _DISTORTION_LENGTHS:
+            yield (
+                f"has {len(self.distortion)} numbers",
+                "distortion",
+                "give none, or 4, 5 or 8 of OpenCV's k1, k2, p1, p2, k3, k4, k5, k6",
+            )
+        elif not np.isfinite(self.distortion).all():
+            yield "is not finite", "distortion", "give numbers"
+        T = self.T_world_camera
+        if T is not None:
+            R = T[:3, :3]
+            if (
+                not np.allclose(T[3], [0, 0, 0, 1])
+                or not np.allclose(R @ R.T, np.eye(3), atol=1e-3)
+                or np.linalg.det(R) < 0
+            ):
+                yield (
+                    "is no rigid transform",
+                    "T_world_camera",
+                    "give [[R, t], [0, 0, 0, 1]] with a rotation R and t in metres",
+                )
+            elif np.linalg.norm(T[:3, 3]) > _MAX_DISTANCE:
+                yield (
+                    f"puts the camera {np.linalg.norm(T[:3, 3]):.4g} m from the robot's base",
+                    "T_world_camera",
+                    "give t in metres, not millimetres",
+                )
+
+    @property
+    def position(self) -> npt.NDArray[np.float64]:
+        """[3] optical centre in the world [m].
+
+        Raises:
+            RecordingError: The camera is not calibrated.
+        """
+        return self.calibrated()[:3, 3]
+
+    def calibrated(self) -> npt.NDArray[np.float64]:
+        """`T_world_camera`, [4, 4] [m].
+
+        Raises:
+            RecordingError: It is not known.
+        """
+        if self.T_world_camera is None:
+            raise RecordingError(
+                "is missing",
+                where=f"{self.name}: T_world_camera",
+                fix="measure it with gendom calibrate",
+            )
+        return self.T_world_camera
+
+    def rays(self) -> npt.NDArray[np.float64]:
+        """[height * width, 3] directions of the pixels, row after row, in the camera's axes.
+
+        Their z is 1: a pixel of depth z is at z times its ray. Distortion is taken out.
+        """
+        v, u = np.mgrid[: self.height, : self.width].astype(np.float64)
+        pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+        if any(self.distortion):
+            import cv2
+
+            # OpenCV's inverse is iterative; five rounds, its default, leave a tenth of a pixel
+            # in the corners of a wide lens.
+            stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-7)
+            xy = cv2.undistortPointsIter(
+                pixels[:, None], self.K, np.array(self.distortion), np.eye(3), np.eye(3), stop
+            ).reshape(-1, 2)
+        else:
+            K = self.K
+            y = (pixels[:, 1] - K[1, 2]) / K[1, 1]
+            xy = np.stack([(pixels[:, 0] - K[0, 2] - K[0, 1] * y) / K[0, 0], y], axis=1)
+        return np.concatenate([xy, np.ones((len(xy), 1))], axis=1).astype(np.float64)
+
+    def at(self, T_world_camera: npt.ArrayLike) -> Camera:
+        """The same camera at another pose, [4, 4] [m]."""
+        return replace(self, T_world_camera=np.asarray(T_world_camera, dtype=np.float64))
+
+
+def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
+    """The camera of a file camera.toml; see the top of this module.
+
+    Args:
+        path: The file.
+        name: The camera's name; by default that of its folder.
+
+    Raises:
+        RecordingError: The file is missing, no TOML, or lacks or has a wrong value.
+    """
+    path = Path(path)
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise RecordingError(
+            "no such file, so the intrinsics are unknown",
+            where=str(path),
+            fix="write one with width, height, K, depth_unit, distortion and T_world_camera",
+        ) from None
+    except OSError as error:
+        raise RecordingError(
+            f"cannot be read ({error.strerror})", where=str(path), fix="check the file"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RecordingError(
+            f"is not TOML ({error})", where=str(path), fix="mend that line"
+        ) from None
+    # A depth unit taken for granted would be wrong by ten for every second camera.
+    missing = [key for key in ("width", "height", "K", "depth_unit") if key not in table]
+    if missing:
+        raise RecordingError(
+            f"lacks {', '.join(missing)}",
+            where=str(path),
+            fix="copy it from the camera's own settings; depth is useless without",
+        )
+    unknown = [key for key in table if key not in _KEYS]
+    if unknown:
+        raise RecordingError(
+            f"has the unknown key {unknown[0]!r}",
+            where=str(path),
+            fix=f"known are {', '.join(_KEYS)}",
+        )
+    for key in ("width", "height"):
+        if not isinstance(table[key], int):
+            raise RecordingError(f"is {table[key]!r}", where=f"{path}: {key}", fix="give pixels")
+    T = table.get("T_world_camera")
+    return Camera(
+        name=name or path.resolve().parent.name,
+        width=table["width"],
+        height=table["height"],
+        K=_numbers(table["K"], (3, 3), f"{path}: K"),
+        T_world_camera=None if T is None else _numbers(T, (4, 4), f"{path}: T_world_camera"),
+        depth_unit=float(_numbers(table["depth_unit"], (), f"{path}: depth_unit")),
+        distortion=tuple(_numbers(table.get("distortion", []), (None,), f"{path}: distortion")),
+    )
+
+
+def write_camera(path: str | os.PathLike, camera: Camera) -> None:
+    """Write a camera as camera.toml, atomically; reading it gives the same numbers.
+
+    Raises:
+        GendomError: The place cannot be written.
+    """
+    lines = [
+        f"width = {camera.width}",
+        f"height = {camera.height}",
+        f"depth_unit = {camera.depth_unit!r}  # metres a count",
+        f"K = {_rows(camera.K)}  # pixels",
+        f"distortion = {list(camera.distortion)}  # OpenCV's k1, k2, p1, p2, k3, ...",
+    ]
+    if camera.T_world_camera is not None:
+        lines.append(f"T_world_camera = {_rows(camera.T_world_camera)}  # metres")
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _rows(matrix: np.ndarray) -> str:
+    rows = ",\n".join(f"  {[float(x) for x in row]}" for row in matrix)
+    return f"[\n{rows},\n]"
+
+
+def _numbers(value: Any, shape: tuple[int | None, ...], where: str) -> np.ndarray:
+    """`value` as finite float64 of a shape; None in it is any length.
+
+    Raises:
+        RecordingError: It is none.
+    """
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = None
+    if (
+        array is None
+        or array.ndim != len(shape)
+        or any(want is not None and have != want for have, want in zip(array.shape, shape))  # noqa: B905
+        or not np.isfinite(array).all()
+    ):
+        form = "x".join("n" if n is None else str(n) for n in shape)
+        raise RecordingError(
+            "is not " + (f"{form} numbers" if shape else "a number"),
+            where=where,
+            fix="give finite numbers in brackets" if shape else "give one number",
+        )
+    return array

@@ -1,0 +1,383 @@
+"""From depth pictures to the cloud of the object, frame by frame.
+
+What does not change from frame to frame is worked out once a pixel: the ray in the world, the
+depths between which it is in the workspace, and the depths between which it is on the table.
+Cropping and table removal are then comparisons of 16-bit integers, and only the pixels that are
+left become points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from gendom.errors import ParameterError, RecordingError
+from gendom.perception.camera import Camera
+from gendom.perception.colour import ObjectColour
+from gendom.perception.frames import Pictures
+from gendom.perception.robot import Capsules
+from gendom.perception.table import Table, fit_table
+
+STAGES = ("depth", "workspace", "table", "colour", "support", "robot", "voxels", "outliers")
+"""What is counted: pixels with depth, then those left after each stage, then fused voxels and
+those left after outlier removal."""
+
+_NEVER = np.uint16(65535)
+_STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
+_STEEPEST = 5.0  # a surface's depth may change by this many pixels' width from one to the next
+_MAX_CAMERAS = 8  # bits of a point's `seen_by`
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudSettings:
+    """What is kept of the depth."""
+
+    low: tuple[float, float, float]
+    """The workspace's lower corner [m]."""
+    high: tuple[float, float, float]
+    """The workspace's upper corner [m]."""
+    table_sigmas: float = 3.0
+    """Depths within so many standard deviations of the table's are on the table."""
+    table_clearance: float = 0.002
+    """And so are points nearer to it than this [m], however small the noise."""
+    min_support: int = 3
+    """Of a pixel's eight neighbours so many must be the object's, at about its depth. Without
+    are the pixels half on it and half behind it, and stray ones. 0: not asked."""
+    robot_margin: float = 0.01
+    """Points nearer than this [m] to a capsule are the robot's."""
+    voxel: float = 0.005
+    """Edge of the cubes that give one point each, the mean of theirs [m]; 0: keep all points."""
+    outlier_radius: float = 0.015
+    """Points in the same or in touching cubes of this edge [m] are connected."""
+    min_cluster: int = 10
+    """Connected points fewer than this are outliers."""
+
+    def __post_init__(self):
+        if not all(
+            np.isfinite([a, b]).all() and a < b for a, b in zip(self.low, self.high, strict=True)
+        ):
+            raise ParameterError(
+                f"the workspace runs from {self.low} to {self.high}",
+                fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first",
+            )
+        for name in ("table_sigmas", "table_clearance", "robot_margin", "voxel", "outlier_radius"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ParameterError(f"{name} is {value}", fix="give 0 or more")
+        if not 0 <= self.min_support <= 8:
+            raise ParameterError(f"min_support is {self.min_support}", fix="give 0 to 8")
+        if self.min_cluster < 1:
+            raise ParameterError(f"min_cluster is {self.min_cluster}", fix="give 1 or more")
+
+
+class View:
+    """One camera's pixels in one workspace.
+
+    Args:
+        camera: Calibrated.
+        settings: The workspace and what is kept in it.
+
+    Raises:
+        RecordingError: The camera is not calibrated.
+    """
+
+    def __init__(self, camera: Camera, settings: CloudSettings):
+        self.camera = camera
+        self.settings = settings
+        self.table: Table | None = None
+        T = camera.calibrated()
+        directions = camera.rays() @ T[:3, :3].T
+        self._position = camera.position.astype(np.float32)
+        self._directions = np.ascontiguousarray(directions.T, dtype=np.float32)  # [3, H W]
+        near, far = _box_depths(camera.position, directions, settings.low, settings.high)
+        self._depths = near.astype(np.float32), far.astype(np.float32)
+        self._near, self._far = self._counts(near, np.ceil), self._counts(far, np.floor)
+        self._far[~(near <= far)] = 0  # the ray misses the workspace
+        # Depths from `_top` on are on the table or below, those beyond `_bottom` below.
+        self._top = np.full(len(self._near), _NEVER)
+        self._bottom = np.full(len(self._near), _NEVER)
+
+    def _counts(self, depth: np.ndarray, to_integer: np.ufunc) -> npt.NDArray[np.uint16]:
+        """Depths [m] as counts of the depth unit, 1 to 65535."""
+        counts = to_integer(depth / self.camera.depth_unit)
+        return np.clip(np.nan_to_num(counts, posinf=65535.0), 1, 65535).astype(np.uint16)
+
+    def points(self, raw: npt.NDArray[np.uint16], pixels: np.ndarray) -> npt.NDArray[np.float32]:
+        """World points [n, 3] [m] of flat pixel numbers [n] of a flat depth picture."""
+        z = raw[pixels] * np.float32(self.camera.depth_unit)
+        points = np.empty((len(pixels), 3), np.float32)
+        for axis in range(3):
+            np.multiply(self._directions[axis].take(pixels), z, out=points[:, axis])
+            points[:, axis] += self._position[axis]
+        return points
+
+    def in_workspace(self, depth: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
+        """[height, width] pixels of a depth picture whose points are in the workspace."""
+        raw = depth.ravel()
+        return ((raw >= self._near) & (raw <= self._far)).reshape(depth.shape)
+
+    def check_depth(self, depth: npt.NDArray[np.uint16]) -> None:
+        """Whether depth reaches the workspace at all.
+
+        Raises:
+            RecordingError: It does not; says whether another depth unit would.
+        """
+        where = f"camera {self.camera.name!r}"
+        has = np.count_nonzero(depth)
+        if has < 100:
+            raise RecordingError(
+                f"only {has} of {depth.size} pixels have depth",
+                where=where,
+                fix="check the sensor, and that the depth pictures are 16 bit",
+            )
+        inside = np.count_nonzero(self.in_workspace(depth))
+        raw = depth.ravel().astype(np.float32)
+
+        def with_scale(scale: float) -> int:
+            z = raw * np.float32(scale * self.camera.depth_unit)
+            near, far = self._depths
+            return int(np.count_nonzero((z >= near) & (z <= far) & (raw > 0)))
+
+        scales = {s: with_scale(s) for s in (1e-4, 1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4)}
+        best = max(scales, key=lambda s: scales[s])
+        if scales[best] >= max(10 * inside, 0.005 * has, 100):
+            unit = self.camera.depth_unit
+            raise RecordingError(
+                f"depth of median {np.median(raw[raw > 0]) * unit:.4g} m misses the workspace, "
+                f"but would be in it in another unit",
+                where=f"{where}: depth_unit",
+                fix=f"it is {unit:g} m a count; {unit * best:g} seems right",
+            )
+        if inside < 50:
+            raise RecordingError(
+                f"sees nothing of the workspace, {_corners(self.settings)}; "
+                f"median depth {np.median(raw[raw > 0]) * self.camera.depth_unit:.3g} m",
+                where=where,
+                fix="check T_world_camera (camera to world) and --workspace",
+            )
+
+    def find_table(self, depth: npt.NDArray[np.uint16], expected_height: float | None) -> None:
+        """Fit the table in a depth picture, and remove it from now on where there is one.
+
+        Args:
+            depth: [height, width].
+            expected_height: z of the table [m]; None: unknown.
+        """
+        raw = depth.ravel()
+        pixels = np.flatnonzero(self.in_workspace(depth))
+        directions = self._directions[:, pixels].T
+        self.table = fit_table(
+            self.points(raw, pixels),
+            directions,
+            raw[pixels] * self.camera.depth_unit,
+            expected_height=expected_height,
+        )
+        if self.table is None:
+            return
+        table, settings = self.table, self.settings
+        slope = -(table.normal @ self._directions.astype(np.float64))  # per depth, downwards
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = (table.normal @ self.camera.position - table.offset) / slope
+            band = np.maximum(
+                settings.table_sigmas * table.noise * z**2, settings.table_clearance / slope
+            )
+            meets = (slope > 1e-6) & (z > 0)
+            top = np.where(meets, z - band, np.inf)
+            bottom = np.where(meets, z + band, np.inf)
+        self._top, self._bottom = self._counts(top, np.ceil), self._counts(bottom, np.floor)
+
+    def segment(
+        self,
+        pictures: Pictures,
+        colour: ObjectColour | None = None,
+        capsules: Capsules | None = None,
+    ) -> tuple[npt.NDArray[np.float32], list[int]]:
+        """The object's points in one camera's pictures.
+
+        A point on the table stays if its colour is the object's; without colours nothing that
+        lies within the table's noise can be told from it.
+
+        Returns:
+            Points [n, 3] in the world [m], and how many were left at each of the first six
+            `STAGES`.
+        """
+        raw = pictures.depth.ravel()
+        inside = (raw >= self._near) & (raw <= self._far)
+        counts = [int(np.count_nonzero(raw)), int(np.count_nonzero(inside))]
+        if colour is None or pictures.colour is None:
+            inside &= raw < self._top
+            pixels = np.flatnonzero(inside)
+            counts += [len(pixels), len(pixels)]
+        else:
+            inside &= raw <= self._bottom
+            pixels = np.flatnonzero(inside)
+            own = colour.match(pictures.colour.reshape(-1, 3).take(pixels, axis=0))
+            kept = pixels[own]
+            above = np.count_nonzero(raw[pixels] < self._top[pixels])
+            on_table = np.count_nonzero(raw[kept] >= self._top[kept])
+            counts += [int(above + on_table), len(kept)]
+            pixels = kept
+        pixels = self._supported(raw, pixels)
+        counts.append(len(pixels))
+        points = self.points(raw, pixels)
+        if capsules is not None and len(points):
+            points = points[~capsules.contain(points, self.settings.robot_margin)]
+        return points, [*counts, len(points)]
+
+    def _supported(self, raw: npt.NDArray[np.uint16], pixels: np.ndarray) -> np.ndarray:
+        """Those of the flat pixel numbers that have enough neighbours among them."""
+        least = self.settings.min_support
+        if least == 0 or len(pixels) == 0:
+            return pixels
+        width = self.camera.width
+        # A picture of the object alone, with room for the neighbours of its corners.
+        alone = np.zeros(len(raw) + 2 * (width + 1), np.int32)
+        at = pixels + (width + 1)
+        own = raw[pixels].astype(np.int32)
+        alone[at] = own
+        z = own * np.float32(self.camera.depth_unit)
+        noise = _STEREO_NOISE if self.table is None else self.table.noise
+        apart = 4.0 * noise * z**2 + _STEEPEST / self.camera.K[0, 0] * z
+        apart = (apart / self.camera.depth_unit).astype(np.int32) + 1
+        support = np.zeros(len(pixels), np.int8)
+        for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
+            support += np.abs(alone[at + step] - own) <= apart
+        return pixels[support >= least]
+
+
+@dataclass(frozen=True, eq=False)
+class FusedCloud:
+    """The object's points of one moment, from all cameras."""
+
+    points: npt.NDArray[np.float32]
+    """[n, 3] in the world [m]."""
+    seen_by: npt.NDArray[np.uint8]
+    """[n] bit k is set where camera k saw the point."""
+    counts: npt.NDArray[np.int64]
+    """[8] points left at each of `STAGES`, summed over the cameras."""
+
+
+def fuse(
+    clouds: Sequence[npt.NDArray[np.float32]], settings: CloudSettings
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], int]:
+    """One cloud of several cameras' clouds: one point a voxel, without outliers.
+
+    Args:
+        clouds: [n_k, 3] of each camera [m].
+        settings: Voxel and outliers.
+
+    Returns:
+        Points [n, 3] [m], `seen_by` [n] (bit k: camera k), and how many voxels there were.
+
+    Raises:
+        ParameterError: More cameras than bits.
+    """
+    if len(clouds) > _MAX_CAMERAS:
+        raise ParameterError(f"{len(clouds)} cameras", fix=f"use {_MAX_CAMERAS} at most")
+    points = np.concatenate(clouds)
+    bits = np.repeat((1 << np.arange(len(clouds))).astype(np.uint8), [len(c) for c in clouds])
+    if settings.voxel > 0.0 and len(points):
+        points, bits = _voxel_means(points, bits, settings.voxel)
+    voxels = len(points)
+    if voxels and settings.min_cluster > 1 and settings.outlier_radius > 0.0:
+        keep = _in_clusters(points, settings.outlier_radius, settings.min_cluster)
+        points, bits = points[keep], bits[keep]
+    return points, bits, voxels
+
+
+def perceive_frame(
+    views: Sequence[View],
+    pictures: Sequence[Pictures],
+    *,
+    colour: ObjectColour | None = None,
+    capsules: Capsules | None = None,
+    on_clouds: Callable[[list[npt.NDArray[np.float32]]], None] | None = None,
+) -> FusedCloud:
+    """The object's cloud of one moment.
+
+    Args:
+        views: The cameras, all with the same settings.
+        pictures: One of each.
+        colour: The object's colours; None: everything above the table is the object.
+        capsules: The robot at that moment; None: it is not taken out.
+        on_clouds: Called with each camera's own points before they are fused.
+    """
+    parts = [view.segment(p, colour, capsules) for view, p in zip(views, pictures, strict=True)]
+    clouds = [points for points, _ in parts]
+    if on_clouds is not None:
+        on_clouds(clouds)
+    points, seen_by, voxels = fuse(clouds, views[0].settings)
+    counts = np.sum([counts for _, counts in parts], axis=0).tolist()
+    return FusedCloud(points, seen_by, np.array([*counts, voxels, len(points)]))
+
+
+def _box_depths(
+    position: np.ndarray, directions: np.ndarray, low: Sequence[float], high: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depths [n] [m] at which rays enter and leave a box; entry beyond exit where they miss it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a = (np.asarray(low) - position) / directions
+        b = (np.asarray(high) - position) / directions
+    # A ray along a face of the box gives 0 / 0 there: that face does not bound it.
+    near = np.nan_to_num(np.minimum(a, b), nan=-np.inf, neginf=-np.inf, posinf=np.inf).max(axis=1)
+    far = np.nan_to_num(np.maximum(a, b), nan=np.inf, neginf=-np.inf, posinf=np.inf).min(axis=1)
+    return np.maximum(near, 0.0), far
+
+
+def _voxel_means(
+    points: npt.NDArray[np.float32], bits: npt.NDArray[np.uint8], voxel: float
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
+    """Mean point and united bits of each occupied voxel."""
+    cells, place = _unique_cells(points, voxel)
+    n = len(cells)
+    count = np.bincount(place, minlength=n)
+    means = np.empty((n, 3), np.float32)
+    for axis in range(3):
+        means[:, axis] = np.bincount(place, points[:, axis], n) / count
+    united = np.zeros(n, np.uint8)
+    for bit in np.unique(bits):
+        united[place[bits == bit]] |= bit
+    return means, united
+
+
+def _unique_cells(points: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """Occupied cells [m, 3] of a grid of an edge [m], and the cell [n] of each point."""
+    cell = np.floor(points * (1.0 / edge)).astype(np.int32)
+    low = cell.min(axis=0)
+    size = (cell.max(axis=0) - low + 1).astype(np.int64)
+    cell -= low
+    key = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
+    if size.prod() < 20 * len(key):  # counting beats sorting where most of the box is counted
+        occupied = np.flatnonzero(np.bincount(key, minlength=int(size.prod())))
+        number = np.empty(int(size.prod()), np.intp)
+        number[occupied] = np.arange(len(occupied))
+        keys, place = occupied, number[key]
+    else:
+        keys, place = np.unique(key, return_inverse=True)
+    return np.stack(np.unravel_index(keys, tuple(size)), axis=1), place
+
+
+def _in_clusters(points: np.ndarray, radius: float, least: int) -> npt.NDArray[np.bool_]:
+    """[n] points in clusters of `least` or more.
+
+    A cluster is what lies in cells of edge `radius` [m] that touch, by a corner at least.
+    Grouping cells instead of points keeps large objects as fast as small ones.
+    """
+    cells, place = _unique_cells(points, radius)
+    pairs = KDTree(cells).query_pairs(1.8, output_type="ndarray")  # sqrt(3) is a corner away
+    n = len(cells)
+    graph = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    label = label[place]
+    return np.bincount(label)[label] >= least
+
+
+def _corners(settings: CloudSettings) -> str:
+    low, high = (", ".join(f"{x:.3g}" for x in c) for c in (settings.low, settings.high))
+    return f"({low}) to ({high}) m"

@@ -1,0 +1,149 @@
+"""The contract of cameras, live or recorded, and the matching of their frames by time stamp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from gendom.errors import GendomError
+from gendom.perception.camera import Camera
+
+SYNC_TOLERANCE = 0.02
+"""Frames of different cameras further apart than this [s] do not belong together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """What a camera saw at one moment, its colour aligned with its depth."""
+
+    depth: npt.NDArray[np.uint16]
+    """[height, width] counts of the camera's depth unit along its axis; 0: no depth."""
+    colour: npt.NDArray[np.uint8] | None = None
+    """[height, width, 3] sRGB, pixel for pixel as depth; None: the camera gives none."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A moment of which a camera has pictures."""
+
+    time: float
+    """Time stamp [s] on a clock that all cameras share."""
+    where: str
+    """What messages call it."""
+    read: Callable[[], Pictures]
+    """The pictures, fetched or decoded when called; raises `RecordingError` when damaged."""
+
+
+@runtime_checkable
+class FrameSource(Protocol):
+    """A depth camera: recorded pictures, a vendor's recording or a device.
+
+    Iterating gives frames in order of time, once; a source that breaks off just ends, after
+    telling why in a warning of its own. Decoding waits until `Frame.read`, so frames that
+    match nothing cost nothing.
+    """
+
+    @property
+    def camera(self) -> Camera:
+        """Intrinsics, depth unit and pose."""
+        ...
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+
+@dataclass
+class Matching:
+    """How many frames of each camera found partners."""
+
+    used: int = 0
+    """Sets of frames given."""
+    alone: list[int] | None = None
+    """Frames of each camera that no other camera's frame belonged to."""
+    span: list[tuple[float, float]] | None = None
+    """First and last time stamp of each camera [s]."""
+
+
+def match_frames(
+    sources: Sequence[Iterable[Frame]],
+    *,
+    tolerance: float = SYNC_TOLERANCE,
+    matching: Matching | None = None,
+) -> Iterator[tuple[Frame, ...]]:
+    """Sets of frames, one of each source, whose time stamps lie within a tolerance.
+
+    Each frame is used once at most. Of two sets that compete for a frame the closer one wins,
+    as far as one frame of looking ahead tells.
+
+    Args:
+        sources: Frames in order of time.
+        tolerance: Largest difference of time stamps in a set [s].
+        matching: Filled while iterating.
+
+    Raises:
+        GendomError: A source's time stamps do not increase.
+    """
+    count = Matching() if matching is None else matching
+    count.alone = [0] * len(sources)
+    count.span = [(np.nan, np.nan)] * len(sources)
+    streams = [_Lookahead(source) for source in sources]
+
+    def skip(k: int) -> None:
+        streams[k].step()
+        assert count.alone is not None
+        count.alone[k] += 1
+
+    while all(stream.head is not None for stream in streams):
+        heads = [stream.head for stream in streams if stream.head is not None]
+        times = [frame.time for frame in heads]
+        spread = max(times) - min(times)
+        first = int(np.argmin(times))
+        after = streams[first].following
+        if spread > tolerance or _next_is_closer(times, first, after):
+            skip(first)
+        else:
+            count.used += 1
+            yield tuple(heads)
+            for stream in streams:
+                stream.step()
+        count.span = [stream.span for stream in streams]
+    for k, stream in enumerate(streams):
+        while stream.head is not None:
+            skip(k)
+    count.span = [stream.span for stream in streams]
+
+
+def _next_is_closer(times: list[float], first: int, after: Frame | None) -> bool:
+    """Whether the frame after the earliest one would be closer to the others."""
+    if after is None or len(times) == 1:
+        return False
+    others = [t for k, t in enumerate(times) if k != first]
+    spread = max([*others, after.time]) - min([*others, after.time])
+    return spread < max(times) - min(times)
+
+
+class _Lookahead:
+    """A source's current frame and the one after it."""
+
+    def __init__(self, source: Iterable[Frame]):
+        self._frames = iter(source)
+        self.head: Frame | None = None
+        self.following: Frame | None = next(self._frames, None)
+        self.span = (np.nan, np.nan)
+        self.step()
+
+    def step(self) -> None:
+        self.head, self.following = self.following, next(self._frames, None)
+        if self.head is None:
+            return
+        first = self.head.time if np.isnan(self.span[0]) else self.span[0]
+        self.span = (first, self.head.time)
+        if self.following is not None and not self.following.time > self.head.time:
+            raise GendomError(
+                f"time goes from {self.head.time:.6g} s to {self.following.time:.6g} s",
+                where=self.following.where,
+                fix="sort the frames and drop repeated ones",
+            )

@@ -1,0 +1,477 @@
+"""From what cameras and robot recorded to a recording that the estimator reads."""
+
+from __future__ import annotations
+
+import math
+import os
+import zipfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gendom.datasets import Fault, Recording
+from gendom.datasets.recording import parse_meta
+from gendom.errors import ParameterError, RecordingError
+from gendom.files import atomic_path
+from gendom.perception.cloud import (
+    STAGES,
+    CloudSettings,
+    FusedCloud,
+    View,
+    perceive_frame,
+)
+from gendom.perception.colour import (
+    LIGHTNESS_WEIGHT,
+    TOLERANCE,
+    ObjectColour,
+    boxed_colour,
+    lab,
+    picked_colour,
+)
+from gendom.perception.folder import Sighting
+from gendom.perception.frames import SYNC_TOLERANCE, Frame, Matching, Pictures, match_frames
+from gendom.perception.quality import (
+    MAX_DISAGREEMENT,
+    median_distance,
+    offset_between,
+    seen_share,
+    sides_apart,
+)
+
+_AGREEMENT_FRAMES = 5  # frames with points in all views from which disagreement is judged
+_AGREEMENT_POINTS = 30
+_SHARE_FRAMES = 10  # frames on which the seen share is measured
+_BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
+_MARGIN = 0.05  # [m]; and so far beyond what the object can reach
+
+SEEN_BY = "seen_by"
+"""Name of the array that a perceived recording has besides `gendom-recording/1`'s own: uint8
+[S], bit k is set where the camera of row k of `camera_positions` saw the point."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerceptionSettings:
+    """What is looked for and how frames are put together."""
+
+    workspace: tuple[float, float, float, float, float, float] | None = None
+    """x0 y0 z0 x1 y1 z1 [m]; None: what the object can reach from the grippers' path."""
+    colour: tuple[int, int, int] | None = None
+    """The object's colour, sRGB in 0..255."""
+    pick: tuple[str, int, int] | None = None
+    """Or camera, column and row of a pixel on it, in the first frame."""
+    box: tuple[str, int, int, int, int] | None = None
+    """Or camera, u0, v0, u1, v1: a box around it there, first and after-last pixel."""
+    colour_tolerance: float = TOLERANCE
+    """Colours this near in L*a*b* are the object's."""
+    lightness_weight: float = LIGHTNESS_WEIGHT
+    """Weight of lightness in that; 1 for black, grey or white objects."""
+    find_table: bool = True
+    """Fit the table and remove it."""
+    sync_tolerance: float = SYNC_TOLERANCE
+    """Largest difference of the time stamps in a set of frames [s]."""
+    cloud: dict[str, Any] = field(default_factory=dict)
+    """Fields of `CloudSettings` other than the workspace."""
+
+    def __post_init__(self):
+        given = [n for n in ("colour", "pick", "box") if getattr(self, n) is not None]
+        if len(given) > 1:
+            raise ParameterError(f"{' and '.join(given)} are both given", fix="choose one")
+        if self.colour is not None and not all(0 <= c <= 255 for c in self.colour):
+            raise ParameterError(f"colour {self.colour}", fix="give R G B, each 0 to 255")
+        if not (np.isfinite(self.sync_tolerance) and self.sync_tolerance >= 0.0):
+            raise ParameterError(f"sync_tolerance is {self.sync_tolerance}", fix="give seconds")
+
+
+@dataclass(frozen=True, eq=False)
+class Perceived:
+    """A recording, and how it came about."""
+
+    recording: Recording
+    """The object's clouds and the grippers."""
+    seen_by: npt.NDArray[np.uint8]
+    """[S] bit k is set where camera k saw the point."""
+    counts: npt.NDArray[np.int64]
+    """[T, 8] points left at each of `gendom.perception.STAGES`, summed over the cameras."""
+    cameras: list[str]
+    """Their names, in the order of `seen_by` and `camera_positions`."""
+    seen_share: float
+    """About how much of the object is seen in the middle of all frames, 0 to 1."""
+    disagreement: float | None
+    """How far another camera's clouds are from the first's [m], the sides of the object that
+    they see allowed for; None: unknown."""
+
+    def write(self, path: str | os.PathLike) -> None:
+        """Write a `gendom-recording/1` file with the array `seen_by`, atomically.
+
+        Raises:
+            RecordingError, GendomError: As `Recording.write`.
+        """
+        if Path(path).suffix != ".npz":
+            self.recording.write(path)  # tells what is wrong with the name
+        with atomic_path(path) as temporary:
+            self.recording.write(temporary)
+            with (
+                zipfile.ZipFile(temporary, "a", zipfile.ZIP_DEFLATED) as archive,
+                archive.open(f"{SEEN_BY}.npy", "w") as file,
+            ):
+                np.lib.format.write_array(file, self.seen_by, allow_pickle=False)
+
+
+def perceive(
+    sighting: Sighting,
+    settings: PerceptionSettings | None = None,
+    *,
+    on_warning: Callable[[Fault], None] = lambda _: None,
+    on_frame: Callable[[float, FusedCloud], None] = lambda _time, _cloud: None,
+) -> Perceived:
+    """Turn depth pictures into the object's clouds.
+
+    Frames whose pictures are damaged or missing, that match no frame of the other cameras, or
+    that lie outside of the grippers' path are left out with a warning; all others are kept.
+
+    Args:
+        sighting: Cameras, the robot's path and the object's description.
+        settings: By default the workspace follows from the grippers' path, and all that stands
+            above the table is the object.
+        on_warning: Called with every fault that does not prevent use.
+        on_frame: Called with time [s] and cloud of each frame.
+
+    Raises:
+        RecordingError: No frames match, depth misses the workspace, cameras disagree by more
+            than 2 cm, no object is in view, or the recording that
+            came of it is not valid.
+        ParameterError: A setting is out of its range.
+    """
+    return _Perception(sighting, settings or PerceptionSettings(), on_warning, on_frame).run()
+
+
+class _Perception:
+    def __init__(
+        self,
+        sighting: Sighting,
+        settings: PerceptionSettings,
+        on_warning: Callable[[Fault], None],
+        on_frame: Callable[[float, FusedCloud], None],
+    ):
+        self.sighting, self.settings = sighting, settings
+        self.on_warning, self.on_frame = on_warning, on_frame
+        values, faults = parse_meta(sighting.meta)
+        if faults:
+            raise RecordingError(where=f"{sighting.where}/object.toml", faults=faults)
+        self.values = values
+        self.object = values["object"]
+        self.names = [source.camera.name for source in sighting.sources]
+        if (size := self.object.size) is None or not (math.isfinite(size) and size > 0.0):
+            raise RecordingError(
+                "the object's sizes are missing",
+                where=f"{sighting.where}/object.toml",
+                fix="give length for a rope, width and height for a cloth, in metres",
+            )
+        self.cloud_settings = self._cloud_settings(size)
+        self.views = [View(source.camera, self.cloud_settings) for source in sighting.sources]
+        self.colour: ObjectColour | None = None
+        self.clouds: list[FusedCloud] = []
+        self.times: list[float] = []
+        self.grippers: list[tuple[np.ndarray, np.ndarray | None]] = []
+        self.offsets: list[np.ndarray] = []
+        self.unreadable: list[RecordingError] = []
+        self.off_path = 0
+
+    def run(self) -> Perceived:
+        matching = Matching()
+        sets = match_frames(
+            self.sighting.sources, tolerance=self.settings.sync_tolerance, matching=matching
+        )
+        ready = False
+        for frames in sets:
+            time = float(np.mean([frame.time for frame in frames]))
+            gripper = self.sighting.robot.at(time)
+            if gripper is None:
+                self.off_path += 1
+                continue
+            pictures = self._read(frames)
+            if pictures is None:
+                continue
+            if not ready:
+                self._begin(pictures)
+                ready = True
+            cloud = perceive_frame(
+                self.views,
+                pictures,
+                colour=self.colour,
+                capsules=self.sighting.capsules and self.sighting.capsules.at(time),
+                on_clouds=self._compare,
+            )
+            self.clouds.append(cloud)
+            self.times.append(time)
+            self.grippers.append(gripper)
+            self.on_frame(time, cloud)
+        self._tell_left_out(matching)
+        return self._result()
+
+    def _cloud_settings(self, size: float) -> CloudSettings:
+        if self.settings.workspace is not None:
+            corners = self.settings.workspace
+            return CloudSettings(low=corners[:3], high=corners[3:], **self.settings.cloud)
+        path = self.sighting.robot.position.reshape(-1, 3)
+        low = path.min(axis=0) - size - _MARGIN
+        high = path.max(axis=0) + _MARGIN
+        high[:2] += size
+        table = self.values["table_height"]
+        if table is not None and table < high[2]:
+            low[2] = max(low[2], table - _BELOW_TABLE)
+        return CloudSettings(
+            low=(float(low[0]), float(low[1]), float(low[2])),
+            high=(float(high[0]), float(high[1]), float(high[2])),
+            **self.settings.cloud,
+        )
+
+    def _read(self, frames: tuple[Frame, ...]) -> list[Pictures] | None:
+        try:
+            return [frame.read() for frame in frames]
+        except RecordingError as error:
+            self.unreadable.append(error)
+            return None
+
+    def _begin(self, pictures: list[Pictures]) -> None:
+        """What the first frame settles: units, table, colour."""
+        for view, seen in zip(self.views, pictures, strict=True):
+            view.check_depth(seen.depth)
+        if self.settings.find_table:
+            self._find_table(pictures)
+        self.colour = self._find_colour(pictures)
+
+    def _find_table(self, pictures: list[Pictures]) -> None:
+        expected = self.values["table_height"]
+        heights = {}
+        middle = np.add(self.cloud_settings.low, self.cloud_settings.high) / 2.0
+        for view, seen in zip(self.views, pictures, strict=True):
+            view.find_table(seen.depth, expected)
+            if view.table is not None:
+                heights[view.camera.name] = view.table.height(middle[0], middle[1])
+        known = dict(heights) if expected is None else {"object.toml": expected, **heights}
+        if heights and max(known.values()) - min(known.values()) > MAX_DISAGREEMENT:
+            listed = ", ".join(f"{1e3 * z:.0f} mm by {name}" for name, z in known.items())
+            raise RecordingError(
+                f"the table is at z = {listed}: more than {1e3 * MAX_DISAGREEMENT:.0f} mm apart",
+                where=self.sighting.where,
+                fix="calibrate the cameras again, or correct table_height",
+            )
+        lacking = [name for name in self.names if name not in heights]
+        if lacking and known:  # nobody said or saw that there is one: then there is none
+            level = "" if expected is None else f" at z = {expected:g} m"
+            self.on_warning(
+                Fault(
+                    f"no table{level} is seen by {', '.join(lacking)}, so none is removed there",
+                    "table",
+                    "check the workspace and T_world_camera; --no-table if there is none",
+                    "warning",
+                )
+            )
+
+    def _find_colour(self, pictures: list[Pictures]) -> ObjectColour | None:
+        chosen = self.settings
+        if chosen.colour is not None:
+            reference = lab(chosen.colour)
+        elif (place := chosen.pick or chosen.box) is None:
+            return None
+        else:
+            if place[0] not in self.names:
+                raise ParameterError(
+                    f"there is no camera {place[0]!r}", fix=f"have {', '.join(self.names)}"
+                )
+            k = self.names.index(place[0])
+            picture = self._coloured(k, pictures)
+            if chosen.pick is not None:
+                reference = picked_colour(picture, *chosen.pick[1:])
+            else:
+                assert chosen.box is not None
+                considered = self.views[k].in_workspace(pictures[k].depth)
+                reference = boxed_colour(picture, chosen.box[1:], considered)
+        for k in range(len(self.names)):
+            self._coloured(k, pictures)
+        return ObjectColour.near(
+            reference,
+            tolerance=chosen.colour_tolerance,
+            lightness_weight=chosen.lightness_weight,
+        )
+
+    def _coloured(self, k: int, pictures: list[Pictures]) -> np.ndarray:
+        colour = pictures[k].colour
+        if colour is None:
+            raise RecordingError(
+                "has no colour pictures",
+                where=f"camera {self.names[k]!r}",
+                fix="leave out --colour, --pick and --box, or record colour",
+            )
+        return colour
+
+    def _compare(self, clouds: list[np.ndarray]) -> None:
+        """Stop early when cameras place the object differently."""
+        if len(clouds) < 2 or len(self.offsets) >= _AGREEMENT_FRAMES:
+            return
+        if min(map(len, clouds)) < _AGREEMENT_POINTS:
+            return
+        # With more than two cameras: the one farthest from the first.
+        first, *others = (view.camera.position for view in self.views)
+        centre = np.concatenate(clouds).mean(axis=0)
+        between = [
+            offset_between(clouds[0], cloud) - sides_apart(centre, first, place, self.object)
+            for cloud, place in zip(clouds[1:], others, strict=True)
+        ]
+        self.offsets.append(max(between, key=lambda d: float(np.linalg.norm(d))))
+        if len(self.offsets) == _AGREEMENT_FRAMES:
+            self._check_agreement()
+
+    def _check_agreement(self) -> None:
+        apart = median_distance(self.offsets)
+        if apart > MAX_DISAGREEMENT:
+            x, y, z = 1e3 * np.median(np.array(self.offsets), axis=0)
+            raise RecordingError(
+                f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
+                f"({x:.0f}, {y:.0f}, {z:.0f} mm)",
+                where=self.sighting.where,
+                fix="calibrate them again (gendom calibrate), take the robot out of view "
+                "(--colour, capsules.csv), or use one by --cameras",
+            )
+
+    def _tell_left_out(self, matching: Matching) -> None:
+        def warn(what: str, where: str, fix: str) -> None:
+            self.on_warning(Fault(what, where, fix, "warning"))
+
+        if matching.used == 0:
+            spans = ", ".join(
+                f"{name} {first:.6g} to {last:.6g} s"
+                for name, (first, last) in zip(self.names, matching.span or [], strict=True)
+            )
+            raise RecordingError(
+                f"no frames of the cameras lie within {self.settings.sync_tolerance:g} s ({spans})",
+                where=self.sighting.where,
+                fix="put all time stamps on one clock, or raise --sync-tolerance",
+            )
+        for name, alone in zip(self.names, matching.alone or [], strict=True):
+            if alone:
+                warn(
+                    f"{alone} of {alone + matching.used} frames match no frame of the others "
+                    f"within {self.settings.sync_tolerance:g} s; they are left out",
+                    f"camera {name!r}",
+                    "check the cameras' clocks if there are many",
+                )
+        if self.unreadable:
+            first = self.unreadable[0]
+            warn(
+                f"{len(self.unreadable)} of {matching.used} frames cannot be read and are left "
+                f"out; the first: {first.what}",
+                first.where or self.sighting.where,
+                first.fix or "",
+            )
+        if self.off_path:
+            path = self.sighting.robot.time
+            warn(
+                f"{self.off_path} of {matching.used} frames are outside of its times, "
+                f"{path[0]:.6g} to {path[-1]:.6g} s; they are left out",
+                f"{self.sighting.where}/gripper.csv",
+                "put robot and cameras on one clock if there are many",
+            )
+        if not self.clouds:
+            if self.off_path == matching.used:
+                what, fix = "the robot's path is at other times", "put both on one clock"
+            else:
+                what, fix = "no frame can be read", self.unreadable[0].fix
+            raise RecordingError(what, where=self.sighting.where, fix=fix)
+
+    def _result(self) -> Perceived:
+        counts = np.array([cloud.counts for cloud in self.clouds])
+        if not counts[:, -1].any():
+            lost = next(s for s, n in zip(STAGES, counts.sum(axis=0), strict=True) if n == 0)
+            raise RecordingError(
+                f"no object in view: no points are left after {lost!r} in any of "
+                f"{len(counts)} frames",
+                where=self.sighting.where,
+                fix=_REMEDIES[lost],
+            )
+        if self.offsets:
+            self._check_agreement()
+        positions, axes = zip(*self.grippers, strict=True)
+        extra = {**self.values.pop("extra"), "perception": self._history()}
+        self.values["camera_positions"] = np.array([v.camera.position for v in self.views])
+        tables = [v.table for v in self.views if v.table is not None]
+        if self.values["table_height"] is None and tables:
+            x, y, _ = np.mean(positions, axis=(0, 1))
+            self.values["table_height"] = float(np.mean([t.height(x, y) for t in tables]))
+        self.values["source"] = self.values["source"] or self.sighting.where
+        recording = Recording.from_frames(
+            [cloud.points for cloud in self.clouds],
+            time=self.times,
+            gripper_position=np.array(positions),
+            gripper_axis=None if axes[0] is None else np.array(axes),
+            extra=extra,
+            **self.values,
+        )
+        faults = recording.validate()
+        if errors := [f for f in faults if f.severity == "error"]:
+            raise RecordingError(where=self.sighting.where, faults=errors)
+        for fault in faults:
+            self.on_warning(fault)
+        share = self._share(recording)
+        if share < 0.5:
+            self.on_warning(
+                Fault(
+                    f"only about {100 * share:.0f} % of the object is seen",
+                    "points",
+                    "check workspace, colour and what hides it; the estimate will be poor",
+                    "warning",
+                )
+            )
+        return Perceived(
+            recording,
+            np.concatenate([cloud.seen_by for cloud in self.clouds]),
+            counts,
+            self.names,
+            share,
+            median_distance(self.offsets) if self.offsets else None,
+        )
+
+    def _share(self, recording: Recording) -> float:
+        some = np.unique(np.linspace(0, recording.num_frames - 1, _SHARE_FRAMES).astype(int))
+        return float(np.median([seen_share(recording.frame(int(t)), self.object) for t in some]))
+
+    def _history(self) -> dict[str, Any]:
+        """How the clouds came about, kept in the recording's meta."""
+        return {
+            "cameras": self.names,
+            "settings": asdict(self.cloud_settings),
+            "colour_lab": None if self.colour is None else self.colour.reference,
+            "depth_noise": [None if v.table is None else v.table.noise for v in self.views],
+        }
+
+
+_REMEDIES = {
+    "depth": "check the sensor",
+    "workspace": "check --workspace and T_world_camera",
+    "table": "everything is as low as the table: choose the object by --colour, or --no-table",
+    "colour": "nothing has that colour: choose another, or raise --colour-tolerance",
+    "support": "only single pixels are left: check the colour",
+    "robot": "the robot's capsules cover everything: check capsules.csv",
+    "voxels": "check the settings",
+    "outliers": "only scattered points are left: check the colour, or lower --min-cluster",
+}
+
+
+def read_seen_by(path: str | os.PathLike) -> npt.NDArray[np.uint8] | None:
+    """The array `seen_by` of a recording's file, uint8 [S]; None where it has none.
+
+    Raises:
+        RecordingError: The file cannot be read.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return archive[SEEN_BY] if SEEN_BY in archive.files else None
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise RecordingError(
+            f"cannot be read ({error})", where=str(path), fix="check the file"
+        ) from None

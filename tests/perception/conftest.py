@@ -1,0 +1,242 @@
+"""A small ray caster: planes, spheres and ropes of known shape as depth and colour pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gendom.perception import Camera, Pictures, PngWriter
+
+SUBPIXEL, BASELINE, DISPARITY_STEP = 0.08, 0.05, 1.0 / 32.0
+RED, BLUE, GREY = (180, 30, 35), (30, 60, 170), (150, 150, 145)
+
+
+def look_at(eye, target):
+    """T_world_camera [4, 4] of a camera at `eye` that looks at `target`, upright."""
+    z = np.subtract(target, eye).astype(float)
+    z /= np.linalg.norm(z)
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :4] = np.stack([x, np.cross(z, x), z, np.asarray(eye, float)], axis=1)
+    return T
+
+
+def make_camera(name="left", eye=(0.0, -0.65, 0.47), target=(0.0, 0.0, 0.1), **other):
+    """A D435i-like camera, 0.8 m from the middle; `scale` 0.5 halves the picture."""
+    scale = other.pop("scale", 1.0)
+    width, height, f = int(640 * scale), int(480 * scale), 385.0 * scale
+    K = np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1.0]])
+    values = {"depth_unit": 1e-4, "T_world_camera": look_at(eye, target), **other}
+    return Camera(name=name, width=width, height=height, K=K, **values)
+
+
+@dataclass
+class Plane:
+    """z = height, as far as the eye reaches."""
+
+    height: float = 0.0
+    colour: tuple = GREY
+
+    def hit(self, origin, d):
+        with np.errstate(divide="ignore"):
+            t = (self.height - origin[2]) / d[:, 2]
+        return np.where(t > 0, t, np.inf)
+
+    def distance(self, p):
+        return p[:, 2] - self.height
+
+
+@dataclass
+class Sphere:
+    centre: tuple
+    radius: float
+    colour: tuple = RED
+
+    def hit(self, origin, d):
+        o = np.subtract(origin, self.centre)
+        a, b, c = (d * d).sum(1), d @ o, o @ o - self.radius**2
+        root = b * b - a * c
+        return np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / a, np.inf)
+
+    def distance(self, p):
+        return np.linalg.norm(p - np.array(self.centre), axis=1) - self.radius
+
+
+@dataclass
+class Rope:
+    """A chain of capsules along points [M, 3]."""
+
+    line: np.ndarray
+    radius: float = 0.005
+    colour: tuple = RED
+
+    def hit(self, origin, d):
+        t = np.full(len(d), np.inf)
+        away = self.line - origin
+        for a, b in pairwise(away):
+            # Only rays near the link are worth the work.
+            middle, reach = (a + b) / 2, np.linalg.norm(b - a) / 2 + self.radius
+            near = np.flatnonzero(
+                (d @ middle) ** 2 >= (d * d).sum(1) * (middle @ middle - reach**2)
+            )
+            t[near] = np.minimum(t[near], _capsule(-a, b - a, self.radius, d[near]))
+        return t
+
+    def distance(self, p):
+        nearest = np.full(len(p), np.inf)
+        for a, b in pairwise(self.line):
+            w = np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)[:, None]
+            nearest = np.minimum(nearest, np.linalg.norm(p - a - w * (b - a), axis=1))
+        return nearest - self.radius
+
+
+def _capsule(o, axis, radius, d):
+    """Ray parameters of a capsule from 0 along `axis`; rays start at o."""
+    length2 = axis @ axis
+    du, ou = d @ axis / length2, o @ axis / length2
+    dp, op = d - du[:, None] * axis, o - ou * axis
+    a, b, c = (dp * dp).sum(1), dp @ op, op @ op - radius**2
+    root = b * b - a * c
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / a, np.inf)
+        u = ou + np.where(np.isfinite(t), t, 0) * du
+    t = np.where((u >= 0) & (u <= 1), t, np.inf)
+    for end in (np.zeros(3), axis):
+        t = np.minimum(t, Sphere((0, 0, 0), radius).hit(o - end, d))
+    return t
+
+
+@dataclass
+class Sheet:
+    """A flat cloth: a corner and two sides [3] at right angles."""
+
+    corner: tuple
+    u: tuple
+    v: tuple
+    colour: tuple = BLUE
+
+    def hit(self, origin, d):
+        n = np.cross(self.u, self.v)
+        with np.errstate(divide="ignore"):
+            t = (np.array(self.corner) - origin) @ n / (d @ n)
+        p = origin + t[:, None] * d - np.array(self.corner)
+        inside = t > 0
+        for side in (self.u, self.v):
+            along = p @ np.array(side) / np.dot(side, side)
+            inside &= (along >= 0) & (along <= 1)
+        return np.where(inside, t, np.inf)
+
+    def distance(self, p):
+        n = np.cross(self.u, self.v)
+        return (p - np.array(self.corner)) @ (n / np.linalg.norm(n))
+
+
+@dataclass
+class Cylinder:
+    """A robot's link: a capsule of another colour."""
+
+    start: tuple
+    end: tuple
+    radius: float
+    colour: tuple = BLUE
+
+    def hit(self, origin, d):
+        a, b = np.array(self.start), np.array(self.end)
+        return _capsule(np.subtract(origin, a), b - a, self.radius, d)
+
+
+@dataclass
+class Scene:
+    things: list = field(default_factory=list)
+
+    def pictures(self, camera, *, noise=True, seed=0, farthest=8.0):
+        """What a camera sees; with noise as stereo has it: RMS = z^2 s / (f B), and steps."""
+        R, origin = camera.T_world_camera[:3, :3], camera.T_world_camera[:3, 3]
+        d = camera.rays() @ R.T
+        t = np.array([thing.hit(origin, d) for thing in self.things])
+        which, z = t.argmin(axis=0), t.min(axis=0)
+        rng = np.random.default_rng(seed)
+        seen = z < farthest
+        if noise:
+            f = camera.K[0, 0]
+            disparity = f * BASELINE / z + rng.normal(0.0, SUBPIXEL, len(z))
+            disparity = np.round(disparity / DISPARITY_STEP) * DISPARITY_STEP
+            with np.errstate(divide="ignore"):
+                z = f * BASELINE / disparity
+            seen &= disparity > 0
+        counts = np.where(seen, np.round(np.where(seen, z, 0) / camera.depth_unit), 0)
+        colours = np.array([thing.colour for thing in self.things])[which].astype(float)
+        colours = colours * rng.uniform(0.75, 1.1, (len(z), 1)) + rng.normal(0, 3, (len(z), 3))
+        colours[t.min(axis=0) == np.inf] = 0
+        shape = camera.height, camera.width
+        return Pictures(
+            np.clip(counts, 0, 65535).astype(np.uint16).reshape(shape),
+            np.clip(colours, 0, 255).astype(np.uint8).reshape(*shape, 3),
+        )
+
+
+def depth_rms(camera, z):
+    """RMS of the noise above at depth z [m], steps included: z^2 s / (f B)."""
+    s = np.hypot(SUBPIXEL, DISPARITY_STEP / np.sqrt(12))
+    return z**2 * s / (camera.K[0, 0] * BASELINE)
+
+
+def lifted_rope(tip=(0.0, 0.0, 0.3), length=0.4, radius=0.005):
+    """A rope that hangs from its tip on an arc down to the table and lies on it along x."""
+    bend = 0.08
+    down = tip[2] - bend - radius
+    angle = np.linspace(0, np.pi / 2, 15)[1:]
+    arc = np.stack(
+        [bend - bend * np.cos(angle), 0 * angle, bend + radius - bend * np.sin(angle)], 1
+    )
+    rest = max(length - down - bend * np.pi / 2, 0.01)
+    line = np.concatenate([[[0, 0, bend + radius + down]], [[0, 0, bend + radius]], arc])
+    line = np.concatenate([line, [[bend + rest, 0, radius]]])
+    return Rope(line + np.array([tip[0], tip[1], 0.0]), radius)
+
+
+def write_lift(folder, *, frames=6, scale=0.5, noise=True, capsules=False, **changes):
+    """A recording of a rope's lift by two cameras, and the ropes; see `changes` below.
+
+    Changes:
+        cameras: those that see it.
+        stored: cameras that camera.toml describes, where they differ.
+        time: function (camera number, frame) -> time stamp [s].
+        things: more in the scene, function (frame) -> list.
+        rope: False leaves the rope out.
+    """
+    cameras = changes.get(
+        "cameras",
+        [
+            make_camera("left", scale=scale),
+            make_camera("right", eye=(0.1, 0.65, 0.47), scale=scale),
+        ],
+    )
+    stored = changes.get("stored", cameras)
+    stamp = changes.get("time", lambda k, t: t / 30.0)
+    ropes = [lifted_rope(tip=(0.0, 0.0, 0.2 + 0.01 * t)) for t in range(frames)]
+    for k, camera in enumerate(cameras):
+        writer = PngWriter(folder / "cameras" / camera.name, stored[k])
+        for t, rope in enumerate(ropes):
+            more = changes.get("things", lambda t: [])(t)
+            scene = Scene([Plane(), *more] + ([rope] if changes.get("rope", True) else []))
+            seed = 100 * k + t
+            writer.write(stamp(k, t), scene.pictures(camera, noise=noise, seed=seed))
+    rows = [f"{t / 30.0!r},0.0,0.0,{0.2 + 0.01 * t!r}" for t in range(frames)]
+    (folder / "gripper.csv").write_text("\n".join(["time,x,y,z", *rows]) + "\n")
+    (folder / "object.toml").write_text(
+        'table_height = 0.0\ngripper_source = "measured"\n'
+        '[object]\nkind = "rope"\nlength = 0.4\ndiameter = 0.01\n'
+    )
+    return ropes
+
+
+@pytest.fixture(scope="session")
+def world():
+    """The names above."""
+    return SimpleNamespace(**{k: v for k, v in globals().items() if not k.startswith("_")})

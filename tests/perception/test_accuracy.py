@@ -1,0 +1,140 @@
+"""Clouds of known geometry: the error has the size of the depth noise, and no bias."""
+
+import time
+
+import numpy as np
+import pytest
+
+from gendom.perception import Capsules, CloudSettings, View, perceive_frame
+from gendom.perception.colour import ObjectColour, lab
+
+
+def settings(low=(-0.4, -0.4, -0.1), high=(0.4, 0.4, 0.5), **other):
+    return CloudSettings(low=low, high=high, **other)
+
+
+def expected_rms(world, camera, thing, points):
+    """RMS of the distance to a surface that depth noise causes: noise x slope of the distance."""
+    T = camera.T_world_camera
+    depth = (points - T[:3, 3]) @ T[:3, 2]
+    along = (points - T[:3, 3]) / depth[:, None]
+    h = 1e-6
+    slope = (thing.distance(points + h * along) - thing.distance(points - h * along)) / (2 * h)
+    return np.sqrt(np.mean((world.depth_rms(camera, depth) * slope) ** 2))
+
+
+def things(world):
+    s = np.linspace(0.0, 1.0, 40)
+    helix = np.stack([0.1 * np.cos(5 * s), 0.1 * np.sin(5 * s), 0.05 + 0.3 * s], axis=1)
+    return {
+        "plane": world.Plane(0.0, colour=world.RED),
+        "sphere": world.Sphere((0.02, -0.01, 0.15), 0.08),
+        "rope": world.Rope(helix, radius=0.008),
+        "thin rope": world.Rope(helix, radius=0.005),
+    }
+
+
+@pytest.mark.parametrize("name", ["plane", "sphere", "rope"])
+def test_without_noise_points_are_on_the_surface(world, name):
+    """To the depth unit of 0.1 mm."""
+    thing, camera = things(world)[name], world.make_camera()
+    view = View(camera, settings())
+    points, counts = view.segment(world.Scene([thing]).pictures(camera, noise=False))
+    assert len(points) == counts[-1] > 500
+    assert np.abs(thing.distance(points)).max() < 6e-5
+
+
+@pytest.mark.parametrize(("name", "within"), [("plane", 0.03), ("sphere", 0.1), ("rope", 0.2)])
+def test_error_of_pixels_is_that_of_the_noise(world, name, within):
+    """What a curved surface adds to it grows with the noise over the radius."""
+    thing, camera = things(world)[name], world.make_camera()
+    view = View(camera, settings(low=(-0.3, -0.3, -0.1), high=(0.3, 0.3, 0.5)))
+    points, _ = view.segment(world.Scene([thing]).pictures(camera))
+    error = thing.distance(points.astype(float))
+    expected = expected_rms(world, camera, thing, points)
+    assert 5e-4 < expected < 5e-3
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(expected, rel=within)
+    assert abs(error.mean()) < 1e-3
+
+
+@pytest.mark.parametrize("name", ["sphere", "rope", "thin rope"])
+def test_fused_cloud_has_no_bias(world, name):
+    """Two cameras, table removed, colour chosen, voxels and outliers: below the pixels' noise."""
+    thing = things(world)[name]
+    cameras = [world.make_camera(), world.make_camera("right", eye=(0.1, 0.65, 0.47))]
+    views = [View(camera, settings()) for camera in cameras]
+    scene = world.Scene([world.Plane(), thing])
+    pictures = [scene.pictures(camera, seed=k) for k, camera in enumerate(cameras)]
+    for view, seen in zip(views, pictures, strict=True):
+        view.find_table(seen.depth, 0.0)
+    cloud = perceive_frame(views, pictures, colour=ObjectColour.near(lab(world.RED)))
+    error = thing.distance(cloud.points.astype(float))
+    noise = max(world.depth_rms(camera, 0.8) for camera in cameras)
+    assert len(cloud.points) > 400
+    assert abs(error.mean()) < 1e-3
+    assert 0.3 * noise < np.sqrt(np.mean(error**2)) < noise
+    # Both sides of the object are there.
+    assert 0.2 < np.mean(cloud.seen_by == 1) and 0.2 < np.mean(cloud.seen_by == 2)
+
+
+def test_rope_on_the_table_has_no_bias(world):
+    """The part that lies there is within the table's noise; its colour keeps it."""
+    rope = world.lifted_rope(tip=(0.0, 0.0, 0.2))
+    camera = world.make_camera()
+    scene = world.Scene([world.Plane(), rope])
+    pictures = scene.pictures(camera)
+    view = View(camera, settings())
+    view.find_table(pictures.depth, 0.0)
+    points, _ = view.segment(pictures, ObjectColour.near(lab(world.RED)))
+    lying = points[points[:, 2] < 0.012].astype(float)
+    assert np.ptp(lying[:, 0]) > 0.1
+    assert abs(rope.distance(lying).mean()) < 1e-3
+
+
+def test_only_colour_keeps_what_is_thinner_than_the_noise(world):
+    rope = world.lifted_rope(tip=(0.0, 0.0, 0.2), radius=0.002)
+    camera = world.make_camera()
+    pictures = world.Scene([world.Plane(), rope]).pictures(camera)
+    view = View(camera, settings())
+    view.find_table(pictures.depth, 0.0)
+
+    def lying(colour):
+        p, _ = view.segment(pictures, colour)
+        return ((p[:, 0] > 0.12) & (np.abs(p[:, 1]) < 0.004)).sum()
+
+    assert lying(None) < 0.3 * lying(ObjectColour.near(lab(world.RED)))
+
+
+def test_table_fit_measures_plane_and_noise(world):
+    camera = world.make_camera()
+    view = View(camera, settings())
+    scene = world.Scene([world.Plane(0.013), world.lifted_rope()])
+    view.find_table(scene.pictures(camera).depth, None)
+    assert view.table is not None
+    assert view.table.height(0.0, 0.0) == pytest.approx(0.013, abs=5e-4)
+    assert np.degrees(np.arccos(view.table.normal[2])) < 0.1
+    assert view.table.noise == pytest.approx(world.depth_rms(camera, 1.0), rel=0.05)
+
+
+@pytest.mark.slow
+def test_thirty_frames_a_second(world):
+    """Two 640 x 480 cameras, an object of 25,000 pixels, colour and eight capsules, one core."""
+    thing = world.Sphere((0.0, 0.0, 0.13), 0.12)
+    cameras = [world.make_camera(), world.make_camera("right", eye=(0.1, 0.65, 0.47))]
+    views = [View(camera, settings()) for camera in cameras]
+    scene = world.Scene([world.Plane(), thing])
+    pictures = [scene.pictures(camera) for camera in cameras]
+    for view, seen in zip(views, pictures, strict=True):
+        view.find_table(seen.depth, 0.0)
+    rng = np.random.default_rng(0)
+    ends = rng.uniform([-0.4, -0.4, 0.2], [0.4, 0.4, 1.0], (2, 8, 3))
+    capsules = Capsules(ends[0], ends[1], np.full(8, 0.05))
+    colour = ObjectColour.near(lab(world.RED))
+    taken = []
+    for _ in range(60):
+        # Processor time of this thread: what else the machine does is not counted.
+        start = time.thread_time()
+        cloud = perceive_frame(views, pictures, colour=colour, capsules=capsules)
+        taken.append(time.thread_time() - start)
+    assert cloud.counts[5] > 20_000
+    assert 1.0 / np.median(taken) > 30.0

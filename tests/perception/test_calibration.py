@@ -1,0 +1,271 @@
+"""`gendom calibrate` on boards rendered at known poses."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from gendom import cli
+from gendom.errors import GendomError
+from gendom.perception import read_camera, write_camera
+from gendom.perception.calibration import Board, BoardView, calibrate, find_board
+
+cv2 = pytest.importorskip("cv2", reason="needs the extra `camera`")
+
+BOARD = Board(squares_x=7, squares_y=5, square=0.05, marker=0.037, dictionary="DICT_4X4_50")
+FINER = 4  # the picture is drawn so much larger, then averaged
+
+
+def transform(rotvec_degrees, t):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(np.radians(rotvec_degrees)).as_matrix()
+    T[:3, 3] = t
+    return T
+
+
+def render(camera, T_camera_board, board=BOARD, noise=0.0, seed=0):
+    """A grey picture of the board: its printed picture, warped by the pose's homography."""
+    texel = 100  # a square's side in the printed picture
+    border = texel // 2
+    size = (board.squares_x * texel + 2 * border, board.squares_y * texel + 2 * border)
+    printed = board.opencv().generateImage(size, marginSize=border)
+    # Pixel centres are at whole numbers: texel (0, 0) is half a texel inside the paper.
+    scale = texel / board.square
+    from_board = np.array([[scale, 0, border - 0.5], [0, scale, border - 0.5], [0, 0, 1]])
+    finer = np.array([[FINER, 0, (FINER - 1) / 2], [0, FINER, (FINER - 1) / 2], [0, 0, 1]])
+    T = T_camera_board
+    H = finer @ camera.K @ np.stack([T[:3, 0], T[:3, 1], T[:3, 3]], axis=1)
+    large = cv2.warpPerspective(
+        printed,
+        H @ np.linalg.inv(from_board),
+        (FINER * camera.width, FINER * camera.height),
+        flags=cv2.INTER_LINEAR,
+        borderValue=(90,),
+    )
+    picture = large.reshape(camera.height, FINER, camera.width, FINER).mean(axis=(1, 3))
+    picture += np.random.default_rng(seed).normal(0.0, noise, picture.shape)
+    return np.clip(np.round(picture), 0, 255).astype(np.uint8)
+
+
+def robot_poses(camera, tilts, distance=0.8, seed=0):
+    """T_world_gripper that show the board, tilted about its centre, 0.8 m from the camera."""
+    rng = np.random.default_rng(seed)
+    T_gripper_board = transform([10, -5, 30], [-0.1, 0.04, 0.12])
+    middle = np.array([BOARD.squares_x, BOARD.squares_y, 0]) * BOARD.square / 2
+    poses, boards = [], []
+    for tilt in tilts:
+        T = transform(tilt, [0, 0, 0])
+        place = [*rng.uniform(-0.1, 0.1, 2), distance + rng.uniform(-0.08, 0.08)]
+        T[:3, 3] = place - T[:3, :3] @ middle
+        boards.append(T)
+        poses.append(camera.T_world_camera @ T @ np.linalg.inv(T_gripper_board))
+    return poses, boards, T_gripper_board
+
+
+def good_tilts(n=12, seed=1):
+    tilts = np.random.default_rng(seed).uniform(-30, 30, (n, 3))
+    return tilts
+
+
+def write_pictures(folder, camera, tilts, noise=0.0):
+    poses, boards, _ = robot_poses(camera, tilts)
+    folder.mkdir(parents=True)
+    rows = ["picture,x,y,z,qx,qy,qz,qw"]
+    for k, (pose, board) in enumerate(zip(poses, boards, strict=True)):
+        Image.fromarray(render(camera, board, noise=noise, seed=k)).save(folder / f"{k}.png")
+        quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        rows.append(",".join([f"{k}.png", *(repr(float(x)) for x in (*pose[:3, 3], *quaternion))]))
+    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
+    (folder / "board.toml").write_text(
+        'squares_x = 7\nsquares_y = 5\nsquare = 0.05\nmarker = 0.037\ndictionary = "DICT_4X4_50"\n'
+    )
+
+
+def error_of(T, camera):
+    difference = np.linalg.inv(camera.T_world_camera) @ T
+    turn = Rotation.from_matrix(difference[:3, :3]).magnitude()
+    return np.linalg.norm(T[:3, 3] - camera.position), np.degrees(turn)
+
+
+@pytest.fixture(scope="module")
+def taken(world, tmp_path_factory):
+    """Pictures of the depth camera's own stream, and the camera's file without its pose."""
+    folder = tmp_path_factory.mktemp("calibration")
+    camera = world.make_camera()
+    write_pictures(folder / "pictures", camera, good_tilts())
+    write_camera(folder / "camera.toml", camera)
+    text = (folder / "camera.toml").read_text()
+    (folder / "camera.toml").write_text(text[: text.index("T_world_camera")])
+    return folder, camera
+
+
+@pytest.fixture
+def copy(taken, tmp_path):
+    return shutil.copytree(taken[0], tmp_path / "copy")
+
+
+def run(folder, *words):
+    return cli.main(
+        ["calibrate", str(folder / "pictures"), "--camera", str(folder / "camera.toml"), *words]
+    )
+
+
+def test_corners_are_found_where_they_are(world):
+    camera = world.make_camera()
+    T = transform([15, -10, 5], [-0.15, -0.1, 0.8])
+    points, pixels = find_board(render(camera, T), BOARD)
+    x = (points @ T[:3, :3].T + T[:3, 3]) @ camera.K.T
+    error = pixels - x[:, :2] / x[:, 2:]
+    assert len(points) == 24
+    assert np.abs(error.mean(axis=0)).max() < 0.03 and np.sqrt(np.mean(error**2)) < 0.07
+
+
+def test_within_a_millimetre_and_a_tenth_of_a_degree(taken, tmp_path, capsys):
+    """640 x 480, f = 385 pixels, the board at 0.8 m, no noise."""
+    folder, camera = taken
+    out = tmp_path / "calibrated" / "camera.toml"
+    assert run(folder, "--out", str(out), "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["warnings"] == [] and found["reprojection_rms"] < 0.2
+    position, angle = error_of(np.array(found["T_world_camera"]), camera)
+    assert position < 1e-3 and angle < 0.1
+    again = read_camera(out)
+    np.testing.assert_array_equal(again.T_world_camera, found["T_world_camera"])
+    np.testing.assert_array_equal(again.K, camera.K)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_other_poses_give_the_same(world, seed):
+    """With noise of four grey levels, too."""
+    camera = world.make_camera()
+    poses, boards, _ = robot_poses(camera, good_tilts(12, seed), seed=seed)
+    views = []
+    for k, (pose, T) in enumerate(zip(poses, boards, strict=True)):
+        points, pixels = find_board(render(camera, T, noise=4.0, seed=k), BOARD)
+        views.append(BoardView(f"picture {k}", points, pixels, pose))
+    found = calibrate(camera, views)
+    position, angle = error_of(found.T_world_camera, camera)
+    assert position < 1e-3 and angle < 0.1 and found.rms < 0.15
+
+
+def test_text(taken, capsys):
+    assert run(taken[0]) == 0
+    out = capsys.readouterr().out
+    assert "T_world_camera from 12 pictures" in out and "pixels RMS" in out
+    assert "written" not in out
+
+
+def exact_views(camera, tilts, pixel_noise=0.0, seed=0):
+    """What a perfect detector would find, or one with noise."""
+    poses, boards, hold = robot_poses(camera, tilts)
+    rng = np.random.default_rng(seed)
+    points = np.asarray(BOARD.opencv().getChessboardCorners(), float)
+    views = []
+    for k, (pose, T) in enumerate(zip(poses, boards, strict=True)):
+        rotation = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+        distortion = np.array(camera.distortion)
+        pixels = cv2.projectPoints(points, rotation, T[:3, 3], camera.K, distortion)[0]
+        noisy = pixels.reshape(-1, 2) + rng.normal(0.0, pixel_noise, (len(points), 2))
+        views.append(BoardView(f"picture {k}", points, noisy, pose))
+    return views, hold
+
+
+@pytest.mark.parametrize("distortion", [(), (0.08, -0.15, 1e-3, -1e-3, 0.02)])
+def test_exact_corners_give_the_exact_pose(world, distortion):
+    camera = world.make_camera(distortion=distortion)
+    views, hold = exact_views(camera, good_tilts(6))
+    found = calibrate(camera, views)
+    position, angle = error_of(found.T_world_camera, camera)
+    assert position < 1e-6 and angle < 1e-5 and found.rms < 1e-4
+    np.testing.assert_allclose(found.T_gripper_board, hold, atol=1e-6)
+
+
+def test_standard_deviation_is_honest(world):
+    """The error over many noisy trials has the size that each trial states."""
+    camera = world.make_camera()
+    found = [
+        calibrate(camera, exact_views(camera, good_tilts(10), 0.3, seed)[0]) for seed in range(20)
+    ]
+    errors = np.array([error_of(f.T_world_camera, camera) for f in found])
+    rms = np.sqrt((errors**2).mean(axis=0))
+    assert rms[0] == pytest.approx(np.mean([f.sigma_position for f in found]), rel=0.4)
+    assert rms[1] == pytest.approx(np.mean([f.sigma_angle for f in found]), rel=0.4)
+    assert np.mean([f.rms for f in found]) == pytest.approx(0.3 * np.sqrt(2), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("tilts", "line"),
+    [
+        (np.zeros((8, 3)), "hardly turn the board"),
+        ([[a, 0, 0] for a in range(-30, 31, 10)], "about one axis only"),
+        ([[0, 0, a] for a in range(-30, 31, 10)], "about one axis only"),
+        (good_tilts(4), "found in 4 pictures, 5 are needed"),
+    ],
+)
+def test_degenerate_poses_are_refused(world, tilts, line):
+    camera = world.make_camera()
+    with pytest.raises(GendomError, match=line):
+        calibrate(camera, exact_views(camera, tilts, 0.1)[0])
+
+
+def test_a_camera_left_open_by_noise_is_refused(world):
+    camera = world.make_camera()
+    tilts = np.random.default_rng(3).uniform(-12, 12, (5, 3))
+    with pytest.raises(GendomError, match="leave the camera's place open by"):
+        calibrate(camera, exact_views(camera, tilts, 1.0)[0])
+
+
+def test_poses_of_other_pictures_are_refused(world):
+    camera = world.make_camera()
+    views, _ = exact_views(camera, good_tilts(8))
+    mixed = [
+        BoardView(a.name, a.points, a.pixels, b.T_world_gripper)
+        for a, b in zip(views, views[1:] + views[:1], strict=True)
+    ]
+    with pytest.raises(GendomError, match="check that poses belong to the pictures"):
+        calibrate(camera, mixed)
+
+
+def test_pictures_that_cannot_be_used_are_left_out(copy, capsys):
+    (copy / "pictures" / "2.png").write_bytes(b"no picture")
+    Image.fromarray(np.full((480, 640), 90, np.uint8)).save(copy / "pictures" / "3.png")
+    assert run(copy) == 0
+    out = capsys.readouterr().out
+    assert "from 10 pictures" in out
+    assert "2.png: is damaged" in out and "3.png: the board is not found" in out
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "line"),
+    [
+        ("pictures/board.toml", ("DICT_4X4_50", "DICT_9X9"), "no dictionary 'DICT_9X9'"),
+        ("pictures/board.toml", ("DICT_4X4_50", "DICT_7X7_50"), "found in 0 pictures"),
+        ("pictures/board.toml", ("marker = 0.037", "marker = 37"), "marker smaller"),
+        ("pictures/board.toml", ("marker = 0.037\n", ""), "does not describe a board"),
+        ("pictures/board.toml", ("squares_x = 7", "squares_x = '7'"), "does not describe a board"),
+        ("pictures/poses.csv", ("picture,x", "file,x"), "has another header"),
+        ("pictures/poses.csv", ("0.png,", "0.png,1,"), "line 2: is no pose"),
+        ("pictures/poses.csv", ("qw\n", "qw\na.png,900,0,0,0,0,0,1\n"), "metres, not millimetres"),
+        ("camera.toml", ("width = 640", "width = 848"), "is 640 x 480, the camera 848 x 480"),
+        ("camera.toml", ("385.0", "200.0"), "check that poses belong"),
+    ],
+)
+def test_bad_input(copy, capsys, file, change, line):
+    text = (copy / file).read_text()
+    assert change[0] in text
+    (copy / file).write_text(text.replace(*change))
+    assert run(copy, "--out", str(copy / "new" / "camera.toml")) == 2
+    err = capsys.readouterr().err
+    assert line in err and len(err.splitlines()) == 1
+    assert not (copy / "new").exists()
+
+
+@pytest.mark.parametrize("file", ["pictures/board.toml", "pictures/poses.csv", "camera.toml"])
+def test_missing_files(copy, capsys, file):
+    (copy / file).unlink()
+    assert run(copy) == 2
+    err = capsys.readouterr().err
+    assert "no such file" in err and file in err and len(err.splitlines()) == 1

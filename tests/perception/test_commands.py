@@ -1,0 +1,319 @@
+"""`gendom perceive`: a recording comes of it, and bad input gives one line."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gendom import cli
+from gendom.datasets import Recording
+from gendom.perception import FrameSource, PngCamera, read_seen_by
+
+RED = ["--colour", "180", "30", "35"]
+
+
+@pytest.fixture(scope="module")
+def lift(world, tmp_path_factory):
+    """A good recording and the ropes in it."""
+    folder = tmp_path_factory.mktemp("good") / "lift"
+    return folder, world.write_lift(folder)
+
+
+@pytest.fixture
+def copy(lift, tmp_path):
+    """A copy to spoil."""
+    return shutil.copytree(lift[0], tmp_path / "lift")
+
+
+@pytest.fixture
+def perceive(tmp_path, capsys):
+    def run(folder, *words):
+        out = tmp_path / "out" / "recording.npz"
+        code = cli.main(["perceive", str(folder), "--out", str(out), *words])
+        printed = capsys.readouterr()
+        return code, printed, out
+
+    return run
+
+
+def refused(result, *parts):
+    code, printed, out = result
+    assert code == 2 and not out.exists()
+    assert len(printed.err.splitlines()) == 1, printed.err
+    for part in parts:
+        assert part in printed.err
+
+
+def test_recording_of_a_rope(lift, perceive):
+    folder, ropes = lift
+    code, printed, out = perceive(folder, *RED, "--frames")
+    assert code == 0 and printed.err == ""
+    assert "warning" not in printed.out
+    assert len([line for line in printed.out.splitlines() if line.startswith("    0.")]) == 6
+    recording = Recording.read(out)
+    np.testing.assert_allclose(recording.time, np.arange(6) / 30)
+    np.testing.assert_allclose(recording.gripper_position[:, 0, 2], 0.2 + 0.01 * np.arange(6))
+    assert recording.camera_positions is not None
+    np.testing.assert_allclose(recording.camera_positions, [[0.0, -0.65, 0.47], [0.1, 0.65, 0.47]])
+    assert recording.table_height == 0.0 and recording.gripper_source == "measured"
+    for t, rope in enumerate(ropes):
+        error = rope.distance(recording.frame(t).astype(float))
+        # Half the pictures' size doubles the noise.
+        assert abs(error.mean()) < 2e-3 and np.sqrt(np.mean(error**2)) < 6e-3
+    seen_by = read_seen_by(out)
+    assert seen_by is not None and len(seen_by) == len(recording.points)
+    assert set(np.unique(seen_by)) == {1, 2, 3}
+
+
+@pytest.mark.parametrize("place", ["pick", "box"])
+def test_colour_from_the_first_picture(world, lift, perceive, place):
+    folder, ropes = lift
+    camera = world.make_camera("left", scale=0.5)
+    T = camera.T_world_camera
+    # Where the first frame's rope is in the left picture.
+    x = (ropes[0].line - T[:3, 3]) @ T[:3, :3]
+    u, v = (camera.K[k, k] * x[:, k] / x[:, 2] + camera.K[k, 2] for k in (0, 1))
+    if place == "pick":
+        words = ["--pick", "left", str(round(u[:2].mean())), str(round(v[:2].mean()))]
+    else:
+        corners = [u.min() - 5, v.min() - 5, u.max() + 5, v.max() + 5]
+        words = ["--box", "left", *(str(round(c)) for c in corners)]
+    code, _, out = perceive(folder, *words)
+    assert code == 0
+    points = Recording.read(out).frame(0)
+    assert len(points) > 300 and np.abs(ropes[0].distance(points)).max() < 0.02
+
+
+def test_json_has_all_frames(lift, perceive):
+    code, printed, _ = perceive(lift[0], *RED, "--json")
+    found = json.loads(printed.out)
+    assert code == 0 and found["warnings"] == []
+    assert len(found["points_by_frame"]) == found["frames"] == 6
+    for row in found["points_by_frame"]:
+        stages = [row[s] for s in ("depth", "workspace", "table", "colour", "voxels", "outliers")]
+        assert stages == sorted(stages, reverse=True)
+    assert found["seen_share"] > 0.8 and found["disagreement"] < 0.004
+
+
+def test_one_camera(lift, perceive):
+    code, printed, out = perceive(lift[0], *RED, "--cameras", "right")
+    assert code == 0 and "points seen by: right 100 %" in printed.out
+    cameras = Recording.read(out).camera_positions
+    assert cameras is not None and len(cameras) == 1
+
+
+def test_a_folder_is_a_source_of_frames(lift):
+    source = PngCamera(lift[0] / "cameras" / "left")
+    assert isinstance(source, FrameSource) and len(source) == 6
+    pictures = list(source)[2].read()
+    assert pictures.depth.shape == (240, 320) and pictures.depth.dtype == np.uint16
+    assert pictures.colour is not None and pictures.colour.shape == (240, 320, 3)
+
+
+def test_unknown_places(lift, perceive):
+    refused(perceive(lift[0] / "x"), "no such folder")
+    refused(perceive(lift[0], "--cameras", "top"), "no camera 'top'", "left, right")
+
+
+def test_without_colour_pictures(copy, perceive):
+    for name in ("left", "right"):
+        path = copy / "cameras" / name / "frames.csv"
+        lines = [line.rsplit(",", 1)[0] for line in path.read_text().splitlines()]
+        path.write_text("\n".join(lines) + "\n")
+    refused(perceive(copy, *RED), "has no colour pictures")
+    shutil.rmtree(copy / "cameras" / "left" / "colour")
+    assert perceive(copy)[0] == 0
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e-5])
+def test_depth_in_the_wrong_unit(copy, perceive, unit):
+    path = copy / "cameras" / "right" / "camera.toml"
+    path.write_text(path.read_text().replace("depth_unit = 0.0001", f"depth_unit = {unit}"))
+    refused(perceive(copy, *RED), "'right': depth_unit", "0.0001 seems right")
+
+
+def test_missing_intrinsics(copy, perceive):
+    path = copy / "cameras" / "left" / "camera.toml"
+    text = path.read_text()
+    path.write_text(text.replace("K = ", "P = "))
+    refused(perceive(copy, *RED), "camera.toml: lacks K")
+    path.unlink()
+    refused(perceive(copy, *RED), "the intrinsics are unknown")
+
+
+def test_uncalibrated_camera(copy, perceive):
+    path = copy / "cameras" / "left" / "camera.toml"
+    text = path.read_text()
+    path.write_text(text[: text.index("T_world_camera")])
+    refused(perceive(copy, *RED), "T_world_camera: is missing", "gendom calibrate")
+
+
+@pytest.mark.parametrize(
+    ("shift", "words"),
+    [
+        ((0, 0.025, 0), "apart"),
+        ((0.03, 0, 0), "apart"),
+        ((0, 0, 0.03), "table"),
+        ((0, 0.01, 0), ""),
+    ],
+)
+def test_cameras_that_disagree(world, tmp_path, perceive, shift, words):
+    """Sideways shows in the object, upwards in the table; 1 cm is reported and let pass."""
+    cameras = [
+        world.make_camera("left", scale=0.5),
+        world.make_camera("right", eye=(0.1, 0.65, 0.47), scale=0.5),
+    ]
+    T = cameras[1].T_world_camera.copy()
+    T[:3, 3] += shift
+    world.write_lift(
+        tmp_path / "lift", cameras=cameras, stored=[cameras[0], cameras[1].at(T)], frames=5
+    )
+    result = perceive(tmp_path / "lift", *RED, "--json")
+    if words:
+        refused(result, words)
+    else:
+        found = json.loads(result[1].out)
+        assert result[0] == 0 and found["disagreement"] == pytest.approx(0.01, abs=0.003)
+
+
+def test_unsynchronised_cameras(world, tmp_path, perceive):
+    world.write_lift(tmp_path / "a", frames=2, scale=0.25, time=lambda k, t: 5.0 * k + t / 30)
+    refused(perceive(tmp_path / "a", *RED), "no frames of the cameras lie within", "one clock")
+
+
+def test_robot_on_another_clock(copy, perceive):
+    path = copy / "gripper.csv"
+    path.write_text("time,x,y,z\n100,0,0,0.2\n101,0,0,0.3\n")
+    refused(perceive(copy, *RED), "the robot's path is at other times")
+
+
+def test_dropped_frames_are_told(copy, perceive):
+    path = copy / "cameras" / "left" / "frames.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:3] + lines[4:]) + "\n")
+    code, printed, out = perceive(copy, *RED)
+    assert code == 0 and Recording.read(out).num_frames == 5
+    assert "camera 'right': 1 of 6 frames match no frame" in printed.out
+
+
+@pytest.mark.parametrize(
+    ("kind", "damage"),
+    [
+        *(
+            (kind, d)
+            for kind in ("depth", "colour")
+            for d in ("cut", "flip", "text", "gone", "size")
+        ),
+        ("depth", "8 bit"),
+    ],
+)
+def test_a_damaged_picture_in_the_middle(copy, perceive, damage, kind):
+    """The five other frames are kept."""
+    path = copy / "cameras" / "right" / kind / "000003.png"
+    data = bytearray(path.read_bytes())
+    if damage == "cut":
+        path.write_bytes(data[: len(data) // 2])
+    elif damage == "flip":
+        data[len(data) // 2] ^= 0xFF
+        path.write_bytes(data)
+    elif damage == "text":
+        path.write_text("not found")
+    elif damage == "gone":
+        path.unlink()
+    elif damage == "size":
+        Image.fromarray(np.zeros((10, 10), np.uint16)).save(path)
+    else:
+        Image.fromarray(np.zeros((240, 320), np.uint8)).save(path)
+    code, printed, out = perceive(copy, *RED)
+    assert code == 0
+    assert f"{kind}/000003.png: 1 of 6 frames cannot be read" in printed.out
+    np.testing.assert_allclose(Recording.read(out).time * 30, [0, 1, 2, 4, 5], atol=1e-9)
+
+
+def test_a_truncated_recording(copy, perceive):
+    """The disk was full: the last pictures are missing and the last row is half written."""
+    for name in ("left", "right"):
+        folder = copy / "cameras" / name
+        text = (folder / "frames.csv").read_text()
+        (folder / "frames.csv").write_text(text[:-20])
+        (folder / "depth" / "000004.png").unlink()
+    code, printed, out = perceive(copy, *RED)
+    assert code == 0 and Recording.read(out).num_frames == 4
+    assert "1 of 6 rows are cut short" in printed.out
+    assert "1 of 5 frames cannot be read" in printed.out
+
+
+def test_all_pictures_damaged(copy, perceive):
+    for path in copy.glob("cameras/left/depth/*.png"):
+        path.write_bytes(b"")
+    refused(perceive(copy, *RED), "no frame can be read")
+
+
+def test_no_object_in_view(world, tmp_path, perceive):
+    world.write_lift(tmp_path / "empty", frames=2, rope=False, scale=0.25)
+    refused(perceive(tmp_path / "empty", *RED), "no object in view", "'colour'", "2 frames")
+
+
+def test_workspace_beside_the_scene(lift, perceive):
+    words = ["--workspace", "5", "5", "0", "6", "6", "1"]
+    refused(perceive(lift[0], *RED, *words), "sees nothing of the workspace", "T_world_camera")
+
+
+def test_a_hidden_object_is_told(world, tmp_path, perceive):
+    """A box in front of the lying part, one camera."""
+    wall = world.Cylinder((-0.1, -0.2, 0.03), (0.5, -0.2, 0.03), 0.15)
+    world.write_lift(
+        tmp_path / "hidden",
+        frames=3,
+        cameras=[world.make_camera("left", scale=0.5)],
+        things=lambda t: [wall],
+    )
+    code, printed, _ = perceive(tmp_path / "hidden", *RED)
+    assert code == 0 and "of the object is seen; check workspace" in printed.out
+
+
+def test_robot_in_view(world, tmp_path, perceive):
+    """Without its capsules the arm is part of the cloud, with them it is not."""
+    arm = world.Cylinder((-0.05, 0.0, 0.22), (-0.3, 0.0, 0.22), 0.012)
+    folder = tmp_path / "robot"
+    ropes = world.write_lift(folder, frames=3, things=lambda t: [arm])
+    code, _, out = perceive(folder)
+    assert code == 0 and ropes[0].distance(Recording.read(out).frame(0)).max() > 0.1
+    row = ",".join(str(x) for x in (*arm.start, *arm.end, arm.radius))
+    (folder / "capsules.csv").write_text(f"time,capsule,x0,y0,z0,x1,y1,z1,radius\n0,arm,{row}\n")
+    code, _, out = perceive(folder)
+    assert code == 0
+    standing = Recording.read(out).frame(0)
+    standing = standing[standing[:, 2] > 0.03]
+    assert ropes[0].distance(standing).max() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "line"),
+    [
+        ("gripper.csv", "time,x,y,z\n1,0,0,0\n0,0,0,0\n", "times do not increase"),
+        ("gripper.csv", "time,x,y,z\n", "no rows"),
+        ("capsules.csv", "time,capsule\n", "header"),
+        (
+            "capsules.csv",
+            "time,capsule,x0,y0,z0,x1,y1,z1,radius\n0,a,0,0,0,1,1,1,-1\n",
+            "line 2: is no capsule",
+        ),
+        ("object.toml", "[object]\nkind = 'rope'\n", "the object's sizes are missing"),
+        ("cameras/left/frames.csv", "t,d\n", "has the header"),
+        ("cameras/left/frames.csv", "time,depth\nx,y\n", "no usable row"),
+    ],
+)
+def test_bad_files(copy, perceive, file, text, line):
+    (copy / file).write_text(text)
+    refused(perceive(copy, *RED), line, file)
+
+
+def test_bad_flags(lift, perceive):
+    refused(perceive(lift[0], *RED, "--pick", "left", "1", "1"), "both given")
+    refused(perceive(lift[0], "--colour", "300", "0", "0"), "0 to 255")
+    refused(perceive(lift[0], "--pick", "left", "999", "1"), "pixel (999, 1)")
+    refused(perceive(lift[0], "--pick", "top", "9", "1"), "no camera 'top'")
+    refused(perceive(lift[0], "--voxel", "-1"), "voxel is -1")

@@ -1,0 +1,135 @@
+"""The Python API, with cameras that are no folders."""
+
+import numpy as np
+import pytest
+
+from gendom.datasets import Recording
+from gendom.errors import ParameterError, RecordingError
+from gendom.perception import (
+    Frame,
+    FrameSource,
+    PerceptionSettings,
+    RobotPath,
+    Sighting,
+    perceive,
+    read_seen_by,
+)
+
+META = {"object": {"kind": "rope", "length": 0.4, "diameter": 0.01}, "table_height": 0.0}
+
+
+class Live:
+    """A camera that renders when asked, as a device or a vendor's recording would deliver."""
+
+    def __init__(self, world, camera, frames=4, held=None):
+        self.camera, self._world, self._frames = camera, world, frames
+        self._held = held or (lambda t: world.lifted_rope(tip=(0.0, 0.0, 0.2 + 0.01 * t)))
+        self.decoded = 0
+
+    def __iter__(self):
+        for t in range(self._frames):
+            yield Frame(t / 30, f"frame {t}", lambda t=t: self._render(t))
+
+    def _render(self, t):
+        self.decoded += 1
+        return self._world.Scene([self._world.Plane(), self._held(t)]).pictures(self.camera, seed=t)
+
+
+@pytest.fixture
+def live(world):
+    def sighting(frames=4, meta=META, times=(0.0, 1.0)):
+        cameras = [
+            world.make_camera("left", scale=0.5),
+            world.make_camera("right", eye=(0.1, 0.65, 0.47), scale=0.5),
+        ]
+        path = np.array([[[0.0, 0.0, 0.2]], [[0.0, 0.0, 0.5]]])
+        robot = RobotPath(np.array(times), path)
+        return Sighting([Live(world, c, frames) for c in cameras], robot, meta, where="live")
+
+    return sighting
+
+
+SETTINGS = PerceptionSettings(colour=(180, 30, 35), workspace=(-0.4, -0.4, -0.05, 0.4, 0.4, 0.4))
+
+
+def test_any_source_of_frames_will_do(world, live, tmp_path):
+    sighting = live()
+    assert all(isinstance(source, FrameSource) for source in sighting.sources)
+    seen = []
+    found = perceive(
+        sighting, SETTINGS, on_frame=lambda time, cloud: seen.append(len(cloud.points))
+    )
+    assert seen == found.counts[:, -1].tolist() == np.diff(found.recording.offsets).tolist()
+    np.testing.assert_allclose(found.recording.gripper_position[:, 0, 2], 0.2 + 0.01 * np.arange(4))
+    found.write(tmp_path / "a.npz")
+    again = Recording.read(tmp_path / "a.npz")
+    np.testing.assert_array_equal(again.points, found.recording.points)
+    np.testing.assert_array_equal(read_seen_by(tmp_path / "a.npz"), found.seen_by)
+    assert again.extra["perception"]["cameras"] == ["left", "right"]
+    with pytest.raises(RecordingError, match=r"name the file \.npz"):
+        found.write(tmp_path / "a.txt")
+
+
+def test_a_cloth_lifted_by_its_corner(world):
+    """Steep enough for both cameras to see one side each."""
+
+    def held(t):
+        return world.Sheet((0.0, 0.0, 0.25 + 0.01 * t), (0.14, 0.05, -0.15), (-0.14, -0.05, -0.15))
+
+    cameras = [world.make_camera(), world.make_camera("right", eye=(0.1, 0.65, 0.47))]
+    path = np.array([[[0.0, 0.0, 0.25]], [[0.0, 0.0, 0.55]]])
+    side = float(np.linalg.norm([0.14, 0.05, 0.15]))
+    cloth = {"kind": "cloth", "width": side, "height": side, "thickness": 0.001, "grasp": "corner"}
+    sighting = Sighting(
+        [Live(world, camera, 2, held) for camera in cameras],
+        RobotPath(np.array([0.0, 1.0]), path),
+        {"object": cloth, "table_height": 0.0},
+    )
+    found = perceive(sighting, PerceptionSettings(colour=world.BLUE))
+    assert found.recording.object.kind == "cloth" and found.seen_share > 0.7
+    assert found.disagreement is not None and found.disagreement < 0.005
+    for t in range(2):
+        error = held(t).distance(found.recording.frame(t).astype(float))
+        assert abs(error.mean()) < 1e-3 and np.sqrt(np.mean(error**2)) < 0.003
+
+
+def test_frames_outside_of_the_robots_path_are_not_decoded(live):
+    sighting, warnings = live(times=(1 / 30, 1.0)), []
+    found = perceive(sighting, SETTINGS, on_warning=warnings.append)
+    assert found.recording.num_frames == 3 and sighting.sources[0].decoded == 3
+    assert "1 of 4 frames are outside" in str(warnings[0])
+
+
+def test_table_height_is_measured_where_it_is_unknown(live):
+    meta = {"object": META["object"]}
+    found = perceive(live(2, meta), SETTINGS)
+    assert found.recording.table_height == pytest.approx(0.0, abs=1e-3)
+
+
+def test_wrong_table_height_is_refused(live):
+    with pytest.raises(RecordingError, match="correct table_height"):
+        perceive(live(2, {**META, "table_height": 0.04}), SETTINGS)
+
+
+def test_path_between_its_rows():
+    axis = np.array([[[0, 0, 1.0]], [[1.0, 0, 0]]])
+    path = RobotPath(np.array([0.0, 2.0]), np.array([[[0, 0, 0.0]], [[0, 0, 1.0]]]), axis)
+    position, direction = path.at(0.5) or (None, None)
+    assert position is not None and direction is not None
+    np.testing.assert_allclose(position, [[0, 0, 0.25]])
+    np.testing.assert_allclose(np.linalg.norm(direction), 1.0)
+    assert direction[0, 2] > direction[0, 0] > 0
+    assert path.at(2.1) is None and path.at(2.0) is not None
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"colour": (1, 2, 300)},
+        {"colour": (1, 2, 3), "pick": ("left", 1, 1)},
+        {"sync_tolerance": -1.0},
+    ],
+)
+def test_bad_settings(wrong):
+    with pytest.raises(ParameterError):
+        PerceptionSettings(**wrong)

@@ -1,0 +1,60 @@
+"""Agreement of cameras, and how much they see."""
+
+import numpy as np
+import pytest
+
+from gendom.datasets import ObjectDescription
+from gendom.perception import CloudSettings, View
+from gendom.perception.quality import offset_between, seen_share, sides_apart
+
+
+def test_offset_of_a_bent_rope(world):
+    rope = world.lifted_rope().line
+    s = np.linspace(0, len(rope) - 1, 900)
+    p = np.stack([np.interp(s, np.arange(len(rope)), rope[:, k]) for k in range(3)], axis=1)
+    moved = p + np.random.default_rng(0).normal(0, 1e-3, p.shape) + [0.02, -0.03, 0.015]
+    np.testing.assert_allclose(offset_between(p, moved), [0.02, -0.03, 0.015], atol=2e-3)
+
+
+def test_sides_of_a_rope_are_allowed_for(world):
+    """Two cameras without error, each with its own half of a vertical rope."""
+    rope = world.Rope(np.array([[0, 0, 0.0], [0, 0, 0.3]]), radius=0.01)
+    cameras = [
+        world.make_camera(eye=(0.0, -0.8, 0.15), target=(0, 0, 0.15)),
+        world.make_camera(eye=(0.8, 0.0, 0.15), target=(0, 0, 0.15)),
+    ]
+    settings = CloudSettings(low=(-0.1, -0.1, 0.02), high=(0.1, 0.1, 0.28))
+    a, b = (
+        View(c, settings).segment(world.Scene([rope]).pictures(c, noise=False))[0] for c in cameras
+    )
+    held = ObjectDescription(kind="rope", length=0.3, diameter=0.02)
+    expected = sides_apart([0, 0, 0.15], cameras[0].position, cameras[1].position, held)
+    np.testing.assert_allclose(b.mean(axis=0) - a.mean(axis=0), expected, atol=5e-4)
+    assert np.linalg.norm(expected) > 0.01
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.25])
+def test_share_of_a_rope(share):
+    rng = np.random.default_rng(0)
+    p = np.linspace([0, 0, 0], [0.6 * share, 0, 0], 800) + rng.normal(0, 2e-3, (800, 3))
+    rope = ObjectDescription(kind="rope", length=0.6, diameter=0.01)
+    assert seen_share(p, rope) == pytest.approx(share, abs=0.15)
+
+
+def test_gaps_of_a_rope_are_not_seen():
+    p = np.concatenate([np.linspace(0, 0.1, 200), np.linspace(0.5, 0.6, 200)])
+    points = np.stack([p, 0 * p, 0 * p], axis=1)
+    rope = ObjectDescription(kind="rope", length=0.6)
+    assert seen_share(points, rope) == pytest.approx(2 / 6, abs=0.1)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.4])
+def test_share_of_a_cloth(share):
+    u, v = np.meshgrid(np.linspace(0, 0.3 * share, 150), np.linspace(0, 0.3, 150))
+    p = np.stack([u, 0.8 * v, 0.6 * v], axis=-1).reshape(-1, 3)
+    cloth = ObjectDescription(kind="cloth", width=0.3, height=0.3)
+    assert seen_share(p, cloth) == pytest.approx(share, abs=0.2)
+
+
+def test_nothing_seen():
+    assert seen_share(np.zeros((0, 3)), ObjectDescription(kind="rope", length=0.6)) == 0.0
