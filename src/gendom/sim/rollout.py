@@ -9,7 +9,7 @@ from gendom.sim.gradients import Gradients, Sums
 from gendom.sim.simulator import Simulator
 from gendom.sim.world_tape import WorldTape
 
-MEMORY = {"cpu": 512 << 20, "cuda": 8 << 30}
+MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}
 """Default bounds on what a rollout keeps for its reverse [bytes]."""
 
 
