@@ -84,7 +84,7 @@ def test_deviation_at_a_corner_is_as_stated():
 
 def test_turns_pass_through_their_knots():
     quats = Rotation.from_euler("zyx", [[0, 0, 180], [40, 0, 180], [40, 30, 180]], degrees=True)
-    path = TcpPath(time=[0, 1, 2], position=np.zeros((3, 3)), quat_xyzw=quats.as_quat())
+    path = make_path([0, 1, 2], np.zeros((3, 3)), quats.as_quat())
     found = path.pose_at(np.array([0.0, 0.5, 1.0, 2.0]), 0.0)[:, :3, :3]
     expected = [quats[0], Rotation.from_euler("zyx", [20, 0, 180], degrees=True), *quats[1:]]
     np.testing.assert_allclose(found, [r.as_matrix() for r in expected], atol=1e-12)
@@ -125,7 +125,7 @@ def test_tool_follows_the_path_within_limits(path, motion):
 
 def test_blend_is_about_the_shortest(path, motion):
     with pytest.raises(RobotError, match="acceleration"):
-        shorter = follow(XARM7, path, blend=0.85 * motion.blend)
+        shorter = follow(XARM7, path, blend=0.9 * motion.blend)
         shorter.check_limits(XARM7)
     assert motion.deviation == path.deviation(motion.blend)
 

@@ -20,11 +20,20 @@ from gendom.robot.kinematics import (
     tcp_pose,
 )
 from gendom.robot.motion import JointMotion, LimitUse, follow, joint_move
+from gendom.robot.motions import (
+    SPREADING_HEIGHT,
+    cloth_spreading,
+    lift,
+    rope_casting,
+    rope_reaching,
+    spreading_steps,
+)
 from gendom.robot.path import (
     DOWN,
     Deviation,
     GripperEvent,
     TcpPath,
+    pointing,
     pointing_down,
 )
 from gendom.robot.shape import ArmShape, arm_shape
@@ -49,6 +58,7 @@ def find_arm(name: str) -> Arm:
 __all__ = [
     "ARMS",
     "DOWN",
+    "SPREADING_HEIGHT",
     "XARM7",
     "Arm",
     "ArmShape",
@@ -63,15 +73,21 @@ __all__ = [
     "ParallelGripper",
     "TcpPath",
     "arm_shape",
+    "cloth_spreading",
     "find_arm",
     "follow",
     "inverse_kinematics",
     "jacobian",
     "joint_move",
+    "lift",
     "link_poses",
+    "pointing",
     "pointing_down",
     "pose_error",
     "read_joints",
+    "rope_casting",
+    "rope_reaching",
     "solutions",
+    "spreading_steps",
     "tcp_pose",
 ]

@@ -479,8 +479,9 @@ def _from_posture(
         return _track(arm, path, q, rate, blend)
     blend = min(SHORTEST_BLEND, path.max_blend)
     motion = _track(arm, path, q, rate, blend)
+    too_short = 0.0
     for _ in range(8):
-        use = max(_ratio(u) for u in motion.limit_uses(arm) if u.kind == "acceleration")
+        use = _acceleration_use(motion, arm)
         if use <= 1.0 or blend >= path.max_blend:
             break
         # Accelerations go with 1 / blend where corners cause them; where not, a longer blend
@@ -488,9 +489,23 @@ def _from_posture(
         longer = min(blend * min(1.02 * use, 4.0), path.max_blend)
         if longer > max(path.end - path.start, 4.0 * SHORTEST_BLEND):
             break
-        blend = longer
+        too_short, blend = blend, longer
         motion = _track(arm, path, q, rate, blend)
+    # A blend longer than a move between two stops counts twice, so the last step was too long.
+    while too_short > 0.0 and motion.blend > 1.06 * too_short:
+        if _acceleration_use(motion, arm) > 1.0:
+            break
+        between = math.sqrt(too_short * motion.blend)
+        shorter = _track(arm, path, q, rate, between)
+        if _acceleration_use(shorter, arm) <= 1.0:
+            motion = shorter
+        else:
+            too_short = between
     return motion
+
+
+def _acceleration_use(motion: JointMotion, arm: Arm) -> float:
+    return max(_ratio(use) for use in motion.limit_uses(arm) if use.kind == "acceleration")
 
 
 def _slowed(

@@ -43,6 +43,30 @@ def pointing_down(yaw: float = 0.0) -> Array:
     return (Rotation.from_rotvec([0.0, 0.0, yaw]) * Rotation.from_quat(DOWN)).as_quat()
 
 
+def pointing(approach: ArrayLike, fingers: ArrayLike) -> Array:
+    """quat_xyzw [4] of a gripper by its axes.
+
+    Args:
+        approach: [3] where it points, out of the fingers; any length.
+        fingers: [3] along which they open; the part along `approach` does not count.
+
+    Raises:
+        RobotError: The two are parallel, or one is zero.
+    """
+    z, y = np.asarray(approach, dtype=float), np.asarray(fingers, dtype=float)
+    lengths = np.linalg.norm(z), np.linalg.norm(y)
+    if min(lengths) == 0.0 or np.linalg.norm(np.cross(y, z)) < 1e-6 * lengths[0] * lengths[1]:
+        raise RobotError(
+            f"approach {z.tolist()} and fingers {y.tolist()} are parallel or zero",
+            where="gripper's orientation",
+            fix="give two directions, about at right angles",
+        )
+    z = z / lengths[0]
+    y = y - (y @ z) * z
+    y = y / np.linalg.norm(y)
+    return Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1)).as_quat()
+
+
 @dataclass(frozen=True, kw_only=True)
 class GripperEvent:
     """The gripper is told to close or to open."""
