@@ -34,12 +34,14 @@ class Law(NamedTuple):
         stress_back: (F, mu, lam, tau_bar) -> F_bar, mu_bar, lam_bar.
         return_map: (F trial, mu, yield stress) -> F [-].
         return_map_back: (F trial, mu, yield stress, F_bar) -> F trial_bar, mu_bar, yield_bar.
+        plastic: Whether the return mapping does anything.
     """
 
     stress: Any
     stress_back: Any
     return_map: Any
     return_map_back: Any
+    plastic: bool
 
 
 @functools.cache
@@ -219,4 +221,4 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
     if name not in stresses:
         raise ValueError(f"unknown elastic law {name!r}: choose one of {', '.join(LAWS)}")
     maps = (von_mises, von_mises_back) if plastic else (elastic, elastic_back)
-    return Law(*stresses[name], *maps)
+    return Law(*stresses[name], *maps, plastic)
