@@ -124,7 +124,7 @@ def test_robot_is_taken_out_by_its_capsules(world):
     rope = world.lifted_rope(tip=(0.12, 0.0, 0.25))
     camera = world.make_camera(scale=0.5)
     view = View(camera, settings())
-    pictures = world.Scene([link, rope]).pictures(camera, noise=False)
+    pictures = world.Scene([link, rope]).pictures(camera, sensor=world.EXACT)
     capsules = Capsules(np.array([link.start]), np.array([link.end]), np.array([link.radius]))
     with_robot, _ = view.segment(pictures)
     points, counts = view.segment(pictures, capsules=capsules)

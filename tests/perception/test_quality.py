@@ -25,7 +25,8 @@ def test_sides_of_a_rope_are_allowed_for(world):
     ]
     settings = CloudSettings(low=(-0.1, -0.1, 0.02), high=(0.1, 0.1, 0.28))
     a, b = (
-        View(c, settings).segment(world.Scene([rope]).pictures(c, noise=False))[0] for c in cameras
+        View(c, settings).segment(world.Scene([rope]).pictures(c, sensor=world.EXACT))[0]
+        for c in cameras
     )
     held = ObjectDescription(kind="rope", length=0.3, diameter=0.02)
     expected = sides_apart([0, 0, 0.15], cameras[0].position, cameras[1].position, held)
