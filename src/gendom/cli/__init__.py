@@ -44,6 +44,7 @@ _EXTRAS = {
     "pyrealsense2": "camera",
     "cv2": "camera",
     "xarm": "robot",
+    "gymnasium": "reality",
     "imageio": "viz",
     "viser": "viz",
     "ray": "cluster",
