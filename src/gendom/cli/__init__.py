@@ -31,6 +31,7 @@ COMMANDS = {
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
     "calibrate": ("gendom.cli.calibrate", "where a camera stands, from pictures of a board"),
+    "record": ("gendom.cli.record", "a lift of the second reality, seen by depth cameras"),
     "perceive": ("gendom.cli.perceive", "from depth pictures to a recording"),
     "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
     "validate": ("gendom.cli.validate", "measure the simulator against analytic mechanics"),

@@ -13,6 +13,7 @@ Nothing that perceives, estimates or acts reads `truth`.
 from __future__ import annotations
 
 import csv
+import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -24,10 +25,8 @@ from gendom.errors import GendomError
 from gendom.files import atomic_path, write_json
 from gendom.perception import PngWriter
 from gendom.reality.sensor import DepthSensor, RigErrors
+from gendom.reality.trials import Performance
 from gendom.reality.world import Reality
-
-FRAME_RATE = 30.0
-"""Of the cameras [1/s]."""
 
 PATH_RATE = 100.0
 """Of the robot's measured path [1/s]."""
@@ -37,12 +36,10 @@ PATH_RATE = 100.0
 class RecordSettings:
     """How to record."""
 
-    grasp: str
-    """How the object is held: end, corner or center."""
-    until: float
-    """When to stop, on the world's clock [s]."""
-    quasi_static: bool
-    """Whether the motion is so slow that inertia plays no part."""
+    frame_rate: float = 30.0
+    """Of the cameras [1/s]."""
+    format: str = "png"
+    """png: folders of pictures; db3: RealSense recordings, through the vendor's SDK."""
     notes: str = ""
     """For whoever reads the recording."""
     seed: int = 0
@@ -50,27 +47,25 @@ class RecordSettings:
 
 
 def record(
-    world: Reality,
+    performance: Performance,
     folder: str | os.PathLike,
-    settings: RecordSettings,
+    settings: RecordSettings | None = None,
     *,
     sensor: DepthSensor | None = None,
     errors: RigErrors | None = None,
-    frame_rate: float = FRAME_RATE,
     on_frame: Callable[[float], None] = lambda _: None,
 ) -> None:
-    """Let the world go on and write what its cameras and its robot measure.
+    """Carry a trial out to its end and write what the cameras and the robot measure.
 
-    Time stamps begin with 0 now. Pictures are on disk frame by frame: an interrupted recording
+    Time stamps begin with 0 now; step to where the hand has closed first. Pictures are on disk frame by frame: an interrupted recording
     can be perceived as far as it goes.
 
     Args:
-        world: With its motion set, and the object held.
+        performance: The trial, with cameras.
         folder: Made if missing; must not hold a recording.
         settings: What to write.
         sensor: The cameras' noise; by default that of a D435i.
         errors: The rig's errors; by default the usual ones.
-        frame_rate: [1/s].
         on_frame: Called with the recorded time [s] after each.
 
     Raises:
@@ -78,6 +73,8 @@ def record(
         DeviceError: Nothing can be rendered here.
         SimulationError: The world diverged.
     """
+    settings = RecordSettings() if settings is None else settings
+    world = performance.world
     folder = Path(folder)
     if (folder / "cameras").exists():
         raise GendomError("holds a recording already", where=str(folder), fix="name another folder")
@@ -90,17 +87,18 @@ def record(
     ]
     believed = errors.believed(world.cameras, rig)
     began = world.time
-    seconds = settings.until - began
+    seconds = performance.end - began
     world.render(0)  # where nothing can be rendered, before anything is written
     folder.mkdir(parents=True, exist_ok=True)
     writers = [PngWriter(folder / "cameras" / c.name, c) for c in believed]
-    _write_object(folder / "object.toml", world, settings)
+    _write_object(folder / "object.toml", performance, settings)
     path, truth = _Rows(), []
-    frames = np.arange(int(seconds * frame_rate + 1e-9) + 1) / frame_rate
+    frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
+    frames = frames / settings.frame_rate
     samples = np.arange(int(seconds * PATH_RATE + 1e-9) + 1) / PATH_RATE
     try:
         for moment in np.union1d(frames, samples):
-            world.step_to(began + moment)
+            performance.step_to(began + moment)
             if moment in samples:
                 path.add(world, moment)
             if moment not in frames:
@@ -143,19 +141,20 @@ def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float]
         writer.writerows([[f"{float(x):.6f}" for x in row] for row in rows])
 
 
-def _write_object(path: Path, world: Reality, settings: RecordSettings) -> None:
+def _write_object(path: Path, performance: Performance, settings: RecordSettings) -> None:
+    trial = performance.trial
     lines = [
         "table_height = 0.0",
         'gripper_source = "measured"',
-        f"quasi_static = {str(settings.quasi_static).lower()}",
-        f'source = "a second reality on MuJoCo, seen by {len(world.cameras)} simulated depth'
+        f"quasi_static = {str(trial.quasi_static).lower()}",
+        f'source = "a second reality on MuJoCo, seen by {len(performance.world.cameras)} simulated depth'
         ' cameras"',
-        f"notes = {settings.notes!r}".replace("'", '"'),
+        f"notes = {json.dumps(settings.notes)}",
         "",
         "[object]",
-        f'grasp = "{settings.grasp}"',
+        f'grasp = "{trial.grasp}"',
     ]
-    for key, value in world.item.description().items():
+    for key, value in trial.item.description().items():
         lines.append(f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value!r}")
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

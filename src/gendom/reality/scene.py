@@ -139,6 +139,7 @@ def build_model(
     layout: Layout,
     *,
     arm: str = "",
+    actuators: str = "",
     hands: Sequence[str] = (),
     cameras: Sequence[Camera] = (),
     table: bool = True,
@@ -154,7 +155,8 @@ def build_model(
     Args:
         item: The object.
         layout: Where it is.
-        arm: Bodies and actuators of a robot, see `gendom.reality.arm`; or a free hand.
+        arm: Bodies of a robot, see `gendom.reality.arm`, or of a free hand.
+        actuators: Of the robot.
         hands: Names of bodies that can hold the object.
         cameras: Fixed cameras.
         table: Whether there is one.
@@ -211,6 +213,7 @@ def build_model(
     {arm}
     {flex}
   </worldbody>
+  <actuator>{actuators}</actuator>
   <equality>
     {"".join(connections)}
   </equality>

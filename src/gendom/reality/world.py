@@ -62,6 +62,7 @@ class Reality:
             item,
             layout,
             arm=_FREE_HAND if robot is None else robot.xml(),
+            actuators="" if robot is None else robot.actuators(),
             hands=("hand",),
             cameras=cameras,
             table=table,
@@ -102,7 +103,7 @@ class Reality:
         step = self.model.opt.timestep
         for _ in range(round((time - self.time) / step)):
             if self.robot is not None:
-                self.robot.control(self.data)
+                self.robot.control(self.data, self.time + step)
             elif self._path is not None:
                 self.data.mocap_pos[0] = self._path(self.time + step)
             self._mujoco.mj_step(self.model, self.data)
