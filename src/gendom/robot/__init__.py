@@ -1,0 +1,77 @@
+"""Robot arms: kinematics, timed motions within their limits, and their shape.
+
+The robot's base is the world. NumPy and SciPy only; nothing here moves a real arm.
+"""
+
+from gendom.errors import RobotError
+from gendom.robot.arm import (
+    Arm,
+    FingerCapsule,
+    KnuckleCapsule,
+    LinkCapsule,
+    ParallelGripper,
+)
+from gendom.robot.kinematics import (
+    inverse_kinematics,
+    jacobian,
+    link_poses,
+    pose_error,
+    solutions,
+    tcp_pose,
+)
+from gendom.robot.motion import JointMotion, LimitUse, follow, joint_move
+from gendom.robot.path import (
+    DOWN,
+    Deviation,
+    GripperEvent,
+    TcpPath,
+    pointing_down,
+)
+from gendom.robot.shape import ArmShape, arm_shape
+from gendom.robot.states import JointStates, read_joints
+from gendom.robot.xarm7 import XARM7
+
+ARMS = {XARM7.name: XARM7}
+"""Arms by their names."""
+
+
+def find_arm(name: str) -> Arm:
+    """The arm of a name.
+
+    Raises:
+        RobotError: There is none.
+    """
+    if name not in ARMS:
+        raise RobotError(f"there is no robot {name!r}", fix=f"have {', '.join(ARMS)}")
+    return ARMS[name]
+
+
+__all__ = [
+    "ARMS",
+    "DOWN",
+    "XARM7",
+    "Arm",
+    "ArmShape",
+    "Deviation",
+    "FingerCapsule",
+    "GripperEvent",
+    "JointMotion",
+    "JointStates",
+    "KnuckleCapsule",
+    "LimitUse",
+    "LinkCapsule",
+    "ParallelGripper",
+    "TcpPath",
+    "arm_shape",
+    "find_arm",
+    "follow",
+    "inverse_kinematics",
+    "jacobian",
+    "joint_move",
+    "link_poses",
+    "pointing_down",
+    "pose_error",
+    "read_joints",
+    "solutions",
+    "tcp_pose",
+]
