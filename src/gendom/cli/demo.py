@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Sequence
 from contextlib import contextmanager
@@ -233,7 +234,10 @@ def _report(
                 "finer grid than the policy was trained on."
             ),
             lift=LiftPictures(clouds=clouds),
-            estimate=EstimateSummary(values=found.record, truth=truth),
+            estimate=EstimateSummary(
+                values=found.record,
+                truth=truth | {"specific_modulus": truth["youngs_modulus"] / truth["density"]},
+            ),
             action=ActionSummary(
                 outcomes=[
                     ReachOutcome(goal=np.array(goal), ours=ours, without=without)
@@ -242,7 +246,7 @@ def _report(
                 action_names=[f"{name.replace('_', ' ')} [m]" for name in task.action_names],
             ),
             provenance=Provenance(
-                commands=[f"gendom demo --out {command.out} --seed {command.seed}"],
+                commands=[_command_line(command)],
                 version=__version__,
                 date=date.today().isoformat(),
                 device=command.device,
@@ -252,6 +256,16 @@ def _report(
             ),
         ),
     )
+
+
+def _command_line(command: Command) -> str:
+    """The words that give the same results again."""
+    words = ["gendom", "demo", "--out", str(command.out)]
+    words += ["--starts", str(command.starts), "--seed", str(command.seed)]
+    words += ["--device", command.device]
+    if command.goal:
+        words += ["--goal", *map(str, command.goal)]
+    return shlex.join(words)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from gendom.viz.report.quantities import (
     interval_text,
     length_text,
     pascal_unit,
+    property_text,
     quantity_text,
 )
 
@@ -127,7 +128,7 @@ def _parameter_table(summary: EstimateSummary) -> str:
         if value is None:
             continue
         interval, true = summary.interval(key), summary.true(key)
-        cells = [f"<td>{name}</td>", _number_cell(quantity_text(key, value))]
+        cells = [f'<td class="name">{name}</td>', _number_cell(quantity_text(key, value))]
         if has_interval:
             shown = escaped(interval_text(key, interval)) if interval else DASH
             bar = _bar(value, interval, true, bounds.get(key))
@@ -139,7 +140,7 @@ def _parameter_table(summary: EstimateSummary) -> str:
         rows.append(f"<tr>{''.join(cells)}</tr>")
     head = ["<th>Quantity</th>", '<th class="number">Estimate</th>']
     if has_interval:
-        head.append(f"<th>{escaped(summary.level_text)} interval</th>")
+        head.append(f'<th class="interval">{escaped(summary.level_text)} interval</th>')
     if knows_truth:
         head += ['<th class="number">True value</th>', '<th class="number">Off by</th>']
     head.append("<th>What the lift says</th>")
@@ -215,7 +216,7 @@ def _fit_facts(summary: EstimateSummary) -> str:
             facts.append((name, str(values[key])))
     for key, name, unit in (
         ("loss", "final loss", ""),
-        ("iterations", "iterations", ""),
+        ("iterations", "evaluations in the last stage", ""),
         ("seconds", "time", " s"),
     ):
         value = summary.value(key)
@@ -223,7 +224,11 @@ def _fit_facts(summary: EstimateSummary) -> str:
             facts.append((name, f"{value:.4g}{unit}"))
     described = values.get("object")
     if isinstance(described, Mapping):
-        known = [f"{k} {v}" for k, v in described.items() if isinstance(v, (str, int, float))]
+        known = [
+            f"{name} {property_text(name, value)}"
+            for name, value in described.items()
+            if isinstance(value, (str, int, float))
+        ]
         facts.append(("object", ", ".join(known)))
     return facts_list(facts)
 

@@ -69,6 +69,20 @@ def length_text(value: float) -> str:
     return with_minus(f"{1e3 * value:{form}} mm")
 
 
+def property_text(name: str, value: float | str) -> str:
+    """A property of the object by its name in a recording, to four digits and with its unit."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (str, int)):
+        return str(value)
+    if name == "mass":
+        return with_minus(f"{value:.4g} kg")
+    if name in ("length", "width", "height", "diameter", "thickness"):
+        text = f"{value:.4g} m" if abs(value) >= 1.0 else f"{1e3 * value:.4g} mm"
+        return with_minus(text)
+    return with_minus(f"{value:.4g}")
+
+
 def place_text(coordinates: np.ndarray) -> str:
     """Coordinates [D] [m]."""
     return with_minus(", ".join(f"{c:.3f}" for c in coordinates) + " m")
