@@ -8,10 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from gendom.robot.arm import Arm
-from gendom.robot.kinematics import link_poses
-from gendom.robot.motion import JointMotion
-from gendom.robot.shape import arm_shape
+from gendom.robot import Arm, JointMotion, arm_shape, link_poses
 
 STIFFNESS, DAMPING, INERTIA = 2.0e4, 4.0e2, 0.3
 """Of each joint's servo [N m / rad], [N m s / rad], and what its gears add to a link's inertia
@@ -53,7 +50,7 @@ class RobotArm:
             T = np.linalg.inv(poses[link])
             a, b = (T[:3, :3] @ p + T[:3, 3] for p in (shape.start[k], shape.end[k]))
             if np.linalg.norm(b - a) < 1e-4:  # MuJoCo wants capsules longer than that
-                b = b + [0.0, 0.0, 1e-4]
+                b = b + np.array([0.0, 0.0, 1e-4])
             gripper = link == arm.joints
             geoms[link].append(
                 f'<geom type="capsule" fromto="{_row(a)} {_row(b)}" size="{shape.radius[k]}"'

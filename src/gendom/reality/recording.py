@@ -57,8 +57,8 @@ def record(
 ) -> None:
     """Carry a trial out to its end and write what the cameras and the robot measure.
 
-    Time stamps begin with 0 now; step to where the hand has closed first. Pictures are on disk frame by frame: an interrupted recording
-    can be perceived as far as it goes.
+    Time stamps begin with 0 now; step to where the hand has closed first. Pictures are on disk
+    frame by frame: an interrupted recording can be perceived as far as it goes.
 
     Args:
         performance: The trial, with cameras.
@@ -147,8 +147,7 @@ def _write_object(path: Path, performance: Performance, settings: RecordSettings
         "table_height = 0.0",
         'gripper_source = "measured"',
         f"quasi_static = {str(trial.quasi_static).lower()}",
-        f'source = "a second reality on MuJoCo, seen by {len(performance.world.cameras)} simulated depth'
-        ' cameras"',
+        'source = "a second reality on MuJoCo, seen by simulated depth cameras"',
         f"notes = {json.dumps(settings.notes)}",
         "",
         "[object]",

@@ -21,9 +21,7 @@ from gendom.reality.arm import RobotArm
 from gendom.reality.objects import RealObject, RealRope
 from gendom.reality.scene import Layout, default_cameras, rest_height
 from gendom.reality.world import FINGER_WIDTH, Reality
-from gendom.robot.motion import follow
-from gendom.robot.path import Deviation, GripperEvent, TcpPath, pointing_down
-from gendom.robot.xarm7 import XARM7
+from gendom.robot import XARM7, Deviation, GripperEvent, TcpPath, follow, pointing_down
 from gendom.tasks import RopeReaching
 
 LIFT_SPEED = 0.05
@@ -52,7 +50,7 @@ T_WORLD_TASK = np.array(
 )
 """The task's frame to the world's [m]."""
 
-FORWARD = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
+FORWARD = np.sqrt([0.0, 0.5, 0.0, 0.5])
 """quat_xyzw of a gripper that points forward, its fingers opening along the world's y."""
 
 
@@ -177,8 +175,8 @@ def lift(item: RealObject, *, rise: float | None = None, speed: float = LIFT_SPE
     rise = RISE * size if rise is None else rise
     if not (np.isfinite(rise) and rise > 0.0 and np.isfinite(speed) and speed > 0.0):
         raise ParameterError(f"a lift of {rise} m at {speed} m/s", fix="give numbers above 0")
-    grip = origin + [inward, 0.0, 0.0]
-    top = grip + [0.0, 0.0, rise]
+    grip = origin + np.array([inward, 0.0, 0.0])
+    top = grip + np.array([0.0, 0.0, rise])
     closes, begins = SETTLE, 2.0 * SETTLE
     ends = begins + rise / speed
     path = TcpPath(
