@@ -9,9 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gendom.perception import Camera, Pictures, PngWriter
+from gendom.perception import Camera, PngWriter
+from gendom.reality.sensor import DepthSensor
 
-SUBPIXEL, BASELINE, DISPARITY_STEP = 0.08, 0.05, 1.0 / 32.0
+EXACT = DepthSensor.exact(colour_noise=3.0)
+NOISE = DepthSensor.exact(subpixel=0.08, quantisation=1.0 / 32.0, colour_noise=3.0)
 RED, BLUE, GREY = (180, 30, 35), (30, 60, 170), (150, 150, 145)
 
 
@@ -154,36 +156,25 @@ class Cylinder:
 class Scene:
     things: list = field(default_factory=list)
 
-    def pictures(self, camera, *, noise=True, seed=0, farthest=8.0):
-        """What a camera sees; with noise as stereo has it: RMS = z^2 s / (f B), and steps."""
+    def pictures(self, camera, *, sensor=NOISE, seed=0, farthest=8.0):
+        """What a camera with such a sensor sees."""
         R, origin = camera.T_world_camera[:3, :3], camera.T_world_camera[:3, 3]
         d = camera.rays() @ R.T
         t = np.array([thing.hit(origin, d) for thing in self.things])
         which, z = t.argmin(axis=0), t.min(axis=0)
         rng = np.random.default_rng(seed)
-        seen = z < farthest
-        if noise:
-            f = camera.K[0, 0]
-            disparity = f * BASELINE / z + rng.normal(0.0, SUBPIXEL, len(z))
-            disparity = np.round(disparity / DISPARITY_STEP) * DISPARITY_STEP
-            with np.errstate(divide="ignore"):
-                z = f * BASELINE / disparity
-            seen &= disparity > 0
-        counts = np.where(seen, np.round(np.where(seen, z, 0) / camera.depth_unit), 0)
         colours = np.array([thing.colour for thing in self.things])[which].astype(float)
-        colours = colours * rng.uniform(0.75, 1.1, (len(z), 1)) + rng.normal(0, 3, (len(z), 3))
-        colours[t.min(axis=0) == np.inf] = 0
+        colours = np.clip(colours * rng.uniform(0.75, 1.1, (len(z), 1)), 0, 255)
+        colours[np.isinf(z)] = 0
         shape = camera.height, camera.width
-        return Pictures(
-            np.clip(counts, 0, 65535).astype(np.uint16).reshape(shape),
-            np.clip(colours, 0, 255).astype(np.uint8).reshape(*shape, 3),
-        )
+        depth = np.where(z < farthest, z, 0.0).reshape(shape)
+        return sensor.observe(depth, colours.astype(np.uint8).reshape(*shape, 3), camera, rng)
 
 
-def depth_rms(camera, z):
-    """RMS of the noise above at depth z [m], steps included: z^2 s / (f B)."""
-    s = np.hypot(SUBPIXEL, DISPARITY_STEP / np.sqrt(12))
-    return z**2 * s / (camera.K[0, 0] * BASELINE)
+def depth_rms(camera, z, sensor=NOISE):
+    """RMS of a sensor's noise at depth z [m], steps included: z^2 s / (f B)."""
+    s = np.hypot(sensor.subpixel, sensor.quantisation / np.sqrt(12))
+    return z**2 * s / (camera.K[0, 0] * sensor.baseline)
 
 
 def lifted_rope(tip=(0.0, 0.0, 0.3), length=0.4, radius=0.005):
@@ -200,7 +191,7 @@ def lifted_rope(tip=(0.0, 0.0, 0.3), length=0.4, radius=0.005):
     return Rope(line + np.array([tip[0], tip[1], 0.0]), radius)
 
 
-def write_lift(folder, *, frames=6, scale=0.5, noise=True, capsules=False, **changes):
+def write_lift(folder, *, frames=6, scale=0.5, sensor=NOISE, **changes):
     """A recording of a rope's lift by two cameras, and the ropes; see `changes` below.
 
     Changes:
@@ -226,7 +217,7 @@ def write_lift(folder, *, frames=6, scale=0.5, noise=True, capsules=False, **cha
             more = changes.get("things", lambda t: [])(t)
             scene = Scene([Plane(), *more] + ([rope] if changes.get("rope", True) else []))
             seed = 100 * k + t
-            writer.write(stamp(k, t), scene.pictures(camera, noise=noise, seed=seed))
+            writer.write(stamp(k, t), scene.pictures(camera, sensor=sensor, seed=seed))
     rows = [f"{t / 30.0!r},0.0,0.0,{0.2 + 0.01 * t!r}" for t in range(frames)]
     (folder / "gripper.csv").write_text("\n".join(["time,x,y,z", *rows]) + "\n")
     (folder / "object.toml").write_text(

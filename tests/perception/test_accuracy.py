@@ -39,7 +39,7 @@ def test_without_noise_points_are_on_the_surface(world, name):
     """To the depth unit of 0.1 mm."""
     thing, camera = things(world)[name], world.make_camera()
     view = View(camera, settings())
-    points, counts = view.segment(world.Scene([thing]).pictures(camera, noise=False))
+    points, counts = view.segment(world.Scene([thing]).pictures(camera, sensor=world.EXACT))
     assert len(points) == counts[-1] > 500
     assert np.abs(thing.distance(points)).max() < 6e-5
 

@@ -71,7 +71,7 @@ def test_momenta_of_a_free_block_are_conserved(recovery):
     def momenta():
         """Sums of v and of x cross v plus the affine velocities' own moment (D = dx^2 / 4)."""
         x, v = s.positions()[0], s.velocities()[0]
-        C = s._state["C"].numpy()[0].sum(axis=0) * DX**2 / 4.0
+        C = s.worlds.state.C.numpy()[0].sum(axis=0) * DX**2 / 4.0
         own = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
         return v.sum(axis=0), np.cross(x, v).sum(axis=0) + own
 
@@ -490,11 +490,11 @@ def test_grid_follows_a_flying_block():
     """Two metres of flight through 200 cells take no more memory, and the centre flies straight."""
     body = block()
     s = simulator(body, gravity=(0, 0, 0))
-    room = s._columns
+    room = s.worlds.room
     v = np.array([1.2, -1.2, 1.06])
     s.set_velocities(v + np.cross([2.0, 3.0, 5.0], body.x - body.x.mean(axis=0)))
     x = s.run([1.0])[0, 0]
-    assert s._columns == room
+    assert s.worlds.room == room
     assert room[0] < 16 and room[1] < 16 and room[2] < 16 * body.num_particles
     assert x.mean(axis=0) == pytest.approx(body.x.mean(axis=0) + v, abs=1e-12)
 
@@ -522,10 +522,10 @@ def test_grid_grows_while_running():
     answers = []
     for room in ((8, 8, 400), (80, 80, 40000)):
         s = simulator(body, gravity=(0, 0, 0))
-        s._columns = room
+        s.worlds.room = room
         s.set_velocities(np.cross([3.0, 4.0, 0.0], body.x))
         answers.append(s.run([0.15, 0.3])[:, 0])
-        grown = s._columns
+        grown = s.worlds.room
         if room[0] == 8:
             assert grown[0] > 20 and grown[1] > 20 and grown[2] > 400
         else:
@@ -603,7 +603,9 @@ def test_last_good_state_is_that_of_its_time(tmp_path):
         times, x = np.broadcast_to(saved["time"], 2), saved["x"]
     for w, time in enumerate(times):
         frames = np.arange(1, round(time / 0.001) + 1) * 0.001
-        alone = simulator(s.body, [s.materials[w]], grippers=s._every_gripper[w], substep=1e-3)
+        alone = simulator(
+            s.body, [s.materials[w]], grippers=s.worlds.setting.grippers[w], substep=1e-3
+        )
         assert np.abs(alone.run(frames)[-1, 0] - x[w]).max() < 1e-9
 
 

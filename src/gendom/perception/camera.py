@@ -13,7 +13,6 @@ Axes are OpenCV's: x right, y down, z forward; pixel (0, 0) is centred at u = v 
 from __future__ import annotations
 
 import os
-import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.errors import RecordingError
-from gendom.files import atomic_path
+from gendom.files import atomic_path, read_toml
 
 _DISTORTION_LENGTHS = (0, 4, 5, 8)
 _MAX_DISTANCE = 20.0  # [m]; a camera farther from the robot's base was given in millimetres
@@ -176,22 +175,12 @@ def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
         RecordingError: The file is missing, no TOML, or lacks or has a wrong value.
     """
     path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RecordingError(
-            "no such file, so the intrinsics are unknown",
-            where=str(path),
-            fix="write one with width, height, K, depth_unit, distortion and T_world_camera",
-        ) from None
-    except OSError as error:
-        raise RecordingError(
-            f"cannot be read ({error.strerror})", where=str(path), fix="check the file"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RecordingError(
-            f"is not TOML ({error})", where=str(path), fix="mend that line"
-        ) from None
+    table = read_toml(
+        path,
+        missing="no such file, so the intrinsics are unknown",
+        fix="write one with width, height, K, depth_unit, distortion and T_world_camera",
+        error=RecordingError,
+    )
     # A depth unit taken for granted would be wrong by ten for every second camera.
     missing = [key for key in ("width", "height", "K", "depth_unit") if key not in table]
     if missing:

@@ -1,21 +1,13 @@
 """MLS-MPM simulation of ropes and cloths, batched over worlds."""
 
 from gendom.sim.bodies import Body, cloth, rope
+from gendom.sim.device import open_device
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
-from gendom.sim.simulator import (
-    CFL,
-    GRAVITY,
-    RECOVERY,
-    Box,
-    Simulator,
-    Table,
-    check_numbers,
-    open_device,
-    stable_substep,
-)
+from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
+from gendom.sim.simulator import CFL, RECOVERY, Simulator, stable_substep
 
 __all__ = [
     "CFL",

@@ -14,7 +14,8 @@ from gendom.materials import Material
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper
 from gendom.sim.rollout import Rollout
-from gendom.sim.simulator import Simulator, Table
+from gendom.sim.scene import Table
+from gendom.sim.simulator import Simulator
 
 _NAMES = (
     "E",

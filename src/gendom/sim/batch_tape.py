@@ -7,12 +7,15 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gendom.sim.batch import SUBSTEPS_A_GRAPH, Batch
+from gendom.sim.columns import Columns
 from gendom.sim.gradients import Sums, overflow
-from gendom.sim.reverse import NOT_FINITE, make_reverse_stages
-from gendom.sim.simulator import SUBSTEPS_A_GRAPH, Simulator
+from gendom.sim.reverse import NOT_FINITE
+from gendom.sim.simulator import Simulator
+from gendom.sim.worlds import CLOCK, STATE
 
-_LAYOUT = ("bounds", "start", "cell", "level", "count")
-_PLACED = ("grip_centre", "grip_velocity", "grip_spin", "grip_closed")
+_LAYOUT = ("bounds", "low", "high", "start", "cell", "level", "count")
+_PLACED = ("centre", "velocity", "spin", "closed")
 
 
 @dataclass
@@ -20,10 +23,8 @@ class _Segment:
     """Some graphs of one frame: where they begin, and how far each world has come in the end."""
 
     time: float  # of the frame's substep 0 [s]
-    dt: wp.array  # [W] [s]
-    step: wp.array  # [W] substeps of the frame done before
-    age: wp.array  # [W] substeps done in all before
-    state: dict[str, wp.array]
+    clock: Any
+    state: Any
     until: Any = None  # [W] substeps of the frame done after
 
 
@@ -31,11 +32,10 @@ class _Segment:
 class _Graph:
     """The substeps of one graph: states, grids, layout, grippers."""
 
-    step: wp.array
-    age: wp.array
-    layout: dict[str, wp.array]
-    placed: dict[str, wp.array]
-    rows: dict[str, wp.array]  # [GRAPH + 1, W, N]
+    clock: Any
+    columns: Any
+    grips: Any
+    rows: Any  # a state of [(GRAPH + 1) * W, N]
     momentum: wp.array  # [GRAPH, W, M]
     done: wp.array | None = None  # [W] substeps done in it
 
@@ -51,10 +51,8 @@ class BatchTape:
     def __init__(self, simulator: Simulator, memory: float):
         self.simulator = simulator
         self.memory = memory
+        self._batch = Batch(simulator.worlds)
         self._frames: list[list[_Segment]] = []
-        self._stages = make_reverse_stages(
-            simulator._real, simulator.law, plastic=simulator._plastic
-        )
 
     def forward(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
         """Positions [T, W, N, 3] at the times [m].
@@ -62,21 +60,20 @@ class BatchTape:
         Raises:
             SimulationError: If a world diverges.
         """
-        s = self.simulator
-        a = s._world
-        s._begin_batch()
+        s, batch = self.simulator, self._batch
+        clock, state, k = s.worlds.clock, s.worlds.state, s.worlds.kernels
         frames = np.empty((len(times), s.num_worlds, s.body.num_particles, 3), dtype=s.dtype)
         now = s.time
         for f, until in enumerate(times):
-            s._plan_batch(now, until)
+            batch.plan(now, until)
             frame: list[_Segment] = []
-            more = bool(a["steps"].numpy().any())
+            more = bool(clock.steps.numpy().any())
             while more:
                 segment = _Segment(
-                    now, wp.clone(a["dt"]), wp.clone(a["step"]), wp.clone(a["age"]), _copy(s._state)
+                    now, _copy(k.Clock(), clock, CLOCK), _copy(k.transfers.State(), state, STATE)
                 )
-                more = s._advance_batch(now, most=self._graphs_a_segment())
-                segment.until = wp.clone(a["step"])
+                more = batch.advance(now, most=self._graphs_a_segment())
+                segment.until = wp.clone(clock.step)
                 frame.append(segment)
             self._frames.append(frame)
             frames[f] = s.positions()
@@ -96,127 +93,112 @@ class BatchTape:
                     self._reverse(segment, graph, sums)
 
     def _graphs_a_segment(self) -> int:
-        s = self.simulator
-        W, N = s.num_worlds, s.body.num_particles
-        X, Y, M = s._columns
-        real = np.dtype(s.dtype).itemsize
+        worlds = self.simulator.worlds
+        W, N = worlds.num_worlds, worlds.num_particles
+        X, Y, M = worlds.room
+        real = worlds.numpy_type.itemsize
         slot = W * real * (24 * N + 4 * M)
-        layout = W * 4 * (X * Y + 2 * M)
+        layout = W * 4 * (3 * X * Y + 2 * M)
         return max(1, int(self.memory / (SUBSTEPS_A_GRAPH * slot + layout)))
 
     def _record(self, segment: _Segment) -> list[_Graph]:
         """Run a segment again and keep everything its reverse needs."""
-        s = self.simulator
-        a, g = s._world, s._scratch
-        for name, array in segment.state.items():
-            wp.copy(s._state[name], array)
+        worlds, batch = self.simulator.worlds, self._batch
+        clock = worlds.clock
+        for name in STATE:
+            wp.copy(getattr(worlds.state, name), getattr(segment.state, name))
         for name in ("dt", "step", "age"):
-            wp.copy(a[name], getattr(segment, name))
-        wp.copy(a["steps"], segment.until)
-        a["status"].zero_()
-        a["travel"].fill_(1e30)
-        g["time"].fill_(segment.time)
+            wp.copy(getattr(clock, name), getattr(segment.clock, name))
+        wp.copy(clock.steps, segment.until)
+        clock.status.zero_()
+        batch.begin()
+        batch.lap.time.fill_(segment.time)
         graphs: list[_Graph] = []
         more = True
         while more:
-            s._launch_layout(g)
+            batch.launch_layout()
             graphs.append(self._record_graph())
-            s._launch_tally(g)
-            more = s._settle_batch(segment.time)
+            batch.launch_tally()
+            more = batch.settle(segment.time)
         return graphs
 
     def _record_graph(self) -> _Graph:
-        s = self.simulator
-        a, g = s._world, s._scratch
-        W, N = s.num_worlds, s.body.num_particles
-        rows = {
-            name: wp.empty((SUBSTEPS_A_GRAPH + 1, W, N), dtype=state.dtype, device=s.device)
-            for name, state in s._state.items()
-        }
-        for name, state in s._state.items():
-            wp.copy(_row(rows, 0)[name], state)
+        worlds, batch = self.simulator.worlds, self._batch
+        k, state, grid = worlds.kernels, worlds.state, batch.grid
+        W, N = worlds.num_worlds, worlds.num_particles
+        rows = worlds.make_state(((SUBSTEPS_A_GRAPH + 1) * W, N))
+        for name in STATE:
+            wp.copy(getattr(rows, name)[:W], getattr(state, name))
         graph = _Graph(
-            step=wp.clone(a["step"]),
-            age=wp.clone(a["age"]),
-            layout={name: wp.clone(g[name]) for name in _LAYOUT},
-            placed={name: wp.clone(g[name]) for name in _PLACED},
+            clock=_copy(k.Clock(), worlds.clock, CLOCK),
+            columns=_copy(Columns(), grid.columns, _LAYOUT),
+            grips=_copy(k.boundary.Grips(), batch.grips, _PLACED),
             rows=rows,
-            momentum=s._zeros((SUBSTEPS_A_GRAPH, *g["grid"].shape), s._k.vec4),
+            momentum=worlds.zeros((SUBSTEPS_A_GRAPH, *grid.momentum.shape), k.vec4),
         )
         for r in range(SUBSTEPS_A_GRAPH):
             momentum: Any = graph.momentum[r]
-            s._launch_substep(g, r, _row(rows, r), _row(rows, r + 1), momentum)
-        graph.done = wp.clone(g["done"])
-        s._launch(s._k.take, (W, N), [
-            graph.done, *(rows[n] for n in "xvCF"), *(s._state[n] for n in "xvCF"),
-        ])  # fmt: skip
+            batch.launch_substep(r, self._row(rows, r), self._row(rows, r + 1), momentum)
+        graph.done = wp.clone(batch.lap.done)
+        batch.launch(k.take, (W, N), [graph.done, rows, state])
         return graph
+
+    def _row(self, rows: Any, r: int) -> Any:
+        """The worlds' state before substep r of a recorded graph."""
+        W = self.simulator.num_worlds
+        state = self.simulator.worlds.kernels.transfers.State()
+        for name in STATE:
+            setattr(state, name, getattr(rows, name)[r * W : (r + 1) * W])
+        return state
 
     def _reverse(self, segment: _Segment, graph: _Graph, sums: Sums) -> None:
         """Carry derivatives from the end of a recorded graph to its beginning."""
-        s, k = self.simulator, self._stages
-        a, b, layout, placed = s._world, sums.arrays, graph.layout, graph.placed
-        W, N = s.num_worlds, s.body.num_particles
-        shape = graph.momentum.shape[1:]
-        velocity = wp.empty(shape, dtype=s._k.vec4, device=s.device)
-        grid_bar = wp.empty(shape, dtype=s._k.vec4, device=s.device)
-        boundary = [
-            a["gravity"], a["damping"], int(s._table is not None), a["friction"], *s._walls(),
-        ]  # fmt: skip
-        nodes = [layout["bounds"], layout["cell"], layout["level"], layout["count"]]
-        stencil = [layout["bounds"], layout["start"]]
+        s, k, launch = self.simulator.worlds, self.simulator.worlds.reverse, self._batch.launch
+        columns, grips, dt = graph.columns, graph.grips, segment.clock.dt
+        W, N = s.num_worlds, s.num_particles
+        nodes = graph.momentum.shape[1:]
+        velocity = wp.empty(nodes, dtype=s.kernels.vec4, device=s.device)
+        grid_bar = wp.empty(nodes, dtype=s.kernels.vec4, device=s.device)
         for r in reversed(range(SUBSTEPS_A_GRAPH)):
-            rows = _row(graph.rows, r)
+            row: Any = self._row(graph.rows, r)
             momentum = graph.momentum[r]
-            going: list[Any] = [r, graph.done, segment.dt]
-            place = [*going, s.body.dx, s._z0]
-            s._launch(k.grid_again, shape, [
-                *place, *boundary, *(placed[name] for name in _PLACED), a["grip_radius"],
-                *nodes, momentum, velocity, grid_bar,
+            going: list[Any] = [r, graph.done, dt]
+            launch(k.grid_again, nodes, [
+                *going, s.scene, s.paths, grips, columns, momentum, velocity, grid_bar,
             ])  # fmt: skip
-            s._launch(k.gather_back, (W, N), [
-                *place, a["mu"], a["yield_stress"], *stencil, velocity, grid_bar,
-                rows["x"], rows["F"], b["x"], b["v"], b["C"], b["F"], b["mu"], b["yield"],
+            launch(k.gather_back, (W, N), [
+                *going, s.matter, s.scene, columns, velocity, row, grid_bar, sums.matter,
             ])  # fmt: skip
-            s._launch(k.grid_back, shape, [
-                *place, *boundary, placed["grip_centre"], placed["grip_spin"],
-                placed["grip_closed"], a["grip_radius"], *nodes, momentum,
-                b["grip_centre"], b["grip_velocity"], b["friction"], b["keep"], b["gravity"],
-                grid_bar,
+            launch(k.grid_back, nodes, [
+                *going, s.scene, s.paths, grips, columns, momentum, grid_bar, sums.scene,
             ])  # fmt: skip
-            s._launch(k.scatter_back, (W, N), [
-                *place, a["mu"], a["lam"], a["mass"], s.body.volume, *stencil, grid_bar,
-                rows["x"], rows["v"], rows["C"], rows["F"], b["x"], b["v"], b["C"], b["F"],
-                b["mu"], b["lam"], b["mass"], b["status"], b["slot"], a["culprit"],
+            launch(k.scatter_back, (W, N), [
+                *going, s.matter, s.scene, columns, row, grid_bar, sums.matter, sums.trouble,
             ])  # fmt: skip
-            s._launch(k.world_back, W, [
-                *going, a["damping"], graph.step, segment.time, a["path_time"],
-                placed["grip_closed"], b["grip_centre"], b["grip_velocity"], b["keep"],
-                b["damping"], b["path"],
+            launch(k.world_back, W, [
+                *going, graph.clock.step, segment.time, s.scene, s.paths, grips, sums.scene,
             ])  # fmt: skip
-            s._launch(k.recover_back, (W, N), [
-                *going, graph.age, s._lattice, s._rest_frames, s._recovery, rows["x"],
-                b["x"], b["F"],
+            launch(k.recover_back, (W, N), [
+                *going, graph.clock.age, s.matter, row, sums.matter,
             ])  # fmt: skip
-        failed = np.flatnonzero(b["status"].numpy() == NOT_FINITE)
+        failed = np.flatnonzero(sums.trouble.status.numpy() == NOT_FINITE)
         if len(failed):
             w = int(failed[0])
-            slot, particle = int(b["slot"].numpy()[w]), int(a["culprit"].numpy()[w])
+            slot = int(sums.trouble.slot.numpy()[w])
+            particle = int(sums.trouble.culprit.numpy()[w])
+            step = int(graph.clock.step.numpy()[w]) + slot
             raise overflow(
-                s,
+                self.simulator,
                 w,
-                substep=int(graph.age.numpy()[w]) + slot,
-                time=segment.time
-                + (int(graph.step.numpy()[w]) + slot) * float(segment.dt.numpy()[w]),
+                substep=int(graph.clock.age.numpy()[w]) + slot,
+                time=segment.time + step * float(dt.numpy()[w]),
                 particle=particle,
-                F=graph.rows["F"].numpy()[slot, w, particle],
+                F=graph.rows.F.numpy()[slot * W + w, particle],
             )
 
 
-def _copy(arrays: dict[str, wp.array]) -> dict[str, wp.array]:
-    return {name: wp.clone(array) for name, array in arrays.items()}
-
-
-def _row(rows: dict[str, wp.array], r: int) -> dict[str, Any]:
-    """Row r of every array."""
-    return {name: array[r] for name, array in rows.items()}
+def _copy(copy: Any, of: Any, names: tuple[str, ...]) -> Any:
+    """The struct ``copy`` with arrays of its own, equal to those of another."""
+    for name in names:
+        setattr(copy, name, wp.clone(getattr(of, name)))
+    return copy

@@ -13,10 +13,13 @@ Shapes: L layouts, X x Y grid columns, M grid nodes.
 # pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
 
 import functools
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 MARGIN = 0.25
 """How far a particle may travel, in cells, before the grid's columns are laid anew."""
@@ -30,6 +33,90 @@ CELL_BITS = 10
 CELL_MASK = (1 << CELL_BITS) - 1
 """Mask of the second index."""
 
+LARGEST_GRID = 1 << 24
+"""Nodes a world may use; a run that wants more has an object that flies apart."""
+
+
+@wp.struct
+class Columns:
+    """L layouts, as kernels take them."""
+
+    bounds: wp.array2d(dtype=wp.int32)  # [L, 4] lowest and highest cell in x, y
+    low: wp.array3d(dtype=wp.int32)  # [L, X, Y] lowest node of the column
+    high: wp.array3d(dtype=wp.int32)  # [L, X, Y] highest node of the column
+    start: wp.array3d(dtype=wp.int32)  # [L, X, Y] node k is number start + k
+    cell: wp.array2d(dtype=wp.int32)  # [L, M] packed column of each node
+    level: wp.array2d(dtype=wp.int32)  # [L, M] k of each node
+    count: wp.array(dtype=wp.int32)  # [L] nodes in use
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Columns and what stands on their nodes."""
+
+    columns: Any
+    """``Columns`` of L layouts."""
+    layout_of: wp.array
+    """[L] the layout of each recorded substep."""
+    momentum: wp.array
+    """[L, M] momentum and mass, or velocity and mass."""
+
+
+class GridExhausted(Exception):
+    """The object spreads over more nodes than any real one does."""
+
+
+def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
+    """Columns in x and y and nodes that the first grid of particles x [W, N, 3] offers."""
+    extent = (x.max(axis=1) - x.min(axis=1)).max(axis=0) / dx
+    side = int(np.ceil(extent[:2].max())) + 8
+    cell = np.floor(x[0] / dx).astype(np.int64)
+    cell -= cell.min(axis=0)
+    cells = len(np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))))
+    return min(side, 1 << CELL_BITS), min(side, 1 << CELL_BITS), 8 * cells + 256
+
+
+def grown_room(
+    room: tuple[int, int, int], bounds: NDArray[Any], grid: Grid
+) -> tuple[int, int, int]:
+    """Room for the bounds [L, 4] for which the grid was too small.
+
+    Raises:
+        GridExhausted: If that is more than any object needs.
+    """
+    window = (bounds[:, 2:] - bounds[:, :2] + 1).max(axis=0)
+    X, Y, M = room
+    have = grid.columns.low.shape[1:]
+    limit = 1 << CELL_BITS
+    if window.max() > limit or M > LARGEST_GRID:
+        raise GridExhausted
+    if window[0] > have[0] or window[1] > have[1]:
+        X = max(X, min(limit, int(window[0]) + 8))
+        Y = max(Y, min(limit, int(window[1]) + 8))
+    else:
+        M = max(M, 2 * grid.momentum.shape[1])
+    return X, Y, M
+
+
+def make_grid(
+    room: tuple[int, int, int], layouts: int, node: Any, device: Any, *, make: Any = wp.zeros
+) -> Grid:
+    """A grid of so many layouts; ``node`` is the type of a node's value, ``make`` fills arrays."""
+    X, Y, M = room
+
+    def array(shape: Any, dtype: Any = wp.int32) -> wp.array:
+        return make(shape, dtype=dtype, device=device)
+
+    columns = Columns()
+    columns.bounds = array((layouts, 4))
+    columns.low = array((layouts, X, Y))
+    columns.high = array((layouts, X, Y))
+    columns.start = array((layouts, X, Y))
+    columns.cell = array((layouts, M))
+    columns.level = array((layouts, M))
+    columns.count = array(layouts)
+    return Grid(columns, array(layouts), array((layouts, M), node))
+
 
 @functools.cache
 def make_columns(real: Any) -> SimpleNamespace:
@@ -42,97 +129,73 @@ def make_columns(real: Any) -> SimpleNamespace:
     vec3 = wp.types.vector(3, real)
 
     @wp.func
-    def forget_bounds(layout: int, bounds_out: wp.array2d(dtype=wp.int32)):
-        bounds_out[layout, 0] = EMPTY_BELOW
-        bounds_out[layout, 1] = EMPTY_BELOW
-        bounds_out[layout, 2] = -EMPTY_BELOW
-        bounds_out[layout, 3] = -EMPTY_BELOW
+    def forget_bounds(layout: int, columns: Columns):
+        columns.bounds[layout, 0] = EMPTY_BELOW
+        columns.bounds[layout, 1] = EMPTY_BELOW
+        columns.bounds[layout, 2] = -EMPTY_BELOW
+        columns.bounds[layout, 3] = -EMPTY_BELOW
 
     @wp.func
-    def locate_particle(
-        layout: int,
-        x: vec3,
-        inv_dx: real,
-        bounds_out: wp.array2d(dtype=wp.int32),  # [L, 4] lowest and highest cell in x, y
-    ):
-        lo = x * inv_dx - vec3(real(0.5 + MARGIN))
-        hi = x * inv_dx - vec3(real(0.5 - MARGIN))
-        wp.atomic_min(bounds_out, layout, 0, int(wp.floor(lo[0])))
-        wp.atomic_min(bounds_out, layout, 1, int(wp.floor(lo[1])))
-        wp.atomic_max(bounds_out, layout, 2, int(wp.floor(hi[0])) + 2)
-        wp.atomic_max(bounds_out, layout, 3, int(wp.floor(hi[1])) + 2)
+    def lowest_node(y: vec3, by: real):
+        """Lowest node of a particle at y [cells] that has moved ``by`` cells along every axis."""
+        return (
+            int(wp.floor(y[0] + by - real(0.5))),
+            int(wp.floor(y[1] + by - real(0.5))),
+            int(wp.floor(y[2] + by - real(0.5))),
+        )
 
     @wp.func
-    def mark_particle(
-        layout: int,
-        x: vec3,
-        inv_dx: real,
-        z0: real,
-        bounds: wp.array2d(dtype=wp.int32),
-        low_out: wp.array3d(dtype=wp.int32),  # [L, X, Y] lowest node of the column
-        high_out: wp.array3d(dtype=wp.int32),  # [L, X, Y] highest node of the column
-    ):
-        y = vec3(x[0], x[1], x[2] - z0)
-        lo = y * inv_dx - vec3(real(0.5 + MARGIN))
-        hi = y * inv_dx - vec3(real(0.5 - MARGIN))
-        i0 = int(wp.floor(lo[0])) - bounds[layout, 0]
-        j0 = int(wp.floor(lo[1])) - bounds[layout, 1]
-        i1 = int(wp.floor(hi[0])) + 2 - bounds[layout, 0]
-        j1 = int(wp.floor(hi[1])) + 2 - bounds[layout, 1]
-        k0 = int(wp.floor(lo[2]))
-        k1 = int(wp.floor(hi[2])) + 2
-        if i0 >= 0 and j0 >= 0 and i1 < low_out.shape[1] and j1 < low_out.shape[2]:
+    def locate_particle(layout: int, x: vec3, inv_dx: real, columns: Columns):
+        y = x * inv_dx
+        i0, j0, _k0 = lowest_node(y, real(-MARGIN))
+        i1, j1, _k1 = lowest_node(y, real(MARGIN))
+        wp.atomic_min(columns.bounds, layout, 0, i0)
+        wp.atomic_min(columns.bounds, layout, 1, j0)
+        wp.atomic_max(columns.bounds, layout, 2, i1 + 2)
+        wp.atomic_max(columns.bounds, layout, 3, j1 + 2)
+
+    @wp.func
+    def mark_particle(layout: int, x: vec3, inv_dx: real, z0: real, columns: Columns):
+        y = vec3(x[0], x[1], x[2] - z0) * inv_dx
+        i0, j0, k0 = lowest_node(y, real(-MARGIN))
+        i1, j1, k1 = lowest_node(y, real(MARGIN))
+        i0 -= columns.bounds[layout, 0]
+        j0 -= columns.bounds[layout, 1]
+        i1 += 2 - columns.bounds[layout, 0]
+        j1 += 2 - columns.bounds[layout, 1]
+        if i0 >= 0 and j0 >= 0 and i1 < columns.low.shape[1] and j1 < columns.low.shape[2]:
             for i in range(i0, i1 + 1):
                 for j in range(j0, j1 + 1):
-                    wp.atomic_min(low_out, layout, i, j, k0)
-                    wp.atomic_max(high_out, layout, i, j, k1)
+                    wp.atomic_min(columns.low, layout, i, j, k0)
+                    wp.atomic_max(columns.high, layout, i, j, k1 + 2)
 
     @wp.func
-    def lay_column(
-        layout: int,
-        i: int,
-        j: int,
-        first: int,
-        low: wp.array3d(dtype=wp.int32),
-        high: wp.array3d(dtype=wp.int32),
-        start_out: wp.array3d(dtype=wp.int32),  # [L, X, Y] node k is number start + k
-        cell_out: wp.array2d(dtype=wp.int32),  # [L, M] packed column of each node
-        level_out: wp.array2d(dtype=wp.int32),  # [L, M] k of each node
-    ):
+    def lay_column(layout: int, i: int, j: int, first: int, columns: Columns):
         """Number a column's nodes from ``first`` on; returns 1 where there is no room for them."""
-        k0 = low[layout, i, j]
-        k1 = high[layout, i, j]
-        start_out[layout, i, j] = first - k0
+        k0 = columns.low[layout, i, j]
+        k1 = columns.high[layout, i, j]
+        columns.start[layout, i, j] = first - k0
         full = int(0)
         if k0 <= k1:
-            if first + k1 - k0 < cell_out.shape[1]:
+            if first + k1 - k0 < columns.cell.shape[1]:
                 for k in range(k0, k1 + 1):
-                    cell_out[layout, first + k - k0] = (i << CELL_BITS) | j
-                    level_out[layout, first + k - k0] = k
+                    columns.cell[layout, first + k - k0] = (i << CELL_BITS) | j
+                    columns.level[layout, first + k - k0] = k
             else:
                 full = 1
         return full
 
     @wp.func
-    def lay_columns(
-        layout: int,
-        bounds: wp.array2d(dtype=wp.int32),
-        low: wp.array3d(dtype=wp.int32),
-        high: wp.array3d(dtype=wp.int32),
-        start_out: wp.array3d(dtype=wp.int32),
-        cell_out: wp.array2d(dtype=wp.int32),
-        level_out: wp.array2d(dtype=wp.int32),
-        count_out: wp.array(dtype=wp.int32),  # [L] nodes in use
-    ):
+    def lay_columns(layout: int, columns: Columns):
         """Number the nodes of a layout; the count may exceed the room for them."""
-        X = bounds[layout, 2] - bounds[layout, 0] + 1
-        Y = bounds[layout, 3] - bounds[layout, 1] + 1
+        X = columns.bounds[layout, 2] - columns.bounds[layout, 0] + 1
+        Y = columns.bounds[layout, 3] - columns.bounds[layout, 1] + 1
         n = int(0)
         for i in range(X):
             for j in range(Y):
-                lay_column(layout, i, j, n, low, high, start_out, cell_out, level_out)
-                n += wp.max(0, high[layout, i, j] - low[layout, i, j] + 1)
-        count_out[layout] = n
+                lay_column(layout, i, j, n, columns)
+                n += wp.max(0, columns.high[layout, i, j] - columns.low[layout, i, j] + 1)
+        columns.count[layout] = n
 
     return SimpleNamespace(
         forget_bounds=forget_bounds,

@@ -1,7 +1,6 @@
 """Derivatives by everything that a simulation was given, and their sums while it is reversed."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
 from gendom.sim.simulator import Simulator
+from gendom.sim.worlds import STATE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,21 +48,18 @@ def overflow(
     s: Simulator, w: int, *, substep: int, time: float, particle: int, F: NDArray[np.floating]
 ) -> SimulationError:
     """The error of a derivative by a particle's state [its F: 3, 3] that is not finite."""
-    m = s.materials[w]
     J = float(np.linalg.det(np.asarray(F, dtype=float)))
     cause = (
         f"its volume is {J:.2g} of that at rest, where the stress law is singular"
         if J < 0.1
         else f"derivatives grew beyond {s.dtype} over the substeps after it"
     )
-    return SimulationError(
+    return s.worlds.error(
+        w,
+        time,
         f"the derivative by the state of particle {particle} is not finite: {cause}",
-        where=f"world {w}, substep {substep} ({time:.4f} s; E {m.E:.6g} Pa, "
-        f"nu {m.nu:.4g}, density {m.density:.6g} kg/m^3)",
+        where=f"substep {substep}",
         fix="use float64, a shorter rollout, or more damping",
-        world=w,
-        time=time,
-        parameters={"E": m.E, "nu": m.nu, "density": m.density},
         particle=particle,
     )
 
@@ -71,52 +68,48 @@ class Sums:
     """Derivatives by state and parameters while they are summed up."""
 
     def __init__(self, s: Simulator):
+        worlds = s.worlds
         self.device_is_cuda = s.device.is_cuda
-        W, N = s.num_worlds, s.body.num_particles
-        G, K = s._world["path_time"].shape[1:]
-        k, real = s._k, s._real
-        self.arrays = {
-            "x": s._zeros((W, N), k.vec3),
-            "v": s._zeros((W, N), k.vec3),
-            "C": s._zeros((W, N), k.mat33),
-            "F": s._zeros((W, N), k.mat33),
-            "mu": s._zeros((W, N), real),
-            "lam": s._zeros((W, N), real),
-            "mass": s._zeros((W, N), real),
-            "yield": s._zeros((W, N), real),
-            "friction": s._zeros(W, wp.float64),
-            "damping": s._zeros(W, wp.float64),
-            "gravity": s._zeros(W, wp.vec3d),
-            "path": s._zeros((W, G, K), wp.vec3d),
-            "grip_centre": s._zeros((W, G), wp.vec3d),
-            "grip_velocity": s._zeros((W, G), wp.vec3d),
-            "keep": s._zeros(W, wp.float64),
-            "status": s._zeros(W, wp.int32),
-            "slot": s._zeros(W, wp.int32),
-        }
+        W, N = worlds.num_worlds, worlds.num_particles
+        G, K = worlds.paths.time.shape[1:]
+        k, real = worlds.kernels, worlds.real
+        self.matter = k.transfers.MatterBars()
+        for name, dtype in zip(STATE, (k.vec3, k.vec3, k.mat33, k.mat33), strict=True):
+            setattr(self.matter, name, worlds.zeros((W, N), dtype))
+        for name in ("mu", "lam", "mass", "yield_stress"):
+            setattr(self.matter, name, worlds.zeros((W, N), real))
+        self.scene = k.boundary.SceneBars()
+        for name in ("friction", "damping", "keep"):
+            setattr(self.scene, name, worlds.zeros(W, wp.float64))
+        self.scene.gravity = worlds.zeros(W, wp.vec3d)
+        self.scene.path = worlds.zeros((W, G, K), wp.vec3d)
+        for name in ("centre", "velocity"):
+            setattr(self.scene, name, worlds.zeros((W, G), wp.vec3d))
+        self.trouble = worlds.reverse.Trouble()
+        for name in ("status", "slot", "culprit"):
+            setattr(self.trouble, name, worlds.zeros(W, wp.int32))
 
     def add_positions(self, w: int | slice, bar: NDArray[np.floating]) -> None:
         """Add a loss's own derivative by world w's positions now, [N, 3] or [W, N, 3] [1/m]."""
-        x = self.arrays["x"]
-        now = x.numpy()
+        now = self.matter.x.numpy()
         now[w] += bar
         if self.device_is_cuda:
-            x.assign(now)
+            self.matter.x.assign(now)
 
     def gradients(self, s: Simulator) -> Gradients:
         """What the sums mean for the numbers that a user gave."""
-        v: dict[str, NDArray[Any]] = {n: a.numpy() for n, a in self.arrays.items()}
+        matter, scene = self.matter, self.scene
         E = np.array([m.E for m in s.materials])[:, None]
         nu = np.array([m.nu for m in s.materials])[:, None]
-        mu_bar, lam_bar = v["mu"].astype(float), v["lam"].astype(float)
+        mu_bar, lam_bar = matter.mu.numpy().astype(float), matter.lam.numpy().astype(float)
         # mu = E / (2 (1 + nu)), lam = E nu / ((1 + nu) (1 - 2 nu)), times the stiffness
         mu_E = 1.0 / (2.0 * (1.0 + nu))
         lam_E = nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
         mu_nu = -E / (2.0 * (1.0 + nu) ** 2)
         lam_nu = E * (1.0 + 2.0 * nu**2) / ((1.0 + nu) * (1.0 - 2.0 * nu)) ** 2
         by_E = mu_bar * mu_E + lam_bar * lam_E
-        path = np.array(v["path"])
-        for w, grippers in enumerate(s._every_gripper):
+        path = np.array(scene.path.numpy())
+        for w, grippers in enumerate(s.worlds.setting.grippers):
             for g, gripper in enumerate(grippers):
                 last = len(np.asarray(gripper.time)) - 1
                 path[w, g, last] += path[w, g, last + 1 :].sum(axis=0)
@@ -124,13 +117,13 @@ class Sums:
         return Gradients(
             E=(by_E * s.stiffness).sum(axis=1),
             nu=((mu_bar * mu_nu + lam_bar * lam_nu) * s.stiffness).sum(axis=1),
-            density=v["mass"].astype(float).sum(axis=1) * s.body.volume,
-            yield_stress=v["yield"].astype(float).sum(axis=1),
+            density=matter.mass.numpy().astype(float).sum(axis=1) * s.body.volume,
+            yield_stress=matter.yield_stress.numpy().astype(float).sum(axis=1),
             stiffness=by_E * E,
-            damping=np.array(v["damping"]),
-            friction=np.array(v["friction"]),
-            gravity=np.array(v["gravity"]),
-            positions=np.array(v["x"]),
-            velocities=np.array(v["v"]),
+            damping=np.array(scene.damping.numpy()),
+            friction=np.array(scene.friction.numpy()),
+            gravity=np.array(scene.gravity.numpy()),
+            positions=np.array(matter.x.numpy()),
+            velocities=np.array(matter.v.numpy()),
             gripper_positions=path,
         )

@@ -1,6 +1,7 @@
 """Grippers: what they hold, where they go, when they let go."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,3 +77,29 @@ class Gripper:
         t, knots = np.asarray(time, dtype=float), np.asarray(self.time, dtype=float)
         p = np.asarray(self.position, dtype=float)
         return np.stack([np.interp(t, knots, p[:, a]) for a in range(3)], axis=-1)
+
+
+def stack_paths(every: Sequence[Sequence[Gripper]]) -> dict[str, NDArray[np.floating]]:
+    """Paths of G grippers in each world as arrays [W, G, K]; short ones repeat their last knot."""
+    W, G = len(every), len(every[0])
+    K = max([2] + [len(np.asarray(g.time)) for grippers in every for g in grippers])
+    out = {
+        "time": np.zeros((W, G, K)),
+        "position": np.zeros((W, G, K, 3)),
+        "spin": np.zeros((W, G, K, 3)),
+        "hold_from": np.zeros((W, G)),
+        "hold_until": np.zeros((W, G)),
+        "radius": np.zeros((W, G)),
+    }
+    for w, grippers in enumerate(every):
+        for g, gripper in enumerate(grippers):
+            t = np.asarray(gripper.time)
+            out["time"][w, g] = np.concatenate([t, np.full(K - len(t), t[-1])])
+            out["position"][w, g] = np.concatenate(
+                [gripper.position, np.repeat(np.asarray(gripper.position)[-1:], K - len(t), 0)]
+            )
+            out["spin"][w, g, : len(t)] = gripper.spin
+            out["hold_from"][w, g] = gripper.hold_from
+            out["hold_until"][w, g] = gripper.hold_until
+            out["radius"][w, g] = gripper.radius
+    return out

@@ -6,7 +6,8 @@ from typing import Any
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim.simulator import GRAVITY, RECOVERY, Box, Table
+from gendom.sim.scene import GRAVITY, Box, Table
+from gendom.sim.simulator import RECOVERY
 
 
 @dataclass(frozen=True, kw_only=True)

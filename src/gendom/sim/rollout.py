@@ -50,7 +50,7 @@ class Rollout:
         """
         if self._times is not None:
             raise ParameterError("a rollout runs forward once; make another one")
-        self._times = self.simulator._checked(times)
+        self._times = self.simulator.checked(times)
         frames = self._tape.forward(self._times)
         self.simulator.time = float(self._times[-1])
         return frames

@@ -7,7 +7,8 @@ A particle with coefficients q, a_b, t_b (b = x, y, z; four lanes each) and grid
 with quadratic B-spline weights w_n of the node (i, j, k) in 0..2 and their derivatives by the
 particle's place f in cells. Everything that particles and grid exchange is a derivative of P:
 ``scatter`` adds dP/dh to the grid, ``gather`` returns dP/dq, dP/da, dP/dt, and the reverse mode
-needs dP/df besides. B-splines: Steffen, Kirby and Berzins (2008).
+needs dP/df besides. Coefficients, and derivatives by them, are rows q, a_x, a_y, a_z, t_x, t_y, t_z
+of a 7 x 4 matrix. B-splines: Steffen, Kirby and Berzins (2008).
 
 Written as native code because Warp's own vectors neither become SIMD lanes on the CPU nor one
 vector atomic on CUDA: the same text is compiled for both.
@@ -35,7 +36,9 @@ _LANES = """
     typedef REAL lanes __attribute__((ext_vector_type(4), aligned(sizeof(REAL))));
     const auto each = [](lanes a, lanes b) { return a * b; };
 #endif
-    const auto load = [](const wp::vec_t<4, REAL>& a) { return *(const lanes*)&a; };
+    const auto load = [](const REAL* a) { return *(const lanes*)a; };
+    const int ci = node[0], cj = node[1], bz = node[2];
+    const REAL fx = f[0], fy = f[1], fz = f[2];
     const REAL half = REAL(0.5);
     const REAL wx[3] = {half * (REAL(1.5) - fx) * (REAL(1.5) - fx),
                         REAL(0.75) - (fx - REAL(1)) * (fx - REAL(1)),
@@ -52,8 +55,9 @@ _LANES = """
 """
 
 _COEFFICIENTS = """
-    const lanes Q = load(q), A0 = load(a0), A1 = load(a1), A2 = load(a2);
-    const lanes T0 = load(t0), T1 = load(t1), T2 = load(t2);
+    const lanes Q = load(c.data[0]), A0 = load(c.data[1]), A1 = load(c.data[2]);
+    const lanes A2 = load(c.data[3]), T0 = load(c.data[4]), T1 = load(c.data[5]);
+    const lanes T2 = load(c.data[6]);
 """
 
 _SCATTER = """
@@ -84,7 +88,8 @@ _SCATTER = """
 
 _GATHER = """
     const wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);
-    lanes V = load(wp::vec_t<4, REAL>());
+    const wp::vec_t<4, REAL> none = {};
+    lanes V = *(const lanes*)&none;
     lanes C0 = V, C1 = V, C2 = V, D0 = V, D1 = V, D2 = V;
     SLOPE_BEGIN
     #pragma unroll
@@ -93,7 +98,8 @@ _GATHER = """
         for (int j = 0; j < 3; ++j) {
             const int n = wp::index(start, layout, ci + i, cj + j) + bz;
             const REAL w = wx[i] * wy[j], dx = sx[i] * wy[j], dy = wx[i] * sy[j];
-            const lanes h0 = load(nodes[n]), h1 = load(nodes[n + 1]), h2 = load(nodes[n + 2]);
+            const lanes h0 = *(const lanes*)(nodes + n), h1 = *(const lanes*)(nodes + n + 1);
+            const lanes h2 = *(const lanes*)(nodes + n + 2);
             const lanes u1 = h1 * wz[1], u2 = h2 * wz[2];
             const lanes u = h0 * wz[0] + u1 + u2;
             const lanes k = u1 + u2 + u2;
@@ -172,13 +178,14 @@ def make_stencil(real: Any) -> SimpleNamespace:
     """Build the sums for one scalar type.
 
     All take a grid's array, its row and its layout (see ``gendom.sim.columns``), the particle's
-    lowest node as column (ci, cj) of the layout and level bz, and the particle's place
-    f = (fx, fy, fz) above that node in cells, each in 0.5..1.5.
+    lowest node (column i and j of the layout, level), and the particle's place f above that node
+    in cells, each in 0.5..1.5.
 
     Returns:
-        Namespace with ``scatter`` (adds to the grid), ``gather`` (rows V, C0..C2, D0..D2 of a
-        7 x 4 matrix: dP/dq, dP/da, dP/dt) and ``gather_with_slope`` (8 x 4: dP/df besides).
+        Namespace with ``sums``, the 7 x 4 matrix, ``scatter`` (adds to the grid), ``gather``
+        (dP/dq, dP/da, dP/dt) and ``gather_with_slope`` (8 x 4: a row with dP/df besides).
     """
+    vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
     sums = wp.types.matrix((7, 4), real)
     sums_and_slope = wp.types.matrix((8, 4), real)
@@ -189,19 +196,9 @@ def make_stencil(real: Any) -> SimpleNamespace:
         row: int,
         start: wp.array3d(dtype=wp.int32),
         layout: int,
-        ci: int,
-        cj: int,
-        bz: int,
-        fx: real,
-        fy: real,
-        fz: real,
-        q: vec4,
-        a0: vec4,
-        a1: vec4,
-        a2: vec4,
-        t0: vec4,
-        t1: vec4,
-        t2: vec4,
+        node: wp.vec3i,
+        f: vec3,
+        c: sums,
     ): ...
 
     plain = {"SLOPE_BEGIN": "", "SLOPE_ROW": "", "SLOPE_END": "", "ROWS": "7"}
@@ -212,12 +209,8 @@ def make_stencil(real: Any) -> SimpleNamespace:
         row: int,
         start: wp.array3d(dtype=wp.int32),
         layout: int,
-        ci: int,
-        cj: int,
-        bz: int,
-        fx: real,
-        fy: real,
-        fz: real,
+        node: wp.vec3i,
+        f: vec3,
     ) -> sums: ...
 
     sloped = {
@@ -233,21 +226,11 @@ def make_stencil(real: Any) -> SimpleNamespace:
         row: int,
         start: wp.array3d(dtype=wp.int32),
         layout: int,
-        ci: int,
-        cj: int,
-        bz: int,
-        fx: real,
-        fy: real,
-        fz: real,
-        q: vec4,
-        a0: vec4,
-        a1: vec4,
-        a2: vec4,
-        t0: vec4,
-        t1: vec4,
-        t2: vec4,
+        node: wp.vec3i,
+        f: vec3,
+        c: sums,
     ) -> sums_and_slope: ...
 
     return SimpleNamespace(
-        vec4=vec4, scatter=scatter, gather=gather, gather_with_slope=gather_with_slope
+        sums=sums, scatter=scatter, gather=gather, gather_with_slope=gather_with_slope
     )

@@ -21,6 +21,8 @@ from typing import Any
 
 import warp as wp
 
+from gendom.materials.laws import Law
+from gendom.sim.columns import Columns
 from gendom.sim.stencil import make_stencil
 
 SMALLEST_VOLUME = 0.2
@@ -28,139 +30,184 @@ SMALLEST_VOLUME = 0.2
 
 
 @functools.cache
-def make_transfers(real: Any, stress: Any, stress_back: Any) -> SimpleNamespace:
-    """Build the functions for one scalar type and one material.
+def make_transfers(real: Any, law: Law) -> SimpleNamespace:
+    """Build the types and functions for one scalar type and one material.
 
     Args:
         real: ``wp.float32`` or ``wp.float64``.
-        stress: Stress of a law and its transpose, see ``gendom.materials.laws``.
-        stress_back: The latter.
+        law: See ``gendom.materials.laws``.
 
     Returns:
-        Namespace with ``scatter_particle``, ``gather_particle``, ``recovered_gradient`` and the
-        transpose of each.
+        Namespace with the structs ``Matter``, ``State`` and ``MatterBars``, and with
+        ``scatter_particle``, ``move_particle``, ``recover_particle`` and the transpose of each.
     """
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
     mat33 = wp.types.matrix((3, 3), real)
     stencil = make_stencil(real)
+    sums = stencil.sums
     scatter = stencil.scatter
     gather = stencil.gather
     gather_with_slope = stencil.gather_with_slope
+    stress = law.stress
+    stress_back = law.stress_back
+    return_map = law.return_map
+    return_map_back = law.return_map_back
+    yields = wp.constant(1 if law.plastic else 0)
+
+    @wp.struct
+    class Matter:
+        """What W bodies consist of."""
+
+        mu: wp.array2d(dtype=real)  # [W, N] [Pa]
+        lam: wp.array2d(dtype=real)  # [W, N] [Pa]
+        yield_stress: wp.array(dtype=real)  # [W] [Pa]
+        mass: wp.array(dtype=real)  # [W] of a particle [kg]
+        volume: real  # of a particle [m^3]
+        lattice: wp.array3d(dtype=wp.int32)  # [N, 3, 2]
+        rest_frame: wp.array(dtype=mat33)  # [N] [1/m]
+        recovery: real  # rate at which F follows the positions [1/s]
+
+    @wp.struct
+    class State:
+        """Particles, a row for each world or each recorded substep."""
+
+        x: wp.array2d(dtype=vec3)  # [rows, N] [m]
+        v: wp.array2d(dtype=vec3)  # [rows, N] [m/s]
+        C: wp.array2d(dtype=mat33)  # [rows, N] [1/s]
+        F: wp.array2d(dtype=mat33)  # [rows, N]
+
+    @wp.struct
+    class MatterBars:
+        """Derivatives by each particle's state, and by its parameters, summed up."""
+
+        x: wp.array2d(dtype=vec3)  # [W, N]
+        v: wp.array2d(dtype=vec3)
+        C: wp.array2d(dtype=mat33)
+        F: wp.array2d(dtype=mat33)
+        mu: wp.array2d(dtype=real)
+        lam: wp.array2d(dtype=real)
+        mass: wp.array2d(dtype=real)
+        yield_stress: wp.array2d(dtype=real)
 
     @wp.func
-    def place_on_grid(x: vec3, inv_dx: real, z0: real):
-        """Lowest of a particle's 27 nodes, and how many cells above it the particle lies."""
+    def place_on_grid(layout: int, x: vec3, inv_dx: real, z0: real, columns: Columns):
+        """Lowest of a particle's 27 nodes in a layout, and the place above it in cells."""
         y = vec3(x[0], x[1], x[2] - z0) * inv_dx
-        bx = int(wp.floor(y[0] - real(0.5)))
-        by = int(wp.floor(y[1] - real(0.5)))
-        bz = int(wp.floor(y[2] - real(0.5)))
-        return bx, by, bz, y[0] - real(bx), y[1] - real(by), y[2] - real(bz)
+        i = int(wp.floor(y[0] - real(0.5)))
+        j = int(wp.floor(y[1] - real(0.5)))
+        k = int(wp.floor(y[2] - real(0.5)))
+        node = wp.vec3i(i - columns.bounds[layout, 0], j - columns.bounds[layout, 1], k)
+        return node, y - vec3(real(i), real(j), real(k))
 
     @wp.func
-    def column(A: mat33, b: int):
-        """Column b of A, with an empty fourth lane."""
-        return vec4(A[0, b], A[1, b], A[2, b], real(0.0))
+    def coefficients(f: vec3, q: vec3, mass: real, A: mat33, T: mat33):
+        """Of momentum q and ``mass``, A about the particle, and T by the weights' slopes."""
+        q0 = q - A * f
+        return sums(
+            q0[0], q0[1], q0[2], mass,
+            A[0, 0], A[1, 0], A[2, 0], real(0.0),
+            A[0, 1], A[1, 1], A[2, 1], real(0.0),
+            A[0, 2], A[1, 2], A[2, 2], real(0.0),
+            T[0, 0], T[1, 0], T[2, 0], real(0.0),
+            T[0, 1], T[1, 1], T[2, 1], real(0.0),
+            T[0, 2], T[1, 2], T[2, 2], real(0.0),
+        )  # fmt: skip
 
     @wp.func
-    def columns_of(a: vec4, b: vec4, c: vec4):
-        """The matrix with these columns, without their fourth lane."""
+    def affine_of(f: vec3, R: Any):
+        """Derivative by A of ``coefficients`` from that by the coefficients."""
         return mat33(
-            a[0], b[0], c[0],
-            a[1], b[1], c[1],
-            a[2], b[2], c[2],
+            R[1, 0] - f[0] * R[0, 0], R[2, 0] - f[1] * R[0, 0], R[3, 0] - f[2] * R[0, 0],
+            R[1, 1] - f[0] * R[0, 1], R[2, 1] - f[1] * R[0, 1], R[3, 1] - f[2] * R[0, 1],
+            R[1, 2] - f[0] * R[0, 2], R[2, 2] - f[1] * R[0, 2], R[3, 2] - f[2] * R[0, 2],
+        )  # fmt: skip
+
+    @wp.func
+    def slopes_of(R: Any):
+        """Derivative by T of ``coefficients`` from that by the coefficients."""
+        return mat33(
+            R[4, 0], R[5, 0], R[6, 0],
+            R[4, 1], R[5, 1], R[6, 1],
+            R[4, 2], R[5, 2], R[6, 2],
         )  # fmt: skip
 
     @wp.func
     def scatter_particle(
-        x: vec3,
-        v: vec3,
-        C: mat33,
-        F: mat33,
-        mu: real,
-        lam: real,
-        mass: real,
-        volume: real,
+        w: int,
+        p: int,
+        row: int,
+        layout: int,
+        slot: int,
         dt: real,
         inv_dx: real,
         z0: real,
-        layout: int,
-        bounds: wp.array2d(dtype=wp.int32),
-        start: wp.array3d(dtype=wp.int32),
-        row: int,
-        grid_out: wp.array2d(dtype=vec4),  # [rows, M] momentum and mass
+        matter: Matter,
+        state: State,
+        columns: Columns,
+        grid: wp.array2d(dtype=vec4),  # [slots, M] momentum and mass
     ):
         """Add a particle's mass, momentum and stress impulse to its 27 nodes."""
-        bx, by, bz, fx, fy, fz = place_on_grid(x, inv_dx, z0)
-        affine = (mass / inv_dx) * C
-        a0 = column(affine, 0)
-        a1 = column(affine, 1)
-        a2 = column(affine, 2)
-        T = (-dt * volume * inv_dx) * stress(F, mu, lam)
-        q = vec4(mass * v[0], mass * v[1], mass * v[2], mass) - fx * a0 - fy * a1 - fz * a2
-        scatter(
-            grid_out, row, start, layout, bx - bounds[layout, 0], by - bounds[layout, 1], bz,
-            fx, fy, fz, q, a0, a1, a2, column(T, 0), column(T, 1), column(T, 2),
-        )  # fmt: skip
+        node, f = place_on_grid(layout, state.x[row, p], inv_dx, z0, columns)
+        mass = matter.mass[w]
+        tau = stress(state.F[row, p], matter.mu[w, p], matter.lam[w, p])
+        A = (mass / inv_dx) * state.C[row, p]
+        T = (-dt * matter.volume * inv_dx) * tau
+        c = coefficients(f, mass * state.v[row, p], mass, A, T)
+        scatter(grid, slot, columns.start, layout, node, f, c)
 
     @wp.func
     def scatter_particle_back(
-        x: vec3,
-        v: vec3,
-        C: mat33,
-        F: mat33,
-        mu: real,
-        lam: real,
-        mass: real,
-        volume: real,
+        w: int,
+        p: int,
+        row: int,
+        layout: int,
+        slot: int,
         dt: real,
         inv_dx: real,
         z0: real,
-        layout: int,
-        bounds: wp.array2d(dtype=wp.int32),
-        start: wp.array3d(dtype=wp.int32),
-        row: int,
-        grid_bar: wp.array2d(dtype=vec4),  # [rows, M] by momentum and mass
+        matter: Matter,
+        state: State,
+        columns: Columns,
+        grid_bar: wp.array2d(dtype=vec4),  # [slots, M] by momentum and mass
+        bars: MatterBars,
     ):
-        """Transpose of ``scatter_particle``: derivatives by x, v, C, F, mu, lam and mass."""
-        bx, by, bz, fx, fy, fz = place_on_grid(x, inv_dx, z0)
-        affine = (mass / inv_dx) * C
-        a0 = column(affine, 0)
-        a1 = column(affine, 1)
-        a2 = column(affine, 2)
-        impulse = -dt * volume * inv_dx
-        T = impulse * stress(F, mu, lam)
-        q = vec4(mass * v[0], mass * v[1], mass * v[2], mass) - fx * a0 - fy * a1 - fz * a2
-        R = gather_with_slope(
-            grid_bar, row, start, layout, bx - bounds[layout, 0], by - bounds[layout, 1], bz,
-            fx, fy, fz, q, a0, a1, a2, column(T, 0), column(T, 1), column(T, 2),
-        )  # fmt: skip
-        H = R[0]
-        C_bar = columns_of(R[1] - fx * H, R[2] - fy * H, R[3] - fz * H)
-        F_bar, mu_bar, lam_bar = stress_back(F, mu, lam, impulse * columns_of(R[4], R[5], R[6]))
-        v_bar = vec3(H[0], H[1], H[2])
-        mass_bar = wp.dot(v_bar, v) + H[3] + wp.ddot(C_bar, C) / inv_dx
-        x_bar = vec3(R[7, 0] - wp.dot(H, a0), R[7, 1] - wp.dot(H, a1), R[7, 2] - wp.dot(H, a2))
-        return (
-            inv_dx * x_bar,
-            mass * v_bar,
-            (mass / inv_dx) * C_bar,
-            F_bar,
-            mu_bar,
-            lam_bar,
-            mass_bar,
-        )
+        """Transpose of ``scatter_particle``; returns the square of what it adds by the state."""
+        node, f = place_on_grid(layout, state.x[row, p], inv_dx, z0, columns)
+        mass = matter.mass[w]
+        v = state.v[row, p]
+        C = state.C[row, p]
+        F = state.F[row, p]
+        mu = matter.mu[w, p]
+        lam = matter.lam[w, p]
+        A = (mass / inv_dx) * C
+        impulse = -dt * matter.volume * inv_dx
+        c = coefficients(f, mass * v, mass, A, impulse * stress(F, mu, lam))
+        R = gather_with_slope(grid_bar, slot, columns.start, layout, node, f, c)
+        H = vec3(R[0, 0], R[0, 1], R[0, 2])
+        A_bar = affine_of(f, R)
+        F_bar, mu_bar, lam_bar = stress_back(F, mu, lam, impulse * slopes_of(R))
+        x_bar = inv_dx * (vec3(R[7, 0], R[7, 1], R[7, 2]) - wp.transpose(A) * H)
+        v_bar = mass * H
+        bars.x[w, p] = bars.x[w, p] + x_bar
+        bars.v[w, p] = v_bar
+        bars.C[w, p] = (mass / inv_dx) * A_bar
+        bars.F[w, p] = bars.F[w, p] + F_bar
+        bars.mu[w, p] = bars.mu[w, p] + mu_bar
+        bars.lam[w, p] = bars.lam[w, p] + lam_bar
+        mass_bar = wp.dot(H, v) + R[0, 3] + wp.ddot(A_bar, C) / inv_dx
+        bars.mass[w, p] = bars.mass[w, p] + mass_bar
+        return wp.length_sq(x_bar) + wp.length_sq(v_bar) + wp.ddot(F_bar, F_bar)
 
     @wp.func
     def gather_particle(
+        layout: int,
+        slot: int,
         x: vec3,
         inv_dx: real,
         z0: real,
-        layout: int,
-        bounds: wp.array2d(dtype=wp.int32),
-        start: wp.array3d(dtype=wp.int32),
-        row: int,
-        grid: wp.array2d(dtype=vec4),  # [rows, M] velocity and mass
+        columns: Columns,
+        grid: wp.array2d(dtype=vec4),
     ):
         """Velocity v [m/s], affine velocity C [1/s] and velocity gradient [1/s] at a particle.
 
@@ -169,126 +216,135 @@ def make_transfers(real: Any, stress: Any, stress_back: Any) -> SimpleNamespace:
         squares MPM takes C for both: F then forgets strain as the object crosses cells, and thin
         ropes creep.
         """
-        bx, by, bz, fx, fy, fz = place_on_grid(x, inv_dx, z0)
-        R = gather(
-            grid, row, start, layout, bx - bounds[layout, 0], by - bounds[layout, 1], bz,
-            fx, fy, fz,
-        )  # fmt: skip
-        V = R[0]
-        C = columns_of(R[1] - fx * V, R[2] - fy * V, R[3] - fz * V)
-        gradient = columns_of(R[4], R[5], R[6])
-        return vec3(V[0], V[1], V[2]), (real(4.0) * inv_dx) * C, inv_dx * gradient
+        node, f = place_on_grid(layout, x, inv_dx, z0, columns)
+        R = gather(grid, slot, columns.start, layout, node, f)
+        v = vec3(R[0, 0], R[0, 1], R[0, 2])
+        return v, (real(4.0) * inv_dx) * affine_of(f, R), inv_dx * slopes_of(R)
 
     @wp.func
-    def gather_particle_back(
-        x: vec3,
-        v_bar: vec3,
-        C_bar: mat33,
-        gradient_bar: mat33,
-        inv_dx: real,
-        z0: real,
-        layout: int,
-        bounds: wp.array2d(dtype=wp.int32),
-        start: wp.array3d(dtype=wp.int32),
-        row: int,
-        grid: wp.array2d(dtype=vec4),  # [rows, M] velocity and mass
-        grid_bar_out: wp.array2d(dtype=vec4),  # [rows, M] by velocity
-    ):
-        """Transpose of ``gather_particle``: adds to the grid's, returns the derivative by x.
-
-        Returns the velocity gradient [1/s] as well, which the caller needs and which costs
-        nothing here.
-        """
-        bx, by, bz, fx, fy, fz = place_on_grid(x, inv_dx, z0)
-        ci = bx - bounds[layout, 0]
-        cj = by - bounds[layout, 1]
-        c = (real(4.0) * inv_dx) * C_bar
-        a0 = column(c, 0)
-        a1 = column(c, 1)
-        a2 = column(c, 2)
-        d = inv_dx * gradient_bar
-        t0 = column(d, 0)
-        t1 = column(d, 1)
-        t2 = column(d, 2)
-        q = vec4(v_bar[0], v_bar[1], v_bar[2], real(0.0)) - fx * a0 - fy * a1 - fz * a2
-        scatter(grid_bar_out, row, start, layout, ci, cj, bz, fx, fy, fz, q, a0, a1, a2, t0, t1, t2)
-        R = gather_with_slope(
-            grid, row, start, layout, ci, cj, bz, fx, fy, fz, q, a0, a1, a2, t0, t1, t2
-        )
-        V = R[0]
-        x_bar = vec3(R[7, 0] - wp.dot(V, a0), R[7, 1] - wp.dot(V, a1), R[7, 2] - wp.dot(V, a2))
-        return inv_dx * x_bar, inv_dx * columns_of(R[4], R[5], R[6])
-
-    @wp.func
-    def lattice_gradient(
+    def move_particle(
         w: int,
         p: int,
-        x: wp.array2d(dtype=vec3),
-        lattice: wp.array3d(dtype=wp.int32),  # [N, 3, 2]
-        rest_frame: wp.array(dtype=mat33),  # [N]
+        row: int,
+        row_out: int,
+        layout: int,
+        slot: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        matter: Matter,
+        columns: Columns,
+        grid: wp.array2d(dtype=vec4),  # [slots, M] velocity and mass
+        state: State,
+        state_out: State,
     ):
+        """Take a particle into the next state; returns its squared speed, and whether J > 0."""
+        x = state.x[row, p]
+        F = state.F[row, p]
+        v, C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
+        F = return_map(F + dt * (D * F), matter.mu[w, p], matter.yield_stress[w])
+        state_out.x[row_out, p] = x + dt * v
+        state_out.v[row_out, p] = v
+        state_out.C[row_out, p] = C
+        state_out.F[row_out, p] = F
+        return wp.length_sq(v), wp.determinant(F) > real(0.0)
+
+    @wp.func
+    def move_particle_back(
+        w: int,
+        p: int,
+        row: int,
+        layout: int,
+        slot: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        matter: Matter,
+        columns: Columns,
+        grid: wp.array2d(dtype=vec4),  # [slots, M] velocity and mass
+        state: State,
+        grid_bar: wp.array2d(dtype=vec4),  # [slots, M] by velocity
+        bars: MatterBars,
+    ):
+        """Transpose of ``move_particle``; those by v and C have then served their turn."""
+        x = state.x[row, p]
+        F = state.F[row, p]
+        x_bar = bars.x[w, p]
+        F_bar = bars.F[w, p]
+        if yields == 1:
+            _v, _C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
+            F_bar, mu_bar, yield_bar = return_map_back(
+                F + dt * (D * F), matter.mu[w, p], matter.yield_stress[w], F_bar
+            )
+            bars.mu[w, p] = bars.mu[w, p] + mu_bar
+            bars.yield_stress[w, p] = bars.yield_stress[w, p] + yield_bar
+        node, f = place_on_grid(layout, x, inv_dx, z0, columns)
+        A = (real(4.0) * inv_dx) * bars.C[w, p]
+        T = (dt * inv_dx) * (F_bar * wp.transpose(F))
+        c = coefficients(f, bars.v[w, p] + dt * x_bar, real(0.0), A, T)
+        scatter(grid_bar, slot, columns.start, layout, node, f, c)
+        R = gather_with_slope(grid, slot, columns.start, layout, node, f, c)
+        V = vec3(R[0, 0], R[0, 1], R[0, 2])
+        moved = vec3(R[7, 0], R[7, 1], R[7, 2]) - wp.transpose(A) * V
+        bars.x[w, p] = x_bar + inv_dx * moved
+        bars.F[w, p] = F_bar + (dt * inv_dx) * (wp.transpose(slopes_of(R)) * F_bar)
+
+    @wp.func
+    def recovery_share(dt: real, span: int, matter: Matter):
+        """Share of the way that F goes to the positions' gradient, every ``span`` substeps."""
+        return real(1.0) - wp.exp(-matter.recovery * dt * real(span))
+
+    @wp.func
+    def lattice_gradient(p: int, row: int, matter: Matter, state: State):
         """Gradient of the motion from differences to the neighbours in the rest lattice [-]."""
-        a = x[w, lattice[p, 0, 1]] - x[w, lattice[p, 0, 0]]
-        b = x[w, lattice[p, 1, 1]] - x[w, lattice[p, 1, 0]]
-        c = x[w, lattice[p, 2, 1]] - x[w, lattice[p, 2, 0]]
+        lattice = matter.lattice
+        a = state.x[row, lattice[p, 0, 1]] - state.x[row, lattice[p, 0, 0]]
+        b = state.x[row, lattice[p, 1, 1]] - state.x[row, lattice[p, 1, 0]]
+        c = state.x[row, lattice[p, 2, 1]] - state.x[row, lattice[p, 2, 0]]
         D = mat33(
             a[0], b[0], c[0],
             a[1], b[1], c[1],
             a[2], b[2], c[2],
         )  # fmt: skip
-        return D * rest_frame[p]
+        return D * matter.rest_frame[p]
 
     @wp.func
-    def recovered_gradient(
-        w: int,
-        p: int,
-        F: mat33,
-        blend: real,
-        x: wp.array2d(dtype=vec3),
-        lattice: wp.array3d(dtype=wp.int32),
-        rest_frame: wp.array(dtype=mat33),
-    ):
-        """F drawn towards the differences of positions to the neighbours in the rest lattice.
+    def recover_particle(p: int, row: int, blend: real, matter: Matter, state: State):
+        """Draw F towards the differences of positions to the neighbours in the rest lattice.
 
         An F summed up over time slowly loses strain that the grid does not see; positions do not.
         Where neighbours have changed sides (a crumpled sheet) their differences mean nothing, and
         F stays as it is.
         """
-        G = lattice_gradient(w, p, x, lattice, rest_frame)
-        result = F
+        G = lattice_gradient(p, row, matter, state)
         if wp.determinant(G) > real(SMALLEST_VOLUME):
-            result = F + blend * (G - F)
-        return result
+            F = state.F[row, p]
+            state.F[row, p] = F + blend * (G - F)
 
     @wp.func
-    def recovered_gradient_back(
-        w: int,
-        p: int,
-        F_bar: mat33,
-        blend: real,
-        row: int,
-        x: wp.array2d(dtype=vec3),
-        lattice: wp.array3d(dtype=wp.int32),
-        rest_frame: wp.array(dtype=mat33),
-        x_bar: wp.array2d(dtype=vec3),
+    def recover_particle_back(
+        w: int, p: int, row: int, blend: real, matter: Matter, state: State, bars: MatterBars
     ):
-        """Transpose of ``recovered_gradient``: adds to positions', returns the one by F."""
-        G = lattice_gradient(row, p, x, lattice, rest_frame)
-        result = F_bar
+        """Transpose of ``recover_particle``."""
+        G = lattice_gradient(p, row, matter, state)
         if wp.determinant(G) > real(SMALLEST_VOLUME):
-            D_bar = (blend * F_bar) * wp.transpose(rest_frame[p])
+            F_bar = bars.F[w, p]
+            D_bar = (blend * F_bar) * wp.transpose(matter.rest_frame[p])
             for axis in range(3):
                 change = vec3(D_bar[0, axis], D_bar[1, axis], D_bar[2, axis])
-                wp.atomic_add(x_bar, w, lattice[p, axis, 1], change)
-                wp.atomic_sub(x_bar, w, lattice[p, axis, 0], change)
-            result = (real(1.0) - blend) * F_bar
-        return result
+                wp.atomic_add(bars.x, w, matter.lattice[p, axis, 1], change)
+                wp.atomic_sub(bars.x, w, matter.lattice[p, axis, 0], change)
+            bars.F[w, p] = (real(1.0) - blend) * F_bar
 
     return SimpleNamespace(
+        Matter=Matter,
+        State=State,
+        MatterBars=MatterBars,
         scatter_particle=scatter_particle,
         scatter_particle_back=scatter_particle_back,
-        gather_particle=gather_particle,
-        gather_particle_back=gather_particle_back,
-        recovered_gradient=recovered_gradient,
-        recovered_gradient_back=recovered_gradient_back,
+        move_particle=move_particle,
+        move_particle_back=move_particle_back,
+        recovery_share=recovery_share,
+        recover_particle=recover_particle,
+        recover_particle_back=recover_particle_back,
     )

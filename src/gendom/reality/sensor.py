@@ -1,0 +1,382 @@
+"""A stereo depth camera's faults, laid over clean depth: `DepthSensor`, and a rig's: `RigErrors`.
+
+The numbers are those of an Intel RealSense D435i. Stereo measures disparity d = f B / z in
+pixels (f: focal length in pixels, B: baseline), so its faults are made there: a disparity wrong
+by s is a depth wrong by z^2 s / (f B), and a disparity in steps gives steps of depth that grow
+with z^2 (Keselman et al., "Intel RealSense Stereoscopic Depth Cameras", 2017, section 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from gendom.errors import ParameterError
+from gendom.perception import Camera, Pictures
+
+DEPTH_UNIT = 1e-4
+"""Metres a count to give a simulated camera. The D400 series' own default, 1e-3, is coarser than
+its noise within 0.5 m; it can be set to this, which reaches 6.5 m."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthSensor:
+    """What a D435i makes of clean depth.
+
+    A value of 0 switches its part off (both `grazing` angles: pi / 2, `max_range`: infinity);
+    `DepthSensor.exact` has all of them off. Parts with a probability draw for each pixel and
+    picture on their own, so what is lost in one picture may be there in the next.
+
+    Raises:
+        ParameterError: A value is out of its range.
+    """
+
+    baseline: float = 0.05
+    """Distance of the two imagers, B [m] (D400 series data sheet)."""
+    subpixel: float = 0.08
+    """Standard deviation of the disparity, s [pixel]; 0.05 to 0.1 is usual for a well textured
+    surface."""
+    correlation: float = 2.0
+    """Neighbours share noise: it is white noise blurred by a Gaussian of this standard deviation
+    [pixel], at the same RMS. 2.0 is that of the 7 x 7 windows that the R200 of Keselman et al.
+    sums over; the D400's filters are not published."""
+    quantisation: float = 1.0 / 32.0
+    """Steps of the disparity [pixel] (Grunnet-Jepsen et al., "Subpixel linearity improvement for
+    Intel RealSense depth cameras", 2019)."""
+    shadow: bool = True
+    """Nothing is measured where the right imager does not see what the left one does: to the left
+    of near things, and in the f B / z leftmost columns."""
+    edge_step: float = 0.25
+    """An edge is where the disparity departs by more than this [pixel] from a straight line
+    through three pixels, on which any plane lies."""
+    edge_width: int = 1
+    """Pixels on both sides of an edge that suffer from it."""
+    edge_lost: float = 0.5
+    """Share of those that have no depth."""
+    edge_mixed: float = 0.25
+    """Share of those that hang between: their disparity is anywhere between the nearest and the
+    farthest around."""
+    grazing_from: float = np.radians(65.0)
+    """Angle between ray and normal [rad] from which surfaces are lost: none there, and linearly
+    more up to ..."""
+    grazing_to: float = np.radians(85.0)
+    """... all of them. Both pi / 2: never."""
+    dropout: float = 0.005
+    """Share of all other pixels that have no depth."""
+    min_range: float = 0.17
+    """Nearer than this [m] nothing is measured. 126 disparities are searched, which is
+    z = f B / 126: 0.17 m for 848 x 480."""
+    max_range: float = 3.0
+    """Nor farther than this [m], the end of the data sheet's ideal range."""
+    colour_noise: float = 2.0
+    """Standard deviation of colour, in steps of 255."""
+
+    def __post_init__(self):
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not value >= 0.0:
+                raise ParameterError(f"{item.name} is {value}", fix="give 0 or more")
+        if self.baseline == 0.0:
+            raise ParameterError("baseline is 0", fix="give metres")
+        for name in ("edge_lost", "edge_mixed", "dropout"):
+            if getattr(self, name) > 1.0:
+                raise ParameterError(f"{name} is {getattr(self, name)}", fix="give a share, 0 to 1")
+        if self.edge_lost + self.edge_mixed > 1.0:
+            raise ParameterError(
+                f"edge_lost and edge_mixed are {self.edge_lost + self.edge_mixed:g} together",
+                fix="give shares of the same pixels, 1 at most",
+            )
+        if self.edge_width != int(self.edge_width):
+            raise ParameterError(f"edge_width is {self.edge_width}", fix="give whole pixels")
+        for low, high in (("grazing_from", "grazing_to"), ("min_range", "max_range")):
+            if getattr(self, low) > getattr(self, high):
+                raise ParameterError(
+                    f"{low} {getattr(self, low):g} is above {high} {getattr(self, high):g}",
+                    fix="give the lower one first",
+                )
+
+    @classmethod
+    def exact(cls, **parts) -> DepthSensor:
+        """A sensor without faults, but for those given by name."""
+        off = {
+            "subpixel": 0.0,
+            "correlation": 0.0,
+            "quantisation": 0.0,
+            "shadow": False,
+            "edge_lost": 0.0,
+            "edge_mixed": 0.0,
+            "grazing_from": np.pi / 2,
+            "grazing_to": np.pi / 2,
+            "dropout": 0.0,
+            "min_range": 0.0,
+            "max_range": np.inf,
+            "colour_noise": 0.0,
+        }
+        return cls(**{**off, **parts})
+
+    def observe(
+        self,
+        depth: npt.ArrayLike,
+        colour: npt.NDArray[np.uint8] | None,
+        camera: Camera,
+        rng: np.random.Generator,
+    ) -> Pictures:
+        """What the sensor gives where clean pictures are known.
+
+        Args:
+            depth: [height, width] along the optical axis [m]; 0 or infinity: nothing there.
+            colour: [height, width, 3] aligned with depth; None: no colour.
+            camera: Its K scales disparity, its depth_unit the counts. Lens distortion bends
+                rows, which is left out: the stereo of a D400 works on rectified pictures.
+            rng: Where chance comes from.
+
+        Returns:
+            Depth in counts of `camera.depth_unit`, colour with noise.
+
+        Raises:
+            ParameterError: A picture is not of the camera's size, or depth is negative or NaN.
+        """
+        depth = np.asarray(depth, dtype=np.float64)
+        shape = camera.height, camera.width
+        sizes = {"depth": depth.shape, "colour": shape if colour is None else colour.shape[:2]}
+        for name, size in sizes.items():
+            if size != shape:
+                raise ParameterError(
+                    f"is {' x '.join(map(str, size[::-1]))}, the camera {shape[1]} x {shape[0]}",
+                    where=f"{camera.name}: {name}",
+                    fix="render with the camera's size",
+                )
+        if not (depth >= 0.0).all():
+            raise ParameterError(
+                "is negative or NaN", where=f"{camera.name}: depth", fix="give 0 where nothing is"
+            )
+        measured = self._measure(depth, camera, rng)
+        counts = np.round(measured / camera.depth_unit)
+        counts[counts > 65535.0] = 0.0
+        return Pictures(counts.astype(np.uint16), self._coloured(colour, rng))
+
+    def _measure(
+        self, z: npt.NDArray[np.float64], camera: Camera, rng: np.random.Generator
+    ) -> npt.NDArray[np.float64]:
+        """Depth [m] as measured, 0 where there is none."""
+        seen = (z > 0.0) & np.isfinite(z)
+        fB = camera.K[0, 0] * self.baseline
+        # Where nothing is, nothing is infinitely far away.
+        clean = np.divide(fB, z, out=np.zeros_like(z), where=seen)
+        disparity = clean.copy()
+        if self.edge_width > 0 and self.edge_lost + self.edge_mixed > 0.0:
+            lost, mixed = self._at_edges(clean, seen, rng)
+            disparity[mixed] = _between(clean, seen, self.edge_width, rng)[mixed]
+            seen &= ~lost
+        if self.shadow:
+            seen &= ~_in_shadow(clean)
+        if self.grazing_from < np.pi / 2:
+            seen &= ~self._grazed(clean / fB, camera, rng)
+        if self.dropout > 0.0:
+            seen &= rng.random(z.shape) >= self.dropout
+        if self.subpixel > 0.0:
+            disparity += self.subpixel * _noise(z.shape, self.correlation, rng)
+        if self.quantisation > 0.0:
+            disparity = np.round(disparity / self.quantisation) * self.quantisation
+        # An untouched disparity must not cost the last bits of depth.
+        seen &= disparity > 0.0
+        untouched = disparity == clean
+        measured = np.where(untouched, z, 0.0)
+        np.divide(fB, disparity, out=measured, where=seen & ~untouched)
+        seen &= (measured >= self.min_range) & (measured <= self.max_range)
+        return np.where(seen, measured, 0.0)
+
+    def _at_edges(
+        self, disparity: np.ndarray, seen: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which pixels [height, width] are lost and which hang between."""
+        edge = np.zeros(disparity.shape, dtype=bool)
+        for axis in (0, 1):
+            bend = np.abs(np.diff(disparity, n=2, axis=axis)) > self.edge_step
+            np.moveaxis(edge, axis, 0)[1:-1] |= np.moveaxis(bend, axis, 0)
+        # The bend is at both pixels next to the edge: these are the first of its width.
+        near = _spread(edge, int(self.edge_width) - 1, np.maximum) & seen
+        draw = rng.random(disparity.shape)
+        lost = near & (draw < self.edge_lost)
+        return lost, near & ~lost & (draw < self.edge_lost + self.edge_mixed)
+
+    def _grazed(
+        self, inverse: np.ndarray, camera: Camera, rng: np.random.Generator
+    ) -> npt.NDArray[np.bool_]:
+        """Pixels [height, width] lost to steep surfaces.
+
+        In a picture a plane n . p = h has 1 / z = n . ray / h, linear in the ray: the
+        derivatives of 1 / z are the normal.
+
+        Args:
+            inverse: 1 / z [1/m], 0 where nothing is.
+        """
+        x, y, _ = camera.rays().T.reshape(3, *inverse.shape)
+        normal_x = camera.K[0, 0] * _slope(inverse, 1)
+        normal_y = camera.K[1, 1] * _slope(inverse, 0) - camera.K[0, 1] / camera.K[0, 0] * normal_x
+        normal_z = inverse - normal_x * x - normal_y * y
+        length = np.sqrt((normal_x**2 + normal_y**2 + normal_z**2) * (x**2 + y**2 + 1.0))
+        cosine = np.divide(inverse, length, out=np.ones_like(inverse), where=length > 0.0)
+        angle = np.arccos(np.clip(cosine, 0.0, 1.0))
+        width = max(self.grazing_to - self.grazing_from, 1e-9)
+        return rng.random(inverse.shape) < (angle - self.grazing_from) / width
+
+    def _coloured(
+        self, colour: npt.NDArray[np.uint8] | None, rng: np.random.Generator
+    ) -> npt.NDArray[np.uint8] | None:
+        if colour is None or self.colour_noise == 0.0:
+            return colour
+        noisy = colour + rng.normal(0.0, self.colour_noise, colour.shape)
+        return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigErrors:
+    """What is wrong with cameras as a user sets them up, their pictures apart.
+
+    Raises:
+        ParameterError: A value is out of its range.
+    """
+
+    translation: float = 2e-3
+    """RMS size of the error of a camera's position [m]."""
+    rotation: float = np.radians(0.3)
+    """RMS angle of the error of its direction [rad]."""
+    clock_offset: float = 0.02
+    """How much the clocks of all cameras but the first are ahead of the robot's [s]."""
+
+    def __post_init__(self):
+        for name in ("translation", "rotation"):
+            if not getattr(self, name) >= 0.0:
+                raise ParameterError(f"{name} is {getattr(self, name)}", fix="give 0 or more")
+
+    @classmethod
+    def none(cls) -> RigErrors:
+        """A rig without errors."""
+        return cls(translation=0.0, rotation=0.0, clock_offset=0.0)
+
+    def believed(self, cameras: Sequence[Camera], rng: np.random.Generator) -> list[Camera]:
+        """The cameras as their owner believes them to stand, to be stored with their pictures.
+
+        Raises:
+            RecordingError: One is not calibrated.
+        """
+        return [
+            camera.at(
+                calibration_error(
+                    camera.calibrated(), rng, translation=self.translation, rotation=self.rotation
+                )
+            )
+            for camera in cameras
+        ]
+
+    def stamp(self, camera: int, time: float) -> float:
+        """The time stamp [s] that the camera of that number gives to a moment [s]."""
+        return time + (self.clock_offset if camera > 0 else 0.0)
+
+
+def calibration_error(
+    T_world_camera: npt.ArrayLike,
+    rng: np.random.Generator,
+    *,
+    translation: float = 2e-3,
+    rotation: float = np.radians(0.3),
+) -> npt.NDArray[np.float64]:
+    """A pose as an imperfect calibration finds it.
+
+    The camera is moved by a vector and turned about its centre by a rotation vector. Both are
+    drawn with independent normal components, equal for all directions, so that their lengths
+    have the RMS given; a third of the draws is longer.
+
+    Args:
+        T_world_camera: [4, 4] true pose [m].
+        rng: Where chance comes from.
+        translation: RMS length of the movement [m].
+        rotation: RMS angle of the turn [rad].
+
+    Returns:
+        [4, 4] [m].
+    """
+    T = np.array(T_world_camera, dtype=np.float64)
+    moved, turned = rng.normal(0.0, np.sqrt(1.0 / 3.0), (2, 3))
+    T[:3, 3] += translation * moved
+    T[:3, :3] = _rotation(rotation * turned) @ T[:3, :3]
+    return T
+
+
+def _rotation(vector: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """[3, 3] of a rotation vector [rad] (Rodrigues)."""
+    angle = np.linalg.norm(vector)
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+
+
+def _noise(
+    shape: tuple[int, ...], correlation: float, rng: np.random.Generator
+) -> npt.NDArray[np.float64]:
+    """Normal noise of unit variance, blurred by a Gaussian of a standard deviation [pixel]."""
+    white = rng.normal(0.0, 1.0, shape)
+    if correlation == 0.0:
+        return white
+    frequencies = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
+    blur = np.exp(-2.0 * (np.pi * correlation) ** 2 * sum(f**2 for f in frequencies))
+    smooth = np.fft.irfft2(np.fft.rfft2(white) * blur, s=shape)
+    # Frequencies between the first and the last column stand for two of the whole spectrum.
+    twice = np.full(blur.shape[1], 2.0)
+    twice[0] = 1.0
+    if shape[1] % 2 == 0:
+        twice[-1] = 1.0
+    return smooth / np.sqrt((blur**2 * twice).sum() / (shape[0] * shape[1]))
+
+
+def _in_shadow(disparity: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Pixels [height, width] of the left imager that the right one does not see.
+
+    A pixel of column u is in the right picture at u - disparity: outside of it when that is
+    negative, and hidden when something of higher u, hence nearer, is there or further left.
+    """
+    right = np.arange(disparity.shape[1]) - disparity
+    hidden = np.zeros(disparity.shape, dtype=bool)
+    leftmost = np.minimum.accumulate(right[:, ::-1], axis=1)[:, ::-1]
+    hidden[:, :-1] = leftmost[:, 1:] <= right[:, :-1]
+    return hidden | (right < 0.0)
+
+
+def _slope(values: npt.NDArray[np.float64], axis: int) -> npt.NDArray[np.float64]:
+    """Derivative by pixel along an axis: the smaller of both one-sided differences.
+
+    At an edge one of them is that of the surface the pixel is on, so an edge is no slope.
+    """
+    steps = np.moveaxis(np.diff(values, axis=axis), axis, 0)
+    before = np.concatenate([steps[:1], steps])
+    after = np.concatenate([steps, steps[-1:]])
+    return np.moveaxis(np.where(np.abs(before) <= np.abs(after), before, after), 0, axis)
+
+
+def _spread(values: np.ndarray, reach: int, choose: np.ufunc) -> np.ndarray:
+    """The maximum or minimum within `reach` pixels in both axes."""
+    for axis in (0, 1):
+        before = np.moveaxis(values, axis, 0)
+        after = before.copy()
+        for step in range(1, reach + 1):
+            after[step:] = choose(after[step:], before[:-step])
+            after[:-step] = choose(after[:-step], before[step:])
+        values = np.moveaxis(after, 0, axis)
+    return values
+
+
+def _between(
+    disparity: np.ndarray, seen: np.ndarray, reach: int, rng: np.random.Generator
+) -> npt.NDArray[np.float64]:
+    """Disparities drawn between the lowest and the highest that are seen around a pixel."""
+    low = _spread(np.where(seen, disparity, np.inf), reach, np.minimum)
+    high = _spread(np.where(seen, disparity, -np.inf), reach, np.maximum)
+    share = rng.random(disparity.shape)
+    with np.errstate(invalid="ignore"):  # where nothing at all is around
+        return low + share * (high - low)

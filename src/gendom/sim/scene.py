@@ -1,0 +1,54 @@
+"""What surrounds a body: a table, walls."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gendom.errors import ParameterError
+
+GRAVITY = (0.0, 0.0, -9.81)
+"""Standard gravity, z up [m/s^2]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A horizontal plane that nothing falls through, with Coulomb friction per world."""
+
+    height: float
+    """[m]."""
+    friction: float | ArrayLike = 0.3
+    """Coefficient of friction, one number or [W]."""
+
+    def __post_init__(self) -> None:
+        check_numbers("table height", self.height)
+        check_numbers("friction", self.friction, least=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """Walls: no velocity outwards beyond them."""
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        check_numbers("box", (self.lower, self.upper))
+        if np.any(np.asarray(self.lower) >= np.asarray(self.upper)):
+            raise ParameterError(f"box must have lower < upper, got {self.lower}, {self.upper}")
+
+
+def check_numbers(
+    name: str, values: ArrayLike, *, least: float = -math.inf, above: float = -math.inf
+) -> None:
+    """Refuse numbers that are not finite or lie below ``least``, or not above ``above``.
+
+    Raises:
+        ParameterError: With the name and the offending values.
+    """
+    a = np.asarray(values, dtype=float)
+    if not np.isfinite(a).all() or (a < least).any() or (a <= above).any():
+        limit = f" and above {above:g}" if above > -math.inf else ""
+        limit = f" and at least {least:g}" if least > -math.inf else limit
+        raise ParameterError(f"{name} must be finite{limit}, got {values}")

@@ -1,0 +1,251 @@
+"""W worlds on a device: their parameters, their state and where they stand in time."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Material
+from gendom.sim.bodies import Body
+from gendom.sim.columns import Grid, grown_room, make_grid, room_for
+from gendom.sim.gripper import Gripper, stack_paths
+from gendom.sim.kernels import INVERTED, make_kernels
+from gendom.sim.reverse import make_reverse
+from gendom.sim.scene import Box, Table
+
+STATE = ("x", "v", "C", "F")
+"""The arrays of a state."""
+
+CLOCK = ("dt", "steps", "step", "age", "travel", "status", "culprit")
+"""The arrays of a clock."""
+
+LAY_ANEW = 1e30
+"""Distance travelled [m] after which any world lays its columns anew."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What a run is to record."""
+
+    began: float
+    """Time of the state before [s]."""
+    times: NDArray[np.float64]
+    """[T] [s]."""
+    particles: NDArray[np.integer]
+    """[P] indices."""
+    x: NDArray[np.floating]
+    """[T, W, P, 3] positions, to be filled [m]."""
+    on_frame: Callable[[int], None] | None
+    keep_going: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What worlds are made of, as ``Simulator`` was given it and checked it."""
+
+    body: Body
+    materials: Sequence[Material]
+    grippers: Sequence[Sequence[Gripper]]
+    """One sequence a world, all of one length."""
+    table: Table | None
+    box: Box | None
+    gravity: ArrayLike
+    damping: ArrayLike
+    recovery: float
+    law: str
+    stiffness: ArrayLike
+    positions: ArrayLike
+    substep: NDArray[np.float64]
+    """[W] longest substep of each world [s]."""
+    start_time: float
+    dtype: str
+    device: Any
+
+
+class Worlds:
+    """The arrays of W worlds of one body, as kernels take them.
+
+    Raises:
+        ParameterError: If shapes do not fit or the law is unknown.
+    """
+
+    def __init__(self, setting: Setting):
+        s = setting
+        self.setting = s
+        self.device = s.device
+        self.substep = s.substep
+        self.numpy_type = np.dtype(s.dtype)
+        self.real = wp.float32 if s.dtype == "float32" else wp.float64
+        self.plastic = any(math.isfinite(m.yield_stress) for m in s.materials)
+        try:
+            self.kernels = make_kernels(self.real, s.law, plastic=self.plastic)
+        except ValueError as error:
+            raise ParameterError(str(error)) from None
+        W, N = len(s.materials), s.body.num_particles
+        self.num_worlds, self.num_particles = W, N
+        self.stiffness = spread(s.stiffness, (W, N), "stiffness")
+        x = spread(s.positions, (W, N, 3), "positions")
+        self.room = room_for(x, s.body.dx)
+        self.matter = self._matter()
+        self.scene = self._scene()
+        self.paths = self._paths()
+        self.grips = self.make_grips(W)
+        self.clock = self._clock()
+        self.state = self.make_state((W, N), wp.zeros)
+        self.state.x.assign(x)
+        self.state.F.assign(np.broadcast_to(np.eye(3), (W, N, 3, 3)))
+        self.last_good = self.make_state((W, N))
+        for name in STATE:
+            wp.copy(getattr(self.last_good, name), getattr(self.state, name))
+        self.last_good_time = np.full(W, s.start_time)
+        self.failures: dict[int, SimulationError] = {}
+
+    @property
+    def reverse(self) -> Any:
+        """The kernels of the reverse, made when first asked for."""
+        return make_reverse(self.real, self.setting.law, plastic=self.plastic)
+
+    def _matter(self) -> Any:
+        s, k = self.setting, self.kernels
+        lame = np.array([m.lame for m in s.materials])
+        matter = k.transfers.Matter()
+        matter.mu = self.array(lame[:, :1] * self.stiffness)
+        matter.lam = self.array(lame[:, 1:] * self.stiffness)
+        matter.yield_stress = self.array(np.minimum([m.yield_stress for m in s.materials], 1e30))
+        matter.mass = self.array(np.array([m.density for m in s.materials]) * s.body.volume)
+        matter.volume = s.body.volume
+        matter.lattice = self.array(s.body.lattice, wp.int32)
+        matter.rest_frame = self.array(s.body.rest_frames, k.mat33)
+        matter.recovery = 0.0 if self.plastic else s.recovery
+        return matter
+
+    def _scene(self) -> Any:
+        s, k, W = self.setting, self.kernels, self.num_worlds
+        friction = s.table.friction if s.table is not None else 0.0
+        scene = k.boundary.Scene()
+        scene.dx = s.body.dx
+        scene.z0 = s.table.height if s.table is not None else 0.0
+        scene.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), k.vec3)
+        scene.damping = self.array(spread(s.damping, (W,), "damping"))
+        scene.friction = self.array(spread(friction, (W,), "friction"))
+        scene.table = int(s.table is not None)
+        scene.walls = int(s.box is not None)
+        if s.box is not None:
+            scene.box_lower = k.vec3(*s.box.lower)
+            scene.box_upper = k.vec3(*s.box.upper)
+        return scene
+
+    def _paths(self) -> Any:
+        stacked = stack_paths(self.setting.grippers)
+        paths = self.kernels.boundary.Paths()
+        paths.time = self.array(stacked["time"], wp.float64)
+        paths.position = self.array(stacked["position"], wp.vec3d)
+        paths.spin = self.array(stacked["spin"], wp.vec3d)
+        paths.hold_from = self.array(stacked["hold_from"], wp.float64)
+        paths.hold_until = self.array(stacked["hold_until"], wp.float64)
+        paths.radius = self.array(stacked["radius"])
+        return paths
+
+    def _clock(self) -> Any:
+        W = self.num_worlds
+        clock = self.kernels.Clock()
+        clock.dt = self.zeros(W, wp.float64)
+        clock.travel = self.zeros(W, self.real)
+        for name in ("steps", "step", "age", "status", "culprit"):
+            setattr(clock, name, self.zeros(W, wp.int32))
+        return clock
+
+    def make_grips(self, rows: int) -> Any:
+        """Room for the placement of all grippers at so many moments."""
+        k = self.kernels
+        shape = (rows, len(self.setting.grippers[0]))
+        grips = k.boundary.Grips()
+        for name in ("centre", "velocity", "spin"):
+            setattr(grips, name, self.zeros(shape, k.vec3))
+        grips.closed = self.zeros(shape, wp.int32)
+        return grips
+
+    def make_state(self, shape: Any, make: Any = wp.empty) -> Any:
+        """Room for states, as ``STATE`` names them."""
+        k = self.kernels
+        state = k.transfers.State()
+        for name, dtype in zip(STATE, (k.vec3, k.vec3, k.mat33, k.mat33), strict=True):
+            setattr(state, name, make(shape, dtype=dtype, device=self.device))
+        return state
+
+    def make_grid(self, layouts: int, *, make: Any = wp.zeros) -> Grid:
+        """A grid with the room that worlds are known to need."""
+        return make_grid(self.room, layouts, self.kernels.vec4, self.device, make=make)
+
+    def make_room(self, grid: Grid, layouts: int | None = None) -> None:
+        """Let later grids hold what did not fit into the (first) layouts of this one.
+
+        Raises:
+            GridExhausted: If no real object needs so much.
+        """
+        self.room = grown_room(self.room, grid.columns.bounds.numpy()[:layouts], grid)
+
+    def divide(self, w: int | slice, interval: float) -> tuple[Any, Any]:
+        """Number and length [s] of a frame's equal substeps, no longer than each world's limit."""
+        substep = self.substep[w]
+        if not interval > 0.0:
+            return 0 * substep.astype(np.int32), 0.0 * substep
+        n = np.maximum(1, np.ceil(interval / substep - 1e-9)).astype(np.int32)
+        return n, interval / n
+
+    def failure(self, w: int, frame_start: float) -> SimulationError:
+        """What to say of world w, which has failed."""
+        clock = self.clock
+        inverted = clock.status.numpy()[w] == INVERTED
+        return self.error(
+            w,
+            frame_start + float(clock.step.numpy()[w]) * float(clock.dt.numpy()[w]),
+            "a particle turned inside out"
+            if inverted
+            else "velocities grew beyond one cell a substep",
+            where=f"substep {clock.dt.numpy()[w]:.3g} s",
+            fix="use a smaller substep or cfl, or slower gripper motion",
+            particle=int(clock.culprit.numpy()[w]) if inverted else None,
+        )
+
+    def error(
+        self, w: int, time: float, what: str, *, where: str, fix: str, particle: int | None
+    ) -> SimulationError:
+        """An error that names world, time [s], parameters and perhaps a particle."""
+        m = self.setting.materials[w]
+        return SimulationError(
+            what,
+            where=f"world {w} at {time:.4f} s (E {m.E:.6g} Pa, nu {m.nu:.4g}, density "
+            f"{m.density:.6g} kg/m^3, {where})",
+            fix=fix,
+            world=w,
+            time=time,
+            parameters={"E": m.E, "nu": m.nu, "density": m.density},
+            particle=particle,
+        )
+
+    def array(self, values: Any, dtype: Any = None) -> wp.array:
+        """An array on the device, of the simulation's scalar type unless told otherwise."""
+        return wp.array(np.ascontiguousarray(values), dtype=dtype or self.real, device=self.device)
+
+    def zeros(self, shape: Any, dtype: Any) -> wp.array:
+        return wp.zeros(shape, dtype=dtype, device=self.device)
+
+
+def spread(values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.floating]:
+    """Values as an array of that shape.
+
+    Raises:
+        ParameterError: If they do not fit, with their name.
+    """
+    try:
+        return np.broadcast_to(np.asarray(values, dtype=float), shape)
+    except ValueError:
+        raise ParameterError(
+            f"{name} has shape {np.shape(values)}, which does not fit {shape}"
+        ) from None

@@ -1,0 +1,268 @@
+"""The sensor's faults have the size that their formulas give, each alone."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError
+from gendom.perception import Camera
+from gendom.reality.sensor import DEPTH_UNIT, DepthSensor, RigErrors, calibration_error
+
+F, B = 385.0, 0.05
+WIDTH, HEIGHT = 640, 480
+K = np.array([[F, 0, (WIDTH - 1) / 2], [0, F, (HEIGHT - 1) / 2], [0, 0, 1.0]])
+CAMERA = Camera(
+    name="left", width=WIDTH, height=HEIGHT, K=K, T_world_camera=np.eye(4), depth_unit=DEPTH_UNIT
+)
+
+
+def flat(z):
+    return np.full((HEIGHT, WIDTH), z)
+
+
+def tilted(angle, z=0.8):
+    """A plane whose normal makes this angle [rad] with the central ray, and the angle of each
+    pixel's ray with it [rad]."""
+    normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    rays = CAMERA.rays()
+    along = rays @ normal
+    depth = np.where(along > 1e-3, z * normal[2] / along, 0.0)
+    cosine = along / np.linalg.norm(rays, axis=1)
+    shape = HEIGHT, WIDTH
+    return depth.reshape(shape), np.arccos(np.clip(cosine, -1, 1)).reshape(shape)
+
+
+def step(near=0.6, far=1.0, column=320):
+    depth = flat(far)
+    depth[:, column:] = near
+    return depth
+
+
+def measured(sensor, depth, seed=0):
+    """Depth [m], NaN where none is."""
+    counts = sensor.observe(depth, None, CAMERA, np.random.default_rng(seed)).depth
+    assert counts.dtype == np.uint16
+    return np.where(counts > 0, counts * CAMERA.depth_unit, np.nan)
+
+
+@pytest.mark.parametrize("depth", [flat(0.8), tilted(0.5)[0], step()], ids=["flat", "tilt", "step"])
+def test_everything_off_is_exact_to_the_depth_unit(depth):
+    depth = depth.copy()
+    depth[:5], depth[5:10] = 0.0, np.inf
+    depth[10:12] = 7.0  # more than 65535 counts
+    colour = np.arange(HEIGHT * WIDTH * 3).reshape(HEIGHT, WIDTH, 3).astype(np.uint8)
+    pictures = DepthSensor.exact().observe(depth, colour, CAMERA, np.random.default_rng(0))
+    nothing = np.zeros((12, WIDTH))
+    np.testing.assert_array_equal(pictures.depth[:12], nothing)
+    np.testing.assert_array_equal(pictures.depth[12:], np.round(depth[12:] / DEPTH_UNIT))
+    np.testing.assert_array_equal(pictures.colour, colour)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 2.0])
+@pytest.mark.parametrize("z", [0.4, 0.8, 1.5])
+def test_noise_is_that_of_stereo(z, correlation):
+    """RMS = z^2 s / (f B). The second order of 1 / disparity adds less than 2 % here."""
+    error = measured(DepthSensor.exact(subpixel=0.08, correlation=correlation), flat(z)) - z
+    expected = z**2 * 0.08 / (F * B)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(expected, rel=0.05)
+    assert abs(error.mean()) < 0.05 * expected
+
+
+def test_whole_sensor_has_that_noise():
+    """Steps included, on a wall."""
+    error = measured(DepthSensor(), flat(0.8)) - 0.8
+    s = np.hypot(0.08, 1.0 / 32.0 / np.sqrt(12.0))
+    assert np.sqrt(np.nanmean(error**2)) == pytest.approx(0.8**2 * s / (F * B), rel=0.05)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 2.0])
+def test_neighbours_share_noise(correlation):
+    """The product of two Gaussian blurs: exp(-(n / 2 sigma)^2) between pixels n apart."""
+    error = measured(DepthSensor.exact(subpixel=0.08, correlation=correlation), flat(0.8)) - 0.8
+    for n in (1, 2, 4, 12):
+        expected = np.exp(-((n / (2.0 * correlation)) ** 2)) if correlation else 0.0
+        for a, b in ((error[:, :-n], error[:, n:]), (error[:-n], error[n:])):
+            assert np.mean(a * b) / np.mean(error**2) == pytest.approx(expected, abs=0.05)
+
+
+def test_depth_comes_in_steps_of_disparity():
+    """A plane: few depths, z^2 / (32 f B) apart."""
+    depth, _ = tilted(0.3)
+    found = measured(DepthSensor.exact(quantisation=1.0 / 32.0), depth)
+    disparity = F * B / found
+    np.testing.assert_allclose(disparity * 32.0, np.round(disparity * 32.0), atol=0.1)
+    levels = np.unique(found[np.abs(found - 0.8) < 0.05])
+    np.testing.assert_allclose(np.diff(levels), levels[1:] ** 2 / (32.0 * F * B), atol=1.2e-4)
+    assert np.abs(found - depth).max() <= 0.51 * depth.max() ** 2 / (32.0 * F * B) + DEPTH_UNIT
+
+
+def test_edges_lose_and_mix_depth():
+    """Of the two columns at a step so many as asked, and no other pixel."""
+    depth = step()
+    found = measured(DepthSensor.exact(edge_lost=0.4, edge_mixed=0.3), depth)
+    at = found[:, 319:321]
+    assert np.isnan(at).mean() == pytest.approx(0.4, abs=0.05)
+    assert ((at > 0.61) & (at < 0.99)).mean() == pytest.approx(0.3, abs=0.06)
+    assert np.nanmin(found) > 0.599 and np.nanmax(found) < 1.001
+    apart = np.delete(np.arange(WIDTH), [319, 320])
+    np.testing.assert_allclose(found[:, apart], depth[:, apart], atol=DEPTH_UNIT)
+    wide = measured(DepthSensor.exact(edge_lost=1.0, edge_mixed=0.0, edge_width=3), depth)
+    assert np.flatnonzero(np.isnan(wide).all(axis=0)).tolist() == list(range(317, 323))
+
+
+def test_object_against_nothing_loses_its_rim_and_gets_no_halo():
+    depth = np.full((HEIGHT, WIDTH), np.inf)
+    depth[100:200, 200:300] = 0.6
+    found = measured(DepthSensor.exact(edge_lost=0.5, edge_mixed=0.5), depth)
+    assert np.isnan(found[np.isinf(depth)]).all()
+    np.testing.assert_allclose(found[101:199, 201:299], 0.6, atol=DEPTH_UNIT)
+    rim = np.concatenate([found[100, 200:300], found[199, 200:300]])
+    assert np.isnan(rim).mean() == pytest.approx(0.5, abs=0.12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, 0.7])
+def test_planes_have_no_edges(angle):
+    depth, _ = tilted(angle)
+    found = measured(DepthSensor.exact(edge_lost=1.0), depth)
+    np.testing.assert_allclose(found, depth, atol=DEPTH_UNIT)
+
+
+def test_near_things_throw_a_shadow_to_their_left():
+    """As wide as the disparities differ, and a band at the left as wide as the disparity."""
+    found = measured(DepthSensor.exact(shadow=True), step(0.6, 1.0, 320))
+    lost = np.flatnonzero(np.isnan(found[0]))
+    near, far = F * B / 0.6, F * B / 1.0
+    at_left, at_step = lost[lost < 100], lost[lost >= 100]
+    assert len(at_left) == int(np.ceil(far)) and at_left[0] == 0
+    assert at_step[-1] == 319 and len(at_step) == pytest.approx(near - far, abs=1.0)
+    # To the right of a near thing nothing is hidden.
+    found = measured(DepthSensor.exact(shadow=True), step(1.0, 0.6, 320))
+    assert not np.isnan(found[:, 40:]).any()
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1.0, 1.25])
+def test_grazing_surfaces_are_lost(tilt):
+    """The share follows each ray's own angle with the plane."""
+    depth, angle = tilted(tilt)
+    low, high = np.radians([60.0, 85.0])
+    sensor = DepthSensor.exact(grazing_from=low, grazing_to=high)
+    there = (depth > 0.0) & (depth < 6.0)
+    found = np.isnan(measured(sensor, np.where(there, depth, 0.0)))
+    expected = np.clip((angle - low) / (high - low), 0.0, 1.0)
+    # Along the border of what is there differences have one side only: leave it out.
+    there[:, 1:-1] &= there[:, :-2] & there[:, 2:]
+    seen_some = 0
+    for least in np.radians(np.arange(0.0, 90.0, 5.0)):
+        band = there & (angle >= least) & (angle < least + np.radians(5.0))
+        if band.sum() > 2000:
+            assert found[band].mean() == pytest.approx(expected[band].mean(), abs=0.03)
+            seen_some += 1
+    assert seen_some >= 4
+
+
+def test_edges_are_no_grazing_surfaces():
+    found = measured(DepthSensor.exact(grazing_from=1.0, grazing_to=1.2), step())
+    assert not np.isnan(found).any()
+
+
+def test_random_dropout():
+    found = measured(DepthSensor.exact(dropout=0.03), flat(0.8))
+    assert np.isnan(found).mean() == pytest.approx(0.03, rel=0.05)
+
+
+def test_range():
+    depth = np.linspace(0.05, 4.0, WIDTH)[None].repeat(HEIGHT, axis=0)
+    found = measured(DepthSensor.exact(min_range=0.17, max_range=3.0), depth)
+    np.testing.assert_array_equal(np.isnan(found), (depth < 0.17) | (depth > 3.0))
+
+
+def test_colour_noise():
+    grey = np.full((HEIGHT, WIDTH, 3), 128, np.uint8)
+    sensor = DepthSensor.exact(colour_noise=2.0)
+    colour = sensor.observe(flat(0.8), grey, CAMERA, np.random.default_rng(0)).colour
+    assert colour is not None and colour.dtype == np.uint8
+    assert (colour - 128.0).std() == pytest.approx(2.0, rel=0.05)
+    white = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    colour = sensor.observe(flat(0.8), white, CAMERA, np.random.default_rng(0)).colour
+    assert colour is not None and colour.min() > 230
+
+
+def test_same_seed_same_pictures():
+    depth, colour = step(), np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
+    a, b, c = (
+        DepthSensor().observe(depth, colour, CAMERA, np.random.default_rng(seed))
+        for seed in (1, 1, 2)
+    )
+    assert a.colour is not None and b.colour is not None
+    np.testing.assert_array_equal(a.depth, b.depth)
+    np.testing.assert_array_equal(a.colour, b.colour)
+    assert (a.depth != c.depth).mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"subpixel": -0.1},
+        {"subpixel": np.nan},
+        {"baseline": 0.0},
+        {"dropout": 1.5},
+        {"edge_lost": 0.7, "edge_mixed": 0.7},
+        {"edge_width": 1.5},
+        {"min_range": 2.0, "max_range": 1.0},
+        {"grazing_from": 1.5, "grazing_to": 1.0},
+    ],
+)
+def test_bad_sensors(wrong):
+    with pytest.raises(ParameterError, match=next(iter(wrong))):
+        DepthSensor(**wrong)
+
+
+def test_bad_pictures():
+    rng = np.random.default_rng(0)
+    with pytest.raises(ParameterError, match="left: depth: is 10 x 20, the camera 640 x 480"):
+        DepthSensor().observe(np.ones((20, 10)), None, CAMERA, rng)
+    with pytest.raises(ParameterError, match="left: colour: is 10 x 20"):
+        DepthSensor().observe(flat(1.0), np.ones((20, 10, 3), np.uint8), CAMERA, rng)
+    for bad in (-1.0, np.nan):
+        with pytest.raises(ParameterError, match="negative or NaN"):
+            DepthSensor().observe(flat(bad), None, CAMERA, rng)
+
+
+def test_exact_switches_every_part_off():
+    kept = {"baseline", "edge_step", "edge_width"}  # scales and widths, of no effect alone
+    default, exact = DepthSensor(), DepthSensor.exact()
+    same = {f.name for f in fields(default) if getattr(default, f.name) == getattr(exact, f.name)}
+    assert same == kept
+
+
+def test_calibration_error_has_the_size_asked_for():
+    rng = np.random.default_rng(0)
+    T = np.eye(4)
+    T[:3, :4] = [[0, -1, 0, 0.4], [1, 0, 0, -0.2], [0, 0, 1, 0.9]]
+    found = [calibration_error(T, rng) for _ in range(4000)]
+    moved = np.array([t[:3, 3] - T[:3, 3] for t in found])
+    turned = np.array([t[:3, :3] @ T[:3, :3].T for t in found])
+    angle = np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    assert np.sqrt((moved**2).sum(axis=1).mean()) == pytest.approx(2e-3, rel=0.05)
+    assert np.degrees(np.sqrt((angle**2).mean())) == pytest.approx(0.3, rel=0.05)
+    np.testing.assert_allclose(moved.mean(axis=0), 0.0, atol=1e-4)
+    for R in turned[:10]:
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+
+
+def test_rig():
+    cameras = [CAMERA, CAMERA.at(np.eye(4))]
+    rig = RigErrors()
+    believed = rig.believed(cameras, np.random.default_rng(3))
+    again = rig.believed(cameras, np.random.default_rng(3))
+    for camera, other, same in zip(cameras, believed, again, strict=True):
+        assert 1e-5 < np.linalg.norm(other.position - camera.position) < 0.01
+        np.testing.assert_array_equal(other.calibrated(), same.calibrated())
+    assert rig.stamp(0, 1.0) == 1.0 and rig.stamp(1, 1.0) == pytest.approx(1.02)
+    none = RigErrors.none()
+    for camera in none.believed(cameras, np.random.default_rng(0)):
+        np.testing.assert_array_equal(camera.calibrated(), np.eye(4))
+    assert none.stamp(1, 1.0) == 1.0
+    with pytest.raises(ParameterError, match="rotation is -1"):
+        RigErrors(rotation=-1.0)
