@@ -1,4 +1,4 @@
-"""The contract of cameras, live or recorded, and the matching of their frames by time stamp."""
+"""The contracts of cameras and recorders, and the matching of frames by time stamp."""
 
 from __future__ import annotations
 
@@ -53,6 +53,16 @@ class FrameSource(Protocol):
         ...
 
     def __iter__(self) -> Iterator[Frame]: ...
+
+
+class FrameWriter(Protocol):
+    """Where a camera's frames are kept; close it when all are written."""
+
+    def write(self, time: float, pictures: Pictures) -> None:
+        """Append a frame; `time` [s] is later than the one before."""
+        ...
+
+    def close(self) -> None: ...
 
 
 @dataclass
