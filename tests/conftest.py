@@ -1,6 +1,9 @@
-"""Real recordings for the tests, where they are present."""
+"""What tests of several folders need: real recordings, and interpreters of their own."""
 
 import os
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,3 +17,16 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings in {folder}; set GENDOM_TEST_DATA")
     return folder
+
+
+@pytest.fixture(scope="session")
+def run_python() -> Callable[[str], str]:
+    """Runs code in a new interpreter, in which nothing has been imported; gives what it prints."""
+
+    def run(code: str) -> str:
+        result = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        )
+        return result.stdout.strip()
+
+    return run

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gendom.errors import GendomError
-from gendom.files import atomic_path, read_json, to_json, write_json
+from gendom.errors import GendomError, RecordingError
+from gendom.files import atomic_path, read_json, read_toml, to_json, write_json
 
 
 def test_success_replaces_and_leaves_nothing_else(tmp_path):
@@ -91,3 +91,16 @@ def test_missing_json(tmp_path):
 
 def test_json_text_is_strict():
     assert json.loads(to_json({"a": True, "b": "ü"})) == {"a": True, "b": "ü"}
+
+
+def test_toml_is_read_or_refused_in_one_line(tmp_path):
+    path = tmp_path / "object.toml"
+    with pytest.raises(RecordingError, match=r"object\.toml: no such file; measure it"):
+        read_toml(path, fix="measure it", error=RecordingError)
+    path.write_text("length = 0.4")
+    assert read_toml(path) == {"length": 0.4}
+    path.write_text("length 0.4")
+    with pytest.raises(GendomError, match=r"object\.toml: is not TOML"):
+        read_toml(path)
+    with pytest.raises(GendomError, match="cannot be read"):
+        read_toml(tmp_path)

@@ -1,22 +1,16 @@
 """`import gendom` is light, and its names are found."""
 
-import subprocess
-import sys
-
 import pytest
 
 import gendom
 
 
-def test_import_brings_nothing_heavy():
+def test_import_brings_nothing_heavy(run_python):
     code = (
         "import sys, gendom, gendom.cli; "
         "print(sorted({'numpy', 'torch', 'mujoco', 'warp', 'scipy', 'tyro'} & set(sys.modules)))"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert result.stdout.strip() == "[]"
+    assert run_python(code) == "[]"
 
 
 def test_names_are_lazy_and_found():

@@ -58,6 +58,10 @@ class DeviceError(GendomError):
     """A compute device, camera or robot is absent or refuses."""
 
 
+class RobotError(GendomError):
+    """A pose, path or motion is out of the robot's reach or limits."""
+
+
 class SimulationError(GendomError):
     """A simulation left the range in which it means anything (NaN, inversion, escape).
 

@@ -1,4 +1,4 @@
-"""Files that are either whole or absent, and JSON that every reader understands."""
+"""Files that are either whole or absent, JSON that every reader understands, and TOML."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import os
 import secrets
 import shutil
+import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
@@ -116,6 +117,37 @@ def read_json(path: str | os.PathLike) -> dict[str, Any]:
             fix="check that it is the right file",
         )
     return value
+
+
+def read_toml(
+    path: str | os.PathLike,
+    *,
+    missing: str = "no such file",
+    fix: str = "check the path",
+    error: type[GendomError] = GendomError,
+) -> dict[str, Any]:
+    """The TOML table in `path`.
+
+    Args:
+        path: The file.
+        missing: What is wrong when there is no such file.
+        fix: What to do then.
+        error: Raised for every fault.
+
+    Raises:
+        GendomError: As `error`: the file is missing, unreadable or no TOML.
+    """
+    path = Path(path)
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise error(missing, where=str(path), fix=fix) from None
+    except OSError as fault:
+        raise error(
+            f"cannot be read ({fault.strerror})", where=str(path), fix="check the file"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        raise error(f"is not TOML ({fault})", where=str(path), fix="mend that line") from None
 
 
 def _refuse_constant(name: str) -> float:

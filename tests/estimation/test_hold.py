@@ -120,6 +120,17 @@ def test_a_lag_delays_the_motion():
     assert top[0][5] - top[1][5] > 0.01
 
 
+def test_a_corner_is_held_as_high_and_as_steep_as_told():
+    """Held higher, the corner ends higher; 3 cm of cloth beyond the held point stand up."""
+    upright = Hold(inset=0.03, tilt=math.pi / 2.0)
+    holds = [upright, replace(upright, height=0.02), replace(upright, tilt=0.0)]
+    lift = Lift(recording([flat()] * 4), CHEAP, hold=Hold())
+    x = lift.simulate([Theta(specific_modulus=MODULUS)] * 3, holds=holds)
+    top, higher, level = x[-1, :, :, 2].max(axis=1)
+    assert higher - top == pytest.approx(0.02, abs=0.002)
+    assert top - level > 0.015
+
+
 def test_worlds_of_a_batch_hold_as_they_are_told(known):
     """Each world has its own hold, its lower table too."""
     lift = Lift(recording([flat()] * 5), CHEAP, hold=Hold())

@@ -45,6 +45,9 @@ def test_table_goes_and_what_stands_on_it_stays(world):
     view.find_table(pictures.depth, None)
     points, counts = view.segment(pictures)
     assert counts[0] > counts[1] > 20 * counts[2] > 0
+    # Above the table's noise the ball loses nothing.
+    everything, _ = View(camera, settings()).segment(pictures)
+    assert (points[:, 2] > 0.03).sum() > 0.99 * (everything[:, 2] > 0.03).sum() > 1000
     on_ball = np.abs(world.Sphere((0, 0, 0.06), 0.06).distance(points)) < 0.01
     assert on_ball.mean() > 0.9
 

@@ -14,6 +14,10 @@ from gendom.perception.colour import ObjectColour, boxed_colour, lab, picked_col
         ((0, 0, 0), (0.0, 0.0, 0.0)),
         ((255, 0, 0), (53.24, 80.09, 67.20)),
         ((0, 0, 255), (32.30, 79.19, -107.86)),
+        # Between the ends sRGB is not linear.
+        ((128, 128, 128), (53.59, 0.0, 0.0)),
+        ((128, 0, 0), (25.54, 48.05, 38.06)),
+        ((8, 8, 8), (2.19, 0.0, 0.0)),
     ],
 )
 def test_lab_of_known_colours(rgb, expected):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -70,14 +71,17 @@ def test_recording_of_a_rope(lift, perceive):
     assert set(np.unique(seen_by)) == {1, 2, 3}
 
 
+def in_picture(camera, points):
+    """Columns and rows of points [n, 3] [m]."""
+    T = camera.T_world_camera
+    x = (points - T[:3, 3]) @ T[:3, :3]
+    return (camera.K[k, k] * x[:, k] / x[:, 2] + camera.K[k, 2] for k in (0, 1))
+
+
 @pytest.mark.parametrize("place", ["pick", "box"])
 def test_colour_from_the_first_picture(world, lift, perceive, place):
     folder, ropes = lift
-    camera = world.make_camera("left", scale=0.5)
-    T = camera.T_world_camera
-    # Where the first frame's rope is in the left picture.
-    x = (ropes[0].line - T[:3, 3]) @ T[:3, :3]
-    u, v = (camera.K[k, k] * x[:, k] / x[:, 2] + camera.K[k, 2] for k in (0, 1))
+    u, v = in_picture(world.make_camera("left", scale=0.5), ropes[0].line)
     if place == "pick":
         words = ["--pick", "left", str(round(u[:2].mean())), str(round(v[:2].mean()))]
     else:
@@ -87,6 +91,19 @@ def test_colour_from_the_first_picture(world, lift, perceive, place):
     assert code == 0
     points = Recording.read(out).frame(0)
     assert len(points) > 300 and np.abs(ropes[0].distance(points)).max() < 0.02
+
+
+def test_a_box_is_compared_with_the_workspace_only(world, tmp_path, perceive):
+    """Something large of the object's colour stands behind it, out of the robot's reach."""
+    wall = world.Sphere((0.0, 2.0, 0.3), 1.0)
+    camera = world.make_camera("left", scale=0.5)
+    folder = tmp_path / "wall"
+    ropes = world.write_lift(folder, frames=1, cameras=[camera], things=lambda t: [wall])
+    u, v = in_picture(camera, ropes[0].line)
+    corners = [u.min() - 5, v.min() - 5, u.max() + 5, v.max() + 5]
+    code, printed, out = perceive(folder, "--box", "left", *(str(round(c)) for c in corners))
+    assert code == 0, printed.err
+    assert np.abs(ropes[0].distance(Recording.read(out).frame(0))).max() < 0.02
 
 
 def test_json_has_all_frames(lift, perceive):
@@ -201,13 +218,27 @@ def test_dropped_frames_are_told(copy, perceive):
     assert "camera 'right': 1 of 6 frames match no frame" in printed.out
 
 
+def with_other_pixels(png):
+    """A PNG file that decodes to other pixels; only a chunk's checksum tells."""
+    start = png.index(b"IDAT")
+    pixels, end = b"", start - 4
+    unpack = zlib.decompressobj()
+    while png[end + 4 : end + 8] == b"IDAT":
+        length = int.from_bytes(png[end : end + 4])
+        pixels += unpack.decompress(png[end + 8 : end + 8 + length])
+        checksum = png[end + 8 + length : end + 12 + length]
+        end += 12 + length
+    packed = zlib.compress(pixels[:-1] + bytes([pixels[-1] ^ 1]))
+    return png[: start - 4] + len(packed).to_bytes(4) + b"IDAT" + packed + checksum + png[end:]
+
+
 @pytest.mark.parametrize(
     ("kind", "damage"),
     [
         *(
             (kind, d)
             for kind in ("depth", "colour")
-            for d in ("cut", "flip", "text", "gone", "size")
+            for d in ("cut", "flip", "pixels", "text", "gone", "size")
         ),
         ("depth", "8 bit"),
     ],
@@ -221,6 +252,8 @@ def test_a_damaged_picture_in_the_middle(copy, perceive, damage, kind):
     elif damage == "flip":
         data[len(data) // 2] ^= 0xFF
         path.write_bytes(data)
+    elif damage == "pixels":
+        path.write_bytes(with_other_pixels(data))
     elif damage == "text":
         path.write_text("not found")
     elif damage == "gone":

@@ -3,8 +3,6 @@
 import json
 import logging
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -15,15 +13,12 @@ from gendom.policies import Description, GoalRange, Policy
 ROPE = {"length": 0.25, "diameter": 0.014}
 
 
-def test_import_brings_neither_torch_nor_the_simulator():
+def test_import_brings_neither_torch_nor_the_simulator(run_python):
     code = (
         "import sys, gendom.policies; "
         "print(sorted({'torch', 'onnx', 'onnxruntime', 'warp'} & set(sys.modules)))"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert result.stdout.strip() == "[]"
+    assert run_python(code) == "[]"
 
 
 def test_act_gives_metres_of_the_given_rope(make_policy):

@@ -1,7 +1,5 @@
 """Training, on a toy task whose forward map is known."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -169,15 +167,12 @@ def test_too_few_or_broken_demonstrations_are_refused():
         replace(toy(30), goal=np.full(30, np.nan))
 
 
-def test_missing_torch_names_the_extra():
+def test_missing_torch_names_the_extra(run_python):
     code = (
         "import sys; sys.modules['torch'] = None\n"
         "try:\n    import gendom.policies.train\n"
         "except ModuleNotFoundError as error:\n    print(error.name, '|', error)"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert result.stdout.strip() == (
+    assert run_python(code) == (
         "torch | training needs torch; install it with: pip install 'gendom[train]'"
     )

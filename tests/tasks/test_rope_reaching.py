@@ -2,8 +2,6 @@
 
 import json
 import math
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -281,7 +279,6 @@ def test_trajectory_is_the_gripper_s_path():
         TASK.trajectory(RELEASES[0], control_dt=0.0)
 
 
-def test_tasks_need_no_torch():
+def test_tasks_need_no_torch(run_python):
     code = "import sys, gendom.tasks; print('torch' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
+    assert run_python(code) == "False"

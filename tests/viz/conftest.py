@@ -5,7 +5,7 @@ import pytest
 
 
 def lift(frames=20, recorded=40, simulated=120):
-    """Arguments of the drawing functions for a rope of 0.25 m, lifted by 5 mm a frame."""
+    """Arguments of a `CloudSequence` for a rope of 0.25 m, lifted by 5 mm a frame."""
     rng = np.random.default_rng(0)
 
     def cloud(t, count):

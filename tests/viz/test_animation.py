@@ -7,7 +7,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from gendom.errors import GendomError
-from gendom.viz import encode_gif, write_gif
+from gendom.viz import CloudSequence, encode_gif, write_gif
 
 
 def count(image):
@@ -16,7 +16,7 @@ def count(image):
 
 def test_frames_durations_and_loop(make_lift, tmp_path):
     path = tmp_path / "lift.gif"
-    write_gif(path, **make_lift(frames=20), fps=12.5, max_frames=8, width=320)
+    write_gif(path, CloudSequence(**make_lift(frames=20)), fps=12.5, max_frames=8, width=320)
     with Image.open(path) as image:
         assert (image.format, count(image), image.width) == ("GIF", 8, 320)
         assert image.info["loop"] == 0
@@ -36,17 +36,17 @@ def test_equal_frames_are_not_merged(make_lift):
     lift["times"] = 0.001 * np.arange(5)  # the same to two decimals
     lift["gripper"] = None
     lift["chamfer"] = None
-    with Image.open(io.BytesIO(encode_gif(**lift, width=320))) as image:
+    with Image.open(io.BytesIO(encode_gif(CloudSequence(**lift), width=320))) as image:
         assert count(image) == 5
 
 
 def test_same_input_same_bytes(make_lift):
-    first, second = (encode_gif(**make_lift(frames=4), width=320) for _ in range(2))
+    first, second = (encode_gif(CloudSequence(**make_lift(frames=4)), width=320) for _ in range(2))
     assert first == second
 
 
 def test_a_long_lift_stays_small(make_lift):
-    data = encode_gif(**make_lift(frames=120, recorded=150, simulated=4000))
+    data = encode_gif(CloudSequence(**make_lift(frames=120, recorded=150, simulated=4000)))
     assert len(data) < 1_500_000
     with Image.open(io.BytesIO(data)) as image:
         assert count(image) == 60
@@ -65,6 +65,6 @@ def test_bad_input_keeps_the_old_file(make_lift, tmp_path, change, message):
     path = tmp_path / "lift.gif"
     path.write_text("old")
     with pytest.raises(GendomError, match=message):
-        write_gif(path, **make_lift(frames=3), **change)
+        write_gif(path, CloudSequence(**make_lift(frames=3)), **change)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

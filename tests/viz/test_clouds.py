@@ -8,7 +8,9 @@ from PIL import Image
 
 from gendom.errors import GendomError
 from gendom.viz import CloudSequence, encode_filmstrip, write_filmstrip
-from gendom.viz.clouds import RECORDED_COLOR, SIMULATED_COLOR, Stage, choose_view
+from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR
+from gendom.viz.stage import Stage
+from gendom.viz.views import choose_view
 
 
 def near(image, color, tolerance=60):
@@ -19,13 +21,14 @@ def near(image, color, tolerance=60):
 
 def test_filmstrip_is_a_grid_of_panels(make_lift, tmp_path):
     path = tmp_path / "new" / "film.png"
-    write_filmstrip(path, **make_lift(), frames=5, columns=3, width=900)
+    clouds = CloudSequence(**make_lift())
+    write_filmstrip(path, clouds, frames=5, columns=3, width=900)
     with Image.open(path) as image:
         image.load()
         assert image.format == "PNG"
         assert image.width == 900
         assert image.height % 2 == 0  # two rows
-    assert path.read_bytes() == encode_filmstrip(**make_lift(), frames=5, columns=3, width=900)
+    assert path.read_bytes() == encode_filmstrip(clouds, frames=5, columns=3, width=900)
     assert len(list(path.parent.iterdir())) == 1
 
 
@@ -80,21 +83,23 @@ def test_oblique_axes_are_orthonormal(make_lift):
 
 
 def test_every_view_and_missing_parts_are_drawn(make_lift):
+    clouds = CloudSequence(**make_lift(frames=3))
     for view in ("xz", "yz", "xy", "oblique"):
-        encode_filmstrip(**make_lift(frames=3), view=view, frames=2, width=300)
+        encode_filmstrip(clouds, view=view, frames=2, width=300)
     bare = make_lift(frames=3) | {"simulated": None, "table_height": None}
     bare |= {"gripper": None, "chamfer": None}
     for view in ("auto", "oblique"):
-        data = encode_filmstrip(**bare, view=view, frames=1, width=300)
+        data = encode_filmstrip(CloudSequence(**bare), view=view, frames=1, width=300)
         Image.open(io.BytesIO(data)).load()
 
 
 def test_empty_frames_are_allowed_but_not_only_those(make_lift):
     lift = make_lift(frames=3)
     lift["recorded"][0] = np.empty((0, 3))
-    encode_filmstrip(**lift, width=300)
+    encode_filmstrip(CloudSequence(**lift), width=300)
+    nothing = CloudSequence(recorded=[np.empty((0, 3))], times=np.zeros(1))
     with pytest.raises(GendomError, match="recorded: has no points at all"):
-        encode_filmstrip([np.empty((0, 3))], None, times=[0.0], table_height=None, gripper=None)
+        encode_filmstrip(nothing)
 
 
 @pytest.mark.parametrize(
@@ -108,15 +113,25 @@ def test_empty_frames_are_allowed_but_not_only_those(make_lift):
         ({"gripper": np.zeros((20, 1, 2))}, r"gripper: has shape \[20, 1, 2\]"),
         ({"chamfer": np.zeros(3)}, "chamfer: has 3 frames"),
         ({"table_height": "low"}, "table_height: is no array of numbers"),
+    ],
+)
+def test_bad_clouds(make_lift, change, message):
+    with pytest.raises(GendomError, match=message):
+        CloudSequence(**make_lift() | change)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
         ({"view": "top"}, "view: is 'top'; choose from auto, xz"),
         ({"frames": 0}, "max_frames: is 0"),
         ({"columns": 0}, "columns: is 0"),
     ],
 )
-def test_bad_input(make_lift, tmp_path, change, message):
+def test_bad_input_keeps_the_old_file(make_lift, tmp_path, change, message):
     path = tmp_path / "film.png"
     path.write_text("old")
     with pytest.raises(GendomError, match=message):
-        write_filmstrip(path, **make_lift() | change)
+        write_filmstrip(path, CloudSequence(**make_lift()), **change)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

@@ -4,8 +4,6 @@ import base64
 import io
 import json
 import re
-import subprocess
-import sys
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
 
@@ -188,6 +186,25 @@ def decode(address):
     return kind
 
 
+def test_numbers_are_for_people():
+    """Sizes have units, and nothing is given to more digits than anybody reads."""
+    described = {"kind": "rope", "length": 0.28, "diameter": 0.0123456789, "mass": 0.03008389125}
+    described |= {"turns": 12345, "stretch": 1.0 / 3.0, "twisted": False, "width": None}
+    numbers = {"loss": 0.0385042488550871, "seconds": 51.45626372600009, "seed": 12345678}
+    summary = EstimateSummary(values=estimate(object=described, **numbers))
+    made = Provenance(stage_seconds={"estimate": 51.45626372600009})
+    page = Page(render_report(ReportContent(title="Plain", estimate=summary, provenance=made)))
+    for text in (
+        "kind rope, length 280 mm, diameter 12.35 mm, mass 0.03008 kg, turns 12345, "
+        "stretch 0.3333, twisted no",
+        "0.0385",
+        "51.46 s",
+        "12345678",
+    ):
+        assert text in page.words, text
+    assert not re.search(r"\d\.\d{4,}[1-9]", page.words.replace("0.03008", ""))
+
+
 def test_same_content_same_bytes(make_lift):
     first, second = (render_report(content(make_lift(frames=3))) for _ in range(2))
     assert first == second
@@ -313,14 +330,11 @@ def test_failure_keeps_the_old_file(make_lift, tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_viz_needs_neither_estimation_nor_policies():
+def test_viz_needs_neither_estimation_nor_policies(run_python):
     code = (
         "import sys, gendom.viz; "
         "print(*sorted(m for m in sys.modules if m.startswith('gendom.') or m == 'torch' "
         "or m == 'warp' or m == 'matplotlib.pyplot'))"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    found = {".".join(name.split(".")[:2]) for name in result.stdout.split()}
+    found = {".".join(name.split(".")[:2]) for name in run_python(code).split()}
     assert found == {"gendom.errors", "gendom.files", "gendom.viz"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Sequence
 from contextlib import contextmanager
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from gendom.estimation import Estimate
     from gendom.policies import Policy
     from gendom.tasks import RopeReaching
+    from gendom.viz import CloudSequence
     from gendom.viz.report import PolicyRun
 
 RECORDING = "demo-rope-lift.npz"
@@ -61,7 +63,7 @@ class Command:
         from gendom.estimation import EstimateSettings, ReplaySettings, estimate
         from gendom.policies import Policy
         from gendom.sim import open_device
-        from gendom.viz import write_gif
+        from gendom.viz import CloudSequence, write_gif
 
         open_device(self.device)
         seconds: dict[str, float] = {}
@@ -99,27 +101,21 @@ class Command:
                 f"(without parameters {1e3 * _error(without, goal):.1f} mm)"
             )
         self.out.mkdir(parents=True, exist_ok=True)
-        lift = found.lift
-        frames = lift.frames
-        pictures: dict[str, Any] = {
-            "recorded": [recording.frame(t) for t in frames],
-            "simulated": list(found.positions),
-            "times": recording.time[frames],
-            "table_height": recording.table_height,
-            "gripper": recording.gripper_position[frames],
-            "chamfer": found.chamfer,
-        }
+        frames = found.lift.frames
+        clouds = CloudSequence(
+            recorded=[recording.frame(t) for t in frames],
+            simulated=list(found.positions),
+            times=recording.time[frames],
+            table_height=recording.table_height,
+            gripper=recording.gripper_position[frames],
+            chamfer=found.chamfer,
+        )
         with _timed(seconds, "pictures and report"):
-            write_gif(
-                self.out / "lift.gif",
-                pictures.pop("recorded"),
-                pictures.pop("simulated"),
-                **pictures,
-            )
+            write_gif(self.out / "lift.gif", clouds)
             write_json(self.out / "estimate.json", found.record)
             actions = {"format": "gendom-demo/1", "task": task.name, "outcomes": _outcomes(runs)}
             write_json(self.out / "actions.json", actions)
-            _report(self, recording, found, truth, task, runs, seconds)
+            _report(self, recording, clouds, found, truth, task, runs, seconds)
         if self.json:
             print(to_json({"estimate": found.record, **actions, "seconds": seconds}))
         print(f"\nreport: {self.out / 'report.html'}")
@@ -211,13 +207,13 @@ def _outcomes(runs: Sequence[tuple[float, PolicyRun, PolicyRun]]) -> list[dict[s
 def _report(
     command: Command,
     recording: Recording,
+    clouds: CloudSequence,
     found: Estimate,
     truth: dict[str, float],
     task: RopeReaching,
     runs: Sequence[tuple[float, PolicyRun, PolicyRun]],
     seconds: dict[str, float],
 ) -> None:
-    from gendom.viz import CloudSequence
     from gendom.viz.report import (
         ActionSummary,
         EstimateSummary,
@@ -228,7 +224,6 @@ def _report(
         write_report,
     )
 
-    frames = found.lift.frames
     write_report(
         command.out / "report.html",
         ReportContent(
@@ -238,26 +233,20 @@ def _report(
                 "below are carried out in the same simulator with the true parameters, on a "
                 "finer grid than the policy was trained on."
             ),
-            lift=LiftPictures(
-                clouds=CloudSequence(
-                    recorded=[recording.frame(t) for t in frames],
-                    simulated=list(found.positions),
-                    times=recording.time[frames],
-                    gripper=recording.gripper_position[frames],
-                    table_height=recording.table_height,
-                    chamfer=found.chamfer,
-                )
+            lift=LiftPictures(clouds=clouds),
+            estimate=EstimateSummary(
+                values=found.record,
+                truth=truth | {"specific_modulus": truth["youngs_modulus"] / truth["density"]},
             ),
-            estimate=EstimateSummary(values=found.record, truth=truth),
             action=ActionSummary(
                 outcomes=[
                     ReachOutcome(goal=np.array(goal), ours=ours, without=without)
                     for goal, ours, without in runs
                 ],
-                action_names=task.action_names,
+                action_names=[f"{name.replace('_', ' ')} [m]" for name in task.action_names],
             ),
             provenance=Provenance(
-                commands=[f"gendom demo --out {command.out} --seed {command.seed}"],
+                commands=[_command_line(command)],
                 version=__version__,
                 date=date.today().isoformat(),
                 device=command.device,
@@ -267,6 +256,16 @@ def _report(
             ),
         ),
     )
+
+
+def _command_line(command: Command) -> str:
+    """The words that give the same results again."""
+    words = ["gendom", "demo", "--out", str(command.out)]
+    words += ["--starts", str(command.starts), "--seed", str(command.seed)]
+    words += ["--device", command.device]
+    if command.goal:
+        words += ["--goal", *map(str, command.goal)]
+    return shlex.join(words)
 
 
 @contextmanager

@@ -68,18 +68,18 @@ class Command:
         if self.out is not None:
             write_json(self.out, record)
         if self.gif is not None:
-            from gendom.viz import write_gif
+            from gendom.viz import CloudSequence, write_gif
 
-            write_gif(
-                self.gif,
-                [recording.frame(t) for t in lift.frames],
-                list(x),
+            clouds = CloudSequence(
+                recorded=[recording.frame(t) for t in lift.frames],
+                simulated=list(x),
                 times=recording.time[lift.frames],
                 table_height=recording.table_height,
                 gripper=recording.gripper_position[lift.frames],
                 chamfer=whole,
-                view="oblique" if recording.object.kind == "cloth" else "auto",
             )
+            view = "oblique" if recording.object.kind == "cloth" else "auto"
+            write_gif(self.gif, clouds, view=view)
         if self.json:
             print(to_json(record))
         else:

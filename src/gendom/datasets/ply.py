@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import os
 import re
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gendom.errors import RecordingError
-from gendom.files import atomic_path
+from gendom.files import atomic_path, read_toml
 
 _TYPES = {
     "char": "i1",
@@ -322,18 +321,11 @@ def _check_length(there: int, needed: int, unit: str) -> None:
 
 def read_object(path: Path) -> dict[str, Any]:
     """object.toml in the layout of a recording's meta."""
-    try:
-        meta = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RecordingError(
-            "no such file",
-            where=str(path),
-            fix="write one with the table [object]: kind, sizes in metres, grasp",
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RecordingError(
-            f"is not TOML ({error})", where=str(path), fix="mend that line"
-        ) from None
+    meta = read_toml(
+        path,
+        fix="write one with the table [object]: kind, sizes in metres, grasp",
+        error=RecordingError,
+    )
     table = meta.get("object")
     if isinstance(table, dict):
         for key in _TOP_KEYS:

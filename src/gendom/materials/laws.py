@@ -125,11 +125,8 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
         return F_bar, mu_bar, trace * J * (J - real(1.0))
 
     @wp.func
-    def von_mises(F: mat33, mu: real, yield_stress: real):
-        """Radial return in Hencky strain: |2 mu dev(eps)| <= yield stress.
-
-        Source: Klar et al. (2016), section 6, with a von Mises surface.
-        """
+    def hencky(F: mat33):
+        """F = U diag(s) V^T; the principal Hencky strains log(s), kept finite, and their mean."""
         U = mat33()
         s = vec3()
         V = mat33()
@@ -138,7 +135,15 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
         eps = vec3(
             wp.log(wp.max(s[0], floor)), wp.log(wp.max(s[1], floor)), wp.log(wp.max(s[2], floor))
         )
-        mean = (eps[0] + eps[1] + eps[2]) / real(3.0)
+        return U, s, V, eps, (eps[0] + eps[1] + eps[2]) / real(3.0)
+
+    @wp.func
+    def von_mises(F: mat33, mu: real, yield_stress: real):
+        """Radial return in Hencky strain: |2 mu dev(eps)| <= yield stress.
+
+        Source: Klar et al. (2016), section 6, with a von Mises surface.
+        """
+        U, _s, V, eps, mean = hencky(F)
         dev = eps - vec3(mean, mean, mean)
         norm = wp.length(dev)
         excess = norm - yield_stress / (real(2.0) * mu)
@@ -157,15 +162,7 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
         times the symmetric and (f_i + f_j)/(s_i + s_j) times the skew part of U^T dF V; on the
         diagonal it is df. Source: Papadopoulo and Lourakis (2000), on derivatives of the SVD.
         """
-        U = mat33()
-        s = vec3()
-        V = mat33()
-        wp.svd3(F, U, s, V)
-        floor = real(SMALLEST_STRETCH)
-        eps = vec3(
-            wp.log(wp.max(s[0], floor)), wp.log(wp.max(s[1], floor)), wp.log(wp.max(s[2], floor))
-        )
-        mean = (eps[0] + eps[1] + eps[2]) / real(3.0)
+        U, s, V, eps, mean = hencky(F)
         dev = eps - vec3(mean, mean, mean)
         norm = wp.length(dev)
         reach = yield_stress / (real(2.0) * mu)
@@ -187,7 +184,7 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
             eps_bar += (reach / norm) * (centred - wp.dot(centred, direction) * direction)
             B = mat33()
             for i in range(3):
-                if s[i] > floor:
+                if s[i] > real(SMALLEST_STRETCH):
                     B[i, i] = eps_bar[i] / s[i]
             for i in range(3):
                 for j in range(3):

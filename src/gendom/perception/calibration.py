@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import csv
 import os
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Fault
 from gendom.errors import GendomError, RecordingError
+from gendom.files import read_toml
 from gendom.perception.camera import Camera
 from gendom.perception.png import read_png
 
@@ -337,19 +337,15 @@ def read_board(path: str | os.PathLike) -> Board:
         GendomError: The file is missing or malformed.
     """
     path = Path(path)
+    fix = "give squares_x, squares_y, square, marker (m), dictionary"
+    fields = read_toml(path, fix=fix)
     try:
-        return Board(**tomllib.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        what = "no such file"
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        what = f"cannot be read ({error})"
+        return Board(**fields)
     except TypeError as error:  # a field that is missing, unknown or of another type
         what = f"does not describe a board ({str(error).removeprefix('Board.__init__() ')})"
+        raise GendomError(what, where=str(path), fix=fix) from None
     except GendomError as error:
         raise GendomError(error.what, where=str(path), fix=error.fix) from None
-    raise GendomError(
-        what, where=str(path), fix="give squares_x, squares_y, square, marker (m), dictionary"
-    )
 
 
 def _read_poses(path: Path) -> list[tuple[str, np.ndarray]]:

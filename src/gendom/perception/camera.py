@@ -15,7 +15,6 @@ Axes are OpenCV's: x right, y down, z forward; pixel (0, 0) is centred at u = v 
 from __future__ import annotations
 
 import os
-import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.errors import RecordingError
-from gendom.files import atomic_path
+from gendom.files import atomic_path, read_toml
 
 _DISTORTION_LENGTHS = (0, 4, 5, 8)
 _MAX_DISTANCE = 20.0  # [m]; a camera farther from the robot's base was given in millimetres
@@ -178,15 +177,8 @@ def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
         RecordingError: The file is missing, no TOML, or lacks or has a wrong value.
     """
     path = Path(path)
-    try:
-        # A depth unit taken for granted would be wrong by ten for every second camera.
-        table = _read_table(path, ("width", "height", "K", "depth_unit"))
-    except FileNotFoundError:
-        raise RecordingError(
-            "no such file, so the intrinsics are unknown",
-            where=str(path),
-            fix="write one with width, height, K, depth_unit, distortion and T_world_camera",
-        ) from None
+    # A depth unit taken for granted would be wrong by ten for every second camera.
+    table = _read_table(path, ("width", "height", "K", "depth_unit"))
     return Camera(
         name=name or path.resolve().parent.name,
         T_world_camera=table.get("T_world_camera"),
@@ -209,10 +201,9 @@ def adopt_camera(path: str | os.PathLike, camera: Camera) -> Camera:
         RecordingError: The file is no TOML, has a wrong value, or other intrinsics.
     """
     path = Path(path)
-    try:
-        table = _read_table(path)
-    except FileNotFoundError:
+    if not path.exists():
         return camera
+    table = _read_table(path)
     for key, tolerance in (("width", 0.0), ("height", 0.0), ("K", 0.5), ("distortion", 1e-3)):
         own = np.atleast_1d(getattr(camera, key))
         given = np.atleast_1d(table.get(key, own))
@@ -232,22 +223,15 @@ def _read_table(path: Path, required: tuple[str, ...] = ()) -> dict[str, Any]:
     """The keys of a camera.toml that are there, each of its type.
 
     Raises:
-        FileNotFoundError: There is no file.
-        RecordingError: It is no TOML, lacks a required key, or one is unknown or has a wrong
-            value.
+        RecordingError: The file is missing, no TOML, lacks a required key, or one is unknown or
+            has a wrong value.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        raise RecordingError(
-            f"cannot be read ({error.strerror})", where=str(path), fix="check the file"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RecordingError(
-            f"is not TOML ({error})", where=str(path), fix="mend that line"
-        ) from None
+    table = read_toml(
+        path,
+        missing="no such file, so the intrinsics are unknown",
+        fix="write one with width, height, K, depth_unit, distortion and T_world_camera",
+        error=RecordingError,
+    )
     if missing := [key for key in required if key not in table]:
         raise RecordingError(
             f"lacks {', '.join(missing)}",

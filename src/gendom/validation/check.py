@@ -70,17 +70,7 @@ class Check:
         Raises:
             SimulationError: If the measured value is not finite.
         """
-        _refuse_nan(quantity, measured)
-        return cls(
-            quantity=quantity,
-            unit=unit,
-            expected=float(expected),
-            measured=float(measured),
-            error=abs(float(measured) - float(expected)) / abs(float(expected)),
-            allowed=allowed,
-            relative=True,
-            source=source,
-        )
+        return cls._compared(quantity, unit, expected, measured, allowed, source, relative=True)
 
     @classmethod
     def within(
@@ -91,15 +81,32 @@ class Check:
         Raises:
             SimulationError: If the measured value is not finite.
         """
-        _refuse_nan(quantity, measured)
+        return cls._compared(quantity, unit, expected, measured, allowed, source, relative=False)
+
+    @classmethod
+    def _compared(
+        cls,
+        quantity: str,
+        unit: str,
+        expected: float,
+        measured: float,
+        allowed: float,
+        source: str,
+        *,
+        relative: bool,
+    ) -> Check:
+        # A NaN would compare as a mere failure, though nothing was measured.
+        if not math.isfinite(measured):
+            raise SimulationError(f"measured {measured}", where=quantity)
+        error = abs(float(measured) - float(expected))
         return cls(
             quantity=quantity,
             unit=unit,
             expected=float(expected),
             measured=float(measured),
-            error=abs(float(measured) - float(expected)),
+            error=error / abs(float(expected)) if relative else error,
             allowed=allowed,
-            relative=False,
+            relative=relative,
             source=source,
         )
 
@@ -112,8 +119,3 @@ class Case:
     title: str
     run: Callable[[Settings], list[Check]]
     """Simulates and measures; what it simulates is in its docstring."""
-
-
-def _refuse_nan(quantity: str, measured: float) -> None:
-    if not math.isfinite(measured):
-        raise SimulationError(f"measured {measured}", where=quantity)

@@ -4,7 +4,8 @@ Takes plain arrays and dictionaries, so it needs neither estimation nor policies
 """
 
 from gendom.viz.animation import encode_gif, write_gif
-from gendom.viz.clouds import CloudSequence, encode_filmstrip, write_filmstrip
+from gendom.viz.clouds import CloudSequence
+from gendom.viz.filmstrip import encode_filmstrip, write_filmstrip
 from gendom.viz.report import (
     ActionSummary,
     EstimateSummary,

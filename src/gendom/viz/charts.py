@@ -110,17 +110,10 @@ def chamfer_chart(times: npt.ArrayLike, chamfer: npt.ArrayLike) -> bytes:
     figure, axes = _start(4.8, 2.9)
     axes.plot(times, millimetres, color=_BEST_COLOR, linewidth=1.6)
     mean = float(millimetres.mean())
-    axes.axhline(mean, color=_SOFT_INK, linestyle=(0, (4, 3)), linewidth=1.0)
-    axes.text(
-        0.99,
-        mean,
-        f"mean {mean:.1f} mm ",
-        transform=axes.get_yaxis_transform(),
-        ha="right",
-        va="bottom",
-        color=_SOFT_INK,
-        fontsize=9.0,
-    )
+    dashes = (0, (4, 3))
+    label = f"mean {mean:.1f} mm"
+    axes.axhline(mean, color=_SOFT_INK, linestyle=dashes, linewidth=1.0, label=label)
+    axes.legend(loc="best")
     axes.set(xlabel="time [s]", title="Chamfer distance, recorded to simulated [mm]")
     axes.set_ylim(0.0, 1.15 * max(float(millimetres.max()), 1e-6))
     return _finish(figure)

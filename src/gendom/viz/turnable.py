@@ -7,7 +7,8 @@ import json
 
 import numpy as np
 
-from gendom.viz.clouds import RECORDED_COLOR, CloudSequence
+from gendom.viz.clouds import CloudSequence
+from gendom.viz.palette import RECORDED_COLOR
 
 # Bytes of all points before base64; keeps a report below 3 MB.
 _BUDGET = 420_000

@@ -1,0 +1,83 @@
+"""`gendom record`: a lift, recorded by depth cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tqdm import tqdm
+
+from gendom.errors import ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Record the predefined lift of an object of the second reality.
+
+    A robot arm lifts it under two depth cameras like a D435i, with their noise, their
+    calibration's errors and a clock that is ahead. Writes what `gendom perceive` reads; the truth
+    goes into DIR/truth, for evaluation only. docs/reality.md describes it all.
+    """
+
+    reality: str
+    """The object: rope-cotton, rope-polyester, rope-polyethylene, cloth-cotton, cloth-rubber."""
+    out: Path
+    """DIR to write; must not hold a recording."""
+    rise: float | None = None
+    """How high to lift in metres; by default 0.75 of a rope's length or a cloth's side."""
+    frame_rate: float = 30.0
+    """Frames a second."""
+    noise: bool = True
+    """Noise of the cameras."""
+    errors: bool = True
+    """Errors of the rig: 2 mm and 0.3 degrees of calibration, 20 ms between the cameras."""
+    format: Literal["png", "db3"] = "png"
+    """png: folders of pictures. db3: RealSense recordings; needs the extra camera."""
+    seed: int = 0
+    """Seed of all noise and errors."""
+
+    def run(self) -> int:
+        from gendom.reality import (
+            DepthSensor,
+            Performance,
+            RecordSettings,
+            RigErrors,
+            find_object,
+            lift,
+            lift_cameras,
+            record,
+        )
+
+        if not 0.0 < self.frame_rate <= 90.0:
+            raise ParameterError(
+                f"is {self.frame_rate}", where="--frame-rate", fix="give 90 or less, above 0"
+            )
+        item = find_object(self.reality)
+        trial = lift(item, rise=self.rise)
+        performance = Performance(trial, cameras=lift_cameras(item))
+        performance.step_to(performance.closes)
+        seconds = performance.end - performance.closes
+        with performance.world, tqdm(total=round(seconds, 1), unit="s", leave=False) as bar:
+
+            def show(moment: float) -> None:
+                bar.n = round(moment, 1)
+                bar.refresh()
+
+            record(
+                performance,
+                self.out,
+                RecordSettings(
+                    frame_rate=self.frame_rate,
+                    seed=self.seed,
+                    format=self.format,
+                    notes=f"The predefined lift of {item.name}, seed {self.seed}.",
+                ),
+                sensor=DepthSensor() if self.noise else DepthSensor.exact(),
+                errors=RigErrors() if self.errors else RigErrors.none(),
+                on_frame=show,
+            )
+        r, g, b = item.colour
+        print(f"written: {self.out}")
+        print(f"next: gendom perceive {self.out} --colour {r} {g} {b} --out {item.name}.npz")
+        return 0

@@ -1,0 +1,101 @@
+"""The robot in the second reality: bodies and servos made from an arm's published numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from gendom.robot import Arm, JointMotion, arm_shape, link_poses
+
+STIFFNESS, DAMPING, INERTIA = 2.0e4, 4.0e2, 0.3
+"""Of each joint's servo [N m / rad], [N m s / rad], and what its gears add to a link's inertia
+[kg m^2]: stiff enough to stay within a millimetre of its path."""
+
+_TOUCHED = 'contype="2" conaffinity="1"'
+_UNTOUCHED = 'contype="0" conaffinity="0"'
+
+
+class RobotArm:
+    """An arm whose joints follow a motion through servos.
+
+    Links have the mass of their capsules, filled as water, and do not sag: their weight is
+    compensated, as the real controller does. They push the object away; the gripper does not,
+    since what it holds lies between its fingers.
+
+    Args:
+        arm: Its numbers.
+        motion: Joint angles over time, from time 0 on.
+        opening: Distance of the fingers' inner faces [m].
+    """
+
+    def __init__(self, arm: Arm, motion: JointMotion, *, opening: float = 0.01):
+        self.arm = arm
+        self.motion = motion
+        self.opening = opening
+        self._q = self._v = np.empty(0, dtype=int)
+
+    def xml(self) -> str:
+        """The arm's bodies; the hand is the body `hand`, with the tool point at its origin."""
+        arm = self.arm
+        rest = np.zeros(arm.joints)
+        shape = arm_shape(arm, rest, self.opening)
+        poses = link_poses(arm, rest)
+        links = [c.link for c in arm.capsules]
+        links += [arm.joints] * (len(shape.names) - len(links))
+        geoms: list[list[str]] = [[] for _ in range(arm.joints + 1)]
+        for k, link in enumerate(links):
+            T = np.linalg.inv(poses[link])
+            a, b = (T[:3, :3] @ p + T[:3, 3] for p in (shape.start[k], shape.end[k]))
+            if np.linalg.norm(b - a) < 1e-4:  # MuJoCo wants capsules longer than that
+                b = b + np.array([0.0, 0.0, 1e-4])
+            gripper = link == arm.joints
+            geoms[link].append(
+                f'<geom type="capsule" fromto="{_row(a)} {_row(b)}" size="{shape.radius[k]}"'
+                f' rgba="{"0.25 0.26 0.28 1" if gripper else "0.9 0.9 0.92 1"}"'
+                f" {_UNTOUCHED if gripper else _TOUCHED}/>"
+            )
+        body = f'<body name="hand" {_place(arm.T_flange_tcp)}/>'
+        for i in range(arm.joints, 0, -1):
+            step = np.linalg.inv(poses[i - 1]) @ poses[i]
+            body = (
+                f'<body name="link{i}" {_place(step)} gravcomp="1">'
+                f'<joint name="joint{i}" armature="{INERTIA}" axis="0 0 1"/>'
+                f"{''.join(geoms[i])}{body}</body>"
+            )
+        return f'<body name="base">{"".join(geoms[0])}{body}</body>'
+
+    def actuators(self) -> str:
+        """Two servos a joint, on its angle and on its speed."""
+        return "".join(
+            f'<position name="angle{i}" joint="joint{i}" kp="{STIFFNESS}"/>'
+            f'<velocity name="speed{i}" joint="joint{i}" kv="{DAMPING}"/>'
+            for i in range(1, self.arm.joints + 1)
+        )
+
+    def reset(self, model: Any, data: Any) -> None:
+        """Put the arm to where its motion starts."""
+        joints = [model.joint(f"joint{i}") for i in range(1, self.arm.joints + 1)]
+        self._q = np.array([int(j.qposadr[0]) for j in joints])
+        self._v = np.array([int(j.dofadr[0]) for j in joints])
+        data.qpos[self._q] = self.motion.at(0.0)
+
+    def control(self, data: Any, time: float) -> None:
+        """Tell the servos where to be at a time [s]."""
+        data.ctrl[0::2] = self.motion.at(time)
+        data.ctrl[1::2] = self.motion.speed_at(time)
+
+    def measured(self, data: Any) -> npt.NDArray[np.float64]:
+        """[J] joint angles as the encoders have them [rad]."""
+        return data.qpos[self._q].copy()
+
+
+def _place(T: npt.NDArray[np.float64]) -> str:
+    quat = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+    return f'pos="{_row(T[:3, 3])}" quat="{_row(quat)}"'
+
+
+def _row(values: npt.ArrayLike) -> str:
+    return " ".join(repr(float(x)) for x in np.ravel(values))

@@ -1,0 +1,84 @@
+"""The second reality's objects on the test bench: does the flex bend as its modulus says?
+
+Each object is clamped at one end and sags under its weight, made stiff enough for small
+deflections: a flex's resistance to bending scales with its modulus, so what is checked is the
+discretisation with which the object is used.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gendom.reality.objects import GRAVITY, RealCloth, RealObject, RealRope
+from gendom.reality.scene import Layout
+from gendom.reality.world import Reality
+
+SAG = 0.02
+"""Sag in lengths for which the modulus is chosen."""
+
+STRIP = 7
+"""Points across the strip that is cut from a cloth."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One object's cantilever."""
+
+    name: str
+    sag: float
+    """Measured [m]."""
+    expected: float
+    """q L^4 / (8 B) [m] with weight a length q and rigidity B: E I of a rope, E t^3 / (12
+    (1 - nu^2)) times the width of a strip. Source: Timoshenko, "Strength of Materials"."""
+
+    @property
+    def error(self) -> float:
+        """Relative error."""
+        return self.sag / self.expected - 1.0
+
+
+def cantilever(item: RealObject, *, seconds: float = 3.0) -> Bench:
+    """Let an object sag from a clamp.
+
+    Args:
+        item: A rope or a cloth; of a cloth a strip along its first side is taken.
+        seconds: Simulated time until it is at rest [s].
+    """
+    if isinstance(item, RealCloth):
+        item = replace(item, strip=STRIP)
+        length, spacing = item.side, item.spacing
+        breadth = item.spacing * (STRIP - 1)
+        rigidity = item.rigidity * breadth
+    else:
+        length, spacing = item.length, item.length / (item.vertices - 1)
+        rigidity = item.material.E * math.pi * item.diameter**4 / 64.0
+    # Curvature at a vertex stands for half an edge to both sides: the clamp holds two vertices
+    # and half an edge of the bent part.
+    free = length - spacing / 2.0
+    weight = item.mass * GRAVITY / length
+    soft = weight * free**4 / (8.0 * rigidity)
+    stiff = replace(
+        item,
+        material=replace(item.material, E=item.material.E * soft / (SAG * length)),
+        # A damping that brings the first mode to rest within a second or so.
+        damping=0.02,
+    )
+    world = Reality(stiff, Layout(origin=(0.0, 0.0, 0.5), clamped=1e-6), table=False)
+    # Stiffened, a sheet is beyond conjugate gradients.
+    world.model.opt.solver = 2  # Newton
+    world.step_to(seconds)
+    x = world.vertices()
+    rows = x[:, 2].reshape(-1, STRIP) if isinstance(item, RealCloth) else x[:, 2, None]
+    height = rows.mean(axis=1)
+    # Less the slope that the clamp itself gives way.
+    slope = (height[1] - height[0]) / spacing
+    sag = height[1] - height[-1] + slope * (length - spacing)
+    return Bench(item.name, float(sag), SAG * length)
+
+
+def stretch(rope: RealRope, vertices: np.ndarray) -> float:
+    """How much longer a rope [V, 3] [m] is than at rest, relative."""
+    return float(np.linalg.norm(np.diff(vertices, axis=0), axis=1).sum() / rope.length - 1.0)

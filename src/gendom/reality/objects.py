@@ -1,0 +1,221 @@
+"""The objects of the second reality: three ropes and two cloths.
+
+They carry the names of the paper's. Where their numbers come from:
+
+Ropes. E / density and nu are the paper's estimates for its three real ropes (table "real2sim":
+1779, 3276 and 8000 with nu 0.35, 0.346, 0.36), which hold for a rope 0.5 long under gravity 12,
+brought to metres by the similarity of `gendom.tasks.rope_reaching`: times g L / (12 * 0.5), and for
+their diameter such that the bending length over the length is the same: 0.39, 0.47 and 0.64. E is
+an effective modulus of bending: fibres slide on each other, so a rope in bending is softer by
+orders than its fibres. Densities are those of the fibres (cotton 1.54, polyester 1.38,
+polyethylene 0.95 g/cm^3; Morton and Hearle, "Physical Properties of Textile Fibres", 2008) times
+the share of the section that they fill in a braid, 0.5 to 0.65.
+
+Cloths. Cotton: bending rigidity of a shirting, 0.07 gf cm^2/cm = 7e-6 N m (Kawabata, "The
+Standardization and Analysis of Hand Evaluation", 1980, has 0.03 to 0.15 for cotton), 0.2 kg/m^2,
+0.5 mm thick; E is the modulus that gives a plate of that thickness this rigidity. Rubber: a
+sheet of soft vulcanised natural rubber, E 2 MPa, 1100 kg/m^3 (Treloar, "The Physics of Rubber
+Elasticity", 1975), 1 mm thick; nu 0.45 in place of 0.5, which no compressible plate can have.
+
+Coefficients of friction are for a smooth table, damping is a time: the stress of a rate of strain
+is damping times that of the strain. Both are chosen, within what such things show: 0.25 for
+polyethylene to 0.7 for rubber; a few per cent to a fifth of critical damping in the first bending
+modes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from gendom.errors import ParameterError
+from gendom.materials import Material
+
+GRAVITY = 9.81
+"""[m/s^2]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealRope:
+    """A round rope."""
+
+    name: str
+    """As on the command line."""
+    length: float
+    """[m]."""
+    diameter: float
+    """[m]."""
+    material: Material
+    """Elasticity in bending and density."""
+    damping: float
+    """Viscous stress over elastic stress [s]."""
+    friction: float
+    """Coefficient of friction on the table."""
+    colour: tuple[int, int, int]
+    """sRGB."""
+    vertices: int = 18
+    """Points along it; their spacing must exceed the diameter."""
+
+    @property
+    def mass(self) -> float:
+        """[kg]."""
+        return math.pi / 4.0 * self.diameter**2 * self.length * self.material.density
+
+    def description(self) -> dict[str, Any]:
+        """The object's part of a recording's meta, without the grasp."""
+        return {
+            "kind": "rope",
+            "length": self.length,
+            "diameter": self.diameter,
+            "mass": self.mass,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealCloth:
+    """A square cloth."""
+
+    name: str
+    """As on the command line."""
+    side: float
+    """[m]."""
+    thickness: float
+    """[m]."""
+    material: Material
+    """Elasticity in bending and density."""
+    damping: float
+    """Viscous stress over elastic stress [s]."""
+    friction: float
+    """Coefficient of friction on the table."""
+    colour: tuple[int, int, int]
+    """sRGB."""
+    vertices: int = 21
+    """Points along a side."""
+    strip: int | None = None
+    """Points across, for a strip that is cut from it; None: as many as along."""
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Points along and across."""
+        return self.vertices, self.vertices if self.strip is None else self.strip
+
+    @property
+    def spacing(self) -> float:
+        """Between points [m]."""
+        return self.side / (self.vertices - 1)
+
+    @property
+    def mass(self) -> float:
+        """[kg]."""
+        breadth = self.spacing * (self.counts[1] - 1)
+        return self.side * breadth * self.thickness * self.material.density
+
+    @property
+    def rigidity(self) -> float:
+        """Bending rigidity E t^3 / (12 (1 - nu^2)) [N m]."""
+        return self.material.E * self.thickness**3 / (12.0 * (1.0 - self.material.nu**2))
+
+    def description(self) -> dict[str, Any]:
+        """The object's part of a recording's meta, without the grasp."""
+        return {
+            "kind": "cloth",
+            "width": self.side,
+            "height": self.side,
+            "thickness": self.thickness,
+            "mass": self.mass,
+        }
+
+
+RealObject = RealRope | RealCloth
+
+
+def _rope(
+    name: str,
+    paper_E: float,
+    nu: float,
+    *,
+    density: float,
+    length: float = 0.3,
+    diameter: float = 0.016,
+    **rest: Any,
+) -> RealRope:
+    """A rope of the paper's; `paper_E` is its estimate in the paper's units."""
+    E = paper_E * GRAVITY * length / (12.0 * 0.5) * density
+    # The paper's rope is 0.056 lengths thick: equal bending at another thickness.
+    E *= (0.028 / 0.5 * length / diameter) ** 2
+    material = Material(E=E, nu=nu, density=density)
+    return RealRope(name=name, length=length, diameter=diameter, material=material, **rest)
+
+
+def _cotton() -> RealCloth:
+    thickness, nu = 0.5e-3, 0.3
+    E = 7e-6 * 12.0 * (1.0 - nu**2) / thickness**3
+    return RealCloth(
+        name="cloth-cotton",
+        side=0.3,
+        thickness=thickness,
+        material=Material(E=E, nu=nu, density=400.0),
+        damping=0.01,
+        friction=0.5,
+        colour=(40, 70, 150),
+    )
+
+
+OBJECTS: dict[str, RealObject] = {
+    item.name: item
+    for item in (
+        _rope(
+            "rope-cotton",
+            1779.38,
+            0.35,
+            density=800.0,
+            damping=0.01,
+            friction=0.45,
+            colour=(190, 45, 40),
+        ),
+        _rope(
+            "rope-polyester",
+            3276.12,
+            0.346,
+            density=900.0,
+            damping=0.008,
+            friction=0.35,
+            colour=(35, 85, 170),
+        ),
+        _rope(
+            "rope-polyethylene",
+            8000.31,
+            0.36,
+            density=600.0,
+            damping=0.005,
+            friction=0.25,
+            colour=(225, 190, 30),
+        ),
+        _cotton(),
+        RealCloth(
+            name="cloth-rubber",
+            side=0.3,
+            thickness=1e-3,
+            material=Material(E=2e6, nu=0.45, density=1100.0),
+            damping=0.004,
+            friction=0.7,
+            colour=(35, 35, 38),
+        ),
+    )
+}
+"""The objects by name."""
+
+
+def find_object(name: str) -> RealObject:
+    """The object of a name.
+
+    Raises:
+        ParameterError: There is none.
+    """
+    try:
+        return OBJECTS[name]
+    except KeyError:
+        raise ParameterError(
+            f"there is no object {name!r}", where="reality", fix=f"choose {', '.join(OBJECTS)}"
+        ) from None

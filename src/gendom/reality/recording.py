@@ -1,0 +1,184 @@
+"""Record the second reality as a real rig would: camera folders, the robot's path, the object.
+
+    DIR/object.toml          what is held, for perception
+    DIR/gripper.csv          the hand's measured path
+    DIR/joints.csv           the joints' measured angles, where a robot stands
+    DIR/cameras/NAME/...     what each camera saw, and where it believes to stand
+    DIR/truth/truth.npz      time [M], vertices [M, V, 3] [m]: for evaluation only
+    DIR/truth/truth.json     the object's parameters, the sensors' errors, the seed
+
+Nothing that perceives, estimates or acts reads `truth`.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gendom.errors import GendomError
+from gendom.files import atomic_path, write_json
+from gendom.perception import PngWriter
+from gendom.reality.sensor import DepthSensor, RigErrors
+from gendom.reality.trials import Performance
+from gendom.reality.world import Reality
+
+PATH_RATE = 100.0
+"""Of the robot's measured path [1/s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordSettings:
+    """How to record."""
+
+    frame_rate: float = 30.0
+    """Of the cameras [1/s]."""
+    format: str = "png"
+    """png: folders of pictures; db3: RealSense recordings, through the vendor's SDK."""
+    notes: str = ""
+    """For whoever reads the recording."""
+    seed: int = 0
+    """Of all the sensors' errors."""
+
+
+def record(
+    performance: Performance,
+    folder: str | os.PathLike,
+    settings: RecordSettings | None = None,
+    *,
+    sensor: DepthSensor | None = None,
+    errors: RigErrors | None = None,
+    on_frame: Callable[[float], None] = lambda _: None,
+) -> None:
+    """Carry a trial out to its end and write what the cameras and the robot measure.
+
+    Time stamps begin with 0 now; step to where the hand has closed first. Pictures are on disk
+    frame by frame: an interrupted recording can be perceived as far as it goes.
+
+    Args:
+        performance: The trial, with cameras.
+        folder: Made if missing; must not hold a recording.
+        settings: What to write.
+        sensor: The cameras' noise; by default that of a D435i.
+        errors: The rig's errors; by default the usual ones.
+        on_frame: Called with the recorded time [s] after each.
+
+    Raises:
+        GendomError: The folder holds a recording already, or cannot be written.
+        DeviceError: Nothing can be rendered here.
+        SimulationError: The world diverged.
+    """
+    settings = RecordSettings() if settings is None else settings
+    world = performance.world
+    folder = Path(folder)
+    if (folder / "cameras").exists():
+        raise GendomError("holds a recording already", where=str(folder), fix="name another folder")
+    sensor = DepthSensor() if sensor is None else sensor
+    errors = RigErrors() if errors is None else errors
+    # One stream of random numbers for each use: more frames do not change the calibration.
+    rig, *eyes = [
+        np.random.default_rng(s)
+        for s in np.random.SeedSequence(settings.seed).spawn(1 + len(world.cameras))
+    ]
+    believed = errors.believed(world.cameras, rig)
+    began = world.time
+    seconds = performance.end - began
+    world.render(0)  # where nothing can be rendered, before anything is written
+    folder.mkdir(parents=True, exist_ok=True)
+    writers = [PngWriter(folder / "cameras" / c.name, c) for c in believed]
+    _write_object(folder / "object.toml", performance, settings)
+    path, truth = _Rows(), []
+    frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
+    frames = frames / settings.frame_rate
+    samples = np.arange(int(seconds * PATH_RATE + 1e-9) + 1) / PATH_RATE
+    try:
+        for moment in np.union1d(frames, samples):
+            performance.step_to(began + moment)
+            if moment in samples:
+                path.add(world, moment)
+            if moment not in frames:
+                continue
+            for c, camera in enumerate(world.cameras):
+                depth, colour = world.render(c)
+                pictures = sensor.observe(depth, colour, camera, eyes[c])
+                writers[c].write(errors.stamp(c, moment), pictures)
+            truth.append((moment, world.vertices()))
+            on_frame(moment)
+    finally:
+        path.write(folder)
+        _write_truth(folder / "truth", world, settings, sensor, errors, truth)
+
+
+class _Rows:
+    """The robot's path as it is measured."""
+
+    def __init__(self) -> None:
+        self._hand: list[Sequence[float]] = []
+        self._joints: list[Sequence[float]] = []
+
+    def add(self, world: Reality, moment: float) -> None:
+        axis = world.hand_axis
+        self._hand.append([moment, *world.hand, *axis])
+        if world.robot is not None:
+            self._joints.append([moment, *world.robot.measured(world.data)])
+
+    def write(self, folder: Path) -> None:
+        _write_csv(folder / "gripper.csv", ["time", "x", "y", "z", "ax", "ay", "az"], self._hand)
+        if self._joints:
+            names = [f"q{k}" for k in range(len(self._joints[0]) - 1)]
+            _write_csv(folder / "joints.csv", ["time", *names], self._joints)
+
+
+def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float]]) -> None:
+    with atomic_path(path) as temporary, open(temporary, "w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([[f"{float(x):.6f}" for x in row] for row in rows])
+
+
+def _write_object(path: Path, performance: Performance, settings: RecordSettings) -> None:
+    trial = performance.trial
+    lines = [
+        "table_height = 0.0",
+        'gripper_source = "measured"',
+        f"quasi_static = {str(trial.quasi_static).lower()}",
+        'source = "a second reality on MuJoCo, seen by simulated depth cameras"',
+        f"notes = {json.dumps(settings.notes)}",
+        "",
+        "[object]",
+        f'grasp = "{trial.grasp}"',
+    ]
+    for key, value in trial.item.description().items():
+        lines.append(f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value!r}")
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
+    item = world.item
+    with atomic_path(folder / "truth.npz") as temporary:
+        np.savez_compressed(
+            temporary,
+            time=np.array([t for t, _ in truth]),
+            vertices=np.array([x for _, x in truth], dtype=np.float32),
+        )
+    write_json(
+        folder / "truth.json",
+        {
+            "format": "gendom-truth/1",
+            "object": {"name": item.name, **item.description()},
+            "youngs_modulus": item.material.E,
+            "poissons_ratio": item.material.nu,
+            "density": item.material.density,
+            "damping": item.damping,
+            "friction": item.friction,
+            "sensor": asdict(sensor),
+            "errors": asdict(errors),
+            "seed": settings.seed,
+        },
+    )

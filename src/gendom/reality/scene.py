@@ -1,0 +1,343 @@
+"""The second reality's model: a table, one object as a MuJoCo flex, an arm and two cameras.
+
+MuJoCo's equations are not our simulator's: a rope is a discrete elastic rod without twist, a cloth
+a shell of triangles, both integrated implicitly; contacts are its own. See docs/reality.md for
+how both were measured against closed forms.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import DeviceError, ParameterError
+from gendom.perception.camera import Camera
+from gendom.reality.objects import GRAVITY, RealObject, RealRope
+
+ROPE_STEP, CLOTH_STEP = 0.001, 0.004
+"""Time steps [s]."""
+
+SHEET_BENDING = 0.81
+"""MuJoCo's bending rigidity of a sheet on a square grid of halved squares, over that of plate
+theory: measured on clamped strips (`gendom.reality.benches`)."""
+
+CLOTH_RADIUS = 0.002
+"""Half the thickness with which a cloth touches and is seen [m]."""
+
+TABLE = (0.45, 0.0, 0.9, 1.4)
+"""Centre x, y and sizes along x and y of the table [m]; its top is z = 0."""
+
+# Bits of contact: what an object touches, beside itself.
+_OBJECT, _FIXED = 1, 2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layout:
+    """Where an object is at the start, straight or flat and without stress.
+
+    Raises:
+        ParameterError: The directions are no unit vectors at right angles.
+    """
+
+    origin: npt.ArrayLike
+    """[3] a rope's first end, or a cloth's first corner [m]."""
+    along: npt.ArrayLike = (1.0, 0.0, 0.0)
+    """[3] direction of a rope, or of a cloth's first side."""
+    across: npt.ArrayLike = (0.0, 1.0, 0.0)
+    """[3] direction of a cloth's second side; any at right angles to a rope."""
+    clamped: float = 0.0
+    """How much of its start a stand holds fast [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("origin", "along", "across"):
+            value = np.asarray(getattr(self, name), dtype=float)
+            if value.shape != (3,) or not np.isfinite(value).all():
+                raise ParameterError("give three finite numbers", where=f"layout: {name}")
+            object.__setattr__(self, name, value)
+        axes = np.stack([self.along, self.across])
+        if not np.allclose(axes @ axes.T, np.eye(2), atol=1e-9):
+            raise ParameterError(
+                "are no unit vectors at right angles", where="layout: along, across"
+            )
+
+    def rotation(self) -> Rotation:
+        """Turns the flex's own axes into the world's."""
+        x, y = np.asarray(self.along), np.asarray(self.across)
+        return Rotation.from_matrix(np.stack([x, y, np.cross(x, y)], axis=1))
+
+
+def rest_height(item: RealObject) -> float:
+    """Height of the middle of an object that lies on the table [m]."""
+    return item.diameter / 2.0 if isinstance(item, RealRope) else CLOTH_RADIUS
+
+
+def default_cameras(
+    centre: npt.ArrayLike = (0.5, 0.0, 0.1),
+    *,
+    distance: float = 0.8,
+    elevation: float = 25.0,
+    width: int = 640,
+    height: int = 480,
+    focal: float = 385.0,
+    depth_unit: float = 1e-4,
+) -> list[Camera]:
+    """Two D435i-like cameras on opposite sides of a point, looking at it.
+
+    Args:
+        centre: [3] what they look at [m].
+        distance: Of each camera from there [m].
+        elevation: Above the horizontal [degrees].
+        width, height: Pixels.
+        focal: Focal length [pixels]; a D435i has 385 at 640 x 480.
+        depth_unit: Metres a count.
+
+    Returns:
+        Cameras "left" (at positive y) and "right", with the true poses.
+    """
+    centre = np.asarray(centre, dtype=float)
+    K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
+    tilt = np.radians(elevation)
+    cameras = []
+    for name, side in (("left", 1.0), ("right", -1.0)):
+        position = centre + distance * np.array([0.0, side * np.cos(tilt), np.sin(tilt)])
+        T = looking_at(position, centre)
+        cameras.append(
+            Camera(
+                name=name,
+                width=width,
+                height=height,
+                K=K,
+                T_world_camera=T,
+                depth_unit=depth_unit,
+            )
+        )
+    return cameras
+
+
+def looking_at(position: npt.ArrayLike, target: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """`T_world_camera` [4, 4] [m] of an upright camera at a position, looking at a target."""
+    position = np.asarray(position, dtype=float)
+    forward = np.asarray(target, dtype=float) - position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    T[:3, 3] = position
+    return T
+
+
+def build_model(
+    item: RealObject,
+    layout: Layout,
+    *,
+    arm: str = "",
+    actuators: str = "",
+    hands: Sequence[str] = (),
+    cameras: Sequence[Camera] = (),
+    table: bool = True,
+    timestep: float | None = None,
+    gravity: npt.ArrayLike = (0.0, 0.0, -GRAVITY),
+) -> Any:
+    """Compile the scene.
+
+    Every vertex of the object has one connection to each hand, named HAND_INDEX and inactive at
+    first; `Reality` switches them to attach and release. What the stand holds is connected to
+    the world.
+
+    Args:
+        item: The object.
+        layout: Where it is.
+        arm: Bodies of a robot, see `gendom.reality.arm`, or of a free hand.
+        actuators: Of the robot.
+        hands: Names of bodies that can hold the object.
+        cameras: Fixed cameras.
+        table: Whether there is one.
+        timestep: [s]; by default 1 ms for ropes, 4 ms for cloths.
+        gravity: [3] [m/s^2].
+
+    Returns:
+        The `mujoco.MjModel`.
+
+    Raises:
+        DeviceError: MuJoCo is not installed.
+        ParameterError: MuJoCo refuses the model.
+    """
+    mujoco = load_mujoco()
+    step = timestep or (ROPE_STEP if isinstance(item, RealRope) else CLOTH_STEP)
+    flex, vertices = _flex(item, layout, step)
+    held = _clamped(item, layout)
+    x, y, wide, deep = TABLE
+    top = (
+        f'<geom name="table" type="box" pos="{x} {y} -0.02" size="{wide / 2} {deep / 2} 0.02"'
+        f' rgba="0.62 0.58 0.52 1" contype="{_FIXED}" conaffinity="{_OBJECT}"'
+        f' friction="{item.friction} 0.005 0.0001" priority="1"/>'
+        if table
+        else ""
+    )
+    connections = [
+        _connect(f"{hand}_{v}", f"object_{v}", hand, step, active=False)
+        for hand in hands
+        for v in range(vertices)
+    ]
+    connections += [
+        f'<connect name="stand_{v}" body1="object_{v}" anchor="0 0 0" {_firm(step)}/>' for v in held
+    ]
+    solver = "Newton" if isinstance(item, RealRope) else "CG"
+    xml = f"""
+<mujoco model="{item.name}">
+  <option timestep="{step}" integrator="discrete" solver="{solver}" tolerance="1e-8"
+          iterations="100" gravity="{_row(gravity)}"/>
+  <size memory="256M"/>
+  <visual>
+    <global offwidth="1280" offheight="960"/>
+    <map znear="0.02" zfar="8"/>
+    <quality offsamples="0" shadowsize="2048"/>
+    <headlight ambient="0.35 0.35 0.35" diffuse="0.35 0.35 0.35" specular="0 0 0"/>
+  </visual>
+  <statistic extent="1" center="0.4 0 0.2"/>
+  <worldbody>
+    <light pos="0.2 0.6 1.8" dir="0.1 -0.3 -1" diffuse="0.5 0.5 0.5" castshadow="true"/>
+    <light pos="0.8 -0.8 1.6" dir="-0.2 0.4 -1" diffuse="0.3 0.3 0.3" castshadow="false"/>
+    <geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -0.75" rgba="0.35 0.37 0.4 1"
+          contype="{_FIXED}" conaffinity="{_OBJECT}"/>
+    {top}
+    {"".join(_camera(camera) for camera in cameras)}
+    {arm}
+    {flex}
+  </worldbody>
+  <actuator>{actuators}</actuator>
+  <equality>
+    {"".join(connections)}
+  </equality>
+</mujoco>"""
+    try:
+        return mujoco.MjModel.from_xml_string(xml)
+    except ValueError as error:
+        raise ParameterError(
+            f"MuJoCo refuses the scene ({error})", where=item.name, fix="check its sizes"
+        ) from None
+
+
+def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:
+    """[V, 3] where the vertices are at the start [m]; a cloth's run along `across` first."""
+    origin = np.asarray(layout.origin, dtype=np.float64)
+    if isinstance(item, RealRope):
+        along = np.linspace(0.0, item.length, item.vertices)
+        return origin + along[:, None] * np.asarray(layout.along)
+    steps = np.stack(np.meshgrid(*map(np.arange, item.counts), indexing="ij"), axis=-1)
+    axes = np.array([layout.along, layout.across], dtype=np.float64)
+    return origin + item.spacing * steps.reshape(-1, 2) @ axes
+
+
+def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
+    """The object's element and its number of vertices."""
+    centre = rest_shape(item, layout).mean(axis=0)
+    turned = layout.rotation().as_quat(scalar_first=True)
+    place = f'pos="{_row(centre)}" quat="{_row(turned)}" mass="{item.mass!r}"'
+    colour = _row([*(c / 255.0 for c in item.colour), 1.0])
+    # Hard contact: two time steps to settle. The table's friction takes precedence.
+    contact = (
+        f'<contact contype="{_OBJECT}" conaffinity="{_FIXED}" selfcollide="auto"'
+        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1"/>'
+    )
+    E, nu = item.material.E, item.material.nu
+    if isinstance(item, RealRope):
+        n, dx = item.vertices, item.length / (item.vertices - 1)
+        return (
+            f'<flexcomp name="object" type="grid" dim="1" count="{n} 1 1" spacing="{dx} {dx} {dx}"'
+            f' {place} radius="{item.diameter / 2}" rgba="{colour}">'
+            # A rope hardly stretches: its edges are held by constraints, not springs.
+            f'<edge equality="true" solref="{2 * step} 1" solimp="0.99 0.999 0.001"/>'
+            f'<elasticity young="{E!r}" poisson="{nu}" damping="{item.damping}" section="circle"/>'
+            f"{contact}</flexcomp>",
+            n,
+        )
+    (n, m), dx = item.counts, item.spacing
+    # Rigidity E t^3 is raised to what MuJoCo's bending takes away, stiffness E t in the plane is
+    # kept.
+    thicker = (1.0 / SHEET_BENDING) ** 0.5
+    return (
+        f'<flexcomp name="object" type="grid" dim="2" count="{n} {m} 1" spacing="{dx} {dx} {dx}"'
+        f' {place} radius="{CLOTH_RADIUS}" rgba="{colour}">'
+        f'<elasticity young="{E / thicker!r}" poisson="{nu}" damping="{item.damping}"'
+        f' thickness="{item.thickness * thicker!r}" elastic2d="both"/>'
+        f"{contact}</flexcomp>",
+        n * m,
+    )
+
+
+def _clamped(item: RealObject, layout: Layout) -> npt.NDArray[np.intp]:
+    """Vertices that the stand holds."""
+    if layout.clamped <= 0.0:
+        return np.empty(0, dtype=np.intp)
+    along = (rest_shape(item, layout) - np.asarray(layout.origin)) @ np.asarray(layout.along)
+    # One row alone would be a hinge.
+    second = np.unique(along.round(9))[1]
+    return np.flatnonzero(along <= max(layout.clamped, second) + 1e-9)
+
+
+def _connect(name: str, body: str, hand: str, step: float, *, active: bool) -> str:
+    state = "true" if active else "false"
+    return (
+        f'<connect name="{name}" body1="{body}" body2="{hand}" anchor="0 0 0" active="{state}"'
+        f" {_firm(step)}/>"
+    )
+
+
+def _firm(step: float) -> str:
+    """A constraint that hardly gives: softer ones let the held end turn by some degrees."""
+    return f'solref="{2 * step} 1" solimp="0.9999 0.9999 0.001"'
+
+
+def _camera(camera: Camera) -> str:
+    T, K = camera.calibrated(), camera.K
+    # MuJoCo's cameras look along -z with y up, OpenCV's along z with y down.
+    quat = Rotation.from_matrix(T[:3, :3] * [1.0, -1.0, -1.0]).as_quat(scalar_first=True)
+    pixel = 3e-6
+    principal = [K[0, 2] - (camera.width - 1) / 2, (camera.height - 1) / 2 - K[1, 2]]
+    return (
+        f'<camera name="{camera.name}" pos="{_row(T[:3, 3])}" quat="{_row(quat)}"'
+        f' resolution="{camera.width} {camera.height}"'
+        f' sensorsize="{camera.width * pixel} {camera.height * pixel}"'
+        f' focalpixel="{K[0, 0]} {K[1, 1]}" principalpixel="{_row(principal)}"/>'
+    )
+
+
+def _row(values: Any) -> str:
+    return " ".join(repr(float(x)) for x in np.ravel(values))
+
+
+def load_mujoco() -> Any:
+    """The module `mujoco`, told to render without a screen where there is none.
+
+    Raises:
+        DeviceError: It is not installed.
+    """
+    if headless():
+        # mujoco reads this when it is imported, and fails there when the library is missing.
+        os.environ.setdefault("MUJOCO_GL", "egl")
+    with contextlib.suppress(ImportError, AttributeError, OSError):
+        import mujoco
+
+        return mujoco
+    os.environ["MUJOCO_GL"] = "disable"
+    try:
+        import mujoco
+    except ImportError:
+        raise DeviceError(
+            "MuJoCo is not installed", where="reality", fix="pip install 'gendom[reality]'"
+        ) from None
+    return mujoco
+
+
+def headless() -> bool:
+    """Whether there is no screen."""
+    return not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

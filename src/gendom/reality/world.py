@@ -1,0 +1,266 @@
+"""The second reality in time: step it, hold the object, let go, look at it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gendom.errors import DeviceError, ParameterError, SimulationError
+from gendom.perception.camera import Camera
+from gendom.reality.objects import RealObject, RealRope
+from gendom.reality.scene import Layout, build_model, headless, load_mujoco
+
+FINGER_WIDTH = 0.025
+"""Breadth of the fingers: what they hold reaches half of it to either side [m]."""
+
+GL_PACKAGES = "apt install libegl1 libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
+"""What a Debian machine without a screen needs to render."""
+
+
+class Reality:
+    """One object on the table, under cameras, touched by a hand.
+
+    The hand is either the robot's (`robot`, see `gendom.reality.arm`) or, without a robot, a
+    free body that goes wherever it is told, for tests and benches.
+
+    Args:
+        item: The object.
+        layout: Where it is at the start.
+        robot: The arm that carries the hand; None: a free hand.
+        cameras: Fixed cameras, with their true poses.
+        table: Whether there is a table.
+        timestep: [s]; None for the default of the object's kind.
+        gravity: [3] [m/s^2].
+
+    Raises:
+        DeviceError: MuJoCo is not installed.
+        ParameterError: The scene cannot be built.
+    """
+
+    def __init__(
+        self,
+        item: RealObject,
+        layout: Layout,
+        *,
+        robot: Any = None,
+        cameras: Sequence[Camera] = (),
+        table: bool = True,
+        timestep: float | None = None,
+        gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
+    ):
+        self._mujoco = load_mujoco()
+        self.item = item
+        self.layout = layout
+        self.cameras = list(cameras)
+        self.robot = robot
+        self.model = build_model(
+            item,
+            layout,
+            arm=_FREE_HAND if robot is None else robot.xml(),
+            actuators="" if robot is None else robot.actuators(),
+            hands=("hand",),
+            cameras=cameras,
+            table=table,
+            timestep=timestep,
+            gravity=gravity,
+        )
+        self.data = self._mujoco.MjData(self.model)
+        self._hand = self.model.body("hand").id
+        self._bodies = np.array(self.model.flex_vertbodyid)
+        self._connections = np.array(
+            [self.model.equality(f"hand_{v}").id for v in range(len(self._bodies))]
+        )
+        self._path: Callable[[float], npt.ArrayLike] | None = None
+        self._renderer: Any = None
+        self.reset()
+
+    # ---- time ------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Back to time 0: the object in its layout, at rest and free, the hand away."""
+        self._mujoco.mj_resetData(self.model, self.data)
+        self._path = None
+        if self.robot is not None:
+            self.robot.reset(self.model, self.data)
+        self._mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def time(self) -> float:
+        """[s]."""
+        return float(self.data.time)
+
+    def step_to(self, time: float) -> None:
+        """Let time pass until `time` [s], to the nearest time step.
+
+        Raises:
+            SimulationError: The state is no longer finite; says when.
+        """
+        step = self.model.opt.timestep
+        for _ in range(round((time - self.time) / step)):
+            if self.robot is not None:
+                self.robot.control(self.data, self.time + step)
+            elif self._path is not None:
+                self.data.mocap_pos[0] = self._path(self.time + step)
+            self._mujoco.mj_step(self.model, self.data)
+        bad = (self._mujoco.mjtWarning.mjWARN_BADQPOS, self._mujoco.mjtWarning.mjWARN_BADQACC)
+        if (
+            any(self.data.warning[int(w)].number for w in bad)
+            or not np.isfinite(self.data.qpos).all()
+        ):
+            raise SimulationError(
+                "the second reality diverged",
+                where=f"{self.item.name}, t = {self.time:.4g} s",
+                fix="take a smaller timestep",
+            )
+
+    # ---- the hand --------------------------------------------------------------------------------
+
+    def follow(self, path: Callable[[float], npt.ArrayLike]) -> None:
+        """Send the free hand along a path, time [s] -> position [3] [m]."""
+        if self.robot is not None:
+            raise ParameterError("the robot moves the hand", fix="give it a motion")
+        self._path = path
+
+    @property
+    def hand(self) -> npt.NDArray[np.float64]:
+        """[3] the point between the fingertips [m]."""
+        return self.data.xpos[self._hand].copy()
+
+    @property
+    def hand_axis(self) -> npt.NDArray[np.float64]:
+        """[3] unit vector along the object at the hand: from its free end, for a rope."""
+        x, held = self.vertices(), self.held
+        if isinstance(self.item, RealRope) and len(held) > 1:
+            along = x[held[-1]] - x[held[0]]
+            return along / np.linalg.norm(along)
+        return self.data.xmat[self._hand].reshape(3, 3)[:, 0].copy()
+
+    @property
+    def held(self) -> npt.NDArray[np.intp]:
+        """Vertices that the hand holds."""
+        return np.flatnonzero(self.data.eq_active[self._connections])
+
+    def attach(self, reach: float = FINGER_WIDTH / 2.0) -> npt.NDArray[np.intp]:
+        """Close the hand: what lies between the fingers keeps its place relative to them.
+
+        Args:
+            reach: How far from the point between the fingertips the object is held [m].
+
+        Returns:
+            The vertices that are held; of a rope two at least, so that it is clamped, not
+            hinged.
+
+        Raises:
+            SimulationError: Nothing is within reach; says how far the object is.
+        """
+        x = self.vertices()
+        distance = np.linalg.norm(x - self.hand, axis=1)
+        near = np.flatnonzero(distance <= reach + 1e-9)
+        if len(near) == 0:
+            raise SimulationError(
+                f"the hand closes on nothing: the object is {1e3 * distance.min():.1f} mm away",
+                where=f"{self.item.name}, t = {self.time:.4g} s",
+                fix=f"bring it within {1e3 * reach:.1f} mm",
+            )
+        if isinstance(self.item, RealRope) and len(near) < 2:
+            near = np.sort(np.argsort(distance)[:2])
+        R = self.data.xmat[self._hand].reshape(3, 3)
+        for v in near:
+            e = self._connections[v]
+            self.model.eq_data[e, :3] = 0.0
+            self.model.eq_data[e, 3:6] = R.T @ (x[v] - self.hand)
+        self.data.eq_active[self._connections[near]] = 1
+        return near
+
+    def release(self) -> None:
+        """Open the hand."""
+        self.data.eq_active[self._connections] = 0
+
+    # ---- what is true ----------------------------------------------------------------------------
+
+    def vertices(self) -> npt.NDArray[np.float64]:
+        """[V, 3] the object's vertices [m]."""
+        return self.data.flexvert_xpos.copy()
+
+    def speed(self) -> float:
+        """Largest speed of a vertex [m/s]."""
+        address = self.model.body_dofadr[self._bodies]
+        free = address >= 0
+        v = self.data.qvel[address[free, None] + np.arange(3)]
+        return float(np.linalg.norm(v, axis=1).max())
+
+    # ---- what is seen ----------------------------------------------------------------------------
+
+    def render(self, camera: int | str) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
+        """What a perfect camera sees now.
+
+        Args:
+            camera: Index or name of one of `cameras`.
+
+        Returns:
+            depth [height, width] along the optical axis [m] and colour [height, width, 3].
+
+        Raises:
+            DeviceError: No OpenGL context comes about; says which packages bring one.
+        """
+        names = [c.name for c in self.cameras]
+        index = names.index(camera) if isinstance(camera, str) else camera
+        seen = self.cameras[index]
+        renderer = self._open_renderer(seen.width, seen.height)
+        renderer.enable_depth_rendering()
+        renderer.update_scene(self.data, camera=seen.name)
+        depth = renderer.render().copy()
+        renderer.disable_depth_rendering()
+        renderer.update_scene(self.data, camera=seen.name)
+        return depth, renderer.render().copy()
+
+    def close(self) -> None:
+        """Give the renderer's memory back."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def __enter__(self) -> Reality:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _open_renderer(self, width: int, height: int) -> Any:
+        if self._renderer is not None and (
+            self._renderer.width != width or self._renderer.height != height
+        ):
+            self.close()
+        if self._renderer is None:
+            _without_screen()
+            try:
+                self._renderer = self._mujoco.Renderer(self.model, height, width)
+            # What PyOpenGL and GLFW raise where a library is missing has no common base.
+            except Exception as error:
+                raise DeviceError(
+                    f"no OpenGL context ({type(error).__name__}: {error})",
+                    where=f"rendering, MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}",
+                    fix=GL_PACKAGES,
+                ) from None
+        return self._renderer
+
+
+def _without_screen() -> None:
+    """Choose EGL where mujoco was imported before it was told that there is no screen.
+
+    It would ask GLFW for a window, which ends the process where there is no display.
+    """
+    from mujoco.rendering.classic import gl_context
+
+    chosen = getattr(gl_context, "GLContext", None)
+    if headless() and chosen is not None and "glfw" in chosen.__module__:
+        os.environ["MUJOCO_GL"] = "egl"
+        importlib.reload(gl_context)
+
+
+_FREE_HAND = '<body name="hand" mocap="true" pos="0 0 1"/>'

@@ -1,0 +1,93 @@
+"""Robot arms: kinematics, timed motions within their limits, and their shape.
+
+The robot's base is the world. NumPy and SciPy only; nothing here moves a real arm.
+"""
+
+from gendom.errors import RobotError
+from gendom.robot.arm import (
+    Arm,
+    FingerCapsule,
+    KnuckleCapsule,
+    LinkCapsule,
+    ParallelGripper,
+)
+from gendom.robot.kinematics import (
+    inverse_kinematics,
+    jacobian,
+    link_poses,
+    pose_error,
+    solutions,
+    tcp_pose,
+)
+from gendom.robot.motion import JointMotion, LimitUse, follow, joint_move
+from gendom.robot.motions import (
+    SPREADING_HEIGHT,
+    cloth_spreading,
+    lift,
+    rope_casting,
+    rope_reaching,
+    spreading_steps,
+)
+from gendom.robot.path import (
+    DOWN,
+    Deviation,
+    GripperEvent,
+    TcpPath,
+    pointing,
+    pointing_down,
+)
+from gendom.robot.shape import ArmShape, arm_shape
+from gendom.robot.states import JointStates, read_joints
+from gendom.robot.xarm7 import XARM7
+
+ARMS = {XARM7.name: XARM7}
+"""Arms by their names."""
+
+
+def find_arm(name: str) -> Arm:
+    """The arm of a name.
+
+    Raises:
+        RobotError: There is none.
+    """
+    if name not in ARMS:
+        raise RobotError(f"there is no robot {name!r}", fix=f"have {', '.join(ARMS)}")
+    return ARMS[name]
+
+
+__all__ = [
+    "ARMS",
+    "DOWN",
+    "SPREADING_HEIGHT",
+    "XARM7",
+    "Arm",
+    "ArmShape",
+    "Deviation",
+    "FingerCapsule",
+    "GripperEvent",
+    "JointMotion",
+    "JointStates",
+    "KnuckleCapsule",
+    "LimitUse",
+    "LinkCapsule",
+    "ParallelGripper",
+    "TcpPath",
+    "arm_shape",
+    "cloth_spreading",
+    "find_arm",
+    "follow",
+    "inverse_kinematics",
+    "jacobian",
+    "joint_move",
+    "lift",
+    "link_poses",
+    "pointing",
+    "pointing_down",
+    "pose_error",
+    "read_joints",
+    "rope_casting",
+    "rope_reaching",
+    "solutions",
+    "spreading_steps",
+    "tcp_pose",
+]

@@ -1,0 +1,158 @@
+"""What is known about an arm: joints, limits, shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import RobotError
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkCapsule:
+    """A capsule that is fixed to one link."""
+
+    name: str
+    """Unique on its arm."""
+    link: int
+    """0: the base, i: the link that joint i moves; the last one carries the gripper."""
+    start: tuple[float, float, float]
+    """One end of its axis in the link's frame [m]."""
+    end: tuple[float, float, float]
+    """The other end [m]."""
+    radius: float
+    """[m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnuckleCapsule:
+    """A capsule along one of the links that carry the finger on the side of +y."""
+
+    name: str
+    offset: tuple[float, float]
+    """Its pivot's (y, z) in the flange's axes, from that of the link `ParallelGripper` names
+    [m]."""
+    radius: float
+    """[m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FingerCapsule:
+    """A capsule of the finger on the side of +y, which shifts but does not turn."""
+
+    name: str
+    start: tuple[float, float, float]
+    """One end from the finger's pivot, in the flange's axes [m]."""
+    end: tuple[float, float, float]
+    """The other end [m]."""
+    radius: float
+    """[m]."""
+    touches_object: bool = False
+    """It is a pad that presses on what is held."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParallelGripper:
+    """A gripper whose two fingers are carried by parallel links, so that they stay parallel.
+
+    The finger on the side of +y hangs on a link, the knuckle, that turns about (0, pivot_y,
+    pivot_z) of the flange; its inner face is `face` nearer to the middle than its pivot. With
+    the knuckle's angle theta from y towards z,
+
+        opening / 2 = pivot_y + knuckle cos(theta) - face,
+
+    so the fingers move a little towards the flange as they open. The other finger is the mirror
+    image.
+    """
+
+    max_opening: float
+    """Largest distance of the fingers' inner faces [m]."""
+    pivot_y: float
+    """[m]."""
+    pivot_z: float
+    """[m]."""
+    knuckle: float
+    """Length of the knuckle [m]."""
+    face: float
+    """[m]."""
+    knuckles: tuple[KnuckleCapsule, ...]
+    fingers: tuple[FingerCapsule, ...]
+
+    def finger_pivot(self, opening: ArrayLike) -> NDArray[np.float64]:
+        """[..., 2] y and z of the +y finger's pivot in the flange's frame [m].
+
+        Args:
+            opening: [...] distance of the inner faces [m], limited to 0 and `max_opening`.
+        """
+        half = 0.5 * np.clip(np.asarray(opening, dtype=float), 0.0, self.max_opening)
+        y = half + self.face
+        reach = np.sqrt(self.knuckle**2 - (y - self.pivot_y) ** 2)
+        return np.stack([y, self.pivot_z + reach], axis=-1)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Arm:
+    """A serial arm of J revolute joints with a parallel gripper.
+
+    Kinematics are modified Denavit-Hartenberg parameters (Craig, "Introduction to Robotics",
+    chapter 3): frame i is fixed to link i, its z is the axis of joint i, and
+
+        T_(i-1)_i = Rot_x(alpha_i) Trans_x(a_i) Rot_z(q_i + offset_i) Trans_z(d_i).
+
+    Frame J lies in the flange's face; the gripper's fingers open along its y.
+    """
+
+    name: str
+    a: NDArray[np.float64]
+    """[J] [m]."""
+    alpha: NDArray[np.float64]
+    """[J] [rad]."""
+    d: NDArray[np.float64]
+    """[J] [m]."""
+    offset: NDArray[np.float64]
+    """[J] [rad]."""
+    T_flange_tcp: NDArray[np.float64]
+    """[4, 4] the point between the fingertips [m]."""
+    q_min: NDArray[np.float64]
+    """[J] lowest joint angles [rad]."""
+    q_max: NDArray[np.float64]
+    """[J] highest joint angles [rad]."""
+    max_speed: NDArray[np.float64]
+    """[J] [rad/s]."""
+    max_acceleration: NDArray[np.float64]
+    """[J] [rad/s^2]."""
+    max_jerk: NDArray[np.float64]
+    """[J] [rad/s^3]."""
+    max_tcp_speed: float
+    """[m/s]."""
+    payload: float
+    """Most that it carries, gripper included [kg]."""
+    home: NDArray[np.float64]
+    """[J] where it waits, far from its limits; inverse kinematics leans towards it [rad]."""
+    capsules: tuple[LinkCapsule, ...]
+    """Its shape from base to flange and the gripper's body."""
+    gripper: ParallelGripper
+
+    @property
+    def joints(self) -> int:
+        """J."""
+        return len(self.a)
+
+    def check_q(self, q: ArrayLike) -> NDArray[np.float64]:
+        """Joint angles [..., J] as float64.
+
+        Raises:
+            RobotError: The shape is another, or a number is not finite.
+        """
+        q = np.asarray(q, dtype=float)
+        if q.ndim == 0 or q.shape[-1] != self.joints:
+            raise RobotError(
+                f"joint angles have shape {q.shape}",
+                where=self.name,
+                fix=f"give {self.joints} angles in radians",
+            )
+        if not np.isfinite(q).all():
+            raise RobotError("a joint angle is not finite", where=self.name, fix="give radians")
+        return q

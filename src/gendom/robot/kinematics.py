@@ -1,0 +1,342 @@
+"""Where the links are, how they move, and joint angles for a pose of the tool.
+
+Poses are T_base_tcp [4, 4]: they map coordinates of the tool point (tcp) to the robot's base.
+The gripper's z points out of the fingers, its y from finger to finger.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import RobotError
+from gendom.robot.arm import Arm
+
+Array = NDArray[np.float64]
+
+POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-7, 1e-6
+"""How near inverse kinematics comes to a pose [m], [rad]; one more step follows, and Newton's
+steps square the error."""
+
+_ANGLE_LENGTH = 0.3  # [m]; an angle of 1 rad weighs as much as this distance
+_DAMPING = 0.1  # damping^2 = (this)^2 |error|: zero at the solution, so that the end is Newton's
+_LARGEST_STEP = 0.4  # [rad]; a joint's step in one iteration
+_ITERATIONS = 200
+_PULL = 0.5  # share of the way towards the resting pose in one iteration, within the null space
+_SETTLED = 1e-5  # [rad]; the null space's steps end below this
+
+
+def link_poses(arm: Arm, q: ArrayLike) -> Array:
+    """T_base_link of the base, all J links and the tool point.
+
+    Args:
+        arm: The arm.
+        q: [..., J] joint angles [rad].
+
+    Returns:
+        [..., J + 2, 4, 4]: base (the identity), links 1 to J, tool point.
+
+    Raises:
+        RobotError: The shape is wrong or an angle is not finite.
+    """
+    q = arm.check_q(np.asarray(q))
+    theta = q + arm.offset
+    c, s = np.cos(theta), np.sin(theta)
+    ca, sa = np.cos(arm.alpha), np.sin(arm.alpha)
+    step = np.zeros((*q.shape, 4, 4))
+    step[..., 0, 0], step[..., 0, 1], step[..., 0, 3] = c, -s, arm.a
+    step[..., 1, 0], step[..., 1, 1] = s * ca, c * ca
+    step[..., 1, 2], step[..., 1, 3] = -sa, -arm.d * sa
+    step[..., 2, 0], step[..., 2, 1] = s * sa, c * sa
+    step[..., 2, 2], step[..., 2, 3] = ca, arm.d * ca
+    step[..., 3, 3] = 1.0
+    poses = np.empty((*q.shape[:-1], arm.joints + 2, 4, 4))
+    poses[..., 0, :, :] = np.eye(4)
+    for i in range(arm.joints):
+        poses[..., i + 1, :, :] = poses[..., i, :, :] @ step[..., i, :, :]
+    poses[..., -1, :, :] = poses[..., -2, :, :] @ arm.T_flange_tcp
+    return poses
+
+
+def tcp_pose(arm: Arm, q: ArrayLike) -> Array:
+    """T_base_tcp [..., 4, 4] at joint angles [..., J] [rad].
+
+    Raises:
+        RobotError: As `link_poses`.
+    """
+    return link_poses(arm, q)[..., -1, :, :]
+
+
+def jacobian(arm: Arm, q: ArrayLike) -> Array:
+    """Geometric Jacobian of the tool point [..., 6, J] at joint angles [..., J] [rad].
+
+    Rows 0 to 2 times joint speeds are the tool point's velocity, rows 3 to 5 the tool's angular
+    velocity, both in the base's axes: column i is (z_i x (p_tcp - p_i), z_i) with the axis z_i
+    and the origin p_i of frame i.
+
+    Raises:
+        RobotError: As `link_poses`.
+    """
+    return _jacobian(link_poses(arm, q))
+
+
+def _jacobian(poses: Array) -> Array:
+    J = np.empty((*poses.shape[:-3], 6, poses.shape[-3] - 2))
+    x, y, z = np.moveaxis(poses[..., -1:, :3, 3] - poses[..., 1:-1, :3, 3], -1, 0)
+    ax, ay, az = np.moveaxis(poses[..., 1:-1, :3, 2], -1, 0)
+    J[..., 0, :], J[..., 1, :], J[..., 2, :] = ay * z - az * y, az * x - ax * z, ax * y - ay * x
+    J[..., 3, :], J[..., 4, :], J[..., 5, :] = ax, ay, az
+    return J
+
+
+def pose_error(T_base_to: ArrayLike, T_base_from: ArrayLike) -> Array:
+    """[..., 6] displacement [m] and rotation vector [rad], in the base's axes, between poses.
+
+    Args:
+        T_base_to: [..., 4, 4] where to.
+        T_base_from: [..., 4, 4] where from.
+    """
+    to, start = np.asarray(T_base_to, dtype=float), np.asarray(T_base_from, dtype=float)
+    turn = to[..., :3, :3] @ np.swapaxes(start[..., :3, :3], -1, -2)
+    vector = _rotation_vector(turn)
+    return np.concatenate([to[..., :3, 3] - start[..., :3, 3], vector], axis=-1)
+
+
+def _rotation_vector(R: Array) -> Array:
+    """[..., 3] rotation vectors [rad] of matrices [..., 3, 3]."""
+    # R - R^T holds 2 sin(angle) times the axis: quick and exact but near half a turn.
+    twice = np.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
+        axis=-1,
+    )
+    sine = 0.5 * np.sqrt((twice * twice).sum(axis=-1))
+    cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
+    scale = np.where(sine > 1e-12, np.arctan2(sine, cosine) / np.maximum(sine, 1e-12), 1.0)
+    vector = 0.5 * scale[..., None] * twice
+    turned = (cosine < 0.0) & (sine < 1e-3)
+    if turned.any():
+        vector[turned] = Rotation.from_matrix(R[turned]).as_rotvec()
+    return vector
+
+
+def inverse_kinematics(
+    arm: Arm,
+    T_base_tcp: ArrayLike,
+    *,
+    near: ArrayLike | None = None,
+    starts: int = 24,
+    seed: int = 0,
+) -> Array:
+    """Joint angles that bring the tool point to a pose, within the joints' limits.
+
+    Damped least squares from several starts (Buss, "Introduction to inverse kinematics with
+    Jacobian transpose, pseudoinverse and damped least squares methods", 2004), the damping
+    vanishing with the error. The arm's redundancy is used to come near to `near` (or home): the
+    pull acts in the null space of the Jacobian. Of several solutions the nearest is returned.
+
+    Args:
+        arm: The arm.
+        T_base_tcp: [4, 4] the pose.
+        near: [J] joint angles to stay near to [rad]; None: `arm.home`.
+        starts: How many configurations to start from: `near`, home, and random ones.
+        seed: Of the random ones.
+
+    Returns:
+        [J] joint angles [rad], as near as 0.1 um and 1 urad to the pose.
+
+    Raises:
+        RobotError: The matrix is no pose, or no start comes near to it.
+    """
+    return solutions(arm, T_base_tcp, near=near, starts=starts, seed=seed)[0]
+
+
+def solutions(
+    arm: Arm,
+    T_base_tcp: ArrayLike,
+    *,
+    near: ArrayLike | None = None,
+    starts: int = 24,
+    seed: int = 0,
+) -> list[Array]:
+    """All different joint angles [J] that `inverse_kinematics` finds, the nearest first.
+
+    Raises:
+        RobotError: As `inverse_kinematics`.
+    """
+    T = check_pose(T_base_tcp)
+    rest = arm.home if near is None else arm.check_q(np.asarray(near))
+    rest = np.clip(rest, arm.q_min, arm.q_max)
+    # Turning a joint by more than half a turn from home only winds up the arm.
+    low = np.maximum(arm.q_min, arm.home - np.pi)
+    high = np.minimum(arm.q_max, arm.home + np.pi)
+    random = np.random.default_rng(seed).uniform(low, high, (max(starts - 2, 0), arm.joints))
+    q = np.concatenate([rest[None], arm.home[None], random])
+    q, error = descend(arm, np.broadcast_to(T, (len(q), 4, 4)), q, rest)
+    size = _size(error)
+    good = _reached(error)
+    if not good.any():
+        raise _out_of_reach(arm, T, q[np.argmin(size)], error[np.argmin(size)])
+    q = _unwound(arm, q[good], rest)
+    found: list[Array] = []
+    for candidate in q[np.argsort(np.linalg.norm(q - rest, axis=1), kind="stable")]:
+        if all(np.abs(candidate - other).max() > 0.02 for other in found):
+            found.append(candidate)
+    return found
+
+
+def descend(
+    arm: Arm,
+    T_base_tcp: Array,
+    q: Array,
+    rest: Array,
+    *,
+    pull: float = _PULL,
+    iterations: int = _ITERATIONS,
+) -> tuple[Array, Array]:
+    """From each start towards its pose, and within the null space towards a resting one.
+
+    Args:
+        arm: The arm.
+        T_base_tcp: [B, 4, 4] poses.
+        q: [B, J] starts [rad].
+        rest: [J] joint angles that the redundancy is used for [rad].
+        pull: Share of the way there in one step; 0: none.
+        iterations: At most.
+
+    Returns:
+        q [B, J] within the limits, and what is left of the error [B, 6] [m], [rad].
+    """
+    q = np.clip(q, arm.q_min, arm.q_max)
+    active = np.arange(len(q))
+    error = np.empty((len(q), 6))
+    for _ in range(iterations):
+        poses = link_poses(arm, q[active])
+        error[active] = pose_error(T_base_tcp[active], poses[:, -1])
+        reached = _reached(error[active])
+        step, slide = _step(arm, poses, q[active], error[active], rest, pull)
+        q[active] = np.clip(q[active] + step, arm.q_min, arm.q_max)
+        # The last step is taken before leaving, since it squares the error.
+        active = active[~(reached & (slide < _SETTLED))]
+        if len(active) == 0:
+            break
+    error = pose_error(T_base_tcp, link_poses(arm, q)[:, -1])
+    return q, error
+
+
+def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, pull: float) -> Array | None:
+    """Joint angles [J] [rad] at a pose near to that of given ones; None: not reached.
+
+    Args:
+        arm: The arm.
+        T: [4, 4] T_base_tcp of the pose.
+        q: [J] where the arm is [rad].
+        rest: [J] joint angles that the redundancy leans towards [rad].
+        pull: Share of the way there for each metre (or 0.3 m a radian) to the pose [1/m].
+    """
+    q = np.clip(q, arm.q_min, arm.q_max)[None]
+    share = None
+    for _ in range(20):
+        poses = link_poses(arm, q)
+        error = pose_error(T, poses[:, -1])
+        reached = _reached(error)[0]
+        # Only the first step slides: the others bring back to the pose what it missed.
+        share = pull * float(_size(error)[0]) if share is None else 0.0
+        step, _ = _step(arm, poses, q, error, rest, min(share, 0.5))
+        q = np.clip(q + step, arm.q_min, arm.q_max)
+        if reached:
+            return q[0]
+    return None
+
+
+def _step(
+    arm: Arm, poses: Array, q: Array, error: Array, rest: Array, pull: float
+) -> tuple[Array, Array]:
+    """One step [B, J] of damped least squares, and the largest part within the null space [B]."""
+    weight = np.array([1.0, 1.0, 1.0, _ANGLE_LENGTH, _ANGLE_LENGTH, _ANGLE_LENGTH])
+    J = _jacobian(poses) * weight[:, None]
+    e = error * weight
+    far = np.linalg.norm(e, axis=1)
+    e = e * np.minimum(1.0, 0.3 / np.maximum(far, 1e-12))[:, None]
+    damping = (_DAMPING**2 * np.minimum(far, 0.3) + 1e-10)[:, None, None] * np.eye(6)
+    free = np.ones_like(q, dtype=bool)
+    towards = pull * (rest - q)
+    for _ in range(3):
+        # Joints that would leave their range are held, and the others do their work.
+        Jf = J * free[:, None, :]
+        JT = np.swapaxes(Jf, 1, 2)
+        A = Jf @ JT + damping
+        wish = towards * free
+        main = np.linalg.solve(A, np.stack([e, (Jf @ wish[..., None])[..., 0]], axis=-1))
+        moves = JT @ main
+        slide = wish - moves[..., 1]
+        step = moves[..., 0] + slide
+        out = free & (((q <= arm.q_min) & (step < 0.0)) | ((q >= arm.q_max) & (step > 0.0)))
+        if not out.any():
+            break
+        free &= ~out
+    step = step * free
+    step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(np.abs(step).max(axis=1), 1e-12))[:, None]
+    return step, np.abs(slide * free).max(axis=1)
+
+
+def _reached(error: Array) -> NDArray[np.bool_]:
+    near = np.linalg.norm(error[..., :3], axis=-1) <= POSITION_TOLERANCE
+    return near & (np.linalg.norm(error[..., 3:], axis=-1) <= ROTATION_TOLERANCE)
+
+
+def _size(error: Array) -> Array:
+    """Distance [m] with angles counted by `_ANGLE_LENGTH`."""
+    turn = _ANGLE_LENGTH * np.linalg.norm(error[..., 3:], axis=-1)
+    return np.hypot(np.linalg.norm(error[..., :3], axis=-1), turn)
+
+
+def _unwound(arm: Arm, q: Array, rest: Array) -> Array:
+    """The same poses with each joint a whole number of turns nearer to the resting angles."""
+    turned = q - 2.0 * np.pi * np.round((q - rest) / (2.0 * np.pi))
+    return np.where((turned >= arm.q_min) & (turned <= arm.q_max), turned, q)
+
+
+def check_pose(T: ArrayLike) -> Array:
+    """A pose [4, 4] or [..., 4, 4] as float64.
+
+    Raises:
+        RobotError: It has another shape, is not finite or its rotation is none.
+    """
+    T = np.asarray(T, dtype=float)
+    if T.shape[-2:] != (4, 4) or not np.isfinite(T).all():
+        raise RobotError(
+            f"has shape {T.shape}" if T.shape[-2:] != (4, 4) else "is not finite",
+            where="pose T_base_tcp",
+            fix="give [4, 4]: rotation, position in metres, and 0 0 0 1",
+        )
+    R = T[..., :3, :3]
+    skew = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max()
+    if skew > 1e-4 or np.any(np.linalg.det(R) < 0.0) or np.any(T[..., 3, :] != [0, 0, 0, 1]):
+        raise RobotError(
+            "its upper left 3 x 3 is no rotation, or its last row not 0 0 0 1",
+            where="pose T_base_tcp",
+            fix="give a proper rotation matrix",
+        )
+    return T
+
+
+def describe(T_base_tcp: Array) -> str:
+    """A pose in words: position [m] and quat_xyzw."""
+    x, y, z = T_base_tcp[:3, 3]
+    quat = Rotation.from_matrix(T_base_tcp[:3, :3]).as_quat()
+    turn = ", ".join(f"{value:.3f}" for value in quat)
+    return f"position ({x:.3f}, {y:.3f}, {z:.3f}) m, quat_xyzw ({turn})"
+
+
+def _out_of_reach(arm: Arm, T: Array, q: Array, error: Array) -> RobotError:
+    x, y, z = link_poses(arm, q)[-1, :3, 3]
+    turn = np.degrees(np.linalg.norm(error[3:]))
+    held = [str(i + 1) for i in np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))]
+    ends = f", joint {' and '.join(held)} at its end" if held else ""
+    return RobotError(
+        f"{describe(T)} is out of reach: the nearest found, ({x:.3f}, {y:.3f}, {z:.3f}) m, is "
+        f"{1e3 * np.linalg.norm(error[:3]):.1f} mm and {turn:.1f} degrees off{ends}",
+        where=arm.name,
+        fix="move it nearer to the base or turn the gripper",
+    )

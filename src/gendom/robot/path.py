@@ -1,0 +1,247 @@
+"""Timed paths of the tool: straight lines between knots, their corners rounded off in time.
+
+A path that runs along a polygon at constant speeds asks for infinite accelerations at its knots.
+`TcpPath` keeps the ideal path and rounds it when asked: the path is convolved in time with a
+kernel of width `blend`. With the velocity's jumps dv_k at the times t_k of the knots, the ideal
+path is p_0 + sum_k dv_k max(t - t_k, 0), so the rounded one is
+
+    p(t) = p_0 + sum_k dv_k R(t - t_k),
+
+where R is max(t, 0) convolved with the kernel. Ours is a parabola that vanishes at both ends,
+so with u = t / blend + 1/2 in [0, 1]
+
+    R = blend (u^3 - u^4 / 2),   R' = 3 u^2 - 2 u^3,   R'' = 6 u (1 - u) / blend:
+
+the acceleration is continuous and at most 1.5 |dv| / blend, and a corner is missed by
+(3 / 32) |dv| blend. Straight parts, pauses and uniform accelerations stay as they are, and the
+path begins and ends half a blend earlier and later. Orientations are rounded in the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import RobotError
+
+Array = NDArray[np.float64]
+
+DOWN = (1.0, 0.0, 0.0, 0.0)
+"""quat_xyzw of a gripper that points down, its fingers opening along the world's y."""
+
+
+def pointing_down(yaw: float = 0.0) -> Array:
+    """quat_xyzw [4] of a gripper that points down.
+
+    Args:
+        yaw: Turn about the world's z [rad]; 0: the fingers open along y, pi / 2: along x.
+    """
+    return (Rotation.from_rotvec([0.0, 0.0, yaw]) * Rotation.from_quat(DOWN)).as_quat()
+
+
+def pointing(approach: ArrayLike, fingers: ArrayLike) -> Array:
+    """quat_xyzw [4] of a gripper by its axes.
+
+    Args:
+        approach: [3] where it points, out of the fingers; any length.
+        fingers: [3] along which they open; the part along `approach` does not count.
+
+    Raises:
+        RobotError: The two are parallel, or one is zero.
+    """
+    z, y = np.asarray(approach, dtype=float), np.asarray(fingers, dtype=float)
+    lengths = np.linalg.norm(z), np.linalg.norm(y)
+    if min(lengths) == 0.0 or np.linalg.norm(np.cross(y, z)) < 1e-6 * lengths[0] * lengths[1]:
+        raise RobotError(
+            f"approach {z.tolist()} and fingers {y.tolist()} are parallel or zero",
+            where="gripper's orientation",
+            fix="give two directions, about at right angles",
+        )
+    z = z / lengths[0]
+    y = y - (y @ z) * z
+    y = y / np.linalg.norm(y)
+    return Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1)).as_quat()
+
+
+@dataclass(frozen=True, kw_only=True)
+class GripperEvent:
+    """The gripper is told to close or to open."""
+
+    time: float
+    """[s]."""
+    closed: bool
+    """True: it closes; False: it opens."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deviation:
+    """How far a rounded path is from the ideal one."""
+
+    at_equal_times: float
+    """Largest distance of the two at the same time [m]."""
+    off_the_path: float
+    """Largest distance from the ideal path, whenever that is there [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TcpPath:
+    """A timed path of the tool point; before and after it the tool stands still.
+
+    Raises:
+        RobotError: Shapes do not agree, times do not increase or a number is not finite.
+    """
+
+    time: Array
+    """[K] of the knots [s]."""
+    position: Array
+    """[K, 3] [m]; straight and at constant speed from knot to knot."""
+    quat_xyzw: Array
+    """[4], or [K, 4] between which it turns at constant rates."""
+    events: tuple[GripperEvent, ...] = ()
+    """When the gripper closes and opens, in order of time."""
+    max_blend: float = math.inf
+    """Longest blend that keeps the path's meaning [s], e.g. the tool still when it lets go."""
+
+    def __post_init__(self) -> None:
+        time = np.atleast_1d(np.asarray(self.time, dtype=float))
+        position = np.atleast_2d(np.asarray(self.position, dtype=float))
+        quat = np.asarray(self.quat_xyzw, dtype=float)
+        if time.ndim != 1 or len(time) < 2 or position.shape != (len(time), 3):
+            raise _bad(
+                f"needs time [K >= 2] and position [K, 3], got {time.shape}, {position.shape}"
+            )
+        if quat.shape not in ((4,), (len(time), 4)):
+            raise _bad(f"needs quat_xyzw [4] or [{len(time)}, 4], got {quat.shape}")
+        if not (np.isfinite(time).all() and np.isfinite(position).all()):
+            raise _bad("holds a number that is not finite")
+        if not np.isfinite(quat).all() or np.any(np.linalg.norm(quat, axis=-1) < 1e-6):
+            raise _bad("has a quaternion that is zero or not finite")
+        if np.any(np.diff(time) <= 0.0):
+            raise _bad("has times that do not increase from knot to knot")
+        if any(b.time < a.time for a, b in zip(self.events, self.events[1:], strict=False)):
+            raise _bad("has gripper events that are not in order of time")
+        if not self.max_blend > 0.0:
+            raise _bad(f"has max_blend {self.max_blend}")
+        quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+        for name, value in (("time", time), ("position", position), ("quat_xyzw", quat)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def start(self) -> float:
+        """When the ideal path begins [s]."""
+        return float(self.time[0])
+
+    @property
+    def end(self) -> float:
+        """When the ideal path ends [s]."""
+        return float(self.time[-1])
+
+    def position_at(self, time: ArrayLike, blend: float = 0.0) -> Array:
+        """[..., 3] the tool point [m] at times [...] [s], rounded off by `blend` [s]."""
+        return self.position[0] + self._sum(time, blend, _ramp)
+
+    def velocity_at(self, time: ArrayLike, blend: float = 0.0) -> Array:
+        """[..., 3] its velocity [m/s]."""
+        return self._sum(time, blend, _ramp_speed)
+
+    def _sum(self, time: ArrayLike, blend: float, function) -> Array:
+        jumps, knots = self._jumps()
+        return function(np.asarray(time, dtype=float)[..., None] - knots, blend) @ jumps
+
+    def _jumps(self) -> tuple[Array, Array]:
+        """Jumps of the velocity [J, 3] [m/s] and when they are [J] [s]."""
+        velocity = np.diff(self.position, axis=0) / np.diff(self.time)[:, None]
+        still = np.zeros((1, 3))
+        jumps = np.diff(np.concatenate([still, velocity, still]), axis=0)
+        some = np.linalg.norm(jumps, axis=1) > 0.0
+        return jumps[some], self.time[some]
+
+    def pose_at(self, time: ArrayLike, blend: float = 0.0) -> Array:
+        """T_base_tcp [..., 4, 4] at times [...] [s], rounded off by `blend` [s]."""
+        time = np.asarray(time, dtype=float)
+        T = np.zeros((*time.shape, 4, 4))
+        T[..., :3, 3] = self.position_at(time, blend)
+        T[..., 3, 3] = 1.0
+        if self.quat_xyzw.ndim == 1:
+            T[..., :3, :3] = Rotation.from_quat(self.quat_xyzw).as_matrix()
+            return T
+        # A product of turns, one a segment, each carried out as far as its share of time says.
+        knots = Rotation.from_quat(self.quat_xyzw)
+        turns = (knots[1:] * knots[:-1].inv()).as_rotvec()
+        rising = _ramp(time[..., None] - self.time, blend)
+        shares = (rising[..., :-1] - rising[..., 1:]) / np.diff(self.time)
+        R = np.broadcast_to(knots[0].as_matrix(), (*time.shape, 3, 3))
+        for k, turn in enumerate(turns):
+            if np.any(turn != 0.0):
+                step = Rotation.from_rotvec((shares[..., k : k + 1] * turn).reshape(-1, 3))
+                R = step.as_matrix().reshape(R.shape) @ R
+        T[..., :3, :3] = R
+        return T
+
+    def corners(self) -> Array:
+        """[J] times [s] at which the ideal path's velocity or rate of turning jumps."""
+        _, knots = self._jumps()
+        return np.union1d(knots, self.time if self.quat_xyzw.ndim == 2 else [])
+
+    def deviation(self, blend: float) -> Deviation:
+        """How far the path rounded off by `blend` [s] is from the ideal one."""
+        near = np.linspace(-0.5 * blend, 0.5 * blend, 41)
+        time = np.unique(np.add.outer(self.corners(), near))
+        rounded = self.position_at(time, blend)
+        late = np.linalg.norm(rounded - self.position_at(time), axis=-1)
+        off = np.full(len(time), np.inf)
+        for a, b in zip(self.position[:-1], self.position[1:], strict=True):
+            length2 = (b - a) @ (b - a)
+            along = np.clip((rounded - a) @ (b - a) / length2, 0.0, 1.0) if length2 > 0.0 else 0.0
+            nearest = a + np.multiply.outer(along, b - a)
+            off = np.minimum(off, np.linalg.norm(rounded - nearest, axis=-1))
+        if len(time) == 0:
+            return Deviation(at_equal_times=0.0, off_the_path=0.0)
+        return Deviation(at_equal_times=float(late.max()), off_the_path=float(off.max()))
+
+    def slowed(self, factor: float) -> TcpPath:
+        """The same path in `factor` times the time, begun when this one is."""
+        if not (math.isfinite(factor) and factor > 0.0):
+            raise _bad(f"cannot take {factor} times as long", fix="give a factor above 0")
+
+        def late(time):
+            return self.start + factor * (time - self.start)
+
+        return replace(
+            self,
+            time=late(self.time),
+            events=tuple(replace(e, time=float(late(e.time))) for e in self.events),
+            max_blend=factor * self.max_blend,
+        )
+
+    def shifted(self, seconds: float) -> TcpPath:
+        """The same path, later by some seconds."""
+        return replace(
+            self,
+            time=self.time + seconds,
+            events=tuple(replace(e, time=e.time + seconds) for e in self.events),
+        )
+
+
+def _ramp(t: Array, blend: float) -> Array:
+    """R(t) above [s]."""
+    if blend <= 0.0:
+        return np.maximum(t, 0.0)
+    u = np.clip(t / blend + 0.5, 0.0, 1.0)
+    return blend * (u**3 - 0.5 * u**4) + np.maximum(t - 0.5 * blend, 0.0)
+
+
+def _ramp_speed(t: Array, blend: float) -> Array:
+    """R'(t) above [-]."""
+    if blend <= 0.0:
+        return (t > 0.0).astype(float)
+    u = np.clip(t / blend + 0.5, 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)
+
+
+def _bad(what: str, *, fix: str | None = None) -> RobotError:
+    return RobotError(what, where="path of the tool", fix=fix)

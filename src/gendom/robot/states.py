@@ -1,0 +1,97 @@
+"""Joint angles over time as a file.
+
+joints.csv has one row for each time, in order of time, under `time,q0,...,q6` or
+`time,q0,...,q6,gripper`: seconds, joint angles in radians from the base to the flange, and the
+distance of the fingers' inner faces in metres.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.errors import RobotError
+from gendom.robot.arm import Arm
+
+
+@dataclass(frozen=True, eq=False)
+class JointStates:
+    """What a robot's joints measured."""
+
+    time: NDArray[np.float64]
+    """[M] increasing [s]."""
+    q: NDArray[np.float64]
+    """[M, J] joint angles [rad]."""
+    opening: NDArray[np.float64] | None = None
+    """[M] distance of the fingers' inner faces [m]; None: unknown."""
+
+
+def read_joints(path: str | os.PathLike, arm: Arm) -> JointStates:
+    """The joint angles of a file joints.csv; see the top of this module.
+
+    Raises:
+        RobotError: The file cannot be read, a row is malformed or out of order, or a joint is
+            out of its range by more than 0.1 rad, as angles in degrees are.
+    """
+    path = Path(path)
+    expected = ["time", *(f"q{j}" for j in range(arm.joints))]
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RobotError(
+            f"cannot be read ({error})", where=str(path), fix="save it as CSV"
+        ) from None
+    header = lines[0][1] if lines else []
+    if header not in (expected, [*expected, "gripper"]) or len(lines) < 2:
+        raise RobotError(
+            f"has the header {','.join(header)[:60]!r}" if len(lines) != 1 else "has no rows",
+            where=str(path),
+            fix=f"write rows under {','.join(expected)}[,gripper]",
+        )
+    table = np.empty((len(lines) - 1, len(header)))
+    for i, (number, row) in enumerate(lines[1:]):
+        where = f"{path}, line {number}"
+        try:
+            table[i] = [float(text) for text in row]
+        except ValueError:
+            table[i] = np.nan
+        if not np.isfinite(table[i]).all():
+            raise RobotError(
+                f"is no joint state: {','.join(row)[:60]!r}",
+                where=where,
+                fix="give seconds, radians and metres",
+            )
+        if i and table[i, 0] <= table[i - 1, 0]:
+            raise RobotError(
+                f"time goes from {table[i - 1, 0]:g} to {table[i, 0]:g} s",
+                where=where,
+                fix="sort the rows",
+            )
+        q = table[i, 1 : 1 + arm.joints]
+        beyond = np.maximum(arm.q_min - q, q - arm.q_max)
+        if beyond.max() > 0.1:
+            j = int(beyond.argmax())
+            raise RobotError(
+                f"joint {j + 1} is at {q[j]:g} rad, its range on {arm.name} is "
+                f"{arm.q_min[j]:.3f} to {arm.q_max[j]:.3f}",
+                where=where,
+                fix="give radians, from the base to the flange",
+            )
+        if len(header) > len(expected) and not -0.005 <= table[i, -1] <= (
+            arm.gripper.max_opening + 0.005
+        ):
+            raise RobotError(
+                f"the gripper's opening is {table[i, -1]:g} m, it goes to "
+                f"{arm.gripper.max_opening:g}",
+                where=where,
+                fix="give metres between the fingers",
+            )
+    opening = table[:, -1] if len(header) > len(expected) else None
+    return JointStates(table[:, 0], table[:, 1 : 1 + arm.joints], opening)

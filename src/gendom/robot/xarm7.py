@@ -1,0 +1,118 @@
+"""The UFACTORY xArm 7 with its parallel gripper.
+
+Sources: UFACTORY's "Kinematic and dynamic parameters of xArm 7" (modified Denavit-Hartenberg
+table), "Robot specifications" in its developer manual (joint ranges, speeds, accelerations,
+jerk, the tool's 1 m/s), "xArm Gripper technical specifications" (opening of 84 mm), and the URDF
+of xarm_ros (joint limits in radians, gripper's pivots, tool point 172 mm beyond the flange). The
+table and the URDF agree to the digit.
+
+The capsules are our own: fitted to the outer dimensions of the links' published shapes, of
+which nothing sticks out by more than 5 mm; their round ends reach up to 3 cm beyond flat ends,
+mostly into the neighbouring link. The gripper's are about 1 cm rough: they follow from its
+pivots, pads and moments of inertia in the URDF.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gendom.robot.arm import Arm, FingerCapsule, KnuckleCapsule, LinkCapsule, ParallelGripper
+
+_HALF_PI, _TWO_PI = 0.5 * math.pi, 2.0 * math.pi
+
+TCP_DISTANCE = 0.172
+"""From the flange's face to the tips of the closed fingers [m]."""
+
+
+def _body(name, link, start, end, radius) -> LinkCapsule:
+    return LinkCapsule(name=name, link=link, start=start, end=end, radius=radius)
+
+
+_CAPSULES = (
+    _body("base", 0, (0.0, 0.0, 0.025), (0.0, 0.0, 0.109), 0.065),
+    _body("base connector", 0, (-0.046, 0.0, 0.021), (-0.063, 0.0, 0.025), 0.029),
+    _body("link1 column", 1, (0.0, 0.0, -0.082), (0.0, -0.008, 0.0), 0.054),
+    _body("link1 shoulder", 1, (0.0, -0.007, 0.0), (0.0, 0.048, 0.0), 0.054),
+    _body("link2 shoulder", 2, (0.0, 0.005, 0.097), (0.0, -0.116, 0.082), 0.047),
+    _body("link2 bend", 2, (0.0, -0.108, 0.060), (0.0, -0.112, 0.010), 0.050),
+    _body("link2 column", 2, (0.0, -0.104, 0.004), (0.0, -0.164, 0.0), 0.049),
+    _body("link3 column", 3, (0.0, 0.0, -0.074), (0.026, 0.028, -0.008), 0.049),
+    _body("link3 bend", 3, (0.027, 0.025, -0.022), (0.060, 0.009, 0.003), 0.036),
+    _body("link3 elbow", 3, (0.052, -0.041, 0.0), (0.049, 0.024, 0.002), 0.048),
+    _body("link4 elbow", 4, (-0.004, 0.004, 0.087), (0.080, -0.089, 0.072), 0.042),
+    _body("link4 bend", 4, (0.078, -0.081, 0.066), (0.077, -0.083, -0.002), 0.043),
+    _body("link4 column", 4, (0.078, -0.086, 0.006), (0.078, -0.142, 0.0), 0.048),
+    _body("link5 column", 5, (0.0, 0.0, -0.155), (0.0, 0.0, -0.140), 0.047),
+    _body("link5 side", 5, (-0.001, 0.022, -0.146), (-0.001, 0.066, -0.033), 0.039),
+    _body("link5 wrist", 5, (0.0, 0.041, -0.002), (0.0, 0.038, 0.001), 0.048),
+    _body("link6 wrist", 6, (0.0, 0.0, 0.019), (0.016, 0.0, 0.028), 0.043),
+    _body("link6 column", 6, (0.075, -0.004, 0.0), (0.076, 0.046, 0.0), 0.042),
+    _body("link7 flange", 7, (0.0, -0.007, -0.011), (0.0, 0.007, -0.012), 0.037),
+    _body("link7 connector", 7, (0.0, -0.030, -0.014), (0.0, -0.038, -0.015), 0.015),
+    _body("gripper mount", 7, (0.0, -0.018, 0.030), (0.0, 0.018, 0.030), 0.040),
+    _body("gripper body", 7, (0.0, -0.025, 0.060), (0.0, 0.025, 0.060), 0.032),
+)
+
+_KNUCKLES = (
+    KnuckleCapsule(name="knuckle", offset=(0.0, 0.0), radius=0.016),
+    KnuckleCapsule(name="inner knuckle", offset=(-0.015, 0.015), radius=0.010),
+)
+
+_FINGERS = (
+    FingerCapsule(
+        name="finger", start=(0.0, -0.004, 0.004), end=(0.0, -0.014, 0.026), radius=0.012
+    ),
+    # The pad's face is flat, 26 mm wide: two thin capsules keep to it better than a thick one.
+    FingerCapsule(
+        name="pad front",
+        start=(-0.005, -0.018, 0.026),
+        end=(-0.005, -0.018, 0.052),
+        radius=0.008,
+        touches_object=True,
+    ),
+    FingerCapsule(
+        name="pad back",
+        start=(0.005, -0.018, 0.026),
+        end=(0.005, -0.018, 0.052),
+        radius=0.008,
+        touches_object=True,
+    ),
+)
+
+
+def _transform(z: float) -> np.ndarray:
+    T = np.eye(4)
+    T[2, 3] = z
+    return T
+
+
+XARM7 = Arm(
+    name="xarm7",
+    a=np.array([0.0, 0.0, 0.0, 0.0525, 0.0775, 0.0, 0.076]),
+    alpha=np.array([0.0, -_HALF_PI, _HALF_PI, _HALF_PI, _HALF_PI, _HALF_PI, -_HALF_PI]),
+    d=np.array([0.267, 0.0, 0.293, 0.0, 0.3425, 0.0, 0.097]),
+    offset=np.zeros(7),
+    T_flange_tcp=_transform(TCP_DISTANCE),
+    q_min=np.array([-_TWO_PI, -2.059, -_TWO_PI, -0.19198, -_TWO_PI, -1.69297, -_TWO_PI]),
+    q_max=np.array([_TWO_PI, 2.0944, _TWO_PI, 3.927, _TWO_PI, math.pi, _TWO_PI]),
+    max_speed=np.full(7, math.radians(180.0)),
+    max_acceleration=np.full(7, math.radians(1145.0)),
+    max_jerk=np.full(7, math.radians(28647.0)),
+    max_tcp_speed=1.0,
+    payload=3.5,
+    # The gripper points straight down, 0.41 m in front of the base and 0.21 m above it.
+    home=np.array([0.0, -0.2, 0.0, 0.9, 0.0, 1.1, 0.0]),
+    capsules=_CAPSULES,
+    gripper=ParallelGripper(
+        max_opening=0.084,
+        pivot_y=0.035,
+        pivot_z=0.059098,
+        knuckle=0.055,
+        face=0.026,
+        knuckles=_KNUCKLES,
+        fingers=_FINGERS,
+    ),
+)
+"""The arm as UFACTORY sells it; `q` in radians, its base frame is the world."""

@@ -1,0 +1,264 @@
+"""The section that tells what the policy's action reached."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gendom.errors import GendomError
+from gendom.viz.charts import OURS_COLOR, WITHOUT_COLOR, Swing, goal_chart, swing_chart
+from gendom.viz.report.markup import DASH, escaped, figure, table
+from gendom.viz.report.page import Section
+from gendom.viz.report.quantities import length_text, place_text, with_minus
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyRun:
+    """One action, and what became of it. Arrays are converted to float64.
+
+    Raises:
+        GendomError: An array has another shape, or a number is not finite.
+    """
+
+    action: np.ndarray
+    """[A]."""
+    reached: np.ndarray
+    """[D], or one number, in the goal's coordinates [m]."""
+    tip_path: np.ndarray | None = None
+    """[T, 3] of the rope's tip from the release on [m]."""
+    shape_at_release: np.ndarray | None = None
+    """[n, 3] points along the rope [m]."""
+    shape_at_farthest: np.ndarray | None = None
+    """[n, 3] points along the rope when its tip is farthest [m]."""
+
+    def __post_init__(self):
+        for name in ("action", "reached"):
+            _convert(self, name, 1, np.atleast_1d(np.asarray(getattr(self, name), dtype=float)))
+        for name in ("tip_path", "shape_at_release", "shape_at_farthest"):
+            value = getattr(self, name)
+            if value is not None:
+                _convert(self, name, 2, np.asarray(value, dtype=float))
+                if getattr(self, name).shape[1] != 3:
+                    raise GendomError("is no [n, 3]", where=name, fix="give points in metres")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReachOutcome:
+    """One goal, and what both policies reached.
+
+    Raises:
+        GendomError: Goal and place reached differ in shape, or the goal is not 1-D or 2-D.
+    """
+
+    goal: np.ndarray
+    """[1] or one number: distance; [2]: distance and height [m]."""
+    ours: PolicyRun
+    """The policy that knows the estimate."""
+    without: PolicyRun | None = None
+    """The same network without parameters."""
+
+    def __post_init__(self):
+        _convert(self, "goal", 1, np.atleast_1d(np.asarray(self.goal, dtype=float)))
+        if self.goal.shape not in ((1,), (2,)):
+            raise GendomError(
+                f"has shape {list(self.goal.shape)}", where="goal", fix="give [1] or [2]"
+            )
+        for name, run in (("ours", self.ours), ("without", self.without)):
+            if run is not None and run.reached.shape != self.goal.shape:
+                raise GendomError(
+                    f"has shape {list(run.reached.shape)}, the goal {list(self.goal.shape)}",
+                    where=f"{name}.reached",
+                    fix="give both in the same coordinates",
+                )
+
+    def error(self, run: PolicyRun) -> float:
+        """Distance between the place reached and the goal [m]."""
+        return float(np.linalg.norm(run.reached - self.goal))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionSummary:
+    """The task carried out for one or several goals.
+
+    Raises:
+        GendomError: There is no outcome, or goals or actions differ in shape.
+    """
+
+    outcomes: Sequence[ReachOutcome]
+    goal_name: str = "farthest distance of the tip"
+    action_names: Sequence[str] = ()
+    """One for each number of an action, with its unit: "release x [m]"."""
+    note: str = ""
+    """Text below the heading: what was done, and where."""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where a goal's distance is measured from [m]."""
+    direction: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    """Horizontal unit vector along which a goal's distance is measured."""
+    table_height: float | None = None
+    """z of the table [m], or None."""
+    shown: int | None = None
+    """The outcome whose swing is drawn; None: the first that has a path."""
+
+    def __post_init__(self):
+        if not self.outcomes:
+            raise GendomError("is empty", where="outcomes", fix="give one goal or leave it out")
+        sizes = {
+            (len(o.goal), len(run.action))
+            for o in self.outcomes
+            for run in (o.ours, o.without)
+            if run is not None
+        }
+        if len(sizes) > 1:
+            raise GendomError("differ in shape", where="goals and actions", fix="give one task's")
+        actions = next(iter(sizes))[1]
+        if self.action_names and len(self.action_names) != actions:
+            raise GendomError(
+                f"has {len(self.action_names)} names for {actions} numbers",
+                where="action_names",
+                fix="give one each",
+            )
+        if self.shown is not None and not 0 <= self.shown < len(self.outcomes):
+            raise GendomError(f"is {self.shown}", where="shown", fix="give an outcome's index")
+
+    def mean_errors(self) -> tuple[float, float | None]:
+        """Mean distance from the goals [m], of our policy and of the one without parameters.
+
+        The second is None unless that policy was run for every goal: other means would not
+        compare.
+        """
+        ours = float(np.mean([o.error(o.ours) for o in self.outcomes]))
+        others = [o.error(o.without) for o in self.outcomes if o.without is not None]
+        return ours, float(np.mean(others)) if len(others) == len(self.outcomes) else None
+
+    def drawn(self) -> ReachOutcome | None:
+        """The outcome whose swing is drawn."""
+        chosen = self.outcomes if self.shown is None else [self.outcomes[self.shown]]
+        return next((o for o in chosen if o.ours.tip_path is not None), None)
+
+
+def action_section(action: ActionSummary) -> Section:
+    """What was done for each goal and what came of it; charts of goals and of one swing."""
+    parts = [f"<p>{escaped(action.note)}</p>"] if action.note else []
+    ours, without = action.mean_errors()
+    if without is not None:
+        parts.append(f"<p>{_verdict(ours, without, len(action.outcomes))}</p>")
+    parts.append(_outcomes_table(action))
+    names = f"Goal: {action.goal_name}."
+    if action.action_names:
+        names += f" Action: {', '.join(action.action_names)}."
+    parts.append(f'<p class="soft">{escaped(names)}</p>')
+    figures = [_goal_figure(action)] if len(action.outcomes) > 1 else []
+    drawn = action.drawn()
+    if drawn is not None:
+        figures.append(_swing_figure(action, drawn))
+    if figures:
+        parts.append(f'<div class="pair">{"".join(figures)}</div>')
+    return Section(title="The action", body="\n".join(parts))
+
+
+def _outcomes_table(action: ActionSummary) -> str:
+    """A row for each goal and one of means; three columns for each policy."""
+    outcomes = action.outcomes
+    compared = any(o.without is not None for o in outcomes)
+    groups = ["With the estimate", "Without parameters"] if compared else []
+    columns = ["Action", "Reached", "Error"] * max(1, len(groups))
+    titles = "".join(f'<th class="number">{column}</th>' for column in columns)
+    rowspan = ' rowspan="2"' if groups else ""
+    head = f'<th{rowspan} class="number">Goal</th>'
+    if groups:
+        head += "".join(f'<th colspan="3" class="group">{group}</th>' for group in groups)
+        head += f"</tr><tr>{titles}"
+    else:
+        head += titles
+    rows = []
+    for outcome in outcomes:
+        cells = [f'<td class="number">{escaped(place_text(outcome.goal))}</td>']
+        for run in (outcome.ours, outcome.without) if compared else (outcome.ours,):
+            if run is None:
+                cells += [f'<td class="number">{DASH}</td>'] * 3
+                continue
+            numbers = ", ".join(f"{a:.3f}" for a in run.action)
+            cells.append(f'<td class="number">{escaped(with_minus(numbers))}</td>')
+            cells.append(f'<td class="number">{escaped(place_text(run.reached))}</td>')
+            cells.append(f'<td class="number">{escaped(length_text(outcome.error(run)))}</td>')
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    if len(outcomes) > 1:
+        ours, without = action.mean_errors()
+        cells = [
+            '<td class="number">mean</td>',
+            "<td></td><td></td>",
+            f'<td class="number">{length_text(ours)}</td>',
+        ]
+        if compared:
+            shown = DASH if without is None else length_text(without)
+            cells += ["<td></td><td></td>", f'<td class="number">{shown}</td>']
+        rows.append(f'<tr class="total">{"".join(cells)}</tr>')
+    return table([head], rows)
+
+
+def _goal_figure(action: ActionSummary) -> str:
+    outcomes = action.outcomes
+    goals = np.array([o.goal for o in outcomes])
+    reached = np.array([o.ours.reached for o in outcomes])
+    missing = np.full_like(goals[0], np.nan)
+    others = np.array([missing if o.without is None else o.without.reached for o in outcomes])
+    compared = any(o.without is not None for o in outcomes)
+    chart = goal_chart(goals, reached, others if compared else None)
+    return figure(chart, "Goals and places reached")
+
+
+def _verdict(ours: float, without: float, goals: int) -> str:
+    """One sentence that compares both policies, whichever was better."""
+    what = "the goal is missed" if goals == 1 else f"the {goals} goals are missed on average"
+    text = (
+        f"With the estimate {what} by <strong>{length_text(ours)}</strong>; the same network "
+        f"without parameters misses by <strong>{length_text(without)}</strong>"
+    )
+    if ours < without:
+        return (
+            f"{text}: the estimate takes away {100.0 * (1.0 - ours / without):.0f} % of the error."
+        )
+    return f"{text}: here the estimate did not help."
+
+
+def _swing_figure(action: ActionSummary, outcome: ReachOutcome) -> str:
+    direction = np.array(action.direction) / np.linalg.norm(action.direction)
+
+    def flat(points: np.ndarray) -> np.ndarray:
+        return np.stack([(points - np.array(action.origin)) @ direction, points[:, 2]], axis=1)
+
+    swings = []
+    for run, label, color in (
+        (outcome.without, "without parameters", WITHOUT_COLOR),
+        (outcome.ours, "with the estimate", OURS_COLOR),
+    ):
+        if run is None or run.tip_path is None:
+            continue
+        shapes = []
+        for shape in (run.shape_at_release, run.shape_at_farthest):
+            if shape is not None and len(shape):
+                # A few hundred dots show the rope as well as thousands, in a smaller file.
+                shapes.append(flat(shape[:: max(1, len(shape) // 250)]))
+        dashed = run is outcome.without
+        path = flat(run.tip_path)
+        swings.append(Swing(label=label, color=color, dashed=dashed, tip_path=path, shapes=shapes))
+    chart = swing_chart(swings, outcome.goal, table_height=action.table_height)
+    return figure(
+        chart,
+        "Paths of the rope's tip after the release",
+        f"Goal {place_text(outcome.goal)}. Circles: the tip at release; diamonds: at its farthest. "
+        "Dots: the rope at these two moments, the earlier one pale.",
+    )
+
+
+def _convert(target: object, name: str, dimensions: int, array: np.ndarray) -> None:
+    """Set a field of a frozen dataclass to an array, after a look at it."""
+    if array.ndim != dimensions or array.size == 0:
+        raise GendomError(
+            f"has shape {list(array.shape)}", where=name, fix=f"give {dimensions} dimensions"
+        )
+    if not np.isfinite(array).all():
+        raise GendomError("holds NaN or infinity", where=name, fix="check what made it")
+    object.__setattr__(target, name, array)

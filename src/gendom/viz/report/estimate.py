@@ -1,0 +1,303 @@
+"""The section that tells what was estimated, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gendom.errors import GendomError
+from gendom.viz.charts import chamfer_chart, loss_chart, parameter_chart
+from gendom.viz.clouds import CloudSequence
+from gendom.viz.report.markup import DASH, escaped, facts_list, figure, table
+from gendom.viz.report.page import Section
+from gendom.viz.report.quantities import (
+    difference_text,
+    finite,
+    interval_text,
+    length_text,
+    pascal_unit,
+    property_text,
+    quantity_text,
+)
+
+ESTIMATE_FORMAT = "gendom-estimate/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimateSummary:
+    """What was estimated, and what is known besides.
+
+    Raises:
+        GendomError: `values` has another format, or no Young's modulus or Poisson's ratio; or
+            an interval is not a pair of numbers.
+    """
+
+    values: Mapping[str, Any]
+    """The estimate's JSON object (gendom-estimate/1), SI units; other keys may be missing."""
+    truth: Mapping[str, float] | None = None
+    """True values under the keys of `values`, as far as known."""
+    bounds: Mapping[str, tuple[float, float]] | None = None
+    """Range searched, by key of `values`; the intervals are drawn inside it."""
+
+    def __post_init__(self):
+        found = self.values.get("format", ESTIMATE_FORMAT)
+        if found != ESTIMATE_FORMAT:
+            raise GendomError(
+                f"is {found!r}", where="estimate.format", fix=f"give {ESTIMATE_FORMAT!r}"
+            )
+        for key in ("youngs_modulus", "poissons_ratio"):
+            if finite(self.values.get(key)) is None:
+                raise GendomError("is no number", where=f"estimate.{key}", fix="estimate again")
+        for key, ends in (self.values.get("intervals") or {}).items():
+            if key != "level" and ends is not None and len(np.atleast_1d(ends)) != 2:
+                raise GendomError(
+                    f"is {ends!r}", where=f"estimate.intervals.{key}", fix="give [low, high]"
+                )
+
+    def value(self, key: str) -> float | None:
+        """What was estimated, in the unit of `values`."""
+        return finite(self.values.get(key))
+
+    def true(self, key: str) -> float | None:
+        """The true value, where it is known."""
+        return finite((self.truth or {}).get(key))
+
+    def interval(self, key: str) -> tuple[float, float] | None:
+        """Lowest and highest plausible value."""
+        ends = (self.values.get("intervals") or {}).get(key)
+        if ends is None:
+            return None
+        low, high = (finite(end) for end in ends)
+        return None if low is None or high is None else (low, high)
+
+    @property
+    def level_text(self) -> str:
+        """How probable the intervals are: "90 %"."""
+        level = finite((self.values.get("intervals") or {}).get("level"))
+        return "" if level is None else f"{100.0 * level:g} %"
+
+    def determined(self, key: str) -> bool | None:
+        """Whether the lift determines a parameter; None: not said."""
+        return (self.values.get("identifiable") or {}).get(key)
+
+
+# Key of an estimate, its name, and what to say about it.
+_ROWS = (
+    ("youngs_modulus", "Young's modulus <i>E</i>"),
+    ("poissons_ratio", "Poisson's ratio <i>ν</i>"),
+    ("density", "Density <i>ρ</i>"),
+    ("specific_modulus", "Specific modulus <i>E</i> / <i>ρ</i>"),
+    ("bending_length", "Bending length"),
+)
+
+
+def estimate_section(summary: EstimateSummary, clouds: CloudSequence | None = None) -> Section:
+    """Parameters with intervals, the search for them, and how well the lifts match.
+
+    Args:
+        summary: The estimate.
+        clouds: Both lifts, for the chart of their distance.
+    """
+    parts = [_parameter_table(summary)]
+    charts = _search_charts(summary)
+    if clouds is not None and clouds.chamfer is not None:
+        chart = chamfer_chart(clouds.times, clouds.chamfer)
+        said = (
+            "Mean distance from each recorded point to the nearest simulated one, plus the same "
+            "the other way round."
+        )
+        charts.append(figure(chart, "Chamfer distance in each frame", said))
+    if charts:
+        parts.append(f'<div class="pair">{"".join(charts)}</div>')
+    parts.append(_fit_facts(summary))
+    parts.append(_starts_table(summary))
+    return Section(title="The estimate", body="\n".join(part for part in parts if part))
+
+
+def _parameter_table(summary: EstimateSummary) -> str:
+    """A row for each quantity, and how to read the bars if there are any."""
+    bounds = summary.bounds or {}
+    knows_truth = any(summary.true(key) is not None for key, _ in _ROWS)
+    has_interval = any(summary.interval(key) is not None for key, _ in _ROWS)
+    rows = []
+    for key, name in _ROWS:
+        value = summary.value(key)
+        if value is None:
+            continue
+        interval, true = summary.interval(key), summary.true(key)
+        cells = [f'<td class="name">{name}</td>', _number_cell(quantity_text(key, value))]
+        if has_interval:
+            shown = escaped(interval_text(key, interval)) if interval else DASH
+            bar = _bar(value, interval, true, bounds.get(key))
+            cells.append(f'<td class="interval">{shown}{bar}</td>')
+        if knows_truth:
+            cells.append(_number_cell(DASH if true is None else quantity_text(key, true)))
+            cells.append(_number_cell(DASH if true is None else difference_text(key, value, true)))
+        cells.append(f'<td class="remark">{escaped(_remark(key, summary))}</td>')
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    head = ["<th>Quantity</th>", '<th class="number">Estimate</th>']
+    if has_interval:
+        head.append(f'<th class="interval">{escaped(summary.level_text)} interval</th>')
+    if knows_truth:
+        head += ['<th class="number">True value</th>', '<th class="number">Off by</th>']
+    head.append("<th>What the lift says</th>")
+    text = table(head, rows)
+    if has_interval and bounds:
+        text += (
+            '\n<p class="soft">Bars: the grey range was searched, the light part is the interval, '
+            "the blue mark the estimate"
+            + (", the black mark the true value" if knows_truth else "")
+            + ".</p>"
+        )
+    return text
+
+
+def _number_cell(text: str) -> str:
+    return f'<td class="number">{escaped(text)}</td>'
+
+
+def _search_charts(summary: EstimateSummary) -> list[str]:
+    """Loss and both parameters against iteration, for every start."""
+    values = summary.values
+    entries = values.get("history") or []
+    losses = [finite(start.get("loss")) for start in values.get("starts") or []]
+    known = [(loss, i) for i, loss in enumerate(losses) if loss is not None]
+    best = min(known)[1] if known else None
+    factor, unit = pascal_unit(values["youngs_modulus"])
+    figures = []
+    for key, name, scale in (
+        ("loss", "Loss", 1.0),
+        ("youngs_modulus", f"Young's modulus [{unit}]", factor),
+        ("poissons_ratio", "Poisson's ratio", 1.0),
+    ):
+        lines: dict[int, list[tuple[float, float]]] = {}
+        for entry in entries:
+            iteration, value = finite(entry.get("iteration")), finite(entry.get(key))
+            if iteration is not None and value is not None:
+                line = lines.setdefault(int(entry.get("start", 0)), [])
+                line.append((iteration, scale * value))
+        if not lines:
+            continue
+        order = sorted(lines)
+        history = [tuple(np.array(sorted(lines[start])).T) for start in order]
+        chosen = order.index(best) if best in order else None
+        if key == "loss":
+            chart = loss_chart(history, chosen)
+            said = "Logarithmic scale."
+            if len({entry.get("stage") for entry in entries}) > 1:
+                said += " It jumps where the search passes from the coarse grid to the fine one."
+            figures.append(figure(chart, "Loss in each iteration", said))
+        else:
+            true = summary.true(key)
+            true = None if true is None else scale * true
+            chart = parameter_chart(history, chosen, name=name, truth=true)
+            figures.append(figure(chart, f"{name} in each iteration"))
+    return figures
+
+
+def _fit_facts(summary: EstimateSummary) -> str:
+    """How well both lifts match, how the search went, and what was held."""
+    values = summary.values
+    facts = []
+    for key, name in (
+        ("chamfer_mean", "Chamfer distance, all frames"),
+        ("chamfer_last", "Chamfer distance, last frame"),
+        ("chamfer_mean_surface", "to the simulated surface, all frames"),
+        ("chamfer_last_surface", "to the simulated surface, last frame"),
+    ):
+        value = summary.value(key)
+        if value is not None:
+            facts.append((name, length_text(value)))
+    for key, name in (("method", "method"), ("device", "device"), ("seed", "seed")):
+        if values.get(key) is not None:
+            facts.append((name, str(values[key])))
+    for key, name, unit in (
+        ("loss", "final loss", ""),
+        ("iterations", "evaluations in the last stage", ""),
+        ("seconds", "time", " s"),
+    ):
+        value = summary.value(key)
+        if value is not None:
+            facts.append((name, f"{value:.4g}{unit}"))
+    described = values.get("object")
+    if isinstance(described, Mapping):
+        known = [
+            f"{name} {property_text(name, value)}"
+            for name, value in described.items()
+            if isinstance(value, (str, int, float))
+        ]
+        facts.append(("object", ", ".join(known)))
+    return facts_list(facts)
+
+
+def _starts_table(summary: EstimateSummary) -> str:
+    """Where each start of the search began and ended."""
+    starts = summary.values.get("starts") or []
+    if len(starts) < 2:
+        return ""
+    keys = ("youngs_modulus", "poissons_ratio")
+    rows = []
+    for start in starts:
+        cells = []
+        for stage in ("initial", "final"):
+            for key in keys:
+                value = finite((start.get(stage) or {}).get(key))
+                cells.append(_number_cell(DASH if value is None else quantity_text(key, value)))
+        loss = finite(start.get("loss"))
+        cells.append(_number_cell(DASH if loss is None else f"{loss:.4g}"))
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    titles = ("E at the start", "ν at the start", "E found", "ν found", "Loss")
+    head = [f'<th class="number">{title}</th>' for title in titles]
+    return f"<details><summary>All {len(starts)} starts</summary>{table(head, rows)}</details>"
+
+
+def _remark(key: str, summary: EstimateSummary) -> str:
+    """How far a value can be trusted, in words."""
+    if key == "density":
+        assumed = summary.values.get("density_assumed")
+        if assumed is None:
+            return ""
+        if assumed:
+            return "Assumed, not measured: the motion shows only E / ρ, so E scales with this."
+        return "From the object's mass and size."
+    texts = []
+    known = summary.determined("youngs_modulus" if key == "specific_modulus" else key)
+    if known is False:
+        texts.append("The lift does not determine this: the interval is mostly the prior.")
+    elif key == "specific_modulus":
+        texts.append("What a motion under gravity depends on, whatever the density.")
+    elif key == "bending_length":
+        texts.append("About the length over which the object bends under its own weight.")
+    elif known:
+        texts.append("Determined by the lift.")
+    interval, true = summary.interval(key), summary.true(key)
+    if interval is not None and true is not None:
+        inside = interval[0] <= true <= interval[1]
+        texts.append(f"The true value lies {'inside' if inside else 'outside'} the interval.")
+    return " ".join(texts)
+
+
+def _bar(
+    value: float,
+    interval: tuple[float, float] | None,
+    true: float | None,
+    bounds: tuple[float, float] | None,
+) -> str:
+    """The interval inside the range that was searched, drawn with boxes."""
+    if interval is None or bounds is None or not bounds[0] < bounds[1]:
+        return ""
+
+    def percent(x: float) -> float:
+        return 100.0 * min(max((x - bounds[0]) / (bounds[1] - bounds[0]), 0.0), 1.0)
+
+    left, right = percent(interval[0]), percent(interval[1])
+    marks = (
+        f'<span class="interval" style="left:{left:.2f}%;width:{right - left:.2f}%"></span>'
+        f'<span class="estimate" style="left:{percent(value):.2f}%"></span>'
+    )
+    if true is not None:
+        marks += f'<span class="truth" style="left:{percent(true):.2f}%"></span>'
+    return f'<div class="range">{marks}</div>'

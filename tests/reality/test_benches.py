@@ -1,0 +1,28 @@
+"""The flexes bend as their modulus says, before anything is concluded from them."""
+
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("mujoco", reason="needs the extra reality")
+
+from gendom.reality import OBJECTS, RealRope, cantilever
+
+ROPES = [name for name, item in OBJECTS.items() if isinstance(item, RealRope)]
+CLOTHS = [name for name in OBJECTS if name not in ROPES]
+
+
+@pytest.mark.parametrize("name", ROPES)
+def test_a_rope_sags_as_a_beam(name):
+    assert cantilever(OBJECTS[name]).error == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize("name", CLOTHS)
+def test_a_strip_of_cloth_sags_as_a_plate(name):
+    assert cantilever(OBJECTS[name]).error == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_rope_of_more_points_is_closer_to_the_beam():
+    rope = replace(OBJECTS["rope-cotton"], diameter=0.008)
+    errors = [abs(cantilever(replace(rope, vertices=n)).error) for n in (10, 20)]
+    assert errors[1] < 0.7 * errors[0]

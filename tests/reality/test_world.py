@@ -1,0 +1,150 @@
+"""The second reality: holding, letting go, looking, and what it refuses."""
+
+from typing import cast
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs the extra reality")
+
+from gendom.errors import DeviceError, ParameterError, SimulationError
+from gendom.reality import (
+    OBJECTS,
+    Layout,
+    Reality,
+    RealRope,
+    default_cameras,
+    find_object,
+    rest_height,
+    stretch,
+)
+
+COTTON = cast(RealRope, OBJECTS["rope-cotton"])
+
+
+def lying(item=COTTON):
+    return Layout(origin=(0.35, 0.0, rest_height(item)))
+
+
+def grasped(seconds=0.0, **kwargs):
+    """A cotton rope held by its end, at 0.05 s, then lifted at 0.1 m/s."""
+    world = Reality(COTTON, lying(), **kwargs)
+    lift(world, seconds)
+    return world
+
+
+def lift(world, seconds):
+    world.follow(lambda t: (0.3625, 0.0, rest_height(COTTON) + 0.1 * max(t - 0.05, 0.0)))
+    world.step_to(0.05)
+    world.attach()
+    world.step_to(0.05 + seconds)
+
+
+@pytest.fixture
+def seeing():
+    """A world with two cameras, where something can be rendered."""
+    world = Reality(COTTON, lying(), cameras=default_cameras())
+    try:
+        world.render(0)
+    except DeviceError as error:
+        pytest.skip(str(error))
+    with world:
+        yield world
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_objects_rest_on_the_table(name):
+    item = OBJECTS[name]
+    world = Reality(item, Layout(origin=(0.35, -0.1, rest_height(item))))
+    before = world.vertices()
+    world.step_to(0.2)
+    # Contact gives way by a fraction of a millimetre.
+    assert np.abs(world.vertices() - before).max() < 5e-4
+    assert world.speed() < 5e-3
+
+
+def test_what_is_held_follows_the_hand_without_stretching():
+    world = grasped(1.0)
+    held = world.held
+    assert len(held) >= 2
+    moved = world.vertices()[held].mean(axis=0)
+    assert world.hand[2] == pytest.approx(rest_height(COTTON) + 0.1, abs=1e-4)
+    assert moved[2] == pytest.approx(rest_height(COTTON) + 0.1, abs=1e-3)
+    assert abs(stretch(COTTON, world.vertices())) < 0.005
+
+
+def test_a_held_end_keeps_its_direction():
+    world = grasped(1.0)
+    assert world.hand_axis == pytest.approx([1.0, 0.0, 0.0], abs=0.02)
+
+
+def test_what_is_let_go_falls():
+    world = grasped(1.0)
+    world.release()
+    assert len(world.held) == 0
+    assert world.vertices()[:, 2].max() > 0.1
+    world.step_to(world.time + 1.0)
+    assert world.vertices()[:, 2].max() < 1.5 * COTTON.diameter
+
+
+def test_a_hand_that_closes_on_nothing_says_how_far_off_it_is():
+    world = Reality(COTTON, lying())
+    world.follow(lambda t: (0.35, 0.0, 0.108))
+    world.step_to(0.01)
+    with pytest.raises(SimulationError, match=r"100\.\d mm away"):
+        world.attach()
+
+
+def test_a_reset_world_repeats_itself():
+    world = grasped(0.3)
+    first = world.vertices()
+    world.reset()
+    lift(world, 0.3)
+    assert np.array_equal(world.vertices(), first)
+
+
+def test_a_stand_holds_a_hanging_rope():
+    top = np.array([0.4, 0.0, 0.6])
+    layout = Layout(origin=top, along=(0.0, 0.0, -1.0), across=(0.0, 1.0, 0.0), clamped=0.02)
+    world = Reality(COTTON, layout, table=False)
+    world.step_to(0.5)
+    x = world.vertices()
+    assert x[0] == pytest.approx(top, abs=1e-3)
+    assert x[-1] == pytest.approx(top - [0.0, 0.0, COTTON.length], abs=2e-3)
+
+
+def test_a_camera_sees_the_table_where_it_is(seeing):
+    camera = seeing.cameras[0]
+    depth, colour = seeing.render("left")
+    assert depth.shape == (camera.height, camera.width)
+    assert colour.shape == (camera.height, camera.width, 3)
+    T = camera.calibrated()
+    points = (camera.rays() * depth.reshape(-1, 1)) @ T[:3, :3].T + T[:3, 3]
+    table = points[(np.abs(points[:, 0] - 0.77) < 0.1) & (np.abs(points[:, 1]) < 0.2)]
+    assert len(table) > 1000
+    assert np.abs(table[:, 2]).max() < 5e-4
+
+
+def test_both_cameras_see_the_rope_where_it_is(seeing):
+    """Its red pixels lie on the cylinder around the vertices."""
+    x = seeing.vertices()
+    for camera in seeing.cameras:
+        depth, colour = seeing.render(camera.name)
+        T = camera.calibrated()
+        red = (colour[..., 0] > 2 * colour[..., 1].astype(int) + 20).ravel()
+        rays = camera.rays()[red] * depth.reshape(-1, 1)[red]
+        points = rays @ T[:3, :3].T + T[:3, 3]
+        assert len(points) > 200
+        inside = (points[:, 0] > x[0, 0]) & (points[:, 0] < x[-1, 0])
+        off = np.hypot(points[inside, 1], points[inside, 2] - rest_height(COTTON))
+        assert np.median(np.abs(off - COTTON.diameter / 2)) < 5e-4
+
+
+def test_unknown_objects_are_refused_with_those_there_are():
+    with pytest.raises(ParameterError, match="rope-cotton, rope-polyester"):
+        find_object("rope-hemp")
+
+
+def test_a_layout_needs_directions_at_right_angles():
+    with pytest.raises(ParameterError, match="right angles"):
+        Layout(origin=(0, 0, 0), along=(1, 0, 0), across=(1, 1, 0))

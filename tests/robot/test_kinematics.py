@@ -1,0 +1,203 @@
+"""Kinematics of the xArm 7: published poses, Jacobian, inverse kinematics, shape."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import RobotError
+from gendom.robot import (
+    DOWN,
+    XARM7,
+    arm_shape,
+    find_arm,
+    inverse_kinematics,
+    jacobian,
+    link_poses,
+    pointing_down,
+    pose_error,
+    solutions,
+    tcp_pose,
+)
+
+
+def random_q(n, seed=0):
+    """[n, 7] joint angles within the limits, at most half a turn."""
+    low, high = np.maximum(XARM7.q_min, -np.pi), np.minimum(XARM7.q_max, np.pi)
+    return np.random.default_rng(seed).uniform(low, high, (n, 7))
+
+
+def pose(position, quat=DOWN):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_quat(quat).as_matrix(), position
+    return T
+
+
+def test_zero_pose_is_the_published_one():
+    """UFACTORY's drawing: at zero the flange looks down, 206 mm in front and 120.5 mm up."""
+    T = link_poses(XARM7, np.zeros(7))[7]
+    np.testing.assert_allclose(T[:3, 3], [0.206, 0.0, 0.1205], atol=1e-12)
+    np.testing.assert_allclose(T[:3, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
+
+
+def test_modified_and_standard_parameters_agree():
+    """UFACTORY publishes both tables; the flange must not depend on which one is used."""
+    half = np.pi / 2
+    d = [0.267, 0.0, 0.293, 0.0, 0.3425, 0.0, 0.097]
+    a = [0.0, 0.0, 0.0525, 0.0775, 0.0, 0.076, 0.0]
+    alpha = [-half, half, half, half, half, -half, 0.0]
+    for q in random_q(5):
+        T = np.eye(4)
+        for angle, di, ai, al in zip(q, d, a, alpha, strict=True):
+            turn, tilt = np.eye(4), np.eye(4)
+            turn[:3, :3] = Rotation.from_rotvec([0, 0, angle]).as_matrix()
+            tilt[:3, :3] = Rotation.from_rotvec([al, 0, 0]).as_matrix()
+            turn[2, 3], tilt[0, 3] = di, ai
+            T = T @ turn @ tilt
+        np.testing.assert_allclose(link_poses(XARM7, q)[7], T, atol=1e-12)
+
+
+def test_tool_is_172_mm_beyond_the_flange():
+    poses = link_poses(XARM7, random_q(4))
+    gap = poses[:, -1, :3, 3] - poses[:, -2, :3, 3]
+    np.testing.assert_allclose(gap, 0.172 * poses[:, -2, :3, 2], atol=1e-12)
+
+
+def test_home_points_down_within_limits():
+    T = tcp_pose(XARM7, XARM7.home)
+    np.testing.assert_allclose(T[:3, :3], pose((0, 0, 0))[:3, :3], atol=1e-12)
+    assert np.all(XARM7.home > XARM7.q_min) and np.all(XARM7.home < XARM7.q_max)
+
+
+def test_batch_equals_single():
+    q = random_q(6).reshape(2, 3, 7)
+    poses = link_poses(XARM7, q)
+    assert poses.shape == (2, 3, 9, 4, 4)
+    np.testing.assert_allclose(poses[1, 2], link_poses(XARM7, q[1, 2]), atol=1e-15)
+    np.testing.assert_allclose(jacobian(XARM7, q)[1, 2], jacobian(XARM7, q[1, 2]), atol=1e-15)
+
+
+def test_jacobian_matches_central_differences():
+    """The error falls as h^2: 1e-6 and below at h = 1e-3."""
+    q, h = random_q(50), 1e-3
+    J = jacobian(XARM7, q)
+    for j, unit in enumerate(np.eye(7)):
+        ahead, behind = tcp_pose(XARM7, q + h * unit), tcp_pose(XARM7, q - h * unit)
+        np.testing.assert_allclose(J[..., j], pose_error(ahead, behind) / (2 * h), atol=1e-6)
+
+
+def test_pose_error_near_half_a_turn():
+    for angle in (1e-14, 1e-6, 1.0, np.pi - 1e-2, np.pi - 1e-5, np.pi - 1e-9):
+        axis = np.array([0.6, 0.0, -0.8])
+        T = pose((0.1, 0.2, 0.3), Rotation.from_rotvec(angle * axis).as_quat())
+        np.testing.assert_allclose(
+            pose_error(T, np.eye(4)), [0.1, 0.2, 0.3, *(angle * axis)], atol=1e-7
+        )
+
+
+def test_inverse_kinematics_comes_back():
+    for q in random_q(12, seed=1):
+        T = tcp_pose(XARM7, q)
+        found = inverse_kinematics(XARM7, T, starts=12)
+        assert np.abs(pose_error(T, tcp_pose(XARM7, found))).max() < 1e-6
+        assert np.all(found >= XARM7.q_min) and np.all(found <= XARM7.q_max)
+
+
+def test_inverse_kinematics_near_given_angles_returns_them():
+    """The null space leans towards what is given, so a configuration finds itself."""
+    for q in random_q(4, seed=2):
+        found = inverse_kinematics(XARM7, tcp_pose(XARM7, q), near=q, starts=4)
+        np.testing.assert_allclose(found, q, atol=1e-4)
+
+
+def test_redundancy_leans_towards_home():
+    """The way to home has no part left in the null space of the Jacobian."""
+    q = inverse_kinematics(XARM7, pose((0.4, 0.2, 0.2)))
+    J = jacobian(XARM7, q)
+    left = (np.eye(7) - np.linalg.pinv(J) @ J) @ (XARM7.home - q)
+    assert np.abs(left).max() < 1e-4
+
+
+def test_limits_are_kept_where_they_bind():
+    """With joint 4 confined, solutions use its ends and stay inside."""
+    q_min, q_max = XARM7.q_min.copy(), XARM7.q_max.copy()
+    q_min[3], q_max[3] = 0.8, 1.0
+    arm = replace(XARM7, q_min=q_min, q_max=q_max)
+    T = tcp_pose(arm, [0.3, -0.2, 0.4, 0.99, 0.2, 1.1, 0.0])
+    for q in solutions(arm, T):
+        assert np.all(q >= arm.q_min) and np.all(q <= arm.q_max)
+        assert np.abs(pose_error(T, tcp_pose(arm, q))).max() < 1e-6
+
+
+def test_solutions_differ_and_the_nearest_is_first():
+    found = solutions(XARM7, pose((0.35, -0.2, 0.3)))
+    away = [np.linalg.norm(q - XARM7.home) for q in found]
+    assert len(found) > 2
+    assert away == sorted(away)
+
+
+@pytest.mark.parametrize("position", [(1.2, 0.0, 0.3), (0.5, 0.0, 1.5), (0.0, -0.9, 0.3)])
+def test_unreachable_poses_are_refused(position):
+    with pytest.raises(RobotError, match=r"out of reach: the nearest found.*mm and .* degrees off"):
+        inverse_kinematics(XARM7, pose(position), starts=6)
+
+
+def test_bad_input():
+    with pytest.raises(RobotError, match="give 7 angles"):
+        tcp_pose(XARM7, np.zeros(6))
+    with pytest.raises(RobotError, match="not finite"):
+        tcp_pose(XARM7, np.full(7, np.nan))
+    with pytest.raises(RobotError, match="no rotation"):
+        inverse_kinematics(XARM7, np.diag([2.0, 1.0, 1.0, 1.0]))
+    with pytest.raises(RobotError, match="have xarm7"):
+        find_arm("xarm9")
+
+
+def test_pointing_down_turns_the_fingers():
+    y = Rotation.from_quat(pointing_down(np.pi / 2)).as_matrix()[:, 1]
+    np.testing.assert_allclose(np.abs(y), [1, 0, 0], atol=1e-12)
+
+
+# ---- shape ---------------------------------------------------------------------------------------
+
+
+def test_capsules_move_with_their_links():
+    """Seen from its link a capsule never moves; the gripper's are the same at every pose."""
+    q = random_q(2)
+    shape, poses = arm_shape(XARM7, q, 0.03), link_poses(XARM7, q)
+    for c, capsule in enumerate(XARM7.capsules):
+        back = np.linalg.inv(poses[:, capsule.link])
+        for ends, expected in ((shape.start, capsule.start), (shape.end, capsule.end)):
+            seen = np.einsum("nij,nj->ni", back[:, :3, :3], ends[:, c]) + back[:, :3, 3]
+            np.testing.assert_allclose(seen, [expected] * 2, atol=1e-12)
+    assert len(set(shape.names)) == len(shape.names)
+
+
+@pytest.mark.parametrize("opening", [0.0, 0.02, 0.084])
+def test_pads_are_as_far_apart_as_the_opening(opening):
+    shape = arm_shape(XARM7, XARM7.home, opening)
+    tcp = tcp_pose(XARM7, XARM7.home)[:3, 3]
+    pads = np.flatnonzero(shape.touches_object)
+    inner = np.abs(shape.start[pads, 1] - tcp[1]) - shape.radius[pads]
+    np.testing.assert_allclose(inner, opening / 2, atol=1e-12)
+    tips = tcp[2] - (shape.end[pads, 2] - shape.radius[pads])  # below the tool point
+    assert np.all(np.abs(tips) < (0.002 if opening == 0.0 else 0.012))
+
+
+def test_neighbouring_links_touch():
+    """The capsules form a chain from the base to the fingers, without gaps."""
+    shape = arm_shape(XARM7, random_q(1)[0], 0.0)
+    links = np.array([c.link for c in XARM7.capsules])
+    for link in range(7):
+        near, far = np.flatnonzero(links == link), np.flatnonzero(links == link + 1)
+        gap = min(
+            _axes_apart(shape, a, b) - shape.radius[a] - shape.radius[b] for a in near for b in far
+        )
+        assert gap < 0.0
+
+
+def _axes_apart(shape, a, b, steps=30):
+    share = np.linspace(0.0, 1.0, steps)[:, None]
+    p, r = (shape.start[c] + share * (shape.end[c] - shape.start[c]) for c in (a, b))
+    return np.linalg.norm(p[:, None] - r, axis=-1).min()
