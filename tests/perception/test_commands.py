@@ -3,6 +3,7 @@
 import json
 import shutil
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from PIL import Image
 
 from gendom import cli
 from gendom.datasets import Recording
-from gendom.perception import FrameSource, PngCamera, read_seen_by
+from gendom.errors import DeviceError
+from gendom.perception import FrameSource, PngCamera, RealSenseWriter, read_seen_by
+from gendom.perception.realsense import realsense_sdk
 
 RED = ["--colour", "180", "30", "35"]
 
@@ -350,3 +353,82 @@ def test_bad_flags(lift, perceive):
     refused(perceive(lift[0], "--pick", "left", "999", "1"), "pixel (999, 1)")
     refused(perceive(lift[0], "--pick", "top", "9", "1"), "no camera 'top'")
     refused(perceive(lift[0], "--voxel", "-1"), "voxel is -1")
+
+
+# The same lift as RealSense recordings.
+
+
+def to_realsense(folder, names=("left", "right"), shift=0.0, unit=1.0):
+    """Turn cameras of a folder into .db3, with other time stamps [s] or depth units."""
+    for name in names:
+        place = folder / "cameras" / name
+        source = PngCamera(place)
+        camera = replace(source.camera, depth_unit=unit * source.camera.depth_unit)
+        with RealSenseWriter(place.with_name("new"), camera) as writer:
+            for frame in source:
+                writer.write(frame.time + (shift if name == "right" else 0.0), frame.read())
+        shutil.rmtree(place)
+        place.with_name("new").rename(place)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sdk():
+    try:
+        return realsense_sdk()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize("names", [("left", "right"), ("right",)])
+def test_realsense_recordings_give_the_same_clouds(lift, copy, sdk, perceive, names):
+    _, _, out = perceive(lift[0], *RED)
+    expected = Recording.read(out)
+    code, printed, out = perceive(to_realsense(copy, names), *RED)
+    assert code == 0 and "warning" not in printed.out
+    found = Recording.read(out)
+    np.testing.assert_allclose(found.time, expected.time, atol=1e-9)
+    np.testing.assert_allclose(found.points, expected.points, atol=1e-6)
+
+
+def test_unsynchronised_realsense_cameras(copy, sdk, perceive):
+    refused(
+        perceive(to_realsense(copy, shift=5.0), *RED),
+        "no frames of the cameras lie within 0.02 s (left 0 to 0.166667 s, right 5 to",
+        "one clock",
+    )
+
+
+def test_wrong_depth_unit_of_a_realsense_recording(copy, sdk, perceive):
+    """The message gives the value that mends it in camera.toml."""
+    to_realsense(copy, ("right",), unit=10.0)
+    refused(perceive(copy, *RED), "'right': depth_unit", "it is 0.001 m a count; 0.0001 seems")
+    with open(copy / "cameras" / "right" / "camera.toml", "a") as file:
+        file.write("depth_unit = 0.0001\n")
+    assert perceive(copy, *RED)[0] == 0
+
+
+def test_uncalibrated_realsense_camera(copy, sdk, perceive):
+    (to_realsense(copy) / "cameras" / "left" / "camera.toml").unlink()
+    refused(perceive(copy, *RED), "left: T_world_camera: is missing", "gendom calibrate")
+
+
+def test_truncated_realsense_recording(copy, sdk, perceive):
+    """What comes before the cut is kept."""
+    path = to_realsense(copy) / "cameras" / "right" / "recording.db3"
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3])
+    code, printed, out = perceive(copy, *RED)
+    assert code == 0 and 2 <= Recording.read(out).num_frames <= 4
+    assert "recording.db3: is damaged or cut off" in printed.out
+
+
+def test_damage_inside_a_realsense_recording(copy, sdk, perceive):
+    """One frame is lost, and told by its number."""
+    path = to_realsense(copy) / "cameras" / "right" / "recording.db3"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    code, printed, out = perceive(copy, *RED)
+    assert code == 0 and Recording.read(out).num_frames == 5
+    assert "recording.db3: frame " in printed.out and "1 of 6 frames cannot be read" in printed.out

@@ -4,8 +4,16 @@ from gendom.perception.calibration import Board, BoardView, Calibration, calibra
 from gendom.perception.camera import Camera, read_camera, write_camera
 from gendom.perception.cloud import STAGES, CloudSettings, FusedCloud, View, perceive_frame
 from gendom.perception.folder import PngCamera, PngWriter, RobotPath, Sighting, read_sighting
-from gendom.perception.frames import Frame, FrameSource, Pictures, match_frames
+from gendom.perception.frames import (
+    Frame,
+    FrameSource,
+    FrameWriter,
+    Pictures,
+    match_frames,
+)
+from gendom.perception.live import RealSenseCamera, record_cameras
 from gendom.perception.perceive import Perceived, PerceptionSettings, perceive, read_seen_by
+from gendom.perception.realsense import RealSenseRecording, RealSenseWriter
 from gendom.perception.robot import CapsulePath, Capsules
 
 __all__ = [
@@ -19,12 +27,16 @@ __all__ = [
     "CloudSettings",
     "Frame",
     "FrameSource",
+    "FrameWriter",
     "FusedCloud",
     "Perceived",
     "PerceptionSettings",
     "Pictures",
     "PngCamera",
     "PngWriter",
+    "RealSenseCamera",
+    "RealSenseRecording",
+    "RealSenseWriter",
     "RobotPath",
     "Sighting",
     "View",
@@ -36,5 +48,6 @@ __all__ = [
     "read_camera",
     "read_seen_by",
     "read_sighting",
+    "record_cameras",
     "write_camera",
 ]

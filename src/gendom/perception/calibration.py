@@ -29,7 +29,7 @@ from gendom.datasets import Fault
 from gendom.errors import GendomError, RecordingError
 from gendom.files import read_toml
 from gendom.perception.camera import Camera
-from gendom.perception.folder import read_png
+from gendom.perception.png import read_png
 
 MIN_PICTURES = 5
 MIN_TURN = 5.0

@@ -7,6 +7,8 @@
     distortion = []              # OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]
     T_world_camera = [[...], [...], [...], [0.0, 0.0, 0.0, 1.0]]      # camera to world [m]
 
+Beside a recording that holds the intrinsics only T_world_camera is needed.
+
 Axes are OpenCV's: x right, y down, z forward; pixel (0, 0) is centred at u = v = 0.
 """
 
@@ -175,15 +177,62 @@ def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
         RecordingError: The file is missing, no TOML, or lacks or has a wrong value.
     """
     path = Path(path)
+    # A depth unit taken for granted would be wrong by ten for every second camera.
+    table = _read_table(path, ("width", "height", "K", "depth_unit"))
+    return Camera(
+        name=name or path.resolve().parent.name,
+        T_world_camera=table.get("T_world_camera"),
+        **{key: table[key] for key in ("width", "height", "K", "depth_unit")},
+        distortion=table.get("distortion", ()),
+    )
+
+
+def adopt_camera(path: str | os.PathLike, camera: Camera) -> Camera:
+    """A camera whose intrinsics a recording holds, with the pose of the camera.toml beside it.
+
+    The file may give `depth_unit`, which then counts. Intrinsics that it gives must be the
+    recording's.
+
+    Args:
+        path: The file; where there is none the camera stays as it is.
+        camera: What the recording says.
+
+    Raises:
+        RecordingError: The file is no TOML, has a wrong value, or other intrinsics.
+    """
+    path = Path(path)
+    if not path.exists():
+        return camera
+    table = _read_table(path)
+    for key, tolerance in (("width", 0.0), ("height", 0.0), ("K", 0.5), ("distortion", 1e-3)):
+        own = np.atleast_1d(getattr(camera, key))
+        given = np.atleast_1d(table.get(key, own))
+        if key == "distortion":  # what is left out is zero
+            own, given = (np.pad(a, (0, 8 - len(a))) for a in (own, given))
+        if np.abs(given - own).max() > tolerance:
+            raise RecordingError(
+                "is not that of the recording beside it",
+                where=f"{path}: {key}",
+                fix="leave it out: the recording's own is taken",
+            )
+    kept = {key: table[key] for key in ("depth_unit", "T_world_camera") if key in table}
+    return replace(camera, **kept)
+
+
+def _read_table(path: Path, required: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The keys of a camera.toml that are there, each of its type.
+
+    Raises:
+        RecordingError: The file is missing, no TOML, lacks a required key, or one is unknown or
+            has a wrong value.
+    """
     table = read_toml(
         path,
         missing="no such file, so the intrinsics are unknown",
         fix="write one with width, height, K, depth_unit, distortion and T_world_camera",
         error=RecordingError,
     )
-    # A depth unit taken for granted would be wrong by ten for every second camera.
-    missing = [key for key in ("width", "height", "K", "depth_unit") if key not in table]
-    if missing:
+    if missing := [key for key in required if key not in table]:
         raise RecordingError(
             f"lacks {', '.join(missing)}",
             where=str(path),
@@ -197,18 +246,18 @@ def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
             fix=f"known are {', '.join(_KEYS)}",
         )
     for key in ("width", "height"):
-        if not isinstance(table[key], int):
+        if not isinstance(table.get(key, 0), int):
             raise RecordingError(f"is {table[key]!r}", where=f"{path}: {key}", fix="give pixels")
-    T = table.get("T_world_camera")
-    return Camera(
-        name=name or path.resolve().parent.name,
-        width=table["width"],
-        height=table["height"],
-        K=_numbers(table["K"], (3, 3), f"{path}: K"),
-        T_world_camera=None if T is None else _numbers(T, (4, 4), f"{path}: T_world_camera"),
-        depth_unit=float(_numbers(table["depth_unit"], (), f"{path}: depth_unit")),
-        distortion=tuple(_numbers(table.get("distortion", []), (None,), f"{path}: distortion")),
-    )
+    for key, shape in (("K", (3, 3)), ("T_world_camera", (4, 4)), ("distortion", (None,))):
+        if key in table:
+            table[key] = _numbers(table[key], shape, f"{path}: {key}")
+    if (count := len(table.get("distortion", ()))) not in _DISTORTION_LENGTHS:
+        raise RecordingError(
+            f"has {count} numbers", where=f"{path}: distortion", fix="give none, or 4, 5 or 8"
+        )
+    if "depth_unit" in table:
+        table["depth_unit"] = float(_numbers(table["depth_unit"], (), f"{path}: depth_unit"))
+    return table
 
 
 def write_camera(path: str | os.PathLike, camera: Camera) -> None:
@@ -228,6 +277,18 @@ def write_camera(path: str | os.PathLike, camera: Camera) -> None:
         lines.append(f"T_world_camera = {_rows(camera.T_world_camera)}  # metres")
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_pose(path: str | os.PathLike, camera: Camera) -> None:
+    """Write a camera.toml with nothing but the pose, for a recording that holds the rest.
+
+    Raises:
+        GendomError: The place cannot be written.
+    """
+    T = camera.T_world_camera
+    with atomic_path(path) as temporary:
+        text = "# not calibrated" if T is None else f"T_world_camera = {_rows(T)}  # metres"
+        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def _rows(matrix: np.ndarray) -> str:

@@ -11,6 +11,9 @@
         depth/*.png          16 bit grey, counts of depth_unit along the optical axis, 0: none
         colour/*.png         8 bit, of the depth's size and aligned with it
 
+Instead of frames.csv and pictures a camera may have a RealSense recording; then its camera.toml
+holds the pose only (`gendom.perception.realsense`).
+
 All times are seconds of one clock. Frames are read when they are used, and each on its own: one
 that is damaged or missing takes no other with it.
 """
@@ -18,10 +21,7 @@ that is damaged or missing takes no other with it.
 from __future__ import annotations
 
 import csv
-import io
 import os
-import struct
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,12 +36,12 @@ from gendom.datasets.ply import read_gripper, read_object
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, read_camera, write_camera
 from gendom.perception.frames import Frame, FrameSource, Pictures
+from gendom.perception.png import read_png
+from gendom.perception.realsense import RealSenseRecording, find_recording
 from gendom.perception.robot import CapsulePath, read_shape
 
 _HEADER = "time,depth,colour"
-
-# What damaged PNG data makes Pillow raise.
-_PNG_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)
+_ROUNDING = 1e-6  # [s]; files of different formats round the same time differently
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class RobotPath:
 
         None outside of the path's times.
         """
-        if not self.time[0] <= time <= self.time[-1]:
+        if not self.time[0] - _ROUNDING <= time <= self.time[-1] + _ROUNDING:
             return None
         k = int(np.clip(np.searchsorted(self.time, time, side="right"), 1, len(self.time) - 1))
         k = min(k, len(self.time) - 1)
@@ -162,6 +162,15 @@ class PngWriter:
             (self._folder / name).mkdir(exist_ok=True)
         (self._folder / "frames.csv").write_text(_HEADER + "\n", encoding="utf-8")
 
+    def __enter__(self) -> PngWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Nothing is left to write; other writers have more to do."""
+
     def write(self, time: float, pictures: Pictures) -> None:
         """Append a frame; `time` [s] is later than the one before."""
         name = f"{self._count:06d}.png"
@@ -201,7 +210,7 @@ def read_sighting(
         raise RecordingError(
             "holds no camera",
             where=str(place),
-            fix="give each a folder with camera.toml, frames.csv and pictures",
+            fix="give each a folder with camera.toml and frames.csv or a RealSense recording",
         )
     if unknown := [name for name in cameras if name not in found]:
         raise RecordingError(
@@ -217,7 +226,7 @@ def read_sighting(
             fix="give the robot's path in order of time",
         )
     return Sighting(
-        sources=[PngCamera(place / name, on_warning=on_warning) for name in cameras or found],
+        sources=[_open_camera(place / name, on_warning) for name in cameras or found],
         robot=RobotPath(time, arrays["gripper_position"], arrays.get("gripper_axis")),
         meta=meta,
         capsules=read_shape(folder, meta, (time[0], time[-1]), on_warning=on_warning),
@@ -225,31 +234,18 @@ def read_sighting(
     )
 
 
-def read_png(path: Path) -> Image.Image:
-    """A decoded PNG whose checksums hold.
-
-    Raises:
-        RecordingError: It is missing or damaged.
-    """
-    try:
-        data = path.read_bytes()
-        # Decoding alone lets some damage pass as wrong pixels; verifying uses the picture up.
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
-            picture.verify()
-        picture = Image.open(io.BytesIO(data), formats=["PNG"])
-        picture.load()
-    except FileNotFoundError:
+def _open_camera(folder: Path, on_warning: Callable[[Fault], None]) -> FrameSource:
+    """A camera's folder of either kind."""
+    recording = find_recording(folder)
+    if recording is None:
+        return PngCamera(folder, on_warning=on_warning)
+    if (folder / "frames.csv").exists():
         raise RecordingError(
-            "no such file", where=str(path), fix="the recording was cut off; record it again"
-        ) from None
-    except _PNG_ERRORS as error:
-        reason = "no PNG" if isinstance(error, Image.UnidentifiedImageError) else str(error)
-        raise RecordingError(
-            f"is damaged ({reason[:80] or type(error).__name__})",
-            where=str(path),
-            fix="copy it again",
-        ) from None
-    return picture
+            f"holds frames.csv and {recording.name}",
+            where=str(folder),
+            fix="leave one of them in the camera's folder",
+        )
+    return RealSenseRecording(recording, on_warning=on_warning)
 
 
 def _read_frames(

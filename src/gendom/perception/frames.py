@@ -1,4 +1,4 @@
-"""The contract of cameras, live or recorded, and the matching of their frames by time stamp."""
+"""The contracts of cameras and recorders, and the matching of frames by time stamp."""
 
 from __future__ import annotations
 
@@ -55,6 +55,16 @@ class FrameSource(Protocol):
     def __iter__(self) -> Iterator[Frame]: ...
 
 
+class FrameWriter(Protocol):
+    """Where a camera's frames are kept; close it when all are written."""
+
+    def write(self, time: float, pictures: Pictures) -> None:
+        """Append a frame; `time` [s] is later than the one before."""
+        ...
+
+    def close(self) -> None: ...
+
+
 @dataclass
 class Matching:
     """How many frames of each camera found partners."""
@@ -102,7 +112,8 @@ def match_frames(
         spread = max(times) - min(times)
         first = int(np.argmin(times))
         after = streams[first].following
-        if spread > tolerance or _next_is_closer(times, first, after):
+        # Time stamps are written to a microsecond.
+        if spread > tolerance + 1e-6 or _next_is_closer(times, first, after):
             skip(first)
         else:
             count.used += 1

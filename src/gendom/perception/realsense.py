@@ -1,0 +1,399 @@
+"""RealSense recordings: those of the SDK as a source of frames, and such of simulated cameras.
+
+A recorded camera is a folder with one recording and camera.toml:
+
+    cameras/left/
+      recording.db3    or .bag, of any name, as the SDK or its viewer records them
+      camera.toml      T_world_camera; depth_unit only where the recording's is wrong
+
+Intrinsics, distortion and depth unit are the recording's. Colour is aligned with depth
+(`gendom.perception.alignment`). Time is the depth picture's own time stamp [s]: with the SDK's
+"Global Time", its default, on the clock of the computer that recorded, since 1970.
+
+.db3 files are read without the SDK (`gendom.perception.rosbag`). .bag files are converted by it
+first, in a process of its own: the SDK ends the process on some damaged files.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gendom.datasets import Fault
+from gendom.errors import DeviceError, RecordingError
+from gendom.perception.alignment import Alignment
+from gendom.perception.camera import Camera, adopt_camera, write_pose
+from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
+from gendom.perception.rosbag import Bag, Entry, Stream
+
+_SUFFIXES = (".db3", ".bag")
+_DEVICE_CLOCK = "Hardware Clock"
+
+
+def find_recording(folder: str | os.PathLike) -> Path | None:
+    """The RealSense recording in a camera's folder; None: there is none.
+
+    Raises:
+        RecordingError: There are several.
+    """
+    folder = Path(folder)
+    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
+    if len(found) > 1:
+        raise RecordingError(
+            f"holds {len(found)} recordings, {', '.join(p.name for p in found)}",
+            where=str(folder),
+            fix="leave one in the camera's folder",
+        )
+    return found[0] if found else None
+
+
+class RealSenseRecording:
+    """A recording of a RealSense camera, as a `FrameSource`.
+
+    Args:
+        path: The .db3 or .bag file; camera.toml is looked for beside it.
+        name: The camera's name; by default that of its folder.
+        on_warning: Called with every fault that does not prevent use.
+
+    Raises:
+        RecordingError: It is damaged from the start on, has no depth, or camera.toml contradicts
+            it.
+        DeviceError: A .bag file is to be read and the SDK is missing.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike,
+        *,
+        name: str | None = None,
+        on_warning: Callable[[Fault], None] = lambda _: None,
+    ):
+        self.path = Path(path)
+        self._on_warning = on_warning
+        self._bag = Bag(self._as_db3(), on_warning=on_warning)
+        where = str(self.path)
+        depth = self._bag.stream("Depth")
+        if depth is None or not depth.entries:
+            raise RecordingError(
+                "has no depth pictures" if depth is None else "no depth picture can be read",
+                where=where,
+                fix="record the depth stream (Z16)",
+            )
+        self._depth = depth.entries
+        name = name or self.path.resolve().parent.name
+        camera = _camera(name, depth, self._unit())
+        self.camera: Camera = adopt_camera(self.path.with_name("camera.toml"), camera)
+        colour = self._bag.stream("Color")
+        self._colour = [] if colour is None else colour.entries
+        self._colour_times = np.array([entry.time for entry in self._colour])
+        self._align: Alignment | None = None
+        if colour is not None and self._colour:
+            T = colour.T_stream_reference @ np.linalg.inv(depth.T_stream_reference)
+            self._align = Alignment(self.camera, _camera(f"{name}: colour", colour, 1.0), T)
+        if self._depth[0].domain == _DEVICE_CLOCK:
+            on_warning(own_clock(where))
+
+    def _as_db3(self) -> Path:
+        """The file itself, or what the SDK makes of a .bag."""
+        try:
+            with open(self.path, "rb") as file:
+                is_bag = file.read(7) == b"#ROSBAG"
+        except OSError:
+            is_bag = False  # `Bag` tells why
+        if not is_bag:
+            return self.path
+        self._folder = tempfile.TemporaryDirectory(prefix="gendom-")
+        return _converted(self.path, Path(self._folder.name), self._on_warning)
+
+    def _unit(self) -> float:
+        unit = next((e.depth_unit for e in self._depth if e.depth_unit is not None), None)
+        unit = unit or self._bag.depth_unit()
+        if unit is None:
+            raise RecordingError(
+                "does not say its depth unit",
+                where=str(self.path),
+                fix="record it with the RealSense SDK",
+            )
+        return unit
+
+    def __len__(self) -> int:
+        return len(self._depth)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for k, entry in enumerate(self._depth):
+            where = f"{self.path}: frame {k}"
+            yield Frame(entry.time, where, lambda e=entry, w=where: self._read(e, w))
+
+    def _read(self, entry: Entry, where: str) -> Pictures:
+        depth = self._bag.picture(entry, f"{where}: depth")
+        _check_size(depth, (self.camera.height, self.camera.width), np.uint16, f"{where}: depth")
+        if self._align is None:
+            return Pictures(depth)  # pyright: ignore[reportArgumentType]
+        nearest = int(np.abs(self._colour_times - entry.time).argmin())
+        late = float(abs(self._colour_times[nearest] - entry.time))
+        if late > SYNC_TOLERANCE:
+            raise RecordingError(
+                f"the nearest colour picture is {late:.3g} s away",
+                where=where,
+                fix="record colour at the rate of depth",
+            )
+        colour = self._bag.picture(self._colour[nearest], f"{where}: colour")
+        size = self._align.colour.height, self._align.colour.width
+        _check_size(colour, size, np.uint8, f"{where}: colour")
+        return self._align(depth, colour)  # pyright: ignore[reportArgumentType]
+
+
+def _check_size(picture: np.ndarray, size: tuple[int, int], kind: type, where: str) -> None:
+    if picture.shape[:2] != size or picture.dtype != kind:
+        raise RecordingError(
+            f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, the stream "
+            f"{size[1]} x {size[0]} of {np.dtype(kind)}",
+            where=where,
+            fix="copy the file again",
+        )
+
+
+def own_clock(where: str) -> Fault:
+    """The warning that time stamps count from when a camera started."""
+    return Fault(
+        "its time stamps are of the camera's own clock",
+        where,
+        "record with the option Global Time Enabled to compare them with other clocks",
+        "warning",
+    )
+
+
+def _camera(name: str, stream: Stream, unit: float) -> Camera:
+    return Camera(
+        name=name,
+        width=stream.width,
+        height=stream.height,
+        K=stream.K,
+        T_world_camera=None,
+        depth_unit=unit,
+        distortion=stream.distortion,
+    )
+
+
+_CONVERT = "import sys, pyrealsense2; pyrealsense2.context().convert_bag_to_db3(*sys.argv[1:])"
+
+
+def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) -> Path:
+    """The .db3 file that the SDK makes of a .bag, as far as it comes.
+
+    Raises:
+        DeviceError: The SDK is missing.
+        RecordingError: Nothing comes of it.
+    """
+    sdk = realsense_sdk()
+    if not hasattr(sdk.context, "convert_bag_to_db3"):
+        raise DeviceError(
+            f"the RealSense SDK {sdk.__version__} cannot convert .bag files",
+            where=str(path),
+            fix="pip install 'pyrealsense2>=2.59'",
+        )
+    # The SDK goes by the name, not by what is inside.
+    source, made = folder / "recording.bag", folder / "recording.db3"
+    source.symlink_to(path.resolve())
+    done = subprocess.run(
+        [sys.executable, "-c", _CONVERT, str(source), str(made)], capture_output=True, text=True
+    )
+    if done.returncode != 0:
+        reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        if not made.exists():
+            raise RecordingError(
+                f"the RealSense SDK cannot read it ({reason[:120]})",
+                where=str(path),
+                fix="copy it again; rosbag reindex mends one that was cut off",
+            )
+        on_warning(
+            Fault(
+                f"is damaged or cut off ({reason[:120]}); what comes before is used",
+                str(path),
+                "copy it again, or record again if too much is missing",
+                "warning",
+            )
+        )
+    return made
+
+
+def realsense_sdk() -> Any:
+    """The module pyrealsense2.
+
+    Raises:
+        DeviceError: It is missing or does not load.
+    """
+    try:
+        import pyrealsense2
+    except ModuleNotFoundError:
+        raise DeviceError(
+            "the RealSense SDK is missing",
+            fix="pip install 'gendom[camera]' (Linux and Windows, x86-64)",
+        ) from None
+    except ImportError as error:
+        raise DeviceError(
+            f"the RealSense SDK does not load ({error})",
+            fix="install the library it names; on Debian: apt install libusb-1.0-0",
+        ) from None
+    return pyrealsense2
+
+
+class RealSenseWriter:
+    """Writes one camera's folder as a RealSense recording, to be read by `RealSenseRecording`.
+
+    For cameras that are no RealSense, simulated ones above all: the SDK's software device takes
+    their place. Depth is kept bit by bit, colour too, as a stream of the depth's own geometry.
+    Time stamps are "Global Time", to the nanosecond. Close it, or use it in a `with` block: what
+    the SDK has not written by then is lost.
+
+    Args:
+        folder: Made if missing.
+        camera: Its T_world_camera goes to camera.toml.
+
+    Raises:
+        DeviceError: The SDK is missing.
+        RecordingError: The SDK has no form for such a camera.
+        GendomError: The folder cannot be written.
+    """
+
+    def __init__(self, folder: str | os.PathLike, camera: Camera):
+        self._sdk = realsense_sdk()
+        self._camera = camera
+        self._path = Path(folder) / "recording.db3"
+        self._written = 0
+        self._coloured: bool | None = None
+        self._open = False
+        for wrong, key, fix in (
+            (camera.K[0, 1] != 0.0, "K", "give a K without skew"),
+            (len(camera.distortion) > 5, "distortion", "give five coefficients at most"),
+            # The SDK writes the unit with six digits behind the point.
+            (
+                abs(round(camera.depth_unit, 6) - camera.depth_unit) > 1e-9,
+                "depth_unit",
+                "give whole micrometres",
+            ),
+        ):
+            if wrong:
+                raise RecordingError(
+                    "does not fit into a RealSense recording",
+                    where=f"{camera.name}: {key}",
+                    fix=f"{fix}, or write PNG",
+                )
+        write_pose(self._path.with_name("camera.toml"), camera)
+
+    def __enter__(self) -> RealSenseWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def write(self, time: float, pictures: Pictures) -> None:
+        """Append a frame; `time` [s] is later than the one before.
+
+        Raises:
+            RecordingError: Only some frames have colour.
+        """
+        coloured = pictures.colour is not None
+        if not self._open:
+            self._start(coloured)
+        if coloured != self._coloured:
+            raise RecordingError(
+                "only some frames have colour",
+                where=str(self._path),
+                fix="write colour with all frames or with none",
+            )
+        self._written += 1
+        for sensor, profile, array in zip(
+            self._sensors, self._profiles, (pictures.depth, pictures.colour), strict=False
+        ):
+            assert array is not None
+            frame = self._sdk.software_video_frame()
+            frame.pixels = np.ascontiguousarray(array)
+            frame.bpp = array.itemsize * (array.shape[2] if array.ndim == 3 else 1)
+            frame.stride = frame.bpp * self._camera.width
+            frame.timestamp = 1e3 * time
+            frame.domain = self._sdk.timestamp_domain.global_time
+            frame.frame_number = self._written
+            frame.profile = profile.as_video_stream_profile()
+            if array.ndim == 2:
+                frame.depth_units = self._camera.depth_unit
+            sensor.on_video_frame(frame)
+
+    def close(self) -> None:
+        """Wait until everything is on disk.
+
+        Raises:
+            RecordingError: The SDK has lost frames.
+        """
+        if not self._open:
+            return
+        self._open = False
+        for sensor in self._recorded:
+            sensor.stop()
+            sensor.close()
+        # The recorder writes what it still holds when the last reference goes.
+        del sensor, self._recorded, self._recorder, self._sensors, self._profiles, self._device
+        faults: list[Fault] = []
+        bag = Bag(self._path, on_warning=faults.append)
+        kept = [len(s.entries) for s in map(bag.stream, ("Depth", "Color")) if s is not None]
+        if faults or any(count != self._written for count in kept):
+            raise RecordingError(
+                f"{min(kept, default=0)} of {self._written} frames are written",
+                where=str(self._path),
+                fix="record for a shorter time, or write PNG",
+            )
+
+    def _start(self, coloured: bool) -> None:
+        sdk, camera = self._sdk, self._camera
+        self._device = sdk.software_device()
+        self._device.register_info(sdk.camera_info.name, f"GenDOM {camera.name}")
+        self._device.register_info(sdk.camera_info.serial_number, camera.name)
+        self._sensors, self._profiles = [], []
+        streams = [("Stereo Module", sdk.stream.depth, sdk.format.z16, 2)]
+        if coloured:
+            streams.append(("RGB Camera", sdk.stream.color, sdk.format.rgb8, 3))
+        for number, (name, kind, form, size) in enumerate(streams, start=1):
+            sensor = self._device.add_sensor(name)
+            stream = sdk.video_stream()
+            stream.type, stream.fmt, stream.bpp, stream.uid = kind, form, size, number
+            stream.index, stream.fps = 0, 30
+            stream.width, stream.height = camera.width, camera.height
+            stream.intrinsics = self._intrinsics()
+            self._sensors.append(sensor)
+            self._profiles.append(sensor.add_video_stream(stream))
+        self._sensors[0].add_read_only_option(sdk.option.depth_units, camera.depth_unit)
+        if coloured:
+            same = sdk.extrinsics()
+            same.rotation, same.translation = [1, 0, 0, 0, 1, 0, 0, 0, 1], [0, 0, 0]
+            self._profiles[0].register_extrinsics_to(self._profiles[1], same)
+        try:
+            self._recorder = sdk.recorder(str(self._path), self._device)
+        except RuntimeError as error:
+            raise RecordingError(
+                f"the RealSense SDK cannot write it ({error})",
+                where=str(self._path),
+                fix="choose another place",
+            ) from None
+        self._recorded = self._recorder.query_sensors()
+        for sensor, profile in zip(self._recorded, self._profiles, strict=True):
+            sensor.open(profile)
+            sensor.start(lambda _: None)
+        self._coloured, self._open = coloured, True
+
+    def _intrinsics(self) -> Any:
+        camera, K = self._camera, self._camera.K
+        found = self._sdk.intrinsics()
+        found.width, found.height = camera.width, camera.height
+        found.fx, found.fy, found.ppx, found.ppy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+        distorted = any(camera.distortion)
+        kinds = self._sdk.distortion
+        found.model = kinds.brown_conrady if distorted else kinds.none
+        found.coeffs = [*camera.distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+        return found

@@ -1,0 +1,444 @@
+"""The RealSense SDK's recordings, read without the SDK.
+
+A .db3 file is a ROS 2 bag: an SQLite database whose table `messages` holds one row a message and
+whose table `topics` names them. The topics are documented in the SDK (doc/record-and-playback.md);
+those used here are, below /device_0/sensor_N/:
+
+    Depth_0/camera_info         text "width=640;height=480;fx=...;model=...;coeffs=..."
+    Depth_0/tf/ref_K            text "rotation=...;translation=...": from reference K to the stream
+    Depth_0/image/metadata      text "timestamp=...;timestamp_domain=...;depth_units=..."
+    Depth_0/image/data...       the picture, of the same bag time as its metadata
+
+and the same for Color_0. SDK 2.58 stored pictures raw and compressed each message by zstd;
+since 2.59 pictures are PNG, and raw compressed by zstd in formats that PNG does not have.
+Messages are in CDR (OMG DDS-XTypes 1.3, section 7.4, version 1).
+
+Each picture is read on its own when it is asked for. Of a damaged or truncated file all that
+SQLite still finds is used.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gendom.datasets import Fault
+from gendom.errors import RecordingError
+from gendom.perception.png import decode_png
+
+_SQLITE = b"SQLite format 3\0"
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_PNG = b"\x89PNG"
+_ZSTD_FORMAT = re.compile(r"(\w+); zstd; (\d+)x(\d+) step=(\d+)$")
+
+_DATA = re.compile(r"(/device_0/sensor_\d+/(Depth|Color)_\d+)/image/data(/compressed(Depth)?)?$")
+_GAP = 1000  # rows that cannot be read one after the other before the rest is given up
+
+# Distortion models by the SDK's names. It projects "Inverse Brown Conrady" by OpenCV's formula
+# too, to 0.02 pixels at coefficients of 0.07 (rsutil.h).
+_UNDISTORTED = ("None", "")
+_OPENCV = ("Brown Conrady", "Inverse Brown Conrady")
+_PROJECTED = (*_OPENCV, "Modified Brown Conrady")
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A picture in the file."""
+
+    row: int
+    """Its message's number."""
+    compressed: bool
+    """Whether the message is a CompressedImage; else an Image."""
+    time: float
+    """Time stamp [s]."""
+    domain: str
+    """The clock it is of: "Global Time", "System Time" or "Hardware Clock"."""
+    depth_unit: float | None
+    """Metres a count, where the picture says."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """One stream of pictures."""
+
+    width: int
+    height: int
+    K: npt.NDArray[np.float64]
+    """[3, 3] [pixel]."""
+    distortion: tuple[float, ...]
+    """OpenCV's k1, k2, p1, p2, k3; empty: none."""
+    T_stream_reference: npt.NDArray[np.float64]
+    """[4, 4] from the device's axes to the stream's [m]."""
+    entries: list[Entry]
+    """In order of time."""
+
+
+class Bag:
+    """A .db3 recording.
+
+    Args:
+        path: The file.
+        on_warning: Called with what is damaged.
+
+    Raises:
+        RecordingError: It is no recording of the SDK, or nothing in it can be read.
+    """
+
+    def __init__(self, path: str | Path, *, on_warning: Callable[[Fault], None] = lambda _: None):
+        self.path = Path(path)
+        self._on_warning = on_warning
+        self._refuse_others()
+        # Immutable: no journal is looked for and no lock taken, so any folder will do. The schema
+        # counts as writable so that SQLite reads files shorter than their header says.
+        address = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
+        self._database = sqlite3.connect(address, uri=True, check_same_thread=False)
+        self._database.execute("PRAGMA writable_schema = ON")
+        try:
+            topics = self._database.execute("SELECT id, name FROM topics").fetchall()
+        except sqlite3.DatabaseError as error:
+            raise self._error(f"has no table of topics ({error})", "copy it again") from None
+        self._topics = {str(name): number for number, name in topics}
+        self._rows = self._index()
+
+    def _error(self, what: str, fix: str) -> RecordingError:
+        return RecordingError(what, where=str(self.path), fix=fix)
+
+    def _refuse_others(self) -> None:
+        try:
+            with open(self.path, "rb") as file:
+                start = file.read(16)
+        except FileNotFoundError:
+            raise self._error("no such file", "check the path") from None
+        except OSError as error:
+            raise self._error(f"cannot be read ({error.strerror})", "check the file") from None
+        if start != _SQLITE:
+            raise self._error(
+                "is no .db3 recording", "record it with the RealSense SDK, or copy it"
+            )
+
+    def _index(self) -> dict[int, list[tuple[int, int]]]:
+        """(row, bag time) of all messages by topic; warns of those that cannot be read."""
+        rows: dict[int, list[tuple[int, int]]] = {}
+        last = lost = 0
+        try:
+            for row, topic, time in self._database.execute(
+                "SELECT id, topic_id, timestamp FROM messages ORDER BY id"
+            ):
+                rows.setdefault(topic, []).append((row, time))
+                last = row
+        except sqlite3.DatabaseError:
+            # A page on the way is damaged. Others behind it may still be found by number.
+            for row, entry in self._probe(last + 1):
+                lost += row - last - 1
+                last = row
+                rows.setdefault(entry[0], []).append((row, entry[1]))
+            told = (
+                f"{lost} messages in the middle and all after number {last}"
+                if lost
+                else (f"all after message {last}")
+            )
+            self._on_warning(
+                Fault(
+                    f"is damaged or cut off: {told} are lost",
+                    str(self.path),
+                    "copy it again, or record again if too much is missing",
+                    "warning",
+                )
+            )
+        return rows
+
+    def _probe(self, row: int) -> Iterator[tuple[int, tuple[int, int]]]:
+        missed = 0
+        while missed < _GAP:
+            try:
+                found = self._database.execute(
+                    "SELECT topic_id, timestamp FROM messages WHERE id = ?", (row,)
+                ).fetchone()
+            except sqlite3.DatabaseError:
+                found = None
+            if found is None:
+                missed += 1
+            else:
+                missed = 0
+                yield row, found
+            row += 1
+
+    def stream(self, kind: str) -> Stream | None:
+        """The first stream of a kind, "Depth" or "Color"; None: there is none.
+
+        Raises:
+            RecordingError: Its geometry is missing, damaged or of a kind that cannot be used.
+        """
+        names = sorted(name for name in self._topics if (m := _DATA.match(name)) and m[2] == kind)
+        if not names:
+            return None
+        match = _DATA.match(names[0])
+        assert match is not None
+        prefix = match[1]
+        where = f"{prefix}/camera_info"
+        try:
+            info = self._values(where)
+            width, height = int(info["width"]), int(info["height"])
+            fx, fy, cx, cy = (float(info[name]) for name in ("fx", "fy", "ppx", "ppy"))
+            coefficients = tuple(float(k) for k in info["coeffs"].split(","))
+            model = info["model"]
+        except (KeyError, ValueError) as error:
+            raise self._error(
+                f"{where} is missing or damaged ({error})", "record again; depth needs intrinsics"
+            ) from None
+        known = _PROJECTED if kind == "Color" else _OPENCV
+        if not any(coefficients) or model in _UNDISTORTED:
+            coefficients = ()
+        elif model not in known:
+            raise self._error(
+                f"{kind} has the distortion {model!r}, which is not known here",
+                f"use a camera whose distortion is one of {', '.join(known)}",
+            )
+        return Stream(
+            width,
+            height,
+            np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+            coefficients,
+            self._extrinsics(prefix),
+            list(self._entries(prefix, names[0])),
+        )
+
+    def _extrinsics(self, prefix: str) -> npt.NDArray[np.float64]:
+        T = np.eye(4)
+        topic = next((name for name in self._topics if name.startswith(f"{prefix}/tf/")), None)
+        if topic is None:
+            return T
+        try:
+            found = self._values(topic)
+            rotation = [float(x) for x in found["rotation"].split(",")]
+            T[:3, :3] = np.array(rotation).reshape(3, 3).T  # column after column
+            T[:3, 3] = [float(x) for x in found["translation"].split(",")]
+        except (KeyError, ValueError) as error:
+            raise self._error(f"{topic} is damaged ({error})", "record again") from None
+        return T
+
+    def _entries(self, prefix: str, topic: str) -> Iterator[Entry]:
+        """Pictures whose metadata is there and whose time stamps increase."""
+        stamps = {}
+        for row, time in self._rows.get(self._topics.get(f"{prefix}/image/metadata", -1), []):
+            try:
+                values = _pairs(self._text(row))
+                stamp = float(values["timestamp"]) * 1e-3
+                unit = float(values["depth_units"]) if "depth_units" in values else None
+                if not np.isfinite(stamp) or not (unit is None or unit > 0.0):
+                    continue
+            except (KeyError, ValueError, sqlite3.DatabaseError):
+                continue
+            stamps[time] = stamp, values.get("timestamp_domain", ""), unit
+        last, left_out, compressed = -np.inf, 0, "/compressed" in topic
+        for row, time in self._rows.get(self._topics[topic], []):
+            stamp, domain, unit = stamps.get(time, (np.nan, "", None))
+            if not stamp > last:
+                left_out += 1
+                continue
+            last = stamp
+            yield Entry(row, compressed, stamp, domain, unit)
+        if left_out:
+            self._on_warning(
+                Fault(
+                    f"{left_out} pictures have no time stamp, or one that goes back; they are "
+                    "left out",
+                    f"{self.path}: {prefix}",
+                    "record again if too much is missing",
+                    "warning",
+                )
+            )
+
+    def depth_unit(self) -> float | None:
+        """The depth sensor's own setting [m], for pictures that do not say; None: unknown."""
+        for name in self._topics:
+            if name.endswith("/option/Depth_Units/value"):
+                try:
+                    unit = float(self._text(self._rows[self._topics[name]][0][0]))
+                except (KeyError, ValueError, sqlite3.DatabaseError):
+                    continue
+                if unit > 0.0:
+                    return unit
+        return None
+
+    def picture(self, entry: Entry, where: str) -> npt.NDArray[np.generic]:
+        """A decoded picture: [height, width] uint16 or [height, width, 3] uint8, RGB.
+
+        Args:
+            entry: Which.
+            where: What messages call it.
+
+        Raises:
+            RecordingError: It is damaged or of an unknown format.
+        """
+        try:
+            return _picture(self._message(entry.row), entry.compressed, where)
+        except (ValueError, sqlite3.DatabaseError) as error:
+            raise RecordingError(
+                f"is damaged ({str(error)[:80]})", where=where, fix="copy the file again"
+            ) from None
+
+    def _message(self, row: int) -> bytes:
+        """A message's bytes.
+
+        Raises:
+            ValueError, sqlite3.DatabaseError: It cannot be read.
+        """
+        found = self._database.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone()
+        if found is None or not isinstance(found[0], bytes):
+            raise ValueError("no such message")
+        return _decompressed(found[0])
+
+    def _text(self, row: int) -> str:
+        return _Cdr(self._message(row)).string()
+
+    def _values(self, topic: str) -> dict[str, str]:
+        """The "key=value;..." of a topic's first message.
+
+        Raises:
+            KeyError, ValueError: There is none that can be read.
+        """
+        try:
+            return _pairs(self._text(self._rows[self._topics[topic]][0][0]))
+        except sqlite3.DatabaseError as error:
+            raise ValueError(str(error)) from None
+
+
+def _pairs(text: str) -> dict[str, str]:
+    return dict(pair.split("=", 1) for pair in text.split(";") if "=" in pair)
+
+
+def _decompressed(data: bytes) -> bytes:
+    """Data as it was before zstd, if it went through that.
+
+    Raises:
+        ValueError: It is damaged.
+    """
+    if not data.startswith(_ZSTD):
+        return data
+    import pyarrow  # late: few recordings need it
+
+    try:
+        with pyarrow.CompressedInputStream(pyarrow.BufferReader(data), "zstd") as stream:
+            return stream.read()
+    except (OSError, pyarrow.ArrowException) as error:
+        raise ValueError(str(error)) from None
+
+
+def _picture(message: bytes, compressed: bool, where: str) -> npt.NDArray[np.generic]:
+    """The picture of a sensor_msgs/CompressedImage or sensor_msgs/Image message.
+
+    Raises:
+        ValueError: The message is damaged.
+        RecordingError: So is the PNG, or the format is unknown.
+    """
+    cdr = _Cdr(message)
+    for skip in (cdr.uint32, cdr.uint32, cdr.string):  # bag time [s], [ns]; the stream's name
+        skip()
+    if not compressed:
+        height, width = cdr.uint32(), cdr.uint32()
+        encoding = cdr.string()
+        order, step = "<>"[cdr.uint8() & 1], cdr.uint32()
+        return _pixels(cdr.sequence(), encoding, width, height, step, order, where)
+    # "16UC1; compressedDepth png", "rgb8; png compressed bgr8" or "YUYV; zstd; 64x48 step=128"
+    form = cdr.string()
+    data = cdr.sequence()
+    if raw := _ZSTD_FORMAT.match(form):
+        width, height, step = (int(raw[k]) for k in (2, 3, 4))
+        return _pixels(_decompressed(data), raw[1], width, height, step, "<", where)
+    # Depth has twelve bytes more in front (compressed_depth_image_transport).
+    picture = decode_png(data[max(data.find(_PNG, 0, 16), 0) :], where)
+    if picture.mode.startswith("I"):
+        return np.asarray(picture).astype(np.uint16, copy=False)
+    return np.asarray(picture.convert("RGB"))
+
+
+def _pixels(
+    data: bytes, encoding: str, width: int, height: int, step: int, order: str, where: str
+) -> npt.NDArray[np.generic]:
+    """A picture of raw rows, `step` bytes apart."""
+    if (form := _RAW.get(encoding.lower())) is None:
+        raise RecordingError(
+            f"is stored as {encoding}", where=where, fix="record colour as RGB8, depth as Z16"
+        )
+    size, places = form
+    row = width * size
+    if step < row or len(data) < step * height or not 0 < height * width < 2**28:
+        raise ValueError("fewer pixels than its size says")
+    rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)[:, :row]
+    if not places:
+        return np.ascontiguousarray(rows).view(f"{order}u2").astype(np.uint16)
+    if size == 2:
+        return _from_yuv(rows.reshape(height, -1, 4)[:, :, places])
+    return np.ascontiguousarray(rows.reshape(height, width, size)[:, :, places])
+
+
+def _from_yuv(pairs: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """RGB of pairs of pixels [height, width / 2, 4] with Y0, Y1, U, V in 16..235, 16..240.
+
+    ITU-R BT.601 with rows of two pixels that share U and V.
+    """
+    y0, y1, u, v = np.moveaxis(pairs.astype(np.float32), 2, 0)
+    luma = 1.164 * (np.stack([y0, y1], axis=2) - 16.0)
+    u, v = (u - 128.0)[:, :, None], (v - 128.0)[:, :, None]
+    rgb = np.stack([luma + 1.596 * v, luma - 0.392 * u - 0.813 * v, luma + 2.017 * u], axis=3)
+    rgb = rgb.reshape(len(pairs), -1, 3)
+    return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
+
+
+# Raw formats by the names of ROS or the SDK: bytes a pixel, and which of them are red, green and
+# blue; of YUV formats, in four bytes, Y0, Y1, U and V. None of them: it is depth.
+_RAW: dict[str, tuple[int, list[int]]] = {
+    "mono16": (2, []),
+    "16uc1": (2, []),
+    "rgb8": (3, [0, 1, 2]),
+    "bgr8": (3, [2, 1, 0]),
+    "rgba8": (4, [0, 1, 2]),
+    "bgra8": (4, [2, 1, 0]),
+    "yuyv": (2, [0, 2, 1, 3]),
+    "uyvy": (2, [1, 3, 0, 2]),
+    "yuv422": (2, [1, 3, 0, 2]),  # ROS's name for UYVY
+}
+
+
+class _Cdr:
+    """Values of a CDR message one after the other; numbers are aligned to their size.
+
+    Raises:
+        ValueError: The message is too short, or no CDR.
+    """
+
+    def __init__(self, message: bytes):
+        if len(message) < 4 or message[0] != 0 or message[1] not in (0, 1):
+            raise ValueError("no CDR")
+        self._order = "<" if message[1] else ">"
+        self._data = message[4:]
+        self.at = 0
+
+    def uint8(self) -> int:
+        return self._take(1)[0]
+
+    def uint32(self) -> int:
+        self.at += -self.at % 4
+        return struct.unpack(f"{self._order}I", self._take(4))[0]
+
+    def string(self) -> str:
+        """Text up to its final zero byte."""
+        return self.sequence().rstrip(b"\0").decode("utf-8", errors="replace")
+
+    def sequence(self) -> bytes:
+        return self._take(self.uint32())
+
+    def _take(self, size: int) -> bytes:
+        taken = self._data[self.at : self.at + size]
+        if len(taken) < size:
+            raise ValueError("ends too early")
+        self.at += size
+        return taken
