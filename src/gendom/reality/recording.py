@@ -3,7 +3,7 @@
     DIR/object.toml          what is held, for perception
     DIR/gripper.csv          the hand's measured path
     DIR/joints.csv           the joints' measured angles, where a robot stands
-    DIR/cameras/NAME/...     what each camera saw, and where it believes to stand
+    DIR/cameras/NAME/...     what each camera saw, and where its owner believes it to stand
     DIR/truth/truth.npz      time [M], vertices [M, V, 3] [m]: for evaluation only
     DIR/truth/truth.json     the object's parameters, the sensors' errors, the seed
 
@@ -21,15 +21,18 @@ from pathlib import Path
 
 import numpy as np
 
-from gendom.errors import GendomError
+from gendom.errors import GendomError, ParameterError
 from gendom.files import atomic_path, write_json
-from gendom.perception import PngWriter
+from gendom.perception import PngWriter, RealSenseWriter
 from gendom.reality.sensor import DepthSensor, RigErrors
 from gendom.reality.trials import Performance
 from gendom.reality.world import Reality
 
 PATH_RATE = 100.0
 """Of the robot's measured path [1/s]."""
+
+
+_WRITERS = {"png": PngWriter, "db3": RealSenseWriter}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +77,10 @@ def record(
         SimulationError: The world diverged.
     """
     settings = RecordSettings() if settings is None else settings
+    if settings.format not in _WRITERS:
+        raise ParameterError(
+            f"there is no format {settings.format!r}", fix=f"choose {' or '.join(_WRITERS)}"
+        )
     world = performance.world
     folder = Path(folder)
     if (folder / "cameras").exists():
@@ -90,12 +97,13 @@ def record(
     seconds = performance.end - began
     world.render(0)  # where nothing can be rendered, before anything is written
     folder.mkdir(parents=True, exist_ok=True)
-    writers = [PngWriter(folder / "cameras" / c.name, c) for c in believed]
+    writers = [_WRITERS[settings.format](folder / "cameras" / c.name, c) for c in believed]
     _write_object(folder / "object.toml", performance, settings)
     path, truth = _Rows(), []
     frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
     frames = frames / settings.frame_rate
-    samples = np.arange(int(seconds * PATH_RATE + 1e-9) + 1) / PATH_RATE
+    # A little longer than the frames: some clocks are ahead.
+    samples = np.arange(int((seconds + 0.1) * PATH_RATE) + 1) / PATH_RATE
     try:
         for moment in np.union1d(frames, samples):
             performance.step_to(began + moment)
@@ -110,6 +118,8 @@ def record(
             truth.append((moment, world.vertices()))
             on_frame(moment)
     finally:
+        for writer in writers:
+            writer.close()
         path.write(folder)
         _write_truth(folder / "truth", world, settings, sensor, errors, truth)
 
@@ -146,6 +156,7 @@ def _write_object(path: Path, performance: Performance, settings: RecordSettings
     lines = [
         "table_height = 0.0",
         'gripper_source = "measured"',
+        *([f'robot = "{robot.arm.name}"'] if (robot := performance.world.robot) else []),
         f"quasi_static = {str(trial.quasi_static).lower()}",
         'source = "a second reality on MuJoCo, seen by simulated depth cameras"',
         f"notes = {json.dumps(settings.notes)}",

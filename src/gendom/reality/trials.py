@@ -102,7 +102,8 @@ class Performance:
     def __init__(self, trial: Trial, *, robot: bool = True, cameras: Sequence[Camera] = ()):
         self.trial = trial
         self.motion = follow(XARM7, trial.path, slow_down=True) if robot else None
-        arm = None if self.motion is None else RobotArm(XARM7, self.motion)
+        thick = trial.item.diameter if isinstance(trial.item, RealRope) else trial.item.thickness
+        arm = None if self.motion is None else RobotArm(XARM7, self.motion, opening=thick)
         self.world = Reality(trial.item, trial.layout, robot=arm, cameras=cameras)
         if arm is None:
             self.world.follow(trial.path.position_at)
@@ -302,6 +303,13 @@ class Reached:
     """[T] from the closing of the hand on [s]."""
     vertices: npt.NDArray[np.float64]
     """[T, V, 3] the rope, in the world [m]."""
+    released: int
+    """The first of these times at which the tip is free."""
+
+    @property
+    def in_task(self) -> npt.NDArray[np.float64]:
+        """[T, V, 3] the rope in the task's frame [m]."""
+        return (self.vertices - T_WORLD_TASK[:3, 3]) @ T_WORLD_TASK[:3, :3]
 
 
 def carry_out_reaching(performance: Performance, *, frame_rate: float = 100.0) -> Reached:
@@ -311,13 +319,14 @@ def carry_out_reaching(performance: Performance, *, frame_rate: float = 100.0) -
         SimulationError: The world diverged.
     """
     times, vertices = _watched(performance, performance.closes, frame_rate)
-    tip = (vertices[:, -1] - T_WORLD_TASK[:3, 3]) @ T_WORLD_TASK[:3, :3]
-    free = tip[times >= performance.opens]
+    released = int(np.searchsorted(times, performance.opens))
+    tip = (vertices[released:, -1] - T_WORLD_TASK[:3, 3]) @ T_WORLD_TASK[:3, :3]
     return Reached(
-        reached=float(free[:, 0].max()),
-        sideways=float(np.abs(free[:, 1]).max()),
+        reached=float(tip[:, 0].max()),
+        sideways=float(np.abs(tip[:, 1]).max()),
         times=times,
         vertices=vertices,
+        released=released,
     )
 
 

@@ -8,6 +8,7 @@ from gendom.viz.clouds import CloudSequence
 from gendom.viz.filmstrip import encode_filmstrip, write_filmstrip
 from gendom.viz.report import (
     ActionSummary,
+    CameraViews,
     EstimateSummary,
     LiftPictures,
     PolicyRun,
@@ -16,9 +17,11 @@ from gendom.viz.report import (
     ReportContent,
     write_report,
 )
+from gendom.viz.sights import encode_sights
 
 __all__ = [
     "ActionSummary",
+    "CameraViews",
     "CloudSequence",
     "EstimateSummary",
     "LiftPictures",
@@ -28,6 +31,7 @@ __all__ = [
     "ReportContent",
     "encode_filmstrip",
     "encode_gif",
+    "encode_sights",
     "write_filmstrip",
     "write_gif",
     "write_report",

@@ -6,6 +6,7 @@ module holds what one section is told (a dataclass) and the function that makes 
 """
 
 from gendom.viz.report.action import ActionSummary, PolicyRun, ReachOutcome
+from gendom.viz.report.cameras import CameraViews
 from gendom.viz.report.content import SUMMARY, ReportContent, render_report, write_report
 from gendom.viz.report.estimate import ESTIMATE_FORMAT, EstimateSummary
 from gendom.viz.report.lift import LiftPictures
@@ -15,6 +16,7 @@ __all__ = [
     "ESTIMATE_FORMAT",
     "SUMMARY",
     "ActionSummary",
+    "CameraViews",
     "EstimateSummary",
     "LiftPictures",
     "PolicyRun",

@@ -9,9 +9,13 @@ import numpy as np
 
 from gendom.errors import GendomError
 from gendom.viz.charts import OURS_COLOR, WITHOUT_COLOR, Swing, goal_chart, swing_chart
+from gendom.viz.clouds import CloudSequence
+from gendom.viz.report.lift import animated_figure
 from gendom.viz.report.markup import DASH, escaped, figure, table
 from gendom.viz.report.page import Section
 from gendom.viz.report.quantities import length_text, place_text, with_minus
+
+_MOTION_FPS = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,6 +102,8 @@ class ActionSummary:
     """Horizontal unit vector along which a goal's distance is measured."""
     table_height: float | None = None
     """z of the table [m], or None."""
+    motion: CloudSequence | None = None
+    """One motion as it was carried out, and perhaps as our simulator predicts it."""
     shown: int | None = None
     """The outcome whose swing is drawn; None: the first that has a path."""
 
@@ -155,6 +161,8 @@ def action_section(action: ActionSummary) -> Section:
         figures.append(_swing_figure(action, drawn))
     if figures:
         parts.append(f'<div class="pair">{"".join(figures)}</div>')
+    if action.motion is not None:
+        parts.append(_motion_figure(action.motion))
     return Section(title="The action", body="\n".join(parts))
 
 
@@ -251,6 +259,14 @@ def _swing_figure(action: ActionSummary, outcome: ReachOutcome) -> str:
         f"Goal {place_text(outcome.goal)}. Circles: the tip at release; diamonds: at its farthest. "
         "Dots: the rope at these two moments, the earlier one pale.",
     )
+
+
+def _motion_figure(motion: CloudSequence) -> str:
+    text = "The motion as it was carried out (blue)"
+    if motion.simulated is not None:
+        text += " and as the simulator predicts it with the estimate (orange)"
+    moving = animated_figure(motion, "The executed motion", view="auto", fps=_MOTION_FPS)
+    return f"<p>{text}.</p>{moving}"
 
 
 def _convert(target: object, name: str, dimensions: int, array: np.ndarray) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from gendom.files import atomic_path
 from gendom.viz.report.action import ActionSummary, action_section
+from gendom.viz.report.cameras import CameraViews, cameras_section
 from gendom.viz.report.estimate import EstimateSummary, estimate_section
 from gendom.viz.report.lift import LiftPictures, lift_section
 from gendom.viz.report.markup import escaped
@@ -32,6 +33,7 @@ class ReportContent:
     summary: str = SUMMARY
     recording_source: str = ""
     """Where the recording came from, and how far it may be trusted."""
+    cameras: CameraViews | None = None
     lift: LiftPictures | None = None
     estimate: EstimateSummary | None = None
     action: ActionSummary | None = None
@@ -44,6 +46,8 @@ class ReportContent:
             GendomError: A cloud has no points, or a view is unknown.
         """
         sections = []
+        if self.cameras is not None:
+            sections.append(cameras_section(self.cameras))
         if self.lift is not None:
             sections.append(lift_section(self.lift))
         if self.estimate is not None:

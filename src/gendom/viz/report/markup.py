@@ -43,7 +43,7 @@ def image(data: bytes, kind: str, description: str) -> str:
 
     Args:
         data: The file.
-        kind: "png", "gif" or "svg+xml".
+        kind: "png", "jpeg", "gif" or "svg+xml".
         description: For those who do not see it; plain text.
     """
     code = base64.b64encode(data).decode("ascii")
