@@ -44,6 +44,7 @@ _TOP_KEYS = (
     "table_height",
     "gripper_source",
     "quasi_static",
+    "robot",
     "camera_positions",
     "source",
     "notes",

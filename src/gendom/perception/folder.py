@@ -3,7 +3,8 @@
     DIR/
       object.toml            what is held, as in a folder of PLY clouds
       gripper.csv            the robot's path: time,x,y,z[,ax,ay,az], at times of its own
-      capsules.csv           optional: the robot's shape, see `gendom.perception.robot`
+      joints.csv             optional: the robot's joint angles, see `gendom.robot`
+      capsules.csv           optional: shape of the robot, or of what else is in the way
       cameras/NAME/
         camera.toml          see `gendom.perception.camera`
         frames.csv           time,depth[,colour]: seconds, and files relative to this folder
@@ -37,7 +38,7 @@ from gendom.perception.camera import Camera, read_camera, write_camera
 from gendom.perception.frames import Frame, FrameSource, Pictures
 from gendom.perception.png import read_png
 from gendom.perception.realsense import RealSenseRecording, find_recording
-from gendom.perception.robot import CapsulePath, read_capsules
+from gendom.perception.robot import CapsulePath, read_shape
 
 _HEADER = "time,depth,colour"
 _ROUNDING = 1e-6  # [s]; files of different formats round the same time differently
@@ -224,12 +225,11 @@ def read_sighting(
             where=str(folder / "gripper.csv"),
             fix="give the robot's path in order of time",
         )
-    shape = folder / "capsules.csv"
     return Sighting(
         sources=[_open_camera(place / name, on_warning) for name in cameras or found],
         robot=RobotPath(time, arrays["gripper_position"], arrays.get("gripper_axis")),
         meta=meta,
-        capsules=read_capsules(shape) if shape.exists() else None,
+        capsules=read_shape(folder, meta, (time[0], time[-1]), on_warning=on_warning),
         where=str(folder),
     )
 

@@ -336,7 +336,7 @@ class _Perception:
                 f"({x:.0f}, {y:.0f}, {z:.0f} mm)",
                 where=self.sighting.where,
                 fix="calibrate them again (gendom calibrate), take the robot out of view "
-                "(--colour, capsules.csv), or use one by --cameras",
+                "(--colour, joints.csv, capsules.csv), or use one by --cameras",
             )
 
     def _tell_left_out(self, matching: Matching) -> None:
@@ -456,7 +456,7 @@ _REMEDIES = {
     "table": "everything is as low as the table: choose the object by --colour, or --no-table",
     "colour": "nothing has that colour: choose another, or raise --colour-tolerance",
     "support": "only single pixels are left: check the colour",
-    "robot": "the robot's capsules cover everything: check capsules.csv",
+    "robot": "the robot's shape covers everything: check joints.csv and capsules.csv",
     "voxels": "check the settings",
     "outliers": "only scattered points are left: check the colour, or lower --min-cluster",
 }

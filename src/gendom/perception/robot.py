@@ -3,20 +3,37 @@
 capsules.csv has one row for each capsule and time, in order of time, under
 `time,capsule,x0,y0,z0,x1,y1,z1,radius`: seconds, a name, both ends of the capsule's axis in the
 world [m] and its radius [m]. A capsule that never moves needs one row.
+
+joints.csv has the joints' angles of a robot that `gendom.robot` knows, whose base frame is the
+world; its capsules follow by forward kinematics.
+
+Around a capsule everything within a margin is the robot's. The fingers and their pads touch the
+object, so around them the margin is at most `FINGER_MARGIN`: with the usual one they would take
+out all that they hold and a piece of what hangs from them.
 """
 
 from __future__ import annotations
 
 import csv
+import math
 import os
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from gendom.errors import RecordingError
+from gendom.datasets import Fault
+from gendom.errors import RecordingError, RobotError
+from gendom.robot import XARM7, Arm, JointStates, arm_shape, find_arm, read_joints
 
+FINGER_MARGIN = 0.003
+"""Largest margin around the fingers [m]: about the depth noise at 0.8 m."""
+
+_TURN = 0.05  # [rad]; joints turn by no more between two rows: ends then sag by 0.3 mm at most
+_LATE = 0.1  # [s]; the joints may begin later and end earlier by so much
 _COLUMNS = ("time", "capsule", "x0", "y0", "z0", "x1", "y1", "z1", "radius")
 
 
@@ -30,13 +47,16 @@ class Capsules:
     """[C, 3] the other end [m]."""
     radius: npt.NDArray[np.float64]
     """[C] [m]."""
+    largest_margin: npt.NDArray[np.float64] | None = None
+    """[C] the most that a margin counts around each [m]; None: all of it around all."""
 
     def contain(self, points: npt.NDArray[np.floating], margin: float = 0.0) -> np.ndarray:
         """[n] points [n, 3] that are in a capsule or nearer to one than a margin [m]."""
         found = np.zeros(len(points), dtype=bool)
         columns = np.ascontiguousarray(points.T)
-        for a, b, r in zip(self.start, self.end, self.radius, strict=True):
-            reach = r + margin
+        most = np.inf if self.largest_margin is None else self.largest_margin
+        reaches = self.radius + np.minimum(margin, most)
+        for a, b, reach in zip(self.start, self.end, reaches, strict=True):
             low, high = np.minimum(a, b) - reach, np.maximum(a, b) + reach
             # Most links are far from the object: their boxes settle that.
             near = (columns[0] >= low[0]) & (columns[0] <= high[0])
@@ -60,15 +80,110 @@ class CapsulePath:
     tracks: dict[str, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]
     """Name -> times [M] [s] and rows [M, 7]: both ends and the radius [m]."""
 
+    largest_margin: Mapping[str, float] = field(default_factory=dict)
+    """Name -> the most that a margin counts around it [m]; for others all of it counts."""
+
     def at(self, time: float) -> Capsules:
         """The capsules at a time, ends linear between rows and at rest before and after."""
-        rows = np.array(
-            [
-                [np.interp(time, times, column) for column in values.T]
-                for times, values in self.tracks.values()
-            ]
+        rows = np.empty((len(self.tracks), 7))
+        for row, (times, values) in zip(rows, self.tracks.values(), strict=True):
+            k = int(np.searchsorted(times, time))
+            before, after = max(k - 1, 0), min(k, len(times) - 1)
+            step = times[after] - times[before]
+            share = (time - times[before]) / step if step > 0.0 else 0.0
+            row[:] = (1.0 - share) * values[before] + share * values[after]
+        most = np.array([self.largest_margin.get(name, np.inf) for name in self.tracks])
+        return Capsules(rows[:, :3], rows[:, 3:6], rows[:, 6], most)
+
+    def joined(self, other: CapsulePath) -> CapsulePath:
+        """These capsules and others; where names are the same, the others."""
+        return CapsulePath(
+            {**self.tracks, **other.tracks}, {**self.largest_margin, **other.largest_margin}
         )
-        return Capsules(rows[:, :3], rows[:, 3:6], rows[:, 6])
+
+
+def arm_capsules(arm: Arm, states: JointStates, *, held: float = 0.0) -> CapsulePath:
+    """An arm's capsules over time, from its joints.
+
+    Args:
+        arm: Its base frame is the world.
+        states: Joint angles, between which it turns evenly.
+        held: Thickness of what the fingers hold [m], their opening where the states have none.
+    """
+    time, q = states.time, states.q
+    opening = np.full(len(time), held) if states.opening is None else states.opening
+    turns = np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0)
+    dense = [time[:1]]
+    for k, turn in enumerate(turns):
+        steps = max(1, math.ceil(turn / _TURN))
+        dense.append(np.linspace(time[k], time[k + 1], steps + 1)[1:])
+    times = np.concatenate(dense)
+    angles = np.stack([np.interp(times, time, joint) for joint in q.T], axis=1)
+    shape = arm_shape(arm, angles, np.interp(times, time, opening))
+    tracks, margins = {}, {}
+    for c, name in enumerate(shape.names):
+        radius = np.full((len(times), 1), shape.radius[c])
+        rows = np.concatenate([shape.start[:, c], shape.end[:, c], radius], axis=1)
+        tracks[f"{arm.name} {name}"] = (times, rows)
+        if shape.touches_object[c]:
+            margins[f"{arm.name} {name}"] = FINGER_MARGIN
+    return CapsulePath(tracks, margins)
+
+
+def read_shape(
+    folder: str | os.PathLike,
+    meta: Mapping[str, Any],
+    span: tuple[float, float],
+    *,
+    on_warning: Callable[[Fault], None] = lambda _: None,
+) -> CapsulePath | None:
+    """The robot's shape in a folder, from joints.csv, capsules.csv or both; None: from neither.
+
+    Args:
+        folder: It may hold the files.
+        meta: The content of object.toml: `robot` names the arm (by default the xArm 7), and the
+            object's diameter or thickness says how far the fingers are open where joints.csv
+            does not.
+        span: First and last time at which the shape is needed [s].
+        on_warning: Called when the joints' times do not span that.
+
+    Raises:
+        RecordingError: A file cannot be read, or the arm is unknown.
+    """
+    folder = Path(folder)
+    joints, capsules = folder / "joints.csv", folder / "capsules.csv"
+    shape = None
+    if joints.exists():
+        held = meta.get("object")
+        held = held if isinstance(held, dict) else {}
+        name = meta.get("robot", held.get("robot", XARM7.name))
+        try:
+            arm = find_arm(name)
+        except RobotError as error:
+            raise RecordingError(
+                error.what, where=f"{folder / 'object.toml'}: robot", fix=error.fix
+            ) from None
+        try:
+            states = read_joints(joints, arm)
+        except RobotError as error:
+            raise RecordingError(error.what, where=error.where, fix=error.fix) from None
+        sizes = [held.get(size) for size in ("diameter", "thickness")]
+        width = next((float(s) for s in sizes if isinstance(s, (int, float))), 0.0)
+        shape = arm_capsules(arm, states, held=width)
+        if states.time[0] > span[0] + _LATE or states.time[-1] < span[1] - _LATE:
+            on_warning(
+                Fault(
+                    f"spans {states.time[0]:.6g} to {states.time[-1]:.6g} s of "
+                    f"{span[0]:.6g} to {span[1]:.6g} s: outside, the arm is taken to stand still",
+                    str(joints),
+                    "put joints and gripper on one clock, or record both throughout",
+                    "warning",
+                )
+            )
+    if capsules.exists():
+        given = read_capsules(capsules)
+        shape = given if shape is None else shape.joined(given)
+    return shape
 
 
 def read_capsules(path: str | os.PathLike) -> CapsulePath:

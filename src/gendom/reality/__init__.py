@@ -6,20 +6,28 @@ from gendom.reality.recording import RecordSettings, record
 from gendom.reality.scene import Layout, build_model, default_cameras, looking_at, rest_height
 from gendom.reality.sensor import DepthSensor, RigErrors
 from gendom.reality.trials import (
+    Cast,
     Performance,
     Reached,
+    Spread,
     Trial,
+    carry_out_casting,
     carry_out_reaching,
+    carry_out_spreading,
+    casting,
+    covered_area,
     lift,
     lift_cameras,
     reaching,
     reaching_task,
+    spreading,
 )
 from gendom.reality.world import Reality
 
 __all__ = [
     "OBJECTS",
     "Bench",
+    "Cast",
     "DepthSensor",
     "Layout",
     "Performance",
@@ -30,10 +38,15 @@ __all__ = [
     "Reality",
     "RecordSettings",
     "RigErrors",
+    "Spread",
     "Trial",
     "build_model",
     "cantilever",
+    "carry_out_casting",
     "carry_out_reaching",
+    "carry_out_spreading",
+    "casting",
+    "covered_area",
     "default_cameras",
     "find_object",
     "lift",
@@ -43,5 +56,6 @@ __all__ = [
     "reaching_task",
     "record",
     "rest_height",
+    "spreading",
     "stretch",
 ]

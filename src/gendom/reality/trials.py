@@ -1,4 +1,4 @@
-"""What the arm does in the second reality: the predefined lift, and rope reaching.
+"""What the arm does in the second reality: the predefined lift and the three tasks.
 
 A `Trial` is everything that is fixed beforehand: where the object is, where the tool goes, when
 the hand closes and opens. `Performance` carries it out, on the arm or, for tests, with a free
@@ -14,18 +14,18 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image, ImageDraw
 
-from gendom.errors import ParameterError
 from gendom.perception.camera import Camera
 from gendom.reality.arm import RobotArm
-from gendom.reality.objects import RealObject, RealRope
+from gendom.reality.objects import RealCloth, RealObject, RealRope
 from gendom.reality.scene import Layout, default_cameras, rest_height
 from gendom.reality.world import FINGER_WIDTH, Reality
-from gendom.robot import XARM7, Deviation, GripperEvent, TcpPath, follow, pointing_down
+from gendom.robot import XARM7, Deviation, TcpPath, follow, motions, pointing_down
 from gendom.tasks import RopeReaching
 
-LIFT_SPEED = 0.05
-"""Speed of the predefined lift [m/s]: slow enough that inertia plays no part."""
+ROPE_LIFT_SPEED, CLOTH_LIFT_SPEED = 0.05, 0.1
+"""Speed of the predefined lift [m/s]: of a rope so slow that inertia plays no part."""
 
 RISE = 0.75
 """Height of a rope's lift, in its lengths; of a cloth's, in its sides."""
@@ -50,8 +50,21 @@ T_WORLD_TASK = np.array(
 )
 """The task's frame to the world's [m]."""
 
+CAST_PLACE = (0.45, 0.15)
+"""Where a rope is cast: how far in front of the base, and how high its tip hangs [m]."""
+
+CAST_SPEED, CAST_AFTER = 0.8, 1.5
+"""Speed of the cast [m/s], below what the arm's tool may have; and how long it is watched [s]."""
+
+SPREAD_STEP = 0.04
+"""Time of each of the 16 steps of spreading [s]: 0.25 m/s in the mean."""
+
 FORWARD = np.sqrt([0.0, 0.5, 0.0, 0.5])
 """quat_xyzw of a gripper that points forward, its fingers opening along the world's y."""
+
+
+AREA_PIXEL = 5e-4
+"""Resolution at which covered area is measured [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,7 +163,7 @@ class Performance:
         return np.array(seen)
 
 
-def lift(item: RealObject, *, rise: float | None = None, speed: float = LIFT_SPEED) -> Trial:
+def lift(item: RealObject, *, rise: float | None = None, speed: float | None = None) -> Trial:
     """The predefined lift: a rope by its end, a cloth by its corner, straight up.
 
     The object lies on the table in front of the arm, a rope pointing away, a cloth with its
@@ -159,40 +172,37 @@ def lift(item: RealObject, *, rise: float | None = None, speed: float = LIFT_SPE
     Args:
         item: The object.
         rise: How high [m]; by default `RISE` lengths or sides.
-        speed: [m/s].
+        speed: [m/s]; by default `ROPE_LIFT_SPEED` or `CLOTH_LIFT_SPEED`.
+
+    Raises:
+        RobotError: Rise or speed is no number above 0.
     """
     height = rest_height(item)
     origin = np.array([START, 0.0, height])
-    if isinstance(item, RealRope):
-        size, grasp, reach = item.length, "end", FINGER_WIDTH / 2.0
-        layout = Layout(origin=origin)
-        inward = FINGER_WIDTH / 2.0
+    rope = isinstance(item, RealRope)
+    if rope:
+        layout, size = Layout(origin=origin), item.length
     else:
-        size, grasp, reach = item.side, "corner", FINGER_WIDTH
         half = np.sqrt(0.5)
         layout = Layout(origin=origin, along=(half, -half, 0.0), across=(half, half, 0.0))
-        inward = FINGER_WIDTH / 2.0
-    rise = RISE * size if rise is None else rise
-    if not (np.isfinite(rise) and rise > 0.0 and np.isfinite(speed) and speed > 0.0):
-        raise ParameterError(f"a lift of {rise} m at {speed} m/s", fix="give numbers above 0")
-    grip = origin + np.array([inward, 0.0, 0.0])
-    top = grip + np.array([0.0, 0.0, rise])
-    closes, begins = SETTLE, 2.0 * SETTLE
-    ends = begins + rise / speed
-    path = TcpPath(
-        time=np.array([0.0, begins, ends, ends + SETTLE]),
-        position=np.array([grip, grip, top, top]),
+        size = item.side
+    path = motions.lift(
+        origin + np.array([FINGER_WIDTH / 2.0, 0.0, 0.0]),
+        height=RISE * size if rise is None else rise,
+        speed=speed or (ROPE_LIFT_SPEED if rope else CLOTH_LIFT_SPEED),
         quat_xyzw=pointing_down(),
-        events=(GripperEvent(time=closes, closed=True),),
-    )
+        wait=SETTLE,
+        after=SETTLE,
+    ).shifted(SETTLE)
     return Trial(
         item=item,
         layout=layout,
         path=path,
-        grasp=grasp,
-        reach=reach,
-        end=ends + SETTLE,
-        quasi_static=isinstance(item, RealRope),
+        grasp="end" if rope else "corner",
+        # A corner's vertices are farther from its middle than an end's.
+        reach=FINGER_WIDTH / 2.0 if rope else FINGER_WIDTH,
+        end=path.end,
+        quasi_static=rope,
     )
 
 
@@ -219,28 +229,65 @@ def reaching(rope: RealRope, action: npt.ArrayLike) -> Trial:
     """
     task = reaching_task(rope)
     _, gripper = task.grippers(action)
-    top, bottom = in_world(task.top), in_world(task.bottom)
+    top = in_world(task.top)
     # The held regions of both worlds are the same, to the nearest vertex.
     held = gripper.radius
     layout = Layout(origin=top, along=(0.0, 0.0, -1.0), across=(0.0, 1.0, 0.0), clamped=held)
-    knots = in_world(np.asarray(gripper.position))
-    begins = 2.0 * SETTLE
-    release = begins + task.release_time
-    path = TcpPath(
-        time=np.array([0.0, begins, begins + task.move_time, release]),
-        position=np.array([bottom, bottom, knots[1], knots[1]]),
+    path = motions.rope_reaching(
+        gripper.time,
+        in_world(gripper.position),
+        release_time=task.release_time,
         quat_xyzw=FORWARD,
-        events=(GripperEvent(time=SETTLE, closed=True), GripperEvent(time=release, closed=False)),
-        max_blend=release - begins - task.move_time,
-    )
-    return Trial(
-        item=rope,
-        layout=layout,
-        path=path,
-        grasp="end",
-        reach=held,
-        end=begins + task.end_time,
-    )
+        wait=SETTLE,
+        after=task.end_time - task.release_time,
+    ).shifted(2.0 * SETTLE)
+    return Trial(item=rope, layout=layout, path=path, grasp="end", reach=held, end=path.end)
+
+
+def casting(rope: RealRope, action: float) -> Trial:
+    """Rope casting: the rope hangs from the hand, which makes one quick horizontal move.
+
+    Args:
+        rope: The rope.
+        action: How far the hand moves along the world's y [m], negative: the other way. It
+            moves as fast as the arm can, at most `CAST_SPEED`.
+
+    Raises:
+        RobotError: The action is 0 or not finite.
+    """
+    top = np.array([CAST_PLACE[0], -0.5 * action, CAST_PLACE[1] + rope.length])
+    # The fingers point down and hold the rope's first centimetres between them.
+    grip = top - np.array([0.0, 0.0, FINGER_WIDTH / 2.0])
+    layout = Layout(origin=top, along=(0.0, 0.0, -1.0), across=(0.0, 1.0, 0.0))
+    path = motions.rope_casting(
+        grip,
+        action,
+        duration=abs(action) / CAST_SPEED,
+        heading=np.pi / 2.0,
+        quat_xyzw=pointing_down(),
+        wait=SETTLE,
+        after=CAST_AFTER,
+    ).shifted(0.01)
+    return Trial(item=rope, layout=layout, path=path, grasp="end", end=path.end)
+
+
+def spreading(cloth: RealCloth, A: float) -> Trial:
+    """Cloth spreading: the cloth is raised by its centre and brought down with an acceleration.
+
+    Args:
+        cloth: The cloth.
+        A: The paper's acceleration [-], see `gendom.robot.motions.spreading_steps`.
+
+    Raises:
+        RobotError: A is negative or not finite.
+    """
+    half, height = cloth.side / 2.0, rest_height(cloth)
+    centre = np.array([START + half, 0.0, height])
+    layout = Layout(origin=centre - np.array([half, half, 0.0]))
+    path = motions.cloth_spreading(
+        centre, A, step_time=SPREAD_STEP, quat_xyzw=pointing_down(), wait=SETTLE
+    ).shifted(SETTLE)
+    return Trial(item=cloth, layout=layout, path=path, grasp="center", end=path.end)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -263,8 +310,7 @@ def carry_out_reaching(performance: Performance, *, frame_rate: float = 100.0) -
     Raises:
         SimulationError: The world diverged.
     """
-    times = np.arange(performance.closes, performance.end + 0.5 / frame_rate, 1.0 / frame_rate)
-    vertices = performance.watch(times)
+    times, vertices = _watched(performance, performance.closes, frame_rate)
     tip = (vertices[:, -1] - T_WORLD_TASK[:3, 3]) @ T_WORLD_TASK[:3, :3]
     free = tip[times >= performance.opens]
     return Reached(
@@ -273,6 +319,91 @@ def carry_out_reaching(performance: Performance, *, frame_rate: float = 100.0) -
         times=times,
         vertices=vertices,
     )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cast:
+    """What came of a cast."""
+
+    highest: npt.NDArray[np.float64]
+    """[2] where the tip is when it is highest: along the cast from where it hung, and above the
+    table [m]."""
+    times: npt.NDArray[np.float64]
+    """[T] from the closing of the hand on [s]."""
+    vertices: npt.NDArray[np.float64]
+    """[T, V, 3] the rope, in the world [m]."""
+
+
+def carry_out_casting(performance: Performance, *, frame_rate: float = 100.0) -> Cast:
+    """Carry out a casting trial and see where the tip is highest.
+
+    Raises:
+        SimulationError: The world diverged.
+    """
+    times, vertices = _watched(performance, performance.closes, frame_rate)
+    tip = vertices[:, -1]
+    top = tip[np.argmax(tip[:, 2])]
+    along = np.sign(performance.trial.path.position[-1, 1] - performance.trial.path.position[0, 1])
+    return Cast(
+        highest=np.array([along * (top[1] - tip[0, 1]), top[2]]), times=times, vertices=vertices
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spread:
+    """What came of a spreading."""
+
+    ratio: float
+    """Area of the table that the cloth covers in the end, over its own: the extended ratio."""
+    times: npt.NDArray[np.float64]
+    """[T] from the closing of the hand on [s]."""
+    vertices: npt.NDArray[np.float64]
+    """[T, V, 3] the cloth, in the world [m]."""
+
+
+def carry_out_spreading(performance: Performance, *, frame_rate: float = 30.0) -> Spread:
+    """Carry out a spreading trial and measure how far the cloth is spread in the end.
+
+    Raises:
+        SimulationError: The world diverged.
+    """
+    item = performance.trial.item
+    assert isinstance(item, RealCloth)
+    times, vertices = _watched(performance, performance.closes, frame_rate)
+    return Spread(
+        ratio=covered_area(item, vertices[-1]) / item.side**2, times=times, vertices=vertices
+    )
+
+
+def covered_area(cloth: RealCloth, vertices: npt.NDArray[np.float64]) -> float:
+    """Area of the table under a cloth [m^2], seen from straight above.
+
+    Args:
+        cloth: The cloth.
+        vertices: [V, 3] [m].
+    """
+    low = vertices[:, :2].min(axis=0)
+    pixels = (vertices[:, :2] - low) / AREA_PIXEL
+    n, m = cloth.counts
+    corner = pixels.reshape(n, m, 2)
+    width, height = (int(x) + 2 for x in pixels.max(axis=0))
+    picture = Image.new("1", (width, height))
+    draw = ImageDraw.Draw(picture)
+    for i in range(n - 1):
+        for j in range(m - 1):
+            a, b = corner[i, j], corner[i + 1, j]
+            c, d = corner[i + 1, j + 1], corner[i, j + 1]
+            draw.polygon([tuple(p) for p in (a, b, c)], fill=1)
+            draw.polygon([tuple(p) for p in (a, c, d)], fill=1)
+    return float(np.asarray(picture).sum()) * AREA_PIXEL**2
+
+
+def _watched(
+    performance: Performance, begin: float, frame_rate: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Times [T] [s] from a moment to the end, and the vertices [T, V, 3] [m] then."""
+    times = np.arange(begin, performance.end + 0.5 / frame_rate, 1.0 / frame_rate)
+    return times, performance.watch(times)
 
 
 def in_world(points: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -50,7 +50,7 @@ class FingerCapsule:
     radius: float
     """[m]."""
     touches_object: bool = False
-    """It is a pad that presses on what is held."""
+    """Its inner side is where the object is held."""
 
 
 @dataclass(frozen=True, kw_only=True)

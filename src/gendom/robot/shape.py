@@ -24,7 +24,7 @@ class ArmShape:
     radius: NDArray[np.float64]
     """[C] [m]."""
     touches_object: NDArray[np.bool_]
-    """[C] the fingers' pads, which press on what is held."""
+    """[C] those whose inner side is where the object is held."""
 
 
 def arm_shape(arm: Arm, q: ArrayLike, opening: ArrayLike = 0.0) -> ArmShape:

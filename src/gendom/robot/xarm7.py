@@ -62,7 +62,11 @@ _KNUCKLES = (
 
 _FINGERS = (
     FingerCapsule(
-        name="finger", start=(0.0, -0.004, 0.004), end=(0.0, -0.014, 0.026), radius=0.012
+        name="finger",
+        start=(0.0, -0.004, 0.004),
+        end=(0.0, -0.014, 0.026),
+        radius=0.012,
+        touches_object=True,
     ),
     # The pad's face is flat, 26 mm wide: two thin capsules keep to it better than a thick one.
     FingerCapsule(

@@ -1,0 +1,222 @@
+"""The arm is taken out of the clouds by its joints; what it holds and what is near stays."""
+
+import numpy as np
+import pytest
+
+from gendom.errors import RecordingError
+from gendom.perception import perceive, read_sighting
+from gendom.perception.robot import FINGER_MARGIN, Capsules, arm_capsules
+from gendom.robot import (
+    XARM7,
+    JointStates,
+    arm_shape,
+    follow,
+    inverse_kinematics,
+    lift,
+    pointing_down,
+    tcp_pose,
+)
+
+PLACE = np.array([0.45, 0.0, 0.0])
+"""Where the rope of these tests hangs."""
+
+DIAMETER = 0.01
+
+
+def at_rest(q, opening=None):
+    """The arm's capsules, standing still."""
+    openings = None if opening is None else np.array([opening])
+    return arm_capsules(XARM7, JointStates(np.zeros(1), q[None], openings), held=DIAMETER).at(0.0)
+
+
+def surface(shape, c, n, rng):
+    """[n, 3] points on a capsule of an arm's shape."""
+    a, b = shape.start[c], shape.end[c]
+    d = rng.normal(size=(n, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    ends = np.where((d @ (b - a))[:, None] > 0, b, a)
+    side = d - np.multiply.outer(d @ (b - a), b - a) / max((b - a) @ (b - a), 1e-12)
+    side *= shape.radius[c] / np.linalg.norm(side, axis=1, keepdims=True)
+    around = a + rng.uniform(size=(n, 1)) * (b - a) + side
+    return np.concatenate([ends + shape.radius[c] * d, around])
+
+
+@pytest.fixture(scope="module")
+def q():
+    T = tcp_pose(XARM7, XARM7.home)
+    T[:3, 3] = PLACE + np.array([0.0, 0.0, 0.25])
+    return inverse_kinematics(XARM7, T)
+
+
+def test_points_on_the_arm_go(q):
+    """All of its surface, wherever it stands and within 8 mm; the fingers' within 2 mm."""
+    rng = np.random.default_rng(0)
+    turned = np.array([0.5, -0.4, 0.3, 1.2, -0.6, 1.0, 0.7])
+    for angles, opening in ((q, DIAMETER), (turned, 0.05)):
+        shape, capsules = arm_shape(XARM7, angles, opening), at_rest(angles, opening)
+        for c, fingers in enumerate(shape.touches_object):
+            points = surface(shape, c, 60, rng)
+            away = rng.normal(size=points.shape)
+            away *= (0.002 if fingers else 0.008) / np.linalg.norm(away, axis=1, keepdims=True)
+            assert capsules.contain(points + away, 0.01).all(), shape.names[c]
+
+
+def test_an_object_2_cm_from_the_fingers_stays(q):
+    """Below the tips, in front and behind, and beside the fingers."""
+    shape, capsules = arm_shape(XARM7, q, DIAMETER), at_rest(q)
+    tcp = tcp_pose(XARM7, q)[:3, 3]
+    fingers = np.flatnonzero(shape.touches_object)
+    reach = np.abs(np.stack([shape.start, shape.end])[:, fingers] - tcp).max(axis=0)
+    outer = (reach + shape.radius[fingers, None]).max(axis=0)
+    for way in ([0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]):
+        beyond = 0.02 + (outer @ np.abs(way) if way[2] == 0 else 0.0)
+        assert not capsules.contain((tcp + beyond * np.array(way))[None], 0.01)[0]
+
+
+def test_what_the_fingers_hold_is_not_erased(q):
+    """Of a rope between them a strip stays, and of one that hangs from them nearly all."""
+    capsules = at_rest(q)
+    tcp = tcp_pose(XARM7, q)[:3, 3]
+    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 73), np.linspace(-0.05, 0.03, 81))
+    around = 0.5 * DIAMETER * np.stack([np.cos(angle), np.sin(angle)], -1)
+    rope = tcp + np.concatenate([around, height[..., None]], axis=-1)
+    erased = capsules.contain(rope.reshape(-1, 3), 0.01).reshape(height.shape)
+    between = (height[:, 0] > 0.0) & (height[:, 0] < 0.025)
+    assert 0.2 < 1.0 - erased[between].mean() < 0.4
+    middle = np.abs(around[..., 1]) < 0.5 * DIAMETER - FINGER_MARGIN - 1e-3
+    assert not erased[between][middle[between]].any()
+    assert not erased[height[:, 0] < -0.015].any()
+
+    whole = Capsules(capsules.start, capsules.end, capsules.radius)  # the same margin all over
+    assert whole.contain(rope[between].reshape(-1, 3), 0.01).all()
+
+
+def test_links_move_between_the_rows_as_the_joints_do(q):
+    """Half a turn of the base between two rows: the capsules go around, not through."""
+    q = np.stack([q, q + np.array([np.pi, 0, 0, 0, 0, 0, 0])])
+    path = arm_capsules(XARM7, JointStates(np.array([0.0, 2.0]), q))
+    for t in (0.0, 0.37, 1.0, 2.0, 5.0):
+        shape = arm_shape(XARM7, q[0] + min(t / 2.0, 1.0) * (q[1] - q[0]))
+        found = path.at(t)
+        np.testing.assert_allclose(found.start, shape.start, atol=4e-4)
+        np.testing.assert_allclose(found.end, shape.end, atol=4e-4)
+        np.testing.assert_allclose(found.radius, shape.radius)
+
+
+# ---- whole recordings ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def seen(world, tmp_path_factory):
+    """A lift by an arm in view of two cameras, and the ropes in it.
+
+    Half the resolution and half the pixels' noise: depth noise is that of 640 x 480.
+    """
+    folder = tmp_path_factory.mktemp("arm") / "lift"
+    frames, rate = 2, 10.0
+    start = PLACE + np.array([0.0, 0.0, 0.2])
+    # The fingers open across the cameras' view, so that these see what is between them.
+    turned = pointing_down(np.pi / 2)
+    path = lift(start, height=0.02, speed=0.05, wait=0.1, quat_xyzw=turned)
+    motion = follow(XARM7, path).shifted(-0.1)
+
+    def scene(t):
+        q = motion.at(t / rate)
+        shape = arm_shape(XARM7, q, DIAMETER)
+        tip = tcp_pose(XARM7, q)[:3, 3] + [0.0, 0.0, 0.02]
+        links = zip(shape.start, shape.end, shape.radius, strict=True)
+        arm = [world.Cylinder(tuple(a), tuple(b), r, world.GREY) for a, b, r in links]
+        return [*arm, world.lifted_rope(tip=tuple(tip))]
+
+    world.write_lift(
+        folder,
+        frames=frames,
+        rope=False,
+        things=scene,
+        sensor=world.DepthSensor.exact(subpixel=0.04, quantisation=1.0 / 64.0, colour_noise=3.0),
+        time=lambda k, t: t / rate,
+        cameras=[
+            world.make_camera("left", eye=(0.45, -0.65, 0.47), target=(0.45, 0.0, 0.1), scale=0.5),
+            world.make_camera("right", eye=(0.55, 0.65, 0.47), target=(0.45, 0.0, 0.1), scale=0.5),
+        ],
+    )
+    motion.write_gripper(folder / "gripper.csv", XARM7)
+    return folder, motion, [scene(t)[-1] for t in range(frames)]
+
+
+def clouds(folder, **changes):
+    sighting = read_sighting(folder, **changes)
+    recording = perceive(sighting).recording
+    return [recording.frame(t) for t in range(recording.num_frames)]
+
+
+def capsules_of(folder):
+    found = read_sighting(folder).capsules
+    assert found is not None
+    return found
+
+
+def test_the_arm_goes_and_the_rope_stays(seen):
+    """Without colour: little of the arm is left, and the rope is seen up into the grip."""
+    folder, motion, ropes = seen
+    motion.write_joints(folder / "joints.csv", opening=(DIAMETER, 0.08))
+    for t, (points, rope) in enumerate(zip(clouds(folder), ropes, strict=True)):
+        standing = points[points[:, 2] > 0.03]
+        far = rope.distance(standing) > 0.012
+        assert far.mean() < 0.06
+        tip = motion.tcp_at(XARM7, t / 10.0)[2, 3]
+        on_rope = standing[~far]
+        for low in np.arange(0.04, tip - 0.02, 0.02):  # in every 2 cm
+            assert ((on_rope[:, 2] >= low) & (on_rope[:, 2] < low + 0.02)).sum() >= 3
+        assert (on_rope[:, 2] > tip).sum() >= 3  # between the fingers
+
+
+def test_without_its_joints_the_arm_is_in_the_cloud(seen):
+    folder, _, ropes = seen
+    (folder / "joints.csv").unlink(missing_ok=True)
+    points = clouds(folder)[0]
+    standing = points[points[:, 2] > 0.03]
+    assert (ropes[0].distance(standing) > 0.012).mean() > 0.5
+
+
+def test_fingers_are_open_by_the_object_s_thickness_where_not_measured(seen):
+    folder, motion, _ = seen
+    motion.write_joints(folder / "joints.csv")
+    found = capsules_of(folder).at(0.0)
+    expected = arm_shape(XARM7, motion.at(0.0), DIAMETER)
+    np.testing.assert_allclose(found.start, expected.start, atol=1e-4)
+
+
+def test_joints_and_other_capsules_add_up(seen):
+    folder, motion, _ = seen
+    motion.write_joints(folder / "joints.csv")
+    alone = len(capsules_of(folder).tracks)
+    capsules = folder / "capsules.csv"
+    capsules.write_text("time,capsule,x0,y0,z0,x1,y1,z1,radius\n0,post,0,1,0,0,1,1,0.03\n")
+    both = capsules_of(folder)
+    capsules.unlink()
+    assert len(both.tracks) == alone + 1
+    margins = both.at(0.0).largest_margin
+    assert margins is not None and margins[-1] == np.inf and margins.min() == FINGER_MARGIN
+
+
+def test_bad_joints_are_told(seen):
+    folder, motion, _ = seen
+    joints, described = folder / "joints.csv", folder / "object.toml"
+    good = described.read_text()
+    try:
+        joints.write_text("time,q0\n0,1\n")
+        with pytest.raises(RecordingError, match=r"joints\.csv: has the header"):
+            read_sighting(folder)
+        motion.write_joints(joints)
+        described.write_text(good + 'robot = "r2d2"\n')
+        with pytest.raises(RecordingError, match=r"robot: there is no robot 'r2d2'; have xarm7"):
+            read_sighting(folder)
+        described.write_text(good + 'robot = "xarm7"\n')
+        motion.shifted(3.0).write_joints(joints)
+        warnings = []
+        read_sighting(folder, on_warning=warnings.append)
+        assert len(warnings) == 1 and "the arm is taken to stand still" in str(warnings[0])
+    finally:
+        described.write_text(good)
+        joints.unlink()
