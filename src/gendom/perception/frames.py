@@ -112,7 +112,8 @@ def match_frames(
         spread = max(times) - min(times)
         first = int(np.argmin(times))
         after = streams[first].following
-        if spread > tolerance or _next_is_closer(times, first, after):
+        # Time stamps are written to a microsecond.
+        if spread > tolerance + 1e-6 or _next_is_closer(times, first, after):
             skip(first)
         else:
             count.used += 1
