@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,14 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from gendom import cli
-from gendom.errors import GendomError
-from gendom.perception import read_camera, write_camera
+from gendom.errors import DeviceError, GendomError
+from gendom.perception import (
+    Pictures,
+    RealSenseRecording,
+    RealSenseWriter,
+    read_camera,
+    write_camera,
+)
 from gendom.perception.calibration import Board, BoardView, calibrate, find_board
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra `camera`")
@@ -149,6 +156,21 @@ def test_other_poses_give_the_same(world, seed):
     found = calibrate(camera, views)
     position, angle = error_of(found.T_world_camera, camera)
     assert position < 1e-3 and angle < 0.1 and found.rms < 0.15
+
+
+def test_intrinsics_of_a_realsense_recording(taken, tmp_path, capsys):
+    """They come from the recording, and the result fits beside it."""
+    try:
+        writer = RealSenseWriter(tmp_path, replace(taken[1], T_world_camera=None))
+    except DeviceError as error:
+        pytest.skip(str(error))
+    with writer:
+        writer.write(0.0, Pictures(np.zeros((480, 640), np.uint16)))
+    recording, out = tmp_path / "recording.db3", tmp_path / "camera.toml"
+    words = ["--camera", str(recording), "--out", str(out)]
+    assert cli.main(["calibrate", str(taken[0] / "pictures"), *words]) == 0
+    distance, degrees = error_of(RealSenseRecording(recording).camera.calibrated(), taken[1])
+    assert distance < 1e-3 and degrees < 0.1
 
 
 def test_text(taken, capsys):

@@ -2,6 +2,7 @@
 
 import shutil
 import sqlite3
+import subprocess
 import sys
 from pathlib import Path
 
@@ -118,7 +119,7 @@ def test_raw_formats(encoding, data, pixels):
     """Two pixels in a row that is longer than they are."""
     row = bytes([*data, 99, 99])
     found = _pixels(row * 3, encoding, 2, 3, len(row), "<", "here")
-    np.testing.assert_allclose(found.astype(int), [pixels] * 3, atol=1)
+    np.testing.assert_allclose(np.asarray(found, float), [pixels] * 3, atol=1)
     assert found.dtype == (np.uint16 if encoding == "mono16" else np.uint8)
     with pytest.raises(ValueError, match="fewer pixels"):
         _pixels(row * 2, encoding, 2, 3, len(row), "<", "here")
@@ -140,7 +141,8 @@ def test_round_trip_is_exact(world, sdk, tmp_path, coloured):
     source = RealSenseRecording(tmp_path / "left" / "recording.db3", on_warning=faults.append)
     assert not faults and source.camera.name == "left"
     for key in ("K", "T_world_camera", "distortion"):
-        np.testing.assert_allclose(getattr(source.camera, key), getattr(camera, key), rtol=1e-7)
+        found, expected = (np.asarray(getattr(c, key), float) for c in (source.camera, camera))
+        np.testing.assert_allclose(found, expected, rtol=1e-7)
     assert source.camera.depth_unit == camera.depth_unit
     np.testing.assert_allclose([frame.time for frame in source], times, rtol=0, atol=1e-9)
     for _ in range(2):  # a recording can be read again
@@ -195,6 +197,26 @@ def test_an_unclosed_recording_is_closed_by_its_block(world, sdk, tmp_path):
         raise ZeroDivisionError
     assert len(RealSenseRecording(tmp_path / "recording.db3")) == 1
     writer.close()  # a second time does nothing
+
+
+def test_what_a_killed_program_leaves_can_be_read(sdk, tmp_path):
+    code = f"""
+import os, signal, time
+import numpy as np
+from gendom.perception import Camera, Pictures, RealSenseWriter
+K = np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]])
+camera = Camera(name="left", width=64, height=48, K=K, T_world_camera=None)
+writer = RealSenseWriter({str(tmp_path)!r}, camera)
+for t in range(30):
+    writer.write(t / 30, Pictures(np.full((48, 64), 500 + t, np.uint16)))
+time.sleep(1.0)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", code]).returncode == -9
+    source = RealSenseRecording(tmp_path / "recording.db3")
+    assert len(source) > 10
+    for t, frame in enumerate(source):
+        assert (frame.read().depth == 500 + t).all()
 
 
 def test_cameras_that_do_not_fit(world, sdk, tmp_path):

@@ -15,6 +15,7 @@ from gendom.errors import GendomError
 from gendom.files import to_json
 from gendom.perception.calibration import Calibration, calibrate, read_views
 from gendom.perception.camera import read_camera, write_camera
+from gendom.perception.realsense import RealSenseRecording, is_recording
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +29,8 @@ class Command:
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
     """Folder with board.toml, poses.csv and pictures."""
     camera: Path
-    """camera.toml with the intrinsics of the stream that took the pictures."""
+    """camera.toml, or a RealSense recording, with the intrinsics of the stream that took the
+    pictures."""
     out: Path | None = None
     """Where to write camera.toml with T_world_camera; may be the same file."""
     json: bool = False
@@ -36,7 +38,11 @@ class Command:
 
     def run(self) -> int:
         warnings: list[Fault] = []
-        camera = read_camera(self.camera)
+        camera = (
+            RealSenseRecording(self.camera).camera
+            if is_recording(self.camera)
+            else read_camera(self.camera)
+        )
         views = read_views(self.folder, camera, on_warning=warnings.append)
         try:
             found = calibrate(camera, views)

@@ -17,9 +17,11 @@ first, in a process of its own: the SDK ends the process on some damaged files.
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
+import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -33,8 +35,12 @@ from gendom.perception.camera import Camera, adopt_camera, write_pose
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
 from gendom.perception.rosbag import Bag, Entry, Stream
 
-_SUFFIXES = (".db3", ".bag")
 _DEVICE_CLOCK = "Hardware Clock"
+
+
+def is_recording(path: str | os.PathLike) -> bool:
+    """Whether a file's name is that of a RealSense recording."""
+    return Path(path).suffix.lower() in (".db3", ".bag")
 
 
 def find_recording(folder: str | os.PathLike) -> Path | None:
@@ -44,7 +50,7 @@ def find_recording(folder: str | os.PathLike) -> Path | None:
         RecordingError: There are several.
     """
     folder = Path(folder)
-    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
+    found = sorted(filter(is_recording, folder.iterdir()))
     if len(found) > 1:
         raise RecordingError(
             f"holds {len(found)} recordings, {', '.join(p.name for p in found)}",
@@ -109,8 +115,9 @@ class RealSenseRecording:
             is_bag = False  # `Bag` tells why
         if not is_bag:
             return self.path
-        self._folder = tempfile.TemporaryDirectory(prefix="gendom-")
-        return _converted(self.path, Path(self._folder.name), self._on_warning)
+        folder = Path(tempfile.mkdtemp(prefix="gendom-"))
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        return _converted(self.path, folder, self._on_warning)
 
     def _unit(self) -> float:
         unit = next((e.depth_unit for e in self._depth if e.depth_unit is not None), None)
@@ -200,8 +207,9 @@ def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) ->
             fix="pip install 'pyrealsense2>=2.59'",
         )
     # The SDK goes by the name, not by what is inside.
-    source, made = folder / "recording.bag", folder / "recording.db3"
-    source.symlink_to(path.resolve())
+    source, made = path.resolve(), folder / "recording.db3"
+    if source.suffix != ".bag":
+        source = Path(shutil.copyfile(source, folder / "recording.bag"))
     done = subprocess.run(
         [sys.executable, "-c", _CONVERT, str(source), str(made)], capture_output=True, text=True
     )
@@ -251,7 +259,7 @@ class RealSenseWriter:
     For cameras that are no RealSense, simulated ones above all: the SDK's software device takes
     their place. Depth is kept bit by bit, colour too, as a stream of the depth's own geometry.
     Time stamps are "Global Time", to the nanosecond. Close it, or use it in a `with` block: what
-    the SDK has not written by then is lost.
+    the SDK has not written by then is lost. What an interrupted program leaves can be read.
 
     Args:
         folder: Made if missing.

@@ -22,6 +22,7 @@ from __future__ import annotations
 import re
 import sqlite3
 import struct
+import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,6 +100,7 @@ class Bag:
         # counts as writable so that SQLite reads files shorter than their header says.
         address = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
         self._database = sqlite3.connect(address, uri=True, check_same_thread=False)
+        weakref.finalize(self, self._database.close)
         self._database.execute("PRAGMA writable_schema = ON")
         try:
             topics = self._database.execute("SELECT id, name FROM topics").fetchall()
