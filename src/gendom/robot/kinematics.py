@@ -210,7 +210,9 @@ def descend(
     q = np.clip(q, arm.q_min, arm.q_max)
     active = np.arange(len(q))
     error = np.empty((len(q), 6))
-    for _ in range(iterations):
+    for k in range(iterations):
+        # Where sliding and limits keep a start from its pose, the last steps only approach.
+        pull = pull if k < 0.75 * iterations else 0.0
         poses = link_poses(arm, q[active])
         error[active] = pose_error(T_base_tcp[active], poses[:, -1])
         reached = _reached(error[active])
