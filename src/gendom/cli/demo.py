@@ -18,42 +18,56 @@ from tqdm import tqdm
 from gendom import __version__
 from gendom.cli.estimate import estimate_text
 from gendom.datasets import Recording
-from gendom.errors import GendomError
+from gendom.errors import GendomError, ParameterError
 from gendom.files import to_json, write_json
 from gendom.materials import Material
 
 if TYPE_CHECKING:
     from gendom.estimation import Estimate
     from gendom.policies import Policy
+    from gendom.reality import RealRope
     from gendom.tasks import RopeReaching
     from gendom.viz import CloudSequence
     from gendom.viz.report import PolicyRun
 
-RECORDING = "demo-rope-lift.npz"
-"""The demo's recording in the package's assets."""
+RECORDING, VIEWS = "demo-rope-lift.npz", "demo-rope-lift.jpg"
+"""The demo's recording in the package's assets, and what its cameras saw halfway: made by
+`gendom demo --live --reality rope-cotton --frame-rate 15 --seed 0`."""
 
-CELLS_ACROSS = 2.0
-"""Resolution at which actions are carried out: not that of the policy's training, 1.5."""
+SHIPPED = "rope-cotton"
+"""The object that was recorded."""
 
-GOAL_SHARES = (0.25, 0.5, 0.75)
+GOAL_SHARES = (0.4, 0.6, 0.8)
 """Default goals, as places in the policy's range for this rope."""
+
+MOTION_RATE = 30.0
+"""Frames a second of the executed motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
     """Show the whole story: a lift, the estimate, the policy's action, what comes of it.
 
-    Without arguments it uses a recording and policies that come with the package.
+    The object, a rope, lives in a second reality (docs/reality.md): other equations than the
+    estimator's, a robot arm, and two noisy depth cameras. Without arguments the recorded lift and
+    the policies that come with the package are used, and nothing needs OpenGL.
     """
 
     out: Path = Path("demo")
     """Folder for report.html, estimate.json, actions.json and lift.gif."""
+    live: bool = False
+    """Record and perceive the lift now, in OUT/lift, instead of taking the shipped one; renders,
+    so it needs OpenGL (EGL or OSMesa; a screen is not needed)."""
+    reality: str = SHIPPED
+    """With --live: rope-cotton, rope-polyester or rope-polyethylene."""
+    frame_rate: float = 15.0
+    """With --live: frames a second."""
     goal: tuple[float, ...] = ()
-    """How far the tip shall reach from the robot's base [m]; by default three goals."""
+    """How far the tip shall reach in the task's frame [m]; by default three goals."""
     starts: int = 3
     """Random starts of the estimate."""
     seed: int = 0
-    """Seed of the estimate."""
+    """Seed of the estimate and of the cameras' noise."""
     device: str = "cpu"
     """cpu, cuda or cuda:0 and so on."""
     json: bool = False
@@ -62,15 +76,41 @@ class Command:
     def run(self) -> int:
         from gendom.estimation import EstimateSettings, ReplaySettings, estimate
         from gendom.policies import Policy
+        from gendom.reality import RealRope, find_object, reaching_task
+        from gendom.reality.chain import record_and_perceive
         from gendom.sim import open_device
-        from gendom.viz import CloudSequence, write_gif
+        from gendom.viz import CloudSequence, encode_sights, write_gif
 
         open_device(self.device)
         seconds: dict[str, float] = {}
-        source = resources.files("gendom") / "assets" / RECORDING
-        with resources.as_file(source) as path:
-            recording = Recording.read(path)
-        truth = recording.extra["truth"]
+        rope = find_object(self.reality)
+        if not isinstance(rope, RealRope):
+            raise ParameterError(
+                f"{rope.name} is no rope", where="--reality", fix="the demo's task takes ropes"
+            )
+        if self.live:
+            with _timed(seconds, "record and perceive"):
+                recording, sights = record_and_perceive(
+                    rope, self.out / "lift", frame_rate=self.frame_rate, seed=self.seed
+                )
+                views = encode_sights(sights)
+                (self.out / "lift" / "views.jpg").write_bytes(views)
+        elif rope.name != SHIPPED:
+            raise ParameterError(
+                f"only a lift of {SHIPPED} comes with the package",
+                where=f"--reality {rope.name}",
+                fix="add --live to record it now",
+            )
+        else:
+            assets = resources.files("gendom") / "assets"
+            with resources.as_file(assets / RECORDING) as path:
+                recording = Recording.read(path)
+            views = (assets / VIEWS).read_bytes()
+        truth = {
+            "youngs_modulus": rope.material.E,
+            "poissons_ratio": rope.material.nu,
+            "density": rope.material.density,
+        }
         print(f"a recorded lift: {recording.num_frames} frames of {recording.source}\n", flush=True)
         with _timed(seconds, "estimate"), tqdm(total=100, unit="%", leave=False) as bar:
             settings = EstimateSettings(
@@ -90,10 +130,11 @@ class Command:
         )
         policies = (Policy.pretrained(), Policy.pretrained(parameters=False))
         goals = self.goal or _default_goals(policies[0], found)
-        sizes = found.record["object"]
         with _timed(seconds, "act and carry out"):
-            task = policies[0].task().scaled_to(sizes["length"], sizes["diameter"])
-            runs = _carry_out(task, policies, goals, found, truth, self.device)
+            runs, shown = _carry_out(rope, policies, goals, found)
+        task = reaching_task(rope)
+        with _timed(seconds, "predict the motion"):
+            motion = _predicted(task, shown, found, self.device)
         for goal, ours, without in runs:
             print(
                 f"goal {goal:.3f} m: release at ({ours.action[0]:.3f}, {ours.action[1]:.3f}) m, "
@@ -115,7 +156,7 @@ class Command:
             write_json(self.out / "estimate.json", found.record)
             actions = {"format": "gendom-demo/1", "task": task.name, "outcomes": _outcomes(runs)}
             write_json(self.out / "actions.json", actions)
-            _report(self, recording, clouds, found, truth, task, runs, seconds)
+            _report(self, recording, views, clouds, found, truth, task, runs, motion, seconds)
         if self.json:
             print(to_json({"estimate": found.record, **actions, "seconds": seconds}))
         print(f"\nreport: {self.out / 'report.html'}")
@@ -137,49 +178,92 @@ def _default_goals(policy: Policy, found: Estimate) -> tuple[float, ...]:
 
 
 def _carry_out(
-    task: RopeReaching,
+    rope: RealRope,
     policies: Sequence[Policy],
     goals: Sequence[float],
     found: Estimate,
-    truth: dict[str, float],
-    device: str,
-) -> list[tuple[float, PolicyRun, PolicyRun]]:
-    """Both policies' actions for each goal, simulated with the true parameters."""
-    from dataclasses import replace
-
+) -> tuple[list[tuple[float, PolicyRun, PolicyRun]], Executed]:
+    """Both policies' actions for each goal, done by the arm; and our last one to look at."""
+    from gendom.reality import Performance, carry_out_reaching, reaching
     from gendom.viz.report import PolicyRun
 
-    size = {"length": task.length, "diameter": task.diameter}
-    actions = [
-        policy.act(goal, found.theta.specific_modulus, found.theta.nu, **size).values
-        for goal in goals
-        for policy in policies
-    ]
-    object_ = Material(
-        E=truth["youngs_modulus"], nu=truth["poissons_ratio"], density=truth["density"]
-    )
-    world = replace(task, cells_across=CELLS_ACROSS)
-    with tqdm(total=1, desc="carrying out", leave=False):
-        outcome = world.simulate(
-            np.array(actions), [object_] * len(actions), device=device, record_particles=True
-        )
-    if outcome.positions is None:
-        raise GendomError("the simulation kept no particles", where="demo")
-    released = int(np.argmin(np.abs(outcome.times - task.release_time)))
-    runs = []
-    for w, action in enumerate(actions):
-        path = outcome.tip_path[released:, w]
-        farthest = released + int(np.argmax(path[:, 0]))
-        runs.append(
+    size = {"length": rope.length, "diameter": rope.diameter}
+    done: list[PolicyRun] = []
+    executed = []
+    for goal in tqdm(np.repeat(goals, len(policies)), desc="the arm acts", leave=False):
+        policy = policies[len(done) % len(policies)]
+        action = policy.act(goal, found.theta.specific_modulus, found.theta.nu, **size).values
+        performance = Performance(reaching(rope, action))
+        result = carry_out_reaching(performance, frame_rate=MOTION_RATE * _FINER)
+        shape = result.in_task
+        tip = shape[result.released :, -1]
+        farthest = result.released + int(np.argmax(tip[:, 0]))
+        done.append(
             PolicyRun(
                 action=np.array(action),
-                reached=np.array(outcome.reached[w]),
-                tip_path=path,
-                shape_at_release=outcome.positions[released, w],
-                shape_at_farthest=outcome.positions[farthest, w],
+                reached=np.array(result.reached),
+                tip_path=tip,
+                shape_at_release=_filled(shape[result.released]),
+                shape_at_farthest=_filled(shape[farthest]),
             )
         )
-    return [(goal, runs[2 * k], runs[2 * k + 1]) for k, goal in enumerate(goals)]
+        executed.append(
+            Executed(
+                action=np.array(action),
+                slowed_by=performance.slowed_by,
+                times=result.times[::_FINER] - performance.opens,
+                shapes=[_filled(x) for x in shape[::_FINER]],
+            )
+        )
+    pairs = zip(goals, done[0::2], done[1::2], strict=True)
+    return [(float(goal), ours, without) for goal, ours, without in pairs], executed[-2]
+
+
+_FINER = 4  # reached places are looked for this much finer in time than the motion is shown
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Executed:
+    """A release as the arm did it, in the task's frame."""
+
+    action: np.ndarray
+    """[2] release point [m]."""
+    slowed_by: float
+    """How much longer the arm took than the task asks for."""
+    times: np.ndarray
+    """[T] from the release on [s]."""
+    shapes: list[np.ndarray]
+    """T clouds [n, 3] of the rope [m]."""
+
+
+def _filled(vertices: np.ndarray, points: int = 150) -> np.ndarray:
+    """[points, 3] along the line through a rope's vertices [V, 3] [m]."""
+    at = np.linspace(0.0, len(vertices) - 1.0, points)
+    knots = np.arange(len(vertices))
+    return np.stack([np.interp(at, knots, vertices[:, axis]) for axis in range(3)], axis=1)
+
+
+def _predicted(
+    task: RopeReaching, executed: Executed, found: Estimate, device: str
+) -> CloudSequence:
+    """The executed motion, and beside it what our simulator makes of the same action."""
+    from gendom.viz import CloudSequence
+
+    theta, density = found.theta, found.record["density"]
+    material = Material(E=theta.specific_modulus * density, nu=theta.nu, density=density)
+    with tqdm(total=1, desc="predicting", leave=False):
+        outcome = task.simulate([executed.action], [material], device=device, record_particles=True)
+    if outcome.positions is None:
+        raise GendomError("the simulation kept no particles", where="demo")
+    # Both are at the release at time 0.
+    late = outcome.times - task.release_time
+    frames = np.flatnonzero((executed.times >= late[0]) & (executed.times <= late[-1]))
+    nearest = [int(np.argmin(np.abs(late - executed.times[k]))) for k in frames]
+    return CloudSequence(
+        recorded=[executed.shapes[k] for k in frames],
+        simulated=[outcome.positions[k, 0] for k in nearest],
+        times=executed.times[frames] - executed.times[frames[0]],
+    )
 
 
 def _error(run: PolicyRun, goal: float) -> float:
@@ -207,15 +291,18 @@ def _outcomes(runs: Sequence[tuple[float, PolicyRun, PolicyRun]]) -> list[dict[s
 def _report(
     command: Command,
     recording: Recording,
+    views: bytes,
     clouds: CloudSequence,
     found: Estimate,
     truth: dict[str, float],
     task: RopeReaching,
     runs: Sequence[tuple[float, PolicyRun, PolicyRun]],
+    motion: CloudSequence,
     seconds: dict[str, float],
 ) -> None:
     from gendom.viz.report import (
         ActionSummary,
+        CameraViews,
         EstimateSummary,
         LiftPictures,
         Provenance,
@@ -229,9 +316,16 @@ def _report(
         ReportContent(
             title="GenDOM: one lift of an unknown rope, and an action that reaches its goal",
             recording_source=(
-                f"Made by {recording.source}, with depth noise: {recording.notes} The actions "
-                "below are carried out in the same simulator with the true parameters, on a "
-                "finer grid than the policy was trained on."
+                f"{recording.source.capitalize()}: {recording.notes} That reality has other "
+                "equations than the simulator that estimates, and is touched through an arm and "
+                "seen through the cameras only. The actions below are carried out in it."
+            ),
+            cameras=CameraViews(
+                picture=views,
+                note=(
+                    "Halfway up. Depth has the noise of a stereo camera, lost and mixed pixels at "
+                    "edges, and an error of calibration; the arm is taken out by its joint angles."
+                ),
             ),
             lift=LiftPictures(clouds=clouds),
             estimate=EstimateSummary(
@@ -243,6 +337,7 @@ def _report(
                     ReachOutcome(goal=np.array(goal), ours=ours, without=without)
                     for goal, ours, without in runs
                 ],
+                motion=motion,
                 action_names=[f"{name.replace('_', ' ')} [m]" for name in task.action_names],
             ),
             provenance=Provenance(
@@ -263,6 +358,9 @@ def _command_line(command: Command) -> str:
     words = ["gendom", "demo", "--out", str(command.out)]
     words += ["--starts", str(command.starts), "--seed", str(command.seed)]
     words += ["--device", command.device]
+    if command.live:
+        words += ["--live", "--reality", command.reality]
+        words += ["--frame-rate", str(command.frame_rate)]
     if command.goal:
         words += ["--goal", *map(str, command.goal)]
     return shlex.join(words)

@@ -1,0 +1,77 @@
+"""From an object of the second reality to a recording, as a user with a real rig would go."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gendom.datasets import Recording
+from gendom.perception import PerceptionSettings, perceive, read_sighting
+from gendom.reality.objects import RealObject
+from gendom.reality.recording import RecordSettings, record
+from gendom.reality.trials import Performance, lift, lift_cameras
+
+Sight = tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]
+"""Colour [height, width, 3] and depth [height, width] [m], 0 where there is none."""
+
+
+def record_and_perceive(
+    item: RealObject, folder: str | os.PathLike, *, frame_rate: float = 15.0, seed: int = 0
+) -> tuple[Recording, list[Sight]]:
+    """Lift an object under two noisy cameras and perceive it by its colour.
+
+    Args:
+        item: The object.
+        folder: For the pictures; an older recording there is replaced. The recording itself is
+            written to recording.npz inside.
+        frame_rate: [1/s].
+        seed: Of all noise.
+
+    Returns:
+        The perceived recording, and what each camera saw halfway, see `halfway`.
+
+    Raises:
+        DeviceError: MuJoCo is not installed, or nothing can be rendered.
+        GendomError: The folder cannot be written.
+    """
+    folder = Path(folder)
+    for part in ("cameras", "truth"):
+        shutil.rmtree(folder / part, ignore_errors=True)
+    performance = Performance(lift(item), cameras=lift_cameras(item))
+    performance.step_to(performance.closes)
+    with performance.world:
+        record(
+            performance,
+            folder,
+            RecordSettings(
+                frame_rate=frame_rate,
+                seed=seed,
+                notes=f"The predefined lift of {item.name}, seed {seed}.",
+            ),
+        )
+    sighting = read_sighting(folder)
+    perceived = perceive(sighting, PerceptionSettings(colour=item.colour))
+    perceived.write(folder / "recording.npz")
+    return perceived.recording, halfway(folder)
+
+
+def halfway(folder: str | os.PathLike) -> list[Sight]:
+    """Colour and depth [m] that each camera of a recorded folder has in the middle of it.
+
+    Raises:
+        RecordingError: The folder or a picture cannot be read.
+    """
+    sights = []
+    for source in read_sighting(folder).sources:
+        frames = list(source)
+        pictures = frames[len(frames) // 2].read()
+        depth = pictures.depth * source.camera.depth_unit
+        colour = pictures.colour
+        if colour is None:
+            colour = np.zeros((*depth.shape, 3), dtype=np.uint8)
+        sights.append((colour, depth))
+    return sights
