@@ -62,9 +62,9 @@ $(PLACE):
 	@printf '%s\n' "$(CURDIR)" > $@
 
 $(CORE): $(PLACE) pyproject.toml constraints.txt
-	@echo "installing gendom and its core (about 150 MB to fetch, 1 to 3 minutes the first time)"
+	@echo "installing gendom, its core and MuJoCo (about 300 MB to fetch, 1 to 4 minutes the first time)"
 	@touch $(INSTALLING)
-	@$(PIP) install -qq -c constraints.txt -e .
+	@$(PIP) install -qq -c constraints.txt -e '.[reality]'
 	@rm $(INSTALLING)
 	@touch $@
 
