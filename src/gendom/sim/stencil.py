@@ -36,8 +36,10 @@ _LANES = """
     typedef REAL lanes __attribute__((ext_vector_type(4), aligned(sizeof(REAL))));
     const auto each = [](lanes a, lanes b) { return a * b; };
 #endif
+"""
+
+_WEIGHTS = """
     const auto load = [](const REAL* a) { return *(const lanes*)a; };
-    const int ci = node[0], cj = node[1], bz = node[2];
     const REAL fx = f[0], fy = f[1], fz = f[2];
     const REAL half = REAL(0.5);
     const REAL wx[3] = {half * (REAL(1.5) - fx) * (REAL(1.5) - fx),
@@ -60,21 +62,13 @@ _COEFFICIENTS = """
     const lanes T2 = load(c.data[6]);
 """
 
-_SCATTER = """
-    wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);
-    const auto add = [nodes](int n, lanes h) {
-#if defined(__CUDA_ARCH__)
-        ATOMIC_ADD
-#else
-        *(lanes*)(nodes + n) += h;
-#endif
-    };
+_SPREAD = """
     #pragma unroll
     for (int i = 0; i < 3; ++i) {
         const lanes Qi = Q + A0 * REAL(i);
         #pragma unroll
         for (int j = 0; j < 3; ++j) {
-            const int n = wp::index(start, layout, ci + i, cj + j) + bz;
+            const int n = COLUMN;
             const REAL w = wx[i] * wy[j];
             const lanes b = (Qi + A1 * REAL(j)) * w + T0 * (sx[i] * wy[j]) + T1 * (wx[i] * sy[j]);
             const lanes s = A2 * w;
@@ -86,7 +80,61 @@ _SCATTER = """
     }
 """
 
+_ADD_TO_GRID = """
+    wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);
+    const auto add = [nodes](int n, const lanes& h) {
+#if defined(__CUDA_ARCH__)
+        ATOMIC_ADD
+#else
+        *(lanes*)(nodes + n) += h;
+#endif
+    };
+"""
+
+_SCATTER = (
+    "const int ci = node[0], cj = node[1], bz = node[2];"
+    + _ADD_TO_GRID
+    + _SPREAD.replace("COLUMN", "wp::index(start, layout, ci + i, cj + j) + bz")
+)
+
+_COLLECT = (
+    """
+    const auto add = [&window](int n, const lanes& h) { *(lanes*)window.data[n] += h; };
+"""
+    + _SPREAD.replace("COLUMN", "9 * i + 3 * j")
+    + """
+    return window;
+"""
+)
+
+_HAND_OVER = (
+    _ADD_TO_GRID
+    + """
+    const int up = node[2] - held[2];
+    const bool along = node[0] == held[0] && node[1] == held[1] && up >= 0 && up < 3;
+    const int leaving = along ? up : 3;
+    if (leaving == 0 || held[0] < 0) return window;
+    const lanes none = {};
+    #pragma unroll
+    for (int i = 0; i < 3; ++i) {
+        #pragma unroll
+        for (int j = 0; j < 3; ++j) {
+            const int n = wp::index(start, layout, held[0] + i, held[1] + j) + held[2];
+            lanes* h = (lanes*)window.data[9 * i + 3 * j];
+            add(n, h[0]);
+            if (leaving > 1) add(n + 1, h[1]);
+            if (leaving > 2) add(n + 2, h[2]);
+            h[0] = leaving == 1 ? h[1] : leaving == 2 ? h[2] : none;
+            h[1] = leaving == 1 ? h[2] : none;
+            h[2] = none;
+        }
+    }
+    return window;
+"""
+)
+
 _GATHER = """
+    const int ci = node[0], cj = node[1], bz = node[2];
     const wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);
     const wp::vec_t<4, REAL> none = {};
     lanes V = *(const lanes*)&none;
@@ -189,8 +237,11 @@ def make_stencil(real: Any) -> SimpleNamespace:
     vec4 = wp.types.vector(4, real)
     sums = wp.types.matrix((7, 4), real)
     sums_and_slope = wp.types.matrix((8, 4), real)
+    window_type = wp.types.matrix((27, 4), real)
 
-    @wp.func_native(_native(_LANES + _COEFFICIENTS + _SCATTER, real, ATOMIC_ADD=_ATOMIC_ADD[real]))
+    @wp.func_native(
+        _native(_LANES + _WEIGHTS + _COEFFICIENTS + _SCATTER, real, ATOMIC_ADD=_ATOMIC_ADD[real])
+    )
     def scatter(
         grid: wp.array2d(dtype=vec4),
         row: int,
@@ -201,9 +252,23 @@ def make_stencil(real: Any) -> SimpleNamespace:
         c: sums,
     ): ...
 
+    @wp.func_native(_native(_LANES + _WEIGHTS + _COEFFICIENTS + _COLLECT, real))
+    def collect(window: window_type, f: vec3, c: sums) -> window_type: ...
+
+    @wp.func_native(_native(_LANES + _HAND_OVER, real, ATOMIC_ADD=_ATOMIC_ADD[real]))
+    def hand_over(
+        window: window_type,
+        held: wp.vec3i,
+        node: wp.vec3i,
+        grid: wp.array2d(dtype=vec4),
+        row: int,
+        start: wp.array3d(dtype=wp.int32),
+        layout: int,
+    ) -> window_type: ...
+
     plain = {"SLOPE_BEGIN": "", "SLOPE_ROW": "", "SLOPE_END": "", "ROWS": "7"}
 
-    @wp.func_native(_native(_LANES + _GATHER, real, **plain))
+    @wp.func_native(_native(_LANES + _WEIGHTS + _GATHER, real, **plain))
     def gather(
         grid: wp.array2d(dtype=vec4),
         row: int,
@@ -220,7 +285,7 @@ def make_stencil(real: Any) -> SimpleNamespace:
         "ROWS": "8",
     }
 
-    @wp.func_native(_native(_LANES + _COEFFICIENTS + _GATHER, real, **sloped))
+    @wp.func_native(_native(_LANES + _WEIGHTS + _COEFFICIENTS + _GATHER, real, **sloped))
     def gather_with_slope(
         grid: wp.array2d(dtype=vec4),
         row: int,
@@ -232,5 +297,11 @@ def make_stencil(real: Any) -> SimpleNamespace:
     ) -> sums_and_slope: ...
 
     return SimpleNamespace(
-        sums=sums, scatter=scatter, gather=gather, gather_with_slope=gather_with_slope
+        sums=sums,
+        window=window_type,
+        scatter=scatter,
+        collect=collect,
+        hand_over=hand_over,
+        gather=gather,
+        gather_with_slope=gather_with_slope,
     )

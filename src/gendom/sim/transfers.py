@@ -133,6 +133,28 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         )  # fmt: skip
 
     @wp.func
+    def given_by(
+        x: vec3,
+        v: vec3,
+        C: mat33,
+        F: mat33,
+        mu: real,
+        lam: real,
+        mass: real,
+        volume: real,
+        layout: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+    ):
+        """What a particle gives to the grid, mass, momentum and stress impulse: its lowest node,
+        its place above that, its coefficients."""
+        node, f = place_on_grid(layout, x, inv_dx, z0, columns)
+        T = (-dt * volume * inv_dx) * stress(F, mu, lam)
+        return node, f, coefficients(f, mass * v, mass, (mass / inv_dx) * C, T)
+
+    @wp.func
     def scatter_particle(
         w: int,
         p: int,
@@ -148,12 +170,10 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         grid: wp.array2d(dtype=vec4),  # [slots, M] momentum and mass
     ):
         """Add a particle's mass, momentum and stress impulse to its 27 nodes."""
-        node, f = place_on_grid(layout, state.x[row, p], inv_dx, z0, columns)
-        mass = matter.mass[w]
-        tau = stress(state.F[row, p], matter.mu[w, p], matter.lam[w, p])
-        A = (mass / inv_dx) * state.C[row, p]
-        T = (-dt * matter.volume * inv_dx) * tau
-        c = coefficients(f, mass * state.v[row, p], mass, A, T)
+        node, f, c = given_by(
+            state.x[row, p], state.v[row, p], state.C[row, p], state.F[row, p], matter.mu[w, p],
+            matter.lam[w, p], matter.mass[w], matter.volume, layout, dt, inv_dx, z0, columns,
+        )  # fmt: skip
         scatter(grid, slot, columns.start, layout, node, f, c)
 
     @wp.func
@@ -222,6 +242,24 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         return v, (real(4.0) * inv_dx) * affine_of(f, R), inv_dx * slopes_of(R)
 
     @wp.func
+    def moved(
+        x: vec3,
+        F: mat33,
+        mu: real,
+        yield_stress: real,
+        layout: int,
+        slot: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+        grid: wp.array2d(dtype=vec4),
+    ):
+        """A particle's new v, C and F."""
+        v, C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
+        return v, C, return_map(F + dt * (D * F), mu, yield_stress)
+
+    @wp.func
     def move_particle(
         w: int,
         p: int,
@@ -241,8 +279,19 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         """Take a particle into the next state; returns its squared speed, and whether J > 0."""
         x = state.x[row, p]
         F = state.F[row, p]
-        v, C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
-        F = return_map(F + dt * (D * F), matter.mu[w, p], matter.yield_stress[w])
+        v, C, F = moved(
+            x,
+            F,
+            matter.mu[w, p],
+            matter.yield_stress[w],
+            layout,
+            slot,
+            dt,
+            inv_dx,
+            z0,
+            columns,
+            grid,
+        )
         state_out.x[row_out, p] = x + dt * v
         state_out.v[row_out, p] = v
         state_out.C[row_out, p] = C
@@ -301,12 +350,15 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         a = state.x[row, lattice[p, 0, 1]] - state.x[row, lattice[p, 0, 0]]
         b = state.x[row, lattice[p, 1, 1]] - state.x[row, lattice[p, 1, 0]]
         c = state.x[row, lattice[p, 2, 1]] - state.x[row, lattice[p, 2, 0]]
-        D = mat33(
-            a[0], b[0], c[0],
-            a[1], b[1], c[1],
-            a[2], b[2], c[2],
-        )  # fmt: skip
-        return D * matter.rest_frame[p]
+        return wp.matrix_from_cols(a, b, c) * matter.rest_frame[p]
+
+    @wp.func
+    def recovered(F: mat33, G: mat33, blend: real):
+        """F drawn towards the gradient G of the positions, unless that means nothing."""
+        result = F
+        if wp.determinant(G) > real(SMALLEST_VOLUME):
+            result = F + blend * (G - F)
+        return result
 
     @wp.func
     def recover_particle(p: int, row: int, blend: real, matter: Matter, state: State):
@@ -317,9 +369,7 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         F stays as it is.
         """
         G = lattice_gradient(p, row, matter, state)
-        if wp.determinant(G) > real(SMALLEST_VOLUME):
-            F = state.F[row, p]
-            state.F[row, p] = F + blend * (G - F)
+        state.F[row, p] = recovered(state.F[row, p], G, blend)
 
     @wp.func
     def recover_particle_back(
@@ -340,6 +390,13 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         Matter=Matter,
         State=State,
         MatterBars=MatterBars,
+        window=stencil.window,
+        collect=stencil.collect,
+        hand_over=stencil.hand_over,
+        place_on_grid=place_on_grid,
+        given_by=given_by,
+        moved=moved,
+        recovered=recovered,
         scatter_particle=scatter_particle,
         scatter_particle_back=scatter_particle_back,
         move_particle=move_particle,
