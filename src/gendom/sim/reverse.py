@@ -303,6 +303,8 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
 
     return SimpleNamespace(
         Trouble=Trouble,
+        close_substep=close_substep,
+        largest=largest,
         reverse=reverse,
         grid_again=grid_again,
         gather_back=gather_back,

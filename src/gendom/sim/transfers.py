@@ -177,6 +177,36 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         scatter(grid, slot, columns.start, layout, node, f, c)
 
     @wp.func
+    def given_back(
+        x: vec3,
+        v: vec3,
+        C: mat33,
+        F: mat33,
+        mu: real,
+        lam: real,
+        mass: real,
+        volume: real,
+        layout: int,
+        slot: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+        grid_bar: wp.array2d(dtype=vec4),
+    ):
+        """Derivatives by what ``given_by`` took: x, v, C, F, mu, lam, mass."""
+        node, f, c = given_by(x, v, C, F, mu, lam, mass, volume, layout, dt, inv_dx, z0, columns)
+        R = gather_with_slope(grid_bar, slot, columns.start, layout, node, f, c)
+        H = vec3(R[0, 0], R[0, 1], R[0, 2])
+        share = mass / inv_dx
+        A_bar = affine_of(f, R)
+        impulse = -dt * volume * inv_dx
+        F_bar, mu_bar, lam_bar = stress_back(F, mu, lam, impulse * slopes_of(R))
+        x_bar = inv_dx * (vec3(R[7, 0], R[7, 1], R[7, 2]) - share * (wp.transpose(C) * H))
+        mass_bar = wp.dot(H, v) + R[0, 3] + wp.ddot(A_bar, C) / inv_dx
+        return x_bar, mass * H, share * A_bar, F_bar, mu_bar, lam_bar, mass_bar
+
+    @wp.func
     def scatter_particle_back(
         w: int,
         p: int,
@@ -193,29 +223,17 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         bars: MatterBars,
     ):
         """Transpose of ``scatter_particle``; returns the square of what it adds by the state."""
-        node, f = place_on_grid(layout, state.x[row, p], inv_dx, z0, columns)
-        mass = matter.mass[w]
-        v = state.v[row, p]
-        C = state.C[row, p]
-        F = state.F[row, p]
-        mu = matter.mu[w, p]
-        lam = matter.lam[w, p]
-        A = (mass / inv_dx) * C
-        impulse = -dt * matter.volume * inv_dx
-        c = coefficients(f, mass * v, mass, A, impulse * stress(F, mu, lam))
-        R = gather_with_slope(grid_bar, slot, columns.start, layout, node, f, c)
-        H = vec3(R[0, 0], R[0, 1], R[0, 2])
-        A_bar = affine_of(f, R)
-        F_bar, mu_bar, lam_bar = stress_back(F, mu, lam, impulse * slopes_of(R))
-        x_bar = inv_dx * (vec3(R[7, 0], R[7, 1], R[7, 2]) - wp.transpose(A) * H)
-        v_bar = mass * H
+        x_bar, v_bar, C_bar, F_bar, mu_bar, lam_bar, mass_bar = given_back(
+            state.x[row, p], state.v[row, p], state.C[row, p], state.F[row, p], matter.mu[w, p],
+            matter.lam[w, p], matter.mass[w], matter.volume, layout, slot, dt, inv_dx, z0, columns,
+            grid_bar,
+        )  # fmt: skip
         bars.x[w, p] = bars.x[w, p] + x_bar
         bars.v[w, p] = v_bar
-        bars.C[w, p] = (mass / inv_dx) * A_bar
+        bars.C[w, p] = C_bar
         bars.F[w, p] = bars.F[w, p] + F_bar
         bars.mu[w, p] = bars.mu[w, p] + mu_bar
         bars.lam[w, p] = bars.lam[w, p] + lam_bar
-        mass_bar = wp.dot(H, v) + R[0, 3] + wp.ddot(A_bar, C) / inv_dx
         bars.mass[w, p] = bars.mass[w, p] + mass_bar
         return wp.length_sq(x_bar) + wp.length_sq(v_bar) + wp.ddot(F_bar, F_bar)
 
@@ -299,6 +317,71 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         return wp.length_sq(v), wp.determinant(F) > real(0.0)
 
     @wp.func
+    def before_yielding(
+        x: vec3,
+        F: mat33,
+        mu: real,
+        yield_stress: real,
+        F_bar: mat33,
+        layout: int,
+        slot: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+        grid: wp.array2d(dtype=vec4),
+    ):
+        """Derivatives by the F that was tried, mu and the yield stress from that by the new F."""
+        _v, _C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
+        return return_map_back(F + dt * (D * F), mu, yield_stress, F_bar)
+
+    @wp.func
+    def taken_by(
+        x: vec3,
+        F: mat33,
+        x_bar: vec3,
+        v_bar: vec3,
+        C_bar: mat33,
+        F_bar: mat33,  # by the F that was tried
+        layout: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+    ):
+        """What a particle's derivatives give to the grid's, as ``given_by``."""
+        node, f = place_on_grid(layout, x, inv_dx, z0, columns)
+        A = (real(4.0) * inv_dx) * C_bar
+        T = (dt * inv_dx) * (F_bar * wp.transpose(F))
+        return node, f, coefficients(f, v_bar + dt * x_bar, real(0.0), A, T)
+
+    @wp.func
+    def moved_back(
+        x: vec3,
+        F: mat33,
+        x_bar: vec3,
+        v_bar: vec3,
+        C_bar: mat33,
+        F_bar: mat33,  # by the F that was tried
+        layout: int,
+        slot: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+        grid: wp.array2d(dtype=vec4),  # velocity and mass
+    ):
+        """Derivatives by the x and F before the substep, but for what goes by way of the grid."""
+        node, f, c = taken_by(
+            x, F, x_bar, v_bar, C_bar, F_bar, layout, dt, inv_dx, z0, columns
+        )  # fmt: skip
+        R = gather_with_slope(grid, slot, columns.start, layout, node, f, c)
+        V = vec3(R[0, 0], R[0, 1], R[0, 2])
+        slope = vec3(R[7, 0], R[7, 1], R[7, 2])
+        slope = slope - (real(4.0) * inv_dx) * (wp.transpose(C_bar) * V)
+        return x_bar + inv_dx * slope, F_bar + (dt * inv_dx) * (wp.transpose(slopes_of(R)) * F_bar)
+
+    @wp.func
     def move_particle_back(
         w: int,
         p: int,
@@ -319,24 +402,25 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         x = state.x[row, p]
         F = state.F[row, p]
         x_bar = bars.x[w, p]
+        v_bar = bars.v[w, p]
+        C_bar = bars.C[w, p]
         F_bar = bars.F[w, p]
         if yields == 1:
-            _v, _C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
-            F_bar, mu_bar, yield_bar = return_map_back(
-                F + dt * (D * F), matter.mu[w, p], matter.yield_stress[w], F_bar
-            )
+            F_bar, mu_bar, yield_bar = before_yielding(
+                x, F, matter.mu[w, p], matter.yield_stress[w], F_bar, layout, slot, dt, inv_dx, z0,
+                columns, grid,
+            )  # fmt: skip
             bars.mu[w, p] = bars.mu[w, p] + mu_bar
             bars.yield_stress[w, p] = bars.yield_stress[w, p] + yield_bar
-        node, f = place_on_grid(layout, x, inv_dx, z0, columns)
-        A = (real(4.0) * inv_dx) * bars.C[w, p]
-        T = (dt * inv_dx) * (F_bar * wp.transpose(F))
-        c = coefficients(f, bars.v[w, p] + dt * x_bar, real(0.0), A, T)
+        node, f, c = taken_by(
+            x, F, x_bar, v_bar, C_bar, F_bar, layout, dt, inv_dx, z0, columns
+        )  # fmt: skip
         scatter(grid_bar, slot, columns.start, layout, node, f, c)
-        R = gather_with_slope(grid, slot, columns.start, layout, node, f, c)
-        V = vec3(R[0, 0], R[0, 1], R[0, 2])
-        moved = vec3(R[7, 0], R[7, 1], R[7, 2]) - wp.transpose(A) * V
-        bars.x[w, p] = x_bar + inv_dx * moved
-        bars.F[w, p] = F_bar + (dt * inv_dx) * (wp.transpose(slopes_of(R)) * F_bar)
+        x_bar, F_bar = moved_back(
+            x, F, x_bar, v_bar, C_bar, F_bar, layout, slot, dt, inv_dx, z0, columns, grid
+        )
+        bars.x[w, p] = x_bar
+        bars.F[w, p] = F_bar
 
     @wp.func
     def recovery_share(dt: real, span: int, matter: Matter):
@@ -395,7 +479,13 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         hand_over=stencil.hand_over,
         place_on_grid=place_on_grid,
         given_by=given_by,
+        given_back=given_back,
         moved=moved,
+        yields=yields,
+        before_yielding=before_yielding,
+        taken_by=taken_by,
+        moved_back=moved_back,
+        smallest_volume=SMALLEST_VOLUME,
         recovered=recovered,
         scatter_particle=scatter_particle,
         scatter_particle_back=scatter_particle_back,
