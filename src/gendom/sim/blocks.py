@@ -61,7 +61,8 @@ class Blocks(Batch):
         self.records.place = worlds.zeros((W, N), wp.int32)
         # the slowest worlds go first, so that no block ends alone
         slowest = np.argsort(worlds.substep)
-        self._groups: list[tuple[Any, Any]] = [(worlds.array(slowest, wp.int32), None)]
+        self.order = worlds.array(slowest, wp.int32)
+        self._groups: list[tuple[Any, Any]] = [(self.order, None)]
         if crowded and worlds.device.is_cuda:
             # two groups take turns: one fills the multiprocessors that the other leaves idle
             self._groups = [
@@ -70,8 +71,8 @@ class Blocks(Batch):
             ]
         super().__init__(worlds)
 
-    def _make_grid(self) -> None:
-        super()._make_grid()
+    def make_grid(self) -> None:
+        super().make_grid()
         self.records.tally = self.worlds.zeros(self.grid.momentum.shape, wp.int32)
 
     def advance(self, now: float, *, keep_going: bool = False, most: int = ALL) -> bool:
@@ -91,15 +92,18 @@ class Blocks(Batch):
 
     def _launch_advance(self, now: float, most: int, order: Any, stream: Any) -> None:
         s, grid = self.worlds, self.grid
+        self.launch_block(self.kernels.advance, order, [
+            now, most, s.clock, s.matter, s.scene, s.paths, s.grips,
+            s.state, grid.columns, grid.momentum, self.velocity, self.records, self.kernels.Tape(),
+        ], stream)  # fmt: skip
+
+    def launch_block(self, kernel: Any, order: Any, inputs: list[Any], stream: Any = None) -> None:
+        """Launch a block for each of the worlds ``order``."""
         wp.launch(
-            self.kernels.advance,
+            kernel,
             dim=(len(order), self.lanes),
-            inputs=[
-                order, self.lanes, now, most, s.clock, s.matter, s.scene, s.paths, s.grips,
-                s.state, grid.columns, grid.momentum, self.velocity, self.records,
-                self.kernels.Tape(),
-            ],
-            device=None if stream else s.device,
+            inputs=[order, self.lanes, *inputs],
+            device=None if stream else self.worlds.device,
             stream=stream,
             block_dim=self.lanes,
-        )  # fmt: skip
+        )
