@@ -180,14 +180,21 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
                 )  # fmt: skip
                 put_vector(w, base, i, x_bar, of)
                 put_matrix(w, base + _F, i, F_bar, of)
+            keep_sum = wp.float64(0.0)
+            gravity_sum = wp.vec3d()
             for n in range(lane, nodes, lanes):
                 q = momentum[slot, n]
                 if q[3] > real(0.0):
                     v_bar = grid_bar[w, n]
-                    grid_bar[w, n] = update_node_back(
+                    node_bar, keep_bar, gravity_bar = update_node_back(
                         w, w, layout, n, q, vec3(v_bar[0], v_bar[1], v_bar[2]), h, keep, scene,
                         paths, grips, columns, scene_bars,
                     )  # fmt: skip
+                    grid_bar[w, n] = node_bar
+                    keep_sum += keep_bar
+                    gravity_sum += gravity_bar
+            wp.atomic_add(scene_bars.keep, w, keep_sum)
+            wp.atomic_add(scene_bars.gravity, w, gravity_sum)
             meet()
             if lane == 0:
                 close_substep(w, w, t, dt, scene, paths, grips, scene_bars)

@@ -140,12 +140,23 @@ _GATHER = """
     lanes V = *(const lanes*)&none;
     lanes C0 = V, C1 = V, C2 = V, D0 = V, D1 = V, D2 = V;
     SLOPE_BEGIN
-    #pragma unroll
+#if defined(__CUDA_ARCH__)
+    // loops that stay loops, or the code would not fit into the instruction cache
+    constexpr int planes = 1, rows = ROWS_ON_CUDA;
+#else
+    constexpr int planes = 3, rows = 3;
+#endif
+    #pragma unroll planes
     for (int i = 0; i < 3; ++i) {
-        #pragma unroll
+        // not wx[i]: in a loop that array would not be in registers
+        const REAL wxi = i == 0 ? wx[0] : i == 1 ? wx[1] : wx[2];
+        const REAL sxi = i == 0 ? sx[0] : i == 1 ? sx[1] : sx[2];
+        #pragma unroll rows
         for (int j = 0; j < 3; ++j) {
+            const REAL wyj = j == 0 ? wy[0] : j == 1 ? wy[1] : wy[2];
+            const REAL syj = j == 0 ? sy[0] : j == 1 ? sy[1] : sy[2];
             const int n = wp::index(start, layout, ci + i, cj + j) + bz;
-            const REAL w = wx[i] * wy[j], dx = sx[i] * wy[j], dy = wx[i] * sy[j];
+            const REAL w = wxi * wyj, dx = sxi * wyj, dy = wxi * syj;
             const lanes h0 = *(const lanes*)(nodes + n), h1 = *(const lanes*)(nodes + n + 1);
             const lanes h2 = *(const lanes*)(nodes + n + 2);
             const lanes u1 = h1 * wz[1], u2 = h2 * wz[2];
@@ -181,9 +192,9 @@ _GATHER = """
 _SLOPE_BEGIN = "lanes X = V, Y = V, Z = V;"
 
 _SLOPE_ROW = """
-            const REAL xx = (i == 1 ? REAL(-2) : REAL(1)) * wy[j];
-            const REAL yy = (j == 1 ? REAL(-2) : REAL(1)) * wx[i];
-            const REAL xy = sx[i] * sy[j];
+            const REAL xx = (i == 1 ? REAL(-2) : REAL(1)) * wyj;
+            const REAL yy = (j == 1 ? REAL(-2) : REAL(1)) * wxi;
+            const REAL xy = sxi * syj;
             const lanes zk = h1 * sz[1] + h2 * (sz[2] + sz[2]);
             const lanes zz = h0 - h1 - h1 + h2;
             const lanes Qij = Q + A0 * REAL(i) + A1 * REAL(j);
@@ -266,7 +277,13 @@ def make_stencil(real: Any) -> SimpleNamespace:
         layout: int,
     ) -> window_type: ...
 
-    plain = {"SLOPE_BEGIN": "", "SLOPE_ROW": "", "SLOPE_END": "", "ROWS": "7"}
+    plain = {
+        "SLOPE_BEGIN": "",
+        "SLOPE_ROW": "",
+        "SLOPE_END": "",
+        "ROWS_ON_CUDA": "3",
+        "ROWS": "7",
+    }
 
     @wp.func_native(_native(_LANES + _WEIGHTS + _GATHER, real, **plain))
     def gather(
@@ -282,6 +299,7 @@ def make_stencil(real: Any) -> SimpleNamespace:
         "SLOPE_BEGIN": _SLOPE_BEGIN,
         "SLOPE_ROW": _SLOPE_ROW,
         "SLOPE_END": _SLOPE_END,
+        "ROWS_ON_CUDA": "1",
         "ROWS": "8",
     }
 
