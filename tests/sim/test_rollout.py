@@ -9,6 +9,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Box, Gripper, Rollout, Simulator, Table, rope
 from gendom.sim.batch_tape import BatchTape
+from gendom.sim.block_tape import BlockTape
 from gendom.sim.gradients import Sums
 from gendom.sim.world_tape import WorldTape
 
@@ -233,12 +234,13 @@ def test_a_long_rollout_stays_within_its_memory():
 
 @pytest.mark.parametrize("yields_at", [math.inf, 2.0e3])
 @pytest.mark.parametrize("memory", [0.0, 1e9])
-def test_all_worlds_together_give_the_derivatives_of_each_alone(yields_at, memory):
-    """The GPU's stages, which run on the CPU too, against the CPU's own kernel."""
+@pytest.mark.parametrize("together", [BatchTape, BlockTape])
+def test_all_worlds_together_give_the_derivatives_of_each_alone(together, yields_at, memory):
+    """What a GPU does, stages or blocks, which run on the CPU too, against the CPU's own kernel."""
     times = np.array(TIMES)
     tapes = [
         WorldTape(scene(yields_at=yields_at, worlds=2), memory=1e9),
-        BatchTape(scene(yields_at=yields_at, worlds=2), memory=memory),
+        together(scene(yields_at=yields_at, worlds=2), memory=memory),
     ]
     frames = [tape.forward(times) for tape in tapes]
     np.testing.assert_allclose(frames[1], frames[0], rtol=0.0, atol=1e-13)

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.sim import Gripper
+from gendom.materials import Material
+from gendom.sim import Gripper, cloth
 from gendom.validation import CASES, Settings, choose, run_cases
+from gendom.validation.stability import _diverged
 
 QUICK = Settings(quick=True, threads=1)
 
@@ -173,3 +175,12 @@ def test_unknown_case():
 def test_cases_run_in_the_suites_order():
     assert [case.name for case in choose(["energy", "free-fall"])] == ["free-fall", "energy"]
     assert [case.name for case in choose([])] == list(CASES)
+
+
+def test_worlds_that_diverge_are_counted():
+    """At eight times the substep none of three lasts, and none stops the count."""
+    body = cloth(width=0.04, height=0.04, thickness=0.04, dx=0.01, corner=(0.0, 0.0, 0.02))
+    materials = [Material(E=E, nu=0.3, density=1000.0) for E in (1e4, 2e4, 3e4)]
+    held = [[Gripper.still((0.0, 0.0, 0.02), radius=0.02)] for _ in materials]
+    assert _diverged(QUICK, body, materials, held, None, 0.3, 8.0) == 3
+    assert _diverged(QUICK, body, materials, held, None, 0.05, 1.0) == 0

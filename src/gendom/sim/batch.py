@@ -30,7 +30,7 @@ class Batch:
         self.lap.fastest = worlds.zeros((W, SUBSTEPS_A_GRAPH), worlds.real)
         for name in ("done", "trouble", "stale"):
             setattr(self.lap, name, worlds.zeros(W, wp.int32))
-        self._make_grid()
+        self.make_grid()
         self.begin()
 
     def run(self, frames: Frames) -> None:
@@ -111,7 +111,7 @@ class Batch:
         full = status == GRID_FULL
         if full.any():
             s.make_room(self.grid)
-            self._make_grid()
+            self.make_grid()
             self.begin()
             status = np.where(full, OK, status).astype(np.int32)
             clock.status.assign(status)
@@ -127,7 +127,8 @@ class Batch:
             clock.steps.assign(steps)
         return bool((clock.steps.numpy() > clock.step.numpy()).any())
 
-    def _make_grid(self) -> None:
+    def make_grid(self) -> None:
+        """Make a grid with the room that worlds are known to need."""
         self.grid: Grid = self.worlds.make_grid(self.worlds.num_worlds)
         self.velocity = wp.zeros_like(self.grid.momentum)
 

@@ -1,5 +1,6 @@
 """What a GPU keeps of a simulation to reverse it: all worlds together, graph by graph."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +20,7 @@ _PLACED = ("centre", "velocity", "spin", "closed")
 
 
 @dataclass
-class _Segment:
+class Segment:
     """Some graphs of one frame: where they begin, and how far each world has come in the end."""
 
     time: float  # of the frame's substep 0 [s]
@@ -51,8 +52,11 @@ class BatchTape:
     def __init__(self, simulator: Simulator, memory: float):
         self.simulator = simulator
         self.memory = memory
-        self._batch = Batch(simulator.worlds)
-        self._frames: list[list[_Segment]] = []
+        self._batch = self._make_batch()
+        self._frames: list[list[Segment]] = []
+
+    def _make_batch(self) -> Batch:
+        return Batch(self.simulator.worlds)
 
     def forward(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
         """Positions [T, W, N, 3] at the times [m].
@@ -66,13 +70,13 @@ class BatchTape:
         now = s.time
         for f, until in enumerate(times):
             batch.plan(now, until)
-            frame: list[_Segment] = []
+            frame: list[Segment] = []
             more = bool(clock.steps.numpy().any())
             while more:
-                segment = _Segment(
+                segment = Segment(
                     now, _copy(k.Clock(), clock, CLOCK), _copy(k.transfers.State(), state, STATE)
                 )
-                more = batch.advance(now, most=self._graphs_a_segment())
+                more = batch.advance(now, most=self._segment())
                 segment.until = wp.clone(clock.step)
                 frame.append(segment)
             self._frames.append(frame)
@@ -89,10 +93,14 @@ class BatchTape:
         for frame, frame_bar in zip(reversed(self._frames), bar[::-1], strict=True):
             sums.add_positions(slice(None), frame_bar)
             for segment in reversed(frame):
-                for graph in reversed(self._record(segment)):
-                    self._reverse(segment, graph, sums)
+                self._reverse_segment(segment, sums)
 
-    def _graphs_a_segment(self) -> int:
+    def _reverse_segment(self, segment: Segment, sums: Sums) -> None:
+        for graph in reversed(self._record(segment)):
+            self._reverse(segment, graph, sums)
+
+    def _segment(self) -> int:
+        """Graphs that the memory holds."""
         worlds = self.simulator.worlds
         W, N = worlds.num_worlds, worlds.num_particles
         X, Y, M = worlds.room
@@ -101,18 +109,10 @@ class BatchTape:
         layout = W * 4 * (3 * X * Y + 2 * M)
         return max(1, int(self.memory / (SUBSTEPS_A_GRAPH * slot + layout)))
 
-    def _record(self, segment: _Segment) -> list[_Graph]:
+    def _record(self, segment: Segment) -> list[_Graph]:
         """Run a segment again and keep everything its reverse needs."""
-        worlds, batch = self.simulator.worlds, self._batch
-        clock = worlds.clock
-        for name in STATE:
-            wp.copy(getattr(worlds.state, name), getattr(segment.state, name))
-        for name in ("dt", "step", "age"):
-            wp.copy(getattr(clock, name), getattr(segment.clock, name))
-        wp.copy(clock.steps, segment.until)
-        clock.status.zero_()
-        batch.begin()
-        batch.lap.time.fill_(segment.time)
+        batch = self._batch
+        self._return_to(segment)
         graphs: list[_Graph] = []
         more = True
         while more:
@@ -121,6 +121,18 @@ class BatchTape:
             batch.launch_tally()
             more = batch.settle(segment.time)
         return graphs
+
+    def _return_to(self, segment: Segment) -> None:
+        """Set worlds to the beginning of a segment; its columns are laid anew first."""
+        worlds, batch = self.simulator.worlds, self._batch
+        for name in STATE:
+            wp.copy(getattr(worlds.state, name), getattr(segment.state, name))
+        for name in ("dt", "step", "age"):
+            wp.copy(getattr(worlds.clock, name), getattr(segment.clock, name))
+        wp.copy(worlds.clock.steps, segment.until)
+        worlds.clock.status.zero_()
+        batch.begin()
+        batch.lap.time.fill_(segment.time)
 
     def _record_graph(self) -> _Graph:
         worlds, batch = self.simulator.worlds, self._batch
@@ -151,7 +163,7 @@ class BatchTape:
             setattr(state, name, getattr(rows, name)[r * W : (r + 1) * W])
         return state
 
-    def _reverse(self, segment: _Segment, graph: _Graph, sums: Sums) -> None:
+    def _reverse(self, segment: Segment, graph: _Graph, sums: Sums) -> None:
         """Carry derivatives from the end of a recorded graph to its beginning."""
         s, k, launch = self.simulator.worlds, self.simulator.worlds.reverse, self._batch.launch
         columns, grips, dt = graph.columns, graph.grips, segment.clock.dt
@@ -181,20 +193,43 @@ class BatchTape:
             launch(k.recover_back, (W, N), [
                 *going, graph.clock.age, s.matter, row, sums.matter,
             ])  # fmt: skip
-        failed = np.flatnonzero(sums.trouble.status.numpy() == NOT_FINITE)
-        if len(failed):
-            w = int(failed[0])
-            slot = int(sums.trouble.slot.numpy()[w])
-            particle = int(sums.trouble.culprit.numpy()[w])
-            step = int(graph.clock.step.numpy()[w]) + slot
-            raise overflow(
-                self.simulator,
-                w,
-                substep=int(graph.clock.age.numpy()[w]) + slot,
-                time=segment.time + step * float(dt.numpy()[w]),
-                particle=particle,
-                F=graph.rows.F.numpy()[slot * W + w, particle],
-            )
+
+        def F(slot: int, w: int, particle: int) -> NDArray[np.floating]:
+            return graph.rows.F.numpy()[slot * W + w, particle]
+
+        raise_trouble(self.simulator, segment.time, graph.clock, sums, F)
+
+
+def raise_trouble(
+    s: Simulator,
+    time: float,
+    clock: Any,
+    sums: Sums,
+    F: Callable[[int, int, int], NDArray[np.floating]],
+) -> None:
+    """Raise what a derivative that is not finite calls for, if there is one.
+
+    Args:
+        s: Whose derivatives.
+        time: Of the frame's substep 0 [s].
+        clock: Where the substeps begin that were reversed.
+        sums: Derivatives.
+        F: The recorded F of (substep, world, particle).
+    """
+    failed = np.flatnonzero(sums.trouble.status.numpy() == NOT_FINITE)
+    if len(failed):
+        w = int(failed[0])
+        slot = int(sums.trouble.slot.numpy()[w])
+        particle = int(sums.trouble.culprit.numpy()[w])
+        step = int(clock.step.numpy()[w]) + slot
+        raise overflow(
+            s,
+            w,
+            substep=int(clock.age.numpy()[w]) + slot,
+            time=time + step * float(clock.dt.numpy()[w]),
+            particle=particle,
+            F=F(slot, w, particle),
+        )
 
 
 def _copy(copy: Any, of: Any, names: tuple[str, ...]) -> Any:

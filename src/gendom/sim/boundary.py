@@ -229,13 +229,19 @@ def make_boundary(real: Any) -> SimpleNamespace:
         columns: Columns,
         bars: SceneBars,
     ):
-        """Transpose of ``update_node``: derivative by momentum and mass from that by velocity."""
+        """Transpose of ``update_node``: derivative by momentum and mass from that by velocity.
+
+        Returns those by ``keep`` and by gravity too, which most nodes have, for the caller to sum
+        up; those by friction and grippers are added to ``bars``.
+        """
         at = node_place(layout, n, scene, columns)
         holder = int(-1)
         for g in range(grips.closed.shape[1]):
             if holds(row, w, g, at, scene, paths, grips):
                 holder = g
         result = vec4()
+        keep_bar = wp.float64(0.0)
+        gravity_bar = wp.vec3d()
         if holder >= 0:
             about = wp.cross(grips.spin[row, holder], bar)  # -(d/dcentre) of spin x (at - centre)
             wp.atomic_add(bars.velocity, w, holder, wide(bar))
@@ -269,12 +275,12 @@ def make_boundary(real: Any) -> SimpleNamespace:
                     )
                     wp.atomic_add(bars.friction, w, wp.float64(along * v[2] / slip))
             b = wp.cw_mul(b, open_axis)
-            wp.atomic_add(bars.keep, w, wp.float64(wp.dot(b, fallen)))
+            keep_bar = wp.float64(wp.dot(b, fallen))
             b = keep * b
-            wp.atomic_add(bars.gravity, w, wide(dt * b))
+            gravity_bar = wide(dt * b)
             b = b / q[3]
             result = vec4(b[0], b[1], b[2], -wp.dot(b, p))
-        return result
+        return result, keep_bar, gravity_bar
 
     return SimpleNamespace(
         Scene=Scene,

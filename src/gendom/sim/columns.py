@@ -123,8 +123,8 @@ def make_columns(real: Any) -> SimpleNamespace:
     """Build the functions that number the nodes, for one scalar type.
 
     Returns:
-        Namespace with ``forget_bounds``, ``locate_particle``, ``mark_particle``, to be called
-        in this order over all particles, then ``lay_columns``, or ``lay_column`` for each.
+        Namespace with ``forget_bounds``, ``locate_particle``, ``empty_column``, ``mark_particle``,
+        ``lay_column``, to be called in this order over all particles or columns.
     """
     vec3 = wp.types.vector(3, real)
 
@@ -170,10 +170,20 @@ def make_columns(real: Any) -> SimpleNamespace:
                     wp.atomic_max(columns.high, layout, i, j, k1 + 2)
 
     @wp.func
-    def lay_column(layout: int, i: int, j: int, first: int, columns: Columns):
-        """Number a column's nodes from ``first`` on; returns 1 where there is no room for them."""
+    def empty_column(layout: int, i: int, j: int, columns: Columns):
+        columns.low[layout, i, j] = EMPTY_BELOW
+        columns.high[layout, i, j] = -EMPTY_BELOW
+
+    @wp.func
+    def lay_column(layout: int, i: int, j: int, columns: Columns):
+        """Number a column's nodes; returns 1 where there is no room for them.
+
+        In any order of columns: sums do not depend on a node's number. The count may exceed the
+        room.
+        """
         k0 = columns.low[layout, i, j]
         k1 = columns.high[layout, i, j]
+        first = wp.atomic_add(columns.count, layout, wp.max(0, k1 - k0 + 1))
         columns.start[layout, i, j] = first - k0
         full = int(0)
         if k0 <= k1:
@@ -185,22 +195,10 @@ def make_columns(real: Any) -> SimpleNamespace:
                 full = 1
         return full
 
-    @wp.func
-    def lay_columns(layout: int, columns: Columns):
-        """Number the nodes of a layout; the count may exceed the room for them."""
-        X = columns.bounds[layout, 2] - columns.bounds[layout, 0] + 1
-        Y = columns.bounds[layout, 3] - columns.bounds[layout, 1] + 1
-        n = int(0)
-        for i in range(X):
-            for j in range(Y):
-                lay_column(layout, i, j, n, columns)
-                n += wp.max(0, columns.high[layout, i, j] - columns.low[layout, i, j] + 1)
-        columns.count[layout] = n
-
     return SimpleNamespace(
         forget_bounds=forget_bounds,
         locate_particle=locate_particle,
         mark_particle=mark_particle,
+        empty_column=empty_column,
         lay_column=lay_column,
-        lay_columns=lay_columns,
     )

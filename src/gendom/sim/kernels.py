@@ -21,7 +21,7 @@ import warp as wp
 
 from gendom.materials.laws import make_law
 from gendom.sim.boundary import make_boundary
-from gendom.sim.columns import EMPTY_BELOW, MARGIN, Columns, make_columns
+from gendom.sim.columns import MARGIN, Columns, make_columns
 from gendom.sim.stencil import FUSED
 from gendom.sim.transfers import make_transfers
 
@@ -44,7 +44,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         plastic: Whether particles yield.
 
     Returns:
-        Namespace with the types, ``boundary`` and ``transfers`` that the kernels are made of,
+        Namespace with the types, ``columns``, ``boundary`` and ``transfers`` of the kernels,
         ``advance`` (CPU) and the stages of a substep (CUDA): ``tally``, ``place``, ``locate``,
         ``empty``, ``mark``, ``lay`` where a graph begins, then ``p2g``, ``grid_update``, ``g2p``
         for each of its substeps, and ``take``.
@@ -56,8 +56,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     forget_bounds = columns_of.forget_bounds
     locate_particle = columns_of.locate_particle
     mark_particle = columns_of.mark_particle
+    empty_column = columns_of.empty_column
     lay_column = columns_of.lay_column
-    lay_columns = columns_of.lay_columns
     boundary = make_boundary(real)
     Scene, Paths, Grips = boundary.Scene, boundary.Paths, boundary.Grips
     place_gripper = boundary.place_gripper
@@ -128,16 +128,19 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     locate_particle(layout, state.x[row, p], inv_dx, columns)
                 X = columns.bounds[layout, 2] - columns.bounds[layout, 0] + 1
                 Y = columns.bounds[layout, 3] - columns.bounds[layout, 1] + 1
-                columns.count[layout] = momentum.shape[1] + 1
-                if X <= columns.low.shape[1] and Y <= columns.low.shape[2]:
+                fits = X <= columns.low.shape[1] and Y <= columns.low.shape[2]
+                if fits:
                     for i in range(X):
                         for j in range(Y):
-                            columns.low[layout, i, j] = EMPTY_BELOW
-                            columns.high[layout, i, j] = -EMPTY_BELOW
+                            empty_column(layout, i, j, columns)
                     for p in range(N):
                         mark_particle(layout, state.x[row, p], inv_dx, z0, columns)
-                    lay_columns(layout, columns)
-                if columns.count[layout] > momentum.shape[1]:
+                    columns.count[layout] = 0
+                    for i in range(X):
+                        for j in range(Y):
+                            lay_column(layout, i, j, columns)
+                    fits = columns.count[layout] <= momentum.shape[1]
+                if not fits:
                     status = GRID_FULL
                     # the grid's need is read from the first layout
                     for a in range(4):
@@ -262,8 +265,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     def empty(lap: Lap, columns: Columns):
         w, i, j = wp.tid()
         if lap.stale[w] == 1:
-            columns.low[w, i, j] = EMPTY_BELOW
-            columns.high[w, i, j] = -EMPTY_BELOW
+            empty_column(w, i, j, columns)
 
     @wp.kernel(enable_backward=False)
     def mark(scene: Scene, lap: Lap, state: State, columns: Columns):
@@ -279,10 +281,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
             Y = columns.bounds[w, 3] - columns.bounds[w, 1] + 1
             if i >= X or j >= Y:
                 return
-            # in any order: sums do not depend on a node's number
-            nodes = wp.max(0, columns.high[w, i, j] - columns.low[w, i, j] + 1)
-            first = wp.atomic_add(columns.count, w, nodes)
-            full = lay_column(w, i, j, first, columns)
+            full = lay_column(w, i, j, columns)
             if full == 1 or X > columns.low.shape[1] or Y > columns.low.shape[2]:
                 clock.status[w] = GRID_FULL
 
@@ -389,6 +388,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         vec3=vec3,
         vec4=vec4,
         mat33=mat33,
+        columns=columns_of,
         boundary=boundary,
         transfers=transfers,
         Clock=Clock,

@@ -147,10 +147,13 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                 q = momentum[slot, n]
                 if q[3] > real(0.0):
                     b = grid_bar[0, n]
-                    grid_bar[0, n] = update_node_back(
+                    node_bar, keep_bar, gravity_bar = update_node_back(
                         w, w, layout, n, q, vec3(b[0], b[1], b[2]), h, keep, scene, paths, grips,
                         columns, scene_bars,
                     )  # fmt: skip
+                    grid_bar[0, n] = node_bar
+                    scene_bars.keep[w] = scene_bars.keep[w] + keep_bar
+                    scene_bars.gravity[w] = scene_bars.gravity[w] + gravity_bar
             close_substep(w, w, t, dt, scene, paths, grips, scene_bars)
             for p in range(N):
                 size = scatter_particle_back(
@@ -236,10 +239,13 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         if q[3] > real(0.0):
             h = real(dt[w])
             b = grid_bar[w, n]
-            grid_bar[w, n] = update_node_back(
+            node_bar, keep_bar, gravity_bar = update_node_back(
                 w, r * done.shape[0] + w, w, n, q, vec3(b[0], b[1], b[2]), h,
                 wp.exp(-scene.damping[w] * h), scene, paths, grips, columns, scene_bars,
             )  # fmt: skip
+            grid_bar[w, n] = node_bar
+            wp.atomic_add(scene_bars.keep, w, keep_bar)
+            wp.atomic_add(scene_bars.gravity, w, gravity_bar)
 
     @wp.kernel(enable_backward=False)
     def scatter_back(
@@ -303,6 +309,8 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
 
     return SimpleNamespace(
         Trouble=Trouble,
+        close_substep=close_substep,
+        largest=largest,
         reverse=reverse,
         grid_again=grid_again,
         gather_back=gather_back,

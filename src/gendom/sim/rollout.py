@@ -5,6 +5,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError
 from gendom.sim.batch_tape import BatchTape
+from gendom.sim.block_tape import BlockTape
+from gendom.sim.blocks import suits_blocks
 from gendom.sim.gradients import Gradients, Sums
 from gendom.sim.simulator import Simulator
 from gendom.sim.world_tape import WorldTape
@@ -35,7 +37,8 @@ class Rollout:
         cuda = simulator.device.is_cuda
         if memory is None:
             memory = MEMORY["cuda" if cuda else "cpu"]
-        self._tape = (BatchTape if cuda else WorldTape)(simulator, memory)
+        together = BlockTape if suits_blocks(simulator.worlds) else BatchTape
+        self._tape = (together if cuda else WorldTape)(simulator, memory)
         self._times: NDArray[np.float64] | None = None
 
     def forward(self, times: ArrayLike) -> NDArray[np.floating]:

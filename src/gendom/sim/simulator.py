@@ -11,6 +11,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
 from gendom.materials import Material
 from gendom.sim.batch import Batch
+from gendom.sim.blocks import Blocks, suits_blocks
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, open_device
 from gendom.sim.gripper import Gripper
@@ -234,11 +235,15 @@ class Simulator:
             ) from None
         x = np.empty((len(t), self.num_worlds, len(picked), 3), dtype=self.dtype)
         if self._runner is None:
-            cuda = self.device.is_cuda
-            self._runner = Batch(self.worlds) if cuda else Threads(self.worlds, self.threads)
+            self._runner = self._make_runner()
         self._runner.run(Frames(self.time, t, picked, x, on_frame, keep_going))
         self.time = float(t[-1])
         return x
+
+    def _make_runner(self) -> Batch | Threads:
+        if not self.device.is_cuda:
+            return Threads(self.worlds, self.threads)
+        return (Blocks if suits_blocks(self.worlds) else Batch)(self.worlds)
 
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:
         """[T] times that the simulator can be run to."""

@@ -36,8 +36,10 @@ _LANES = """
     typedef REAL lanes __attribute__((ext_vector_type(4), aligned(sizeof(REAL))));
     const auto each = [](lanes a, lanes b) { return a * b; };
 #endif
+"""
+
+_WEIGHTS = """
     const auto load = [](const REAL* a) { return *(const lanes*)a; };
-    const int ci = node[0], cj = node[1], bz = node[2];
     const REAL fx = f[0], fy = f[1], fz = f[2];
     const REAL half = REAL(0.5);
     const REAL wx[3] = {half * (REAL(1.5) - fx) * (REAL(1.5) - fx),
@@ -60,21 +62,13 @@ _COEFFICIENTS = """
     const lanes T2 = load(c.data[6]);
 """
 
-_SCATTER = """
-    wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);
-    const auto add = [nodes](int n, lanes h) {
-#if defined(__CUDA_ARCH__)
-        ATOMIC_ADD
-#else
-        *(lanes*)(nodes + n) += h;
-#endif
-    };
+_SPREAD = """
     #pragma unroll
     for (int i = 0; i < 3; ++i) {
         const lanes Qi = Q + A0 * REAL(i);
         #pragma unroll
         for (int j = 0; j < 3; ++j) {
-            const int n = wp::index(start, layout, ci + i, cj + j) + bz;
+            const int n = COLUMN;
             const REAL w = wx[i] * wy[j];
             const lanes b = (Qi + A1 * REAL(j)) * w + T0 * (sx[i] * wy[j]) + T1 * (wx[i] * sy[j]);
             const lanes s = A2 * w;
@@ -86,18 +80,83 @@ _SCATTER = """
     }
 """
 
+_ADD_TO_GRID = """
+    wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);
+    const auto add = [nodes](int n, const lanes& h) {
+#if defined(__CUDA_ARCH__)
+        ATOMIC_ADD
+#else
+        *(lanes*)(nodes + n) += h;
+#endif
+    };
+"""
+
+_SCATTER = (
+    "const int ci = node[0], cj = node[1], bz = node[2];"
+    + _ADD_TO_GRID
+    + _SPREAD.replace("COLUMN", "wp::index(start, layout, ci + i, cj + j) + bz")
+)
+
+_COLLECT = (
+    """
+    const auto add = [&window](int n, const lanes& h) { *(lanes*)window.data[n] += h; };
+"""
+    + _SPREAD.replace("COLUMN", "9 * i + 3 * j")
+    + """
+    return window;
+"""
+)
+
+_HAND_OVER = (
+    _ADD_TO_GRID
+    + """
+    const int up = node[2] - held[2];
+    const bool along = node[0] == held[0] && node[1] == held[1] && up >= 0 && up < 3;
+    const int leaving = along ? up : 3;
+    if (leaving == 0 || held[0] < 0) return window;
+    const lanes none = {};
+    #pragma unroll
+    for (int i = 0; i < 3; ++i) {
+        #pragma unroll
+        for (int j = 0; j < 3; ++j) {
+            const int n = wp::index(start, layout, held[0] + i, held[1] + j) + held[2];
+            lanes* h = (lanes*)window.data[9 * i + 3 * j];
+            add(n, h[0]);
+            if (leaving > 1) add(n + 1, h[1]);
+            if (leaving > 2) add(n + 2, h[2]);
+            h[0] = leaving == 1 ? h[1] : leaving == 2 ? h[2] : none;
+            h[1] = leaving == 1 ? h[2] : none;
+            h[2] = none;
+        }
+    }
+    return window;
+"""
+)
+
 _GATHER = """
+    const int ci = node[0], cj = node[1], bz = node[2];
     const wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);
     const wp::vec_t<4, REAL> none = {};
     lanes V = *(const lanes*)&none;
     lanes C0 = V, C1 = V, C2 = V, D0 = V, D1 = V, D2 = V;
     SLOPE_BEGIN
-    #pragma unroll
+#if defined(__CUDA_ARCH__)
+    // loops that stay loops, or the code would not fit into the instruction cache
+    constexpr int planes = 1, rows = ROWS_ON_CUDA;
+#else
+    constexpr int planes = 3, rows = 3;
+#endif
+    #pragma unroll planes
     for (int i = 0; i < 3; ++i) {
-        #pragma unroll
+        // not wx[i]: in a loop that array would not be in registers
+        const REAL wxi = i == 0 ? wx[0] : i == 1 ? wx[1] : wx[2];
+        const REAL sxi = i == 0 ? sx[0] : i == 1 ? sx[1] : sx[2];
+        #pragma unroll rows
         for (int j = 0; j < 3; ++j) {
+            const REAL wyj = j == 0 ? wy[0] : j == 1 ? wy[1] : wy[2];
+            const REAL syj = j == 0 ? sy[0] : j == 1 ? sy[1] : sy[2];
             const int n = wp::index(start, layout, ci + i, cj + j) + bz;
-            const REAL w = wx[i] * wy[j], dx = sx[i] * wy[j], dy = wx[i] * sy[j];
+            const REAL w = wxi * wyj, dx = sxi * wyj, dy = wxi * syj;
             const lanes h0 = *(const lanes*)(nodes + n), h1 = *(const lanes*)(nodes + n + 1);
             const lanes h2 = *(const lanes*)(nodes + n + 2);
             const lanes u1 = h1 * wz[1], u2 = h2 * wz[2];
@@ -133,9 +192,9 @@ _GATHER = """
 _SLOPE_BEGIN = "lanes X = V, Y = V, Z = V;"
 
 _SLOPE_ROW = """
-            const REAL xx = (i == 1 ? REAL(-2) : REAL(1)) * wy[j];
-            const REAL yy = (j == 1 ? REAL(-2) : REAL(1)) * wx[i];
-            const REAL xy = sx[i] * sy[j];
+            const REAL xx = (i == 1 ? REAL(-2) : REAL(1)) * wyj;
+            const REAL yy = (j == 1 ? REAL(-2) : REAL(1)) * wxi;
+            const REAL xy = sxi * syj;
             const lanes zk = h1 * sz[1] + h2 * (sz[2] + sz[2]);
             const lanes zz = h0 - h1 - h1 + h2;
             const lanes Qij = Q + A0 * REAL(i) + A1 * REAL(j);
@@ -189,8 +248,11 @@ def make_stencil(real: Any) -> SimpleNamespace:
     vec4 = wp.types.vector(4, real)
     sums = wp.types.matrix((7, 4), real)
     sums_and_slope = wp.types.matrix((8, 4), real)
+    window_type = wp.types.matrix((27, 4), real)
 
-    @wp.func_native(_native(_LANES + _COEFFICIENTS + _SCATTER, real, ATOMIC_ADD=_ATOMIC_ADD[real]))
+    @wp.func_native(
+        _native(_LANES + _WEIGHTS + _COEFFICIENTS + _SCATTER, real, ATOMIC_ADD=_ATOMIC_ADD[real])
+    )
     def scatter(
         grid: wp.array2d(dtype=vec4),
         row: int,
@@ -201,9 +263,29 @@ def make_stencil(real: Any) -> SimpleNamespace:
         c: sums,
     ): ...
 
-    plain = {"SLOPE_BEGIN": "", "SLOPE_ROW": "", "SLOPE_END": "", "ROWS": "7"}
+    @wp.func_native(_native(_LANES + _WEIGHTS + _COEFFICIENTS + _COLLECT, real))
+    def collect(window: window_type, f: vec3, c: sums) -> window_type: ...
 
-    @wp.func_native(_native(_LANES + _GATHER, real, **plain))
+    @wp.func_native(_native(_LANES + _HAND_OVER, real, ATOMIC_ADD=_ATOMIC_ADD[real]))
+    def hand_over(
+        window: window_type,
+        held: wp.vec3i,
+        node: wp.vec3i,
+        grid: wp.array2d(dtype=vec4),
+        row: int,
+        start: wp.array3d(dtype=wp.int32),
+        layout: int,
+    ) -> window_type: ...
+
+    plain = {
+        "SLOPE_BEGIN": "",
+        "SLOPE_ROW": "",
+        "SLOPE_END": "",
+        "ROWS_ON_CUDA": "3",
+        "ROWS": "7",
+    }
+
+    @wp.func_native(_native(_LANES + _WEIGHTS + _GATHER, real, **plain))
     def gather(
         grid: wp.array2d(dtype=vec4),
         row: int,
@@ -217,10 +299,11 @@ def make_stencil(real: Any) -> SimpleNamespace:
         "SLOPE_BEGIN": _SLOPE_BEGIN,
         "SLOPE_ROW": _SLOPE_ROW,
         "SLOPE_END": _SLOPE_END,
+        "ROWS_ON_CUDA": "1",
         "ROWS": "8",
     }
 
-    @wp.func_native(_native(_LANES + _COEFFICIENTS + _GATHER, real, **sloped))
+    @wp.func_native(_native(_LANES + _WEIGHTS + _COEFFICIENTS + _GATHER, real, **sloped))
     def gather_with_slope(
         grid: wp.array2d(dtype=vec4),
         row: int,
@@ -232,5 +315,11 @@ def make_stencil(real: Any) -> SimpleNamespace:
     ) -> sums_and_slope: ...
 
     return SimpleNamespace(
-        sums=sums, scatter=scatter, gather=gather, gather_with_slope=gather_with_slope
+        sums=sums,
+        window=window_type,
+        scatter=scatter,
+        collect=collect,
+        hand_over=hand_over,
+        gather=gather,
+        gather_with_slope=gather_with_slope,
     )

@@ -133,6 +133,28 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         )  # fmt: skip
 
     @wp.func
+    def given_by(
+        x: vec3,
+        v: vec3,
+        C: mat33,
+        F: mat33,
+        mu: real,
+        lam: real,
+        mass: real,
+        volume: real,
+        layout: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+    ):
+        """What a particle gives to the grid, mass, momentum and stress impulse: its lowest node,
+        its place above that, its coefficients."""
+        node, f = place_on_grid(layout, x, inv_dx, z0, columns)
+        T = (-dt * volume * inv_dx) * stress(F, mu, lam)
+        return node, f, coefficients(f, mass * v, mass, (mass / inv_dx) * C, T)
+
+    @wp.func
     def scatter_particle(
         w: int,
         p: int,
@@ -148,13 +170,41 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         grid: wp.array2d(dtype=vec4),  # [slots, M] momentum and mass
     ):
         """Add a particle's mass, momentum and stress impulse to its 27 nodes."""
-        node, f = place_on_grid(layout, state.x[row, p], inv_dx, z0, columns)
-        mass = matter.mass[w]
-        tau = stress(state.F[row, p], matter.mu[w, p], matter.lam[w, p])
-        A = (mass / inv_dx) * state.C[row, p]
-        T = (-dt * matter.volume * inv_dx) * tau
-        c = coefficients(f, mass * state.v[row, p], mass, A, T)
+        node, f, c = given_by(
+            state.x[row, p], state.v[row, p], state.C[row, p], state.F[row, p], matter.mu[w, p],
+            matter.lam[w, p], matter.mass[w], matter.volume, layout, dt, inv_dx, z0, columns,
+        )  # fmt: skip
         scatter(grid, slot, columns.start, layout, node, f, c)
+
+    @wp.func
+    def given_back(
+        x: vec3,
+        v: vec3,
+        C: mat33,
+        F: mat33,
+        mu: real,
+        lam: real,
+        mass: real,
+        volume: real,
+        layout: int,
+        slot: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+        grid_bar: wp.array2d(dtype=vec4),
+    ):
+        """Derivatives by what ``given_by`` took: x, v, C, F, mu, lam, mass."""
+        node, f, c = given_by(x, v, C, F, mu, lam, mass, volume, layout, dt, inv_dx, z0, columns)
+        R = gather_with_slope(grid_bar, slot, columns.start, layout, node, f, c)
+        H = vec3(R[0, 0], R[0, 1], R[0, 2])
+        share = mass / inv_dx
+        A_bar = affine_of(f, R)
+        impulse = -dt * volume * inv_dx
+        F_bar, mu_bar, lam_bar = stress_back(F, mu, lam, impulse * slopes_of(R))
+        x_bar = inv_dx * (vec3(R[7, 0], R[7, 1], R[7, 2]) - share * (wp.transpose(C) * H))
+        mass_bar = wp.dot(H, v) + R[0, 3] + wp.ddot(A_bar, C) / inv_dx
+        return x_bar, mass * H, share * A_bar, F_bar, mu_bar, lam_bar, mass_bar
 
     @wp.func
     def scatter_particle_back(
@@ -173,29 +223,17 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         bars: MatterBars,
     ):
         """Transpose of ``scatter_particle``; returns the square of what it adds by the state."""
-        node, f = place_on_grid(layout, state.x[row, p], inv_dx, z0, columns)
-        mass = matter.mass[w]
-        v = state.v[row, p]
-        C = state.C[row, p]
-        F = state.F[row, p]
-        mu = matter.mu[w, p]
-        lam = matter.lam[w, p]
-        A = (mass / inv_dx) * C
-        impulse = -dt * matter.volume * inv_dx
-        c = coefficients(f, mass * v, mass, A, impulse * stress(F, mu, lam))
-        R = gather_with_slope(grid_bar, slot, columns.start, layout, node, f, c)
-        H = vec3(R[0, 0], R[0, 1], R[0, 2])
-        A_bar = affine_of(f, R)
-        F_bar, mu_bar, lam_bar = stress_back(F, mu, lam, impulse * slopes_of(R))
-        x_bar = inv_dx * (vec3(R[7, 0], R[7, 1], R[7, 2]) - wp.transpose(A) * H)
-        v_bar = mass * H
+        x_bar, v_bar, C_bar, F_bar, mu_bar, lam_bar, mass_bar = given_back(
+            state.x[row, p], state.v[row, p], state.C[row, p], state.F[row, p], matter.mu[w, p],
+            matter.lam[w, p], matter.mass[w], matter.volume, layout, slot, dt, inv_dx, z0, columns,
+            grid_bar,
+        )  # fmt: skip
         bars.x[w, p] = bars.x[w, p] + x_bar
         bars.v[w, p] = v_bar
-        bars.C[w, p] = (mass / inv_dx) * A_bar
+        bars.C[w, p] = C_bar
         bars.F[w, p] = bars.F[w, p] + F_bar
         bars.mu[w, p] = bars.mu[w, p] + mu_bar
         bars.lam[w, p] = bars.lam[w, p] + lam_bar
-        mass_bar = wp.dot(H, v) + R[0, 3] + wp.ddot(A_bar, C) / inv_dx
         bars.mass[w, p] = bars.mass[w, p] + mass_bar
         return wp.length_sq(x_bar) + wp.length_sq(v_bar) + wp.ddot(F_bar, F_bar)
 
@@ -222,6 +260,24 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         return v, (real(4.0) * inv_dx) * affine_of(f, R), inv_dx * slopes_of(R)
 
     @wp.func
+    def moved(
+        x: vec3,
+        F: mat33,
+        mu: real,
+        yield_stress: real,
+        layout: int,
+        slot: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+        grid: wp.array2d(dtype=vec4),
+    ):
+        """A particle's new v, C and F."""
+        v, C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
+        return v, C, return_map(F + dt * (D * F), mu, yield_stress)
+
+    @wp.func
     def move_particle(
         w: int,
         p: int,
@@ -241,13 +297,89 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         """Take a particle into the next state; returns its squared speed, and whether J > 0."""
         x = state.x[row, p]
         F = state.F[row, p]
-        v, C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
-        F = return_map(F + dt * (D * F), matter.mu[w, p], matter.yield_stress[w])
+        v, C, F = moved(
+            x,
+            F,
+            matter.mu[w, p],
+            matter.yield_stress[w],
+            layout,
+            slot,
+            dt,
+            inv_dx,
+            z0,
+            columns,
+            grid,
+        )
         state_out.x[row_out, p] = x + dt * v
         state_out.v[row_out, p] = v
         state_out.C[row_out, p] = C
         state_out.F[row_out, p] = F
         return wp.length_sq(v), wp.determinant(F) > real(0.0)
+
+    @wp.func
+    def before_yielding(
+        x: vec3,
+        F: mat33,
+        mu: real,
+        yield_stress: real,
+        F_bar: mat33,
+        layout: int,
+        slot: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+        grid: wp.array2d(dtype=vec4),
+    ):
+        """Derivatives by the F that was tried, mu and the yield stress from that by the new F."""
+        _v, _C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
+        return return_map_back(F + dt * (D * F), mu, yield_stress, F_bar)
+
+    @wp.func
+    def taken_by(
+        x: vec3,
+        F: mat33,
+        x_bar: vec3,
+        v_bar: vec3,
+        C_bar: mat33,
+        F_bar: mat33,  # by the F that was tried
+        layout: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+    ):
+        """What a particle's derivatives give to the grid's, as ``given_by``."""
+        node, f = place_on_grid(layout, x, inv_dx, z0, columns)
+        A = (real(4.0) * inv_dx) * C_bar
+        T = (dt * inv_dx) * (F_bar * wp.transpose(F))
+        return node, f, coefficients(f, v_bar + dt * x_bar, real(0.0), A, T)
+
+    @wp.func
+    def moved_back(
+        x: vec3,
+        F: mat33,
+        x_bar: vec3,
+        v_bar: vec3,
+        C_bar: mat33,
+        F_bar: mat33,  # by the F that was tried
+        layout: int,
+        slot: int,
+        dt: real,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+        grid: wp.array2d(dtype=vec4),  # velocity and mass
+    ):
+        """Derivatives by the x and F before the substep, but for what goes by way of the grid."""
+        node, f, c = taken_by(
+            x, F, x_bar, v_bar, C_bar, F_bar, layout, dt, inv_dx, z0, columns
+        )  # fmt: skip
+        R = gather_with_slope(grid, slot, columns.start, layout, node, f, c)
+        V = vec3(R[0, 0], R[0, 1], R[0, 2])
+        slope = vec3(R[7, 0], R[7, 1], R[7, 2])
+        slope = slope - (real(4.0) * inv_dx) * (wp.transpose(C_bar) * V)
+        return x_bar + inv_dx * slope, F_bar + (dt * inv_dx) * (wp.transpose(slopes_of(R)) * F_bar)
 
     @wp.func
     def move_particle_back(
@@ -270,24 +402,25 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         x = state.x[row, p]
         F = state.F[row, p]
         x_bar = bars.x[w, p]
+        v_bar = bars.v[w, p]
+        C_bar = bars.C[w, p]
         F_bar = bars.F[w, p]
         if yields == 1:
-            _v, _C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
-            F_bar, mu_bar, yield_bar = return_map_back(
-                F + dt * (D * F), matter.mu[w, p], matter.yield_stress[w], F_bar
-            )
+            F_bar, mu_bar, yield_bar = before_yielding(
+                x, F, matter.mu[w, p], matter.yield_stress[w], F_bar, layout, slot, dt, inv_dx, z0,
+                columns, grid,
+            )  # fmt: skip
             bars.mu[w, p] = bars.mu[w, p] + mu_bar
             bars.yield_stress[w, p] = bars.yield_stress[w, p] + yield_bar
-        node, f = place_on_grid(layout, x, inv_dx, z0, columns)
-        A = (real(4.0) * inv_dx) * bars.C[w, p]
-        T = (dt * inv_dx) * (F_bar * wp.transpose(F))
-        c = coefficients(f, bars.v[w, p] + dt * x_bar, real(0.0), A, T)
+        node, f, c = taken_by(
+            x, F, x_bar, v_bar, C_bar, F_bar, layout, dt, inv_dx, z0, columns
+        )  # fmt: skip
         scatter(grid_bar, slot, columns.start, layout, node, f, c)
-        R = gather_with_slope(grid, slot, columns.start, layout, node, f, c)
-        V = vec3(R[0, 0], R[0, 1], R[0, 2])
-        moved = vec3(R[7, 0], R[7, 1], R[7, 2]) - wp.transpose(A) * V
-        bars.x[w, p] = x_bar + inv_dx * moved
-        bars.F[w, p] = F_bar + (dt * inv_dx) * (wp.transpose(slopes_of(R)) * F_bar)
+        x_bar, F_bar = moved_back(
+            x, F, x_bar, v_bar, C_bar, F_bar, layout, slot, dt, inv_dx, z0, columns, grid
+        )
+        bars.x[w, p] = x_bar
+        bars.F[w, p] = F_bar
 
     @wp.func
     def recovery_share(dt: real, span: int, matter: Matter):
@@ -301,12 +434,15 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         a = state.x[row, lattice[p, 0, 1]] - state.x[row, lattice[p, 0, 0]]
         b = state.x[row, lattice[p, 1, 1]] - state.x[row, lattice[p, 1, 0]]
         c = state.x[row, lattice[p, 2, 1]] - state.x[row, lattice[p, 2, 0]]
-        D = mat33(
-            a[0], b[0], c[0],
-            a[1], b[1], c[1],
-            a[2], b[2], c[2],
-        )  # fmt: skip
-        return D * matter.rest_frame[p]
+        return wp.matrix_from_cols(a, b, c) * matter.rest_frame[p]
+
+    @wp.func
+    def recovered(F: mat33, G: mat33, blend: real):
+        """F drawn towards the gradient G of the positions, unless that means nothing."""
+        result = F
+        if wp.determinant(G) > real(SMALLEST_VOLUME):
+            result = F + blend * (G - F)
+        return result
 
     @wp.func
     def recover_particle(p: int, row: int, blend: real, matter: Matter, state: State):
@@ -317,9 +453,7 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         F stays as it is.
         """
         G = lattice_gradient(p, row, matter, state)
-        if wp.determinant(G) > real(SMALLEST_VOLUME):
-            F = state.F[row, p]
-            state.F[row, p] = F + blend * (G - F)
+        state.F[row, p] = recovered(state.F[row, p], G, blend)
 
     @wp.func
     def recover_particle_back(
@@ -340,6 +474,19 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
         Matter=Matter,
         State=State,
         MatterBars=MatterBars,
+        window=stencil.window,
+        collect=stencil.collect,
+        hand_over=stencil.hand_over,
+        place_on_grid=place_on_grid,
+        given_by=given_by,
+        given_back=given_back,
+        moved=moved,
+        yields=yields,
+        before_yielding=before_yielding,
+        taken_by=taken_by,
+        moved_back=moved_back,
+        smallest_volume=SMALLEST_VOLUME,
+        recovered=recovered,
         scatter_particle=scatter_particle,
         scatter_particle_back=scatter_particle_back,
         move_particle=move_particle,

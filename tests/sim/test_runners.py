@@ -1,0 +1,113 @@
+"""All worlds together, as a GPU runs them, against each by itself: the same code, on the CPU."""
+
+import numpy as np
+import pytest
+
+from gendom.materials import Material
+from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
+from gendom.sim.batch import Batch
+from gendom.sim.blocks import Blocks
+
+SOFT = Material(E=2.0e4, nu=0.3, density=1000.0)
+TOGETHER = pytest.mark.parametrize("together", [Batch, Blocks])
+
+
+def simulator(body, materials, **options):
+    return Simulator(body, materials, **{"dtype": "float64", "threads": 1, **options})
+
+
+def run_together(s, together, times, **options):
+    """[T, W, N, 3] what ``run`` would give on a GPU."""
+    s._runner = together(s.worlds)
+    return s.run(times, **options)
+
+
+def scene():
+    """Three worlds that differ in all they can; two grippers, a table, walls."""
+    body = rope(diameter=0.02, length=0.12, start=(0.0, 0.0, 0.01), cells_across=1.5)
+    turn = [(0, 0, 0, 1), (0, 0, 0.2, 1), (0, 0, 0.4, 1)]
+    path = [(0.0, 0.0, 0.01), (0.0, 0.01, 0.05), (0.02, 0.0, 0.11)]
+    lifting = Gripper(
+        time=[0.0, 0.1, 0.3], position=path, quat_xyzw=turn, radius=0.02, hold_until=0.2
+    )
+    dragging = Gripper(
+        time=[0.0, 0.3], position=[(0.12, 0, 0.01), (0.13, 0.02, 0.03)], radius=0.015, hold_from=0.1
+    )
+    materials = [
+        SOFT,
+        Material(E=5.0e4, nu=0.2, density=1200.0),
+        Material(E=1.0e4, nu=0.4, density=900.0),
+    ]
+    return simulator(
+        body,
+        materials,
+        grippers=[lifting, dragging],
+        table=Table(height=0.0, friction=[0.2, 0.5, 0.9]),
+        box=Box(lower=(-0.05, -0.1, -1.0), upper=(0.135, 0.1, 1.0)),
+        damping=[2.0, 1.0, 0.0],
+        gravity=[(0, 0, -9.81), (1, 0, -9.81), (0, 2, -5)],
+    )
+
+
+@TOGETHER
+def test_worlds_together_move_as_each_alone(together):
+    times = [0.1, 0.17, 0.25]
+    expected, s = scene().run(times), scene()
+    x = run_together(s, together, times)
+    assert np.abs(x - expected).max() < 1e-12
+    assert len(set(s.substeps_done())) == 3
+    assert np.ptp(expected[-1], axis=0).max() > 1e-3
+
+
+@TOGETHER
+def test_a_yielding_body_moves_the_same(together):
+    body = cloth(width=0.04, height=0.04, thickness=0.02, dx=0.01, corner=(0.003, 0.001, 0.022))
+    clay = Material(E=2.0e4, nu=0.3, density=1000.0, yield_stress=300.0)
+
+    def thrown():
+        s = simulator(body, [clay], table=Table(height=0.0))
+        s.set_velocities([0.5, 0.0, -1.0])
+        return s
+
+    expected = thrown().run([0.02, 0.05])
+    assert np.abs(run_together(thrown(), together, [0.02, 0.05]) - expected).max() < 1e-12
+
+
+@TOGETHER
+def test_the_grid_grows(together):
+    body = rope(diameter=0.02, length=0.4, start=(0, 0, -0.2), direction=(0, 0, 1))
+
+    def tipping():
+        s = simulator(body, [SOFT], gravity=(0, 0, 0))
+        s.worlds.room = (8, 8, 400)
+        s.set_velocities(np.cross([3.0, 4.0, 0.0], body.x))
+        return s
+
+    s = tipping()
+    x = run_together(s, together, [0.15, 0.3])
+    assert s.worlds.room[0] > 20 and s.worlds.room[2] > 400
+    assert np.abs(x - tipping().run([0.15, 0.3])).max() < 1e-12
+
+
+@TOGETHER
+def test_a_world_that_diverges_leaves_the_others_alone(together):
+    body = cloth(width=0.04, height=0.04, thickness=0.04, dx=0.01, corner=(0.003, 0.001, 0.022))
+    kick = 0.1 * np.random.default_rng(0).standard_normal((body.num_particles, 3))
+    stiff = Material(E=2.0e7, nu=0.3, density=1000.0)
+
+    def kicked():
+        s = simulator(body, [SOFT, stiff, SOFT], substep=5e-4)
+        s.set_velocities(kick)
+        return s
+
+    times = [0.02, 0.04, 0.06]
+    one_by_one, s = kicked(), kicked()
+    expected = one_by_one.run(times, keep_going=True)
+    x = run_together(s, together, times, keep_going=True)
+    assert list(s.failures) == [1]
+    assert str(s.failures[1]) == str(one_by_one.failures[1])
+    assert np.isnan(x[:, 1]).all()
+    assert np.abs(x - expected)[:, [0, 2]].max() < 1e-12
+    stopped = s.positions()[1]
+    s.run([0.08], keep_going=True)
+    assert np.array_equal(s.positions()[1], stopped)
