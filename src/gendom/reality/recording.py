@@ -16,6 +16,7 @@ import csv
 import json
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -96,19 +97,24 @@ def record(
     frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
     frames = frames / settings.frame_rate
     samples = np.arange(int(seconds * PATH_RATE + 1e-9) + 1) / PATH_RATE
+
+    def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
+        pictures = sensor.observe(*clean, world.cameras[c], eyes[c])
+        writers[c].write(errors.stamp(c, moment), pictures)
+
     try:
-        for moment in np.union1d(frames, samples):
-            performance.step_to(began + moment)
-            if moment in samples:
-                path.add(world, moment)
-            if moment not in frames:
-                continue
-            for c, camera in enumerate(world.cameras):
-                depth, colour = world.render(c)
-                pictures = sensor.observe(depth, colour, camera, eyes[c])
-                writers[c].write(errors.stamp(c, moment), pictures)
-            truth.append((moment, world.vertices()))
-            on_frame(moment)
+        # OpenGL wants one thread; noise and files take one for each camera.
+        with ThreadPoolExecutor(len(writers)) as pool:
+            for moment in np.union1d(frames, samples):
+                performance.step_to(began + moment)
+                if moment in samples:
+                    path.add(world, moment)
+                if moment not in frames:
+                    continue
+                clean = [world.render(c) for c in range(len(writers))]
+                list(pool.map(keep, range(len(writers)), [moment] * len(writers), clean))
+                truth.append((moment, world.vertices()))
+                on_frame(moment)
     finally:
         path.write(folder)
         _write_truth(folder / "truth", world, settings, sensor, errors, truth)
