@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gendom.errors import GendomError
+from gendom.errors import GendomError, ParameterError
 from gendom.files import atomic_path, write_json
 from gendom.perception import PngWriter
 from gendom.reality.sensor import DepthSensor, RigErrors
@@ -35,7 +35,11 @@ PATH_RATE = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class RecordSettings:
-    """How to record."""
+    """How to record.
+
+    Raises:
+        ParameterError: A value is out of its range.
+    """
 
     frame_rate: float = 30.0
     """Of the cameras [1/s]."""
@@ -45,6 +49,12 @@ class RecordSettings:
     """For whoever reads the recording."""
     seed: int = 0
     """Of all the sensors' errors."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.frame_rate <= PATH_RATE:
+            raise ParameterError(
+                f"is {self.frame_rate}", where="frame_rate", fix=f"give {PATH_RATE:g} or less"
+            )
 
 
 def record(
@@ -71,12 +81,21 @@ def record(
 
     Raises:
         GendomError: The folder holds a recording already, or cannot be written.
+        ParameterError: There is no camera, or the format cannot be written.
         DeviceError: Nothing can be rendered here.
         SimulationError: The world diverged.
     """
     settings = RecordSettings() if settings is None else settings
     world = performance.world
     folder = Path(folder)
+    if not world.cameras:
+        raise ParameterError(
+            "there is no camera", where="record", fix="give the performance cameras"
+        )
+    if settings.format != "png":
+        raise ParameterError(
+            f"{settings.format!r} cannot be written", where="format", fix="give png"
+        )
     if (folder / "cameras").exists():
         raise GendomError("holds a recording already", where=str(folder), fix="name another folder")
     sensor = DepthSensor() if sensor is None else sensor
@@ -90,7 +109,12 @@ def record(
     began = world.time
     seconds = performance.end - began
     world.render(0)  # where nothing can be rendered, before anything is written
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GendomError(
+            f"cannot be made ({error.strerror})", where=str(folder), fix="name another folder"
+        ) from None
     writers = [PngWriter(folder / "cameras" / c.name, c) for c in believed]
     _write_object(folder / "object.toml", performance, settings)
     path, truth = _Rows(), []

@@ -206,11 +206,15 @@ class Reality:
             depth [height, width] along the optical axis [m] and colour [height, width, 3].
 
         Raises:
+            ParameterError: There is no such camera.
             DeviceError: No OpenGL context comes about; says which packages bring one.
         """
         names = [c.name for c in self.cameras]
-        index = names.index(camera) if isinstance(camera, str) else camera
-        seen = self.cameras[index]
+        if camera not in (*names, *range(len(names))):
+            raise ParameterError(
+                f"there is no camera {camera!r}", where="render", fix=f"have {', '.join(names)}"
+            )
+        seen = self.cameras[names.index(camera) if isinstance(camera, str) else camera]
         renderer = self._open_renderer(seen.width, seen.height)
         renderer.enable_depth_rendering()
         renderer.update_scene(self.data, camera=seen.name)
