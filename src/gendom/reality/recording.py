@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -207,7 +208,8 @@ def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
             "density": item.material.density,
             "damping": item.damping,
             "friction": item.friction,
-            "sensor": asdict(sensor),
+            # JSON has no infinity: an unlimited range is null.
+            "sensor": {k: v if math.isfinite(v) else None for k, v in asdict(sensor).items()},
             "errors": asdict(errors),
             "seed": settings.seed,
         },
