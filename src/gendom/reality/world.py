@@ -107,6 +107,9 @@ class Reality:
             elif self._path is not None:
                 self.data.mocap_pos[0] = self._path(self.time + step)
             self._mujoco.mj_step(self.model, self.data)
+        # A step leaves bodies and vertices where they were before it.
+        self._mujoco.mj_kinematics(self.model, self.data)
+        self._mujoco.mj_flex(self.model, self.data)
         bad = (self._mujoco.mjtWarning.mjWARN_BADQPOS, self._mujoco.mjtWarning.mjWARN_BADQACC)
         if (
             any(self.data.warning[int(w)].number for w in bad)
