@@ -35,6 +35,12 @@ def test_nearest_wins():
     assert matching.alone == [1, 1]
 
 
+def test_just_the_tolerance_apart_matches_whatever_the_rounding():
+    a = np.arange(20) / 10.0
+    sets, _ = matched(a.tolist(), (a + 0.02).tolist(), tolerance=0.02)
+    assert len(sets) == 20
+
+
 def test_dropped_frames_are_left_out():
     a = [k / 30 for k in range(6)]
     b = [t + 0.004 for k, t in enumerate(a) if k not in (2, 3)]

@@ -316,9 +316,9 @@ def _report(
         ReportContent(
             title="GenDOM: one lift of an unknown rope, and an action that reaches its goal",
             recording_source=(
-                f"{recording.source[:1].upper()}{recording.source[1:]}. {recording.notes} That reality has other "
-                "equations than the simulator that estimates, and is touched through an arm and "
-                "seen through the cameras only. The actions below are carried out in it."
+                f"From {recording.source}. {recording.notes} That reality has other equations than "
+                "the simulator that estimates, and is touched through an arm and seen through the "
+                "cameras only. The actions below are carried out in it."
             ),
             cameras=CameraViews(
                 picture=views,

@@ -15,6 +15,8 @@ from gendom.perception.camera import Camera
 SYNC_TOLERANCE = 0.02
 """Frames of different cameras further apart than this [s] do not belong together."""
 
+_ROUNDING = 1e-9  # [s]; time stamps apart by just the tolerance match
+
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
@@ -112,8 +114,7 @@ def match_frames(
         spread = max(times) - min(times)
         first = int(np.argmin(times))
         after = streams[first].following
-        # Time stamps are written to a microsecond.
-        if spread > tolerance + 1e-6 or _next_is_closer(times, first, after):
+        if spread > tolerance + _ROUNDING or _next_is_closer(times, first, after):
             skip(first)
         else:
             count.used += 1

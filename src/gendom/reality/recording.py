@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -37,7 +39,11 @@ _WRITERS = {"png": PngWriter, "db3": RealSenseWriter}
 
 @dataclass(frozen=True, kw_only=True)
 class RecordSettings:
-    """How to record."""
+    """How to record.
+
+    Raises:
+        ParameterError: A value is out of its range.
+    """
 
     frame_rate: float = 30.0
     """Of the cameras [1/s]."""
@@ -47,6 +53,12 @@ class RecordSettings:
     """For whoever reads the recording."""
     seed: int = 0
     """Of all the sensors' errors."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.frame_rate <= PATH_RATE:
+            raise ParameterError(
+                f"is {self.frame_rate}", where="frame_rate", fix=f"give {PATH_RATE:g} or less"
+            )
 
 
 def record(
@@ -73,6 +85,7 @@ def record(
 
     Raises:
         GendomError: The folder holds a recording already, or cannot be written.
+        ParameterError: There is no camera, or the format cannot be written.
         DeviceError: Nothing can be rendered here.
         SimulationError: The world diverged.
     """
@@ -83,6 +96,10 @@ def record(
         )
     world = performance.world
     folder = Path(folder)
+    if not world.cameras:
+        raise ParameterError(
+            "there is no camera", where="record", fix="give the performance cameras"
+        )
     if (folder / "cameras").exists():
         raise GendomError("holds a recording already", where=str(folder), fix="name another folder")
     sensor = DepthSensor() if sensor is None else sensor
@@ -96,7 +113,12 @@ def record(
     began = world.time
     seconds = performance.end - began
     world.render(0)  # where nothing can be rendered, before anything is written
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GendomError(
+            f"cannot be made ({error.strerror})", where=str(folder), fix="name another folder"
+        ) from None
     writers = [_WRITERS[settings.format](folder / "cameras" / c.name, c) for c in believed]
     _write_object(folder / "object.toml", performance, settings)
     path, truth = _Rows(), []
@@ -104,19 +126,24 @@ def record(
     frames = frames / settings.frame_rate
     # A little longer than the frames: some clocks are ahead.
     samples = np.arange(int((seconds + 0.1) * PATH_RATE) + 1) / PATH_RATE
+
+    def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
+        pictures = sensor.observe(*clean, world.cameras[c], eyes[c])
+        writers[c].write(errors.stamp(c, moment), pictures)
+
     try:
-        for moment in np.union1d(frames, samples):
-            performance.step_to(began + moment)
-            if moment in samples:
-                path.add(world, moment)
-            if moment not in frames:
-                continue
-            for c, camera in enumerate(world.cameras):
-                depth, colour = world.render(c)
-                pictures = sensor.observe(depth, colour, camera, eyes[c])
-                writers[c].write(errors.stamp(c, moment), pictures)
-            truth.append((moment, world.vertices()))
-            on_frame(moment)
+        # OpenGL wants one thread; noise and files take one for each camera.
+        with ThreadPoolExecutor(len(writers)) as pool:
+            for moment in np.union1d(frames, samples):
+                performance.step_to(began + moment)
+                if moment in samples:
+                    path.add(world, moment)
+                if moment not in frames:
+                    continue
+                clean = [world.render(c) for c in range(len(writers))]
+                list(pool.map(keep, range(len(writers)), [moment] * len(writers), clean))
+                truth.append((moment, world.vertices()))
+                on_frame(moment)
     finally:
         for writer in writers:
             writer.close()
@@ -188,7 +215,8 @@ def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
             "density": item.material.density,
             "damping": item.damping,
             "friction": item.friction,
-            "sensor": asdict(sensor),
+            # JSON has no infinity: an unlimited range is null.
+            "sensor": {k: v if math.isfinite(v) else None for k, v in asdict(sensor).items()},
             "errors": asdict(errors),
             "seed": settings.seed,
         },

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -169,7 +170,7 @@ class DepthSensor:
         disparity = clean.copy()
         if self.edge_width > 0 and self.edge_lost + self.edge_mixed > 0.0:
             lost, mixed = self._at_edges(clean, seen, rng)
-            disparity[mixed] = _between(clean, seen, self.edge_width, rng)[mixed]
+            disparity[mixed] = _between(clean, seen, mixed, int(self.edge_width), rng)
             seen &= ~lost
         if self.shadow:
             seen &= ~_in_shadow(clean)
@@ -178,7 +179,9 @@ class DepthSensor:
         if self.dropout > 0.0:
             seen &= rng.random(z.shape) >= self.dropout
         if self.subpixel > 0.0:
-            disparity += self.subpixel * _noise(z.shape, self.correlation, rng)
+            disparity += self.subpixel * _noise(
+                (camera.height, camera.width), self.correlation, rng
+            )
         if self.quantisation > 0.0:
             disparity = np.round(disparity / self.quantisation) * self.quantisation
         # An untouched disparity must not cost the last bits of depth.
@@ -198,7 +201,7 @@ class DepthSensor:
             bend = np.abs(np.diff(disparity, n=2, axis=axis)) > self.edge_step
             np.moveaxis(edge, axis, 0)[1:-1] |= np.moveaxis(bend, axis, 0)
         # The bend is at both pixels next to the edge: these are the first of its width.
-        near = _spread(edge, int(self.edge_width) - 1, np.maximum) & seen
+        near = _spread(edge, int(self.edge_width) - 1) & seen
         draw = rng.random(disparity.shape)
         lost = near & (draw < self.edge_lost)
         return lost, near & ~lost & (draw < self.edge_lost + self.edge_mixed)
@@ -214,23 +217,30 @@ class DepthSensor:
         Args:
             inverse: 1 / z [1/m], 0 where nothing is.
         """
-        x, y, _ = camera.rays().T.reshape(3, *inverse.shape)
+        x, y, squared = _rays(camera)
         normal_x = camera.K[0, 0] * _slope(inverse, 1)
         normal_y = camera.K[1, 1] * _slope(inverse, 0) - camera.K[0, 1] / camera.K[0, 0] * normal_x
         normal_z = inverse - normal_x * x - normal_y * y
-        length = np.sqrt((normal_x**2 + normal_y**2 + normal_z**2) * (x**2 + y**2 + 1.0))
+        length = np.sqrt((normal_x**2 + normal_y**2 + normal_z**2) * squared)
         cosine = np.divide(inverse, length, out=np.ones_like(inverse), where=length > 0.0)
-        angle = np.arccos(np.clip(cosine, 0.0, 1.0))
+        draw = rng.random(inverse.shape)
+        # Most are less steep than `grazing_from`: leave their arc cosine out.
+        steep = cosine < np.cos(self.grazing_from)
+        angle = np.arccos(np.clip(cosine[steep], 0.0, 1.0))
         width = max(self.grazing_to - self.grazing_from, 1e-9)
-        return rng.random(inverse.shape) < (angle - self.grazing_from) / width
+        steep[steep] = draw[steep] < (angle - self.grazing_from) / width
+        return steep
 
     def _coloured(
         self, colour: npt.NDArray[np.uint8] | None, rng: np.random.Generator
     ) -> npt.NDArray[np.uint8] | None:
         if colour is None or self.colour_noise == 0.0:
             return colour
-        noisy = colour + rng.normal(0.0, self.colour_noise, colour.shape)
-        return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+        noisy = rng.standard_normal(colour.shape)
+        noisy *= self.colour_noise
+        noisy += colour
+        np.rint(noisy, out=noisy)
+        return np.clip(noisy, 0.0, 255.0, out=noisy).astype(np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,18 +331,31 @@ def _noise(
     shape: tuple[int, ...], correlation: float, rng: np.random.Generator
 ) -> npt.NDArray[np.float64]:
     """Normal noise of unit variance, blurred by a Gaussian of a standard deviation [pixel]."""
-    white = rng.normal(0.0, 1.0, shape)
+    white = rng.standard_normal(shape)
     if correlation == 0.0:
         return white
+    blur = _blur(shape, correlation)
+    return np.fft.irfft2(np.fft.rfft2(white) * blur, s=shape)
+
+
+@lru_cache(maxsize=4)
+def _blur(shape: tuple[int, ...], correlation: float) -> npt.NDArray[np.float64]:
+    """What a Gaussian blur does to each frequency [height, width // 2 + 1], RMS kept."""
     frequencies = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
     blur = np.exp(-2.0 * (np.pi * correlation) ** 2 * sum(f**2 for f in frequencies))
-    smooth = np.fft.irfft2(np.fft.rfft2(white) * blur, s=shape)
     # Frequencies between the first and the last column stand for two of the whole spectrum.
     twice = np.full(blur.shape[1], 2.0)
     twice[0] = 1.0
     if shape[1] % 2 == 0:
         twice[-1] = 1.0
-    return smooth / np.sqrt((blur**2 * twice).sum() / (shape[0] * shape[1]))
+    return blur / np.sqrt((blur**2 * twice).sum() / (shape[0] * shape[1]))
+
+
+@lru_cache(maxsize=4)
+def _rays(camera: Camera) -> tuple[npt.NDArray[np.float64], ...]:
+    """x, y and squared length of the pixels' rays, [height, width] each; cameras do not change."""
+    x, y, _ = camera.rays().T.reshape(3, camera.height, camera.width)
+    return np.ascontiguousarray(x), np.ascontiguousarray(y), x**2 + y**2 + 1.0
 
 
 def _in_shadow(disparity: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
@@ -354,29 +377,48 @@ def _slope(values: npt.NDArray[np.float64], axis: int) -> npt.NDArray[np.float64
     At an edge one of them is that of the surface the pixel is on, so an edge is no slope.
     """
     steps = np.moveaxis(np.diff(values, axis=axis), axis, 0)
-    before = np.concatenate([steps[:1], steps])
-    after = np.concatenate([steps, steps[-1:]])
-    return np.moveaxis(np.where(np.abs(before) <= np.abs(after), before, after), 0, axis)
+    size = np.abs(steps)
+    slope = np.empty_like(values)
+    along = np.moveaxis(slope, axis, 0)
+    along[0], along[-1] = steps[0], steps[-1]
+    along[1:-1] = np.where(size[:-1] <= size[1:], steps[:-1], steps[1:])
+    return slope
 
 
-def _spread(values: np.ndarray, reach: int, choose: np.ufunc) -> np.ndarray:
-    """The maximum or minimum within `reach` pixels in both axes."""
+def _spread(values: npt.NDArray[np.bool_], reach: int) -> npt.NDArray[np.bool_]:
+    """Whether any pixel within `reach` in both axes is true."""
     for axis in (0, 1):
         before = np.moveaxis(values, axis, 0)
         after = before.copy()
         for step in range(1, reach + 1):
-            after[step:] = choose(after[step:], before[:-step])
-            after[:-step] = choose(after[:-step], before[step:])
+            after[step:] |= before[:-step]
+            after[:-step] |= before[step:]
         values = np.moveaxis(after, 0, axis)
     return values
 
 
 def _between(
-    disparity: np.ndarray, seen: np.ndarray, reach: int, rng: np.random.Generator
+    disparity: npt.NDArray[np.float64],
+    seen: npt.NDArray[np.bool_],
+    chosen: npt.NDArray[np.bool_],
+    reach: int,
+    rng: np.random.Generator,
 ) -> npt.NDArray[np.float64]:
-    """Disparities drawn between the lowest and the highest that are seen around a pixel."""
-    low = _spread(np.where(seen, disparity, np.inf), reach, np.minimum)
-    high = _spread(np.where(seen, disparity, -np.inf), reach, np.maximum)
-    share = rng.random(disparity.shape)
-    with np.errstate(invalid="ignore"):  # where nothing at all is around
-        return low + share * (high - low)
+    """[M] disparities between the lowest and the highest seen around M chosen pixels.
+
+    Args:
+        disparity, seen, chosen: [height, width]; what is chosen must be seen.
+        reach: Around: so many pixels in both axes.
+        rng: Draws for every pixel, so that the next draws do not depend on the scene.
+    """
+    row, column = np.nonzero(chosen)
+    low, high = disparity[chosen], disparity[chosen]
+    for down in range(-reach, reach + 1):
+        for right in range(-reach, reach + 1):
+            # Beyond the border is the border's pixel, which is around too.
+            r = np.clip(row + down, 0, disparity.shape[0] - 1)
+            c = np.clip(column + right, 0, disparity.shape[1] - 1)
+            there = seen[r, c]
+            np.minimum(low, disparity[r, c], out=low, where=there)
+            np.maximum(high, disparity[r, c], out=high, where=there)
+    return low + rng.random(disparity.shape)[chosen] * (high - low)

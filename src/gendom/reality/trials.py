@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw
 
+from gendom.errors import RobotError
 from gendom.perception.camera import Camera
 from gendom.reality.arm import RobotArm
 from gendom.reality.objects import RealCloth, RealObject, RealRope
@@ -123,7 +124,12 @@ class Performance:
     @property
     def end(self) -> float:
         """When everything is over [s]: later than in the trial where the arm takes longer."""
-        return self.trial.end + self.events[-1].time - self.trial.path.events[-1].time
+        last = self.events[-1]
+        end = self.trial.end + last.time - self.trial.path.events[-1].time
+        if self.motion is None or not last.closed:
+            return end
+        # The hand still moves after it has closed, and an arm that is slowed down for longer.
+        return max(end, self.motion.end - 0.5 * self.motion.blend)
 
     @property
     def slowed_by(self) -> float:
@@ -190,7 +196,7 @@ def lift(item: RealObject, *, rise: float | None = None, speed: float | None = N
     path = motions.lift(
         origin + np.array([FINGER_WIDTH / 2.0, 0.0, 0.0]),
         height=RISE * size if rise is None else rise,
-        speed=speed or (ROPE_LIFT_SPEED if rope else CLOTH_LIFT_SPEED),
+        speed=(ROPE_LIFT_SPEED if rope else CLOTH_LIFT_SPEED) if speed is None else speed,
         quat_xyzw=pointing_down(),
         wait=SETTLE,
         after=SETTLE,
@@ -256,6 +262,8 @@ def casting(rope: RealRope, action: float) -> Trial:
     Raises:
         RobotError: The action is 0 or not finite.
     """
+    if not math.isfinite(action) or action == 0.0:
+        raise RobotError(f"action is {action}", where="cast", fix="give metres, not 0")
     top = np.array([CAST_PLACE[0], -0.5 * action, CAST_PLACE[1] + rope.length])
     # The fingers point down and hold the rope's first centimetres between them.
     grip = top - np.array([0.0, 0.0, FINGER_WIDTH / 2.0])

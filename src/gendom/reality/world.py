@@ -107,6 +107,9 @@ class Reality:
             elif self._path is not None:
                 self.data.mocap_pos[0] = self._path(self.time + step)
             self._mujoco.mj_step(self.model, self.data)
+        # A step leaves bodies and vertices where they were before it.
+        self._mujoco.mj_kinematics(self.model, self.data)
+        self._mujoco.mj_flex(self.model, self.data)
         bad = (self._mujoco.mjtWarning.mjWARN_BADQPOS, self._mujoco.mjtWarning.mjWARN_BADQACC)
         if (
             any(self.data.warning[int(w)].number for w in bad)
@@ -206,11 +209,15 @@ class Reality:
             depth [height, width] along the optical axis [m] and colour [height, width, 3].
 
         Raises:
+            ParameterError: There is no such camera.
             DeviceError: No OpenGL context comes about; says which packages bring one.
         """
         names = [c.name for c in self.cameras]
-        index = names.index(camera) if isinstance(camera, str) else camera
-        seen = self.cameras[index]
+        if camera not in (*names, *range(len(names))):
+            raise ParameterError(
+                f"there is no camera {camera!r}", where="render", fix=f"have {', '.join(names)}"
+            )
+        seen = self.cameras[names.index(camera) if isinstance(camera, str) else camera]
         renderer = self._open_renderer(seen.width, seen.height)
         renderer.enable_depth_rendering()
         renderer.update_scene(self.data, camera=seen.name)
