@@ -38,7 +38,7 @@ import numpy.typing as npt
 
 from gendom.errors import DeviceError, ParameterError, RobotError
 from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, find_object
-from gendom.reality.scene import default_cameras
+from gendom.reality.scene import default_cameras, looking_at
 from gendom.reality.trials import (
     CAST_PLACE,
     START,
@@ -114,6 +114,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     goal_size: ClassVar[int] = 1
     looks_at: ClassVar[tuple[float, float, float]]
     """[m]; in the middle of what `render` shows."""
+    seen_from: ClassVar[tuple[float, float, float]] = (1.0, 0.0, 0.3)
+    """Where its camera is from there [m]: ropes swing across, in front of the arm."""
 
     def __init__(
         self,
@@ -268,7 +270,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return self._observe(), self.reward(reached), True, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """[480, 640, 3] the scene as it is now, from one side; None without a render mode.
+        """[480, 640, 3] the scene as it is now, from one camera; None without a render mode.
 
         Before the first step the arm stands where an action from the middle of the space begins.
 
@@ -300,7 +302,10 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return item
 
     def _perform(self, action: Array) -> Performance:
-        cameras = [] if self.render_mode is None else default_cameras(self.looks_at, distance=1.1)
+        cameras = []
+        if self.render_mode is not None:
+            position = np.add(self.looks_at, self.seen_from)
+            cameras = [default_cameras()[0].at(looking_at(position, self.looks_at))]
         return Performance(self.trial(self._item, action), robot=self.robot, cameras=cameras)
 
     def _observe(self) -> Observation:
@@ -331,7 +336,7 @@ class RopeReachingEnv(TaskEnv):
     """
 
     kind = RealRope
-    looks_at = (TASK_ORIGIN[0], 0.0, 0.3)
+    looks_at = (TASK_ORIGIN[0], -0.05, 0.3)
 
     def action_limits(self, item: RealRope) -> list[tuple[float, float]]:
         return [(low * item.length, high * item.length) for low, high in (RELEASE_X, RELEASE_Z)]
@@ -362,7 +367,7 @@ class RopeCastingEnv(TaskEnv):
 
     kind = RealRope
     goal_size = 2
-    looks_at = (CAST_PLACE[0], 0.1, 0.3)
+    looks_at = (CAST_PLACE[0], 0.0, 0.3)
 
     def action_limits(self, item: RealRope) -> list[tuple[float, float]]:
         return [CAST_ACTIONS]
@@ -388,6 +393,7 @@ class ClothSpreadingEnv(TaskEnv):
 
     kind = RealCloth
     looks_at = (START + 0.15, 0.0, 0.1)
+    seen_from = (0.4, 0.6, 0.5)
 
     def action_limits(self, item: RealCloth) -> list[tuple[float, float]]:
         return [(0.0, LARGEST_PAPER_A)]

@@ -1,0 +1,242 @@
+"""Recordings of the second reality: what is written, and that perception can read it."""
+
+import shutil
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs the extra reality")
+
+from gendom.errors import GendomError, ParameterError
+from gendom.files import read_json
+from gendom.perception import PerceptionSettings, perceive, read_sighting
+from gendom.reality import (
+    OBJECTS,
+    DepthSensor,
+    Performance,
+    RealRope,
+    RecordSettings,
+    RigErrors,
+    lift,
+    lift_cameras,
+    record,
+)
+
+ROPE = cast(RealRope, OBJECTS["rope-polyester"])
+RATE = 4.0
+
+
+def recorded(folder, *, noise=True, rate=RATE, seed=0, rise=0.04, **kwargs):
+    """A short lift by a free hand, from the closing of the hand on."""
+    performance = Performance(lift(ROPE, rise=rise), robot=False, cameras=lift_cameras(ROPE))
+    performance.step_to(performance.closes)
+    with performance.world:
+        record(
+            performance,
+            folder,
+            RecordSettings(frame_rate=rate, seed=seed),
+            sensor=DepthSensor() if noise else DepthSensor.exact(),
+            errors=RigErrors() if noise else RigErrors.none(),
+            **kwargs,
+        )
+    return performance
+
+
+def perceived(folder, warnings=None):
+    warnings = [] if warnings is None else warnings
+    sighting = read_sighting(folder, on_warning=warnings.append)
+    return perceive(
+        sighting, PerceptionSettings(colour=ROPE.colour), on_warning=warnings.append
+    ).recording
+
+
+@pytest.fixture(scope="module")
+def clean(rendering, tmp_path_factory):
+    """A recording without faults."""
+    folder = tmp_path_factory.mktemp("clean") / "recording"
+    recorded(folder, noise=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def noisy(rendering, tmp_path_factory):
+    """A recording with the usual faults."""
+    folder = tmp_path_factory.mktemp("noisy") / "recording"
+    recorded(folder)
+    return folder
+
+
+def files(folder, pattern):
+    found = {p.relative_to(folder): p.read_bytes() for p in sorted(folder.glob(pattern))}
+    assert found
+    return found
+
+
+def distance_to_rope(points, vertices):
+    """[P] from points [P, 3] to the rope's surface [m], below 0 inside."""
+    a, b = vertices[:-1], vertices[1:]
+    along = b - a
+    share = np.einsum("pvk,vk->pv", points[:, None] - a, along) / (along**2).sum(axis=1)
+    nearest = a + np.clip(share, 0.0, 1.0)[..., None] * along
+    off = np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1)
+    return off - ROPE.diameter / 2.0
+
+
+def test_what_is_recorded_is_where_it_truly_is(clean):
+    """Clouds of the exact cameras lie on the rope's surface, in every frame and to its ends."""
+    recording = perceived(clean)
+    with np.load(clean / "truth" / "truth.npz") as truth:
+        time, vertices = truth["time"], truth["vertices"].astype(float)
+    # 0.5 s wait, 0.8 s rise, 0.5 s after
+    assert len(time) == recording.num_frames == int(1.8 * RATE) + 1
+    np.testing.assert_allclose(recording.time, time, atol=1e-9)
+    for k in range(recording.num_frames):
+        points = recording.frame(k).astype(float)
+        assert len(points) > 300
+        assert np.median(np.abs(distance_to_rope(points, vertices[k]))) < 1e-3
+        # Its lower side is out of view, its ends are not.
+        assert np.ptp(points[:, 0]) > 0.8 * np.ptp(vertices[k, :, 0])
+    path = recording.gripper_position[:, 0]
+    assert path[-1, 2] - path[0, 2] == pytest.approx(0.04, abs=1e-3)
+
+
+def test_what_is_held_is_described(clean):
+    meta = read_sighting(clean).meta
+    assert meta["object"]["kind"] == "rope" and meta["object"]["grasp"] == "end"
+    assert meta["object"]["length"] == ROPE.length
+    assert meta["object"]["mass"] == pytest.approx(ROPE.mass)
+    # A recording does not give away what is to be estimated.
+    given = (clean / "object.toml").read_text().lower()
+    assert not any(word in given for word in ("young", "poisson", "density", "polyester"))
+
+
+def test_noise_and_errors_leave_all_frames_perceivable(noisy):
+    """Twenty milliseconds between the cameras are just what matching tolerates."""
+    warnings = []
+    recording = perceived(noisy, warnings)
+    frames = int(1.8 * RATE) + 1
+    assert recording.num_frames >= frames - 1
+    with np.load(noisy / "truth" / "truth.npz") as truth:
+        vertices = truth["vertices"].astype(float)
+    for k in (0, recording.num_frames - 1):
+        off = np.abs(distance_to_rope(recording.frame(k).astype(float), vertices[k]))
+        assert np.median(off) < 6e-3
+    assert not [w for w in warnings if w.severity == "error"]
+
+
+def test_the_faults_are_there(clean, noisy):
+    """The believed poses differ from the true ones, and clocks by 20 ms."""
+    truth = {c.name: c for c in lift_cameras(ROPE)}
+    for folder, moved in ((clean, False), (noisy, True)):
+        for source in read_sighting(folder).sources:
+            off = np.linalg.norm(source.camera.position - truth[source.camera.name].position)
+            assert (off > 1e-4) == moved
+    first, second = (next(iter(s)).time for s in read_sighting(noisy).sources)
+    assert abs(second - first) == pytest.approx(0.02)
+
+
+def test_a_seed_repeats_a_recording(noisy, tmp_path):
+    recorded(tmp_path / "again")
+    again = tmp_path / "again"
+    for pattern in ("cameras/*/*/*.png", "cameras/*/*.*", "*.csv", "*.toml"):
+        assert files(again, pattern) == files(noisy, pattern)
+
+
+def test_another_seed_gives_other_noise_and_more_frames_no_other_calibration(noisy, tmp_path):
+    other, longer = tmp_path / "other", tmp_path / "longer"
+    recorded(other, seed=1, rate=1.0)
+    recorded(longer, rate=2.0)
+    first = "cameras/left/depth/000000.png"
+    assert (other / first).read_bytes() != (noisy / first).read_bytes()
+    camera = "cameras/*/camera.toml"
+    assert files(other, camera) != files(noisy, camera)
+    assert files(longer, camera) == files(noisy, camera)
+
+
+def test_perception_never_reads_the_truth(noisy, tmp_path):
+    blind = tmp_path / "blind"
+    shutil.copytree(noisy, blind, ignore=shutil.ignore_patterns("truth"))
+    assert (noisy / "truth").is_dir() and not (blind / "truth").exists()
+    seen, unaided = perceived(noisy), perceived(blind)
+    assert seen.num_frames == unaided.num_frames
+    np.testing.assert_array_equal(seen.points, unaided.points)
+    np.testing.assert_array_equal(seen.gripper_position, unaided.gripper_position)
+
+
+def test_truth_says_what_was_true(clean, noisy):
+    truth = read_json(noisy / "truth" / "truth.json")
+    assert truth["object"]["name"] == ROPE.name
+    assert truth["youngs_modulus"] == ROPE.material.E
+    assert truth["poissons_ratio"] == ROPE.material.nu
+    assert truth["errors"]["clock_offset"] == 0.02
+    # Without noise nothing is too far, which JSON has no number for.
+    assert read_json(clean / "truth" / "truth.json")["sensor"]["max_range"] is None
+
+
+def test_an_interrupted_recording_can_be_perceived(rendering, tmp_path):
+    folder = tmp_path / "cut"
+    frames = []
+
+    def interrupt(moment):
+        frames.append(moment)
+        if len(frames) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        recorded(folder, noise=False, on_frame=interrupt)
+    recording = perceived(folder)
+    np.testing.assert_allclose(recording.time, frames)
+    with np.load(folder / "truth" / "truth.npz") as truth:
+        np.testing.assert_allclose(truth["time"], frames)
+
+
+def test_a_recording_is_not_overwritten(noisy):
+    before = files(noisy, "**/*.*")
+    with pytest.raises(GendomError, match="holds a recording already; name another folder"):
+        recorded(noisy)
+    assert files(noisy, "**/*.*") == before
+
+
+def test_a_folder_that_cannot_be_made(rendering, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(GendomError, match="file: cannot be made"):
+        recorded(tmp_path / "file")
+
+
+def test_the_arms_joints_are_recorded(rendering, tmp_path):
+    performance = Performance(lift(ROPE, rise=0.02), cameras=lift_cameras(ROPE)[:1])
+    performance.step_to(performance.closes)
+    folder = tmp_path / "arm"
+    with performance.world:
+        record(performance, folder, RecordSettings(frame_rate=1.0))
+    joints = np.loadtxt(folder / "joints.csv", delimiter=",", skiprows=1)
+    hand = np.loadtxt(folder / "gripper.csv", delimiter=",", skiprows=1)
+    assert joints.shape[1] == 8 and len(joints) == len(hand) == 141
+    assert performance.motion is not None
+    ideal = performance.motion.at(performance.closes + joints[:, 0])
+    assert np.abs(joints[:, 1:] - ideal).max() < 2e-3
+    np.testing.assert_allclose(np.linalg.norm(hand[:, 4:7], axis=1), 1.0, atol=1e-5)
+
+
+def test_recordings_need_cameras(tmp_path):
+    performance = Performance(lift(ROPE, rise=0.02), robot=False)
+    with pytest.raises(ParameterError, match="there is no camera"):
+        record(performance, tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
+def test_unknown_formats_and_cameras_are_refused(tmp_path):
+    performance = Performance(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
+    with pytest.raises(ParameterError, match="format: 'gif' cannot be written"):
+        record(performance, tmp_path / "gif", RecordSettings(format="gif"))
+    for camera in ("above", 2):
+        with pytest.raises(ParameterError, match=r"there is no camera .*have left, right"):
+            performance.world.render(camera)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf, 200.0])
+def test_bad_frame_rates(rate):
+    with pytest.raises(ParameterError, match="frame_rate: is"):
+        replace(RecordSettings(), frame_rate=rate)
