@@ -174,7 +174,7 @@ def solutions(
     q = np.concatenate([rest[None], arm.home[None], random])
     q, error = descend(arm, np.broadcast_to(T, (len(q), 4, 4)), q, rest)
     size = _size(error)
-    good = _reached(error)
+    good = reached(error)
     if not good.any():
         raise _out_of_reach(arm, T, q[np.argmin(size)], error[np.argmin(size)])
     q = _unwound(arm, q[good], rest)
@@ -215,11 +215,11 @@ def descend(
         pull = pull if k < 0.75 * iterations else 0.0
         poses = link_poses(arm, q[active])
         error[active] = pose_error(T_base_tcp[active], poses[:, -1])
-        reached = _reached(error[active])
+        there = reached(error[active])
         step, slide = _step(arm, poses, q[active], error[active], rest, pull)
         q[active] = np.clip(q[active] + step, arm.q_min, arm.q_max)
         # The last step is taken before leaving, since it squares the error.
-        active = active[~(reached & (slide < _SETTLED))]
+        active = active[~(there & (slide < _SETTLED))]
         if len(active) == 0:
             break
     error = pose_error(T_base_tcp, link_poses(arm, q)[:, -1])
@@ -241,12 +241,12 @@ def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, pull: float) -> A
     for _ in range(20):
         poses = link_poses(arm, q)
         error = pose_error(T, poses[:, -1])
-        reached = _reached(error)[0]
+        there = reached(error)[0]
         # Only the first step slides: the others bring back to the pose what it missed.
         share = pull * float(_size(error)[0]) if share is None else 0.0
         step, _ = _step(arm, poses, q, error, rest, min(share, 0.5))
         q = np.clip(q + step, arm.q_min, arm.q_max)
-        if reached:
+        if there:
             return q[0]
     return None
 
@@ -282,7 +282,8 @@ def _step(
     return step, np.abs(slide * free).max(axis=1)
 
 
-def _reached(error: Array) -> NDArray[np.bool_]:
+def reached(error: Array) -> NDArray[np.bool_]:
+    """[...] whether errors of poses [..., 6] are within the tolerances."""
     near = np.linalg.norm(error[..., :3], axis=-1) <= POSITION_TOLERANCE
     return near & (np.linalg.norm(error[..., 3:], axis=-1) <= ROTATION_TOLERANCE)
 

@@ -20,6 +20,7 @@ from gendom.robot.kinematics import (
     describe,
     jacobian,
     pose_error,
+    reached,
     solutions,
     step_towards,
     tcp_pose,
@@ -568,16 +569,10 @@ def _next(arm: Arm, T: Array, q: Array, time: float) -> Array:
     found = step_towards(arm, T, q, arm.home, pull=_PULL)
     if found is None:
         left, error = descend(arm, T[None], q[None], arm.home, pull=0.0)
-        off = f"{1e3 * np.linalg.norm(error[0, :3]):.1f} mm and "
-        off += f"{np.degrees(np.linalg.norm(error[0, 3:])):.1f} degrees"
-        held = np.flatnonzero((left[0] <= arm.q_min) | (left[0] >= arm.q_max))
-        ends = f", joint {' and '.join(str(j + 1) for j in held)} at its end" if len(held) else ""
-        raise RobotError(
-            f"at t = {time:.3f} s the path goes out of reach: {describe(T)} is missed by "
-            f"{off}{ends}",
-            where=f"path of {arm.name}",
-            fix="move the path nearer to the base, or turn the gripper",
-        )
+        if not reached(error)[0]:
+            raise _lost(arm, T, left[0], error[0], time)
+        # It is there, on a way with more turns than one step takes.
+        found = left[0]
     jump = np.abs(found - q)
     if jump.max() > _LARGEST_JUMP:
         raise RobotError(
@@ -587,3 +582,16 @@ def _next(arm: Arm, T: Array, q: Array, time: float) -> Array:
             fix="move or turn the path away from there, or give a higher rate",
         )
     return found
+
+
+def _lost(arm: Arm, T: Array, q: Array, error: Array, time: float) -> RobotError:
+    """That a path goes out of reach, and how far the nearest joint angles [J] are off."""
+    off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
+    off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
+    held = np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))
+    ends = f", joint {' and '.join(str(j + 1) for j in held)} at its end" if len(held) else ""
+    return RobotError(
+        f"at t = {time:.3f} s the path goes out of reach: {describe(T)} is missed by {off}{ends}",
+        where=f"path of {arm.name}",
+        fix="move the path nearer to the base, or turn the gripper",
+    )
