@@ -99,7 +99,9 @@ def test_what_is_recorded_is_where_it_truly_is(clean):
         # Its lower side is out of view, its ends are not.
         assert np.ptp(points[:, 0]) > 0.8 * np.ptp(vertices[k, :, 0])
     path = recording.gripper_position[:, 0]
-    assert path[-1, 2] - path[0, 2] == pytest.approx(0.04, abs=1e-3)
+    # Half a finger's breadth from the rope's end, which lies 0.32 m in front of the base.
+    assert path[0] == pytest.approx([0.3325, 0.0, ROPE.diameter / 2.0], abs=1e-3)
+    assert path[-1] - path[0] == pytest.approx([0.0, 0.0, 0.04], abs=1e-3)
 
 
 def test_what_is_held_is_described(clean):
@@ -222,7 +224,7 @@ def test_the_arms_joints_are_recorded(rendering, tmp_path):
 
 def test_recordings_need_cameras(tmp_path):
     performance = Performance(lift(ROPE, rise=0.02), robot=False)
-    with pytest.raises(ParameterError, match="there is no camera"):
+    with pytest.raises(ParameterError, match="record: there is no camera"):
         record(performance, tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
