@@ -125,7 +125,7 @@ def record(
     frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
     frames = frames / settings.frame_rate
     # A little longer than the frames: some clocks are ahead.
-    samples = np.arange(int((seconds + 0.1) * PATH_RATE) + 1) / PATH_RATE
+    samples = np.arange(int((seconds + 0.1) * PATH_RATE + 1e-9) + 1) / PATH_RATE
 
     def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
         pictures = sensor.observe(*clean, world.cameras[c], eyes[c])
