@@ -93,6 +93,25 @@ def test_a_hold_is_not_searched_where_it_is_given(known):
     assert lift.coarser(0.7, hurry=2.0).hold == known
 
 
+def test_a_thin_cloth_costs_no_more_substeps(monkeypatch):
+    """The hold is found with a sheet that bends as far, whatever the thickness that is stated."""
+    moduli = []
+
+    def one_look(simulate, clouds, floor, bounds, starts):
+        simulate(starts[:1])
+        return starts[0]
+
+    def looked_at(self, thetas, **_):
+        moduli.append(thetas[0].specific_modulus)
+
+    monkeypatch.setattr("gendom.estimation.lift.fit_hold", one_look)
+    monkeypatch.setattr(Lift, "simulate", looked_at)
+    for thickness in (0.002, 0.0004):
+        seen = recording([flat()] * 12)
+        Lift(replace(seen, object=replace(seen.object, thickness=thickness)), CHEAP)
+    assert moduli[1] == moduli[0]
+
+
 def test_the_cloth_lies_as_it_is_held(known):
     """The held point lies inside the corner, beside the diagonal, turned, on the lower table."""
     hold = replace(known, sink=0.01)

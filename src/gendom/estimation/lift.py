@@ -14,7 +14,7 @@ from gendom.datasets import Recording
 from gendom.errors import RecordingError, SimulationError
 from gendom.estimation.gauss_newton import Bounds
 from gendom.estimation.hold import NAMES, Hold, as_hold, fit_hold
-from gendom.estimation.placing import place
+from gendom.estimation.placing import ASSUMED_THICKNESS, place
 from gendom.materials import Material
 from gendom.materials.parameters import specific_modulus_of
 from gendom.observation import visible
@@ -309,10 +309,16 @@ class Lift:
             return Hold()
         chosen = hanging[:: -(-len(hanging) // HOLD_FRAMES)]
         bending = NOMINAL_BENDING * self.size
-        theta = Theta(
-            specific_modulus=specific_modulus_of(bending, self.radius_of_gyration, -GRAVITY[2])
-        )
         coarse = self.coarser(HOLD_CELLS, hurry=1.0)
+        # With equal bending a thinner sheet is stiffer in its plane, as 1 / thickness^2, which
+        # costs substeps and tells nothing of the hold.
+        if coarse.body.thickness < ASSUMED_THICKNESS:
+            described = replace(self.recording.object, thickness=ASSUMED_THICKNESS)
+            thicker = replace(self.recording, object=described)
+            coarse = Lift(thicker, coarse.settings, hold=coarse.hold)
+        theta = Theta(
+            specific_modulus=specific_modulus_of(bending, coarse.radius_of_gyration, -GRAVITY[2])
+        )
         bounds = self._hold_bounds()
         mean, sd = as_hold(bounds.mean), as_hold(bounds.sd)
         # one guess at the stated point, one at fingertips below it that reach further in: what
