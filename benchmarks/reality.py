@@ -54,7 +54,8 @@ def measure(item: RealObject, folder: Path, args: argparse.Namespace) -> dict[st
         theta = Theta(
             specific_modulus=record["specific_modulus"],
             nu=record["poissons_ratio"],
-            grip_offset=record.get("grip_offset", 0.0),
+            grip_offset=record["grip_offset"],
+            friction=record["friction"],
         )
         x = lift.simulate([theta])[:, 0]
     else:

@@ -114,12 +114,12 @@ def replay_setup(
             specific_modulus=float(params["specific_modulus"]),
             nu=float(params["poissons_ratio"]),
             grip_offset=float(params.get("grip_offset", 0.0)),
+            friction=float(params.get("friction", 0.3)),
         )
         kind = params["object"]["kind"]
         simulation = params.get("simulation", {})
         settings = ReplaySettings(
             cells_across=float(simulation.get("cells_across", 1.5)),
-            friction=float(simulation.get("friction", 0.3)),
             law=str(simulation.get("law", "neo-hookean")),
             device=device,
         )

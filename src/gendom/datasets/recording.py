@@ -59,6 +59,8 @@ class ObjectDescription:
     """Total mass [kg]."""
     grasp: str = "end"
     """"end", "corner", "center" or "both ends"."""
+    grasp_radius: float | None = None
+    """How far from the gripper's position the fingers hold the object fast [m]."""
     extra: dict[str, Any] = field(default_factory=dict)
     """Other keys of the file's `object`, kept and written back."""
 

@@ -20,7 +20,14 @@ from gendom.estimation.gauss_newton import (
     noise_variance,
     posterior_covariance,
 )
-from gendom.estimation.lift import Lift, ReplaySettings, Theta
+from gendom.estimation.lift import (
+    BENDING_RANGE,
+    FRICTION_PRIOR,
+    FRICTION_RANGE,
+    Lift,
+    ReplaySettings,
+    Theta,
+)
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import DensityGrid, chamfer
 
@@ -51,13 +58,16 @@ CLOTH_ITERATIONS = 8
 LEAST_GAIN = {"coarse": 1e-2, "fine": 1e-3}
 """Share of the loss that a step must still win for a start to go on."""
 
-SAME = np.array([0.1, 1.0, 1e-3])
-"""Starts nearer to each other than this after the first stage (log E, nu, grip offset [m]) go on
-as one: nu is not told apart there."""
+SAME = np.array([0.1, 1.0, 1e-3, 1.0])
+"""Starts nearer to each other than this after the first stage (log E, nu, grip offset [m],
+friction) go on as one: nu and friction are not told apart there."""
 
-STEPS = {"rope": np.array([0.03, 0.01, 5e-4]), "cloth": np.array([0.15, 0.03, 2e-3])}
-"""Differences for the Jacobian in log E, nu and grip offset [m]: a sheet that buckles answers
-small ones with noise."""
+STEPS = {
+    "rope": np.array([0.03, 0.01, 5e-4, 0.02]),
+    "cloth": np.array([0.15, 0.03, 2e-3, 0.05]),
+}
+"""Differences for the Jacobian in log E, nu, grip offset [m] and friction: a sheet that buckles
+answers small ones with noise."""
 
 FRAME_EFFECT = 4
 """Independent figures that one independent frame contributes (shapes are smooth)."""
@@ -79,9 +89,6 @@ NU_PRIOR = (0.3, 0.06)
 
 OFFSET_PRIOR = {"commanded": 0.01, "measured": 0.002}
 """Standard deviation of the grip offset [m] by the source of the gripper's path."""
-
-BENDING_RANGE = {"rope": (0.08, 1.2), "cloth": (0.015, 0.2)}
-"""Bending lengths searched for, in lengths of a rope or diagonals of a cloth."""
 
 START_RANGE = {"rope": (0.2, 0.7), "cloth": (0.04, 0.1)}
 """Bending lengths from which starts are drawn, likewise."""
@@ -171,10 +178,12 @@ def estimate(
     effective = FRAME_EFFECT * min(len(_compared(fine, settings)), INDEPENDENT_FRAMES)
     frames = _compared(fine, settings)
     few = frames[:: -(-len(frames) // COARSE_FRAMES)]
-    free, most_fine = (0, 1, 2), settings.max_iterations
+    free, most_fine = (0, 1, 2, 3), settings.max_iterations
     if fine.body.kind == "cloth":
         # nu does not show in how a cloth hangs: it stays where its prior has it
-        free, most_fine = (0, 2), min(most_fine, CLOTH_ITERATIONS)
+        free, most_fine = (0, 2, 3), min(most_fine, CLOTH_ITERATIONS)
+    if fine.table_height is None:
+        free = tuple(k for k in free if k != 3)
     stages = (
         ("coarse", _Comparison(coarse, few, COARSE_LEVELS, (0, 2)), COARSE_ITERATIONS),
         ("fine", _Comparison(fine, frames, FINE_LEVELS, free), most_fine),
@@ -285,9 +294,9 @@ class _Comparison:
     def models(self, thetas: list[NDArray[np.floating]]) -> list[Normal | None]:
         """Quadratic models at parameter vectors, from one batch of worlds."""
         h = STEPS[self.lift.body.kind]
-        steps = [np.where(theta + h > [np.inf, 0.45, np.inf], -h, h) for theta in thetas]
+        steps = [np.where(theta + h > [np.inf, 0.45, np.inf, np.inf], -h, h) for theta in thetas]
         worlds = [
-            [theta] + [theta + np.eye(3)[k] * step[k] for k in self.free]
+            [theta] + [theta + np.eye(4)[k] * step[k] for k in self.free]
             for theta, step in zip(thetas, steps, strict=True)
         ]
         size = 1 + len(self.free)
@@ -310,7 +319,7 @@ class _Comparison:
     def _model(self, x: NDArray[np.floating], step: NDArray[np.floating]) -> Normal:
         """From particles [T, 1 + free, N, 3] of a point and its neighbours."""
         free = np.ix_(self.free, self.free)
-        sse, gradient, hessian = 0.0, np.zeros(3), np.zeros((3, 3))
+        sse, gradient, hessian = 0.0, np.zeros(4), np.zeros((4, 4))
         for t in range(len(x)):
             # neighbours show the same points: who is seen must not change within a difference
             skin = self.lift.body.surface(x[t])
@@ -327,7 +336,10 @@ class _Comparison:
 
 def _theta(vector: NDArray[np.floating]) -> Theta:
     return Theta(
-        specific_modulus=math.exp(vector[0]), nu=float(vector[1]), grip_offset=float(vector[2])
+        specific_modulus=math.exp(vector[0]),
+        nu=float(vector[1]),
+        grip_offset=float(vector[2]),
+        friction=float(vector[3]),
     )
 
 
@@ -336,28 +348,30 @@ def _compared(lift: Lift, settings: EstimateSettings) -> list[int]:
 
 
 def _starts(lift: Lift, settings: EstimateSettings) -> tuple[Bounds, list[Start]]:
-    def log_modulus(share: float) -> float:
-        length = share * lift.size
+    def log_modulus(length: float) -> float:
         return math.log(specific_modulus_of(length, lift.radius_of_gyration, GRAVITY))
 
-    low, high = (log_modulus(share) for share in BENDING_RANGE[lift.body.kind])
+    low, high = (log_modulus(share * lift.size) for share in BENDING_RANGE[lift.body.kind])
     near, far = (math.log(share) for share in START_RANGE[lift.body.kind])
     offset = OFFSET_PRIOR.get(lift.recording.gripper_source, OFFSET_PRIOR["commanded"])
     bounds = Bounds(
-        low=np.array([low, 0.05, -5.0 * offset]),
-        high=np.array([high, 0.45, 5.0 * offset]),
+        low=np.array([low, 0.05, -5.0 * offset, FRICTION_RANGE[0]]),
+        high=np.array([high, 0.45, 5.0 * offset, FRICTION_RANGE[1]]),
         # the modulus is searched over this range without preference: a very wide Gaussian
-        mean=np.array([(low + high) / 2.0, NU_PRIOR[0], 0.0]),
-        sd=np.array([(high - low) / 2.0, NU_PRIOR[1], offset]),
-        largest_step=np.array([1.0, 0.05, offset]),
-        tolerance=np.array([5e-3, 2e-3, 2e-4]),
+        mean=np.array([(low + high) / 2.0, NU_PRIOR[0], 0.0, FRICTION_PRIOR[0]]),
+        sd=np.array([(high - low) / 2.0, NU_PRIOR[1], offset, FRICTION_PRIOR[1]]),
+        largest_step=np.array([1.0, 0.05, offset, FRICTION_PRIOR[1]]),
+        tolerance=np.array([5e-3, 2e-3, 2e-4, 5e-3]),
     )
     rng = np.random.default_rng(settings.seed)
     starts = []
-    for _ in range(settings.starts):
-        theta = np.array(
-            [log_modulus(math.exp(rng.uniform(near, far))), rng.uniform(0.2, 0.4), 0.0]
-        )
+    for number in range(settings.starts):
+        length = math.exp(rng.uniform(near, far)) * lift.size
+        friction = FRICTION_PRIOR[0]
+        if lift.held is not None:
+            friction = lift.held.friction
+            length = lift.held.bending if number == 0 else length
+        theta = np.array([log_modulus(length), rng.uniform(0.2, 0.4), 0.0, friction])
         starts.append(Start(initial=theta, theta=theta))
     return bounds, starts
 
@@ -422,7 +436,9 @@ def _result(
     theta = _theta(best.theta)
     covariance = posterior_covariance(best.model, bounds, effective=effective)
     sd = np.sqrt(np.diag(covariance))
-    sd[0] = math.hypot(sd[0], GRID_ERROR / lift.settings.cells_across)
+    # E goes with the bending length cubed
+    doubt = 0.0 if lift.held is None else 3.0 * lift.held.doubt
+    sd[0] = math.hypot(sd[0], GRID_ERROR / lift.settings.cells_across, doubt)
     z = float(norm.ppf(0.5 + settings.level / 2.0))
     positions = lift.simulate([theta])[:, 0]
     whole, surface = replay_chamfer(lift, positions)
@@ -443,6 +459,7 @@ def _result(
         "specific_modulus": theta.specific_modulus,
         "bending_length": bends(theta.specific_modulus),
         "grip_offset": theta.grip_offset,
+        "friction": theta.friction,
         "hold": None if lift.hold is None else asdict(lift.hold),
         "intervals": {
             "level": settings.level,
@@ -453,10 +470,15 @@ def _result(
                 float(np.clip(theta.nu + sign * z * sd[1], bounds.low[1], bounds.high[1]))
                 for sign in (-1.0, 1.0)
             ],
+            "friction": [
+                float(np.clip(theta.friction + sign * z * sd[3], bounds.low[3], bounds.high[3]))
+                for sign in (-1.0, 1.0)
+            ],
         },
         "identifiable": {
             "youngs_modulus": bool(sd[0] < IDENTIFIABLE * bounds.sd[0]),
             "poissons_ratio": bool(sd[1] < IDENTIFIABLE * bounds.sd[1]),
+            "friction": bool(sd[3] < IDENTIFIABLE * bounds.sd[3]),
         },
         "chamfer_last": float(whole[-1]),
         "chamfer_mean": float(whole.mean()),
@@ -485,7 +507,6 @@ def _result(
             "cells_across": lift.settings.cells_across,
             "clock": lift.clock,
             "damping": lift.damping,
-            "friction": lift.settings.friction,
             "law": lift.settings.law,
             "dtype": lift.settings.dtype,
         },
@@ -513,4 +534,5 @@ def _named(vector: NDArray[np.floating], density: float) -> dict[str, float]:
         "specific_modulus": math.exp(vector[0]),
         "poissons_ratio": float(vector[1]),
         "grip_offset": float(vector[2]),
+        "friction": float(vector[3]),
     }

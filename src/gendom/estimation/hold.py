@@ -1,19 +1,26 @@
 """How a cloth's corner is held, read off the clouds of its lift.
 
 A recording states where the gripper was sent, not how the fingers hold the cloth: how far inside
-the corner, below the stated point, turned which way, and how late the cloud shows the motion. None
-of it belongs to the material, and little of the material shows before it is known.
+the corner, below the stated point, turned which way, how much of it, and how late the cloud shows
+the motion. None of it belongs to the material, but a large level grip looks like a stiff cloth: how
+far the cloth bends is an unknown of the same search.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from gendom.estimation.gauss_newton import Bounds, Normal, Start, descend
+from gendom.estimation.gauss_newton import (
+    Bounds,
+    Normal,
+    Start,
+    descend,
+    posterior_covariance,
+)
 from gendom.sim import check_numbers
 
 SMALL = 0.005
@@ -35,7 +42,7 @@ LEAST_GAIN = 3e-3
 """Share of the summed distances that a step must still win."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Hold:
     """Where and how a gripper holds the corner of a cloth."""
 
@@ -53,28 +60,60 @@ class Hold:
     """How far the held corner turns from level as it is lifted [rad]."""
     sink: float = 0.0
     """How far below the stated height the table lies [m]."""
+    reach: float = 0.025
+    """How far from the held point the cloth moves with the gripper as one: fingers and the folds
+    between them [m]."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             check_numbers(field.name, getattr(self, field.name))
         check_numbers("lag", self.lag, least=0.0)
         check_numbers("sink", self.sink, least=0.0)
+        check_numbers("reach", self.reach, above=0.0)
 
 
-NAMES = tuple(field.name for field in fields(Hold))
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """A cloth in a grip: how it is held and how far it bends."""
 
-STEPS = Hold(lag=0.01, height=0.003, inset=0.003, aside=0.003, turn=0.015, tilt=0.04, sink=0.0015)
+    hold: Hold
+    bending: float
+    """Bending length [m]."""
+    friction: float = 0.35
+    """Coefficient of friction on the table."""
+    doubt: float = 0.0
+    """Standard deviation of log(bending) that not knowing the hold adds to that of a known one."""
+
+    @property
+    def vector(self) -> NDArray[np.float64]:
+        """The unknowns of the search, in the order of `NAMES`."""
+        return np.array([*astuple(self.hold), self.friction, math.log(self.bending)])
+
+
+NAMES = (*(field.name for field in fields(Hold)), "friction", "log_bending")
+"""The unknowns of the search."""
+
+STEPS = Held(
+    hold=Hold(
+        lag=0.01, height=0.003, inset=0.003, aside=0.003, turn=0.015, tilt=0.05, sink=0.0015,
+        reach=0.004,
+    ),
+    friction=0.05,
+    bending=math.exp(0.06),
+)  # fmt: skip
 """Differences for the Jacobian."""
 
 
 def fit_hold(
-    simulate: Callable[[Sequence[Hold]], NDArray[np.floating]],
+    simulate: Callable[[Sequence[Held]], NDArray[np.floating]],
     clouds: Sequence[NDArray[np.floating]],
     floor: float | None,
     bounds: Bounds,
-    starts: Sequence[Hold],
-) -> Hold:
-    """The hold whose simulated lift lies nearest to the clouds.
+    starts: Sequence[Held],
+    *,
+    iterations: int = ITERATIONS,
+) -> Held:
+    """The held cloth whose simulated lift lies nearest to the clouds.
 
     Every recorded point is paired with the nearest particle and every particle in the recorded
     space with the nearest recorded point; Gauss-Newton steps on the distances of the pairs, which
@@ -83,17 +122,18 @@ def fit_hold(
     Besl and McKay (1992) for the pairs, Huber (1964) for the weights.
 
     Args:
-        simulate: Particles [T, W, N, 3] for W holds at the frames of the clouds [m].
+        simulate: Particles [T, W, N, 3] for W held cloths at the frames of the clouds [m].
         clouds: T recorded clouds [n, 3] [m].
         floor: Height below which the clouds show nothing, or None [m].
-        bounds: Limits and prior in the order of ``Hold``; a value whose limits coincide is given.
+        bounds: Limits and prior in the order of ``NAMES``; a value whose limits coincide is given.
         starts: First guesses; the best of what they lead to is taken.
+        iterations: Simulated batches that the search may spend.
 
     Raises:
         SimulationError: If a world diverges.
     """
     free = np.flatnonzero(bounds.high > bounds.low)
-    steps = np.array(astuple(STEPS))
+    steps = STEPS.vector
     thinned = [c[:: -(-len(c) // POINTS)].astype(float) for c in clouds]
     trees = [KDTree(c) for c in thinned]
 
@@ -124,7 +164,7 @@ def fit_hold(
         step = [np.where(theta + steps > bounds.high, -steps, steps) for theta in thetas]
         unit = np.eye(len(NAMES))
         worlds = [
-            as_hold(v)
+            as_held(v)
             for theta, d in zip(thetas, step, strict=True)
             for v in [theta] + [theta + unit[k] * d[k] for k in free]
         ]
@@ -134,19 +174,22 @@ def fit_hold(
 
     going = []
     for first in starts:
-        theta = np.clip(np.array(astuple(first)), bounds.low, bounds.high)
+        theta = np.clip(first.vector, bounds.low, bounds.high)
         going.append(Start(initial=theta, theta=theta))
     for _ in descend(
         models,
         going,
         bounds,
         effective=EFFECTIVE,
-        max_iterations=ITERATIONS,
+        max_iterations=iterations,
         least_gain=LEAST_GAIN,
     ):
         pass
     best = min(going, key=lambda s: s.model.sse)  # pyright: ignore[reportOptionalMemberAccess]
-    return as_hold(best.theta)
+    assert best.model is not None
+    information = np.linalg.inv(posterior_covariance(best.model, bounds, effective=EFFECTIVE))
+    doubt = np.linalg.inv(information)[-1, -1] - 1.0 / information[-1, -1]
+    return replace(as_held(best.theta), doubt=math.sqrt(max(doubt, 0.0)))
 
 
 def _shown(
@@ -164,6 +207,7 @@ def _shown(
     return share, np.where((share > 0.0) & (share < 1.0), 1.0 / EDGE, 0.0)
 
 
-def as_hold(vector: NDArray[np.floating]) -> Hold:
-    """The hold that a vector in the order of ``Hold`` stands for."""
-    return Hold(**dict(zip(NAMES, map(float, vector), strict=True)))
+def as_held(vector: NDArray[np.floating]) -> Held:
+    """The held cloth that a vector in the order of ``NAMES`` stands for."""
+    *hold, friction, log_bending = map(float, vector)
+    return Held(hold=Hold(*hold), friction=friction, bending=math.exp(log_bending))

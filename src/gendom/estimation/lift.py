@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from gendom.datasets import Recording
 from gendom.errors import RecordingError, SimulationError
 from gendom.estimation.gauss_newton import Bounds
-from gendom.estimation.hold import NAMES, Hold, as_hold, fit_hold
-from gendom.estimation.placing import ASSUMED_THICKNESS, place
+from gendom.estimation.hold import NAMES, Held, Hold, fit_hold
+from gendom.estimation.placing import place
 from gendom.materials import Material
 from gendom.materials.parameters import specific_modulus_of
 from gendom.observation import visible
@@ -37,10 +37,6 @@ ASSUMED_DENSITY = 1000.0
 CLOTH_DAMPING = 3.0
 """Damping of cloths on the recorded clock: the drag of the air on a sheet [1/s]."""
 
-CLOTH_GRIP = 0.045
-"""How far from the held point a cloth moves with the gripper, at every resolution: fingers and
-the folds between them [m]."""
-
 HANG_RISE = 1.0
 """Rise over which a held corner turns from lying to hanging, in reaches of the grip."""
 
@@ -53,22 +49,35 @@ SHOWN_AT_REST = 0.5
 RAMP_SPEED = 0.1
 """Speed at which the gripper takes the object from rest to its first recorded position [m/s]."""
 
-HOLD_CELLS = 0.6
-"""Share of those cells with which the hold of a corner is found."""
+HOLD_STAGES = {"commanded": ((0.6, 8), (1.0, 4)), "measured": ((1.0, 6),)}
+"""Shares of those cells with which the hold of a corner is found, and the batches spent there: a
+stated point that was measured lies near enough for the grid of the estimate."""
 
 HOLD_FRAMES = 10
 """Frames from which the hold of a corner is found."""
 
-NOMINAL_BENDING = 0.08
-"""Bending length with which the hold of a corner is found, in diagonals of the cloth."""
+HOLD_THICKNESS = 1.0 / 15.0
+"""Thickness of the sheet with which the hold of a thinner cloth is found, in bending lengths: one
+that hangs by its edge is stretched by less than 1 % for each 0.3 m below."""
 
-HOLD_MEAN = Hold(lag=0.05, inset=0.02, tilt=1.4, sink=0.005)
+BENDING_RANGE = {"rope": (0.08, 1.2), "cloth": (0.015, 0.2)}
+"""Bending lengths searched for, in lengths of a rope or diagonals of a cloth."""
+
+FRICTION_PRIOR = (0.35, 0.15)
+"""Mean and standard deviation of the coefficient of friction before seeing data."""
+
+FRICTION_RANGE = (0.05, 1.2)
+"""Coefficients of friction that are searched."""
+
+HOLD_MEAN = Hold(lag=0.05, inset=0.02, tilt=0.8, sink=0.005)
 """How the corner of a cloth is held, before seeing the clouds."""
 
 HOLD_SD = {
-    "commanded": Hold(lag=0.1, height=0.02, inset=0.02, aside=0.015, turn=0.2, tilt=0.2, sink=0.01),
+    "commanded": Hold(
+        lag=0.1, height=0.02, inset=0.02, aside=0.015, turn=0.2, tilt=0.6, sink=0.01, reach=0.008
+    ),
     "measured": Hold(
-        lag=0.02, height=0.005, inset=0.02, aside=0.015, turn=0.2, tilt=0.2, sink=0.01
+        lag=0.02, height=0.005, inset=0.02, aside=0.015, turn=0.2, tilt=0.6, sink=0.01, reach=0.008
     ),
 }
 """Standard deviations of that by the source of the gripper's path: an arm trails its commands and
@@ -76,6 +85,27 @@ what it is sent to is a point of the hand, not of the fingertips."""
 
 HOLD_RANGE = 4.0
 """How far from that mean a hold is looked for, in standard deviations."""
+
+HOLD_STARTS = (
+    Held(hold=replace(HOLD_MEAN, tilt=0.2), bending=0.05),
+    Held(hold=replace(HOLD_MEAN, lag=0.1, height=-0.03, inset=0.04, tilt=1.4, sink=0.015),
+         bending=0.08),
+)  # fmt: skip
+"""First guesses, bending lengths in diagonals of the cloth: a level corner at the stated point,
+and a hanging one at fingertips below it that reach further in. What lies between them looks alike
+from afar, and a search from one side stays there."""
+
+LEAST_REACH = 0.4
+"""The smallest grip that a grid resolves, in cells."""
+
+STATED_REACH_SD = 0.003
+"""Standard deviation of a reach that the recording states [m]."""
+
+LEAST_TILT = -0.2
+"""Fingers turn a corner down, hardly ever up [rad]."""
+
+LARGEST_BEND = 0.4
+"""Largest step of the search in the logarithm of the bending length."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +118,6 @@ class ReplaySettings:
     """Recorded seconds for one simulated second, or None to choose (1 unless quasi-static)."""
     damping: float | None = None
     """[1/s], or None for the default of the kind of motion."""
-    friction: float = 0.3
-    """Coefficient of friction of the table."""
     law: str = "neo-hookean"
     dtype: str = "float64"
     device: str = "cpu"
@@ -97,7 +125,6 @@ class ReplaySettings:
 
     def __post_init__(self) -> None:
         check_numbers("cells_across", self.cells_across, above=0.0)
-        check_numbers("friction", self.friction, least=0.0)
         if self.clock is not None:
             check_numbers("clock", self.clock, above=0.0)
         if self.damping is not None:
@@ -114,6 +141,8 @@ class Theta:
     """Poisson's ratio [-]."""
     grip_offset: float = 0.0
     """How much higher the object hangs than the stated gripper position [m]."""
+    friction: float = 0.3
+    """Coefficient of friction on the table [-]."""
 
 
 class Lift:
@@ -148,7 +177,6 @@ class Lift:
         if not self.frames:
             raise RecordingError("no frame holds a point", where="points", fix="record again")
         self.body, self.grip = place(recording, self.settings.cells_across, self.notes)
-        self.radius = self._grip_radius()
         self.clock = self._choose_clock()
         quasi = recording.quasi_static
         damping = self.settings.damping
@@ -160,9 +188,11 @@ class Lift:
         self.floor = self._find_floor()
         self._flat = self.body.x
         self.hold = hold
+        self.held: Held | None = None
         if hold is None and self.held_by_corner:
             _log.info("finding how the corner is held")
-            self.hold = self._find_hold()
+            self.held = self._find_hold()
+            self.hold = Hold() if self.held is None else self.held.hold
         if self.hold is not None:
             x = self._laid(self.hold)
             self.body = replace(self.body, x=x - [0.0, 0.0, self.hold.sink])
@@ -200,7 +230,7 @@ class Lift:
         begin = min(begin, float(times[0]))  # a path that lags begins after the clouds
         table = None
         if self.table_height is not None:
-            table = Table(height=self.table_height, friction=self.settings.friction)
+            table = Table(height=self.table_height, friction=[t.friction for t in thetas])
         simulator = Simulator(
             self.body,
             [self.material(theta) for theta in thetas],
@@ -263,11 +293,11 @@ class Lift:
 
     # ---- motion ----------------------------------------------------------------------------------
 
-    def _grip_radius(self) -> float:
+    def _grip_radius(self, hold: Hold | None) -> float:
+        """How far from the held point the object moves with the gripper as one [m]."""
         if self.body.kind == "rope":
             return 0.75 * self.body.thickness
-        # what moves with the gripper reaches one cell beyond its radius
-        return max(CLOTH_GRIP - self.body.dx, 0.25 * self.body.dx)
+        return max((hold or Hold()).reach, LEAST_REACH * self.body.dx)
 
     def _choose_clock(self) -> float:
         if self.settings.clock is not None:
@@ -299,81 +329,98 @@ class Lift:
         )
         return lowest + FLOOR_MARGIN
 
-    def _find_hold(self) -> Hold:
-        """How the corner is held, from the frames in which it hangs."""
+    def _find_hold(self) -> Held | None:
+        """How the corner is held, from the frames in which it hangs; None: it never does."""
         height = self.recording.gripper_position[:, 0, 2]
         rise = height - height[self.frames[0]]
-        hanging = [t for t in self.frames if rise[t] > HANG_RISE * (self.radius + self.body.dx)]
+        hanging = [
+            t for t in self.frames if rise[t] > HANG_RISE * (self._grip_radius(None) + self.body.dx)
+        ]
         if not hanging:
             self.notes.append("the corner is never lifted: taken as held at its very tip")
-            return Hold()
+            return None
         chosen = hanging[:: -(-len(hanging) // HOLD_FRAMES)]
-        bending = NOMINAL_BENDING * self.size
-        coarse = self.coarser(HOLD_CELLS, hurry=1.0)
-        # With equal bending a thinner sheet is stiffer in its plane, as 1 / thickness^2, which
-        # costs substeps and tells nothing of the hold.
-        if coarse.body.thickness < ASSUMED_THICKNESS:
-            described = replace(self.recording.object, thickness=ASSUMED_THICKNESS)
-            thicker = replace(self.recording, object=described)
-            coarse = Lift(thicker, coarse.settings, hold=coarse.hold)
-        theta = Theta(
-            specific_modulus=specific_modulus_of(bending, coarse.radius_of_gyration, -GRAVITY[2])
-        )
-        bounds = self._hold_bounds()
-        mean, sd = as_hold(bounds.mean), as_hold(bounds.sd)
-        # one guess at the stated point, one at fingertips below it that reach further in: what
-        # lies between them looks alike from afar, and a search from one side stays there
-        lower = replace(
-            mean,
-            lag=mean.lag + sd.lag / 2.0,
-            height=-1.5 * sd.height,
-            inset=mean.inset + sd.inset,
-            sink=mean.sink + sd.sink,
-        )
-        try:
-            return fit_hold(
-                lambda holds: coarse.simulate([theta] * len(holds), frames=chosen, holds=holds),
-                [self.recording.frame(t) for t in chosen],
-                self.floor,
-                bounds,
-                [mean, lower],
-            )
-        except SimulationError as error:
-            self.notes.append(f"how the corner is held could not be found: {error}")
-            return mean
+        clouds = [self.recording.frame(t) for t in chosen]
+        reach = self.recording.object.grasp_radius or HOLD_MEAN.reach
+        guesses = [
+            Held(hold=replace(g.hold, reach=reach), bending=g.bending * self.size)
+            for g in HOLD_STARTS
+        ]
+        source = self.recording.gripper_source
+        if source == "measured":
+            # the hand is where it says
+            guesses = [replace(guesses[0], hold=replace(guesses[0].hold, lag=0.0))]
+        found = None
+        for share, iterations in HOLD_STAGES.get(source, HOLD_STAGES["commanded"]):
+            lift = self._for_hold(share, guesses[0].bending)
+            k = lift.radius_of_gyration
+
+            def simulate(held: Sequence[Held], lift: Lift = lift, k: float = k):
+                moduli = [specific_modulus_of(h.bending, k, -GRAVITY[2]) for h in held]
+                thetas = [
+                    Theta(specific_modulus=modulus, friction=h.friction)
+                    for modulus, h in zip(moduli, held, strict=True)
+                ]
+                return lift.simulate(thetas, frames=chosen, holds=[h.hold for h in held])
+
+            bounds = lift._hold_bounds()
+            try:
+                found = fit_hold(
+                    simulate, clouds, self.floor, bounds, guesses, iterations=iterations
+                )
+            except SimulationError as error:
+                self.notes.append(f"how the corner is held could not be found: {error}")
+                break
+            guesses = [found]
+        return found or guesses[0]
+
+    def _for_hold(self, share: float, bending: float) -> "Lift":
+        """A cheap lift to find the hold with, of a cloth that bends about so far [m].
+
+        With equal bending a thinner sheet is stiffer in its plane, as 1 / thickness^2, which costs
+        substeps and tells nothing of the hold.
+        """
+        lift = self.coarser(share, hurry=1.0)
+        thickness = HOLD_THICKNESS * bending
+        if lift.body.thickness >= thickness:
+            return lift
+        described = replace(self.recording.object, thickness=thickness)
+        return Lift(replace(self.recording, object=described), lift.settings, hold=lift.hold)
 
     def _hold_bounds(self) -> Bounds:
-        """Limits and prior of the hold, in the order of its fields."""
+        """Limits and prior of the held cloth, in the order of ``NAMES``."""
         described = self.recording.object
         assert described.width is not None and described.height is not None
-        sd = HOLD_SD.get(self.recording.gripper_source, HOLD_SD["commanded"])
-        mean = HOLD_MEAN
-        if self.recording.gripper_source == "measured":
-            mean = replace(mean, lag=0.0)
-        spread = np.array(astuple(sd))
-        low = np.array(astuple(mean)) - HOLD_RANGE * spread
-        high = np.array(astuple(mean)) + HOLD_RANGE * spread
-        least = {"lag": 0.0, "inset": 0.0, "sink": 0.0}
-        most = {"inset": min(described.width, described.height) / 4.0}
+        source = self.recording.gripper_source
+        sd = np.array([*astuple(HOLD_SD.get(source, HOLD_SD["commanded"])), FRICTION_PRIOR[1], 1.0])
+        mean = np.array([*astuple(HOLD_MEAN), FRICTION_PRIOR[0], 0.0])
+        lag, inset, tilt, sink, reach, friction, bending = (
+            NAMES.index(name)
+            for name in ("lag", "inset", "tilt", "sink", "reach", "friction", "log_bending")
+        )
+        if source == "measured":
+            mean[lag] = 0.0
+        if described.grasp_radius is not None:
+            mean[reach], sd[reach] = described.grasp_radius, STATED_REACH_SD
+        # how far it bends is searched over its range without preference: a wide Gaussian
+        range_ = np.log(np.array(BENDING_RANGE["cloth"]) * self.size)
+        mean[bending], sd[bending] = range_.mean(), np.ptp(range_)
+        low, high = mean - HOLD_RANGE * sd, mean + HOLD_RANGE * sd
+        low[bending], high[bending] = range_
+        low[friction], high[friction] = FRICTION_RANGE
+        low[[lag, inset, sink]] = 0.0
+        low[tilt], low[reach] = LEAST_TILT, LEAST_REACH * self.body.dx
+        high[inset] = min(high[inset], described.width / 4.0, described.height / 4.0)
         if self.recording.quasi_static:
             # its clock is rescaled, so that a lag in seconds means nothing
-            mean = replace(mean, lag=0.0)
-            most["lag"] = 0.0
+            mean[lag] = high[lag] = 0.0
         if self.floor is None:
             # a table that is seen lies where it is stated
-            mean = replace(mean, sink=0.0)
-            most["sink"] = 0.0
-        for name, value in least.items():
-            low[NAMES.index(name)] = max(low[NAMES.index(name)], value)
-        for name, value in most.items():
-            high[NAMES.index(name)] = min(high[NAMES.index(name)], value)
+            mean[sink] = high[sink] = 0.0
+        largest = sd.copy()
+        largest[bending] = LARGEST_BEND
         return Bounds(
-            low=low,
-            high=high,
-            mean=np.array(astuple(mean)),
-            sd=spread,
-            largest_step=spread,
-            tolerance=0.02 * spread,
+            low=low, high=high, mean=mean, sd=sd, largest_step=largest, tolerance=0.02 * largest
         )
 
     def _laid(self, hold: Hold) -> NDArray[np.floating]:
@@ -401,7 +448,7 @@ class Lift:
         c, s = math.cos(hold.turn), math.sin(hold.turn)
         inwards = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._inwards()
         axis = np.cross(inwards, [0.0, 0.0, -1.0])
-        reach = self.radius + self.body.dx
+        reach = self._grip_radius(hold) + self.body.dx
         angle = hold.tilt * np.clip(rise / (HANG_RISE * reach), 0.0, 1.0)
         return Rotation.from_rotvec(angle[:, None] * axis).as_quat()
 
@@ -427,7 +474,8 @@ class Lift:
                 knots = np.concatenate([[time[0] - away / RAMP_SPEED - 1e-3], time])
                 at = np.concatenate([held[None], path])
             turn = None if hold is None else self._hanging(at[:, 2] - held[2], hold)
-            made.append(Gripper(time=knots, position=at, quat_xyzw=turn, radius=self.radius))
+            radius = self._grip_radius(hold)
+            made.append(Gripper(time=knots, position=at, quat_xyzw=turn, radius=radius))
         return made
 
     def _density(self) -> tuple[float, bool]:

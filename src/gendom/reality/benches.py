@@ -19,8 +19,8 @@ from gendom.reality.world import Reality
 SAG = 0.02
 """Sag in lengths for which the modulus is chosen."""
 
-STRIP = 7
-"""Points across the strip that is cut from a cloth."""
+STRIP = 6
+"""Spacings across the strip that is cut from a cloth."""
 
 
 @dataclass(frozen=True)
@@ -40,20 +40,23 @@ class Bench:
         return self.sag / self.expected - 1.0
 
 
-def cantilever(item: RealObject, *, seconds: float = 3.0) -> Bench:
+def cantilever(item: RealObject, *, diagonal: bool = False, seconds: float = 3.0) -> Bench:
     """Let an object sag from a clamp.
 
     Args:
-        item: A rope or a cloth; of a cloth a strip along its first side is taken.
+        item: A rope or a cloth; of a cloth a strip is taken.
+        diagonal: Along the cloth's diagonal, not along its first side.
         seconds: Simulated time until it is at rest [s].
     """
     if isinstance(item, RealCloth):
-        item = replace(item, strip=STRIP)
-        length, spacing = item.side, item.spacing
-        breadth = item.spacing * (STRIP - 1)
+        item = replace(item, strip=STRIP, diagonal=diagonal)
+        rows, row = np.unique(item.sheet[0][:, 0].round(9), return_inverse=True)
+        length, spacing = float(rows[-1]), float(rows[1])
+        breadth = item.mass / (item.material.density * item.thickness * length)
         rigidity = item.rigidity * breadth
     else:
         length, spacing = item.length, item.length / (item.vertices - 1)
+        row = np.arange(item.vertices)
         rigidity = item.material.E * math.pi * item.diameter**4 / 64.0
     # Curvature at a vertex stands for half an edge to both sides: the clamp holds two vertices
     # and half an edge of the bent part.
@@ -70,9 +73,7 @@ def cantilever(item: RealObject, *, seconds: float = 3.0) -> Bench:
     # Stiffened, a sheet is beyond conjugate gradients.
     world.model.opt.solver = 2  # Newton
     world.step_to(seconds)
-    x = world.vertices()
-    rows = x[:, 2].reshape(-1, STRIP) if isinstance(item, RealCloth) else x[:, 2, None]
-    height = rows.mean(axis=1)
+    height = np.bincount(row, world.vertices()[:, 2]) / np.bincount(row)
     # Less the slope that the clamp itself gives way.
     slope = (height[1] - height[0]) / spacing
     sag = height[1] - height[-1] + slope * (length - spacing)

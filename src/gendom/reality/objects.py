@@ -28,8 +28,12 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from gendom.errors import ParameterError
 from gendom.materials import Material
+from gendom.reality.sheet import diagonal_strip, grid
 
 GRAVITY = 9.81
 """[m/s^2]."""
@@ -89,15 +93,25 @@ class RealCloth:
     """Coefficient of friction on the table."""
     colour: tuple[int, int, int]
     """sRGB."""
-    vertices: int = 21
+    vertices: int = 31
     """Points along a side."""
     strip: int | None = None
-    """Points across, for a strip that is cut from it; None: as many as along."""
+    """Spacings across, for a strip that is cut from it (along the diagonal: half diagonals);
+    None: all of it."""
+    diagonal: bool = False
+    """Whether the strip is cut along the diagonal, not along the first side."""
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Points along and across."""
-        return self.vertices, self.vertices if self.strip is None else self.strip
+        """Points along and across the whole cloth or a strip along its side."""
+        return self.vertices, self.vertices if self.strip is None else self.strip + 1
+
+    @property
+    def sheet(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+        """Vertices [V, 2] of the flat cloth [m] and triangles [F, 3]."""
+        if self.diagonal and self.strip is not None:
+            return diagonal_strip(self.vertices, self.strip, self.spacing)
+        return grid(*self.counts, self.spacing)
 
     @property
     def spacing(self) -> float:
@@ -107,8 +121,8 @@ class RealCloth:
     @property
     def mass(self) -> float:
         """[kg]."""
-        breadth = self.spacing * (self.counts[1] - 1)
-        return self.side * breadth * self.thickness * self.material.density
+        area = 0.5 * self.spacing**2 * len(self.sheet[1])
+        return area * self.thickness * self.material.density
 
     @property
     def rigidity(self) -> float:

@@ -190,6 +190,7 @@ def _write_object(path: Path, performance: Performance, settings: RecordSettings
         "",
         "[object]",
         f'grasp = "{trial.grasp}"',
+        f"grasp_radius = {trial.reach!r}",
     ]
     for key, value in trial.item.description().items():
         lines.append(f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value!r}")

@@ -24,9 +24,9 @@ from gendom.reality.objects import GRAVITY, RealObject, RealRope
 ROPE_STEP, CLOTH_STEP = 0.001, 0.004
 """Time steps [s]."""
 
-SHEET_BENDING = 0.81
-"""MuJoCo's bending rigidity of a sheet on a square grid of halved squares, over that of plate
-theory: measured on clamped strips (`gendom.reality.benches`)."""
+SHEET_BENDING = 0.825
+"""MuJoCo's bending rigidity of a sheet over that of plate theory, between that of strips cut along
+the sides and along the diagonals (`gendom.reality.benches`)."""
 
 CLOTH_RADIUS = 0.002
 """Half the thickness with which a cloth touches and is seen [m]."""
@@ -232,9 +232,8 @@ def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:
     if isinstance(item, RealRope):
         along = np.linspace(0.0, item.length, item.vertices)
         return origin + along[:, None] * np.asarray(layout.along)
-    steps = np.stack(np.meshgrid(*map(np.arange, item.counts), indexing="ij"), axis=-1)
-    axes = np.array([layout.along, layout.across], dtype=np.float64)
-    return origin + item.spacing * steps.reshape(-1, 2) @ axes
+    points, _ = item.sheet
+    return origin + points @ np.array([layout.along, layout.across], dtype=np.float64)
 
 
 def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
@@ -260,17 +259,20 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
             f"{contact}</flexcomp>",
             n,
         )
-    (n, m), dx = item.counts, item.spacing
+    flat = Layout(origin=(0.0, 0.0, 0.0))
+    points = rest_shape(item, flat)
+    points -= points.mean(axis=0)
     # Rigidity E t^3 is raised to what MuJoCo's bending takes away, stiffness E t in the plane is
     # kept.
     thicker = (1.0 / SHEET_BENDING) ** 0.5
     return (
-        f'<flexcomp name="object" type="grid" dim="2" count="{n} {m} 1" spacing="{dx} {dx} {dx}"'
+        f'<flexcomp name="object" type="direct" dim="2" point="{_row(points)}"'
+        f' element="{" ".join(map(str, item.sheet[1].ravel()))}"'
         f' {place} radius="{CLOTH_RADIUS}" rgba="{colour}">'
         f'<elasticity young="{E / thicker!r}" poisson="{nu}" damping="{item.damping}"'
         f' thickness="{item.thickness * thicker!r}" elastic2d="both"/>'
         f"{contact}</flexcomp>",
-        n * m,
+        len(points),
     )
 
 

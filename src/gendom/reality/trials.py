@@ -401,17 +401,11 @@ def covered_area(cloth: RealCloth, vertices: npt.NDArray[np.float64]) -> float:
     """
     low = vertices[:, :2].min(axis=0)
     pixels = (vertices[:, :2] - low) / AREA_PIXEL
-    n, m = cloth.counts
-    corner = pixels.reshape(n, m, 2)
     width, height = (int(x) + 2 for x in pixels.max(axis=0))
     picture = Image.new("1", (width, height))
     draw = ImageDraw.Draw(picture)
-    for i in range(n - 1):
-        for j in range(m - 1):
-            a, b = corner[i, j], corner[i + 1, j]
-            c, d = corner[i + 1, j + 1], corner[i, j + 1]
-            draw.polygon([tuple(p) for p in (a, b, c)], fill=1)
-            draw.polygon([tuple(p) for p in (a, c, d)], fill=1)
+    for triangle in pixels[cloth.sheet[1]]:
+        draw.polygon([tuple(point) for point in triangle], fill=1)
     return float(np.asarray(picture).sum()) * AREA_PIXEL**2
 
 
