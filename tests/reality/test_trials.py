@@ -20,13 +20,17 @@ from gendom.reality import (
     carry_out_spreading,
     casting,
     covered_area,
+    default_cameras,
     lift,
+    lift_cameras,
+    looking_at,
     reaching,
     reaching_task,
     spreading,
     stretch,
 )
-from gendom.robot import XARM7, tcp_pose
+from gendom.reality.arm import surroundings
+from gendom.robot import XARM7, collision_along, tcp_pose
 from gendom.tasks.rope_reaching import PAPER_TIMES
 
 POLYESTER = cast(RealRope, OBJECTS["rope-polyester"])
@@ -87,6 +91,36 @@ def test_a_slowed_arm_finishes_its_lift():
     performance.step_to(performance.end)
     top = performance.trial.path.position[-1]
     assert performance.world.hand == pytest.approx(top, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "trial",
+    [
+        *(pytest.param(lambda i=i: lift(i), id=f"lift {n}") for n, i in OBJECTS.items()),
+        *(
+            pytest.param(lambda x=x, z=z: reaching(POLYESTER, (x, z)), id=f"reach {x} {z}")
+            for x, z in ((0.242, 0.08), (0.089, 0.262), (0.257, 0.154))
+        ),
+        *(pytest.param(lambda a=a: casting(POLYESTER, a), id=f"cast {a}") for a in (-0.25, 0.25)),
+        pytest.param(lambda: spreading(COTTON_CLOTH, 0.25), id="spread"),
+    ],
+)
+def test_what_is_done_by_default_touches_nothing(trial):
+    """Planned with the collision check, and free by the check alone, the lift's cameras too."""
+    trial = trial()
+    cameras = lift_cameras(trial.item)
+    motion = Performance(trial, cameras=cameras).motion
+    assert motion is not None
+    thick = getattr(trial.item, "diameter", None) or trial.item.thickness
+    assert collision_along(XARM7, motion, surroundings(cameras), opening=thick) is None
+
+
+def test_a_camera_in_the_arms_way_is_refused():
+    trial = lift(POLYESTER)
+    above = trial.path.position[-1] + [0.0, 0.05, -0.05]
+    camera = default_cameras()[0].at(looking_at(above, (0.5, 0.0, 0.0)))
+    with pytest.raises(RobotError, match=r"and camera left collide, \d+\.\d mm deep"):
+        Performance(trial, cameras=[camera])
 
 
 @pytest.fixture(scope="module")

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from gendom.robot import Arm, JointMotion, arm_shape, link_poses
+from gendom.perception.camera import Camera
+from gendom.robot import Arm, Box, JointMotion, Surroundings, arm_shape, link_poses
 
 STIFFNESS, DAMPING, INERTIA = 2.0e4, 4.0e2, 0.3
 """Of each joint's servo [N m / rad], [N m s / rad], and what its gears add to a link's inertia
 [kg m^2]: stiff enough to stay within a millimetre of its path."""
+
+HOUSING = (0.090, 0.025, 0.025)
+"""A D435i's breadth, height and depth [m] (Intel, "RealSense D400 series datasheet")."""
+
+_HOUSING_MIDDLE = (0.0175, 0.0, -0.0083)  # from the left imager, which sees the depth [m]
 
 _TOUCHED = 'contype="2" conaffinity="1"'
 _UNTOUCHED = 'contype="0" conaffinity="0"'
@@ -90,6 +97,16 @@ class RobotArm:
     def measured(self, data: Any) -> npt.NDArray[np.float64]:
         """[J] joint angles as the encoders have them [rad]."""
         return data.qpos[self._q].copy()
+
+
+def surroundings(cameras: Sequence[Camera]) -> Surroundings:
+    """What the arm must not touch: the table at z = 0, and the cameras' housings."""
+    boxes = []
+    for camera in cameras:
+        pose = camera.calibrated().copy()
+        pose[:3, 3] += pose[:3, :3] @ _HOUSING_MIDDLE
+        boxes.append(Box(name=f"camera {camera.name}", pose=pose, size=HOUSING))
+    return Surroundings(table_height=0.0, obstacles=tuple(boxes))
 
 
 def _place(T: npt.NDArray[np.float64]) -> str:
