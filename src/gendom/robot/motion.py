@@ -79,6 +79,8 @@ class JointMotion:
     """How far that is from the ideal path; None: it came from no path."""
     slowed_by: float = 1.0
     """How much longer it takes than the path asked for."""
+    path_time: Array | None = None
+    """[K] where the knots are on the path, in its own time [s]; None: it came from no path."""
 
     def __post_init__(self) -> None:
         time, q = np.asarray(self.time, dtype=float), np.asarray(self.q, dtype=float)
@@ -93,11 +95,32 @@ class JointMotion:
             raise RobotError("its times do not increase", where="joint motion", fix="sort them")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "q", q)
+        if self.path_time is not None and np.shape(self.path_time) != time.shape:
+            raise RobotError(
+                f"needs path_time {time.shape}, got {np.shape(self.path_time)}",
+                where="joint motion",
+            )
 
     @cached_property
     def spline(self) -> CubicSpline:
         """Angles [J] [rad] as a function of time [s], within the knots."""
         return CubicSpline(self.time, self.q, bc_type="clamped")
+
+    @cached_property
+    def _clock(self) -> CubicSpline:
+        if self.path_time is None:
+            raise RobotError("it came from no path", where="joint motion", fix="follow a path")
+        return CubicSpline(self.time, self.path_time)
+
+    def path_time_at(self, time: ArrayLike) -> Array:
+        """[...] where on its path the tool is at times [...] [s], in the path's own time [s].
+
+        The tool is at ``path.position_at(motion.path_time_at(t), motion.blend)``.
+
+        Raises:
+            RobotError: The motion came from no path, or from several.
+        """
+        return self._clock(np.clip(time, self.start, self.end))
 
     @property
     def start(self) -> float:
@@ -239,7 +262,6 @@ class JointMotion:
             events=tuple(
                 replace(e, time=self.start + factor * (e.time - self.start)) for e in self.events
             ),
-            blend=factor * self.blend,
             slowed_by=factor * self.slowed_by,
         )
 

@@ -22,6 +22,7 @@ from gendom.robot.kinematics import (
 )
 from gendom.robot.motion import JointMotion
 from gendom.robot.path import TcpPath
+from gendom.robot.timing import in_time
 
 Array = NDArray[np.float64]
 
@@ -34,10 +35,13 @@ SHORTEST_BLEND = 0.04
 
 _KNOTS_A_BLEND = 16
 _STEP, _ANGLE_WAY = 0.003, 0.3  # [m], [m/rad]; the tool's way between two solved times
+_FARTHEST = 0.005  # [m]; that way at most, however fast the path is
 _SLOWEST = 0.2  # [s]; between them at most
 _PULL = 3.0  # [1/m]; towards home within the null space, for each metre of the tool's way
 _POSTURES = 5  # configurations that a path is tried from
-_LARGEST_JUMP = 0.35  # [rad]; between two solved times: more is no continuous motion
+_LARGEST_JUMP = 0.1  # [rad]; between two solved times: more asks for smaller steps
+_MARGIN = 1e-3  # [rad]; along paths joints keep so far from the ends of their ranges
+_SMALLEST = 1e-5  # [m]; of which this is the smallest: what jumps here jumps
 
 # ---- from joint to joint -------------------------------------------------------------------------
 
@@ -126,7 +130,8 @@ def follow(
         rate: How often joint angles are solved [1/s], see `SOLVED_RATE`.
         blend: [s]; None: as short as the joints' accelerations allow (within a few percent), at
             least `SHORTEST_BLEND`, at most the path's `max_blend`.
-        slow_down: Take more time where speeds or accelerations would pass their limits.
+        slow_down: Where speeds or accelerations would pass their limits, take as much more time
+            as it needs, there and only there, see `gendom.robot.timing`.
         surroundings: What the arm must not touch, besides itself.
         opening: Distance of the fingers' inner faces [m].
 
@@ -137,13 +142,14 @@ def follow(
         RobotError: A part of the path is out of reach or cannot be reached continuously, a limit
             is passed, or the arm collides.
     """
-    first = path.pose_at(path.start)
-    postures = solutions(arm, first, near=near)[:_POSTURES]
+    # Splines overshoot a little where a joint comes to rest at its end.
+    kept = replace(arm, q_min=arm.q_min + _MARGIN, q_max=arm.q_max - _MARGIN)
+    postures = solutions(kept, path.pose_at(path.start), near=near)[:_POSTURES]
     best: JointMotion | None = None
     refusal: RobotError | None = None
     for q in postures:
         try:
-            motion = _from_posture(arm, path, q, rate, blend)
+            motion = _from_posture(kept, path, q, rate, blend)
             check_collisions(arm, motion, surroundings, opening=opening)
         except RobotError as error:
             refusal = refusal or error
@@ -157,7 +163,15 @@ def follow(
         raise refusal
     if not slow_down or any(u.exceeded and u.kind == "angle" for u in best.limit_uses(arm)):
         best.check_limits(arm)
-    return _slowed(arm, path, best, rate, blend)
+    motion = in_time(arm, best)
+    shortest = min(SHORTEST_BLEND, path.max_blend)
+    if blend is None and best.blend > shortest:
+        # The blend was made longer for the path's own pace; at a slower one less may do.
+        sharper = in_time(arm, _track(kept, path, best.q[0], rate, shortest))
+        motion = min(motion, sharper, key=lambda m: m.end - m.start)
+    motion.check_limits(arm)
+    check_collisions(arm, motion, surroundings, opening=opening)
+    return motion
 
 
 def _badness(motion: JointMotion, arm: Arm) -> tuple[bool, float]:
@@ -202,37 +216,30 @@ def _acceleration_use(motion: JointMotion, arm: Arm) -> float:
     return max(use.share for use in motion.limit_uses(arm) if use.kind == "acceleration")
 
 
-def _slowed(
-    arm: Arm, path: TcpPath, motion: JointMotion, rate: float, blend: float | None
-) -> JointMotion:
-    """A motion along the slowed path that keeps the limits, as quick a one as is found."""
-    # Stretching the motion as it is, blends included, always helps. Where speeds are at fault,
-    # a slower path may do with shorter blends.
-    best = motion.stretched(1.001 * motion.slowdown(arm))
-    if blend is not None:
-        return best
-    factor = 1.001 * max(u.share for u in motion.limit_uses(arm) if u.kind.endswith("speed"))
-    for _ in range(3):
-        if factor <= 1.0:
-            break
-        quicker = _from_posture(arm, path.slowed(factor), motion.q[0], rate, None)
-        within = not any(use.exceeded for use in quicker.limit_uses(arm))
-        if within and quicker.end - quicker.start < best.end - best.start:
-            return replace(quicker, slowed_by=factor)
-        factor *= 1.001 * quicker.slowdown(arm)
-    return best
-
-
 def _track(arm: Arm, path: TcpPath, q: Array, rate: float, blend: float) -> JointMotion:
     """Solve the joint angles along a path, each from the one before."""
-    time = _solved_times(path, rate, blend)
-    poses = path.pose_at(time, blend)
-    found = np.empty((len(time), arm.joints))
-    found[0] = q
-    for k in range(1, len(time)):
-        found[k] = _next(arm, poses[k], found[k - 1], time[k])
+    ahead = list(_solved_times(path, rate, blend)[::-1])
+    times, found = [ahead.pop()], [q]
+    while ahead:
+        T = path.pose_at(ahead[-1], blend)
+        step, lost = _next(arm, T, found[-1])
+        if step is not None and np.abs(step - found[-1]).max() <= _LARGEST_JUMP:
+            times.append(ahead.pop())
+            found.append(step)
+            continue
+        # Near a stretched arm some millimetres are large turns: smaller steps lead there.
+        middle = 0.5 * (times[-1] + ahead[-1])
+        if _way(T, path.pose_at(times[-1], blend)) < _SMALLEST:
+            raise _lost(arm, T, found[-1], step, lost, ahead[-1])
+        ahead.append(middle)
+    time = np.array(times)
     return JointMotion(
-        time=time, q=found, events=path.events, blend=blend, deviation=path.deviation(blend)
+        time=time,
+        q=np.array(found),
+        events=path.events,
+        blend=blend,
+        deviation=path.deviation(blend),
+        path_time=time,
     )
 
 
@@ -246,39 +253,45 @@ def _solved_times(path: TcpPath, rate: float, blend: float) -> Array:
     for a, b in pairwise(edges):
         if b - a < 1e-9:
             continue
+        way = _way(*path.pose_at(np.array([b, a]), blend))
         if np.any(np.abs(corners - 0.5 * (a + b)) < 0.5 * blend):
             steps = (b - a) * max(_KNOTS_A_BLEND / blend, rate)
         else:
-            there, here = path.pose_at(np.array([b, a]), blend)
-            way, turn = np.split(pose_error(there, here), 2)
-            way = np.linalg.norm(way) + _ANGLE_WAY * np.linalg.norm(turn)
             steps = min(max(way / _STEP, (b - a) / _SLOWEST), (b - a) * rate)
+        steps = max(steps, way / _FARTHEST)
         times.extend(np.linspace(a, b, max(math.ceil(steps - 1e-6), 1) + 1)[1:])
     return np.array(times)
 
 
-def _next(arm: Arm, T: Array, q: Array, time: float) -> Array:
-    """Joint angles [J] at a pose a little further on."""
+def _way(T: Array, T_from: Array) -> float:
+    """The tool's way between two poses [m], turns included."""
+    way, turn = np.split(pose_error(T, T_from), 2)
+    return float(np.linalg.norm(way) + _ANGLE_WAY * np.linalg.norm(turn))
+
+
+def _next(arm: Arm, T: Array, q: Array) -> tuple[Array | None, Array]:
+    """Joint angles [J] at a pose a little further on, None where that is out of reach; and the
+    error [6] that is left there."""
     found = step_towards(arm, T, q, arm.home, pull=_PULL)
-    if found is None:
-        left, error = descend(arm, T[None], q[None], arm.home, pull=0.0)
-        if not reached(error)[0]:
-            raise _lost(arm, T, left[0], error[0], time)
-        # It is there, on a way with more turns than one step takes.
-        found = left[0]
-    jump = np.abs(found - q)
-    if jump.max() > _LARGEST_JUMP:
-        raise RobotError(
+    if found is not None:
+        return found, np.zeros(6)
+    # Perhaps it is there, on a way with more turns than one step takes.
+    left, error = descend(arm, T[None], q[None], arm.home, pull=0.0)
+    return (left[0] if reached(error)[0] else None), error[0]
+
+
+def _lost(
+    arm: Arm, T: Array, q: Array, step: Array | None, error: Array, time: float
+) -> RobotError:
+    """That a path goes out of reach after joint angles [J], or on only with a jump."""
+    if step is not None:
+        jump = np.abs(step - q)
+        return RobotError(
             f"at t = {time:.3f} s joint {int(jump.argmax()) + 1} would have to jump by "
-            f"{jump.max():.2f} rad, near a singular pose",
+            f"{jump.max():.2f} rad, at a singular pose",
             where=f"path of {arm.name}",
-            fix="move or turn the path away from there, or give a higher rate",
+            fix="move or turn the path away from there",
         )
-    return found
-
-
-def _lost(arm: Arm, T: Array, q: Array, error: Array, time: float) -> RobotError:
-    """That a path goes out of reach, and how far the nearest joint angles [J] are off."""
     off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
     off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
     held = np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))
