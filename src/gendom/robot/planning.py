@@ -19,6 +19,7 @@ from gendom.robot.kinematics import (
     reached,
     solutions,
     step_towards,
+    tcp_pose,
 )
 from gendom.robot.motion import JointMotion
 from gendom.robot.path import TcpPath
@@ -41,6 +42,7 @@ _PULL = 3.0  # [1/m]; towards home within the null space, for each metre of the 
 _POSTURES = 5  # configurations that a path is tried from
 _LARGEST_JUMP = 0.1  # [rad]; between two solved times: more asks for smaller steps
 _MARGIN = 1e-3  # [rad]; along paths joints keep so far from the ends of their ranges
+_MISSED, _REFINEMENTS = 3e-6, 8  # [m], [rad]; what splines may miss between two solved times
 _SMALLEST = 1e-5  # [m]; of which this is the smallest: what jumps here jumps
 
 # ---- from joint to joint -------------------------------------------------------------------------
@@ -222,25 +224,44 @@ def _track(arm: Arm, path: TcpPath, q: Array, rate: float, blend: float) -> Join
     times, found = [ahead.pop()], [q]
     while ahead:
         T = path.pose_at(ahead[-1], blend)
-        step, lost = _next(arm, T, found[-1])
+        step = step_towards(arm, T, found[-1], arm.home, pull=_PULL)
         if step is not None and np.abs(step - found[-1]).max() <= _LARGEST_JUMP:
             times.append(ahead.pop())
             found.append(step)
             continue
         # Near a stretched arm some millimetres are large turns: smaller steps lead there.
-        middle = 0.5 * (times[-1] + ahead[-1])
         if _way(T, path.pose_at(times[-1], blend)) < _SMALLEST:
-            raise _lost(arm, T, found[-1], step, lost, ahead[-1])
-        ahead.append(middle)
-    time = np.array(times)
+            raise _lost(arm, T, found[-1], step, ahead[-1])
+        ahead.append(0.5 * (times[-1] + ahead[-1]))
+    time, solved = _refined(arm, path, blend, np.array(times), np.array(found))
     return JointMotion(
         time=time,
-        q=np.array(found),
+        q=solved,
         events=path.events,
         blend=blend,
         deviation=path.deviation(blend),
         path_time=time,
     )
+
+
+def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tuple[Array, Array]:
+    """More knots where the spline through them misses the path halfway between."""
+    for _ in range(_REFINEMENTS):
+        middle = 0.5 * (time[1:] + time[:-1])
+        guess = np.clip(JointMotion(time=time, q=q).at(middle), arm.q_min, arm.q_max)
+        poses = path.pose_at(middle, blend)
+        missed = np.abs(pose_error(poses, tcp_pose(arm, guess))).max(axis=1) > _MISSED
+        if not missed.any():
+            break
+        between, error = descend(arm, poses[missed], guess[missed], arm.home, pull=0.0)
+        if not reached(error).all():
+            k = int(np.argmin(reached(error)))
+            raise _lost(arm, poses[missed][k], between[k], None, middle[missed][k])
+        time = np.concatenate([time, middle[missed]])
+        q = np.concatenate([q, between])
+        order = np.argsort(time)
+        time, q = time[order], q[order]
+    return time, q
 
 
 def _solved_times(path: TcpPath, rate: float, blend: float) -> Array:
@@ -269,21 +290,8 @@ def _way(T: Array, T_from: Array) -> float:
     return float(np.linalg.norm(way) + _ANGLE_WAY * np.linalg.norm(turn))
 
 
-def _next(arm: Arm, T: Array, q: Array) -> tuple[Array | None, Array]:
-    """Joint angles [J] at a pose a little further on, None where that is out of reach; and the
-    error [6] that is left there."""
-    found = step_towards(arm, T, q, arm.home, pull=_PULL)
-    if found is not None:
-        return found, np.zeros(6)
-    # Perhaps it is there, on a way with more turns than one step takes.
-    left, error = descend(arm, T[None], q[None], arm.home, pull=0.0)
-    return (left[0] if reached(error)[0] else None), error[0]
-
-
-def _lost(
-    arm: Arm, T: Array, q: Array, step: Array | None, error: Array, time: float
-) -> RobotError:
-    """That a path goes out of reach after joint angles [J], or on only with a jump."""
+def _lost(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:
+    """That a path goes on after joint angles [J] only with a jump, or out of reach."""
     if step is not None:
         jump = np.abs(step - q)
         return RobotError(
@@ -292,9 +300,10 @@ def _lost(
             where=f"path of {arm.name}",
             fix="move or turn the path away from there",
         )
+    left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, pull=0.0))
     off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
     off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
-    held = np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))
+    held = np.flatnonzero((left <= arm.q_min) | (left >= arm.q_max))
     ends = f", joint {' and '.join(str(j + 1) for j in held)} at its end" if len(held) else ""
     return RobotError(
         f"at t = {time:.3f} s the path goes out of reach: {describe(T)} is missed by {off}{ends}",
