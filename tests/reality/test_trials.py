@@ -85,9 +85,9 @@ def test_the_arm_lifts(name):
 
 
 def test_a_slowed_arm_finishes_its_lift():
-    """A lift at 2 m/s is beyond the arm; what it does instead takes longer."""
+    """A lift at 2 m/s is beyond the arm; what it does instead takes longer, its pauses do not."""
     performance = Performance(lift(POLYESTER, rise=0.06, speed=2.0))
-    assert performance.slowed_by > 1.5
+    assert 1.1 < performance.slowed_by < 1.3
     performance.step_to(performance.end)
     top = performance.trial.path.position[-1]
     assert performance.world.hand == pytest.approx(top, abs=1e-3)
@@ -140,6 +140,30 @@ def test_arm_and_free_hand_reach_the_same(stretched):
     assert performance.slowed_by == 1.0
     assert arm.reached == pytest.approx(free.reached, abs=0.003)
     assert arm.sideways < 0.015
+
+
+@pytest.mark.parametrize("release", [(0.1925, 0.0965), (0.1598, 0.1197), (0.1073, 0.1456)])
+def test_a_sharply_bent_rope_stays_in_its_plane_under_the_arm(release):
+    """The demo's releases; a rope without resistance to twist falls by 7 to 57 mm."""
+    rope = cast(RealRope, OBJECTS["rope-cotton"])
+    free, arm = (
+        carry_out_reaching(Performance(reaching(rope, release), robot=robot))
+        for robot in (False, True)
+    )
+    assert free.sideways < 1e-3
+    assert arm.sideways < 0.005
+    assert arm.reached == pytest.approx(free.reached, abs=1e-3)
+
+
+def test_the_unloaded_hand_is_where_it_is_sent():
+    """Servos that are told what weight and motion ask for have little left to correct."""
+    performance = Performance(reaching(POLYESTER, STRETCHED))
+    motion, world, apart = performance.motion, performance.world, []
+    assert motion is not None
+    for time in np.arange(performance.closes, performance.opens, 0.02):
+        world.step_to(time)  # the hand stays open
+        apart.append(world.hand - motion.tcp_at(XARM7, world.time)[:3, 3])
+    assert np.abs(apart).max() < 5e-6
 
 
 def test_the_release_keeps_its_time(stretched):
