@@ -143,7 +143,7 @@ def test_arm_and_free_hand_reach_the_same(stretched):
 
 
 @pytest.mark.parametrize("release", [(0.1925, 0.0965), (0.1598, 0.1197), (0.1073, 0.1456)])
-def test_a_sharply_bent_rope_stays_in_its_plane_under_the_arm(release):
+def test_the_demo_s_rope_stays_in_its_plane_under_the_arm(release):
     """The demo's releases; a rope without resistance to twist falls by 7 to 57 mm."""
     rope = cast(RealRope, OBJECTS["rope-cotton"])
     free, arm = (
