@@ -15,6 +15,7 @@ from gendom.estimation import (
     estimate,
     replay_chamfer,
 )
+from gendom.estimation.estimate import BENDING_RANGE
 from gendom.files import to_json
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import chamfer
@@ -27,7 +28,7 @@ CHEAP = ReplaySettings(cells_across=1.0, clock=5.0, threads=1)
 """A coarse and quick replay; the recording made with it is as quick."""
 
 KEYS = {
-    "bending_length", "chamfer_last", "chamfer_last_surface", "chamfer_mean",
+    "bending_length", "bounds", "chamfer_last", "chamfer_last_surface", "chamfer_mean",
     "chamfer_mean_surface", "density", "density_assumed", "device", "format", "frames",
     "grip_offset", "history", "hold", "identifiable", "interrupted", "intervals", "iterations",
     "loss", "method", "notes", "object", "poissons_ratio", "seconds", "seed", "simulation",
@@ -161,6 +162,13 @@ def test_record_is_gendom_estimate_1(result):
     assert intervals["level"] == 0.9
     for name in ("youngs_modulus", "specific_modulus", "bending_length", "poissons_ratio"):
         assert intervals[name][0] < record[name] < intervals[name][1]
+        low, high = record["bounds"][name]
+        assert low < record[name] < high
+    low, high = record["bounds"]["specific_modulus"]
+    np.testing.assert_allclose(record["bounds"]["youngs_modulus"], [low * DENSITY, high * DENSITY])
+    # The range is one of bending lengths, in lengths of the simulated rope.
+    shares = np.array(record["bounds"]["bending_length"]) / estimated.lift.size
+    np.testing.assert_allclose(shares, BENDING_RANGE["rope"])
     assert record["simulation"]["cells_across"] == 1.0
     assert record["simulation"]["clock"] == 5.0
     assert not record["interrupted"]

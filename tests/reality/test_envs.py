@@ -53,6 +53,29 @@ def test_gymnasium_finds_nothing_to_blame_in_pictures(rendering, name):
     check_env(env)
 
 
+@pytest.mark.parametrize("name", ["RopeReaching", "RopeCasting", "ClothSpreading"])
+def test_a_fresh_process_makes_it_as_documented(run_python, name):
+    """By the id with the module in front of it, and without any other import."""
+    code = (
+        f"import gymnasium; env = gymnasium.make('gendom.reality.envs:gendom/{name}-v0', "
+        "parameters=True); observation, info = env.reset(seed=0); "
+        "print(env.unwrapped.spec.id, *sorted(observation), info['object'])"
+    )
+    made, *names, item = run_python(code).split()
+    assert made == f"gendom/{name}-v0" and item in OBJECTS
+    assert names == ["goal", "parameters", "sizes"]
+
+
+@pytest.mark.parametrize("name", ["RopeReaching", "RopeCasting", "ClothSpreading"])
+def test_every_number_has_a_unit(name):
+    env = make(name, parameters=True)
+    units = env.metadata["units"]
+    spaces = {**env.observation_space.spaces, "action": env.action_space}
+    assert {key: len(space.low) for key, space in spaces.items()} == {
+        key: len(names) for key, names in units.items()
+    }
+
+
 def test_seeds_repeat_and_differ():
     env = make("RopeReaching")
 

@@ -177,9 +177,9 @@ def test_slowing_down_keeps_the_limits(path):
     motion = follow(XARM7, quick, slow_down=True)
     motion.check_limits(XARM7)
     assert motion.slowed_by > 1.0
-    slowed = quick.slowed(motion.slowed_by)
     t = motion.sampled(200.0)
-    miss = pose_error(slowed.pose_at(t, motion.blend), motion.tcp_at(XARM7, t))
+    on_path = quick.pose_at(motion.path_time_at(t), motion.blend)
+    miss = pose_error(on_path, motion.tcp_at(XARM7, t))
     assert np.abs(miss).max() < 1e-5
 
 
@@ -196,6 +196,21 @@ def test_path_out_of_reach_names_its_time():
         follow(XARM7, path)
     with pytest.raises(RobotError, match="out of reach"):
         follow(XARM7, replace(path, position=path.position[::-1]))
+
+
+def test_a_path_to_the_end_of_reach_is_followed_in_small_steps():
+    """0.1 mm before the stretched arm, where some millimetres turn a joint by 0.4 rad."""
+    path = make_path(
+        [0, 1],
+        [[0.3582, -0.1781, 0.42407], [0.81091, -0.4031, 0.42407]],
+        np.sqrt([0.0, 0.5, 0.0, 0.5]),
+    )
+    motion = follow(XARM7, path, slow_down=True)
+    motion.check_limits(XARM7)
+    t = motion.sampled(500.0)
+    miss = pose_error(path.pose_at(motion.path_time_at(t), motion.blend), motion.tcp_at(XARM7, t))
+    assert np.abs(miss).max() < 1e-4
+    assert motion.slowed_by < 2.0
 
 
 # ---- joint moves and limits ----------------------------------------------------------------------

@@ -92,6 +92,7 @@ def estimate(**changes):
             "poissons_ratio": [0.211, 0.391],
             "specific_modulus": [1790.0, 1902.0],
         },
+        "bounds": {"youngs_modulus": [500.0, 50000.0], "poissons_ratio": [0.2, 0.4]},
         "identifiable": {"youngs_modulus": True, "poissons_ratio": False},
         "chamfer_mean": 0.0082,
         "loss": 100.0,
@@ -125,7 +126,6 @@ def content(recorded_lift, **changes):
         "estimate": EstimateSummary(
             values=estimate(),
             truth={"youngs_modulus": 1850.0, "poissons_ratio": 0.35},
-            bounds={"youngs_modulus": (500.0, 10500.0), "poissons_ratio": (0.2, 0.4)},
         ),
         "action": ActionSummary(outcomes=outcomes(), action_names=("x [m]", "z [m]")),
         "provenance": Provenance(
@@ -210,6 +210,41 @@ def test_same_content_same_bytes(make_lift):
     assert first == second
 
 
+def bars(page):
+    """What each bar's marks are and where [%], row by row."""
+    rows = re.findall(r'<div class="range">(.*?)</div>', page)
+    mark = r'<span class="(\w+)" style="left:([\d.]+)%(?:;width:([\d.]+)%)?"></span>'
+    return [
+        {name: (float(left), float(width or 0.0)) for name, left, width in re.findall(mark, row)}
+        for row in rows
+    ]
+
+
+def test_bars_show_the_interval_in_the_range_that_was_searched():
+    """Logarithmic for the modulus, over two decades here, linear for Poisson's ratio."""
+    truth = {"youngs_modulus": 5000.0, "poissons_ratio": 0.2}
+    summary = EstimateSummary(values=estimate(), truth=truth)
+    page = render_report(ReportContent(title="Bars", estimate=summary))
+    modulus, ratio = bars(page)
+    assert modulus["truth"][0] == pytest.approx(50.0) and ratio["truth"][0] == 0.0
+    assert modulus["estimate"][0] == pytest.approx(50.0 * np.log10(1834.0 / 500.0), abs=0.01)
+    left, width = modulus["interval"]
+    assert left == pytest.approx(50.0 * np.log10(1790.0 / 500.0), abs=0.01)
+    assert width == pytest.approx(50.0 * np.log10(1902.0 / 1790.0), abs=0.01)
+    assert ratio["interval"] == pytest.approx((5.5, 90.0), abs=0.01)
+    assert ratio["estimate"][0] == pytest.approx(56.0)
+    assert "the grey range was searched" in Page(page).words
+
+
+def test_estimates_of_older_files_have_no_bars():
+    values = estimate()
+    del values["bounds"]
+    summary = EstimateSummary(values=values)
+    page = render_report(ReportContent(title="Older", estimate=summary))
+    assert bars(page) == [] and "was searched" not in page
+    assert "95 % interval" in Page(page).words
+
+
 def test_missing_parts_are_left_out():
     page = Page(render_report(ReportContent(title="Nothing")))
     assert page.images == [] and "The action" not in page.words
@@ -291,6 +326,10 @@ def test_scene_holds_the_points_it_names(make_lift):
         (
             lambda: EstimateSummary(values=estimate(poissons_ratio=None)),
             "estimate.poissons_ratio: is no number",
+        ),
+        (
+            lambda: EstimateSummary(values=estimate(bounds={"poissons_ratio": [0.1, 0.2, 0.3]})),
+            r"estimate.bounds.poissons_ratio: is \[0.1, 0.2, 0.3\]",
         ),
         (
             lambda: EstimateSummary(values=estimate(intervals={"youngs_modulus": [1.0]})),

@@ -143,7 +143,9 @@ class Estimate:
     chamfer: NDArray[np.floating] = field(repr=False)
     """[T] distance to all particles [m]."""
     record: dict[str, Any] = field(repr=False)
-    """The JSON document, format ``gendom-estimate/1``."""
+    """The JSON document, format ``gendom-estimate/1``: SI units; ``intervals`` and ``bounds``, the
+    range that was searched, hold [low, high] by the names of the values. Files of older versions
+    have no ``bounds``."""
 
 
 def estimate(
@@ -449,6 +451,8 @@ def _result(
     def bends(s: float) -> float:
         return bending_length(s, k, GRAVITY)
 
+    searched = [math.exp(bounds.low[0]), math.exp(bounds.high[0])]
+
     described = lift.recording.object
     record: dict[str, Any] = {
         "format": "gendom-estimate/1",
@@ -474,6 +478,12 @@ def _result(
                 float(np.clip(theta.friction + sign * z * sd[3], bounds.low[3], bounds.high[3]))
                 for sign in (-1.0, 1.0)
             ],
+        },
+        "bounds": {
+            "youngs_modulus": [s * density for s in searched],
+            "specific_modulus": searched,
+            "bending_length": [bends(s) for s in searched],
+            "poissons_ratio": [float(bounds.low[1]), float(bounds.high[1])],
         },
         "identifiable": {
             "youngs_modulus": bool(sd[0] < IDENTIFIABLE * bounds.sd[0]),

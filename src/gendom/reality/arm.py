@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from gendom.robot import Arm, JointMotion, arm_shape, link_poses
+from gendom.perception.camera import Camera
+from gendom.reality.scene import load_mujoco
+from gendom.robot import Arm, Box, JointMotion, Surroundings, arm_shape, link_poses
 
 STIFFNESS, DAMPING, INERTIA = 2.0e4, 4.0e2, 0.3
 """Of each joint's servo [N m / rad], [N m s / rad], and what its gears add to a link's inertia
-[kg m^2]: stiff enough to stay within a millimetre of its path."""
+[kg m^2]."""
+
+HOUSING = (0.090, 0.025, 0.025)
+"""A D435i's breadth, height and depth [m] (Intel, "RealSense D400 series datasheet")."""
+
+_HOUSING_MIDDLE = (0.0175, 0.0, -0.0083)  # from the left imager, which sees the depth [m]
 
 _TOUCHED = 'contype="2" conaffinity="1"'
 _UNTOUCHED = 'contype="0" conaffinity="0"'
@@ -21,8 +29,9 @@ _UNTOUCHED = 'contype="0" conaffinity="0"'
 class RobotArm:
     """An arm whose joints follow a motion through servos.
 
-    Links have the mass of their capsules, filled as water, and do not sag: their weight is
-    compensated, as the real controller does. They push the object away; the gripper does not,
+    Links have the mass of their capsules, filled as water. Servos are told the torques that weight
+    and motion of the links ask for beforehand, as real controllers are; what they correct is what
+    the object does. They push the object away; the gripper does not,
     since what it holds lies between its fingers.
 
     Args:
@@ -36,6 +45,8 @@ class RobotArm:
         self.motion = motion
         self.opening = opening
         self._q = self._v = np.empty(0, dtype=int)
+        self._mujoco: Any = None
+        self._model: Any = None
 
     def xml(self) -> str:
         """The arm's bodies; the hand is the body `hand`, with the tool point at its origin."""
@@ -77,19 +88,39 @@ class RobotArm:
 
     def reset(self, model: Any, data: Any) -> None:
         """Put the arm to where its motion starts."""
+        self._mujoco, self._model = load_mujoco(), model
         joints = [model.joint(f"joint{i}") for i in range(1, self.arm.joints + 1)]
         self._q = np.array([int(j.qposadr[0]) for j in joints])
         self._v = np.array([int(j.dofadr[0]) for j in joints])
         data.qpos[self._q] = self.motion.at(0.0)
 
     def control(self, data: Any, time: float) -> None:
-        """Tell the servos where to be at a time [s]."""
-        data.ctrl[0::2] = self.motion.at(time)
-        data.ctrl[1::2] = self.motion.speed_at(time)
+        """Tell the servos where to be at a time [s], one step from now."""
+        model = self._model
+        step = model.opt.timestep
+        before, now, then = self.motion.at(time - step * np.array([2.0, 1.0, 0.0]))
+        # Speeds and accelerations of the steps, not of the motion: those lead to its angles.
+        data.ctrl[0::2] = then
+        data.ctrl[1::2] = (then - now) / step
+        acceleration, torque = np.zeros(model.nv), np.zeros(model.nv)
+        acceleration[self._v] = (then - 2.0 * now + before) / step**2
+        self._mujoco.mj_mulM(model, data, torque, acceleration)
+        torque += data.qfrc_bias - data.qfrc_gravcomp
+        data.qfrc_applied[self._v] = torque[self._v]
 
     def measured(self, data: Any) -> npt.NDArray[np.float64]:
         """[J] joint angles as the encoders have them [rad]."""
         return data.qpos[self._q].copy()
+
+
+def surroundings(cameras: Sequence[Camera]) -> Surroundings:
+    """What the arm must not touch: the table at z = 0, and the cameras' housings."""
+    boxes = []
+    for camera in cameras:
+        pose = camera.calibrated().copy()
+        pose[:3, 3] += pose[:3, :3] @ _HOUSING_MIDDLE
+        boxes.append(Box(name=f"camera {camera.name}", pose=pose, size=HOUSING))
+    return Surroundings(table_height=0.0, obstacles=tuple(boxes))
 
 
 def _place(T: npt.NDArray[np.float64]) -> str:

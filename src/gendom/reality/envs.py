@@ -7,14 +7,16 @@
 Importing this module registers them; `gymnasium.make("gendom.reality.envs:gendom/RopeReaching-v0")`
 does both. A step is one action carried out to its end, and ends the episode.
 
-Observation: a dictionary of float32.
+Observation: a dictionary of float32. `metadata["units"]` has the units too, by the same names, and
+those of the action.
 
-    goal         [1] or [2], see above
+    goal         [1] farthest x [m]; [2] way along the cast and height [m]; [1] extended ratio [-]
     sizes        [2] a rope's length and diameter, a cloth's side and thickness [m]
-    parameters   [2] E / density [m^2/s^2] and nu: only if asked for, see `TaskEnv`
+    parameters   [2] E / density [m^2/s^2] and nu [-]: only if asked for, see `TaskEnv`
 
 Reward: minus the distance of what was reached from the goal [m]; of spreading, the extended ratio.
-What the arm refuses is not carried out and earns `REFUSED`, less than anything that is.
+What the arm refuses (a place out of its reach, a collision) is not carried out and earns `REFUSED`,
+less than anything that is.
 
 info of a step:
 
@@ -88,6 +90,16 @@ FRAME_RATE = 10
 """Of a video of initial and final pictures [1/s]."""
 
 
+def _metadata(action: Sequence[str], goal: Sequence[str]) -> dict[str, Any]:
+    """A task's, with the units of its action and goal."""
+    units = {"goal": tuple(goal), "sizes": ("m", "m"), "parameters": ("m^2/s^2", "1")}
+    return {
+        "render_modes": ["rgb_array"],
+        "render_fps": FRAME_RATE,
+        "units": {**units, "action": tuple(action)},
+    }
+
+
 class TaskEnv(gymnasium.Env[Any, Any]):
     """One task of the second reality.
 
@@ -104,10 +116,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         ParameterError: There is no such object or render mode, or the object is of another kind.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
-        "render_modes": ["rgb_array"],
-        "render_fps": FRAME_RATE,
-    }
+    metadata: ClassVar[dict[str, Any]] = _metadata(action=(), goal=())
     action_space: gymnasium.spaces.Box
     observation_space: gymnasium.spaces.Dict
     kind: ClassVar[type]
@@ -335,6 +344,7 @@ class RopeReachingEnv(TaskEnv):
     of the box come into the limits so.
     """
 
+    metadata = _metadata(action=("m", "m"), goal=("m",))
     kind = RealRope
     looks_at = (TASK_ORIGIN[0], -0.05, 0.3)
 
@@ -365,6 +375,7 @@ class RopeCastingEnv(TaskEnv):
     """Rope casting; the action is how far the hand moves [m], the goal where the tip is highest:
     along the cast from where it hung, and above the table [m]."""
 
+    metadata = _metadata(action=("m",), goal=("m", "m"))
     kind = RealRope
     goal_size = 2
     looks_at = (CAST_PLACE[0], 0.0, 0.3)
@@ -386,11 +397,12 @@ class RopeCastingEnv(TaskEnv):
 
 
 class ClothSpreadingEnv(TaskEnv):
-    """Cloth spreading; the action is the paper's acceleration A, at most `LARGEST_PAPER_A`.
+    """Cloth spreading; the action is the paper's acceleration A [-], at most `LARGEST_PAPER_A`.
 
-    The reward is the extended ratio, whatever the goal, which is `SPREAD_GOAL` if not given.
+    The reward is the extended ratio [-], whatever the goal, which is `SPREAD_GOAL` if not given.
     """
 
+    metadata = _metadata(action=("1",), goal=("1",))
     kind = RealCloth
     looks_at = (START + 0.15, 0.0, 0.1)
     seen_from = (0.4, 0.6, 0.5)

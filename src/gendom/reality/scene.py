@@ -1,8 +1,8 @@
 """The second reality's model: a table, one object as a MuJoCo flex, an arm and two cameras.
 
-MuJoCo's equations are not our simulator's: a rope is a discrete elastic rod without twist, a cloth
-a shell of triangles, both integrated implicitly; contacts are its own. See docs/reality.md for
-how both were measured against closed forms.
+MuJoCo's equations are not our simulator's: a rope is a discrete elastic rod, a cloth a shell of
+triangles, both integrated implicitly; contacts are its own. See docs/reality.md for how both were
+measured against closed forms, and `gendom.reality.twist` for what its rods lack.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def build_model(
     mujoco = load_mujoco()
     step = timestep or (ROPE_STEP if isinstance(item, RealRope) else CLOTH_STEP)
     flex, vertices = _flex(item, layout, step)
-    held = _clamped(item, layout)
+    held = clamped_vertices(item, layout)
     x, y, wide, deep = TABLE
     top = (
         f'<geom name="table" type="box" pos="{x} {y} -0.02" size="{wide / 2} {deep / 2} 0.02"'
@@ -276,8 +276,8 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
     )
 
 
-def _clamped(item: RealObject, layout: Layout) -> npt.NDArray[np.intp]:
-    """Vertices that the stand holds."""
+def clamped_vertices(item: RealObject, layout: Layout) -> npt.NDArray[np.intp]:
+    """Vertices that the stand holds, in order."""
     if layout.clamped <= 0.0:
         return np.empty(0, dtype=np.intp)
     along = (rest_shape(item, layout) - np.asarray(layout.origin)) @ np.asarray(layout.along)

@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw
 
 from gendom.errors import RobotError
 from gendom.perception.camera import Camera
-from gendom.reality.arm import RobotArm
+from gendom.reality.arm import RobotArm, surroundings
 from gendom.reality.objects import RealCloth, RealObject, RealRope
 from gendom.reality.scene import Layout, default_cameras, rest_height
 from gendom.reality.world import FINGER_WIDTH, Reality
@@ -96,14 +96,23 @@ class Performance:
         cameras: Fixed cameras.
 
     Raises:
-        RobotError: The arm cannot follow the path within its limits.
+        RobotError: The arm cannot follow the path within its limits, or would touch itself, the
+            table or a camera.
         DeviceError: MuJoCo is not installed.
     """
 
     def __init__(self, trial: Trial, *, robot: bool = True, cameras: Sequence[Camera] = ()):
         self.trial = trial
-        self.motion = follow(XARM7, trial.path, slow_down=True) if robot else None
         thick = trial.item.diameter if isinstance(trial.item, RealRope) else trial.item.thickness
+        self.motion = None
+        if robot:
+            self.motion = follow(
+                XARM7,
+                trial.path,
+                slow_down=True,
+                surroundings=surroundings(cameras),
+                opening=thick,
+            )
         arm = None if self.motion is None else RobotArm(XARM7, self.motion, opening=thick)
         self.world = Reality(trial.item, trial.layout, robot=arm, cameras=cameras)
         if arm is None:

@@ -13,7 +13,14 @@ import numpy.typing as npt
 from gendom.errors import DeviceError, ParameterError, SimulationError
 from gendom.perception.camera import Camera
 from gendom.reality.objects import RealObject, RealRope
-from gendom.reality.scene import Layout, build_model, headless, load_mujoco
+from gendom.reality.scene import (
+    Layout,
+    build_model,
+    clamped_vertices,
+    headless,
+    load_mujoco,
+)
+from gendom.reality.twist import Twist
 
 FINGER_WIDTH = 0.025
 """Breadth of the fingers: what they hold reaches half of it to either side [m]."""
@@ -76,6 +83,7 @@ class Reality:
             [self.model.equality(f"hand_{v}").id for v in range(len(self._bodies))]
         )
         self._path: Callable[[float], npt.ArrayLike] | None = None
+        self._twist: Twist | None = None
         self._renderer: Any = None
         self.reset()
 
@@ -84,7 +92,7 @@ class Reality:
     def reset(self) -> None:
         """Back to time 0: the object in its layout, at rest and free, the hand away."""
         self._mujoco.mj_resetData(self.model, self.data)
-        self._path = None
+        self._path = self._twist = None
         if self.robot is not None:
             self.robot.reset(self.model, self.data)
         self._mujoco.mj_forward(self.model, self.data)
@@ -106,10 +114,10 @@ class Reality:
                 self.robot.control(self.data, self.time + step)
             elif self._path is not None:
                 self.data.mocap_pos[0] = self._path(self.time + step)
+            if self._twist is not None:
+                self._apply(self._twist)
             self._mujoco.mj_step(self.model, self.data)
-        # A step leaves bodies and vertices where they were before it.
-        self._mujoco.mj_kinematics(self.model, self.data)
-        self._mujoco.mj_flex(self.model, self.data)
+        self._place()
         bad = (self._mujoco.mjtWarning.mjWARN_BADQPOS, self._mujoco.mjtWarning.mjWARN_BADQACC)
         if (
             any(self.data.warning[int(w)].number for w in bad)
@@ -120,6 +128,19 @@ class Reality:
                 where=f"{self.item.name}, t = {self.time:.4g} s",
                 fix="take a smaller timestep",
             )
+
+    def _place(self) -> None:
+        """Bring bodies and vertices to the state: a step leaves them where they were before it."""
+        self._mujoco.mj_kinematics(self.model, self.data)
+        self._mujoco.mj_flex(self.model, self.data)
+
+    def _apply(self, twist: Twist) -> None:
+        """A twisted rope's forces on its vertices and its moment on the hand, for the next step."""
+        self._place()
+        rotation = self.data.xmat[self._hand].reshape(3, 3)
+        load = twist.load(self.data.flexvert_xpos, rotation, self.model.opt.timestep)
+        self.data.xfrc_applied[self._bodies, :3] = load.forces
+        self.data.xfrc_applied[self._hand, 3:] = load.moment
 
     # ---- the hand --------------------------------------------------------------------------------
 
@@ -142,6 +163,12 @@ class Reality:
             along = x[held[-1]] - x[held[0]]
             return along / np.linalg.norm(along)
         return self.data.xmat[self._hand].reshape(3, 3)[:, 0].copy()
+
+    @property
+    def twist(self) -> float:
+        """How far a rope's hand-held end is turned against the one in the stand [rad]; 0 where a
+        rope is not held at both ends."""
+        return 0.0 if self._twist is None else self._twist.angle
 
     @property
     def held(self) -> npt.NDArray[np.intp]:
@@ -178,11 +205,17 @@ class Reality:
             self.model.eq_data[e, :3] = 0.0
             self.model.eq_data[e, 3:6] = R.T @ (x[v] - self.hand)
         self.data.eq_active[self._connections[near]] = 1
+        stand = clamped_vertices(self.item, self.layout)
+        if isinstance(self.item, RealRope) and len(stand) and stand[-1] < near[0]:
+            # Held at both ends, it can be twisted.
+            self._twist = Twist(self.item, x, first=stand[-2], last=near[0], rotation=R.copy())
         return near
 
     def release(self) -> None:
-        """Open the hand."""
+        """Open the hand: a free end twists back."""
         self.data.eq_active[self._connections] = 0
+        self._twist = None
+        self.data.xfrc_applied[:] = 0.0
 
     # ---- what is true ----------------------------------------------------------------------------
 

@@ -11,6 +11,18 @@ from gendom.robot.arm import (
     LinkCapsule,
     ParallelGripper,
 )
+from gendom.robot.collision import (
+    ALONE,
+    Box,
+    Collision,
+    Gaps,
+    Post,
+    Surroundings,
+    check_collisions,
+    collision_along,
+    collision_at,
+    gaps,
+)
 from gendom.robot.kinematics import (
     inverse_kinematics,
     jacobian,
@@ -19,7 +31,7 @@ from gendom.robot.kinematics import (
     solutions,
     tcp_pose,
 )
-from gendom.robot.motion import JointMotion, LimitUse, follow, joint_move
+from gendom.robot.motion import JointMotion, LimitUse
 from gendom.robot.motions import (
     SPREADING_HEIGHT,
     cloth_spreading,
@@ -36,6 +48,7 @@ from gendom.robot.path import (
     pointing,
     pointing_down,
 )
+from gendom.robot.planning import follow, joint_move
 from gendom.robot.shape import ArmShape, arm_shape
 from gendom.robot.states import JointStates, read_joints
 from gendom.robot.xarm7 import XARM7
@@ -56,14 +69,18 @@ def find_arm(name: str) -> Arm:
 
 
 __all__ = [
+    "ALONE",
     "ARMS",
     "DOWN",
     "SPREADING_HEIGHT",
     "XARM7",
     "Arm",
     "ArmShape",
+    "Box",
+    "Collision",
     "Deviation",
     "FingerCapsule",
+    "Gaps",
     "GripperEvent",
     "JointMotion",
     "JointStates",
@@ -71,11 +88,17 @@ __all__ = [
     "LimitUse",
     "LinkCapsule",
     "ParallelGripper",
+    "Post",
+    "Surroundings",
     "TcpPath",
     "arm_shape",
+    "check_collisions",
     "cloth_spreading",
+    "collision_along",
+    "collision_at",
     "find_arm",
     "follow",
+    "gaps",
     "inverse_kinematics",
     "jacobian",
     "joint_move",

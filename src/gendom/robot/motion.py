@@ -1,4 +1,4 @@
-"""Timed motions of the joints: from paths of the tool, from joint to joint, and their limits."""
+"""Timed motions of the joints, and what they use of an arm's limits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,33 +14,14 @@ from scipy.interpolate import CubicSpline
 from gendom.errors import RobotError
 from gendom.files import atomic_path
 from gendom.robot.arm import Arm
-from gendom.robot.kinematics import (
-    descend,
-    describe,
-    jacobian,
-    pose_error,
-    reached,
-    solutions,
-    step_towards,
-    tcp_pose,
-)
-from gendom.robot.path import Deviation, GripperEvent, TcpPath
+from gendom.robot.kinematics import jacobian, tcp_pose
+from gendom.robot.path import Deviation, GripperEvent
 
 Array = NDArray[np.float64]
 
 RATE = 100.0
-"""Joint angles along a path are solved this often [1/s]: at least so where corners are rounded
-off, at most so elsewhere, where 3 mm of way between two times are as good."""
+"""Rows a second of written files [1/s]."""
 
-SHORTEST_BLEND = 0.04
-"""Blends are not searched below this [s]."""
-
-_KNOTS_A_BLEND = 16
-_STEP, _ANGLE_WAY = 0.003, 0.3  # [m], [m/rad]; the tool's way between two solved times
-_SLOWEST = 0.2  # [s]; between them at most
-_PULL = 3.0  # [1/m]; towards home within the null space, for each metre of the tool's way
-_POSTURES = 5  # configurations that a path is tried from
-_LARGEST_JUMP = 0.35  # [rad]; between two solved times: more is no continuous motion
 _TOLERANCE = 1e-9  # share by which a limit may be passed, for rounding
 
 
@@ -65,6 +45,11 @@ class LimitUse:
         """Whether the value is beyond its limit."""
         excess = self.limit - self.value if self.lower else self.value - self.limit
         return excess > _TOLERANCE * abs(self.limit)
+
+    @property
+    def share(self) -> float:
+        """The value over its limit, signs left out."""
+        return abs(self.value / self.limit) if self.limit != 0.0 else math.inf
 
     def __str__(self) -> str:
         unit = {"angle": "rad", "speed": "rad/s", "acceleration": "rad/s^2"}
@@ -94,6 +79,8 @@ class JointMotion:
     """How far that is from the ideal path; None: it came from no path."""
     slowed_by: float = 1.0
     """How much longer it takes than the path asked for."""
+    path_time: Array | None = None
+    """[K] where the knots are on the path, in its own time [s]; None: it came from no path."""
 
     def __post_init__(self) -> None:
         time, q = np.asarray(self.time, dtype=float), np.asarray(self.q, dtype=float)
@@ -108,11 +95,32 @@ class JointMotion:
             raise RobotError("its times do not increase", where="joint motion", fix="sort them")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "q", q)
+        if self.path_time is not None and np.shape(self.path_time) != time.shape:
+            raise RobotError(
+                f"needs path_time {time.shape}, got {np.shape(self.path_time)}",
+                where="joint motion",
+            )
 
     @cached_property
     def spline(self) -> CubicSpline:
         """Angles [J] [rad] as a function of time [s], within the knots."""
         return CubicSpline(self.time, self.q, bc_type="clamped")
+
+    @cached_property
+    def _clock(self) -> CubicSpline:
+        if self.path_time is None:
+            raise RobotError("it came from no path", where="joint motion", fix="follow a path")
+        return CubicSpline(self.time, self.path_time)
+
+    def path_time_at(self, time: ArrayLike) -> Array:
+        """[...] where on its path the tool is at times [...] [s], in the path's own time [s].
+
+        The tool is at ``path.position_at(motion.path_time_at(t), motion.blend)``.
+
+        Raises:
+            RobotError: The motion came from no path, or from several.
+        """
+        return self._clock(np.clip(time, self.start, self.end))
 
     @property
     def start(self) -> float:
@@ -216,7 +224,7 @@ class JointMotion:
         broken = [use for use in self.limit_uses(arm) if use.exceeded]
         if not broken:
             return
-        worst = max(broken, key=lambda use: (use.kind == "angle", _ratio(use)))
+        worst = max(broken, key=lambda use: (use.kind == "angle", use.share))
         more = f" (and {len(broken) - 1} more)" if len(broken) > 1 else ""
         if worst.kind == "angle":
             fix = "choose another pose or orientation: slowing down does not help"
@@ -231,7 +239,7 @@ class JointMotion:
         accelerations by f^2.
         """
         return max(
-            math.sqrt(_ratio(use)) if use.kind == "acceleration" else _ratio(use)
+            math.sqrt(use.share) if use.kind == "acceleration" else use.share
             for use in self.limit_uses(arm)
             if use.kind != "angle"
         )
@@ -254,7 +262,6 @@ class JointMotion:
             events=tuple(
                 replace(e, time=self.start + factor * (e.time - self.start)) for e in self.events
             ),
-            blend=factor * self.blend,
             slowed_by=factor * self.slowed_by,
         )
 
@@ -354,244 +361,6 @@ def _use(
     )
 
 
-def _ratio(use: LimitUse) -> float:
-    return abs(use.value / use.limit) if use.limit != 0.0 else math.inf
-
-
 def _write_csv(path: str | os.PathLike, header: str, rows: Array) -> None:
     with atomic_path(path) as temporary:
         np.savetxt(temporary, rows, fmt="%.9g", delimiter=",", header=header, comments="")
-
-
-# ---- from joint to joint -------------------------------------------------------------------------
-
-
-def joint_move(
-    arm: Arm, q_from: ArrayLike, q_to: ArrayLike, *, share: float = 1.0, start: float = 0.0
-) -> JointMotion:
-    """From rest to rest, all joints together, as fast as a share of the limits lets them.
-
-    A quintic in time, q = q_from + (q_to - q_from) (10 s^3 - 15 s^4 + 6 s^5): its largest speed
-    is 15 / 8, acceleration 10 / sqrt(3) and jerk 60 of the way over T, T^2 and T^3.
-
-    Args:
-        arm: Its limits, the tool's speed included.
-        q_from, q_to: [J] joint angles [rad].
-        share: Of the limits of speed, acceleration and jerk, in (0, 1].
-        start: When it begins [s].
-
-    Raises:
-        RobotError: An end is out of the joints' limits, or the share is out of its range.
-    """
-    if not 0.0 < share <= 1.0:
-        raise RobotError(f"share is {share}", where="joint move", fix="give 0 < share <= 1")
-    ends = [arm.check_q(q) for q in (q_from, q_to)]
-    for q in ends:
-        out = (q < arm.q_min) | (q > arm.q_max)
-        if out.any():
-            j = int(np.argmax(out))
-            raise RobotError(
-                f"joint {j + 1} at {q[j]:.4f} rad, limits {arm.q_min[j]:.4f} to {arm.q_max[j]:.4f}",
-                where=f"move of {arm.name}",
-                fix="choose another configuration",
-            )
-    way = np.abs(ends[1] - ends[0])
-    duration = max(
-        float(np.max(15.0 / 8.0 * way / (share * arm.max_speed))),
-        float(np.max(np.sqrt(10.0 / math.sqrt(3.0) * way / (share * arm.max_acceleration)))),
-        float(np.max(np.cbrt(60.0 * way / (share * arm.max_jerk)))),
-        0.01,
-    )
-    s = np.linspace(0.0, 1.0, 65)
-    shape = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-    q = ends[0] + shape[:, None] * (ends[1] - ends[0])
-    motion = JointMotion(time=start + duration * s, q=q)
-    # The tool may be too fast, and the spline through the knots misses the quintic by 1e-6.
-    slower = replace(arm, max_tcp_speed=share * arm.max_tcp_speed)
-    return replace(motion.stretched(max(1.0, motion.slowdown(slower))), slowed_by=1.0)
-
-
-# ---- along a path of the tool --------------------------------------------------------------------
-
-
-def follow(
-    arm: Arm,
-    path: TcpPath,
-    *,
-    near: ArrayLike | None = None,
-    rate: float = RATE,
-    blend: float | None = None,
-    slow_down: bool = False,
-) -> JointMotion:
-    """Joint angles that carry the tool along a path.
-
-    Inverse kinematics is solved at the start and then followed along the path; the redundant
-    joint leans towards home in proportion to the tool's way, so it rests when the tool does.
-    Where the arm is out of limits the path is tried from other configurations.
-
-    Args:
-        arm: The arm.
-        path: Its corners are rounded off by `blend`.
-        near: [J] joint angles that the start is chosen near to [rad]; None: home.
-        rate: How often joint angles are solved [1/s], see `RATE`.
-        blend: [s]; None: as short as the joints' accelerations allow (within a few percent), at
-            least `SHORTEST_BLEND`, at most the path's `max_blend`.
-        slow_down: Take more time where speeds or accelerations would pass their limits.
-
-    Returns:
-        A motion within the limits, its deviation from the ideal path stated.
-
-    Raises:
-        RobotError: A part of the path is out of reach or cannot be reached continuously, or a
-            limit is passed.
-    """
-    first = path.pose_at(path.start)
-    postures = solutions(arm, first, near=near)[:_POSTURES]
-    best: JointMotion | None = None
-    refusal: RobotError | None = None
-    for q in postures:
-        try:
-            motion = _from_posture(arm, path, q, rate, blend)
-        except RobotError as error:
-            refusal = refusal or error
-            continue
-        if not any(use.exceeded for use in motion.limit_uses(arm)):
-            return motion
-        if best is None or _badness(motion, arm) < _badness(best, arm):
-            best = motion
-    if best is None:
-        assert refusal is not None
-        raise refusal
-    if not slow_down or any(u.exceeded and u.kind == "angle" for u in best.limit_uses(arm)):
-        best.check_limits(arm)
-    return _slowed(arm, path, best, rate, blend)
-
-
-def _badness(motion: JointMotion, arm: Arm) -> tuple[bool, float]:
-    out = any(use.exceeded and use.kind == "angle" for use in motion.limit_uses(arm))
-    return out, motion.slowdown(arm)
-
-
-def _from_posture(
-    arm: Arm, path: TcpPath, q: Array, rate: float, blend: float | None
-) -> JointMotion:
-    """The path from one configuration, with the shortest blend that keeps accelerations."""
-    if blend is not None:
-        return _track(arm, path, q, rate, blend)
-    blend = min(SHORTEST_BLEND, path.max_blend)
-    motion = _track(arm, path, q, rate, blend)
-    too_short = 0.0
-    for _ in range(8):
-        use = _acceleration_use(motion, arm)
-        if use <= 1.0 or blend >= path.max_blend:
-            break
-        # Accelerations go with 1 / blend where corners cause them; where not, a longer blend
-        # does not help, and the caller says what does.
-        longer = min(blend * min(1.02 * use, 4.0), path.max_blend)
-        if longer > max(path.end - path.start, 4.0 * SHORTEST_BLEND):
-            break
-        too_short, blend = blend, longer
-        motion = _track(arm, path, q, rate, blend)
-    # A blend longer than a move between two stops counts twice, so the last step was too long.
-    while too_short > 0.0 and motion.blend > 1.06 * too_short:
-        if _acceleration_use(motion, arm) > 1.0:
-            break
-        between = math.sqrt(too_short * motion.blend)
-        shorter = _track(arm, path, q, rate, between)
-        if _acceleration_use(shorter, arm) <= 1.0:
-            motion = shorter
-        else:
-            too_short = between
-    return motion
-
-
-def _acceleration_use(motion: JointMotion, arm: Arm) -> float:
-    return max(_ratio(use) for use in motion.limit_uses(arm) if use.kind == "acceleration")
-
-
-def _slowed(
-    arm: Arm, path: TcpPath, motion: JointMotion, rate: float, blend: float | None
-) -> JointMotion:
-    """A motion along the slowed path that keeps the limits, as quick a one as is found."""
-    # Stretching the motion as it is, blends included, always helps. Where speeds are at fault,
-    # a slower path may do with shorter blends.
-    best = motion.stretched(1.001 * motion.slowdown(arm))
-    if blend is not None:
-        return best
-    factor = 1.001 * max(_ratio(u) for u in motion.limit_uses(arm) if u.kind.endswith("speed"))
-    for _ in range(3):
-        if factor <= 1.0:
-            break
-        quicker = _from_posture(arm, path.slowed(factor), motion.q[0], rate, None)
-        within = not any(use.exceeded for use in quicker.limit_uses(arm))
-        if within and quicker.end - quicker.start < best.end - best.start:
-            return replace(quicker, slowed_by=factor)
-        factor *= 1.001 * quicker.slowdown(arm)
-    return best
-
-
-def _track(arm: Arm, path: TcpPath, q: Array, rate: float, blend: float) -> JointMotion:
-    """Solve the joint angles along a path, each from the one before."""
-    time = _solved_times(path, rate, blend)
-    poses = path.pose_at(time, blend)
-    found = np.empty((len(time), arm.joints))
-    found[0] = q
-    for k in range(1, len(time)):
-        found[k] = _next(arm, poses[k], found[k - 1], time[k])
-    return JointMotion(
-        time=time, q=found, events=path.events, blend=blend, deviation=path.deviation(blend)
-    )
-
-
-def _solved_times(path: TcpPath, rate: float, blend: float) -> Array:
-    """[K] times [s]: dense where the path is rounded off; between, as the tool's way needs."""
-    start, end = path.start - 0.5 * blend, path.end + 0.5 * blend
-    corners = path.corners()
-    edges = np.add.outer(corners, [-0.5 * blend, 0.5 * blend]).ravel()
-    edges = np.unique(np.concatenate([[start, end], np.clip(edges, start, end)]))
-    times = [start]
-    for a, b in pairwise(edges):
-        if b - a < 1e-9:
-            continue
-        if np.any(np.abs(corners - 0.5 * (a + b)) < 0.5 * blend):
-            steps = (b - a) * max(_KNOTS_A_BLEND / blend, rate)
-        else:
-            there, here = path.pose_at(np.array([b, a]), blend)
-            way, turn = np.split(pose_error(there, here), 2)
-            way = np.linalg.norm(way) + _ANGLE_WAY * np.linalg.norm(turn)
-            steps = min(max(way / _STEP, (b - a) / _SLOWEST), (b - a) * rate)
-        times.extend(np.linspace(a, b, max(math.ceil(steps - 1e-6), 1) + 1)[1:])
-    return np.array(times)
-
-
-def _next(arm: Arm, T: Array, q: Array, time: float) -> Array:
-    """Joint angles [J] at a pose a little further on."""
-    found = step_towards(arm, T, q, arm.home, pull=_PULL)
-    if found is None:
-        left, error = descend(arm, T[None], q[None], arm.home, pull=0.0)
-        if not reached(error)[0]:
-            raise _lost(arm, T, left[0], error[0], time)
-        # It is there, on a way with more turns than one step takes.
-        found = left[0]
-    jump = np.abs(found - q)
-    if jump.max() > _LARGEST_JUMP:
-        raise RobotError(
-            f"at t = {time:.3f} s joint {int(jump.argmax()) + 1} would have to jump by "
-            f"{jump.max():.2f} rad, near a singular pose",
-            where=f"path of {arm.name}",
-            fix="move or turn the path away from there, or give a higher rate",
-        )
-    return found
-
-
-def _lost(arm: Arm, T: Array, q: Array, error: Array, time: float) -> RobotError:
-    """That a path goes out of reach, and how far the nearest joint angles [J] are off."""
-    off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
-    off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
-    held = np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))
-    ends = f", joint {' and '.join(str(j + 1) for j in held)} at its end" if len(held) else ""
-    return RobotError(
-        f"at t = {time:.3f} s the path goes out of reach: {describe(T)} is missed by {off}{ends}",
-        where=f"path of {arm.name}",
-        fix="move the path nearer to the base, or turn the gripper",
-    )

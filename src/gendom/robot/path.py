@@ -203,21 +203,6 @@ class TcpPath:
             return Deviation(at_equal_times=0.0, off_the_path=0.0)
         return Deviation(at_equal_times=float(late.max()), off_the_path=float(off.max()))
 
-    def slowed(self, factor: float) -> TcpPath:
-        """The same path in `factor` times the time, begun when this one is."""
-        if not (math.isfinite(factor) and factor > 0.0):
-            raise _bad(f"cannot take {factor} times as long", fix="give a factor above 0")
-
-        def late(time):
-            return self.start + factor * (time - self.start)
-
-        return replace(
-            self,
-            time=late(self.time),
-            events=tuple(replace(e, time=float(late(e.time))) for e in self.events),
-            max_blend=factor * self.max_blend,
-        )
-
     def shifted(self, seconds: float) -> TcpPath:
         """The same path, later by some seconds."""
         return replace(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -32,15 +33,13 @@ class EstimateSummary:
 
     Raises:
         GendomError: `values` has another format, or no Young's modulus or Poisson's ratio; or
-            an interval is not a pair of numbers.
+            an interval or a range that was searched is not a pair of numbers.
     """
 
     values: Mapping[str, Any]
     """The estimate's JSON object (gendom-estimate/1), SI units; other keys may be missing."""
     truth: Mapping[str, float] | None = None
     """True values under the keys of `values`, as far as known."""
-    bounds: Mapping[str, tuple[float, float]] | None = None
-    """Range searched, by key of `values`; the intervals are drawn inside it."""
 
     def __post_init__(self):
         found = self.values.get("format", ESTIMATE_FORMAT)
@@ -51,11 +50,12 @@ class EstimateSummary:
         for key in ("youngs_modulus", "poissons_ratio"):
             if finite(self.values.get(key)) is None:
                 raise GendomError("is no number", where=f"estimate.{key}", fix="estimate again")
-        for key, ends in (self.values.get("intervals") or {}).items():
-            if key != "level" and ends is not None and len(np.atleast_1d(ends)) != 2:
-                raise GendomError(
-                    f"is {ends!r}", where=f"estimate.intervals.{key}", fix="give [low, high]"
-                )
+        for name in ("intervals", "bounds"):
+            for key, ends in (self.values.get(name) or {}).items():
+                if key != "level" and ends is not None and len(np.atleast_1d(ends)) != 2:
+                    raise GendomError(
+                        f"is {ends!r}", where=f"estimate.{name}.{key}", fix="give [low, high]"
+                    )
 
     def value(self, key: str) -> float | None:
         """What was estimated, in the unit of `values`."""
@@ -67,7 +67,14 @@ class EstimateSummary:
 
     def interval(self, key: str) -> tuple[float, float] | None:
         """Lowest and highest plausible value."""
-        ends = (self.values.get("intervals") or {}).get(key)
+        return self._ends("intervals", key)
+
+    def searched(self, key: str) -> tuple[float, float] | None:
+        """Lowest and highest value that was looked at; None: the file does not say."""
+        return self._ends("bounds", key)
+
+    def _ends(self, name: str, key: str) -> tuple[float, float] | None:
+        ends = (self.values.get(name) or {}).get(key)
         if ends is None:
             return None
         low, high = (finite(end) for end in ends)
@@ -119,10 +126,9 @@ def estimate_section(summary: EstimateSummary, clouds: CloudSequence | None = No
 
 def _parameter_table(summary: EstimateSummary) -> str:
     """A row for each quantity, and how to read the bars if there are any."""
-    bounds = summary.bounds or {}
     knows_truth = any(summary.true(key) is not None for key, _ in _ROWS)
     has_interval = any(summary.interval(key) is not None for key, _ in _ROWS)
-    rows = []
+    rows, bars = [], False
     for key, name in _ROWS:
         value = summary.value(key)
         if value is None:
@@ -131,7 +137,8 @@ def _parameter_table(summary: EstimateSummary) -> str:
         cells = [f'<td class="name">{name}</td>', _number_cell(quantity_text(key, value))]
         if has_interval:
             shown = escaped(interval_text(key, interval)) if interval else DASH
-            bar = _bar(value, interval, true, bounds.get(key))
+            bar = _bar(key, value, interval, true, summary.searched(key))
+            bars = bars or bool(bar)
             cells.append(f'<td class="interval">{shown}{bar}</td>')
         if knows_truth:
             cells.append(_number_cell(DASH if true is None else quantity_text(key, true)))
@@ -145,12 +152,12 @@ def _parameter_table(summary: EstimateSummary) -> str:
         head += ['<th class="number">True value</th>', '<th class="number">Off by</th>']
     head.append("<th>What the lift says</th>")
     text = table(head, rows)
-    if has_interval and bounds:
+    if bars:
         text += (
             '\n<p class="soft">Bars: the grey range was searched, the light part is the interval, '
             "the blue mark the estimate"
             + (", the black mark the true value" if knows_truth else "")
-            + ".</p>"
+            + ". Logarithmic, but for Poisson's ratio.</p>"
         )
     return text
 
@@ -281,17 +288,25 @@ def _remark(key: str, summary: EstimateSummary) -> str:
 
 
 def _bar(
+    key: str,
     value: float,
     interval: tuple[float, float] | None,
     true: float | None,
     bounds: tuple[float, float] | None,
 ) -> str:
     """The interval inside the range that was searched, drawn with boxes."""
+    linear = key == "poissons_ratio"
     if interval is None or bounds is None or not bounds[0] < bounds[1]:
         return ""
+    if not linear and min(*bounds, *interval, value) <= 0.0:
+        return ""
+    scale = float if linear else math.log  # moduli are searched over decades
+    low, high = scale(bounds[0]), scale(bounds[1])
 
     def percent(x: float) -> float:
-        return 100.0 * min(max((x - bounds[0]) / (bounds[1] - bounds[0]), 0.0), 1.0)
+        # what is not positive has no place on a logarithmic scale but its lower end
+        at = scale(x) if linear or x > 0.0 else low
+        return 100.0 * min(max((at - low) / (high - low), 0.0), 1.0)
 
     left, right = percent(interval[0]), percent(interval[1])
     marks = (

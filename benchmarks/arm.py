@@ -1,0 +1,128 @@
+"""How long the arm takes for motions that are commanded far beyond its limits.
+
+    python benchmarks/arm.py
+
+For each motion: the time that the path asks for, the time that `follow(..., slow_down=True)` takes,
+and the largest joint speed, joint acceleration and tool speed over their limits.
+"""
+
+import time
+
+import numpy as np
+
+from gendom.errors import RobotError
+from gendom.robot import (
+    DOWN,
+    XARM7,
+    JointMotion,
+    TcpPath,
+    cloth_spreading,
+    follow,
+    lift,
+    pointing,
+    rope_casting,
+    rope_reaching,
+)
+from gendom.tasks import RopeReaching
+
+FORWARD = pointing([1, 0, 0], [0, 1, 0])
+
+
+def square(speed: float) -> TcpPath:
+    """Around a square of 0.2 m without a stop."""
+    corners = np.array([[0.4, -0.1], [0.6, -0.1], [0.6, 0.1], [0.4, 0.1], [0.4, -0.1]])
+    position = np.column_stack([corners, np.full(5, 0.2)])
+    return TcpPath(
+        time=0.2 / speed * np.arange(5.0),
+        position=position,
+        quat_xyzw=np.array(DOWN),
+        max_blend=0.1 / speed,
+    )
+
+
+def line(seconds: float) -> TcpPath:
+    """0.21 m back and up, and a pause, as in the tests."""
+    return TcpPath(
+        time=np.array([0.0, seconds, seconds + 0.2]),
+        position=np.array([[0.45, 0.0, 0.1], [0.3, 0.0, 0.25], [0.3, 0.0, 0.25]]),
+        quat_xyzw=np.array(DOWN),
+        max_blend=0.15,
+    )
+
+
+def releases(count: int) -> list[TcpPath]:
+    """Rope reaching at random release points, the gripper forward, near to the arm's own body."""
+    task, rng, paths = RopeReaching(), np.random.default_rng(0), []
+    for action in task.sample_actions(rng, count):
+        grip = task.grippers(action)[1]
+        paths.append(
+            rope_reaching(
+                grip.time,
+                grip.position,
+                release_time=task.release_time,
+                quat_xyzw=FORWARD,
+                origin=[0.3, 0.0, 0.1],
+            )
+        )
+    return paths
+
+
+MOTIONS = {
+    "lift by 60 mm at 2 m/s": lift([0.3325, 0, 0.01], height=0.06, speed=2.0, wait=0.5, after=0.5),
+    "lift by 225 mm at 2 m/s": lift([0.45, 0, 0.02], height=0.225, speed=2.0, wait=0.5, after=0.5),
+    "lift by 225 mm at 10 m/s": lift([0.45, 0, 0.02], height=0.225, speed=10, wait=0.5, after=0.5),
+    "line of 212 mm in 90 ms": line(0.09),
+    "line of 212 mm in 20 ms": line(0.02),
+    "cast of 0.25 m in 10 ms, pauses of 50 ms": rope_casting(
+        [0.45, -0.12, 0.45], 0.25, duration=0.01, heading=np.pi / 2, wait=0.05, after=0.05
+    ),
+    "square of 0.2 m at 1.5 m/s": square(1.5),
+    "square of 0.2 m at 5 m/s": square(5.0),
+    "spreading, A = 0.25, steps of 10 ms": cloth_spreading(
+        [0.4, 0, 0.03], 0.25, step_time=0.01, rise_speed=0.5, settle=0.1, wait=0.1
+    ),
+}
+
+
+def used(motion: JointMotion) -> str:
+    """Largest speed, acceleration and tool speed over their limits, by dense sampling."""
+    t = np.linspace(motion.start, motion.end, 20001)
+    speed = np.abs(motion.speed_at(t) / XARM7.max_speed).max()
+    acceleration = np.abs(motion.acceleration_at(t) / XARM7.max_acceleration).max()
+    tool = np.linalg.norm(np.diff(motion.tcp_at(XARM7, t)[:, :3, 3], axis=0), axis=1)
+    tool = tool.max() / (t[1] - t[0]) / XARM7.max_tcp_speed
+    return f"{speed:.3f}, {acceleration:.3f}, {tool:.3f}"
+
+
+def main() -> None:
+    print("motion | asked [s] | takes [s] | slowed by | speed, acceleration, tool | planned in [s]")
+    for name, path in MOTIONS.items():
+        began = time.perf_counter()
+        try:
+            motion = follow(XARM7, path, slow_down=True)
+        except RobotError as error:
+            print(name, "| refused:", error)
+            continue
+        seconds = time.perf_counter() - began
+        print(
+            f"{name} | {path.end - path.start:.3f} | {motion.end - motion.start:.3f} |"
+            f" {motion.slowed_by:.3f} | {used(motion)} | {seconds:.1f}",
+            flush=True,
+        )
+    factors, refused, began = [], 0, time.perf_counter()
+    for path in releases(40):
+        try:
+            factors.append(follow(XARM7, path, slow_down=True).slowed_by)
+        except RobotError as error:
+            refused += 1
+            print("release refused:", error)
+    slowed = [f for f in factors if f > 1.0]
+    print(
+        f"40 releases, gripper forward: {refused} refused, {len(slowed)} slowed by"
+        f" {min(slowed, default=1.0):.3f} to {max(slowed, default=1.0):.3f},"
+        f" {time.perf_counter() - began:.0f} s"
+    )
+
+
+if __name__ == "__main__":
+    main()

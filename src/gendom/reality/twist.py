@@ -1,0 +1,159 @@
+"""Resistance of a rope to twist, which MuJoCo's rods of one dimension lack.
+
+A rod's centre line does not tell how its sections are turned, but where both its ends are clamped,
+twist spreads along it at once (much faster than it bends), and one angle is left: how far the last
+section is turned against the first, carried there along the rod without twist. For a rod that is
+straight and round at rest it is the same along the rod, and
+
+    E = 1/2 GJ m^2 / L,    dm/dx_(i-1) = -k_i / (2 |e_(i-1)|),    dm/dx_(i+1) = k_i / (2 |e_i|),
+
+at each vertex i between the clamps, dm/dx_i being minus the sum of both, with the discrete
+curvature binormal k_i = 2 e_(i-1) x e_i / (|e_(i-1)| |e_i| + e_(i-1) . e_i): Bergou, Wardetzky,
+Robinson, Audoly and Grinspun, "Discrete elastic rods", 2008, sections 4.2 and 6. The moment on
+what clamps the last section is -GJ m / L along its edge. As in bending, the damping time is what a
+rate of strain is worth in strain.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gendom.reality.objects import RealRope
+
+Array = npt.NDArray[np.float64]
+
+
+_ONE = np.eye(3)
+_CROSS = np.swapaxes(np.cross(_ONE[:, None], _ONE[None]), 1, 2).reshape(3, 9)  # b @ it: b x
+
+
+def torsion_rigidity(rope: RealRope) -> float:
+    """GJ of a round section [N m^2]: E / (2 (1 + nu)) pi d^4 / 32."""
+    G = rope.material.E / (2.0 * (1.0 + rope.material.nu))
+    return G * math.pi * rope.diameter**4 / 32.0
+
+
+def transported(edges: Array, director: npt.ArrayLike) -> Array:
+    """A director [3] of the first edge, carried to the last one without twist.
+
+    Args:
+        edges: [n, 3] along the rod [m].
+        director: [3] at right angles to the first edge; what is along it does not count.
+    """
+    t = edges / np.sqrt(np.einsum("ij,ij->i", edges, edges))[:, None]
+    u = np.asarray(director, dtype=float)
+    u = u - (u @ t[0]) * t[0]
+    # From edge to edge the least turn: about their binormal b, R = c 1 + [b] + b b^T / (1 + c).
+    cosine = np.einsum("ij,ij->i", t[:-1], t[1:])
+    binormal = _cross(t[:-1], t[1:])
+    turns = (binormal / (1.0 + cosine)[:, None])[:, :, None] * binormal[:, None, :]
+    turns += cosine[:, None, None] * _ONE + (binormal @ _CROSS).reshape(-1, 3, 3)
+    while len(turns) > 1:
+        odd = turns[-1:] if len(turns) % 2 else turns[:0]
+        turns = np.concatenate([turns[1::2] @ turns[: len(turns) - len(odd) : 2], odd])
+    for turn in turns:
+        u = turn @ u
+    return u / math.sqrt(u @ u)
+
+
+def twist(edges: Array, first: npt.ArrayLike, last: npt.ArrayLike) -> float:
+    """Angle by which the last section is turned against the first, in (-pi, pi] [rad].
+
+    Positive: to the right, along the rod.
+
+    Args:
+        edges: [n, 3] [m].
+        first: [3] a director of the first section.
+        last: [3] the same one of the last section.
+    """
+    u, end = transported(edges, first), np.asarray(last, dtype=float)
+    t = edges[-1] / math.sqrt(edges[-1] @ edges[-1])
+    return math.atan2(float(_cross(u, end) @ t), float(u @ end))
+
+
+def twist_gradient(edges: Array) -> Array:
+    """[n + 1, 3] how the twist changes with the vertices [rad/m].
+
+    The sections at both ends keep their directors, but for turning with their edges.
+
+    Args:
+        edges: [n, 3] [m].
+    """
+    length = np.sqrt(np.einsum("ij,ij->i", edges, edges))
+    a, b = edges[:-1], edges[1:]
+    scale = length[:-1] * length[1:] + np.einsum("ij,ij->i", a, b)
+    half = _cross(a, b) / scale[:, None]
+    gradient = np.zeros((len(edges) + 1, 3))
+    before, after = -half / length[:-1, None], half / length[1:, None]
+    gradient[:-2] += before
+    gradient[2:] += after
+    gradient[1:-1] -= before + after
+    return gradient
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """a x b [..., 3], ten times as fast as NumPy's for few vectors."""
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TwistLoad:
+    """What a twisted rope does to its vertices and its last clamp."""
+
+    angle: float
+    """[rad]."""
+    forces: Array
+    """[V, 3] on the vertices [N]."""
+    moment: Array
+    """[3] on what clamps the last section [N m]."""
+
+
+class Twist:
+    """The twist of a rope between two clamps, from none on.
+
+    Args:
+        rope: The rope.
+        vertices: [V, 3] where it is when its second end is clamped, free of twist [m].
+        first: The edge that the first clamp holds: from this vertex to the next.
+        last: The edge that the second clamp holds, beyond the first.
+        rotation: [3, 3] orientation of the second clamp; the first one stands still.
+    """
+
+    def __init__(self, rope: RealRope, vertices: Array, first: int, last: int, rotation: Array):
+        self._first, self._last = first, last
+        edges = self._edges(vertices)
+        length = np.linalg.norm(edges, axis=1)
+        # Half of each clamped edge belongs to its vertex between the clamps.
+        self._stiffness = torsion_rigidity(rope) / (length.sum() - 0.5 * (length[0] + length[-1]))
+        self._damping = rope.damping
+        t = edges[0] / length[0]
+        self._start = np.cross(t, np.eye(3)[np.argmin(np.abs(t))])
+        self._end = rotation.T @ transported(edges, self._start)
+        self.angle = 0.0
+        """Now [rad]; it may pass several turns."""
+
+    def load(self, vertices: Array, rotation: Array, seconds: float) -> TwistLoad:
+        """What the rope does now.
+
+        Args:
+            vertices: [V, 3] [m].
+            rotation: [3, 3] of the second clamp.
+            seconds: Since it was last asked [s].
+        """
+        edges = self._edges(vertices)
+        angle = twist(edges, self._start, rotation @ self._end)
+        angle += 2.0 * math.pi * round((self.angle - angle) / (2.0 * math.pi))
+        rate = (angle - self.angle) / seconds
+        self.angle = angle
+        moment = self._stiffness * (angle + self._damping * rate)
+        forces = np.zeros_like(vertices)
+        forces[self._first : self._last + 2] = -moment * twist_gradient(edges)
+        along = edges[-1] / math.sqrt(edges[-1] @ edges[-1])
+        return TwistLoad(angle=angle, forces=forces, moment=-moment * along)
+
+    def _edges(self, vertices: Array) -> Array:
+        return np.diff(vertices[self._first : self._last + 2], axis=0)

@@ -1,0 +1,312 @@
+"""Motions planned within an arm's limits: from joint to joint, and along a path of the tool."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import RobotError
+from gendom.robot.arm import Arm
+from gendom.robot.collision import ALONE, Surroundings, check_collisions
+from gendom.robot.kinematics import (
+    descend,
+    describe,
+    pose_error,
+    reached,
+    solutions,
+    step_towards,
+    tcp_pose,
+)
+from gendom.robot.motion import JointMotion
+from gendom.robot.path import TcpPath
+from gendom.robot.timing import in_time
+
+Array = NDArray[np.float64]
+
+SOLVED_RATE = 100.0
+"""Joint angles along a path are solved this often [1/s]: at least so where corners are rounded
+off, at most so elsewhere, where 3 mm of way between two times are as good."""
+
+SHORTEST_BLEND = 0.04
+"""Blends are not searched below this [s]."""
+
+_KNOTS_A_BLEND = 16
+_STEP, _ANGLE_WAY = 0.003, 0.3  # [m], [m/rad]; the tool's way between two solved times
+_FARTHEST = 0.005  # [m]; that way at most, however fast the path is
+_SLOWEST = 0.2  # [s]; between them at most
+_PULL = 3.0  # [1/m]; towards home within the null space, for each metre of the tool's way
+_POSTURES = 5  # configurations that a path is tried from
+_LARGEST_JUMP = 0.1  # [rad]; between two solved times: more asks for smaller steps
+_MARGIN = 1e-3  # [rad]; along paths joints keep so far from the ends of their ranges
+_MISSED, _REFINEMENTS = 3e-6, 8  # [m], [rad]; what splines may miss between two solved times
+_SMALLEST = 1e-5  # [m]; of which this is the smallest: what jumps here jumps
+
+# ---- from joint to joint -------------------------------------------------------------------------
+
+
+def joint_move(
+    arm: Arm,
+    q_from: ArrayLike,
+    q_to: ArrayLike,
+    *,
+    share: float = 1.0,
+    start: float = 0.0,
+    surroundings: Surroundings = ALONE,
+    opening: float = 0.0,
+) -> JointMotion:
+    """From rest to rest, all joints together, as fast as a share of the limits lets them.
+
+    A quintic in time, q = q_from + (q_to - q_from) (10 s^3 - 15 s^4 + 6 s^5): its largest speed
+    is 15 / 8, acceleration 10 / sqrt(3) and jerk 60 of the way over T, T^2 and T^3.
+
+    Args:
+        arm: Its limits, the tool's speed included.
+        q_from, q_to: [J] joint angles [rad].
+        share: Of the limits of speed, acceleration and jerk, in (0, 1].
+        start: When it begins [s].
+        surroundings: What the arm must not touch, besides itself.
+        opening: Distance of the fingers' inner faces [m].
+
+    Raises:
+        RobotError: An end is out of the joints' limits, the share is out of its range, or the
+            arm collides on the way.
+    """
+    if not 0.0 < share <= 1.0:
+        raise RobotError(f"share is {share}", where="joint move", fix="give 0 < share <= 1")
+    ends = [arm.check_q(q) for q in (q_from, q_to)]
+    for q in ends:
+        out = (q < arm.q_min) | (q > arm.q_max)
+        if out.any():
+            j = int(np.argmax(out))
+            raise RobotError(
+                f"joint {j + 1} at {q[j]:.4f} rad, limits {arm.q_min[j]:.4f} to {arm.q_max[j]:.4f}",
+                where=f"move of {arm.name}",
+                fix="choose another configuration",
+            )
+    way = np.abs(ends[1] - ends[0])
+    duration = max(
+        float(np.max(15.0 / 8.0 * way / (share * arm.max_speed))),
+        float(np.max(np.sqrt(10.0 / math.sqrt(3.0) * way / (share * arm.max_acceleration)))),
+        float(np.max(np.cbrt(60.0 * way / (share * arm.max_jerk)))),
+        0.01,
+    )
+    s = np.linspace(0.0, 1.0, 65)
+    shape = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+    q = ends[0] + shape[:, None] * (ends[1] - ends[0])
+    motion = JointMotion(time=start + duration * s, q=q)
+    # The tool may be too fast, and the spline through the knots misses the quintic by 1e-6.
+    slower = replace(arm, max_tcp_speed=share * arm.max_tcp_speed)
+    motion = replace(motion.stretched(max(1.0, motion.slowdown(slower))), slowed_by=1.0)
+    check_collisions(arm, motion, surroundings, opening=opening)
+    return motion
+
+
+# ---- along a path of the tool --------------------------------------------------------------------
+
+
+def follow(
+    arm: Arm,
+    path: TcpPath,
+    *,
+    near: ArrayLike | None = None,
+    rate: float = SOLVED_RATE,
+    blend: float | None = None,
+    slow_down: bool = False,
+    surroundings: Surroundings = ALONE,
+    opening: float = 0.0,
+) -> JointMotion:
+    """Joint angles that carry the tool along a path.
+
+    Inverse kinematics is solved at the start and then followed along the path; the redundant
+    joint leans towards home in proportion to the tool's way, so it rests when the tool does.
+    Where the arm is out of limits or collides the path is tried from other configurations.
+
+    Args:
+        arm: The arm.
+        path: Its corners are rounded off by `blend`.
+        near: [J] joint angles that the start is chosen near to [rad]; None: home.
+        rate: How often joint angles are solved [1/s], see `SOLVED_RATE`.
+        blend: [s]; None: as short as the joints' accelerations allow (within a few percent), at
+            least `SHORTEST_BLEND`, at most the path's `max_blend`.
+        slow_down: Where speeds or accelerations would pass their limits, take as much more time
+            as it needs, there and only there, see `gendom.robot.timing`.
+        surroundings: What the arm must not touch, besides itself.
+        opening: Distance of the fingers' inner faces [m].
+
+    Returns:
+        A motion within the limits, its deviation from the ideal path stated.
+
+    Raises:
+        RobotError: A part of the path is out of reach or cannot be reached continuously, a limit
+            is passed, or the arm collides.
+    """
+    # Splines overshoot a little where a joint comes to rest at its end.
+    kept = replace(arm, q_min=arm.q_min + _MARGIN, q_max=arm.q_max - _MARGIN)
+    postures = solutions(kept, path.pose_at(path.start), near=near)[:_POSTURES]
+    best: JointMotion | None = None
+    refusal: RobotError | None = None
+    for q in postures:
+        try:
+            motion = _from_posture(kept, path, q, rate, blend)
+            check_collisions(arm, motion, surroundings, opening=opening)
+        except RobotError as error:
+            refusal = refusal or error
+            continue
+        if not any(use.exceeded for use in motion.limit_uses(arm)):
+            return motion
+        if best is None or _badness(motion, arm) < _badness(best, arm):
+            best = motion
+    if best is None:
+        assert refusal is not None
+        raise refusal
+    if not slow_down or any(u.exceeded and u.kind == "angle" for u in best.limit_uses(arm)):
+        best.check_limits(arm)
+    motion = in_time(arm, best)
+    shortest = min(SHORTEST_BLEND, path.max_blend)
+    if blend is None and best.blend > shortest:
+        # The blend was made longer for the path's own pace; at a slower one less may do.
+        sharper = in_time(arm, _track(kept, path, best.q[0], rate, shortest))
+        motion = min(motion, sharper, key=lambda m: m.end - m.start)
+    motion.check_limits(arm)
+    check_collisions(arm, motion, surroundings, opening=opening)
+    return motion
+
+
+def _badness(motion: JointMotion, arm: Arm) -> tuple[bool, float]:
+    out = any(use.exceeded and use.kind == "angle" for use in motion.limit_uses(arm))
+    return out, motion.slowdown(arm)
+
+
+def _from_posture(
+    arm: Arm, path: TcpPath, q: Array, rate: float, blend: float | None
+) -> JointMotion:
+    """The path from one configuration, with the shortest blend that keeps accelerations."""
+    if blend is not None:
+        return _track(arm, path, q, rate, blend)
+    blend = min(SHORTEST_BLEND, path.max_blend)
+    motion = _track(arm, path, q, rate, blend)
+    too_short = 0.0
+    for _ in range(8):
+        use = _acceleration_use(motion, arm)
+        if use <= 1.0 or blend >= path.max_blend:
+            break
+        # Accelerations go with 1 / blend where corners cause them; where not, a longer blend
+        # does not help, and the caller says what does.
+        longer = min(blend * min(1.02 * use, 4.0), path.max_blend)
+        if longer > max(path.end - path.start, 4.0 * SHORTEST_BLEND):
+            break
+        too_short, blend = blend, longer
+        motion = _track(arm, path, q, rate, blend)
+    # A blend longer than a move between two stops counts twice, so the last step was too long.
+    while too_short > 0.0 and motion.blend > 1.06 * too_short:
+        if _acceleration_use(motion, arm) > 1.0:
+            break
+        between = math.sqrt(too_short * motion.blend)
+        shorter = _track(arm, path, q, rate, between)
+        if _acceleration_use(shorter, arm) <= 1.0:
+            motion = shorter
+        else:
+            too_short = between
+    return motion
+
+
+def _acceleration_use(motion: JointMotion, arm: Arm) -> float:
+    return max(use.share for use in motion.limit_uses(arm) if use.kind == "acceleration")
+
+
+def _track(arm: Arm, path: TcpPath, q: Array, rate: float, blend: float) -> JointMotion:
+    """Solve the joint angles along a path, each from the one before."""
+    ahead = list(_solved_times(path, rate, blend)[::-1])
+    times, found = [ahead.pop()], [q]
+    while ahead:
+        T = path.pose_at(ahead[-1], blend)
+        step = step_towards(arm, T, found[-1], arm.home, pull=_PULL)
+        if step is not None and np.abs(step - found[-1]).max() <= _LARGEST_JUMP:
+            times.append(ahead.pop())
+            found.append(step)
+            continue
+        # Near a stretched arm some millimetres are large turns: smaller steps lead there.
+        if _way(T, path.pose_at(times[-1], blend)) < _SMALLEST:
+            raise _lost(arm, T, found[-1], step, ahead[-1])
+        ahead.append(0.5 * (times[-1] + ahead[-1]))
+    time, solved = _refined(arm, path, blend, np.array(times), np.array(found))
+    return JointMotion(
+        time=time,
+        q=solved,
+        events=path.events,
+        blend=blend,
+        deviation=path.deviation(blend),
+        path_time=time,
+    )
+
+
+def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tuple[Array, Array]:
+    """More knots where the spline through them misses the path halfway between."""
+    for _ in range(_REFINEMENTS):
+        middle = 0.5 * (time[1:] + time[:-1])
+        guess = np.clip(JointMotion(time=time, q=q).at(middle), arm.q_min, arm.q_max)
+        poses = path.pose_at(middle, blend)
+        missed = np.abs(pose_error(poses, tcp_pose(arm, guess))).max(axis=1) > _MISSED
+        if not missed.any():
+            break
+        between, error = descend(arm, poses[missed], guess[missed], arm.home, pull=0.0)
+        if not reached(error).all():
+            k = int(np.argmin(reached(error)))
+            raise _lost(arm, poses[missed][k], between[k], None, middle[missed][k])
+        time = np.concatenate([time, middle[missed]])
+        q = np.concatenate([q, between])
+        order = np.argsort(time)
+        time, q = time[order], q[order]
+    return time, q
+
+
+def _solved_times(path: TcpPath, rate: float, blend: float) -> Array:
+    """[K] times [s]: dense where the path is rounded off; between, as the tool's way needs."""
+    start, end = path.start - 0.5 * blend, path.end + 0.5 * blend
+    corners = path.corners()
+    edges = np.add.outer(corners, [-0.5 * blend, 0.5 * blend]).ravel()
+    edges = np.unique(np.concatenate([[start, end], np.clip(edges, start, end)]))
+    times = [start]
+    for a, b in pairwise(edges):
+        if b - a < 1e-9:
+            continue
+        way = _way(*path.pose_at(np.array([b, a]), blend))
+        if np.any(np.abs(corners - 0.5 * (a + b)) < 0.5 * blend):
+            steps = (b - a) * max(_KNOTS_A_BLEND / blend, rate)
+        else:
+            steps = min(max(way / _STEP, (b - a) / _SLOWEST), (b - a) * rate)
+        steps = max(steps, way / _FARTHEST)
+        times.extend(np.linspace(a, b, max(math.ceil(steps - 1e-6), 1) + 1)[1:])
+    return np.array(times)
+
+
+def _way(T: Array, T_from: Array) -> float:
+    """The tool's way between two poses [m], turns included."""
+    way, turn = np.split(pose_error(T, T_from), 2)
+    return float(np.linalg.norm(way) + _ANGLE_WAY * np.linalg.norm(turn))
+
+
+def _lost(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:
+    """That a path goes on after joint angles [J] only with a jump, or out of reach."""
+    if step is not None:
+        jump = np.abs(step - q)
+        return RobotError(
+            f"at t = {time:.3f} s joint {int(jump.argmax()) + 1} would have to jump by "
+            f"{jump.max():.2f} rad, at a singular pose",
+            where=f"path of {arm.name}",
+            fix="move or turn the path away from there",
+        )
+    left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, pull=0.0))
+    off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
+    off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
+    held = np.flatnonzero((left <= arm.q_min) | (left >= arm.q_max))
+    ends = f", joint {' and '.join(str(j + 1) for j in held)} at its end" if len(held) else ""
+    return RobotError(
+        f"at t = {time:.3f} s the path goes out of reach: {describe(T)} is missed by {off}{ends}",
+        where=f"path of {arm.name}",
+        fix="move the path nearer to the base, or turn the gripper",
+    )

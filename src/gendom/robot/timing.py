@@ -1,0 +1,140 @@
+"""When the arm is where on its path: as asked for where its limits allow, later where not.
+
+A motion q(s), s the path's own time, is carried out as q(s(t)). With x = (ds/dt)^2 and
+u = d^2s/dt^2 its speeds and accelerations are
+
+    dq/dt = q'(s) sqrt(x),    d^2q/dt^2 = q'(s) u + q''(s) x,
+
+and dx/ds = 2 u. So limits of speed, and x <= 1, which is the path's own pace, bound x, and limits
+of acceleration are linear in u and x. Between two points of a grid u is constant; a pass backwards
+finds the largest x at each from which the rest can be done, a pass forwards then takes the largest
+u (Pham and Pham, "A new approach to time-optimal path parameterization based on reachability
+analysis", 2018). The path's geometry stays as it is, and so do its pauses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.robot.arm import Arm
+from gendom.robot.kinematics import jacobian
+from gendom.robot.motion import JointMotion
+
+Array = NDArray[np.float64]
+
+_FINER = 4  # points of the grid between two knots of the motion
+_LONGEST = 0.01  # [s] of the path's time between two of them at most
+_ROUNDS = 12  # in which accelerations of the spline through the grid are brought within limits
+_AIM = 0.998  # share of the limits that is aimed at
+_STILL = 1e-9  # [rad]; joints that turn less for each second of the path's time stand still
+
+
+def in_time(arm: Arm, motion: JointMotion) -> JointMotion:
+    """A motion at its own pace where speeds and accelerations allow, and slower where not.
+
+    The ends keep their pace in the path's time: motions that start and end at rest still do.
+
+    Args:
+        arm: Its limits of joint speeds and accelerations and of the tool's speed.
+        motion: At the pace that is asked for.
+
+    Returns:
+        The same path. Its `path_time` says where on it the arm is when; `slowed_by` is its
+        duration over that of `motion`.
+    """
+    s = _grid(motion)
+    q, v, a = motion.spline(s), motion.spline(s, 1), motion.spline(s, 2)
+    highest = _highest(arm, q, v)
+    allowed = np.full(len(s), _AIM)
+    best = None
+    for _ in range(_ROUNDS):
+        time = motion.start + _times(s, _paces(s, v, a, highest, arm, allowed))
+        done = _at_times(motion, s, time, q)
+        excess = np.abs(done.acceleration_at(done.time) / arm.max_acceleration).max(axis=1)
+        done = done.stretched(max(1.0, done.slowdown(arm)))
+        if best is None or done.end < best.end:
+            best = done
+        if excess.max() <= 1.0:
+            break
+        # The spline rounds off the jumps of acceleration and overshoots beside them: there, and
+        # only there, less is allowed.
+        worst = excess.copy()
+        for shift in (1, 2):
+            worst[shift:] = np.maximum(worst[shift:], excess[:-shift])
+            worst[:-shift] = np.maximum(worst[:-shift], excess[shift:])
+        allowed = np.where(worst > 1.0, allowed * _AIM / worst, allowed)
+    assert best is not None
+    duration = motion.end - motion.start
+    return replace(best, slowed_by=motion.slowed_by * (best.end - best.start) / duration)
+
+
+def _grid(motion: JointMotion) -> Array:
+    """[N] the path's times at which limits are looked at."""
+    parts = [motion.time[:1]]
+    for a, b in zip(motion.time[:-1], motion.time[1:], strict=True):
+        steps = max(_FINER, int(np.ceil((b - a) / _LONGEST)))
+        parts.append(np.linspace(a, b, steps + 1)[1:])
+    return np.concatenate(parts)
+
+
+def _highest(arm: Arm, q: Array, v: Array) -> Array:
+    """[N] the largest x that limits of speed and the path's own pace allow."""
+    tool = np.linalg.norm((jacobian(arm, q)[:, :3] @ v[..., None])[..., 0], axis=1)
+    use = np.maximum(np.abs(v / arm.max_speed).max(axis=1), tool / arm.max_tcp_speed)
+    return np.minimum(1.0, (_AIM / np.maximum(use, 1e-12)) ** 2)
+
+
+def _paces(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allowed: Array) -> Array:
+    """[N] x at the points of the grid."""
+    step = 2.0 * np.diff(s)
+    n = len(s)
+    limit = allowed[:, None] * arm.max_acceleration
+    # |v u + a x| <= limit where the step begins, and, x being x + step u there, where it ends.
+    slope = np.concatenate([v[:-1], v[1:] + a[1:] * step[:, None]], axis=1)
+    curve = np.concatenate([a[:-1], a[1:]], axis=1)
+    most = np.concatenate([limit[:-1], limit[1:]], axis=1)
+    turning = np.abs(slope) > _STILL
+    with np.errstate(divide="ignore", invalid="ignore"):
+        top = np.where(turning, most / np.abs(slope), np.inf)  # -top - lean x <= u <= top - lean x
+        lean = np.where(turning, curve / slope, 0.0)
+        still = np.where(turning, np.inf, most / np.abs(curve)).min(axis=1)
+    reach = np.empty(n)
+    reach[-1] = highest[-1]
+    for i in range(n - 2, -1, -1):
+        # Upper bounds of u, and lower ones; the last of each says where the step leads.
+        above = np.append(top[i], reach[i + 1] / step[i]), np.append(lean[i], 1.0 / step[i])
+        below = np.append(-top[i], 0.0), above[1]
+        room = above[0][:, None] - below[0]
+        closing = above[1][:, None] - below[1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.where(closing > 0.0, room / closing, np.inf)
+        reach[i] = min(highest[i], still[i], float(np.nanmin(ends)))
+    x = np.empty(n)
+    x[0] = reach[0]
+    for i in range(n - 1):
+        u = float(np.min(top[i] - lean[i] * x[i]))
+        x[i + 1] = np.clip(x[i] + step[i] * u, 0.0, reach[i + 1])
+    return x
+
+
+def _times(s: Array, x: Array) -> Array:
+    """[N] when the points of the grid are passed, from the first on [s]."""
+    pace = np.sqrt(x)
+    return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (pace[:-1] + pace[1:]))])
+
+
+def _at_times(motion: JointMotion, s: Array, time: Array, q: Array) -> JointMotion:
+    events = tuple(replace(e, time=float(_later(e.time, s, time))) for e in motion.events)
+    return replace(motion, time=time, q=q, events=events, path_time=s, slowed_by=1.0)
+
+
+def _later(moment: float, s: Array, time: Array) -> float:
+    """When a moment of the path's time comes, before and after the motion at its own pace."""
+    if moment <= s[0]:
+        return time[0] + moment - s[0]
+    if moment >= s[-1]:
+        return time[-1] + moment - s[-1]
+    return float(np.interp(moment, s, time))

@@ -1,0 +1,170 @@
+"""Twist of ropes: its angle, its forces, and when a twisted rope buckles."""
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("mujoco", reason="needs the extra reality")
+
+from gendom.reality import OBJECTS, Layout, Reality, RealRope
+from gendom.reality.twist import Twist, torsion_rigidity, transported, twist, twist_gradient
+
+COTTON = cast(RealRope, OBJECTS["rope-cotton"])
+
+
+def crooked(n=9, seed=0):
+    """[n, 3] vertices of a rod that bends in all directions."""
+    rng = np.random.default_rng(seed)
+    return 0.02 * np.cumsum(rng.normal([1.0, 0.0, 0.0], 0.4, (n, 3)), axis=0)
+
+
+def across(edge):
+    return np.cross(edge, [0.3, -0.5, 1.0])
+
+
+# ---- the angle -----------------------------------------------------------------------------------
+
+
+def test_a_plane_rod_is_not_twisted():
+    angle = np.linspace(0.0, 4.0, 12)
+    edges = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(12)])
+    up = np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(transported(edges, up), up, atol=1e-12)
+    assert twist(edges, up, up) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_directors_stay_at_right_angles_and_as_long():
+    edges = np.diff(crooked(), axis=0)
+    u = transported(edges, across(edges[0]))
+    assert u @ u == pytest.approx(1.0) and u @ edges[-1] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("pitch", [0.02, 0.1, 0.5])
+def test_a_helix_turns_by_its_torsion(pitch):
+    """Its normal turns about its tangent by torsion times length, c / (r^2 + c^2) a length.
+
+    The error of the polygon is of second order.
+    """
+    r, c, turns = 0.05, pitch / (2.0 * np.pi), 2.3
+    errors = []
+    for n in (200, 400):
+        t = np.linspace(0.0, 2.0 * np.pi * turns, n + 1)
+        x = np.column_stack([r * np.cos(t), r * np.sin(t), c * t])
+        middle = 0.5 * (t[1:] + t[:-1])
+        normal = -np.column_stack([np.cos(middle), np.sin(middle), np.zeros(n)])
+        found = twist(np.diff(x, axis=0), normal[0], normal[-1])
+        expected = c / np.hypot(r, c) * (middle[-1] - middle[0])
+        errors.append(abs((found - expected + np.pi) % (2.0 * np.pi) - np.pi))
+    assert errors[1] < 1e-3 and errors[1] < 0.26 * errors[0]
+
+
+def test_the_gradient_matches_central_differences():
+    """Directors at the ends turn with their edges, without twist."""
+    x = crooked()
+    edges = np.diff(x, axis=0)
+    first = across(edges[0])
+    last = Rotation.from_rotvec(0.4 * edges[-1] / np.linalg.norm(edges[-1])).apply(
+        transported(edges, first)
+    )
+
+    def angle(vertices):
+        e = np.diff(vertices, axis=0)
+        carried = [
+            transported(np.stack([old, new]), u)
+            for old, new, u in ((edges[0], e[0], first), (edges[-1], e[-1], last))
+        ]
+        return twist(e, *carried)
+
+    assert angle(x) == pytest.approx(0.4)
+    h, found = 1e-6, np.zeros_like(x)
+    for i in np.ndindex(x.shape):
+        step = np.zeros_like(x)
+        step[i] = h
+        found[i] = (angle(x + step) - angle(x - step)) / (2.0 * h)
+    np.testing.assert_allclose(twist_gradient(edges), found, atol=1e-6)
+
+
+# ---- the load ------------------------------------------------------------------------------------
+
+
+def test_a_straight_rod_s_moment_is_that_of_torsion():
+    """GJ angle / L, over several turns, and a damping that is worth its time."""
+    n = COTTON.vertices
+    x = np.column_stack([np.linspace(0.0, COTTON.length, n), np.zeros(n), np.zeros(n)])
+    rod = Twist(COTTON, x, first=0, last=n - 2, rotation=np.eye(3))
+    spacing = COTTON.length / (n - 1)
+    stiffness = torsion_rigidity(COTTON) / (COTTON.length - spacing)
+    for angle in np.arange(0.0, 10.0, 0.5):
+        turned = Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix()
+        moving = rod.load(x, turned, 1e-3)
+        still = rod.load(x, turned, 1e-3)
+        assert still.angle == pytest.approx(angle)
+        assert still.moment == pytest.approx([-stiffness * angle, 0.0, 0.0])
+        if angle > 0.0:
+            rate = -stiffness * COTTON.damping * 0.5 / 1e-3
+            assert moving.moment[0] - still.moment[0] == pytest.approx(rate)
+        np.testing.assert_allclose(still.forces, 0.0, atol=1e-15)
+
+
+def test_forces_neither_push_nor_turn_the_whole():
+    """All forces sum to none; their moment balances those of both clamps."""
+    x = crooked(COTTON.vertices)
+    rod = Twist(COTTON, x, first=1, last=COTTON.vertices - 3, rotation=np.eye(3))
+    edges = np.diff(x, axis=0)
+    along = edges[COTTON.vertices - 3] / np.linalg.norm(edges[COTTON.vertices - 3])
+    turned = Rotation.from_rotvec(0.3 * along).as_matrix()
+    rod.load(x, turned, 1e-3)
+    load = rod.load(x, turned, 1e-3)
+    assert np.abs(load.forces[[0, -1]]).max() == 0.0 and np.abs(load.forces).max() > 1e-3
+    np.testing.assert_allclose(load.forces.sum(axis=0), 0.0, atol=1e-12)
+    start = edges[1] / np.linalg.norm(edges[1]) * np.linalg.norm(load.moment)
+    total = np.cross(x, load.forces).sum(axis=0) + load.moment + start
+    np.testing.assert_allclose(total, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("share", "buckles"), [(0.95, False), (1.05, True)])
+def test_a_clamped_rod_buckles_at_greenhill_s_moment(share, buckles):
+    """Twisted between two clamps a straight rod buckles at M L / (E I) = 8.987.
+
+    Source: Timoshenko and Gere, "Theory of Elastic Stability", section 2.21: tan(x / 2) = x / 2.
+    With M = GJ m / L and E I / GJ = 1 + nu that is a twist of 8.987 (1 + nu).
+    """
+    rope = replace(COTTON, damping=1e-4)
+    layout = Layout(origin=(0.0, 0.0, 0.5), clamped=1e-6)
+    world = Reality(rope, layout, table=False, gravity=(0.0, 0.0, 0.0))
+    world.follow(lambda _: (rope.length, 0.0, 0.5))
+    world.step_to(0.01)
+    world.attach(1e-3)
+    critical = 8.987 * (1.0 + rope.material.nu)
+    for angle in np.linspace(0.0, share * critical, 60):
+        quat = Rotation.from_rotvec([angle, 0.0, 0.0]).as_quat(scalar_first=True)
+        world.data.mocap_quat[0] = quat
+        world.step_to(world.time + 0.002)
+    assert world.twist == pytest.approx(share * critical, rel=1e-3)
+    middle = world.model.body_dofadr[world.model.flex_vertbodyid[rope.vertices // 2]]
+    world.data.qvel[middle + 1] += 1e-6
+
+    def sideways():
+        return np.abs(world.vertices()[:, 1:] - [0.0, 0.5]).max()
+
+    world.step_to(world.time + 0.1)
+    before = sideways()
+    world.step_to(world.time + 0.4)
+    assert (sideways() > 10.0 * before) == buckles
+
+
+def test_a_free_end_is_not_twisted():
+    world = Reality(COTTON, Layout(origin=(0.0, 0.0, 0.5), clamped=1e-6), table=False)
+    world.follow(lambda _: (COTTON.length, 0.0, 0.5))
+    world.step_to(0.01)
+    assert world.twist == 0.0
+    world.attach(1e-3)
+    for angle in np.linspace(0.0, 0.5, 20):
+        world.data.mocap_quat[0] = [np.cos(0.5 * angle), np.sin(0.5 * angle), 0.0, 0.0]
+        world.step_to(world.time + 0.002)
+    assert world.twist == pytest.approx(0.5, abs=0.02)
+    world.release()
+    assert world.twist == 0.0 and np.all(world.data.xfrc_applied == 0.0)

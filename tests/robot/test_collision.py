@@ -1,0 +1,253 @@
+"""Distances in closed form against sampling and MuJoCo, and motions that collide."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import RobotError
+from gendom.robot import (
+    DOWN,
+    XARM7,
+    Box,
+    Post,
+    Surroundings,
+    TcpPath,
+    arm_shape,
+    check_collisions,
+    collision_along,
+    collision_at,
+    follow,
+    gaps,
+    inverse_kinematics,
+    joint_move,
+    lift,
+    link_poses,
+    tcp_pose,
+)
+from gendom.robot.distance import segment_to_box, segments_apart
+
+TABLE = Surroundings(table_height=0.0)
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def random_q(n, seed=0):
+    """[n, 7] joint angles within the limits, at most half a turn."""
+    low, high = np.maximum(XARM7.q_min, -np.pi), np.minimum(XARM7.q_max, np.pi)
+    return np.random.default_rng(seed).uniform(low, high, (n, 7))
+
+
+def placed(position, turn=(0.0, 0.0, 0.0)):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), position
+    return T
+
+
+# ---- distances -----------------------------------------------------------------------------------
+
+
+def test_distances_worked_out_by_hand():
+    a, b = np.array([0.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    cases = [
+        ([0.5, -1.0, 2.0], [0.5, 1.0, 2.0], 2.0),  # crossing above
+        ([0.2, 3.0, 0.0], [0.8, 3.0, 0.0], 3.0),  # parallel, side by side
+        ([4.0, 4.0, 0.0], [9.0, 4.0, 0.0], 5.0),  # parallel, one after the other
+        ([4.0, 4.0, 0.0], [4.0, 4.0, 0.0], 5.0),  # a point
+        ([0.5, -1.0, 0.0], [0.5, 1.0, 0.0], 0.0),  # crossing
+    ]
+    for c, d, expected in cases:
+        assert segments_apart(a, b, np.array(c), np.array(d)) == pytest.approx(expected)
+        assert segments_apart(np.array(c), np.array(d), a, b) == pytest.approx(expected)
+    half = np.array([1.0, 2.0, 3.0])
+    for c, d, expected in [
+        ([-5.0, 0.0, 3.5], [5.0, 0.0, 3.5], 0.5),  # along a face
+        ([4.0, 6.0, 0.0], [4.0, 6.0, 9.0], 5.0),  # from an edge
+        ([0.9, 0.0, 0.0], [0.9, 0.0, 0.5], -0.1),  # inside
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], -1.0),  # a point in the middle
+        ([-9.0, 0.0, 0.0], [9.0, 0.0, 0.0], -1.0),  # right through
+        ([-9.0, 1.5, 0.0], [9.0, 1.5, 0.0], -0.5),  # through, near a face
+    ]:
+        assert segment_to_box(np.array(c), np.array(d), half) == pytest.approx(expected)
+
+
+def test_distances_are_the_least_of_many_points():
+    rng = np.random.default_rng(0)
+    a, b, c, d = rng.uniform(-1.0, 1.0, (4, 60, 3))
+    share = np.linspace(0.0, 1.0, 401)[:, None]
+    along = (x[:, None] + share * (y - x)[:, None] for x, y in ((a, b), (c, d)))
+    first, second = along
+    least = np.linalg.norm(first[:, :, None] - second[:, None], axis=-1).min(axis=(1, 2))
+    found = segments_apart(a, b, c, d)
+    assert np.all(found <= least + 1e-12)
+    np.testing.assert_allclose(found, least, atol=5e-3)
+    half = np.array([0.2, 0.5, 0.35])
+    q = np.abs(first) - half
+    sampled = np.linalg.norm(np.maximum(q, 0.0), axis=-1) + np.minimum(q.max(axis=-1), 0.0)
+    found = segment_to_box(a, b, half)
+    assert np.all(found <= sampled.min(axis=1) + 1e-12)
+    np.testing.assert_allclose(found, sampled.min(axis=1), atol=5e-3)
+    assert (found < 0.0).sum() > 10 and (found > 0.0).sum() > 10
+
+
+def test_capsules_are_as_far_apart_as_mujoco_says():
+    mujoco = pytest.importorskip("mujoco", reason="needs the extra reality")
+    from gendom.reality.arm import RobotArm
+
+    still = joint_move(XARM7, XARM7.home, XARM7.home)
+    robot = RobotArm(XARM7, still, opening=0.03)
+    board = Box(name="board", pose=placed((0.5, 0.2, 0.4), (0.3, -0.5, 0.9)), size=(0.3, 0.4, 0.01))
+    quat = Rotation.from_matrix(board.pose[:3, :3]).as_quat(scalar_first=True)
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{robot.xml()}"
+        f'<geom type="box" pos="0.5 0.2 0.4" quat="{" ".join(map(str, quat))}" '
+        'size="0.15 0.2 0.005"/><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
+    )
+    # MuJoCo numbers geoms body by body: those of the world come first, then link by link.
+    data, arm_first = mujoco.MjData(model), 2
+    surroundings = Surroundings(table_height=0.0, obstacles=(board,))
+    q = random_q(40)
+    found = gaps(XARM7, q, surroundings, opening=0.03)
+    names = arm_shape(XARM7, XARM7.home, 0.03).names
+    geom = {name: arm_first + k for k, name in enumerate(names)} | {"board": 0, "table": 1}
+    overlapping = 0
+    for angles, gap in zip(q, found.gap, strict=True):
+        data.qpos[:] = angles
+        mujoco.mj_kinematics(model, data)
+        for (first, second), mine in zip(found.pairs, gap, strict=True):
+            theirs = mujoco.mj_geomDistance(model, data, geom[first], geom[second], 10.0, None)
+            overlapping += mine < 0.0
+            if second == "board" and mine < 0.0:
+                assert theirs < 0.0  # its depth is another: the least way out
+            else:
+                tolerance = 1e-5 if second == "board" else 1e-9
+                assert mine == pytest.approx(theirs, abs=tolerance), (first, second)
+    assert overlapping > 50
+
+
+# ---- poses ---------------------------------------------------------------------------------------
+
+
+def test_home_is_free_and_a_folded_arm_is_not():
+    assert collision_at(XARM7, XARM7.home, TABLE) is None
+    bowed = np.array([0.0, 1.5, 0.0, 0.0, 0.0, -0.6, 0.0])  # the hand is where the base is
+    found = collision_at(XARM7, bowed)
+    assert found is not None and found.depth > 0.05 and found.time is None
+    assert str(found).startswith("base and link6 column overlap by 107.0 mm")
+
+
+def test_neighbours_are_not_compared_and_the_base_not_with_the_table():
+    pairs = gaps(XARM7, XARM7.home, TABLE).pairs
+    links = {c.name: c.link for c in XARM7.capsules}
+    for first, second in pairs:
+        if second == "table":
+            assert links.get(first, 7) > 0
+        else:
+            assert links.get(second, 7) - links.get(first, 7) >= 2
+
+
+def test_a_hand_below_the_table_is_told():
+    low = inverse_kinematics(XARM7, placed((0.45, 0.0, -0.01), (np.pi, 0.0, 0.0)))
+    found = collision_at(XARM7, low, TABLE)
+    assert found is not None and found.second == "table" and "pad" in found.first
+    # The closed pads reach 1.4 mm beyond the tool point.
+    assert found.depth == pytest.approx(0.0114, abs=2e-4)
+    assert collision_at(XARM7, low) is None
+
+
+# ---- motions -------------------------------------------------------------------------------------
+
+
+def test_a_lift_off_the_table_is_free():
+    motion = follow(XARM7, lift([0.45, 0.0, 0.008], height=0.2, speed=0.1), surroundings=TABLE)
+    assert collision_along(XARM7, motion, TABLE) is None
+
+
+def test_a_path_into_the_table_is_refused_with_what_when_and_how_deep():
+    down = TcpPath(
+        time=np.array([0.0, 1.0]),
+        position=np.array([[0.45, 0.0, 0.1], [0.45, 0.0, -0.02]]),
+        quat_xyzw=np.array(DOWN),
+    )
+    follow(XARM7, down)
+    # 1.4 mm below the tool point, at 0.12 m/s from 0.1 m: at 0.822 s.
+    with pytest.raises(
+        RobotError, match=r"xarm7: from t = 0\.82\d s on .* pad .* and table collide, 2\d\.\d mm"
+    ):
+        follow(XARM7, down, surroundings=TABLE)
+
+
+def test_the_arm_does_not_run_into_itself():
+    """Both ends are free, what is between is not."""
+    a = np.array([0.8, 1.9, 2.7, 1.2, -2.4, 0.3, -0.6])
+    b = np.array([-1.4, 1.4, -1.6, 0.2, 1.8, -0.6, -2.0])
+    assert collision_at(XARM7, a) is None and collision_at(XARM7, b) is None
+    with pytest.raises(RobotError, match=r"collide, .* mm deep at t = .*; start from other joint"):
+        joint_move(XARM7, a, b)
+
+
+def test_a_camera_in_the_way_is_named_and_one_beside_it_is_not():
+    path = lift([0.45, 0.0, 0.1], height=0.2, speed=0.2)
+    camera = Box(name="camera left", pose=placed((0.45, 0.06, 0.3)), size=(0.09, 0.025, 0.025))
+    with pytest.raises(RobotError, match=r"and camera left collide.*away from the camera left"):
+        follow(XARM7, path, surroundings=Surroundings(obstacles=(camera,)))
+    aside = replace(camera, pose=placed((0.45, 0.4, 0.3)))
+    follow(XARM7, path, surroundings=Surroundings(obstacles=(aside,)))
+
+
+def test_nothing_slips_through_between_two_looks():
+    """A wire of 1 mm across the way of a quick hand, which passes it within some milliseconds."""
+    motion = joint_move(
+        XARM7, XARM7.home, XARM7.home + np.array([1.2, 0, 0, 0, 0, 0, 0]), share=1.0
+    )
+    tool = motion.tcp_at(XARM7, 0.5 * (motion.start + motion.end))[:3, 3]
+    for height in (0.0, 0.0005, 0.0012):
+        wire = Post(
+            name="wire",
+            start=tool - 0.05 * UP,
+            end=tool + height * UP,
+            radius=5e-4,
+        )
+        around = Surroundings(obstacles=(wire,))
+        found = collision_along(XARM7, motion, around)
+        dense = motion.at(np.linspace(motion.start, motion.end, 20001))
+        deep = -gaps(XARM7, dense, around).gap.min()
+        assert (found is not None) == (deep > 0.0)
+        if found is not None:
+            assert found.depth == pytest.approx(deep, abs=2e-3) and found.second == "wire"
+
+
+def test_another_posture_is_taken_where_the_first_collides():
+    """An obstacle at the elbow: the redundant arm leans to the other side."""
+    path = lift([0.45, 0.0, 0.1], height=0.1, speed=0.1)
+    elbow = follow(XARM7, path)
+    place = link_poses(XARM7, elbow.q[0])[4, :3, 3]
+    stand = Post(name="stand", start=place + 0.05 * UP, end=place + 0.2 * UP, radius=0.02)
+    around = Surroundings(obstacles=(stand,))
+    assert collision_along(XARM7, elbow, around) is not None
+    other = follow(XARM7, path, surroundings=around)
+    assert collision_along(XARM7, other, around) is None
+    np.testing.assert_allclose(tcp_pose(XARM7, other.q[0]), tcp_pose(XARM7, elbow.q[0]), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Box(name="board", pose=np.eye(3), size=(1, 1, 1)),
+        lambda: Box(name="board", pose=np.eye(4), size=(1, 1, 0)),
+        lambda: Post(name="pole", start=np.zeros(2), end=np.zeros(3), radius=0.1),
+        lambda: Post(name="pole", start=np.zeros(3), end=np.ones(3), radius=np.nan),
+    ],
+)
+def test_bad_obstacles(make):
+    with pytest.raises(RobotError, match="give"):
+        make()
+
+
+def test_checking_a_motion_says_what_is_wrong():
+    still = joint_move(XARM7, XARM7.home, XARM7.home)
+    ball = Post(
+        name="ball", start=np.array([0.41, 0, 0.2]), end=np.array([0.41, 0, 0.2]), radius=0.1
+    )
+    with pytest.raises(RobotError, match="and ball collide"):
+        check_collisions(XARM7, still, Surroundings(obstacles=(ball,)))
