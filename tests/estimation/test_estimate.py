@@ -15,7 +15,7 @@ from gendom.estimation import (
     estimate,
     replay_chamfer,
 )
-from gendom.estimation.estimate import BENDING_RANGE
+from gendom.estimation.lift import BENDING_RANGE, FRICTION_PRIOR
 from gendom.files import to_json
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import chamfer
@@ -29,7 +29,7 @@ CHEAP = ReplaySettings(cells_across=1.0, clock=5.0, threads=1)
 
 KEYS = {
     "bending_length", "bounds", "chamfer_last", "chamfer_last_surface", "chamfer_mean",
-    "chamfer_mean_surface", "density", "density_assumed", "device", "format", "frames",
+    "chamfer_mean_surface", "density", "density_assumed", "device", "format", "frames", "friction",
     "grip_offset", "history", "hold", "identifiable", "interrupted", "intervals", "iterations",
     "loss", "method", "notes", "object", "poissons_ratio", "seconds", "seed", "simulation",
     "specific_modulus", "starts", "youngs_modulus",
@@ -62,12 +62,13 @@ def at_rest():
     return np.stack([x, 0.0 * x, np.full(300, DIAMETER)], axis=1)
 
 
-def synthetic(replay=CHEAP, *, frames=10, modulus=MODULUS, seed=0):
+def synthetic(replay=CHEAP, *, frames=10, modulus=MODULUS, friction=0.3, seed=0):
     """A recording of a rope with known parameters: 120 points a frame with 1 mm noise."""
     rng = np.random.default_rng(seed)
     lift = Lift(recording([at_rest()] * frames), replay)
     clouds = []
-    for x in lift.simulate([Theta(specific_modulus=modulus, nu=0.3)])[:, 0]:
+    theta = Theta(specific_modulus=modulus, nu=0.3, friction=friction)
+    for x in lift.simulate([theta])[:, 0]:
         skin = lift.body.surface(x)
         shown = skin[lift.visible(skin)]
         shown = shown[rng.choice(len(shown), size=min(120, len(shown)), replace=False)]
@@ -98,7 +99,7 @@ def test_known_modulus_comes_back(result):
     low, high = record["intervals"]["specific_modulus"]
     assert low < MODULUS < high
     assert 1.02 < high / low < 2.0
-    assert record["identifiable"] == {"youngs_modulus": True, "poissons_ratio": False}
+    assert record["identifiable"]["youngs_modulus"] and not record["identifiable"]["poissons_ratio"]
     low, high = record["intervals"]["poissons_ratio"]
     assert high - low > 0.1
     start = record["starts"][0]["initial"]["specific_modulus"]
@@ -115,6 +116,19 @@ def test_another_seed_finds_the_same(lifted, result):
     assert abs(math.log(starts[0] / starts[1])) > 0.1
     assert other["specific_modulus"] == pytest.approx(MODULUS, rel=0.1)
     assert other["specific_modulus"] == pytest.approx(first["specific_modulus"], rel=0.05)
+
+
+def test_friction_follows_the_free_end():
+    """A short lift tells little of it: its interval holds the truth, E does not suffer."""
+    found = []
+    for friction in (0.1, 0.7):
+        seen = synthetic(friction=friction)
+        record = estimate(seen, EstimateSettings(starts=1, replay=CHEAP)).record
+        low, high = record["intervals"]["friction"]
+        assert low < friction < high
+        assert record["specific_modulus"] == pytest.approx(MODULUS, rel=0.1)
+        found.append(record["friction"])
+    assert found[0] < FRICTION_PRIOR[0] < found[1]
 
 
 @pytest.mark.slow

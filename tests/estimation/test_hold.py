@@ -10,7 +10,7 @@ from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import ParameterError
 from gendom.estimation import Hold, Lift, ReplaySettings, Theta, replay_chamfer
 from gendom.estimation.gauss_newton import Bounds
-from gendom.estimation.hold import NAMES, Held, as_held, fit_hold
+from gendom.estimation.hold import Held, as_held, fit_hold
 
 SIDE = 0.2
 MODULUS = 600.0

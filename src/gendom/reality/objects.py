@@ -213,7 +213,7 @@ OBJECTS: dict[str, RealObject] = {
             material=Material(E=2e6, nu=0.45, density=1100.0),
             damping=0.004,
             friction=0.7,
-            colour=(35, 35, 38),
+            colour=(30, 130, 70),
         ),
     )
 }
