@@ -7,9 +7,10 @@ from gendom.materials import Material
 from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
 from gendom.sim.batch import Batch
 from gendom.sim.blocks import Blocks
+from gendom.sim.teams import Teams
 
 SOFT = Material(E=2.0e4, nu=0.3, density=1000.0)
-TOGETHER = pytest.mark.parametrize("together", [Batch, Blocks])
+TOGETHER = pytest.mark.parametrize("together", [Batch, Blocks, Teams])
 
 
 def simulator(body, materials, **options):

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from gendom.sim.columns import Grid
 from gendom.sim.kernels import GRID_FULL, OK
@@ -116,16 +117,21 @@ class Batch:
             status = np.where(full, OK, status).astype(np.int32)
             clock.status.assign(status)
         failed = np.flatnonzero(status != OK)
-        if len(failed):
-            for w in failed:
-                if int(w) not in s.failures:
-                    s.failures[int(w)] = s.failure(int(w), now)
-            if not keep_going:
-                raise s.failures[int(failed[0])]
-            steps = clock.steps.numpy()
-            steps[failed] = clock.step.numpy()[failed]
-            clock.steps.assign(steps)
-        return bool((clock.steps.numpy() > clock.step.numpy()).any())
+        for w in failed:
+            if int(w) not in s.failures:
+                s.failures[int(w)] = s.failure(int(w), self.frame_start(int(w), now))
+        if len(failed) and not keep_going:
+            raise s.failures[int(failed[0])]
+        return bool((self.unfinished() & (status == OK)).any())
+
+    def frame_start(self, w: int, now: float) -> float:
+        """When the frame began that world w is in [s]; ``now`` where worlds share frames."""
+        return now
+
+    def unfinished(self) -> NDArray[np.bool_]:
+        """[W] whether a world has planned substeps before it."""
+        clock = self.worlds.clock
+        return clock.steps.numpy() > clock.step.numpy()
 
     def make_grid(self) -> None:
         """Make a grid with the room that worlds are known to need."""

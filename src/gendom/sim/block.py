@@ -28,7 +28,6 @@ _LARGEST = """
     __syncthreads();
     value = of_warp[own < warps ? own : 0];
     for (int by = 16; by > 0; by /= 2) value = max(value, __shfl_xor_sync(0xffffffffu, value, by));
-    __syncthreads();
 #endif
     return value;
 """
@@ -59,8 +58,10 @@ def make_block(real: Any) -> SimpleNamespace:
     """Build the functions for one scalar type; all threads of a block must call them.
 
     Returns:
-        Namespace with ``meet``, after which every thread sees what the others have written, and
-        ``largest``, the largest of all threads' values (no NaN), which meets too.
+        Namespace with ``meet``, after which every thread sees what the others have written;
+        ``largest``, the largest of all threads' values (no NaN), which meets too, and wants
+        another meeting before it is called again; ``before``, the sum of the values of the
+        threads before this one.
     """
 
     @wp.func_native(_MEET)

@@ -53,6 +53,7 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
     window_type = k.transfers.window
     collect = k.transfers.collect
     hand_over = k.transfers.hand_over
+    place_on_grid = k.transfers.place_on_grid
     before_yielding = k.transfers.before_yielding
     taken_by = k.transfers.taken_by
     moved_back = k.transfers.moved_back
@@ -82,6 +83,7 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
         grips: Grips,  # [W]
         columns: Columns,  # S * W layouts
         momentum: wp.array2d(dtype=vec4),  # [S * W, M] and mass
+        states: wp.array3d(dtype=real),  # [(S + 1) * W, STATE_COMPONENTS, N] records
         tape: Tape,
         # scratch
         velocity: wp.array2d(dtype=vec4),  # [W, M]
@@ -149,7 +151,7 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
             if yields == 1:
                 for i in range(lane, N, lanes):
                     F_bar, mu_bar, yield_bar = before_yielding(
-                        vector(slot, 0, i, tape.of), matrix(slot, _F, i, tape.of),
+                        vector(slot, 0, i, states), matrix(slot, _F, i, states),
                         matter.mu[w, tape.order[layout, i]], matter.yield_stress[w],
                         matrix(w, base + _F, i, of), layout, w, h, inv_dx, z0, columns, velocity,
                     )  # fmt: skip
@@ -158,22 +160,25 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
                     of[w, base + _YIELD, i] = of[w, base + _YIELD, i] + yield_bar
                 meet()
             window = window_type()
-            held = wp.vec3i(-1, -1, -1)
-            for i in range(lane * N // lanes, (lane + 1) * N // lanes):
+            last = (lane + 1) * N // lanes
+            for i in range(lane * N // lanes, last):
                 node, f, pull = taken_by(
-                    vector(slot, 0, i, tape.of), matrix(slot, _F, i, tape.of),
+                    vector(slot, 0, i, states), matrix(slot, _F, i, states),
                     vector(w, base, i, of), vector(w, base + _V, i, of),
                     matrix(w, base + _C, i, of), matrix(w, base + _F, i, of),
                     layout, h, inv_dx, z0, columns,
                 )  # fmt: skip
-                window = hand_over(window, held, node, grid_bar, w, columns.start, layout)
                 window = collect(window, f, pull)
-                held = node
-            hand_over(window, held, wp.vec3i(-1, -1, -1), grid_bar, w, columns.start, layout)
+                ahead = wp.vec3i(-1, -1, -1)
+                if i + 1 < last:
+                    ahead, f = place_on_grid(
+                        layout, vector(slot, 0, i + 1, states), inv_dx, z0, columns
+                    )
+                window = hand_over(window, node, ahead, grid_bar, w, columns.start, layout)
             meet()
             for i in range(lane, N, lanes):
                 x_bar, F_bar = moved_back(
-                    vector(slot, 0, i, tape.of), matrix(slot, _F, i, tape.of),
+                    vector(slot, 0, i, states), matrix(slot, _F, i, states),
                     vector(w, base, i, of), vector(w, base + _V, i, of),
                     matrix(w, base + _C, i, of), matrix(w, base + _F, i, of),
                     layout, w, h, inv_dx, z0, columns, velocity,
@@ -201,8 +206,8 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
             for i in range(lane, N, lanes):
                 p = tape.order[layout, i]
                 x_bar, u_bar, C_bar, F_bar, mu_bar, lam_bar, mass_bar = given_back(
-                    vector(slot, 0, i, tape.of), vector(slot, _V, i, tape.of),
-                    matrix(slot, _C, i, tape.of), matrix(slot, _F, i, tape.of),
+                    vector(slot, 0, i, states), vector(slot, _V, i, states),
+                    matrix(slot, _C, i, states), matrix(slot, _F, i, states),
                     matter.mu[w, p], matter.lam[w, p], mass, matter.volume, layout, w, h, inv_dx,
                     z0, columns, grid_bar,
                 )  # fmt: skip
@@ -227,7 +232,7 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
                     for axis in range(3):
                         a = tape.place[layout, matter.lattice[p, axis, 1]]
                         b = tape.place[layout, matter.lattice[p, axis, 0]]
-                        d = vector(slot, 0, a, tape.of) - vector(slot, 0, b, tape.of)
+                        d = vector(slot, 0, a, states) - vector(slot, 0, b, states)
                         for n in range(3):
                             D[n, axis] = d[n]
                     if wp.determinant(D * matter.rest_frame[p]) > real(smallest_volume):

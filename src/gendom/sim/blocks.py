@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from gendom.sim.batch import Batch
-from gendom.sim.block_kernels import COMPONENTS, make_block_kernels
+from gendom.sim.block_kernels import COMPONENTS, STATE_COMPONENTS, make_block_kernels
+from gendom.sim.columns import Grid
+from gendom.sim.paced import Paced
 from gendom.sim.worlds import Worlds
 
 MOST_PARTICLES = 16_384
@@ -27,11 +28,6 @@ LARGE_BODY = 2048
 WIDE, NARROW = 256, 128
 """Threads of a block."""
 
-SLICE = 128
-"""Substeps of a launch where worlds take turns."""
-
-ALL = 1 << 30
-
 
 def suits_blocks(worlds: Worlds) -> bool:
     """Whether a block a world is the faster way (measured: docs/performance.md)."""
@@ -39,8 +35,8 @@ def suits_blocks(worlds: Worlds) -> bool:
     return N <= MOST_PARTICLES and max(FEWEST_WORLDS, N / PARTICLES_A_WORLD) <= W
 
 
-class Blocks(Batch):
-    """Every world advances by itself through the substeps of a frame.
+class Blocks(Paced):
+    """A block of threads a world.
 
     Args:
         worlds: On any device; on the CPU, where tests run it, a block is one thread.
@@ -56,9 +52,11 @@ class Blocks(Batch):
         if not worlds.device.is_cuda:
             self.lanes = 1
         self.records = self.kernels.Records()
-        self.records.of = worlds.zeros((W, 2 * COMPONENTS, N), worlds.real)
-        self.records.order = worlds.zeros((W, 2, N), wp.int32)
-        self.records.place = worlds.zeros((W, N), wp.int32)
+        self.records.of = worlds.zeros((W, STATE_COMPONENTS, N), worlds.real)
+        self.records.moduli = worlds.zeros((W, 2, N), worlds.real)
+        self.records.spare = worlds.zeros((W, COMPONENTS, N), worlds.real)
+        for name in ("order", "place", "spare_order"):
+            setattr(self.records, name, worlds.zeros((W, N), wp.int32))
         # the slowest worlds go first, so that no block ends alone
         slowest = np.argsort(worlds.substep)
         self.order = worlds.array(slowest, wp.int32)
@@ -75,26 +73,36 @@ class Blocks(Batch):
         super().make_grid()
         self.records.tally = self.worlds.zeros(self.grid.momentum.shape, wp.int32)
 
-    def advance(self, now: float, *, keep_going: bool = False, most: int = ALL) -> bool:
-        clock = self.worlds.clock
-        left = min(most, int((clock.steps.numpy() - clock.step.numpy()).max()))
-        if left <= 0:
-            return False
-        if len(self._groups) == 1:
-            self._launch_advance(now, left, *self._groups[0])
-        else:
+    def launch_slices(self, slices: list[tuple[int, float]]) -> None:
+        several = len(self._groups) > 1
+        if several:
             wp.synchronize_device(self.worlds.device)
-            for done in range(0, left, SLICE):
-                for order, stream in self._groups:
-                    self._launch_advance(now, min(SLICE, left - done), order, stream)
+        for substeps, pause in slices:
+            for order, stream in self._groups:
+                self.launch_advance(
+                    self.kernels.advance, substeps, pause, self.frame_plan, self.grid,
+                    self.records, self.kernels.Tape(), order, stream,
+                )  # fmt: skip
+        if several:
             wp.synchronize_device(self.worlds.device)
-        return self.settle(now, keep_going=keep_going)
 
-    def _launch_advance(self, now: float, most: int, order: Any, stream: Any) -> None:
-        s, grid = self.worlds, self.grid
-        self.launch_block(self.kernels.advance, order, [
-            now, most, s.clock, s.matter, s.scene, s.paths, s.grips,
-            s.state, grid.columns, grid.momentum, self.velocity, self.records, self.kernels.Tape(),
+    def launch_advance(
+        self,
+        kernel: Any,
+        most: int,
+        pause: float,
+        plan: Any,
+        grid: Grid,
+        records: Any,
+        tape: Any,
+        order: Any = None,
+        stream: Any = None,
+    ) -> None:
+        """Call the kernel on the worlds ``order`` (default: all); see there."""
+        s = self.worlds
+        self.launch_block(kernel, self.order if order is None else order, [
+            most, pause, plan, s.clock, s.matter, s.scene, s.paths, s.grips, s.state, s.last_good,
+            grid.columns, grid.momentum, self.velocity, records, tape,
         ], stream)  # fmt: skip
 
     def launch_block(self, kernel: Any, order: Any, inputs: list[Any], stream: Any = None) -> None:

@@ -57,9 +57,9 @@ class Grid:
     columns: Any
     """``Columns`` of L layouts."""
     layout_of: wp.array
-    """[L] the layout of each recorded substep."""
+    """[S] the layout of each recorded substep."""
     momentum: wp.array
-    """[L, M] momentum and mass, or velocity and mass."""
+    """[S, M] momentum and mass, or velocity and mass."""
 
 
 class GridExhausted(Exception):
@@ -99,10 +99,20 @@ def grown_room(
 
 
 def make_grid(
-    room: tuple[int, int, int], layouts: int, node: Any, device: Any, *, make: Any = wp.zeros
+    room: tuple[int, int, int],
+    layouts: int,
+    node: Any,
+    device: Any,
+    *,
+    rows: int | None = None,
+    make: Any = wp.zeros,
 ) -> Grid:
-    """A grid of so many layouts; ``node`` is the type of a node's value, ``make`` fills arrays."""
+    """A grid of so many layouts, and of so many rows of nodes (default: one a layout).
+
+    ``node`` is the type of a node's value, ``make`` fills arrays.
+    """
     X, Y, M = room
+    rows = layouts if rows is None else rows
 
     def array(shape: Any, dtype: Any = wp.int32) -> wp.array:
         return make(shape, dtype=dtype, device=device)
@@ -115,7 +125,7 @@ def make_grid(
     columns.cell = array((layouts, M))
     columns.level = array((layouts, M))
     columns.count = array(layouts)
-    return Grid(columns, array(layouts), array((layouts, M), node))
+    return Grid(columns, array(rows), array((rows, M), node))
 
 
 @functools.cache

@@ -45,9 +45,9 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
 
     Returns:
         Namespace with the types, ``columns``, ``boundary`` and ``transfers`` of the kernels,
-        ``advance`` (CPU) and the stages of a substep (CUDA): ``tally``, ``place``, ``locate``,
-        ``empty``, ``mark``, ``lay`` where a graph begins, then ``p2g``, ``grid_update``, ``g2p``
-        for each of its substeps, and ``take``.
+        ``frame_substep``, ``advance`` (CPU) and the stages of a substep (CUDA): ``tally``,
+        ``place``, ``locate``, ``empty``, ``mark``, ``lay`` where a graph begins, then ``p2g``,
+        ``grid_update``, ``g2p`` for each of its substeps, and ``take``.
     """
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
@@ -80,6 +80,24 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         travel: wp.array(dtype=real)  # [W] distance since the columns were laid [m]
         status: wp.array(dtype=wp.int32)  # [W]
         culprit: wp.array(dtype=wp.int32)  # [W] particle
+        frame: wp.array(dtype=wp.int32)  # [W] of a ``Plan``
+
+    @wp.struct
+    class Plan:
+        """T frames that W worlds go through, each at its own pace."""
+
+        time: wp.array(dtype=wp.float64)  # [T + 1] where each begins, and the last one's end [s]
+        steps: wp.array2d(dtype=wp.int32)  # [T, W] equal substeps of each
+        particles: wp.array(dtype=wp.int32)  # [P] whose positions are recorded where a frame ends
+        x: wp.array3d(dtype=vec3)  # [T, W, P] [m]
+
+    @wp.func
+    def frame_substep(frame: int, w: int, plan: Plan):
+        """Length of a world's substeps in a frame [s]; 0 where it has none."""
+        dt = wp.float64(0.0)
+        if plan.steps[frame, w] > 0:
+            dt = (plan.time[frame + 1] - plan.time[frame]) / wp.float64(plan.steps[frame, w])
+        return dt
 
     # ---- CPU: one thread, one world, many substeps -------------------------------------------
 
@@ -392,6 +410,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         boundary=boundary,
         transfers=transfers,
         Clock=Clock,
+        Plan=Plan,
+        frame_substep=frame_substep,
         Lap=Lap,
         advance=advance,
         tally=tally,

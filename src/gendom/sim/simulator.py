@@ -16,6 +16,7 @@ from gendom.sim.bodies import Body
 from gendom.sim.device import cores, open_device
 from gendom.sim.gripper import Gripper
 from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
+from gendom.sim.teams import Teams, suits_teams
 from gendom.sim.threads import Threads
 from gendom.sim.worlds import STATE, Frames, Setting, Worlds, spread
 
@@ -243,6 +244,8 @@ class Simulator:
     def _make_runner(self) -> Batch | Threads:
         if not self.device.is_cuda:
             return Threads(self.worlds, self.threads)
+        if suits_teams(self.worlds):
+            return Teams(self.worlds)
         return (Blocks if suits_blocks(self.worlds) else Batch)(self.worlds)
 
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:

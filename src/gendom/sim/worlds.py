@@ -21,7 +21,7 @@ from gendom.sim.scene import Box, Table
 STATE = ("x", "v", "C", "F")
 """The arrays of a state."""
 
-CLOCK = ("dt", "steps", "step", "age", "travel", "status", "culprit")
+CLOCK = ("dt", "steps", "step", "age", "travel", "status", "culprit", "frame")
 """The arrays of a clock."""
 
 LAY_ANEW = 1e30
@@ -156,7 +156,7 @@ class Worlds:
         clock = self.kernels.Clock()
         clock.dt = self.zeros(W, wp.float64)
         clock.travel = self.zeros(W, self.real)
-        for name in ("steps", "step", "age", "status", "culprit"):
+        for name in ("steps", "step", "age", "status", "culprit", "frame"):
             setattr(clock, name, self.zeros(W, wp.int32))
         return clock
 
@@ -178,9 +178,10 @@ class Worlds:
             setattr(state, name, make(shape, dtype=dtype, device=self.device))
         return state
 
-    def make_grid(self, layouts: int, *, make: Any = wp.zeros) -> Grid:
+    def make_grid(self, layouts: int, *, rows: int | None = None, make: Any = wp.zeros) -> Grid:
         """A grid with the room that worlds are known to need."""
-        return make_grid(self.room, layouts, self.kernels.vec4, self.device, make=make)
+        vec4 = self.kernels.vec4
+        return make_grid(self.room, layouts, vec4, self.device, rows=rows, make=make)
 
     def make_room(self, grid: Grid, layouts: int | None = None) -> None:
         """Let later grids hold what did not fit into the (first) layouts of this one.
