@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
 from gendom.materials import Material
 from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
@@ -23,7 +24,7 @@ def run_together(s, together, times, **options):
     return s.run(times, **options)
 
 
-def scene():
+def scene(**options):
     """Three worlds that differ in all they can; two grippers, a table, walls."""
     body = rope(diameter=0.02, length=0.12, start=(0.0, 0.0, 0.01), cells_across=1.5)
     turn = [(0, 0, 0, 1), (0, 0, 0.2, 1), (0, 0, 0.4, 1)]
@@ -47,6 +48,7 @@ def scene():
         box=Box(lower=(-0.05, -0.1, -1.0), upper=(0.135, 0.1, 1.0)),
         damping=[2.0, 1.0, 0.0],
         gravity=[(0, 0, -9.81), (1, 0, -9.81), (0, 2, -5)],
+        **options,
     )
 
 
@@ -58,6 +60,17 @@ def test_worlds_together_move_as_each_alone(together):
     assert np.abs(x - expected).max() < 1e-12
     assert len(set(s.substeps_done())) == 3
     assert np.ptp(expected[-1], axis=0).max() > 1e-3
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize(("dtype", "bound"), [("float32", 5e-6), ("float64", 1e-12)])
+@TOGETHER
+def test_cuda_moves_worlds_as_the_cpu(together, dtype, bound):
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    times = [0.1, 0.17, 0.25]
+    x = run_together(scene(dtype=dtype, device="cuda"), together, times)
+    assert np.abs(x - scene(dtype=dtype).run(times)).max() < bound
 
 
 @TOGETHER

@@ -14,6 +14,9 @@ from gendom.sim.worlds import LAY_ANEW, STATE, Frames, Worlds
 SUBSTEPS_A_GRAPH = 8
 """Substeps recorded in one CUDA graph."""
 
+BLOCK = 128
+"""Threads of a block."""
+
 
 class Batch:
     """All worlds together, stage by stage.
@@ -24,6 +27,8 @@ class Batch:
 
     def __init__(self, worlds: Worlds):
         self.worlds = worlds
+        if worlds.device.is_cuda:
+            self.load()
         W = worlds.num_worlds
         self.grips = worlds.make_grips(SUBSTEPS_A_GRAPH * W)
         self.lap = worlds.kernels.Lap()
@@ -33,6 +38,11 @@ class Batch:
             setattr(self.lap, name, worlds.zeros(W, wp.int32))
         self.make_grid()
         self.begin()
+
+    def load(self) -> None:
+        """Compile and load what ``run`` launches."""
+        module = self.worlds.kernels.p2g.module  # that of all stages
+        wp.load_module(module, device=self.worlds.device, block_dim=BLOCK)
 
     def run(self, frames: Frames) -> None:
         """Simulate all worlds to all times.
@@ -145,7 +155,7 @@ class Batch:
             self.launch_substep(r, state, state)
 
     def launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, device=self.worlds.device, block_dim=128)
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.worlds.device, block_dim=BLOCK)
 
     def launch_tally(self) -> None:
         """Count what a graph has done."""

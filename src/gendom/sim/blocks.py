@@ -73,6 +73,10 @@ class Blocks(Paced):
         super().make_grid()
         self.records.tally = self.worlds.zeros(self.grid.momentum.shape, wp.int32)
 
+    def load(self) -> None:
+        module = self.kernels.advance.module
+        wp.load_module(module, device=self.worlds.device, block_dim=self.lanes)
+
     def launch_slices(self, slices: list[tuple[int, float]]) -> None:
         several = len(self._groups) > 1
         if several:

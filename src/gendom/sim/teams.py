@@ -40,6 +40,10 @@ class Teams(Paced):
         self._peak = worlds.zeros((worlds.num_worlds, 2), worlds.real)
         super().__init__(worlds)
 
+    def load(self) -> None:
+        module = self.kernels.advance.module
+        wp.load_module(module, device=self.worlds.device, block_dim=self.lanes)
+
     def launch_slices(self, slices: list[tuple[int, float]]) -> None:
         s, grid = self.worlds, self.grid
         for substeps, pause in slices:
