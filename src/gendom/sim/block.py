@@ -53,6 +53,70 @@ _BEFORE = """
 """
 
 
+_IN_SHARED_MEMORY = """
+#if defined(__CUDA_ARCH__)
+    extern __shared__ REAL resident[];
+    REAL& there = resident[c * of.shape[2] + i];
+#else
+    REAL& there = wp::index(of, row, c, i);
+#endif
+"""
+
+_ADD = """
+#if defined(__CUDA_ARCH__)
+    atomicAdd(&there, value);
+#else
+    there += value;
+#endif
+"""
+
+ROOM = 96_000
+"""Shared memory of a block for its particles [bytes]; two blocks fit on a multiprocessor."""
+
+
+@functools.cache
+def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
+    """Build the access to particles by component, for one scalar type.
+
+    Args:
+        real: ``wp.float32`` or ``wp.float64``.
+        resident: Whether a CUDA block has its particles in shared memory while it runs, all of
+            the ``ROOM`` that its kernel sets aside; otherwise they stand in an array.
+
+    Returns:
+        Namespace with ``get``, ``put`` and ``add`` (atomic) of component c of particle i in a row
+        of the array ``of`` [rows, components, N].
+    """
+    if not resident:
+
+        @wp.func
+        def get_from_array(of: wp.array3d(dtype=real), row: int, c: int, i: int):
+            return of[row, c, i]
+
+        @wp.func
+        def put_in_array(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real):
+            of[row, c, i] = value
+
+        @wp.func
+        def add_to_array(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real):
+            wp.atomic_add(of, row, c, i, value)
+
+        return SimpleNamespace(get=get_from_array, put=put_in_array, add=add_to_array)
+
+    there = _IN_SHARED_MEMORY.replace("REAL", _name(real))
+
+    @wp.func_native(there + "return there;")
+    def get(of: wp.array3d(dtype=real), row: int, c: int, i: int) -> real: ...
+
+    @wp.func_native(there + "there = value;")
+    def put(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
+
+    @wp.func_native(there + _ADD)
+    def add(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
+
+    return SimpleNamespace(get=get, put=put, add=add)
+
+
 @functools.cache
 def make_block(real: Any) -> SimpleNamespace:
     """Build the functions for one scalar type; all threads of a block must call them.
@@ -67,12 +131,14 @@ def make_block(real: Any) -> SimpleNamespace:
     @wp.func_native(_MEET)
     def meet(): ...
 
-    name = "wp::float32" if real == wp.float32 else "wp::float64"
-
-    @wp.func_native(_LARGEST.replace("REAL", name))
+    @wp.func_native(_LARGEST.replace("REAL", _name(real)))
     def largest(value: real) -> real: ...
 
     @wp.func_native(_BEFORE)
     def before(value: int) -> int: ...
 
     return SimpleNamespace(meet=meet, largest=largest, before=before)
+
+
+def _name(real: Any) -> str:
+    return "wp::float32" if real == wp.float32 else "wp::float64"

@@ -19,7 +19,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.block import make_block
+from gendom.sim.block import ROOM, make_block, make_store
 from gendom.sim.columns import MARGIN, Columns
 from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, RECOVER_EVERY, make_kernels
 
@@ -34,13 +34,14 @@ _V, _C, _F, _MU, _LAM = 3, 6, 15, 0, 1
 
 @functools.cache
 def make_block_kernels(
-    real: Any, law_name: str, *, plastic: bool, taped: bool = False
+    real: Any, law_name: str, *, plastic: bool, taped: bool = False, resident: bool = False
 ) -> SimpleNamespace:
     """Build the kernel for one scalar type and one material, see ``make_kernels``.
 
     Args:
         real, law_name, plastic: As there.
         taped: Whether every substep is kept for the reverse.
+        resident: Whether particles stay in a block's shared memory, see ``make_store``.
 
     Returns:
         Namespace with ``Records``, ``Tape`` and ``advance``, and with what reads records.
@@ -66,6 +67,10 @@ def make_block_kernels(
     recovery_share = k.transfers.recovery_share
     recovered = k.transfers.recovered
     keeps = wp.constant(1 if taped else 0)
+    stays = wp.constant(1 if resident else 0)
+    room = wp.constant(ROOM // (4 if real == wp.float32 else 8))
+    store = make_store(real, resident=resident)
+    get, put = store.get, store.put
     block = make_block(real)
     meet, largest, before = block.meet, block.largest, block.before
 
@@ -95,26 +100,26 @@ def make_block_kernels(
 
     @wp.func
     def vector(w: int, c: int, i: int, of: wp.array3d(dtype=real)):
-        return vec3(of[w, c, i], of[w, c + 1, i], of[w, c + 2, i])
+        return vec3(get(of, w, c, i), get(of, w, c + 1, i), get(of, w, c + 2, i))
 
     @wp.func
     def put_vector(w: int, c: int, i: int, a: vec3, of: wp.array3d(dtype=real)):
         for n in range(3):
-            of[w, c + n, i] = a[n]
+            put(of, w, c + n, i, a[n])
 
     @wp.func
     def matrix(w: int, c: int, i: int, of: wp.array3d(dtype=real)):
         return mat33(
-            of[w, c, i], of[w, c + 1, i], of[w, c + 2, i],
-            of[w, c + 3, i], of[w, c + 4, i], of[w, c + 5, i],
-            of[w, c + 6, i], of[w, c + 7, i], of[w, c + 8, i],
+            get(of, w, c, i), get(of, w, c + 1, i), get(of, w, c + 2, i),
+            get(of, w, c + 3, i), get(of, w, c + 4, i), get(of, w, c + 5, i),
+            get(of, w, c + 6, i), get(of, w, c + 7, i), get(of, w, c + 8, i),
         )  # fmt: skip
 
     @wp.func
     def put_matrix(w: int, c: int, i: int, A: mat33, of: wp.array3d(dtype=real)):
         for m in range(3):
             for n in range(3):
-                of[w, c + 3 * m + n, i] = A[m, n]
+                put(of, w, c + 3 * m + n, i, A[m, n])
 
     @wp.func
     def put_in_order(
@@ -159,14 +164,14 @@ def make_block_kernels(
             records.spare_order[w, j] = p
             records.place[w, p] = j
             for c in range(STATE_COMPONENTS):
-                records.spare[w, c, j] = of[row, c, i]
+                records.spare[w, c, j] = get(of, row, c, i)
             for c in range(2):
                 records.spare[w, STATE_COMPONENTS + c, j] = records.moduli[w, c, i]
         meet()
         for i in range(lane, N, lanes):
             records.order[w, i] = records.spare_order[w, i]
             for c in range(STATE_COMPONENTS):
-                of[row, c, i] = records.spare[w, c, i]
+                put(of, row, c, i, records.spare[w, c, i])
             for c in range(2):
                 records.moduli[w, c, i] = records.spare[w, STATE_COMPONENTS + c, i]
         meet()
@@ -193,6 +198,8 @@ def make_block_kernels(
         tape: Tape,
     ):
         block, lane = wp.tid()
+        if stays == 1:
+            wp.tile_empty(shape=room, dtype=real, storage="shared")
         w = order[block]
         of = records.of
         moduli = records.moduli
@@ -312,21 +319,18 @@ def make_block_kernels(
                 if recovers or keeps == 1:
                     meet()
                 window = window_type()
-                last = (lane + 1) * N // lanes
-                for i in range(lane * N // lanes, last):
+                held = wp.vec3i(-1, -1, -1)
+                for i in range(lane * N // lanes, (lane + 1) * N // lanes):
                     node, f, q = given_by(
                         vector(row, 0, i, of), vector(row, _V, i, of),
                         matrix(row, _C, i, of), matrix(row, _F, i, of),
                         moduli[w, _MU, i], moduli[w, _LAM, i],
                         mass, matter.volume, layout, h, inv_dx, z0, columns,
                     )  # fmt: skip
+                    window = hand_over(window, held, node, momentum, row, columns.start, layout)
                     window = collect(window, f, q)
-                    ahead = wp.vec3i(-1, -1, -1)
-                    if i + 1 < last:
-                        ahead, f = place_on_grid(
-                            layout, vector(row, 0, i + 1, of), inv_dx, z0, columns
-                        )
-                    window = hand_over(window, node, ahead, momentum, row, columns.start, layout)
+                    held = node
+                hand_over(window, held, wp.vec3i(-1, -1, -1), momentum, row, columns.start, layout)
                 meet()
                 for n in range(lane, nodes, lanes):
                     m = momentum[row, n]

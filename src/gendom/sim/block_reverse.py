@@ -53,7 +53,6 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
     window_type = k.transfers.window
     collect = k.transfers.collect
     hand_over = k.transfers.hand_over
-    place_on_grid = k.transfers.place_on_grid
     before_yielding = k.transfers.before_yielding
     taken_by = k.transfers.taken_by
     moved_back = k.transfers.moved_back
@@ -160,21 +159,18 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
                     of[w, base + _YIELD, i] = of[w, base + _YIELD, i] + yield_bar
                 meet()
             window = window_type()
-            last = (lane + 1) * N // lanes
-            for i in range(lane * N // lanes, last):
+            held = wp.vec3i(-1, -1, -1)
+            for i in range(lane * N // lanes, (lane + 1) * N // lanes):
                 node, f, pull = taken_by(
                     vector(slot, 0, i, states), matrix(slot, _F, i, states),
                     vector(w, base, i, of), vector(w, base + _V, i, of),
                     matrix(w, base + _C, i, of), matrix(w, base + _F, i, of),
                     layout, h, inv_dx, z0, columns,
                 )  # fmt: skip
+                window = hand_over(window, held, node, grid_bar, w, columns.start, layout)
                 window = collect(window, f, pull)
-                ahead = wp.vec3i(-1, -1, -1)
-                if i + 1 < last:
-                    ahead, f = place_on_grid(
-                        layout, vector(slot, 0, i + 1, states), inv_dx, z0, columns
-                    )
-                window = hand_over(window, node, ahead, grid_bar, w, columns.start, layout)
+                held = node
+            hand_over(window, held, wp.vec3i(-1, -1, -1), grid_bar, w, columns.start, layout)
             meet()
             for i in range(lane, N, lanes):
                 x_bar, F_bar = moved_back(

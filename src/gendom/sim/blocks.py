@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from gendom.sim.block import ROOM
 from gendom.sim.block_kernels import COMPONENTS, STATE_COMPONENTS, make_block_kernels
 from gendom.sim.columns import Grid
 from gendom.sim.paced import Paced
@@ -35,6 +36,13 @@ def suits_blocks(worlds: Worlds) -> bool:
     return N <= MOST_PARTICLES and max(FEWEST_WORLDS, N / PARTICLES_A_WORLD) <= W
 
 
+def fits_shared_memory(worlds: Worlds, components: int) -> bool:
+    """Whether so many numbers a particle fit into the shared memory of two blocks at once."""
+    device = worlds.device
+    taken = components * worlds.num_particles * worlds.numpy_type.itemsize
+    return device.is_cuda and taken <= ROOM and 2 * ROOM <= device.max_shared_memory_per_block
+
+
 class Blocks(Paced):
     """A block of threads a world.
 
@@ -45,8 +53,11 @@ class Blocks(Paced):
 
     def __init__(self, worlds: Worlds, lanes: int | None = None):
         setting = worlds.setting
-        self.kernels = make_block_kernels(worlds.real, setting.law, plastic=worlds.plastic)
         W, N = worlds.num_worlds, worlds.num_particles
+        resident = fits_shared_memory(worlds, STATE_COMPONENTS)
+        self.kernels = make_block_kernels(
+            worlds.real, setting.law, plastic=worlds.plastic, resident=resident
+        )
         crowded = W > MANY_WORLDS and N <= LARGE_BODY
         self.lanes = lanes or (NARROW if crowded else WIDE)
         if not worlds.device.is_cuda:

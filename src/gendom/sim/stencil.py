@@ -113,7 +113,7 @@ _HAND_OVER = (
     const int up = node[2] - held[2];
     const bool along = node[0] == held[0] && node[1] == held[1] && up >= 0 && up < 3;
     const int leaving = along ? up : 3;
-    if (leaving == 0) return window;
+    if (leaving == 0 || held[0] < 0) return window;
     const lanes none = {};
     #pragma unroll
     for (int i = 0; i < 3; ++i) {

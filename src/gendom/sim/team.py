@@ -16,16 +16,13 @@ import warp as wp
 _MEET = """
 #if defined(__CUDA_ARCH__)
     __syncthreads();
-    if (threadIdx.x == 0 && members > 1) {
-        unsigned* came = (unsigned*)&wp::index(gate, team);
-        unsigned before;
-        asm volatile("atom.add.acq_rel.gpu.global.u32 %0, [%1], 1;"
-                     : "=r"(before) : "l"(came) : "memory");
-        const unsigned goal = (before / members + 1) * members;
-        unsigned now = before + 1;
-        while (now < goal)
-            asm volatile("ld.acquire.gpu.global.u32 %0, [%1];"
-                         : "=r"(now) : "l"(came) : "memory");
+    if (threadIdx.x == 0) {
+        const int* came = &wp::index(gate, team);
+        int now;
+        asm volatile("red.release.gpu.global.add.s32 [%0], 1;" : : "l"(came) : "memory");
+        do
+            asm volatile("ld.acquire.gpu.global.s32 %0, [%1];" : "=r"(now) : "l"(came) : "memory");
+        while (now - expected < 0);
     }
     __syncthreads();
 #endif
@@ -50,13 +47,14 @@ def make_team(real: Any) -> SimpleNamespace:
 
     Returns:
         Namespace with ``meet``, after which every thread sees what the others have written
-        (``gate`` [teams] counts arrivals and is 0 before the launch), and ``lift``, which raises
+        (``gate`` [teams] counts the blocks that came, from 0 before the launch; ``expected`` is
+        what it will have counted when all have), and ``lift``, which raises
         a number of ``peak`` [teams, slots] to the largest of all threads' values (not negative, no
         NaN), to be read after the next meeting.
     """
 
     @wp.func_native(_MEET)
-    def meet(gate: wp.array(dtype=wp.int32), team: int, members: int): ...
+    def meet(gate: wp.array(dtype=wp.int32), team: int, expected: int): ...
 
     single = real == wp.float32
     text = _LIFT.replace("REAL", "wp::float32" if single else "wp::float64")

@@ -100,7 +100,9 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
         travel = clock.travel[w]
         left = int(most)
         fresh = step == 0
-        meet(gate, w, members)
+        nodes = int(columns.count[w])
+        came = int(members)
+        meet(gate, w, came)
         while frame < frames and left > 0 and status == OK and t < pause:
             if fresh:
                 for p in range(lane, N, lanes):
@@ -113,24 +115,30 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                 if lane == 0:
                     columns.count[w] = 0
                     forget_bounds(w, columns)
-                meet(gate, w, members)
+                came += members
+                meet(gate, w, came)
                 for p in range(lane, N, lanes):
                     locate_particle(w, state.x[w, p], inv_dx, columns)
-                meet(gate, w, members)
+                came += members
+                meet(gate, w, came)
                 X = columns.bounds[w, 2] - columns.bounds[w, 0] + 1
                 Y = columns.bounds[w, 3] - columns.bounds[w, 1] + 1
                 status = GRID_FULL
                 if X <= columns.low.shape[1] and Y <= columns.low.shape[2]:
                     for n in range(lane, X * Y, lanes):
                         empty_column(w, n // Y, n % Y, columns)
-                    meet(gate, w, members)
+                    came += members
+                    meet(gate, w, came)
                     for p in range(lane, N, lanes):
                         mark_particle(w, state.x[w, p], inv_dx, z0, columns)
-                    meet(gate, w, members)
+                    came += members
+                    meet(gate, w, came)
                     for n in range(lane, X * Y, lanes):
                         lay_column(w, n // Y, n % Y, columns)
-                    meet(gate, w, members)
-                    if columns.count[w] <= momentum.shape[1]:
+                    came += members
+                    meet(gate, w, came)
+                    nodes = columns.count[w]
+                    if nodes <= momentum.shape[1]:
                         status = OK
                         travel = real(0.0)
             if step < steps and status == OK:
@@ -141,16 +149,18 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     if recovers:
                         recover_particle(p, w, blend, matter, state)
                     scatter_particle(w, p, w, w, w, h, inv_dx, z0, matter, state, columns, momentum)
-                meet(gate, w, members)
+                came += members
+                meet(gate, w, came)
                 if lane == 0:
                     peak[w, (age + 1) % 2] = real(0.0)
-                for n in range(lane, columns.count[w], lanes):
+                for n in range(lane, nodes, lanes):
                     q = momentum[w, n]
                     if q[3] > real(0.0):
                         momentum[w, n] = vec4()
                         u = update_node(w, w, w, n, q, h, keep, scene, paths, grips, columns)
                         velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
-                meet(gate, w, members)
+                came += members
+                meet(gate, w, came)
                 # the longest way, in squared cells; above 1 what went wrong
                 worst = real(0.0)
                 for p in range(lane, N, lanes):
@@ -166,7 +176,8 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                         clock.culprit[w] = p
                     worst = wp.max(worst, far)
                 lift(peak, w, age % 2, worst)
-                meet(gate, w, members)
+                came += members
+                meet(gate, w, came)
                 worst = peak[w, age % 2]
                 if worst > real(1.5):
                     status = int(worst)
@@ -189,7 +200,8 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     step = 0
                     fresh = True
             t = begun + wp.float64(step) * dt
-        meet(gate, w, members)
+        came += members
+        meet(gate, w, came)
         if lane == 0:
             clock.frame[w] = frame
             clock.dt[w] = dt
