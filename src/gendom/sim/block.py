@@ -74,6 +74,11 @@ ROOM = 96_000
 """Shared memory of a block for its particles [bytes]; two blocks fit on a multiprocessor."""
 
 
+def bounds(lanes: int) -> tuple[int, int]:
+    """Launch bounds of a block: two on a multiprocessor where registers allow."""
+    return lanes, 2 if lanes <= 192 else 1
+
+
 @functools.cache
 def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
     """Build the access to particles by component, for one scalar type.
@@ -85,8 +90,44 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
 
     Returns:
         Namespace with ``get``, ``put`` and ``add`` (atomic) of component c of particle i in a row
-        of the array ``of`` [rows, components, N].
+        of the array ``of`` [rows, components, N], and with ``vector``, ``put_vector``, ``matrix``,
+        ``put_matrix`` of the components from c on.
     """
+    store = _numbers(real, resident=resident)
+    get, put = store.get, store.put
+    vec3 = wp.types.vector(3, real)
+    mat33 = wp.types.matrix((3, 3), real)
+
+    @wp.func
+    def vector(of: wp.array3d(dtype=real), row: int, c: int, i: int):
+        return vec3(get(of, row, c, i), get(of, row, c + 1, i), get(of, row, c + 2, i))
+
+    @wp.func
+    def put_vector(of: wp.array3d(dtype=real), row: int, c: int, i: int, a: vec3):
+        for n in range(3):
+            put(of, row, c + n, i, a[n])
+
+    @wp.func
+    def matrix(of: wp.array3d(dtype=real), row: int, c: int, i: int):
+        return mat33(
+            get(of, row, c, i), get(of, row, c + 1, i), get(of, row, c + 2, i),
+            get(of, row, c + 3, i), get(of, row, c + 4, i), get(of, row, c + 5, i),
+            get(of, row, c + 6, i), get(of, row, c + 7, i), get(of, row, c + 8, i),
+        )  # fmt: skip
+
+    @wp.func
+    def put_matrix(of: wp.array3d(dtype=real), row: int, c: int, i: int, A: mat33):
+        for m in range(3):
+            for n in range(3):
+                put(of, row, c + 3 * m + n, i, A[m, n])
+
+    return SimpleNamespace(
+        **vars(store), vector=vector, put_vector=put_vector, matrix=matrix, put_matrix=put_matrix
+    )
+
+
+def _numbers(real: Any, *, resident: bool) -> SimpleNamespace:
+    """``get``, ``put`` and ``add`` of ``make_store``."""
     if not resident:
 
         @wp.func

@@ -19,7 +19,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.block import ROOM, make_block, make_store
+from gendom.sim.block import ROOM, bounds, make_block, make_store
 from gendom.sim.columns import MARGIN, Columns
 from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, RECOVER_EVERY, make_kernels
 
@@ -34,7 +34,13 @@ _V, _C, _F, _MU, _LAM = 3, 6, 15, 0, 1
 
 @functools.cache
 def make_block_kernels(
-    real: Any, law_name: str, *, plastic: bool, taped: bool = False, resident: bool = False
+    real: Any,
+    law_name: str,
+    *,
+    plastic: bool,
+    taped: bool = False,
+    resident: bool = False,
+    lanes: int = 128,
 ) -> SimpleNamespace:
     """Build the kernel for one scalar type and one material, see ``make_kernels``.
 
@@ -42,12 +48,13 @@ def make_block_kernels(
         real, law_name, plastic: As there.
         taped: Whether every substep is kept for the reverse.
         resident: Whether particles stay in a block's shared memory, see ``make_store``.
+        lanes: Threads of a block on CUDA.
 
     Returns:
-        Namespace with ``Records``, ``Tape`` and ``advance``, and with what reads records.
+        Namespace with ``Records``, ``Tape`` and ``advance``.
     """
     k = make_kernels(real, law_name, plastic=plastic)
-    vec3, vec4, mat33 = k.vec3, k.vec4, k.mat33
+    vec4, mat33 = k.vec4, k.mat33
     Clock, Plan, frame_substep = k.Clock, k.Plan, k.frame_substep
     forget_bounds = k.columns.forget_bounds
     locate_particle = k.columns.locate_particle
@@ -71,6 +78,8 @@ def make_block_kernels(
     room = wp.constant(ROOM // (4 if real == wp.float32 else 8))
     store = make_store(real, resident=resident)
     get, put = store.get, store.put
+    vector, put_vector = store.vector, store.put_vector
+    matrix, put_matrix = store.matrix, store.put_matrix
     block = make_block(real)
     meet, largest, before = block.meet, block.largest, block.before
 
@@ -78,7 +87,7 @@ def make_block_kernels(
     class Records:
         """Particles of W worlds in order."""
 
-        of: wp.array3d(dtype=real)  # [rows, STATE_COMPONENTS, N]; a row a world, or as ``Tape``
+        of: wp.array3d(dtype=real)  # [W, STATE_COMPONENTS, N], or [1, ...] if they are resident
         moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
         order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
         place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
@@ -89,42 +98,19 @@ def make_block_kernels(
 
     @wp.struct
     class Tape:
-        """Layouts of S substeps of W worlds: substep n of world w has row n * W + w.
+        """S substeps of W worlds: substep n of world w has row n * W + w.
 
         Layout n of world w is number n * W + w; there may be fewer of them than substeps.
         """
 
+        of: wp.array3d(dtype=real)  # [S * W, STATE_COMPONENTS, N] records before the substep
         order: wp.array2d(dtype=wp.int32)  # [L, N] of each layout
         place: wp.array2d(dtype=wp.int32)  # [L, N]
         layout_of: wp.array(dtype=wp.int32)  # [S * W] row of each substep's layout
 
     @wp.func
-    def vector(w: int, c: int, i: int, of: wp.array3d(dtype=real)):
-        return vec3(get(of, w, c, i), get(of, w, c + 1, i), get(of, w, c + 2, i))
-
-    @wp.func
-    def put_vector(w: int, c: int, i: int, a: vec3, of: wp.array3d(dtype=real)):
-        for n in range(3):
-            put(of, w, c + n, i, a[n])
-
-    @wp.func
-    def matrix(w: int, c: int, i: int, of: wp.array3d(dtype=real)):
-        return mat33(
-            get(of, w, c, i), get(of, w, c + 1, i), get(of, w, c + 2, i),
-            get(of, w, c + 3, i), get(of, w, c + 4, i), get(of, w, c + 5, i),
-            get(of, w, c + 6, i), get(of, w, c + 7, i), get(of, w, c + 8, i),
-        )  # fmt: skip
-
-    @wp.func
-    def put_matrix(w: int, c: int, i: int, A: mat33, of: wp.array3d(dtype=real)):
-        for m in range(3):
-            for n in range(3):
-                put(of, w, c + 3 * m + n, i, A[m, n])
-
-    @wp.func
     def put_in_order(
         w: int,
-        row: int,
         lane: int,
         lanes: int,
         layout: int,
@@ -143,7 +129,7 @@ def make_block_kernels(
             records.tally[w, n] = 0
         meet()
         for i in range(lane, N, lanes):
-            node, _f = place_on_grid(layout, vector(row, 0, i, of), inv_dx, z0, columns)
+            node, _f = place_on_grid(layout, vector(of, w, 0, i), inv_dx, z0, columns)
             n = columns.start[layout, node[0], node[1]] + node[2]
             wp.atomic_add(records.tally, w, n, 1)
         meet()
@@ -157,26 +143,26 @@ def make_block_kernels(
             first += here
         meet()
         for i in range(lane, N, lanes):
-            node, _f = place_on_grid(layout, vector(row, 0, i, of), inv_dx, z0, columns)
+            node, _f = place_on_grid(layout, vector(of, w, 0, i), inv_dx, z0, columns)
             n = columns.start[layout, node[0], node[1]] + node[2]
             j = wp.atomic_add(records.tally, w, n, 1)
             p = records.order[w, i]
             records.spare_order[w, j] = p
             records.place[w, p] = j
             for c in range(STATE_COMPONENTS):
-                records.spare[w, c, j] = get(of, row, c, i)
+                records.spare[w, c, j] = get(of, w, c, i)
             for c in range(2):
                 records.spare[w, STATE_COMPONENTS + c, j] = records.moduli[w, c, i]
         meet()
         for i in range(lane, N, lanes):
             records.order[w, i] = records.spare_order[w, i]
             for c in range(STATE_COMPONENTS):
-                put(of, row, c, i, records.spare[w, c, i])
+                put(of, w, c, i, records.spare[w, c, i])
             for c in range(2):
                 records.moduli[w, c, i] = records.spare[w, STATE_COMPONENTS + c, i]
         meet()
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", launch_bounds=bounds(lanes))
     def advance(
         order: wp.array(dtype=wp.int32),  # [W] world of each block
         lanes: int,
@@ -225,8 +211,8 @@ def make_block_kernels(
         h = real(dt)
         keep = wp.exp(-scene.damping[w] * h)
         blend = recovery_share(h, RECOVER_EVERY, matter)
-        # rows of records, grid and layout; in place unless all are kept
-        row = int(w)
+        # of grid and layout; in place unless all are kept
+        slot = int(w)
         layout = int(w)
         age = clock.age[w]
         travel = clock.travel[w]
@@ -240,10 +226,10 @@ def make_block_kernels(
                 records.place[w, i] = i
             else:
                 p = records.order[w, i]
-            put_vector(row, 0, i, state.x[w, p], of)
-            put_vector(row, _V, i, state.v[w, p], of)
-            put_matrix(row, _C, i, state.C[w, p], of)
-            put_matrix(row, _F, i, state.F[w, p], of)
+            put_vector(of, w, 0, i, state.x[w, p])
+            put_vector(of, w, _V, i, state.v[w, p])
+            put_matrix(of, w, _C, i, state.C[w, p])
+            put_matrix(of, w, _F, i, state.F[w, p])
             moduli[w, _MU, i] = matter.mu[w, p]
             moduli[w, _LAM, i] = matter.lam[w, p]
         if step == 0:
@@ -267,7 +253,7 @@ def make_block_kernels(
                         forget_bounds(layout, columns)
                     meet()
                     for i in range(lane, N, lanes):
-                        locate_particle(layout, vector(row, 0, i, of), inv_dx, columns)
+                        locate_particle(layout, vector(of, w, 0, i), inv_dx, columns)
                     meet()
                     X = columns.bounds[layout, 2] - columns.bounds[layout, 0] + 1
                     Y = columns.bounds[layout, 3] - columns.bounds[layout, 1] + 1
@@ -277,7 +263,7 @@ def make_block_kernels(
                             empty_column(layout, n // Y, n % Y, columns)
                         meet()
                         for i in range(lane, N, lanes):
-                            mark_particle(layout, vector(row, 0, i, of), inv_dx, z0, columns)
+                            mark_particle(layout, vector(of, w, 0, i), inv_dx, z0, columns)
                         meet()
                         for n in range(lane, X * Y, lanes):
                             lay_column(layout, n // Y, n % Y, columns)
@@ -285,7 +271,7 @@ def make_block_kernels(
                         if columns.count[layout] <= momentum.shape[1]:
                             status = OK
                             travel = real(0.0)
-                            put_in_order(w, row, lane, lanes, layout, inv_dx, z0, columns, records)
+                            put_in_order(w, lane, lanes, layout, inv_dx, z0, columns, records)
                             if keeps == 1:
                                 for i in range(lane, N, lanes):
                                     tape.order[layout, i] = records.order[w, i]
@@ -299,9 +285,9 @@ def make_block_kernels(
                 for g in range(lane, grips.closed.shape[1], lanes):
                     place_gripper(w, w, g, t, dt, paths, grips)
                 if keeps == 1:
-                    tape.layout_of[row] = layout
+                    tape.layout_of[slot] = layout
                     for n in range(lane, nodes, lanes):
-                        momentum[row, n] = vec4()
+                        momentum[slot, n] = vec4()
                 recovers = age % RECOVER_EVERY == 0 and blend > real(0.0)
                 if recovers:
                     for i in range(lane, N, lanes):
@@ -310,51 +296,52 @@ def make_block_kernels(
                         for axis in range(3):
                             a = records.place[w, matter.lattice[p, axis, 1]]
                             b = records.place[w, matter.lattice[p, axis, 0]]
-                            d = vector(row, 0, a, of) - vector(row, 0, b, of)
+                            d = vector(of, w, 0, a) - vector(of, w, 0, b)
                             for n in range(3):
                                 D[n, axis] = d[n]
-                        F = matrix(row, _F, i, of)
+                        F = matrix(of, w, _F, i)
                         F = recovered(F, D * matter.rest_frame[p], blend)
-                        put_matrix(row, _F, i, F, of)
+                        put_matrix(of, w, _F, i, F)
                 if recovers or keeps == 1:
                     meet()
+                if keeps == 1:
+                    for i in range(lane, N, lanes):
+                        for c in range(STATE_COMPONENTS):
+                            tape.of[slot, c, i] = get(of, w, c, i)
                 window = window_type()
                 held = wp.vec3i(-1, -1, -1)
                 for i in range(lane * N // lanes, (lane + 1) * N // lanes):
                     node, f, q = given_by(
-                        vector(row, 0, i, of), vector(row, _V, i, of),
-                        matrix(row, _C, i, of), matrix(row, _F, i, of),
+                        vector(of, w, 0, i), vector(of, w, _V, i),
+                        matrix(of, w, _C, i), matrix(of, w, _F, i),
                         moduli[w, _MU, i], moduli[w, _LAM, i],
                         mass, matter.volume, layout, h, inv_dx, z0, columns,
                     )  # fmt: skip
-                    window = hand_over(window, held, node, momentum, row, columns.start, layout)
+                    window = hand_over(window, held, node, momentum, slot, columns.start, layout)
                     window = collect(window, f, q)
                     held = node
-                hand_over(window, held, wp.vec3i(-1, -1, -1), momentum, row, columns.start, layout)
+                hand_over(window, held, wp.vec3i(-1, -1, -1), momentum, slot, columns.start, layout)
                 meet()
                 for n in range(lane, nodes, lanes):
-                    m = momentum[row, n]
+                    m = momentum[slot, n]
                     if m[3] > real(0.0):
                         if keeps == 0:
-                            momentum[row, n] = vec4()
+                            momentum[slot, n] = vec4()
                         u = update_node(w, w, layout, n, m, h, keep, scene, paths, grips, columns)
                         velocity[w, n] = vec4(u[0], u[1], u[2], m[3])
                 meet()
-                after = row
-                if keeps == 1:
-                    after += W
                 # the longest way, in squared cells; above 1 what went wrong
                 worst = real(0.0)
                 for i in range(lane, N, lanes):
-                    x = vector(row, 0, i, of)
+                    x = vector(of, w, 0, i)
                     v, C, F = moved(
-                        x, matrix(row, _F, i, of), moduli[w, _MU, i],
+                        x, matrix(of, w, _F, i), moduli[w, _MU, i],
                         yield_stress, layout, w, h, inv_dx, z0, columns, velocity,
                     )  # fmt: skip
-                    put_vector(after, 0, i, x + h * v, of)
-                    put_vector(after, _V, i, v, of)
-                    put_matrix(after, _C, i, C, of)
-                    put_matrix(after, _F, i, F, of)
+                    put_vector(of, w, 0, i, x + h * v)
+                    put_vector(of, w, _V, i, v)
+                    put_matrix(of, w, _C, i, C)
+                    put_matrix(of, w, _F, i, F)
                     far = wp.length_sq(v) * h * h / (dx * dx)
                     if wp.determinant(F) <= real(0.0):
                         far = wp.max(far, real(INVERTED))
@@ -368,22 +355,23 @@ def make_block_kernels(
                     status = int(worst)
                 else:
                     travel += dx * wp.sqrt(worst)
-                row = after
+                if keeps == 1:
+                    slot += W
                 step += 1
                 age += 1
                 left -= 1
             if step == steps and status == OK:
                 for c in range(lane, plan.particles.shape[0], lanes):
                     i = records.place[w, plan.particles[c]]
-                    plan.x[frame, w, c] = vector(row, 0, i, of)
+                    plan.x[frame, w, c] = vector(of, w, 0, i)
                 frame += 1
                 if frame < frames:
                     for i in range(lane, N, lanes):
                         p = records.order[w, i]
-                        last_good.x[w, p] = vector(row, 0, i, of)
-                        last_good.v[w, p] = vector(row, _V, i, of)
-                        last_good.C[w, p] = matrix(row, _C, i, of)
-                        last_good.F[w, p] = matrix(row, _F, i, of)
+                        last_good.x[w, p] = vector(of, w, 0, i)
+                        last_good.v[w, p] = vector(of, w, _V, i)
+                        last_good.C[w, p] = matrix(of, w, _C, i)
+                        last_good.F[w, p] = matrix(of, w, _F, i)
                     begun = plan.time[frame]
                     steps = plan.steps[frame, w]
                     dt = frame_substep(frame, w, plan)
@@ -395,10 +383,10 @@ def make_block_kernels(
         meet()
         for i in range(lane, N, lanes):
             p = records.order[w, i]
-            state.x[w, p] = vector(row, 0, i, of)
-            state.v[w, p] = vector(row, _V, i, of)
-            state.C[w, p] = matrix(row, _C, i, of)
-            state.F[w, p] = matrix(row, _F, i, of)
+            state.x[w, p] = vector(of, w, 0, i)
+            state.v[w, p] = vector(of, w, _V, i)
+            state.C[w, p] = matrix(of, w, _C, i)
+            state.F[w, p] = matrix(of, w, _F, i)
         if lane == 0:
             clock.frame[w] = frame
             clock.dt[w] = dt
@@ -412,8 +400,4 @@ def make_block_kernels(
         Records=Records,
         Tape=Tape,
         advance=advance,
-        vector=vector,
-        put_vector=put_vector,
-        matrix=matrix,
-        put_matrix=put_matrix,
     )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from gendom.sim.batch_tape import BatchTape, Segment, raise_trouble
 from gendom.sim.block_kernels import STATE_COMPONENTS, make_block_kernels
-from gendom.sim.block_reverse import BAR_COMPONENTS, make_block_reverse
+from gendom.sim.block_reverse import SUM_COMPONENTS, make_block_reverse
 from gendom.sim.blocks import Blocks
 from gendom.sim.gradients import Sums
 from gendom.sim.kernels import GRID_FULL
@@ -34,11 +34,8 @@ class _Recording:
         def array(shape: Any, dtype: Any) -> wp.array:
             return wp.empty(shape, dtype=dtype, device=worlds.device)
 
-        self.records = taped.Records()
-        for name in ("moduli", "order", "place", "spare", "spare_order", "tally"):
-            setattr(self.records, name, getattr(blocks.records, name))
-        self.records.of = array(((substeps + 1) * W, STATE_COMPONENTS, N), worlds.real)
         self.tape = taped.Tape()
+        self.tape.of = array((substeps * W, STATE_COMPONENTS, N), worlds.real)
         self.tape.order = array((layouts * W, N), wp.int32)
         self.tape.place = array((layouts * W, N), wp.int32)
         self.tape.layout_of = array(substeps * W, wp.int32)
@@ -53,15 +50,25 @@ class BlockTape(BatchTape):
     def _make_batch(self) -> Blocks:
         worlds = self.simulator.worlds
         law, plastic = worlds.setting.law, worlds.plastic
-        self._taped = make_block_kernels(worlds.real, law, plastic=plastic, taped=True)
-        self._back = make_block_reverse(worlds.real, law, plastic=plastic)
         self._blocks = Blocks(worlds)
+        self._taped = make_block_kernels(
+            worlds.real, law, plastic=plastic, taped=True, resident=self._blocks.resident,
+            lanes=self._blocks.lanes,
+        )  # fmt: skip
+        self._back = make_block_reverse(
+            worlds.real, law, plastic=plastic, resident=self._blocks.resident,
+            lanes=self._blocks.lanes,
+        )  # fmt: skip
         self._recording: _Recording | None = None
         self._keeps = False
+        W, N = worlds.num_worlds, worlds.num_particles
         self._bars = self._back.BarRecords()
-        self._bars.of = worlds.zeros(
-            (worlds.num_worlds, 2 * BAR_COMPONENTS, worlds.num_particles), worlds.real
-        )
+        for name, rows, components in (
+            ("of", 1 if self._blocks.resident else W, STATE_COMPONENTS),
+            ("sums", W, SUM_COMPONENTS),
+            ("spare", W, STATE_COMPONENTS + SUM_COMPONENTS),
+        ):
+            setattr(self._bars, name, worlds.zeros((rows, components, N), worlds.real))
         return self._blocks
 
     def forward(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
@@ -111,8 +118,8 @@ class BlockTape(BatchTape):
         velocity = wp.empty(nodes, dtype=s.kernels.vec4, device=s.device)
         blocks.launch_block(self._back.reverse, blocks.order, [
             segment.time, segment.until, segment.clock, s.matter, s.scene, s.paths, s.grips,
-            grid.columns, grid.momentum, recording.records.of, recording.tape, velocity,
-            wp.empty_like(velocity), self._bars, sums.matter, sums.scene, sums.trouble,
+            grid.columns, grid.momentum, recording.tape, velocity, wp.empty_like(velocity),
+            self._bars, sums.matter, sums.scene, sums.trouble,
         ])  # fmt: skip
         segment.recording = None
 
@@ -120,7 +127,7 @@ class BlockTape(BatchTape):
             row = slot * s.num_worlds + w
             layout = int(recording.tape.layout_of.numpy()[row])
             place = int(recording.tape.place.numpy()[layout, particle])
-            record: Any = recording.records.of[row]
+            record: Any = recording.tape.of[row]
             return record.numpy()[15:, place].reshape(3, 3)
 
         raise_trouble(self.simulator, segment.time, segment.clock, sums, F)
@@ -140,7 +147,7 @@ class BlockTape(BatchTape):
             self._return_to(segment)
             blocks.launch_advance(
                 self._taped.advance, substeps, np.inf, segment.plan, recording.grid,
-                recording.records, recording.tape,
+                recording.tape,
             )  # fmt: skip
             if not (s.clock.status.numpy() == GRID_FULL).any():
                 return recording

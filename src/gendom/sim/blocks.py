@@ -26,8 +26,11 @@ MANY_WORLDS = 132
 LARGE_BODY = 2048
 """Particles above which blocks are wide however many there are."""
 
-WIDE, NARROW = 256, 128
-"""Threads of a block."""
+WIDE = 256
+"""Threads of a block that has a multiprocessor to itself."""
+
+NARROW = (128, 192)
+"""Threads of one of two blocks that share one; more leave too few registers for each."""
 
 
 def suits_blocks(worlds: Worlds) -> bool:
@@ -36,11 +39,19 @@ def suits_blocks(worlds: Worlds) -> bool:
     return N <= MOST_PARTICLES and max(FEWEST_WORLDS, N / PARTICLES_A_WORLD) <= W
 
 
-def fits_shared_memory(worlds: Worlds, components: int) -> bool:
-    """Whether so many numbers a particle fit into the shared memory of two blocks at once."""
+def fits_shared_memory(worlds: Worlds) -> bool:
+    """Whether the particles of two blocks fit into a multiprocessor's shared memory."""
     device = worlds.device
-    taken = components * worlds.num_particles * worlds.numpy_type.itemsize
+    taken = STATE_COMPONENTS * worlds.num_particles * worlds.numpy_type.itemsize
     return device.is_cuda and taken <= ROOM and 2 * ROOM <= device.max_shared_memory_per_block
+
+
+def _narrow(particles: int, *, resident: bool) -> int:
+    """Threads of one of two blocks that share a multiprocessor."""
+    if not resident:
+        return NARROW[0]
+    # the last round of the lanes through the particles should not leave many of them idle
+    return min(NARROW, key=lambda lanes: -(-particles // lanes) * lanes)
 
 
 class Blocks(Paced):
@@ -54,16 +65,18 @@ class Blocks(Paced):
     def __init__(self, worlds: Worlds, lanes: int | None = None):
         setting = worlds.setting
         W, N = worlds.num_worlds, worlds.num_particles
-        resident = fits_shared_memory(worlds, STATE_COMPONENTS)
-        self.kernels = make_block_kernels(
-            worlds.real, setting.law, plastic=worlds.plastic, resident=resident
-        )
         crowded = W > MANY_WORLDS and N <= LARGE_BODY
-        self.lanes = lanes or (NARROW if crowded else WIDE)
+        self.resident = fits_shared_memory(worlds)
+        self.lanes = lanes or (_narrow(N, resident=self.resident) if crowded else WIDE)
+        self.kernels = make_block_kernels(
+            worlds.real, setting.law, plastic=worlds.plastic, resident=self.resident,
+            lanes=self.lanes,
+        )  # fmt: skip
         if not worlds.device.is_cuda:
             self.lanes = 1
         self.records = self.kernels.Records()
-        self.records.of = worlds.zeros((W, STATE_COMPONENTS, N), worlds.real)
+        rows = 1 if self.resident else W
+        self.records.of = worlds.zeros((rows, STATE_COMPONENTS, N), worlds.real)
         self.records.moduli = worlds.zeros((W, 2, N), worlds.real)
         self.records.spare = worlds.zeros((W, COMPONENTS, N), worlds.real)
         for name in ("order", "place", "spare_order"):
@@ -96,7 +109,7 @@ class Blocks(Paced):
             for order, stream in self._groups:
                 self.launch_advance(
                     self.kernels.advance, substeps, pause, self.frame_plan, self.grid,
-                    self.records, self.kernels.Tape(), order, stream,
+                    self.kernels.Tape(), order, stream,
                 )  # fmt: skip
         if several:
             wp.synchronize_device(self.worlds.device)
@@ -108,7 +121,6 @@ class Blocks(Paced):
         pause: float,
         plan: Any,
         grid: Grid,
-        records: Any,
         tape: Any,
         order: Any = None,
         stream: Any = None,
@@ -117,7 +129,7 @@ class Blocks(Paced):
         s = self.worlds
         self.launch_block(kernel, self.order if order is None else order, [
             most, pause, plan, s.clock, s.matter, s.scene, s.paths, s.grips, s.state, s.last_good,
-            grid.columns, grid.momentum, self.velocity, records, tape,
+            grid.columns, grid.momentum, self.velocity, self.records, tape,
         ], stream)  # fmt: skip
 
     def launch_block(self, kernel: Any, order: Any, inputs: list[Any], stream: Any = None) -> None:
