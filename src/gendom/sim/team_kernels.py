@@ -22,11 +22,14 @@ from gendom.sim.columns import MARGIN, Columns
 from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, RECOVER_EVERY, make_kernels
 from gendom.sim.team import make_team
 
-LANES = 128
+LANES = 64
 """Threads of a block."""
 
-BLOCKS_AT_ONCE = 3
+BLOCKS_AT_ONCE = 4
 """Blocks that are sure to fit on a multiprocessor at the same time."""
+
+AHEAD = 32
+"""Substeps for which grippers are placed at once."""
 
 
 @functools.cache
@@ -66,7 +69,7 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
         matter: Matter,
         scene: Scene,
         paths: Paths,
-        grips: Grips,  # [W]
+        grips: Grips,  # [W * AHEAD]
         state: State,  # [W, N]
         last_good: State,  # [W, N] where the last frame began
         columns: Columns,  # a layout a world
@@ -99,6 +102,7 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
         age = clock.age[w]
         travel = clock.travel[w]
         left = int(most)
+        ahead = int(0)  # substeps whose grippers are placed
         fresh = step == 0
         nodes = int(columns.count[w])
         came = int(members)
@@ -142,8 +146,16 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                         status = OK
                         travel = real(0.0)
             if step < steps and status == OK:
-                for g in range(lane, grips.closed.shape[1], lanes):
-                    place_gripper(w, w, g, t, dt, paths, grips)
+                if ahead == 0:
+                    # a path takes many steps to follow: once for all grippers of some substeps
+                    ahead = AHEAD
+                    G = grips.closed.shape[1]
+                    for n in range(lane, AHEAD * G, lanes):
+                        place_gripper(
+                            w * AHEAD + (step + n // G) % AHEAD, w, n % G,
+                            begun + wp.float64(step + n // G) * dt, dt, paths, grips,
+                        )  # fmt: skip
+                ahead -= 1
                 recovers = age % RECOVER_EVERY == 0 and blend > real(0.0)
                 for p in range(lane, N, lanes):
                     if recovers:
@@ -151,13 +163,14 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     scatter_particle(w, p, w, w, w, h, inv_dx, z0, matter, state, columns, momentum)
                 came += members
                 meet(gate, w, came)
+                row = w * AHEAD + step % AHEAD
                 if lane == 0:
                     peak[w, (age + 1) % 2] = real(0.0)
                 for n in range(lane, nodes, lanes):
                     q = momentum[w, n]
                     if q[3] > real(0.0):
                         momentum[w, n] = vec4()
-                        u = update_node(w, w, w, n, q, h, keep, scene, paths, grips, columns)
+                        u = update_node(w, row, w, n, q, h, keep, scene, paths, grips, columns)
                         velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
                 came += members
                 meet(gate, w, came)
@@ -198,6 +211,7 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     keep = wp.exp(-scene.damping[w] * h)
                     blend = recovery_share(h, RECOVER_EVERY, matter)
                     step = 0
+                    ahead = 0
                     fresh = True
             t = begun + wp.float64(step) * dt
         came += members

@@ -5,7 +5,7 @@ import math
 import warp as wp
 
 from gendom.sim.paced import Paced
-from gendom.sim.team_kernels import BLOCKS_AT_ONCE, LANES, make_team_kernels
+from gendom.sim.team_kernels import AHEAD, BLOCKS_AT_ONCE, LANES, make_team_kernels
 from gendom.sim.worlds import Worlds
 
 MOST_PARTICLES_A_LANE = 4
@@ -36,6 +36,7 @@ class Teams(Paced):
         cuda = worlds.device.is_cuda
         self.members = max(1, team_size(worlds))
         self.lanes = LANES if cuda else 1
+        self._grips = worlds.make_grips(AHEAD * worlds.num_worlds)
         self._gate = worlds.zeros(worlds.num_worlds, wp.int32)
         self._peak = worlds.zeros((worlds.num_worlds, 2), worlds.real)
         super().__init__(worlds)
@@ -54,7 +55,7 @@ class Teams(Paced):
                 dim=(s.num_worlds * self.members, self.lanes),
                 inputs=[
                     self.members, self.members * self.lanes, substeps, pause, self.frame_plan,
-                    s.clock, s.matter, s.scene, s.paths, s.grips, s.state, s.last_good,
+                    s.clock, s.matter, s.scene, s.paths, self._grips, s.state, s.last_good,
                     grid.columns, grid.momentum, self.velocity, self._gate, self._peak,
                 ],
                 device=s.device,
