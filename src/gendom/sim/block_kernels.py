@@ -29,6 +29,9 @@ STATE_COMPONENTS = 24
 COMPONENTS = 26
 """And mu, lam."""
 
+ORDERLY = 1.0
+"""How far a particle may travel, in cells, before the records are put in order anew."""
+
 _V, _C, _F, _MU, _LAM = 3, 6, 15, 0, 1
 
 
@@ -57,8 +60,9 @@ def make_block_kernels(
     vec4, mat33 = k.vec4, k.mat33
     Clock, Plan, frame_substep = k.Clock, k.Plan, k.frame_substep
     forget_bounds = k.columns.forget_bounds
-    locate_particle = k.columns.locate_particle
-    mark_particle = k.columns.mark_particle
+    reach = k.columns.reach
+    widen_bounds = k.columns.widen_bounds
+    mark_box = k.columns.mark_box
     empty_column = k.columns.empty_column
     lay_column = k.columns.lay_column
     Scene, Paths, Grips = k.boundary.Scene, k.boundary.Paths, k.boundary.Grips
@@ -91,6 +95,7 @@ def make_block_kernels(
         moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
         order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
         place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
+        strayed: wp.array(dtype=real)  # [W] distance travelled since they were put in order [m]
         # scratch
         spare: wp.array3d(dtype=real)  # [W, COMPONENTS, N]
         spare_order: wp.array2d(dtype=wp.int32)  # [W, N]
@@ -196,10 +201,9 @@ def make_block_kernels(
         status = int(clock.status[w])
         if frame >= frames or status != OK:
             return
-        begun = plan.time[frame]  # of the frame that the world is in
         dt = frame_substep(frame, w, plan)
         step = int(clock.step[w])
-        t = begun + wp.float64(step) * dt
+        t = plan.time[frame] + wp.float64(step) * dt
         if t >= pause:
             return
         dx = scene.dx
@@ -252,8 +256,12 @@ def make_block_kernels(
                         columns.count[layout] = 0
                         forget_bounds(layout, columns)
                     meet()
+                    lower, upper = reach(vector(of, w, 0, lane % N), inv_dx, z0)
                     for i in range(lane, N, lanes):
-                        locate_particle(layout, vector(of, w, 0, i), inv_dx, columns)
+                        low, high = reach(vector(of, w, 0, i), inv_dx, z0)
+                        lower = wp.min(lower, low)
+                        upper = wp.max(upper, high)
+                    widen_bounds(layout, lower, upper, columns)
                     meet()
                     X = columns.bounds[layout, 2] - columns.bounds[layout, 0] + 1
                     Y = columns.bounds[layout, 3] - columns.bounds[layout, 1] + 1
@@ -262,16 +270,31 @@ def make_block_kernels(
                         for n in range(lane, X * Y, lanes):
                             empty_column(layout, n // Y, n % Y, columns)
                         meet()
-                        for i in range(lane, N, lanes):
-                            mark_particle(layout, vector(of, w, 0, i), inv_dx, z0, columns)
+                        # particles that follow each other mostly stand in one column
+                        begin = lane * N // lanes
+                        lower, upper = reach(vector(of, w, 0, begin % N), inv_dx, z0)
+                        for i in range(begin, (lane + 1) * N // lanes):
+                            low, high = reach(vector(of, w, 0, i), inv_dx, z0)
+                            if wp.abs(low[0] - lower[0]) + wp.abs(low[1] - lower[1]) > 1:
+                                mark_box(layout, lower, upper, columns)
+                                lower = low
+                                upper = high
+                            lower = wp.min(lower, low)
+                            upper = wp.max(upper, high)
+                        mark_box(layout, lower, upper, columns)
                         meet()
                         for n in range(lane, X * Y, lanes):
                             lay_column(layout, n // Y, n % Y, columns)
                         meet()
                         if columns.count[layout] <= momentum.shape[1]:
                             status = OK
+                            strayed = records.strayed[w] + travel
                             travel = real(0.0)
-                            put_in_order(w, lane, lanes, layout, inv_dx, z0, columns, records)
+                            meet()
+                            if strayed >= real(ORDERLY) * dx:
+                                strayed = real(0.0)
+                                put_in_order(w, lane, lanes, layout, inv_dx, z0, columns, records)
+                            records.strayed[w] = strayed
                             if keeps == 1:
                                 for i in range(lane, N, lanes):
                                     tape.order[layout, i] = records.order[w, i]
@@ -372,14 +395,13 @@ def make_block_kernels(
                         last_good.v[w, p] = vector(of, w, _V, i)
                         last_good.C[w, p] = matrix(of, w, _C, i)
                         last_good.F[w, p] = matrix(of, w, _F, i)
-                    begun = plan.time[frame]
                     steps = plan.steps[frame, w]
                     dt = frame_substep(frame, w, plan)
                     h = real(dt)
                     keep = wp.exp(-scene.damping[w] * h)
                     blend = recovery_share(h, RECOVER_EVERY, matter)
                     step = 0
-            t = begun + wp.float64(step) * dt
+            t = plan.time[frame] + wp.float64(step) * dt
         meet()
         for i in range(lane, N, lanes):
             p = records.order[w, i]

@@ -79,6 +79,7 @@ class Blocks(Paced):
         self.records.of = worlds.zeros((rows, STATE_COMPONENTS, N), worlds.real)
         self.records.moduli = worlds.zeros((W, 2, N), worlds.real)
         self.records.spare = worlds.zeros((W, COMPONENTS, N), worlds.real)
+        self.records.strayed = worlds.zeros(W, worlds.real)
         for name in ("order", "place", "spare_order"):
             setattr(self.records, name, worlds.zeros((W, N), wp.int32))
         # the slowest worlds go first, so that no block ends alone

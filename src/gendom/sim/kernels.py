@@ -62,7 +62,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     Scene, Paths, Grips = boundary.Scene, boundary.Paths, boundary.Grips
     place_gripper = boundary.place_gripper
     update_node = boundary.update_node
-    transfers = make_transfers(real, make_law(law_name, real, plastic=plastic))
+    law = make_law(law_name, real, plastic=plastic)
+    transfers = make_transfers(real, law)
     Matter, State = transfers.Matter, transfers.State
     scatter_particle = transfers.scatter_particle
     move_particle = transfers.move_particle
@@ -409,6 +410,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         columns=columns_of,
         boundary=boundary,
         transfers=transfers,
+        law=law,
         Clock=Clock,
         Plan=Plan,
         frame_substep=frame_substep,

@@ -7,9 +7,6 @@ from numpy.typing import NDArray
 from gendom.sim.batch import Batch
 from gendom.sim.worlds import Frames, Worlds
 
-SLICE = 128
-"""Substeps of a launch of a world of median speed."""
-
 SLICES = 16
 """Launches between two looks at how the worlds do."""
 
@@ -26,8 +23,11 @@ class Paced(Batch):
         worlds: On any device; on the CPU, where tests run it, a world has one thread.
     """
 
+    substeps_a_slice = 128
+    """Of a world of median speed in one launch."""
+
     def __init__(self, worlds: Worlds):
-        self._span = SLICE * float(np.median(worlds.substep))
+        self._span = self.substeps_a_slice * float(np.median(worlds.substep))
         super().__init__(worlds)
 
     def run(self, frames: Frames) -> None:
@@ -109,8 +109,9 @@ class Paced(Batch):
         Of a run by time, so that fast worlds end no sooner than slow ones; of a recording by
         substeps.
         """
+        step = self.substeps_a_slice
         if most < ALL:
-            return [(min(SLICE, most - done), np.inf) for done in range(0, most, SLICE)]
+            return [(min(step, most - done), np.inf) for done in range(0, most, step)]
         slices = []
         while len(slices) < SLICES and (not slices or self._pause < np.inf):
             self._pause += self._span

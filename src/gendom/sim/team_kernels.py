@@ -21,6 +21,7 @@ import warp as wp
 from gendom.sim.columns import MARGIN, Columns
 from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, RECOVER_EVERY, make_kernels
 from gendom.sim.team import make_team
+from gendom.sim.transfers import make_transfers
 
 LANES = 64
 """Threads of a block."""
@@ -52,9 +53,9 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
     update_node = k.boundary.update_node
     Matter, State = k.transfers.Matter, k.transfers.State
     scatter_particle = k.transfers.scatter_particle
-    move_particle = k.transfers.move_particle
     recovery_share = k.transfers.recovery_share
     recover_particle = k.transfers.recover_particle
+    moved = make_transfers(real, k.law, straight=True).moved
     team = make_team(real)
     meet, lift = team.meet, team.lift
 
@@ -177,14 +178,20 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                 # the longest way, in squared cells; above 1 what went wrong
                 worst = real(0.0)
                 for p in range(lane, N, lanes):
-                    speed, upright = move_particle(
-                        w, p, w, w, w, w, h, inv_dx, z0, matter, columns, velocity, state, state
-                    )
-                    far = speed * h * h / (dx * dx)
+                    x = state.x[w, p]
+                    v, C, F = moved(
+                        x, state.F[w, p], matter.mu[w, p], matter.yield_stress[w], w, w, h, inv_dx,
+                        z0, columns, velocity,
+                    )  # fmt: skip
+                    state.x[w, p] = x + h * v
+                    state.v[w, p] = v
+                    state.C[w, p] = C
+                    state.F[w, p] = F
+                    far = wp.length_sq(v) * h * h / (dx * dx)
                     # a NaN is not below anything
-                    if not (speed * h * h <= dx * dx):
+                    if not (wp.length_sq(v) * h * h <= dx * dx):
                         far = real(DIVERGED)
-                    elif not upright:
+                    elif wp.determinant(F) <= real(0.0):
                         far = real(INVERTED)
                         clock.culprit[w] = p
                     worst = wp.max(worst, far)

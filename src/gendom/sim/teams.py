@@ -31,6 +31,8 @@ class Teams(Paced):
         worlds: On any device; on the CPU, where tests run it, a team is one thread.
     """
 
+    substeps_a_slice = 2048
+
     def __init__(self, worlds: Worlds):
         self.kernels = make_team_kernels(worlds.real, worlds.setting.law, plastic=worlds.plastic)
         cuda = worlds.device.is_cuda
