@@ -1,8 +1,8 @@
 """The substep on CUDA where worlds are few: a team of blocks takes one world through many.
 
-The same functions as in ``kernels``, called by all threads of the team, which meet between the
-stages. A lane has one particle or a few; what waits for what then decides the pace, not how much
-there is to do.
+The same functions as in ``kernels``, called by all threads of the team. A lane has one particle;
+what waits for what then decides the pace, not how much there is to do. So the team meets but twice
+a substep: particles that have moved give to the grid at once what they give in the next substep.
 
 Shapes: W worlds, N particles, M grid nodes.
 """
@@ -78,7 +78,9 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
         velocity: wp.array2d(dtype=vec4),  # [W, M] and mass
         # scratch, 0 before the launch
         gate: wp.array(dtype=wp.int32),  # [W]
-        peak: wp.array2d(dtype=real),  # [W, 2] of this substep and of the next
+        # of even and of odd substeps
+        peak: wp.array2d(dtype=real),  # [W, 2] largest squared speed of a node
+        trouble: wp.array2d(dtype=wp.int32),  # [W, 2] status found by any particle
     ):
         block, thread = wp.tid()
         w = block // members
@@ -104,6 +106,7 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
         travel = clock.travel[w]
         left = int(most)
         ahead = int(0)  # substeps whose grippers are placed
+        scattered = bool(False)  # whether the grid has what particles give in the next substep
         fresh = step == 0
         nodes = int(columns.count[w])
         came = int(members)
@@ -117,6 +120,7 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     last_good.F[w, p] = state.F[w, p]
                 fresh = False
             if step < steps and travel >= real(MARGIN) * dx:
+                scattered = False
                 if lane == 0:
                     columns.count[w] = 0
                     forget_bounds(w, columns)
@@ -156,27 +160,47 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                             w * AHEAD + (step + n // G) % AHEAD, w, n % G,
                             begun + wp.float64(step + n // G) * dt, dt, paths, grips,
                         )  # fmt: skip
-                ahead -= 1
-                recovers = age % RECOVER_EVERY == 0 and blend > real(0.0)
-                for p in range(lane, N, lanes):
-                    if recovers:
-                        recover_particle(p, w, blend, matter, state)
-                    scatter_particle(w, p, w, w, w, h, inv_dx, z0, matter, state, columns, momentum)
-                came += members
-                meet(gate, w, came)
-                row = w * AHEAD + step % AHEAD
-                if lane == 0:
-                    peak[w, (age + 1) % 2] = real(0.0)
+                    scattered = False
+                if not scattered:
+                    recovers = age % RECOVER_EVERY == 0 and blend > real(0.0)
+                    for p in range(lane, N, lanes):
+                        if recovers:
+                            recover_particle(p, w, blend, matter, state)
+                        scatter_particle(
+                            w, p, w, w, w, h, inv_dx, z0, matter, state, columns, momentum
+                        )
+                    came += members
+                    meet(gate, w, came)
+                # no particle is faster than the fastest of its nodes
+                fastest = real(0.0)
                 for n in range(lane, nodes, lanes):
                     q = momentum[w, n]
                     if q[3] > real(0.0):
                         momentum[w, n] = vec4()
-                        u = update_node(w, row, w, n, q, h, keep, scene, paths, grips, columns)
+                        u = update_node(
+                            w, w * AHEAD + step % AHEAD, w, n, q, h, keep, scene, paths, grips,
+                            columns,
+                        )  # fmt: skip
                         velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
+                        fastest = wp.max(fastest, wp.length_sq(u))
+                lift(peak, w, age % 2, fastest)
                 came += members
                 meet(gate, w, came)
-                # the longest way, in squared cells; above 1 what went wrong
-                worst = real(0.0)
+                travel += h * wp.sqrt(peak[w, age % 2])
+                step += 1
+                age += 1
+                left -= 1
+                ahead -= 1
+                t = begun + wp.float64(step) * dt
+                # unless something is to be done between substeps, particles go on to the next
+                scattered = (
+                    step < steps and left > 0 and t < pause and ahead > 0
+                    and travel < real(MARGIN) * dx
+                    and not (age % RECOVER_EVERY == 0 and blend > real(0.0))
+                )  # fmt: skip
+                if lane == 0:
+                    peak[w, age % 2] = real(0.0)
+                    trouble[w, age % 2] = OK
                 for p in range(lane, N, lanes):
                     x = state.x[w, p]
                     v, C, F = moved(
@@ -187,25 +211,19 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     state.v[w, p] = v
                     state.C[w, p] = C
                     state.F[w, p] = F
-                    far = wp.length_sq(v) * h * h / (dx * dx)
                     # a NaN is not below anything
                     if not (wp.length_sq(v) * h * h <= dx * dx):
-                        far = real(DIVERGED)
+                        wp.atomic_max(trouble, w, 1 - age % 2, DIVERGED)
                     elif wp.determinant(F) <= real(0.0):
-                        far = real(INVERTED)
+                        wp.atomic_max(trouble, w, 1 - age % 2, INVERTED)
                         clock.culprit[w] = p
-                    worst = wp.max(worst, far)
-                lift(peak, w, age % 2, worst)
+                    elif scattered:
+                        scatter_particle(
+                            w, p, w, w, w, h, inv_dx, z0, matter, state, columns, momentum
+                        )
                 came += members
                 meet(gate, w, came)
-                worst = peak[w, age % 2]
-                if worst > real(1.5):
-                    status = int(worst)
-                else:
-                    travel += dx * wp.sqrt(worst)
-                step += 1
-                age += 1
-                left -= 1
+                status = trouble[w, 1 - age % 2]
             if step == steps and status == OK:
                 for c in range(lane, plan.particles.shape[0], lanes):
                     plan.x[frame, w, c] = state.x[w, plan.particles[c]]
@@ -220,7 +238,7 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     step = 0
                     ahead = 0
                     fresh = True
-            t = begun + wp.float64(step) * dt
+                    t = begun
         came += members
         meet(gate, w, came)
         if lane == 0:

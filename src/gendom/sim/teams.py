@@ -8,27 +8,23 @@ from gendom.sim.paced import Paced
 from gendom.sim.team_kernels import AHEAD, BLOCKS_AT_ONCE, LANES, make_team_kernels
 from gendom.sim.worlds import Worlds
 
-MOST_PARTICLES_A_LANE = 4
-"""With more, the stages of ``Batch`` are as fast, and wait for no one."""
-
 
 def team_size(worlds: Worlds) -> int:
-    """Blocks for each world: one for each ``LANES`` particles, if so many fit on the device."""
-    at_once = BLOCKS_AT_ONCE * worlds.device.sm_count if worlds.device.is_cuda else 1
-    return min(math.ceil(worlds.num_particles / LANES), at_once // worlds.num_worlds)
+    """Blocks that have a lane for each particle."""
+    return math.ceil(worlds.num_particles / LANES)
 
 
 def suits_teams(worlds: Worlds) -> bool:
-    """Whether teams are the faster way (measured: docs/performance.md)."""
-    members = team_size(worlds)
-    return members > 1 and worlds.num_particles <= MOST_PARTICLES_A_LANE * LANES * members
+    """Whether the teams of all worlds fit on the device at once: then they are the fastest way."""
+    blocks = team_size(worlds) * worlds.num_worlds
+    return blocks <= BLOCKS_AT_ONCE * worlds.device.sm_count
 
 
 class Teams(Paced):
     """A team of blocks a world.
 
     Args:
-        worlds: On any device; on the CPU, where tests run it, a team is one thread.
+        worlds: Such as suit teams; on the CPU, where tests run it, a team is one thread.
     """
 
     substeps_a_slice = 2048
@@ -36,11 +32,12 @@ class Teams(Paced):
     def __init__(self, worlds: Worlds):
         self.kernels = make_team_kernels(worlds.real, worlds.setting.law, plastic=worlds.plastic)
         cuda = worlds.device.is_cuda
-        self.members = max(1, team_size(worlds))
+        self.members = team_size(worlds) if cuda else 1
         self.lanes = LANES if cuda else 1
         self._grips = worlds.make_grips(AHEAD * worlds.num_worlds)
         self._gate = worlds.zeros(worlds.num_worlds, wp.int32)
         self._peak = worlds.zeros((worlds.num_worlds, 2), worlds.real)
+        self._trouble = worlds.zeros((worlds.num_worlds, 2), wp.int32)
         super().__init__(worlds)
 
     def load(self) -> None:
@@ -52,13 +49,15 @@ class Teams(Paced):
         for substeps, pause in slices:
             self._gate.zero_()
             self._peak.zero_()
+            self._trouble.zero_()
             wp.launch(
                 self.kernels.advance,
                 dim=(s.num_worlds * self.members, self.lanes),
                 inputs=[
                     self.members, self.members * self.lanes, substeps, pause, self.frame_plan,
                     s.clock, s.matter, s.scene, s.paths, self._grips, s.state, s.last_good,
-                    grid.columns, grid.momentum, self.velocity, self._gate, self._peak,
+                    grid.columns, grid.momentum, self.velocity,
+                    self._gate, self._peak, self._trouble,
                 ],
                 device=s.device,
                 block_dim=self.lanes,
