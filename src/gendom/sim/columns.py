@@ -67,9 +67,12 @@ class GridExhausted(Exception):
 
 
 def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
-    """Columns in x and y and nodes that the first grid of particles x [W, N, 3] offers."""
+    """Columns in x and y and nodes that the first grid of particles x [W, N, 3] offers.
+
+    A body may turn any way without needing more columns.
+    """
     extent = (x.max(axis=1) - x.min(axis=1)).max(axis=0) / dx
-    side = int(np.ceil(extent[:2].max())) + 8
+    side = int(np.ceil(np.linalg.norm(extent))) + 8
     cell = np.floor(x[0] / dx).astype(np.int64)
     cell -= cell.min(axis=0)
     cells = len(np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))))

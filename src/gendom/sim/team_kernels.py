@@ -78,9 +78,7 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
         velocity: wp.array2d(dtype=vec4),  # [W, M] and mass
         # scratch, 0 before the launch
         gate: wp.array(dtype=wp.int32),  # [W]
-        # of even and of odd substeps
-        peak: wp.array2d(dtype=real),  # [W, 2] largest squared speed of a node
-        trouble: wp.array2d(dtype=wp.int32),  # [W, 2] status found by any particle
+        peak: wp.array2d(dtype=real),  # [W, 2] longest way in even and in odd substeps
     ):
         block, thread = wp.tid()
         w = block // members
@@ -106,6 +104,7 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
         travel = clock.travel[w]
         left = int(most)
         ahead = int(0)  # substeps whose grippers are placed
+        stride = real(0.0)  # longest way of the last substep [m]
         scattered = bool(False)  # whether the grid has what particles give in the next substep
         fresh = step == 0
         nodes = int(columns.count[w])
@@ -171,8 +170,6 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                         )
                     came += members
                     meet(gate, w, came)
-                # no particle is faster than the fastest of its nodes
-                fastest = real(0.0)
                 for n in range(lane, nodes, lanes):
                     q = momentum[w, n]
                     if q[3] > real(0.0):
@@ -182,11 +179,8 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                             columns,
                         )  # fmt: skip
                         velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
-                        fastest = wp.max(fastest, wp.length_sq(u))
-                lift(peak, w, age % 2, fastest)
                 came += members
                 meet(gate, w, came)
-                travel += h * wp.sqrt(peak[w, age % 2])
                 step += 1
                 age += 1
                 left -= 1
@@ -195,12 +189,13 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                 # unless something is to be done between substeps, particles go on to the next
                 scattered = (
                     step < steps and left > 0 and t < pause and ahead > 0
-                    and travel < real(MARGIN) * dx
+                    and travel + real(1.2) * stride < real(MARGIN) * dx
                     and not (age % RECOVER_EVERY == 0 and blend > real(0.0))
                 )  # fmt: skip
                 if lane == 0:
-                    peak[w, age % 2] = real(0.0)
-                    trouble[w, age % 2] = OK
+                    peak[w, age % 2] = real(0.0)  # of the next substep
+                # the longest way, in squared cells; above 1 what went wrong
+                worst = real(0.0)
                 for p in range(lane, N, lanes):
                     x = state.x[w, p]
                     v, C, F = moved(
@@ -211,19 +206,34 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     state.v[w, p] = v
                     state.C[w, p] = C
                     state.F[w, p] = F
+                    far = wp.length_sq(v) * h * h / (dx * dx)
                     # a NaN is not below anything
                     if not (wp.length_sq(v) * h * h <= dx * dx):
-                        wp.atomic_max(trouble, w, 1 - age % 2, DIVERGED)
+                        far = real(DIVERGED)
                     elif wp.determinant(F) <= real(0.0):
-                        wp.atomic_max(trouble, w, 1 - age % 2, INVERTED)
+                        far = real(INVERTED)
                         clock.culprit[w] = p
-                    elif scattered:
+                    worst = wp.max(worst, far)
+                    if scattered and travel + dx * wp.sqrt(far) < real(MARGIN) * dx:
                         scatter_particle(
                             w, p, w, w, w, h, inv_dx, z0, matter, state, columns, momentum
                         )
+                lift(peak, w, 1 - age % 2, worst)
                 came += members
                 meet(gate, w, came)
-                status = trouble[w, 1 - age % 2]
+                worst = peak[w, 1 - age % 2]
+                if worst > real(1.5):
+                    status = int(worst)
+                else:
+                    stride = dx * wp.sqrt(worst)
+                    travel += stride
+                    if scattered and travel >= real(MARGIN) * dx:
+                        # one went farther than it looked, and gave nothing
+                        scattered = False
+                        for n in range(lane, nodes, lanes):
+                            momentum[w, n] = vec4()
+                        came += members
+                        meet(gate, w, came)
             if step == steps and status == OK:
                 for c in range(lane, plan.particles.shape[0], lanes):
                     plan.x[frame, w, c] = state.x[w, plan.particles[c]]

@@ -37,7 +37,6 @@ class Teams(Paced):
         self._grips = worlds.make_grips(AHEAD * worlds.num_worlds)
         self._gate = worlds.zeros(worlds.num_worlds, wp.int32)
         self._peak = worlds.zeros((worlds.num_worlds, 2), worlds.real)
-        self._trouble = worlds.zeros((worlds.num_worlds, 2), wp.int32)
         super().__init__(worlds)
 
     def load(self) -> None:
@@ -49,15 +48,13 @@ class Teams(Paced):
         for substeps, pause in slices:
             self._gate.zero_()
             self._peak.zero_()
-            self._trouble.zero_()
             wp.launch(
                 self.kernels.advance,
                 dim=(s.num_worlds * self.members, self.lanes),
                 inputs=[
                     self.members, self.members * self.lanes, substeps, pause, self.frame_plan,
                     s.clock, s.matter, s.scene, s.paths, self._grips, s.state, s.last_good,
-                    grid.columns, grid.momentum, self.velocity,
-                    self._gate, self._peak, self._trouble,
+                    grid.columns, grid.momentum, self.velocity, self._gate, self._peak,
                 ],
                 device=s.device,
                 block_dim=self.lanes,
