@@ -342,7 +342,8 @@ def test_a_fault_on_one_device_ends_the_others(tmp_path):
 
     @dataclass(frozen=True, kw_only=True)
     class Endless(Throwing):
-        def demonstrate(self, draws, *, device, dtype, on_frame):
+        def demonstrate(self, draws, *, device, dtype, on_frame=None):
+            assert on_frame is not None
             if draws[0]["speed"] != first["speed"]:
                 raise ParameterError("broke")
             try:

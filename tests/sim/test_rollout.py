@@ -8,7 +8,7 @@ import warp as wp
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Box, Gripper, Rollout, Simulator, Table, rope
+from gendom.sim import Box, Gripper, Rollout, Simulator, Table, block_tape, rope
 from gendom.sim.batch_tape import BatchTape
 from gendom.sim.block_tape import BlockTape
 from gendom.sim.gradients import Sums
@@ -249,6 +249,15 @@ def test_all_worlds_together_give_the_derivatives_of_each_alone(together, yields
     """What a GPU does, stages or blocks, which run on the CPU too, against the CPU's own kernel."""
     alone = WorldTape(scene(yields_at=yields_at, worlds=2), memory=1e9)
     check_derivatives(alone, together(scene(yields_at=yields_at, worlds=2), memory=memory))
+
+
+def test_a_recording_may_run_out_of_layouts(monkeypatch):
+    """It then ends, and another one begins."""
+    monkeypatch.setattr(block_tape, "SUBSTEPS_A_LAYOUT", 1000)
+    alone = WorldTape(scene(worlds=2), memory=1e9)
+    tape = BlockTape(scene(worlds=2), memory=1e9)
+    check_derivatives(alone, tape)
+    assert max(map(len, tape._frames)) > 1
 
 
 @pytest.mark.gpu

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 
 from gendom.materials import Material
-from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
+from gendom.sim import Box, Gripper, Simulator, Table, cloth, paced, rope
 from gendom.sim.batch import Batch
 from gendom.sim.blocks import Blocks
 from gendom.sim.teams import Teams
@@ -71,6 +71,23 @@ def test_cuda_moves_worlds_as_the_cpu(together, dtype, bound):
     times = [0.1, 0.17, 0.25]
     x = run_together(scene(dtype=dtype, device="cuda"), together, times)
     assert np.abs(x - scene(dtype=dtype).run(times)).max() < bound
+
+
+@pytest.mark.parametrize("together", [Blocks, Teams])
+def test_launches_and_recordings_may_end_anywhere(together, monkeypatch):
+    """A run in many launches, a few frames recorded at a time, is that in one launch."""
+    times = [0.0, *np.linspace(0.01, 0.12, 12), 0.12]
+    whole = run_together(scene(), together, times)
+    alone = scene()
+    assert np.abs(whole - alone.run(times)).max() < 1e-12
+    monkeypatch.setattr(together, "substeps_a_slice", 5)
+    monkeypatch.setattr(paced, "SLICES", 2)
+    monkeypatch.setattr(paced, "RECORDED", 5 * whole[0].nbytes)
+    s, counts = scene(), []
+    parts = run_together(s, together, times, on_frame=counts.append)
+    assert np.abs(parts - whole).max() < 1e-12
+    assert counts == sorted(set(counts)) and counts[-1] == len(times) and len(counts) > 4
+    assert np.abs(s.run([0.15]) - alone.run([0.15])).max() < 1e-12
 
 
 @TOGETHER

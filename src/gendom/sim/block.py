@@ -70,8 +70,12 @@ _ADD = """
 #endif
 """
 
-ROOM = 96_000
-"""Shared memory of a block for its particles [bytes]; two blocks fit on a multiprocessor."""
+ROOMS_OF_TWO = (96_000, 112_000)
+"""Shared memory for the particles of one of two blocks on a multiprocessor [bytes]; the smaller
+leaves more of it to the cache."""
+
+ROOM_ALONE = 192_000
+"""The same of a block that has a multiprocessor to itself."""
 
 
 def bounds(lanes: int) -> tuple[int, int]:
@@ -86,7 +90,7 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
     Args:
         real: ``wp.float32`` or ``wp.float64``.
         resident: Whether a CUDA block has its particles in shared memory while it runs, all of
-            the ``ROOM`` that its kernel sets aside; otherwise they stand in an array.
+            that its kernel sets aside; otherwise they stand in an array.
 
     Returns:
         Namespace with ``get``, ``put`` and ``add`` (atomic) of component c of particle i in a row

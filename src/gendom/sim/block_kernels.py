@@ -19,7 +19,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.block import ROOM, bounds, make_block, make_store
+from gendom.sim.block import bounds, make_block, make_store
 from gendom.sim.columns import MARGIN, Columns
 from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, RECOVER_EVERY, make_kernels
 
@@ -42,7 +42,7 @@ def make_block_kernels(
     *,
     plastic: bool,
     taped: bool = False,
-    resident: bool = False,
+    room: int = 0,
     lanes: int = 128,
 ) -> SimpleNamespace:
     """Build the kernel for one scalar type and one material, see ``make_kernels``.
@@ -50,7 +50,7 @@ def make_block_kernels(
     Args:
         real, law_name, plastic: As there.
         taped: Whether every substep is kept for the reverse.
-        resident: Whether particles stay in a block's shared memory, see ``make_store``.
+        room: Shared memory in which a block's particles stay [bytes]; 0: in arrays.
         lanes: Threads of a block on CUDA.
 
     Returns:
@@ -78,9 +78,9 @@ def make_block_kernels(
     recovery_share = k.transfers.recovery_share
     recovered = k.transfers.recovered
     keeps = wp.constant(1 if taped else 0)
-    stays = wp.constant(1 if resident else 0)
-    room = wp.constant(ROOM // (4 if real == wp.float32 else 8))
-    store = make_store(real, resident=resident)
+    stays = wp.constant(1 if room else 0)
+    numbers = wp.constant(max(1, room // (4 if real == wp.float32 else 8)))
+    store = make_store(real, resident=room > 0)
     get, put = store.get, store.put
     vector, put_vector = store.vector, store.put_vector
     matrix, put_matrix = store.matrix, store.put_matrix
@@ -190,7 +190,7 @@ def make_block_kernels(
     ):
         block, lane = wp.tid()
         if stays == 1:
-            wp.tile_empty(shape=room, dtype=real, storage="shared")
+            wp.tile_empty(shape=numbers, dtype=real, storage="shared")
         w = order[block]
         of = records.of
         moduli = records.moduli

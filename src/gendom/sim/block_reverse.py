@@ -17,7 +17,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.block import ROOM, bounds, make_block, make_store
+from gendom.sim.block import bounds, make_block, make_store
 from gendom.sim.block_kernels import STATE_COMPONENTS, make_block_kernels
 from gendom.sim.columns import Columns
 from gendom.sim.kernels import OK, RECOVER_EVERY, make_kernels
@@ -32,13 +32,13 @@ _MU, _LAM, _MASS, _YIELD = 0, 1, 2, 3
 
 @functools.cache
 def make_block_reverse(
-    real: Any, law_name: str, *, plastic: bool, resident: bool = False, lanes: int = 128
+    real: Any, law_name: str, *, plastic: bool, room: int = 0, lanes: int = 128
 ) -> SimpleNamespace:
     """Build the kernel for one scalar type and one material, see ``make_block_kernels``.
 
     Args:
         real, law_name, plastic, lanes: As there.
-        resident: Whether derivatives by the state stay in a block's shared memory.
+        room: Shared memory in which derivatives by a block's state stay [bytes]; 0: in arrays.
 
     Returns:
         Namespace with ``BarRecords`` and ``reverse``.
@@ -52,13 +52,13 @@ def make_block_reverse(
     SceneBars = k.boundary.SceneBars
     Matter, MatterBars = k.transfers.Matter, k.transfers.MatterBars
     kept = make_store(real, resident=False)
-    bar = make_store(real, resident=resident)
+    bar = make_store(real, resident=room > 0)
     get, put, add = bar.get, bar.put, bar.add
     put_vector, put_matrix = bar.put_vector, bar.put_matrix
     bar_vector, bar_matrix = bar.vector, bar.matrix
     vector, matrix = kept.vector, kept.matrix
-    stays = wp.constant(1 if resident else 0)
-    room = wp.constant(ROOM // (4 if real == wp.float32 else 8))
+    stays = wp.constant(1 if room else 0)
+    numbers = wp.constant(max(1, room // (4 if real == wp.float32 else 8)))
     place_gripper = k.boundary.place_gripper
     update_node = k.boundary.update_node
     update_node_back = k.boundary.update_node_back
@@ -113,7 +113,7 @@ def make_block_reverse(
         if slots <= 0:
             return
         if stays == 1:
-            wp.tile_empty(shape=room, dtype=real, storage="shared")
+            wp.tile_empty(shape=numbers, dtype=real, storage="shared")
         of, sums, spare = records.of, records.sums, records.spare
         W = clock.dt.shape[0]
         N = bars.x.shape[1]

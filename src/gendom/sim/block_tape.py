@@ -52,11 +52,11 @@ class BlockTape(BatchTape):
         law, plastic = worlds.setting.law, worlds.plastic
         self._blocks = Blocks(worlds)
         self._taped = make_block_kernels(
-            worlds.real, law, plastic=plastic, taped=True, resident=self._blocks.resident,
+            worlds.real, law, plastic=plastic, taped=True, room=self._blocks.room,
             lanes=self._blocks.lanes,
         )  # fmt: skip
         self._back = make_block_reverse(
-            worlds.real, law, plastic=plastic, resident=self._blocks.resident,
+            worlds.real, law, plastic=plastic, room=self._blocks.room,
             lanes=self._blocks.lanes,
         )  # fmt: skip
         self._recording: _Recording | None = None
@@ -64,7 +64,7 @@ class BlockTape(BatchTape):
         W, N = worlds.num_worlds, worlds.num_particles
         self._bars = self._back.BarRecords()
         for name, rows, components in (
-            ("of", 1 if self._blocks.resident else W, STATE_COMPONENTS),
+            ("of", 1 if self._blocks.room else W, STATE_COMPONENTS),
             ("sums", W, SUM_COMPONENTS),
             ("spare", W, STATE_COMPONENTS + SUM_COMPONENTS),
         ):

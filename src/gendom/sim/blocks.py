@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from gendom.sim.block import ROOM
+from gendom.sim.block import ROOM_ALONE, ROOMS_OF_TWO
 from gendom.sim.block_kernels import COMPONENTS, STATE_COMPONENTS, make_block_kernels
 from gendom.sim.columns import Grid
 from gendom.sim.paced import Paced
@@ -15,7 +15,8 @@ MOST_PARTICLES = 16_384
 """Of a body that one block simulates."""
 
 FEWEST_WORLDS = 16
-"""Below, the stages of ``Batch`` make more use of a GPU; of large bodies more are needed."""
+"""Below, teams or the stages of ``Batch`` make more use of a GPU; of large bodies more are
+needed."""
 
 PARTICLES_A_WORLD = 128
 """There must be so many worlds that each block has the time to be the slower one."""
@@ -39,11 +40,15 @@ def suits_blocks(worlds: Worlds) -> bool:
     return N <= MOST_PARTICLES and max(FEWEST_WORLDS, N / PARTICLES_A_WORLD) <= W
 
 
-def fits_shared_memory(worlds: Worlds) -> bool:
-    """Whether the particles of two blocks fit into a multiprocessor's shared memory."""
-    device = worlds.device
+def shared_room(worlds: Worlds) -> int:
+    """Shared memory of a block in which its particles fit [bytes]; 0 if they do not."""
     taken = STATE_COMPONENTS * worlds.num_particles * worlds.numpy_type.itemsize
-    return device.is_cuda and taken <= ROOM and 2 * ROOM <= device.max_shared_memory_per_block
+    if worlds.device.is_cuda:
+        for room in (*ROOMS_OF_TWO, ROOM_ALONE):
+            blocks = 2 if room in ROOMS_OF_TWO else 1
+            if taken <= room and blocks * room <= worlds.device.max_shared_memory_per_block:
+                return room
+    return 0
 
 
 def _narrow(particles: int, *, resident: bool) -> int:
@@ -65,17 +70,18 @@ class Blocks(Paced):
     def __init__(self, worlds: Worlds, lanes: int | None = None):
         setting = worlds.setting
         W, N = worlds.num_worlds, worlds.num_particles
+        self.room = shared_room(worlds)
         crowded = W > MANY_WORLDS and N <= LARGE_BODY
-        self.resident = fits_shared_memory(worlds)
-        self.lanes = lanes or (_narrow(N, resident=self.resident) if crowded else WIDE)
+        pairs = crowded and self.room != ROOM_ALONE
+        self.lanes = lanes or (_narrow(N, resident=self.room > 0) if pairs else WIDE)
         self.kernels = make_block_kernels(
-            worlds.real, setting.law, plastic=worlds.plastic, resident=self.resident,
+            worlds.real, setting.law, plastic=worlds.plastic, room=self.room,
             lanes=self.lanes,
         )  # fmt: skip
         if not worlds.device.is_cuda:
             self.lanes = 1
         self.records = self.kernels.Records()
-        rows = 1 if self.resident else W
+        rows = 1 if self.room else W
         self.records.of = worlds.zeros((rows, STATE_COMPONENTS, N), worlds.real)
         self.records.moduli = worlds.zeros((W, 2, N), worlds.real)
         self.records.spare = worlds.zeros((W, COMPONENTS, N), worlds.real)

@@ -1,5 +1,7 @@
 """Running on CUDA where a launch takes worlds through many substeps, each at its own pace."""
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ RECORDED = 1 << 30
 ALL = 1 << 30
 
 
-class Paced(Batch):
+class Paced(Batch, ABC):
     """Every world advances by itself, through as many frames as there is room to record.
 
     Args:
@@ -88,12 +90,12 @@ class Paced(Batch):
         self.launch_slices(self._slices(most))
         return self.look(now, keep_going=keep_going)
 
+    @abstractmethod
     def launch_slices(self, slices: list[tuple[int, float]]) -> None:
         """Take all worlds through some launches.
 
         Each is bounded by its substeps and by a time from which on none begins [s].
         """
-        raise NotImplementedError
 
     def look(self, now: float, *, keep_going: bool = False) -> bool:
         """See how far worlds have come, and ``settle``."""
