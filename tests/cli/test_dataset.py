@@ -25,7 +25,7 @@ class Quick:
     def draw(self, rng):
         return {"release_x": rng.uniform(0.1, 0.2)}
 
-    def demonstrate(self, draws, *, device, dtype):
+    def demonstrate(self, draws, *, device, dtype, on_frame=None):
         if device == "ctrl-c":
             raise KeyboardInterrupt
         goal = np.array([draw["release_x"] / 2.0 for draw in draws])

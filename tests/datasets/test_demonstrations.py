@@ -4,7 +4,10 @@ A task that takes no time stands in for a simulation; one test simulates a rope.
 """
 
 import json
+import os
 import shutil
+import threading
+import time
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -13,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from gendom.datasets import demonstrations
 from gendom.datasets.demonstrations import generate, load, read_description
 from gendom.errors import DatasetError, GendomError, ParameterError
 from gendom.tasks import RopeReaching
@@ -43,7 +47,7 @@ class Throwing:
     def draw(self, rng):
         return {"speed": rng.uniform(0.0, 10.0), "mass": rng.uniform(1.0, 2.0)}
 
-    def demonstrate(self, draws, *, device, dtype):
+    def demonstrate(self, draws, *, device, dtype, on_frame=None):
         if len(self.thrown) == self.stop_at:
             raise KeyboardInterrupt
         speed = np.array([draw["speed"] for draw in draws])
@@ -303,3 +307,67 @@ def test_an_absent_device_leaves_no_folder(tmp_path):
     with pytest.raises(GendomError, match="no device"):
         generate(RopeReaching(), 1, tmp_path / "set", seed=0, device="cuda:77")
     assert not (tmp_path / "set").exists()
+
+
+# ---- several devices -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Meeting(Throwing):
+    """Throws that wait until two are under way at the same time."""
+
+    both: threading.Barrier = field(default_factory=lambda: threading.Barrier(2), compare=False)
+
+    def demonstrate(self, draws, **options):
+        self.both.wait(timeout=20.0)
+        return super().demonstrate(draws, **options)
+
+
+def test_devices_share_a_set(tmp_path):
+    """Two devices work at the same time; the set is that of one, row for row."""
+    batch = max(16, 2 * (os.cpu_count() or 1))
+    size = 4 * batch - 3
+    alone = generate(Throwing(), size, tmp_path / "one", seed=3, shard_size=2 * batch)
+    shared = generate(
+        Meeting(), size, tmp_path / "two", seed=3, shard_size=2 * batch, device="cpu,cpu"
+    )
+    assert shared.equals(alone)
+    assert read_description(tmp_path / "two") == read_description(tmp_path / "one")
+
+
+def test_a_fault_on_one_device_ends_the_others(tmp_path):
+    """What is under way stops at its next frame, and the set goes on later."""
+    batch = max(16, 2 * (os.cpu_count() or 1))
+    ended = []
+
+    @dataclass(frozen=True, kw_only=True)
+    class Endless(Throwing):
+        def demonstrate(self, draws, *, device, dtype, on_frame=None):
+            assert on_frame is not None
+            if draws[0]["speed"] != first["speed"]:
+                raise ParameterError("broke")
+            try:
+                while True:
+                    on_frame(1)
+                    time.sleep(0.01)
+            finally:
+                ended.append(True)
+
+    first = Throwing().draw(np.random.default_rng([0, 0]))
+    sizes = {"shard_size": batch, "device": "cpu,cpu"}
+    with pytest.raises(ParameterError, match="broke"):
+        generate(Endless(), 2 * batch, tmp_path / "set", seed=0, **sizes)
+    assert ended == [True]
+    assert len(generate(Throwing(), 2 * batch, tmp_path / "set", seed=0, **sizes)) == 2 * batch
+
+
+def test_gpus_and_the_cpu_do_not_mix(tmp_path):
+    with pytest.raises(ParameterError, match="not both"):
+        generate(Throwing(), 5, tmp_path / "set", seed=0, device="cpu,cuda:0")
+
+
+@pytest.mark.parametrize(
+    ("left", "devices", "expected"), [(40000, 1, 4096), (40000, 2, 2048), (9000, 4, 1024)]
+)
+def test_several_gpus_get_parts_of_shards(left, devices, expected):
+    assert demonstrations._count_together("cuda", 4096, left, devices) == expected

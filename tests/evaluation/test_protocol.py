@@ -22,7 +22,7 @@ class Quick(RopeReaching):
 
     fails_above: float = 2.0
 
-    def demonstrate(self, draws, *, device="cpu", dtype="float32"):
+    def demonstrate(self, draws, *, device="cpu", dtype="float32", on_frame=None):
         own = RopeReaching()
         goal = np.empty(len(draws))
         for i, d in enumerate(draws):

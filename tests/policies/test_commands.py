@@ -105,7 +105,7 @@ def test_act_tells_faults_in_one_line(act, flags, estimate, goal, text):
 def quick(monkeypatch):
     """A task without a simulation: whoever releases farther back reaches farther."""
 
-    def demonstrate(self, draws, *, device="cpu", dtype="float32"):
+    def demonstrate(self, draws, *, device="cpu", dtype="float32", on_frame=None):
         goal = np.array([2.0 * self.length - d["release_x"] for d in draws])
         return Outcomes(columns={"goal_x": goal}, faults=(None,) * len(draws))
 

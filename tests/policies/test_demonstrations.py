@@ -16,7 +16,7 @@ from gendom.tasks import Outcomes, RopeReaching
 class Quick(RopeReaching):
     """Reaches as far as the release is away from 2 L; every fifth fails."""
 
-    def demonstrate(self, draws, *, device="cpu", dtype="float32"):
+    def demonstrate(self, draws, *, device="cpu", dtype="float32", on_frame=None):
         goal = np.array([2.0 * self.length - d["release_x"] for d in draws])
         goal[::5] = np.nan
         faults = tuple("it burst" if bad else None for bad in np.isnan(goal))

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+import warp as wp
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Box, Gripper, Rollout, Simulator, Table, rope
+from gendom.sim import Box, Gripper, Rollout, Simulator, Table, block_tape, rope
 from gendom.sim.batch_tape import BatchTape
 from gendom.sim.block_tape import BlockTape
 from gendom.sim.gradients import Sums
@@ -31,7 +32,15 @@ SCALE = {"E": 2.0e5, "density": 1000.0}
 
 
 def scene(
-    law="neo-hookean", yields_at=math.inf, *, dtype="float64", worlds=1, box=None, rubs=True, **by
+    law="neo-hookean",
+    yields_at=math.inf,
+    *,
+    dtype="float64",
+    device="cpu",
+    worlds=1,
+    box=None,
+    rubs=True,
+    **by,
 ):
     """A rope that slides on its table while a gripper lifts its end; ``by`` moves what goes in."""
     d = {**NOTHING, **by}
@@ -57,6 +66,7 @@ def scene(
         stiffness=1.0 + d["stiffness"],
         positions=body.x + d["positions"],
         dtype=dtype,
+        device=device,
         threads=1,
     )
     simulator.set_velocities(np.array([0.3, 0.1, 0.0]) + d["velocities"])
@@ -237,23 +247,45 @@ def test_a_long_rollout_stays_within_its_memory():
 @pytest.mark.parametrize("together", [BatchTape, BlockTape])
 def test_all_worlds_together_give_the_derivatives_of_each_alone(together, yields_at, memory):
     """What a GPU does, stages or blocks, which run on the CPU too, against the CPU's own kernel."""
-    times = np.array(TIMES)
-    tapes = [
-        WorldTape(scene(yields_at=yields_at, worlds=2), memory=1e9),
-        together(scene(yields_at=yields_at, worlds=2), memory=memory),
-    ]
-    frames = [tape.forward(times) for tape in tapes]
-    np.testing.assert_allclose(frames[1], frames[0], rtol=0.0, atol=1e-13)
+    alone = WorldTape(scene(yields_at=yields_at, worlds=2), memory=1e9)
+    check_derivatives(alone, together(scene(yields_at=yields_at, worlds=2), memory=memory))
+
+
+def test_a_recording_may_run_out_of_layouts(monkeypatch):
+    """It then ends, and another one begins."""
+    monkeypatch.setattr(block_tape, "SUBSTEPS_A_LAYOUT", 1000)
+    alone = WorldTape(scene(worlds=2), memory=1e9)
+    tape = BlockTape(scene(worlds=2), memory=1e9)
+    check_derivatives(alone, tape)
+    assert max(map(len, tape._frames)) > 1
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("memory", [0.0, 1e9])
+@pytest.mark.parametrize("together", [BatchTape, BlockTape])
+def test_cuda_gives_the_derivatives_of_the_cpu(together, memory):
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    alone = WorldTape(scene(yields_at=2.0e3, worlds=2), memory=1e9)
+    cuda = scene(yields_at=2.0e3, worlds=2, device="cuda")
+    check_derivatives(alone, together(cuda, memory=memory))
+
+
+def check_derivatives(*tapes):
+    """All tapes give the first one's positions and derivatives."""
+    frames = [tape.forward(np.array(TIMES)) for tape in tapes]
     found = []
     for tape in tapes:
         sums = Sums(tape.simulator)
         tape.backward(weights(frames[0].shape), sums)
         found.append(sums.gradients(tape.simulator))
-    for name in NOTHING:
-        expected = getattr(found[0], name)
-        np.testing.assert_allclose(
-            getattr(found[1], name), expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max()
-        )
+    for x, gradients in zip(frames[1:], found[1:], strict=True):
+        np.testing.assert_allclose(x, frames[0], rtol=0.0, atol=1e-13)
+        for name in NOTHING:
+            expected = getattr(found[0], name)
+            np.testing.assert_allclose(
+                getattr(gradients, name), expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max()
+            )
 
 
 @pytest.mark.slow

@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
 from gendom.materials import Material
-from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
+from gendom.sim import Box, Gripper, Simulator, Table, cloth, paced, rope
 from gendom.sim.batch import Batch
 from gendom.sim.blocks import Blocks
+from gendom.sim.teams import Teams
 
 SOFT = Material(E=2.0e4, nu=0.3, density=1000.0)
-TOGETHER = pytest.mark.parametrize("together", [Batch, Blocks])
+TOGETHER = pytest.mark.parametrize("together", [Batch, Blocks, Teams])
 
 
 def simulator(body, materials, **options):
@@ -22,7 +24,7 @@ def run_together(s, together, times, **options):
     return s.run(times, **options)
 
 
-def scene():
+def scene(**options):
     """Three worlds that differ in all they can; two grippers, a table, walls."""
     body = rope(diameter=0.02, length=0.12, start=(0.0, 0.0, 0.01), cells_across=1.5)
     turn = [(0, 0, 0, 1), (0, 0, 0.2, 1), (0, 0, 0.4, 1)]
@@ -46,6 +48,7 @@ def scene():
         box=Box(lower=(-0.05, -0.1, -1.0), upper=(0.135, 0.1, 1.0)),
         damping=[2.0, 1.0, 0.0],
         gravity=[(0, 0, -9.81), (1, 0, -9.81), (0, 2, -5)],
+        **options,
     )
 
 
@@ -57,6 +60,34 @@ def test_worlds_together_move_as_each_alone(together):
     assert np.abs(x - expected).max() < 1e-12
     assert len(set(s.substeps_done())) == 3
     assert np.ptp(expected[-1], axis=0).max() > 1e-3
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize(("dtype", "bound"), [("float32", 5e-6), ("float64", 1e-12)])
+@TOGETHER
+def test_cuda_moves_worlds_as_the_cpu(together, dtype, bound):
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    times = [0.1, 0.17, 0.25]
+    x = run_together(scene(dtype=dtype, device="cuda"), together, times)
+    assert np.abs(x - scene(dtype=dtype).run(times)).max() < bound
+
+
+@pytest.mark.parametrize("together", [Blocks, Teams])
+def test_launches_and_recordings_may_end_anywhere(together, monkeypatch):
+    """A run in many launches, a few frames recorded at a time, is that in one launch."""
+    times = [0.0, *np.linspace(0.01, 0.12, 12), 0.12]
+    whole = run_together(scene(), together, times)
+    alone = scene()
+    assert np.abs(whole - alone.run(times)).max() < 1e-12
+    monkeypatch.setattr(together, "substeps_a_slice", 5)
+    monkeypatch.setattr(paced, "SLICES", 2)
+    monkeypatch.setattr(paced, "RECORDED", 5 * whole[0].nbytes)
+    s, counts = scene(), []
+    parts = run_together(s, together, times, on_frame=counts.append)
+    assert np.abs(parts - whole).max() < 1e-12
+    assert counts == sorted(set(counts)) and counts[-1] == len(times) and len(counts) > 4
+    assert np.abs(s.run([0.15]) - alone.run([0.15])).max() < 1e-12
 
 
 @TOGETHER

@@ -11,7 +11,16 @@ from scipy.spatial.transform import Rotation
 from gendom.errors import DeviceError, ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.materials.laws import LAWS
-from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope, stable_substep
+from gendom.sim import (
+    Box,
+    Gripper,
+    Simulator,
+    Table,
+    cloth,
+    list_devices,
+    rope,
+    stable_substep,
+)
 
 SOFT = Material(E=2.0e4, nu=0.3, density=1000.0)
 G = 9.81
@@ -671,6 +680,18 @@ def test_a_device_that_is_not_there():
     """The error says what to use instead."""
     with pytest.raises(DeviceError, match=r"'cuda:77'.*--device cpu"):
         simulator(block(), device="cuda:77")
+
+
+def test_a_list_of_devices():
+    """Names with commas between them, or all GPUs."""
+    assert list_devices("cpu, cpu") == ["cpu", "cpu"]
+    with pytest.raises(DeviceError, match="'cuda:77'"):
+        list_devices("cpu,cuda:77")
+    if wp.is_cuda_available():
+        assert list_devices("all")[0] == "cuda:0"
+    else:
+        with pytest.raises(DeviceError, match="--device cpu"):
+            list_devices("all")
 
 
 # ---- yielding --------------------------------------------------------------------------------

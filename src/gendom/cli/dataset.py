@@ -35,7 +35,7 @@ class Command:
     seed: int = 0
     """Seed of all random draws."""
     device: str = "cpu"
-    """cpu, cuda or cuda:0 and so on."""
+    """cpu, cuda, cuda:0 and so on; several (cuda:0,cuda:1) or all GPUs share the work."""
     shard_size: int | None = None
     """Demonstrations in one file (default: 256 on the CPU, 4096 on CUDA)."""
     json: bool = False

@@ -15,10 +15,14 @@ shards can be simulated in any order, on any machine, and a set can be continued
 
 from __future__ import annotations
 
+import functools
 import json
 import logging
 import os
-from collections.abc import Callable, Mapping
+import queue
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,7 +46,16 @@ _log = logging.getLogger(__name__)
 
 
 SHARD_SIZE = {"cpu": 256, "cuda": 4096}
-"""Default numbers of demonstrations in a shard: some minutes of work."""
+"""Default numbers of demonstrations in a shard."""
+
+AHEAD = 2
+"""Parts of a set that a GPU has at once: one is made ready while the other is simulated."""
+
+FEWEST_TOGETHER = 1024
+"""Demonstrations that make good use of a GPU; where there are several, none gets fewer."""
+
+TURNS = 8
+"""Parts that each of several devices should get, lest one waits long for another in the end."""
 
 
 def generate(
@@ -66,8 +79,8 @@ def generate(
         size: Number of demonstrations.
         out: Folder of the set; made if it is missing.
         seed: Seed of all draws, 0 or more.
-        device: ``cpu``, ``cuda`` or ``cuda:0`` and so on. On CUDA a shard is
-            handed to the task at once.
+        device: ``cpu``, ``cuda`` or ``cuda:0`` and so on; several with commas between them, or
+            ``all`` GPUs. On one GPU a shard is handed to the task at once.
         dtype: ``float32`` or ``float64``.
         shard_size: Demonstrations in a shard (default: ``SHARD_SIZE`` of the device).
         progress: Called with the number of demonstrations done, those already there included,
@@ -81,13 +94,14 @@ def generate(
         ParameterError: A number is out of range.
         DeviceError: The device is not there.
     """
+    kind = device_kind(device)
     if shard_size is None:
-        shard_size = SHARD_SIZE["cuda" if device.startswith("cuda") else "cpu"]
+        shard_size = SHARD_SIZE[kind]
     for name, value, least in [("size", size, 1), ("shard_size", shard_size, 1), ("seed", seed, 0)]:
         if value < least:
             raise ParameterError(f"is {value}", where=name, fix=f"give {least} or more")
     folder = Path(out)
-    description = _describe(task, size, seed, device, dtype, shard_size)
+    description = _describe(task, size, seed, kind, dtype, shard_size)
     _check_same(folder, description)
     identity = _identity(description)
     report = progress or (lambda done, total: None)
@@ -104,26 +118,100 @@ def generate(
     done = sum(len(rows) for rows in kept if rows is not None)
     report(done, size)
 
-    batch = shard_size if device.startswith("cuda") else max(16, 2 * (os.cpu_count() or 1))
+    if done == size:
+        return load(folder)
+    devices = [device]
+    if device == "all" or "," in device:
+        from gendom.sim import list_devices  # Warp: a task that needs it imports it itself
+
+        devices = list_devices(device)
+    parts: dict[int, list[pa.Table]] = {}  # by shard
+    jobs: list[range] = []
+    together = _count_together(kind, shard_size, size - done, len(devices))
     for number, rows in enumerate(kept):
-        first, end = number * shard_size, min((number + 1) * shard_size, size)
         # a set that is extended may end in a shard that is not full
-        parts = [rows] if rows is not None else []
+        first, end = number * shard_size, min((number + 1) * shard_size, size)
         begin = first + (len(rows) if rows is not None else 0)
-        for start in range(begin, end, batch):
-            indices = range(start, min(start + batch, end))
-            parts.append(_simulate(task, indices, seed=seed, device=device, dtype=dtype))
-            done += len(indices)
-            report(done, size)
-        if begin == end:
+        if begin < end:
+            parts[number] = [rows] if rows is not None else []
+            jobs += [range(i, min(i + together, end)) for i in range(begin, end, together)]
+
+    simulate = functools.partial(_simulate, task, seed=seed, dtype=dtype)
+    for job, rows in _on_devices(simulate, jobs, devices):
+        number = job.start // shard_size
+        parts[number].append(rows)
+        done += len(job)
+        report(done, size)
+        if sum(map(len, parts[number])) < min(shard_size, size - number * shard_size):
             continue
         # before the first new shard, not earlier: a run that fails at once leaves no trace
         write_json(folder / _DESCRIPTION, description)
-        table = pa.concat_tables(parts)
+        table = pa.concat_tables(parts.pop(number)).sort_by("demonstration")
         table = table.replace_schema_metadata({_METADATA: json.dumps(identity)})
         with atomic_path(_shard_path(folder, number)) as temporary:
             pq.write_table(table, temporary)
     return load(folder)
+
+
+def device_kind(device: str) -> str:
+    """``cpu`` or ``cuda`` of a device or a list of them.
+
+    Raises:
+        ParameterError: If the list holds both: their rounding differs.
+    """
+    kinds = {"cpu" if name.strip() == "cpu" else "cuda" for name in device.split(",")}
+    if len(kinds) > 1:
+        raise ParameterError(f"is {device!r}", where="device", fix="give GPUs or the CPU, not both")
+    return kinds.pop()
+
+
+def _count_together(kind: str, shard_size: int, left: int, devices: int) -> int:
+    """Demonstrations that a task is given at once."""
+    if kind == "cpu":
+        return max(16, 2 * (os.cpu_count() or 1))
+    together = shard_size
+    while devices > 1 and together >= 2 * FEWEST_TOGETHER and left < TURNS * devices * together:
+        together = -(-together // 2)
+    return together
+
+
+class _StoppedError(Exception):
+    """Ends a simulation that nobody waits for."""
+
+
+def _on_devices(
+    simulate: Callable[..., pa.Table], jobs: list[range], devices: list[str]
+) -> Iterator[tuple[range, pa.Table]]:
+    """Jobs and their rows as they are done, side by side on the devices."""
+    if len(devices) == 1 and not devices[0].startswith("cuda"):
+        for job in jobs:
+            yield job, simulate(job, device=devices[0])
+        return
+    free: queue.SimpleQueue[str] = queue.SimpleQueue()
+    places = devices if "cpu" in devices else AHEAD * devices
+    for device in places:
+        free.put(device)
+    stop = threading.Event()
+
+    def go_on(_: int) -> None:
+        if stop.is_set():
+            raise _StoppedError
+
+    def work(job: range) -> pa.Table:
+        device = free.get()
+        try:
+            return simulate(job, device=device, on_frame=go_on)
+        finally:
+            free.put(device)
+
+    with ThreadPoolExecutor(max_workers=len(places)) as pool:
+        at_work = {pool.submit(work, job): job for job in jobs}
+        try:
+            for done in as_completed(list(at_work)):
+                yield at_work.pop(done), done.result()
+        finally:
+            stop.set()
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def load(folder: str | os.PathLike) -> pa.Table:
@@ -289,10 +377,18 @@ def _read_shard(path: Path, number: int, identity: Mapping[str, Any]) -> pa.Tabl
     return rows
 
 
-def _simulate(task: Task, indices: range, *, seed: int, device: str, dtype: str) -> pa.Table:
+def _simulate(
+    task: Task,
+    indices: range,
+    *,
+    seed: int,
+    device: str,
+    dtype: str,
+    on_frame: Callable[[int], None] | None = None,
+) -> pa.Table:
     """Draw and carry out the demonstrations of these numbers."""
     draws = [task.draw(np.random.default_rng([seed, i])) for i in indices]
-    outcomes = task.demonstrate(draws, device=device, dtype=dtype)
+    outcomes = task.demonstrate(draws, device=device, dtype=dtype, on_frame=on_frame)
     ok = np.array([fault is None for fault in outcomes.faults])
     columns = {"demonstration": pa.array(indices, pa.int64())}
     for name in draws[0]:

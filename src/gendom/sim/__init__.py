@@ -1,7 +1,7 @@
 """MLS-MPM simulation of ropes and cloths, batched over worlds."""
 
 from gendom.sim.bodies import Body, cloth, rope
-from gendom.sim.device import open_device
+from gendom.sim.device import claimed, list_devices, open_device
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
@@ -24,7 +24,9 @@ __all__ = [
     "Simulator",
     "Table",
     "check_numbers",
+    "claimed",
     "cloth",
+    "list_devices",
     "open_device",
     "preset",
     "rope",

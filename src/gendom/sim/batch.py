@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from gendom.sim.columns import Grid
 from gendom.sim.kernels import GRID_FULL, OK
@@ -12,6 +13,9 @@ from gendom.sim.worlds import LAY_ANEW, STATE, Frames, Worlds
 
 SUBSTEPS_A_GRAPH = 8
 """Substeps recorded in one CUDA graph."""
+
+BLOCK = 128
+"""Threads of a block."""
 
 
 class Batch:
@@ -23,6 +27,8 @@ class Batch:
 
     def __init__(self, worlds: Worlds):
         self.worlds = worlds
+        if worlds.device.is_cuda:
+            self.load()
         W = worlds.num_worlds
         self.grips = worlds.make_grips(SUBSTEPS_A_GRAPH * W)
         self.lap = worlds.kernels.Lap()
@@ -32,6 +38,11 @@ class Batch:
             setattr(self.lap, name, worlds.zeros(W, wp.int32))
         self.make_grid()
         self.begin()
+
+    def load(self) -> None:
+        """Compile and load what ``run`` launches."""
+        module = self.worlds.kernels.p2g.module  # that of all stages
+        wp.load_module(module, device=self.worlds.device, block_dim=BLOCK)
 
     def run(self, frames: Frames) -> None:
         """Simulate all worlds to all times.
@@ -116,16 +127,21 @@ class Batch:
             status = np.where(full, OK, status).astype(np.int32)
             clock.status.assign(status)
         failed = np.flatnonzero(status != OK)
-        if len(failed):
-            for w in failed:
-                if int(w) not in s.failures:
-                    s.failures[int(w)] = s.failure(int(w), now)
-            if not keep_going:
-                raise s.failures[int(failed[0])]
-            steps = clock.steps.numpy()
-            steps[failed] = clock.step.numpy()[failed]
-            clock.steps.assign(steps)
-        return bool((clock.steps.numpy() > clock.step.numpy()).any())
+        for w in failed:
+            if int(w) not in s.failures:
+                s.failures[int(w)] = s.failure(int(w), self.frame_start(int(w), now))
+        if len(failed) and not keep_going:
+            raise s.failures[int(failed[0])]
+        return bool((self.unfinished() & (status == OK)).any())
+
+    def frame_start(self, w: int, now: float) -> float:
+        """When the frame began that world w is in [s]; ``now`` where worlds share frames."""
+        return now
+
+    def unfinished(self) -> NDArray[np.bool_]:
+        """[W] whether a world has planned substeps before it."""
+        clock = self.worlds.clock
+        return clock.steps.numpy() > clock.step.numpy()
 
     def make_grid(self) -> None:
         """Make a grid with the room that worlds are known to need."""
@@ -139,7 +155,7 @@ class Batch:
             self.launch_substep(r, state, state)
 
     def launch(self, kernel: Any, dim: Any, inputs: list[Any]) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, device=self.worlds.device, block_dim=128)
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.worlds.device, block_dim=BLOCK)
 
     def launch_tally(self) -> None:
         """Count what a graph has done."""

@@ -27,6 +27,8 @@ class Segment:
     clock: Any
     state: Any
     until: Any = None  # [W] substeps of the frame done after
+    plan: Any = None  # of the frame, where worlds advance by themselves
+    recording: Any = None  # if it is kept from the forward run
 
 
 @dataclass
@@ -64,8 +66,7 @@ class BatchTape:
         Raises:
             SimulationError: If a world diverges.
         """
-        s, batch = self.simulator, self._batch
-        clock, state, k = s.worlds.clock, s.worlds.state, s.worlds.kernels
+        s, batch, clock = self.simulator, self._batch, self.simulator.worlds.clock
         frames = np.empty((len(times), s.num_worlds, s.body.num_particles, 3), dtype=s.dtype)
         now = s.time
         for f, until in enumerate(times):
@@ -73,16 +74,27 @@ class BatchTape:
             frame: list[Segment] = []
             more = bool(clock.steps.numpy().any())
             while more:
-                segment = Segment(
-                    now, _copy(k.Clock(), clock, CLOCK), _copy(k.transfers.State(), state, STATE)
-                )
-                more = batch.advance(now, most=self._segment())
+                segment = self._begin_segment(now)
+                more = self._run_segment(segment)
                 segment.until = wp.clone(clock.step)
                 frame.append(segment)
             self._frames.append(frame)
             frames[f] = s.positions()
             now = float(until)
         return frames
+
+    def _begin_segment(self, now: float) -> Segment:
+        worlds = self.simulator.worlds
+        k = worlds.kernels
+        return Segment(
+            now,
+            _copy(k.Clock(), worlds.clock, CLOCK),
+            _copy(k.transfers.State(), worlds.state, STATE),
+        )
+
+    def _run_segment(self, segment: Segment) -> bool:
+        """Advance by one segment; whether the frame goes on."""
+        return self._batch.advance(segment.time, most=self._segment())
 
     def backward(self, bar: NDArray[np.floating], sums: Sums) -> None:
         """Carry derivatives [T, W, N, 3] by the positions back to the first state.
@@ -127,9 +139,10 @@ class BatchTape:
         worlds, batch = self.simulator.worlds, self._batch
         for name in STATE:
             wp.copy(getattr(worlds.state, name), getattr(segment.state, name))
-        for name in ("dt", "step", "age"):
+        for name in ("dt", "step", "age", "frame"):
             wp.copy(getattr(worlds.clock, name), getattr(segment.clock, name))
-        wp.copy(worlds.clock.steps, segment.until)
+        if segment.until is not None:
+            wp.copy(worlds.clock.steps, segment.until)
         worlds.clock.status.zero_()
         batch.begin()
         batch.lap.time.fill_(segment.time)

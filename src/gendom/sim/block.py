@@ -28,7 +28,6 @@ _LARGEST = """
     __syncthreads();
     value = of_warp[own < warps ? own : 0];
     for (int by = 16; by > 0; by /= 2) value = max(value, __shfl_xor_sync(0xffffffffu, value, by));
-    __syncthreads();
 #endif
     return value;
 """
@@ -54,24 +53,137 @@ _BEFORE = """
 """
 
 
+_IN_SHARED_MEMORY = """
+#if defined(__CUDA_ARCH__)
+    extern __shared__ REAL resident[];
+    REAL& there = resident[c * of.shape[2] + i];
+#else
+    REAL& there = wp::index(of, row, c, i);
+#endif
+"""
+
+_ADD = """
+#if defined(__CUDA_ARCH__)
+    atomicAdd(&there, value);
+#else
+    there += value;
+#endif
+"""
+
+ROOMS_OF_TWO = (96_000, 112_000)
+"""Shared memory for the particles of one of two blocks on a multiprocessor [bytes]; the smaller
+leaves more of it to the cache."""
+
+ROOM_ALONE = 192_000
+"""The same of a block that has a multiprocessor to itself."""
+
+
+def bounds(lanes: int) -> tuple[int, int]:
+    """Launch bounds of a block: two on a multiprocessor where registers allow."""
+    return lanes, 2 if lanes <= 192 else 1
+
+
+@functools.cache
+def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
+    """Build the access to particles by component, for one scalar type.
+
+    Args:
+        real: ``wp.float32`` or ``wp.float64``.
+        resident: Whether a CUDA block has its particles in shared memory while it runs, all of
+            that its kernel sets aside; otherwise they stand in an array.
+
+    Returns:
+        Namespace with ``get``, ``put`` and ``add`` (atomic) of component c of particle i in a row
+        of the array ``of`` [rows, components, N], and with ``vector``, ``put_vector``, ``matrix``,
+        ``put_matrix`` of the components from c on.
+    """
+    store = _numbers(real, resident=resident)
+    get, put = store.get, store.put
+    vec3 = wp.types.vector(3, real)
+    mat33 = wp.types.matrix((3, 3), real)
+
+    @wp.func
+    def vector(of: wp.array3d(dtype=real), row: int, c: int, i: int):
+        return vec3(get(of, row, c, i), get(of, row, c + 1, i), get(of, row, c + 2, i))
+
+    @wp.func
+    def put_vector(of: wp.array3d(dtype=real), row: int, c: int, i: int, a: vec3):
+        for n in range(3):
+            put(of, row, c + n, i, a[n])
+
+    @wp.func
+    def matrix(of: wp.array3d(dtype=real), row: int, c: int, i: int):
+        return mat33(
+            get(of, row, c, i), get(of, row, c + 1, i), get(of, row, c + 2, i),
+            get(of, row, c + 3, i), get(of, row, c + 4, i), get(of, row, c + 5, i),
+            get(of, row, c + 6, i), get(of, row, c + 7, i), get(of, row, c + 8, i),
+        )  # fmt: skip
+
+    @wp.func
+    def put_matrix(of: wp.array3d(dtype=real), row: int, c: int, i: int, A: mat33):
+        for m in range(3):
+            for n in range(3):
+                put(of, row, c + 3 * m + n, i, A[m, n])
+
+    return SimpleNamespace(
+        **vars(store), vector=vector, put_vector=put_vector, matrix=matrix, put_matrix=put_matrix
+    )
+
+
+def _numbers(real: Any, *, resident: bool) -> SimpleNamespace:
+    """``get``, ``put`` and ``add`` of ``make_store``."""
+    if not resident:
+
+        @wp.func
+        def get_from_array(of: wp.array3d(dtype=real), row: int, c: int, i: int):
+            return of[row, c, i]
+
+        @wp.func
+        def put_in_array(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real):
+            of[row, c, i] = value
+
+        @wp.func
+        def add_to_array(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real):
+            wp.atomic_add(of, row, c, i, value)
+
+        return SimpleNamespace(get=get_from_array, put=put_in_array, add=add_to_array)
+
+    there = _IN_SHARED_MEMORY.replace("REAL", _name(real))
+
+    @wp.func_native(there + "return there;")
+    def get(of: wp.array3d(dtype=real), row: int, c: int, i: int) -> real: ...
+
+    @wp.func_native(there + "there = value;")
+    def put(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
+
+    @wp.func_native(there + _ADD)
+    def add(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
+
+    return SimpleNamespace(get=get, put=put, add=add)
+
+
 @functools.cache
 def make_block(real: Any) -> SimpleNamespace:
     """Build the functions for one scalar type; all threads of a block must call them.
 
     Returns:
-        Namespace with ``meet``, after which every thread sees what the others have written, and
-        ``largest``, the largest of all threads' values (no NaN), which meets too.
+        Namespace with ``meet``, after which every thread sees what the others have written;
+        ``largest``, the largest of all threads' values (no NaN), which meets too, and wants
+        another meeting before it is called again; ``before``, the sum of the values of the
+        threads before this one.
     """
 
     @wp.func_native(_MEET)
     def meet(): ...
 
-    name = "wp::float32" if real == wp.float32 else "wp::float64"
-
-    @wp.func_native(_LARGEST.replace("REAL", name))
+    @wp.func_native(_LARGEST.replace("REAL", _name(real)))
     def largest(value: real) -> real: ...
 
     @wp.func_native(_BEFORE)
     def before(value: int) -> int: ...
 
     return SimpleNamespace(meet=meet, largest=largest, before=before)
+
+
+def _name(real: Any) -> str:
+    return "wp::float32" if real == wp.float32 else "wp::float64"

@@ -19,7 +19,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.block import make_block
+from gendom.sim.block import bounds, make_block, make_store
 from gendom.sim.columns import MARGIN, Columns
 from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, RECOVER_EVERY, make_kernels
 
@@ -29,28 +29,40 @@ STATE_COMPONENTS = 24
 COMPONENTS = 26
 """And mu, lam."""
 
-_V, _C, _F, _MU, _LAM = 3, 6, 15, 24, 25
+ORDERLY = 1.0
+"""How far a particle may travel, in cells, before the records are put in order anew."""
+
+_V, _C, _F, _MU, _LAM = 3, 6, 15, 0, 1
 
 
 @functools.cache
 def make_block_kernels(
-    real: Any, law_name: str, *, plastic: bool, taped: bool = False
+    real: Any,
+    law_name: str,
+    *,
+    plastic: bool,
+    taped: bool = False,
+    room: int = 0,
+    lanes: int = 128,
 ) -> SimpleNamespace:
     """Build the kernel for one scalar type and one material, see ``make_kernels``.
 
     Args:
         real, law_name, plastic: As there.
         taped: Whether every substep is kept for the reverse.
+        room: Shared memory in which a block's particles stay [bytes]; 0: in arrays.
+        lanes: Threads of a block on CUDA.
 
     Returns:
-        Namespace with ``Records``, ``Tape`` and ``advance``, and with what reads records.
+        Namespace with ``Records``, ``Tape`` and ``advance``.
     """
     k = make_kernels(real, law_name, plastic=plastic)
-    vec3, vec4, mat33 = k.vec3, k.vec4, k.mat33
-    Clock = k.Clock
+    vec4, mat33 = k.vec4, k.mat33
+    Clock, Plan, frame_substep = k.Clock, k.Plan, k.frame_substep
     forget_bounds = k.columns.forget_bounds
-    locate_particle = k.columns.locate_particle
-    mark_particle = k.columns.mark_particle
+    reach = k.columns.reach
+    widen_bounds = k.columns.widen_bounds
+    mark_box = k.columns.mark_box
     empty_column = k.columns.empty_column
     lay_column = k.columns.lay_column
     Scene, Paths, Grips = k.boundary.Scene, k.boundary.Paths, k.boundary.Grips
@@ -66,67 +78,55 @@ def make_block_kernels(
     recovery_share = k.transfers.recovery_share
     recovered = k.transfers.recovered
     keeps = wp.constant(1 if taped else 0)
+    stays = wp.constant(1 if room else 0)
+    numbers = wp.constant(max(1, room // (4 if real == wp.float32 else 8)))
+    store = make_store(real, resident=room > 0)
+    get, put = store.get, store.put
+    vector, put_vector = store.vector, store.put_vector
+    matrix, put_matrix = store.matrix, store.put_matrix
     block = make_block(real)
     meet, largest, before = block.meet, block.largest, block.before
 
     @wp.struct
     class Records:
-        """Particles of W worlds in order; which of two sides is in use is the kernel's business."""
+        """Particles of W worlds in order."""
 
-        of: wp.array3d(dtype=real)  # [W, 2 * COMPONENTS, N]
-        order: wp.array3d(dtype=wp.int32)  # [W, 2, N] particle of each record
+        of: wp.array3d(dtype=real)  # [W, STATE_COMPONENTS, N], or [1, ...] if they are resident
+        moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
+        order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
         place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
-        tally: wp.array2d(dtype=wp.int32)  # [W, M] scratch
+        strayed: wp.array(dtype=real)  # [W] distance travelled since they were put in order [m]
+        # scratch
+        spare: wp.array3d(dtype=real)  # [W, COMPONENTS, N]
+        spare_order: wp.array2d(dtype=wp.int32)  # [W, N]
+        tally: wp.array2d(dtype=wp.int32)  # [W, M]
 
     @wp.struct
     class Tape:
-        """S substeps of W worlds, in rows: substep n of world w has row n * W + w."""
+        """S substeps of W worlds: substep n of world w has row n * W + w.
 
-        of: wp.array3d(dtype=real)  # [S * W, STATE_COMPONENTS, N]
-        order: wp.array2d(dtype=wp.int32)  # [S * W, N] of each layout
-        place: wp.array2d(dtype=wp.int32)  # [S * W, N]
+        Layout n of world w is number n * W + w; there may be fewer of them than substeps.
+        """
+
+        of: wp.array3d(dtype=real)  # [S * W, STATE_COMPONENTS, N] records before the substep
+        order: wp.array2d(dtype=wp.int32)  # [L, N] of each layout
+        place: wp.array2d(dtype=wp.int32)  # [L, N]
         layout_of: wp.array(dtype=wp.int32)  # [S * W] row of each substep's layout
-
-    @wp.func
-    def vector(w: int, c: int, i: int, of: wp.array3d(dtype=real)):
-        return vec3(of[w, c, i], of[w, c + 1, i], of[w, c + 2, i])
-
-    @wp.func
-    def put_vector(w: int, c: int, i: int, a: vec3, of: wp.array3d(dtype=real)):
-        for n in range(3):
-            of[w, c + n, i] = a[n]
-
-    @wp.func
-    def matrix(w: int, c: int, i: int, of: wp.array3d(dtype=real)):
-        return mat33(
-            of[w, c, i], of[w, c + 1, i], of[w, c + 2, i],
-            of[w, c + 3, i], of[w, c + 4, i], of[w, c + 5, i],
-            of[w, c + 6, i], of[w, c + 7, i], of[w, c + 8, i],
-        )  # fmt: skip
-
-    @wp.func
-    def put_matrix(w: int, c: int, i: int, A: mat33, of: wp.array3d(dtype=real)):
-        for m in range(3):
-            for n in range(3):
-                of[w, c + 3 * m + n, i] = A[m, n]
 
     @wp.func
     def put_in_order(
         w: int,
         lane: int,
         lanes: int,
-        side: int,
         layout: int,
         inv_dx: real,
         z0: real,
         columns: Columns,
         records: Records,
     ):
-        """Order a world's records by their lowest nodes, onto the other side."""
+        """Order a world's records by their lowest nodes."""
         of = records.of
         N = of.shape[2]
-        base = side * COMPONENTS
-        other = 1 - side
         nodes = columns.count[layout]
         begin = lane * nodes // lanes
         end = (lane + 1) * nodes // lanes
@@ -134,7 +134,7 @@ def make_block_kernels(
             records.tally[w, n] = 0
         meet()
         for i in range(lane, N, lanes):
-            node, _f = place_on_grid(layout, vector(w, base, i, of), inv_dx, z0, columns)
+            node, _f = place_on_grid(layout, vector(of, w, 0, i), inv_dx, z0, columns)
             n = columns.start[layout, node[0], node[1]] + node[2]
             wp.atomic_add(records.tally, w, n, 1)
         meet()
@@ -148,144 +148,196 @@ def make_block_kernels(
             first += here
         meet()
         for i in range(lane, N, lanes):
-            node, _f = place_on_grid(layout, vector(w, base, i, of), inv_dx, z0, columns)
+            node, _f = place_on_grid(layout, vector(of, w, 0, i), inv_dx, z0, columns)
             n = columns.start[layout, node[0], node[1]] + node[2]
             j = wp.atomic_add(records.tally, w, n, 1)
-            p = records.order[w, side, i]
-            records.order[w, other, j] = p
+            p = records.order[w, i]
+            records.spare_order[w, j] = p
             records.place[w, p] = j
-            for c in range(COMPONENTS):
-                of[w, other * COMPONENTS + c, j] = of[w, base + c, i]
+            for c in range(STATE_COMPONENTS):
+                records.spare[w, c, j] = get(of, w, c, i)
+            for c in range(2):
+                records.spare[w, STATE_COMPONENTS + c, j] = records.moduli[w, c, i]
+        meet()
+        for i in range(lane, N, lanes):
+            records.order[w, i] = records.spare_order[w, i]
+            for c in range(STATE_COMPONENTS):
+                put(of, w, c, i, records.spare[w, c, i])
+            for c in range(2):
+                records.moduli[w, c, i] = records.spare[w, STATE_COMPONENTS + c, i]
         meet()
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", launch_bounds=bounds(lanes))
     def advance(
         order: wp.array(dtype=wp.int32),  # [W] world of each block
         lanes: int,
-        time: wp.float64,  # [s] at substep 0
         most: int,  # substeps at the most
+        pause: wp.float64,  # [s] no substep begins from here on
+        plan: Plan,
         clock: Clock,
         matter: Matter,
         scene: Scene,
         paths: Paths,
         grips: Grips,  # [W]
         state: State,  # [W, N]
-        columns: Columns,  # a layout a world; S * W for the tape
+        last_good: State,  # [W, N] where the last frame began
+        columns: Columns,  # a layout a world; L for the tape
+        # empty before and after each substep; kept with the tape
         momentum: wp.array2d(dtype=vec4),  # [W, M] and mass; [S * W, M] for the tape
         velocity: wp.array2d(dtype=vec4),  # [W, M] and mass
         records: Records,
         tape: Tape,
     ):
         block, lane = wp.tid()
+        if stays == 1:
+            wp.tile_empty(shape=numbers, dtype=real, storage="shared")
         w = order[block]
         of = records.of
+        moduli = records.moduli
+        W = state.x.shape[0]
         N = state.x.shape[1]
+        frames = plan.steps.shape[0]
+        frame = int(clock.frame[w])
+        status = int(clock.status[w])
+        if frame >= frames or status != OK:
+            return
+        dt = frame_substep(frame, w, plan)
+        step = int(clock.step[w])
+        t = plan.time[frame] + wp.float64(step) * dt
+        if t >= pause:
+            return
         dx = scene.dx
         z0 = scene.z0
         inv_dx = real(1.0) / dx
-        dt = clock.dt[w]
+        mass = matter.mass[w]
+        yield_stress = matter.yield_stress[w]
+        steps = int(plan.steps[frame, w])
         h = real(dt)
         keep = wp.exp(-scene.damping[w] * h)
         blend = recovery_share(h, RECOVER_EVERY, matter)
-        mass = matter.mass[w]
-        yield_stress = matter.yield_stress[w]
-        step = int(clock.step[w])
-        steps = wp.min(clock.steps[w], step + most)
-        if step >= steps or clock.status[w] != OK:
-            return
-        # rows of the grid and of the layout; in place unless all are kept
+        # of grid and layout; in place unless all are kept
         slot = int(w)
         layout = int(w)
         age = clock.age[w]
         travel = clock.travel[w]
-        status = int(OK)
-        side = int(0)
+        left = int(most)
+        laid = int(w)
         lost = travel >= real(MARGIN) * dx  # whatever the order was, it will be made anew
         for i in range(lane, N, lanes):
             p = int(i)
             if lost:
-                records.order[w, 0, i] = i
+                records.order[w, i] = i
+                records.place[w, i] = i
             else:
-                p = records.order[w, 0, i]
-            put_vector(w, 0, i, state.x[w, p], of)
-            put_vector(w, _V, i, state.v[w, p], of)
-            put_matrix(w, _C, i, state.C[w, p], of)
-            put_matrix(w, _F, i, state.F[w, p], of)
-            of[w, _MU, i] = matter.mu[w, p]
-            of[w, _LAM, i] = matter.lam[w, p]
+                p = records.order[w, i]
+            put_vector(of, w, 0, i, state.x[w, p])
+            put_vector(of, w, _V, i, state.v[w, p])
+            put_matrix(of, w, _C, i, state.C[w, p])
+            put_matrix(of, w, _F, i, state.F[w, p])
+            moduli[w, _MU, i] = matter.mu[w, p]
+            moduli[w, _LAM, i] = matter.lam[w, p]
+        if step == 0:
+            for p in range(lane, N, lanes):
+                last_good.x[w, p] = state.x[w, p]
+                last_good.v[w, p] = state.v[w, p]
+                last_good.C[w, p] = state.C[w, p]
+                last_good.F[w, p] = state.F[w, p]
         meet()
-        while step < steps and status == OK:
-            if travel >= real(MARGIN) * dx:
-                base = side * COMPONENTS
-                layout = slot
-                if lane == 0:
-                    columns.count[layout] = 0
-                    forget_bounds(layout, columns)
-                meet()
-                for i in range(lane, N, lanes):
-                    locate_particle(layout, vector(w, base, i, of), inv_dx, columns)
-                meet()
-                X = columns.bounds[layout, 2] - columns.bounds[layout, 0] + 1
-                Y = columns.bounds[layout, 3] - columns.bounds[layout, 1] + 1
-                status = GRID_FULL
-                if X <= columns.low.shape[1] and Y <= columns.low.shape[2]:
-                    for n in range(lane, X * Y, lanes):
-                        empty_column(layout, n // Y, n % Y, columns)
+        while frame < frames and left > 0 and status == OK and t < pause:
+            if step < steps and travel >= real(MARGIN) * dx:
+                if keeps == 1:
+                    if laid >= columns.count.shape[0]:
+                        left = 0  # the tape is full
+                    else:
+                        layout = laid
+                        laid += W
+                if left > 0:
+                    if lane == 0:
+                        columns.count[layout] = 0
+                        forget_bounds(layout, columns)
                     meet()
+                    lower, upper = reach(vector(of, w, 0, lane % N), inv_dx, z0)
                     for i in range(lane, N, lanes):
-                        mark_particle(layout, vector(w, base, i, of), inv_dx, z0, columns)
+                        low, high = reach(vector(of, w, 0, i), inv_dx, z0)
+                        lower = wp.min(lower, low)
+                        upper = wp.max(upper, high)
+                    widen_bounds(layout, lower, upper, columns)
                     meet()
-                    for n in range(lane, X * Y, lanes):
-                        lay_column(layout, n // Y, n % Y, columns)
-                    meet()
-                    if columns.count[layout] <= momentum.shape[1]:
-                        status = OK
-                        travel = real(0.0)
-                        put_in_order(w, lane, lanes, side, layout, inv_dx, z0, columns, records)
-                        side = 1 - side
-                        if keeps == 1:
-                            for i in range(lane, N, lanes):
-                                tape.order[layout, i] = records.order[w, side, i]
-                                tape.place[layout, i] = records.place[w, i]
-                if status == GRID_FULL and lane == 0:
-                    # the grid's need is read from the world's first layout
-                    for a in range(4):
-                        columns.bounds[w, a] = columns.bounds[layout, a]
-            if status == OK:
-                base = side * COMPONENTS
+                    X = columns.bounds[layout, 2] - columns.bounds[layout, 0] + 1
+                    Y = columns.bounds[layout, 3] - columns.bounds[layout, 1] + 1
+                    status = GRID_FULL
+                    if X <= columns.low.shape[1] and Y <= columns.low.shape[2]:
+                        for n in range(lane, X * Y, lanes):
+                            empty_column(layout, n // Y, n % Y, columns)
+                        meet()
+                        # particles that follow each other mostly stand in one column
+                        begin = lane * N // lanes
+                        lower, upper = reach(vector(of, w, 0, begin % N), inv_dx, z0)
+                        for i in range(begin, (lane + 1) * N // lanes):
+                            low, high = reach(vector(of, w, 0, i), inv_dx, z0)
+                            if wp.abs(low[0] - lower[0]) + wp.abs(low[1] - lower[1]) > 1:
+                                mark_box(layout, lower, upper, columns)
+                                lower = low
+                                upper = high
+                            lower = wp.min(lower, low)
+                            upper = wp.max(upper, high)
+                        mark_box(layout, lower, upper, columns)
+                        meet()
+                        for n in range(lane, X * Y, lanes):
+                            lay_column(layout, n // Y, n % Y, columns)
+                        meet()
+                        if columns.count[layout] <= momentum.shape[1]:
+                            status = OK
+                            strayed = records.strayed[w] + travel
+                            travel = real(0.0)
+                            meet()
+                            if strayed >= real(ORDERLY) * dx:
+                                strayed = real(0.0)
+                                put_in_order(w, lane, lanes, layout, inv_dx, z0, columns, records)
+                            records.strayed[w] = strayed
+                            if keeps == 1:
+                                for i in range(lane, N, lanes):
+                                    tape.order[layout, i] = records.order[w, i]
+                                    tape.place[layout, i] = records.place[w, i]
+                    if status == GRID_FULL and lane == 0:
+                        # the grid's need is read from the world's first layout
+                        for a in range(4):
+                            columns.bounds[w, a] = columns.bounds[layout, a]
+            if step < steps and status == OK and left > 0:
                 nodes = columns.count[layout]
-                for n in range(lane, nodes, lanes):
-                    momentum[slot, n] = vec4()
-                t = time + wp.float64(step) * dt
                 for g in range(lane, grips.closed.shape[1], lanes):
                     place_gripper(w, w, g, t, dt, paths, grips)
-                if age % RECOVER_EVERY == 0 and blend > real(0.0):
+                if keeps == 1:
+                    tape.layout_of[slot] = layout
+                    for n in range(lane, nodes, lanes):
+                        momentum[slot, n] = vec4()
+                recovers = age % RECOVER_EVERY == 0 and blend > real(0.0)
+                if recovers:
                     for i in range(lane, N, lanes):
-                        p = records.order[w, side, i]
+                        p = records.order[w, i]
                         D = mat33()
                         for axis in range(3):
                             a = records.place[w, matter.lattice[p, axis, 1]]
                             b = records.place[w, matter.lattice[p, axis, 0]]
-                            d = vector(w, base, a, of) - vector(w, base, b, of)
+                            d = vector(of, w, 0, a) - vector(of, w, 0, b)
                             for n in range(3):
                                 D[n, axis] = d[n]
-                        F = matrix(w, base + _F, i, of)
+                        F = matrix(of, w, _F, i)
                         F = recovered(F, D * matter.rest_frame[p], blend)
-                        put_matrix(w, base + _F, i, F, of)
-                meet()
+                        put_matrix(of, w, _F, i, F)
+                if recovers or keeps == 1:
+                    meet()
                 if keeps == 1:
-                    if lane == 0:
-                        tape.layout_of[slot] = layout
                     for i in range(lane, N, lanes):
                         for c in range(STATE_COMPONENTS):
-                            tape.of[slot, c, i] = of[w, base + c, i]
+                            tape.of[slot, c, i] = get(of, w, c, i)
                 window = window_type()
                 held = wp.vec3i(-1, -1, -1)
                 for i in range(lane * N // lanes, (lane + 1) * N // lanes):
                     node, f, q = given_by(
-                        vector(w, base, i, of), vector(w, base + _V, i, of),
-                        matrix(w, base + _C, i, of), matrix(w, base + _F, i, of),
-                        of[w, base + _MU, i], of[w, base + _LAM, i],
+                        vector(of, w, 0, i), vector(of, w, _V, i),
+                        matrix(of, w, _C, i), matrix(of, w, _F, i),
+                        moduli[w, _MU, i], moduli[w, _LAM, i],
                         mass, matter.volume, layout, h, inv_dx, z0, columns,
                     )  # fmt: skip
                     window = hand_over(window, held, node, momentum, slot, columns.start, layout)
@@ -296,46 +348,71 @@ def make_block_kernels(
                 for n in range(lane, nodes, lanes):
                     m = momentum[slot, n]
                     if m[3] > real(0.0):
+                        if keeps == 0:
+                            momentum[slot, n] = vec4()
                         u = update_node(w, w, layout, n, m, h, keep, scene, paths, grips, columns)
                         velocity[w, n] = vec4(u[0], u[1], u[2], m[3])
                 meet()
-                fastest = real(0.0)
-                trouble = int(OK)
+                # the longest way, in squared cells; above 1 what went wrong
+                worst = real(0.0)
                 for i in range(lane, N, lanes):
-                    x = vector(w, base, i, of)
+                    x = vector(of, w, 0, i)
                     v, C, F = moved(
-                        x, matrix(w, base + _F, i, of), of[w, base + _MU, i],
+                        x, matrix(of, w, _F, i), moduli[w, _MU, i],
                         yield_stress, layout, w, h, inv_dx, z0, columns, velocity,
                     )  # fmt: skip
-                    put_vector(w, base, i, x + h * v, of)
-                    put_vector(w, base + _V, i, v, of)
-                    put_matrix(w, base + _C, i, C, of)
-                    put_matrix(w, base + _F, i, F, of)
-                    speed = wp.length_sq(v)
+                    put_vector(of, w, 0, i, x + h * v)
+                    put_vector(of, w, _V, i, v)
+                    put_matrix(of, w, _C, i, C)
+                    put_matrix(of, w, _F, i, F)
+                    far = wp.length_sq(v) * h * h / (dx * dx)
                     if wp.determinant(F) <= real(0.0):
-                        trouble = INVERTED
-                        clock.culprit[w] = records.order[w, side, i]
+                        far = wp.max(far, real(INVERTED))
+                        clock.culprit[w] = records.order[w, i]
                     # a NaN is not below anything
-                    if not (speed * h * h <= dx * dx):
-                        trouble = DIVERGED
-                        speed = real(0.0)
-                    fastest = wp.max(fastest, speed)
-                travel += h * wp.sqrt(largest(fastest))
-                status = int(largest(real(trouble)))
+                    if not (wp.length_sq(v) * h * h <= dx * dx):
+                        far = real(DIVERGED)
+                    worst = wp.max(worst, far)
+                worst = largest(worst)
+                if worst > real(1.5):
+                    status = int(worst)
+                else:
+                    travel += dx * wp.sqrt(worst)
+                if keeps == 1:
+                    slot += W
                 step += 1
                 age += 1
-                if keeps == 1:
-                    slot += state.x.shape[0]
+                left -= 1
+            if step == steps and status == OK:
+                for c in range(lane, plan.particles.shape[0], lanes):
+                    i = records.place[w, plan.particles[c]]
+                    plan.x[frame, w, c] = vector(of, w, 0, i)
+                frame += 1
+                if frame < frames:
+                    for i in range(lane, N, lanes):
+                        p = records.order[w, i]
+                        last_good.x[w, p] = vector(of, w, 0, i)
+                        last_good.v[w, p] = vector(of, w, _V, i)
+                        last_good.C[w, p] = matrix(of, w, _C, i)
+                        last_good.F[w, p] = matrix(of, w, _F, i)
+                    steps = plan.steps[frame, w]
+                    dt = frame_substep(frame, w, plan)
+                    h = real(dt)
+                    keep = wp.exp(-scene.damping[w] * h)
+                    blend = recovery_share(h, RECOVER_EVERY, matter)
+                    step = 0
+            t = plan.time[frame] + wp.float64(step) * dt
         meet()
-        base = side * COMPONENTS
         for i in range(lane, N, lanes):
-            p = records.order[w, side, i]
-            records.order[w, 0, i] = p
-            state.x[w, p] = vector(w, base, i, of)
-            state.v[w, p] = vector(w, base + _V, i, of)
-            state.C[w, p] = matrix(w, base + _C, i, of)
-            state.F[w, p] = matrix(w, base + _F, i, of)
+            p = records.order[w, i]
+            state.x[w, p] = vector(of, w, 0, i)
+            state.v[w, p] = vector(of, w, _V, i)
+            state.C[w, p] = matrix(of, w, _C, i)
+            state.F[w, p] = matrix(of, w, _F, i)
         if lane == 0:
+            clock.frame[w] = frame
+            clock.dt[w] = dt
+            clock.steps[w] = steps
             clock.step[w] = step
             clock.age[w] = age
             clock.travel[w] = travel
@@ -345,8 +422,4 @@ def make_block_kernels(
         Records=Records,
         Tape=Tape,
         advance=advance,
-        vector=vector,
-        put_vector=put_vector,
-        matrix=matrix,
-        put_matrix=put_matrix,
     )

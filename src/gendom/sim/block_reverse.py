@@ -17,21 +17,28 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.block import make_block
-from gendom.sim.block_kernels import make_block_kernels
+from gendom.sim.block import bounds, make_block, make_store
+from gendom.sim.block_kernels import STATE_COMPONENTS, make_block_kernels
 from gendom.sim.columns import Columns
 from gendom.sim.kernels import OK, RECOVER_EVERY, make_kernels
 from gendom.sim.reverse import NOT_FINITE, make_reverse
 
-BAR_COMPONENTS = 28
-"""Derivatives by x, v, C, F, mu, lam, mass and yield stress of a particle."""
+SUM_COMPONENTS = 4
+"""Derivatives by mu, lam, mass and yield stress of a particle, besides those by its state."""
 
-_V, _C, _F, _MU, _LAM, _MASS, _YIELD = 3, 6, 15, 24, 25, 26, 27
+_V, _C, _F = 3, 6, 15
+_MU, _LAM, _MASS, _YIELD = 0, 1, 2, 3
 
 
 @functools.cache
-def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
-    """Build the kernel for one scalar type and one material, see ``make_kernels``.
+def make_block_reverse(
+    real: Any, law_name: str, *, plastic: bool, room: int = 0, lanes: int = 128
+) -> SimpleNamespace:
+    """Build the kernel for one scalar type and one material, see ``make_block_kernels``.
+
+    Args:
+        real, law_name, plastic, lanes: As there.
+        room: Shared memory in which derivatives by a block's state stay [bytes]; 0: in arrays.
 
     Returns:
         Namespace with ``BarRecords`` and ``reverse``.
@@ -44,8 +51,14 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
     Scene, Paths, Grips = k.boundary.Scene, k.boundary.Paths, k.boundary.Grips
     SceneBars = k.boundary.SceneBars
     Matter, MatterBars = k.transfers.Matter, k.transfers.MatterBars
-    vector, put_vector = records.vector, records.put_vector
-    matrix, put_matrix = records.matrix, records.put_matrix
+    kept = make_store(real, resident=False)
+    bar = make_store(real, resident=room > 0)
+    get, put, add = bar.get, bar.put, bar.add
+    put_vector, put_matrix = bar.put_vector, bar.put_matrix
+    bar_vector, bar_matrix = bar.vector, bar.matrix
+    vector, matrix = kept.vector, kept.matrix
+    stays = wp.constant(1 if room else 0)
+    numbers = wp.constant(max(1, room // (4 if real == wp.float32 else 8)))
     place_gripper = k.boundary.place_gripper
     update_node = k.boundary.update_node
     update_node_back = k.boundary.update_node_back
@@ -65,11 +78,13 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
 
     @wp.struct
     class BarRecords:
-        """Derivatives by W worlds' particles in order, on either of two sides."""
+        """Derivatives by W worlds' particles in order."""
 
-        of: wp.array3d(dtype=real)  # [W, 2 * BAR_COMPONENTS, N]
+        of: wp.array3d(dtype=real)  # [W, STATE_COMPONENTS, N], or [1, ...] if they are resident
+        sums: wp.array3d(dtype=real)  # [W, SUM_COMPONENTS, N]
+        spare: wp.array3d(dtype=real)  # [W, STATE_COMPONENTS + SUM_COMPONENTS, N] scratch
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @wp.kernel(enable_backward=False, module="unique", launch_bounds=bounds(lanes))
     def reverse(
         order: wp.array(dtype=wp.int32),  # [W] world of each block
         lanes: int,
@@ -97,7 +112,9 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
         slots = until[w] - clock.step[w]
         if slots <= 0:
             return
-        of = records.of
+        if stays == 1:
+            wp.tile_empty(shape=numbers, dtype=real, storage="shared")
+        of, sums, spare = records.of, records.sums, records.spare
         W = clock.dt.shape[0]
         N = bars.x.shape[1]
         z0 = scene.z0
@@ -107,31 +124,34 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
         keep = wp.exp(-scene.damping[w] * h)
         blend = recovery_share(h, RECOVER_EVERY, matter)
         mass = matter.mass[w]
-        side = int(0)
         slot = int((slots - 1) * W + w)
         layout = tape.layout_of[slot]
         for i in range(lane, N, lanes):
             p = tape.order[layout, i]
-            put_vector(w, 0, i, bars.x[w, p], of)
-            put_vector(w, _V, i, bars.v[w, p], of)
-            put_matrix(w, _C, i, bars.C[w, p], of)
-            put_matrix(w, _F, i, bars.F[w, p], of)
-            for c in range(_MU, BAR_COMPONENTS):
-                of[w, c, i] = real(0.0)
+            put_vector(of, w, 0, i, bars.x[w, p])
+            put_vector(of, w, _V, i, bars.v[w, p])
+            put_matrix(of, w, _C, i, bars.C[w, p])
+            put_matrix(of, w, _F, i, bars.F[w, p])
+            for c in range(SUM_COMPONENTS):
+                sums[w, c, i] = real(0.0)
         meet()
         while slot >= 0:
             if tape.layout_of[slot] != layout:
                 earlier = tape.layout_of[slot]
                 for i in range(lane, N, lanes):
                     j = tape.place[layout, tape.order[earlier, i]]
-                    for c in range(BAR_COMPONENTS):
-                        of[w, (1 - side) * BAR_COMPONENTS + c, i] = of[
-                            w, side * BAR_COMPONENTS + c, j
-                        ]
-                side = 1 - side
+                    for c in range(STATE_COMPONENTS):
+                        spare[w, c, i] = get(of, w, c, j)
+                    for c in range(SUM_COMPONENTS):
+                        spare[w, STATE_COMPONENTS + c, i] = sums[w, c, j]
                 layout = earlier
                 meet()
-            base = side * BAR_COMPONENTS
+                for i in range(lane, N, lanes):
+                    for c in range(STATE_COMPONENTS):
+                        put(of, w, c, i, spare[w, c, i])
+                    for c in range(SUM_COMPONENTS):
+                        sums[w, c, i] = spare[w, STATE_COMPONENTS + c, i]
+                meet()
             nodes = columns.count[layout]
             step = clock.step[w] + (slot - w) // W
             t = time + wp.float64(step) * dt
@@ -149,21 +169,21 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
             if yields == 1:
                 for i in range(lane, N, lanes):
                     F_bar, mu_bar, yield_bar = before_yielding(
-                        vector(slot, 0, i, tape.of), matrix(slot, _F, i, tape.of),
+                        vector(tape.of, slot, 0, i), matrix(tape.of, slot, _F, i),
                         matter.mu[w, tape.order[layout, i]], matter.yield_stress[w],
-                        matrix(w, base + _F, i, of), layout, w, h, inv_dx, z0, columns, velocity,
+                        bar_matrix(of, w, _F, i), layout, w, h, inv_dx, z0, columns, velocity,
                     )  # fmt: skip
-                    put_matrix(w, base + _F, i, F_bar, of)
-                    of[w, base + _MU, i] = of[w, base + _MU, i] + mu_bar
-                    of[w, base + _YIELD, i] = of[w, base + _YIELD, i] + yield_bar
+                    put_matrix(of, w, _F, i, F_bar)
+                    sums[w, _MU, i] = sums[w, _MU, i] + mu_bar
+                    sums[w, _YIELD, i] = sums[w, _YIELD, i] + yield_bar
                 meet()
             window = window_type()
             held = wp.vec3i(-1, -1, -1)
             for i in range(lane * N // lanes, (lane + 1) * N // lanes):
                 node, f, pull = taken_by(
-                    vector(slot, 0, i, tape.of), matrix(slot, _F, i, tape.of),
-                    vector(w, base, i, of), vector(w, base + _V, i, of),
-                    matrix(w, base + _C, i, of), matrix(w, base + _F, i, of),
+                    vector(tape.of, slot, 0, i), matrix(tape.of, slot, _F, i),
+                    bar_vector(of, w, 0, i), bar_vector(of, w, _V, i),
+                    bar_matrix(of, w, _C, i), bar_matrix(of, w, _F, i),
                     layout, h, inv_dx, z0, columns,
                 )  # fmt: skip
                 window = hand_over(window, held, node, grid_bar, w, columns.start, layout)
@@ -173,13 +193,13 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
             meet()
             for i in range(lane, N, lanes):
                 x_bar, F_bar = moved_back(
-                    vector(slot, 0, i, tape.of), matrix(slot, _F, i, tape.of),
-                    vector(w, base, i, of), vector(w, base + _V, i, of),
-                    matrix(w, base + _C, i, of), matrix(w, base + _F, i, of),
+                    vector(tape.of, slot, 0, i), matrix(tape.of, slot, _F, i),
+                    bar_vector(of, w, 0, i), bar_vector(of, w, _V, i),
+                    bar_matrix(of, w, _C, i), bar_matrix(of, w, _F, i),
                     layout, w, h, inv_dx, z0, columns, velocity,
                 )  # fmt: skip
-                put_vector(w, base, i, x_bar, of)
-                put_matrix(w, base + _F, i, F_bar, of)
+                put_vector(of, w, 0, i, x_bar)
+                put_matrix(of, w, _F, i, F_bar)
             keep_sum = wp.float64(0.0)
             gravity_sum = wp.vec3d()
             for n in range(lane, nodes, lanes):
@@ -201,18 +221,18 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
             for i in range(lane, N, lanes):
                 p = tape.order[layout, i]
                 x_bar, u_bar, C_bar, F_bar, mu_bar, lam_bar, mass_bar = given_back(
-                    vector(slot, 0, i, tape.of), vector(slot, _V, i, tape.of),
-                    matrix(slot, _C, i, tape.of), matrix(slot, _F, i, tape.of),
+                    vector(tape.of, slot, 0, i), vector(tape.of, slot, _V, i),
+                    matrix(tape.of, slot, _C, i), matrix(tape.of, slot, _F, i),
                     matter.mu[w, p], matter.lam[w, p], mass, matter.volume, layout, w, h, inv_dx,
                     z0, columns, grid_bar,
                 )  # fmt: skip
-                put_vector(w, base, i, vector(w, base, i, of) + x_bar, of)
-                put_vector(w, base + _V, i, u_bar, of)
-                put_matrix(w, base + _C, i, C_bar, of)
-                put_matrix(w, base + _F, i, matrix(w, base + _F, i, of) + F_bar, of)
-                of[w, base + _MU, i] = of[w, base + _MU, i] + mu_bar
-                of[w, base + _LAM, i] = of[w, base + _LAM, i] + lam_bar
-                of[w, base + _MASS, i] = of[w, base + _MASS, i] + mass_bar
+                put_vector(of, w, 0, i, bar_vector(of, w, 0, i) + x_bar)
+                put_vector(of, w, _V, i, u_bar)
+                put_matrix(of, w, _C, i, C_bar)
+                put_matrix(of, w, _F, i, bar_matrix(of, w, _F, i) + F_bar)
+                sums[w, _MU, i] = sums[w, _MU, i] + mu_bar
+                sums[w, _LAM, i] = sums[w, _LAM, i] + lam_bar
+                sums[w, _MASS, i] = sums[w, _MASS, i] + mass_bar
                 size = wp.length_sq(x_bar) + wp.length_sq(u_bar) + wp.ddot(F_bar, F_bar)
                 # the first one found is named; a NaN is not below anything
                 overflows = not (size < real(largest_bar))
@@ -227,31 +247,30 @@ def make_block_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleName
                     for axis in range(3):
                         a = tape.place[layout, matter.lattice[p, axis, 1]]
                         b = tape.place[layout, matter.lattice[p, axis, 0]]
-                        d = vector(slot, 0, a, tape.of) - vector(slot, 0, b, tape.of)
+                        d = vector(tape.of, slot, 0, a) - vector(tape.of, slot, 0, b)
                         for n in range(3):
                             D[n, axis] = d[n]
                     if wp.determinant(D * matter.rest_frame[p]) > real(smallest_volume):
-                        F_bar = matrix(w, base + _F, i, of)
+                        F_bar = bar_matrix(of, w, _F, i)
                         D_bar = (blend * F_bar) * wp.transpose(matter.rest_frame[p])
                         for axis in range(3):
                             a = tape.place[layout, matter.lattice[p, axis, 1]]
                             b = tape.place[layout, matter.lattice[p, axis, 0]]
                             for n in range(3):
-                                wp.atomic_add(of, w, base + n, a, D_bar[n, axis])
-                                wp.atomic_sub(of, w, base + n, b, D_bar[n, axis])
-                        put_matrix(w, base + _F, i, (real(1.0) - blend) * F_bar, of)
+                                add(of, w, n, a, D_bar[n, axis])
+                                add(of, w, n, b, -D_bar[n, axis])
+                        put_matrix(of, w, _F, i, (real(1.0) - blend) * F_bar)
             meet()
             slot -= W
-        base = side * BAR_COMPONENTS
         for i in range(lane, N, lanes):
             p = tape.order[layout, i]
-            bars.x[w, p] = vector(w, base, i, of)
-            bars.v[w, p] = vector(w, base + _V, i, of)
-            bars.C[w, p] = matrix(w, base + _C, i, of)
-            bars.F[w, p] = matrix(w, base + _F, i, of)
-            bars.mu[w, p] = bars.mu[w, p] + of[w, base + _MU, i]
-            bars.lam[w, p] = bars.lam[w, p] + of[w, base + _LAM, i]
-            bars.mass[w, p] = bars.mass[w, p] + of[w, base + _MASS, i]
-            bars.yield_stress[w, p] = bars.yield_stress[w, p] + of[w, base + _YIELD, i]
+            bars.x[w, p] = bar_vector(of, w, 0, i)
+            bars.v[w, p] = bar_vector(of, w, _V, i)
+            bars.C[w, p] = bar_matrix(of, w, _C, i)
+            bars.F[w, p] = bar_matrix(of, w, _F, i)
+            bars.mu[w, p] = bars.mu[w, p] + sums[w, _MU, i]
+            bars.lam[w, p] = bars.lam[w, p] + sums[w, _LAM, i]
+            bars.mass[w, p] = bars.mass[w, p] + sums[w, _MASS, i]
+            bars.yield_stress[w, p] = bars.yield_stress[w, p] + sums[w, _YIELD, i]
 
     return SimpleNamespace(BarRecords=BarRecords, reverse=reverse)

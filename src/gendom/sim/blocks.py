@@ -5,15 +5,18 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from gendom.sim.batch import Batch
-from gendom.sim.block_kernels import COMPONENTS, make_block_kernels
+from gendom.sim.block import ROOM_ALONE, ROOMS_OF_TWO
+from gendom.sim.block_kernels import COMPONENTS, STATE_COMPONENTS, make_block_kernels
+from gendom.sim.columns import Grid
+from gendom.sim.paced import Paced
 from gendom.sim.worlds import Worlds
 
 MOST_PARTICLES = 16_384
 """Of a body that one block simulates."""
 
 FEWEST_WORLDS = 16
-"""Below, the stages of ``Batch`` make more use of a GPU; of large bodies more are needed."""
+"""Below, teams or the stages of ``Batch`` make more use of a GPU; of large bodies more are
+needed."""
 
 PARTICLES_A_WORLD = 128
 """There must be so many worlds that each block has the time to be the slower one."""
@@ -24,13 +27,11 @@ MANY_WORLDS = 132
 LARGE_BODY = 2048
 """Particles above which blocks are wide however many there are."""
 
-WIDE, NARROW = 256, 128
-"""Threads of a block."""
+WIDE = 256
+"""Threads of a block that has a multiprocessor to itself."""
 
-SLICE = 128
-"""Substeps of a launch where worlds take turns."""
-
-ALL = 1 << 30
+NARROW = (128, 192)
+"""Threads of one of two blocks that share one; more leave too few registers for each."""
 
 
 def suits_blocks(worlds: Worlds) -> bool:
@@ -39,8 +40,27 @@ def suits_blocks(worlds: Worlds) -> bool:
     return N <= MOST_PARTICLES and max(FEWEST_WORLDS, N / PARTICLES_A_WORLD) <= W
 
 
-class Blocks(Batch):
-    """Every world advances by itself through the substeps of a frame.
+def shared_room(worlds: Worlds) -> int:
+    """Shared memory of a block in which its particles fit [bytes]; 0 if they do not."""
+    taken = STATE_COMPONENTS * worlds.num_particles * worlds.numpy_type.itemsize
+    if worlds.device.is_cuda:
+        for room in (*ROOMS_OF_TWO, ROOM_ALONE):
+            blocks = 2 if room in ROOMS_OF_TWO else 1
+            if taken <= room and blocks * room <= worlds.device.max_shared_memory_per_block:
+                return room
+    return 0
+
+
+def _narrow(particles: int, *, resident: bool) -> int:
+    """Threads of one of two blocks that share a multiprocessor."""
+    if not resident:
+        return NARROW[0]
+    # the last round of the lanes through the particles should not leave many of them idle
+    return min(NARROW, key=lambda lanes: -(-particles // lanes) * lanes)
+
+
+class Blocks(Paced):
+    """A block of threads a world.
 
     Args:
         worlds: On any device; on the CPU, where tests run it, a block is one thread.
@@ -49,16 +69,25 @@ class Blocks(Batch):
 
     def __init__(self, worlds: Worlds, lanes: int | None = None):
         setting = worlds.setting
-        self.kernels = make_block_kernels(worlds.real, setting.law, plastic=worlds.plastic)
         W, N = worlds.num_worlds, worlds.num_particles
+        self.room = shared_room(worlds)
         crowded = W > MANY_WORLDS and N <= LARGE_BODY
-        self.lanes = lanes or (NARROW if crowded else WIDE)
+        pairs = crowded and self.room != ROOM_ALONE
+        self.lanes = lanes or (_narrow(N, resident=self.room > 0) if pairs else WIDE)
+        self.kernels = make_block_kernels(
+            worlds.real, setting.law, plastic=worlds.plastic, room=self.room,
+            lanes=self.lanes,
+        )  # fmt: skip
         if not worlds.device.is_cuda:
             self.lanes = 1
         self.records = self.kernels.Records()
-        self.records.of = worlds.zeros((W, 2 * COMPONENTS, N), worlds.real)
-        self.records.order = worlds.zeros((W, 2, N), wp.int32)
-        self.records.place = worlds.zeros((W, N), wp.int32)
+        rows = 1 if self.room else W
+        self.records.of = worlds.zeros((rows, STATE_COMPONENTS, N), worlds.real)
+        self.records.moduli = worlds.zeros((W, 2, N), worlds.real)
+        self.records.spare = worlds.zeros((W, COMPONENTS, N), worlds.real)
+        self.records.strayed = worlds.zeros(W, worlds.real)
+        for name in ("order", "place", "spare_order"):
+            setattr(self.records, name, worlds.zeros((W, N), wp.int32))
         # the slowest worlds go first, so that no block ends alone
         slowest = np.argsort(worlds.substep)
         self.order = worlds.array(slowest, wp.int32)
@@ -75,26 +104,39 @@ class Blocks(Batch):
         super().make_grid()
         self.records.tally = self.worlds.zeros(self.grid.momentum.shape, wp.int32)
 
-    def advance(self, now: float, *, keep_going: bool = False, most: int = ALL) -> bool:
-        clock = self.worlds.clock
-        left = min(most, int((clock.steps.numpy() - clock.step.numpy()).max()))
-        if left <= 0:
-            return False
-        if len(self._groups) == 1:
-            self._launch_advance(now, left, *self._groups[0])
-        else:
-            wp.synchronize_device(self.worlds.device)
-            for done in range(0, left, SLICE):
-                for order, stream in self._groups:
-                    self._launch_advance(now, min(SLICE, left - done), order, stream)
-            wp.synchronize_device(self.worlds.device)
-        return self.settle(now, keep_going=keep_going)
+    def load(self) -> None:
+        module = self.kernels.advance.module
+        wp.load_module(module, device=self.worlds.device, block_dim=self.lanes)
 
-    def _launch_advance(self, now: float, most: int, order: Any, stream: Any) -> None:
-        s, grid = self.worlds, self.grid
-        self.launch_block(self.kernels.advance, order, [
-            now, most, s.clock, s.matter, s.scene, s.paths, s.grips,
-            s.state, grid.columns, grid.momentum, self.velocity, self.records, self.kernels.Tape(),
+    def launch_slices(self, slices: list[tuple[int, float]]) -> None:
+        several = len(self._groups) > 1
+        if several:
+            wp.synchronize_device(self.worlds.device)
+        for substeps, pause in slices:
+            for order, stream in self._groups:
+                self.launch_advance(
+                    self.kernels.advance, substeps, pause, self.frame_plan, self.grid,
+                    self.kernels.Tape(), order, stream,
+                )  # fmt: skip
+        if several:
+            wp.synchronize_device(self.worlds.device)
+
+    def launch_advance(
+        self,
+        kernel: Any,
+        most: int,
+        pause: float,
+        plan: Any,
+        grid: Grid,
+        tape: Any,
+        order: Any = None,
+        stream: Any = None,
+    ) -> None:
+        """Call the kernel on the worlds ``order`` (default: all); see there."""
+        s = self.worlds
+        self.launch_block(kernel, self.order if order is None else order, [
+            most, pause, plan, s.clock, s.matter, s.scene, s.paths, s.grips, s.state, s.last_good,
+            grid.columns, grid.momentum, self.velocity, self.records, tape,
         ], stream)  # fmt: skip
 
     def launch_block(self, kernel: Any, order: Any, inputs: list[Any], stream: Any = None) -> None:

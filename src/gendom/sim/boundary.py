@@ -166,12 +166,10 @@ def make_boundary(real: Any) -> SimpleNamespace:
     @wp.func
     def holds(row: int, w: int, g: int, at: vec3, scene: Scene, paths: Paths, grips: Grips):
         """Whether gripper g holds a node."""
-        held = grips.closed[row, g] == CLOSED
-        if held:
-            # a particle is rigid when its whole stencil is held: one cell further
-            reach = paths.radius[w, g] + scene.dx
-            held = wp.length_sq(at - grips.centre[row, g]) < reach * reach
-        return held
+        # a particle is rigid when its whole stencil is held: one cell further
+        reach = paths.radius[w, g] + scene.dx
+        near = wp.length_sq(at - grips.centre[row, g]) < reach * reach
+        return near and grips.closed[row, g] == CLOSED
 
     @wp.func
     def update_node(

@@ -1,7 +1,7 @@
 """The grid's columns: contiguous runs of nodes along z around the particles of one world.
 
 Memory and work follow the object: a column exists where particles are, and holds the nodes
-between the lowest and the highest that they reach, with room for a quarter of a cell of travel.
+between the lowest and the highest that they reach, with room for half a cell of travel.
 Node k of column (i, j) is number ``start[i, j] + k``. A layout is one such numbering.
 
 Shapes: L layouts, X x Y grid columns, M grid nodes.
@@ -21,7 +21,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-MARGIN = 0.25
+MARGIN = 0.5
 """How far a particle may travel, in cells, before the grid's columns are laid anew."""
 
 EMPTY_BELOW = 1 << 20
@@ -57,9 +57,9 @@ class Grid:
     columns: Any
     """``Columns`` of L layouts."""
     layout_of: wp.array
-    """[L] the layout of each recorded substep."""
+    """[S] the layout of each recorded substep."""
     momentum: wp.array
-    """[L, M] momentum and mass, or velocity and mass."""
+    """[S, M] momentum and mass, or velocity and mass."""
 
 
 class GridExhausted(Exception):
@@ -67,9 +67,12 @@ class GridExhausted(Exception):
 
 
 def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
-    """Columns in x and y and nodes that the first grid of particles x [W, N, 3] offers."""
+    """Columns in x and y and nodes that the first grid of particles x [W, N, 3] offers.
+
+    A body may turn any way without needing more columns.
+    """
     extent = (x.max(axis=1) - x.min(axis=1)).max(axis=0) / dx
-    side = int(np.ceil(extent[:2].max())) + 8
+    side = int(np.ceil(np.linalg.norm(extent))) + 8
     cell = np.floor(x[0] / dx).astype(np.int64)
     cell -= cell.min(axis=0)
     cells = len(np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))))
@@ -99,10 +102,20 @@ def grown_room(
 
 
 def make_grid(
-    room: tuple[int, int, int], layouts: int, node: Any, device: Any, *, make: Any = wp.zeros
+    room: tuple[int, int, int],
+    layouts: int,
+    node: Any,
+    device: Any,
+    *,
+    rows: int | None = None,
+    make: Any = wp.zeros,
 ) -> Grid:
-    """A grid of so many layouts; ``node`` is the type of a node's value, ``make`` fills arrays."""
+    """A grid of so many layouts, and of so many rows of nodes (default: one a layout).
+
+    ``node`` is the type of a node's value, ``make`` fills arrays.
+    """
     X, Y, M = room
+    rows = layouts if rows is None else rows
 
     def array(shape: Any, dtype: Any = wp.int32) -> wp.array:
         return make(shape, dtype=dtype, device=device)
@@ -115,7 +128,7 @@ def make_grid(
     columns.cell = array((layouts, M))
     columns.level = array((layouts, M))
     columns.count = array(layouts)
-    return Grid(columns, array(layouts), array((layouts, M), node))
+    return Grid(columns, array(rows), array((rows, M), node))
 
 
 @functools.cache
@@ -124,7 +137,9 @@ def make_columns(real: Any) -> SimpleNamespace:
 
     Returns:
         Namespace with ``forget_bounds``, ``locate_particle``, ``empty_column``, ``mark_particle``,
-        ``lay_column``, to be called in this order over all particles or columns.
+        ``lay_column``, to be called in this order over all particles or columns; and ``reach``,
+        ``widen_bounds`` and ``mark_box``, which do for several particles together what those for
+        one do.
     """
     vec3 = wp.types.vector(3, real)
 
@@ -136,38 +151,50 @@ def make_columns(real: Any) -> SimpleNamespace:
         columns.bounds[layout, 3] = -EMPTY_BELOW
 
     @wp.func
-    def lowest_node(y: vec3, by: real):
-        """Lowest node of a particle at y [cells] that has moved ``by`` cells along every axis."""
-        return (
-            int(wp.floor(y[0] + by - real(0.5))),
-            int(wp.floor(y[1] + by - real(0.5))),
-            int(wp.floor(y[2] + by - real(0.5))),
+    def reach(x: vec3, inv_dx: real, z0: real):
+        """Lowest and highest node [cells] of a particle that may yet travel by the margin."""
+        y = vec3(x[0], x[1], x[2] - z0) * inv_dx
+        below = real(-MARGIN) - real(0.5)
+        above = real(MARGIN) - real(0.5)
+        lower = wp.vec3i(
+            int(wp.floor(y[0] + below)), int(wp.floor(y[1] + below)), int(wp.floor(y[2] + below))
         )
+        upper = wp.vec3i(
+            int(wp.floor(y[0] + above)) + 2,
+            int(wp.floor(y[1] + above)) + 2,
+            int(wp.floor(y[2] + above)) + 2,
+        )
+        return lower, upper
+
+    @wp.func
+    def widen_bounds(layout: int, lower: wp.vec3i, upper: wp.vec3i, columns: Columns):
+        wp.atomic_min(columns.bounds, layout, 0, lower[0])
+        wp.atomic_min(columns.bounds, layout, 1, lower[1])
+        wp.atomic_max(columns.bounds, layout, 2, upper[0])
+        wp.atomic_max(columns.bounds, layout, 3, upper[1])
 
     @wp.func
     def locate_particle(layout: int, x: vec3, inv_dx: real, columns: Columns):
-        y = x * inv_dx
-        i0, j0, _k0 = lowest_node(y, real(-MARGIN))
-        i1, j1, _k1 = lowest_node(y, real(MARGIN))
-        wp.atomic_min(columns.bounds, layout, 0, i0)
-        wp.atomic_min(columns.bounds, layout, 1, j0)
-        wp.atomic_max(columns.bounds, layout, 2, i1 + 2)
-        wp.atomic_max(columns.bounds, layout, 3, j1 + 2)
+        lower, upper = reach(x, inv_dx, real(0.0))
+        widen_bounds(layout, lower, upper, columns)
 
     @wp.func
-    def mark_particle(layout: int, x: vec3, inv_dx: real, z0: real, columns: Columns):
-        y = vec3(x[0], x[1], x[2] - z0) * inv_dx
-        i0, j0, k0 = lowest_node(y, real(-MARGIN))
-        i1, j1, k1 = lowest_node(y, real(MARGIN))
-        i0 -= columns.bounds[layout, 0]
-        j0 -= columns.bounds[layout, 1]
-        i1 += 2 - columns.bounds[layout, 0]
-        j1 += 2 - columns.bounds[layout, 1]
+    def mark_box(layout: int, lower: wp.vec3i, upper: wp.vec3i, columns: Columns):
+        """Let columns hold all nodes of a box, unless the layout has no room for it."""
+        i0 = lower[0] - columns.bounds[layout, 0]
+        j0 = lower[1] - columns.bounds[layout, 1]
+        i1 = upper[0] - columns.bounds[layout, 0]
+        j1 = upper[1] - columns.bounds[layout, 1]
         if i0 >= 0 and j0 >= 0 and i1 < columns.low.shape[1] and j1 < columns.low.shape[2]:
             for i in range(i0, i1 + 1):
                 for j in range(j0, j1 + 1):
-                    wp.atomic_min(columns.low, layout, i, j, k0)
-                    wp.atomic_max(columns.high, layout, i, j, k1 + 2)
+                    wp.atomic_min(columns.low, layout, i, j, lower[2])
+                    wp.atomic_max(columns.high, layout, i, j, upper[2])
+
+    @wp.func
+    def mark_particle(layout: int, x: vec3, inv_dx: real, z0: real, columns: Columns):
+        lower, upper = reach(x, inv_dx, z0)
+        mark_box(layout, lower, upper, columns)
 
     @wp.func
     def empty_column(layout: int, i: int, j: int, columns: Columns):
@@ -197,6 +224,9 @@ def make_columns(real: Any) -> SimpleNamespace:
 
     return SimpleNamespace(
         forget_bounds=forget_bounds,
+        reach=reach,
+        widen_bounds=widen_bounds,
+        mark_box=mark_box,
         locate_particle=locate_particle,
         mark_particle=mark_particle,
         empty_column=empty_column,

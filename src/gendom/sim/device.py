@@ -3,11 +3,20 @@
 import functools
 import os
 import sys
+import threading
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import warp as wp
 
 from gendom.errors import DeviceError
+
+making = threading.RLock()
+"""Held while a simulator and its kernels are made: Warp compiles for one thread at a time."""
+
+_in_use: defaultdict[str, Any] = defaultdict(threading.RLock)
 
 
 def open_device(name: str) -> Any:
@@ -27,6 +36,32 @@ def open_device(name: str) -> Any:
             where="device",
             fix="use --device cpu, or install an NVIDIA driver for cuda",
         ) from None
+
+
+def list_devices(names: str) -> list[str]:
+    """The devices that a list with commas names, or ``all`` CUDA devices.
+
+    Raises:
+        DeviceError: If one is not there.
+    """
+    if names != "all":
+        return [open_device(name.strip()).alias for name in names.split(",")]
+    open_device("cuda")
+    return [device.alias for device in wp.get_cuda_devices()]
+
+
+@contextmanager
+def claimed(name: str) -> Iterator[None]:
+    """Keep a GPU for the simulation of one thread; others wait.
+
+    What a thread does before and after then goes on beside another's simulation.
+    """
+    device = open_device(name)
+    if not device.is_cuda:
+        yield
+        return
+    with _in_use[device.alias]:
+        yield
 
 
 def cores() -> int:

@@ -45,9 +45,9 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
 
     Returns:
         Namespace with the types, ``columns``, ``boundary`` and ``transfers`` of the kernels,
-        ``advance`` (CPU) and the stages of a substep (CUDA): ``tally``, ``place``, ``locate``,
-        ``empty``, ``mark``, ``lay`` where a graph begins, then ``p2g``, ``grid_update``, ``g2p``
-        for each of its substeps, and ``take``.
+        ``frame_substep``, ``advance`` (CPU) and the stages of a substep (CUDA): ``tally``,
+        ``place``, ``locate``, ``empty``, ``mark``, ``lay`` where a graph begins, then ``p2g``,
+        ``grid_update``, ``g2p`` for each of its substeps, and ``take``.
     """
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
@@ -62,7 +62,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     Scene, Paths, Grips = boundary.Scene, boundary.Paths, boundary.Grips
     place_gripper = boundary.place_gripper
     update_node = boundary.update_node
-    transfers = make_transfers(real, make_law(law_name, real, plastic=plastic))
+    law = make_law(law_name, real, plastic=plastic)
+    transfers = make_transfers(real, law)
     Matter, State = transfers.Matter, transfers.State
     scatter_particle = transfers.scatter_particle
     move_particle = transfers.move_particle
@@ -80,6 +81,24 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         travel: wp.array(dtype=real)  # [W] distance since the columns were laid [m]
         status: wp.array(dtype=wp.int32)  # [W]
         culprit: wp.array(dtype=wp.int32)  # [W] particle
+        frame: wp.array(dtype=wp.int32)  # [W] of a ``Plan``
+
+    @wp.struct
+    class Plan:
+        """T frames that W worlds go through, each at its own pace."""
+
+        time: wp.array(dtype=wp.float64)  # [T + 1] where each begins, and the last one's end [s]
+        steps: wp.array2d(dtype=wp.int32)  # [T, W] equal substeps of each
+        particles: wp.array(dtype=wp.int32)  # [P] whose positions are recorded where a frame ends
+        x: wp.array3d(dtype=vec3)  # [T, W, P] [m]
+
+    @wp.func
+    def frame_substep(frame: int, w: int, plan: Plan):
+        """Length of a world's substeps in a frame [s]; 0 where it has none."""
+        dt = wp.float64(0.0)
+        if plan.steps[frame, w] > 0:
+            dt = (plan.time[frame + 1] - plan.time[frame]) / wp.float64(plan.steps[frame, w])
+        return dt
 
     # ---- CPU: one thread, one world, many substeps -------------------------------------------
 
@@ -391,7 +410,10 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         columns=columns_of,
         boundary=boundary,
         transfers=transfers,
+        law=law,
         Clock=Clock,
+        Plan=Plan,
+        frame_substep=frame_substep,
         Lap=Lap,
         advance=advance,
         tally=tally,

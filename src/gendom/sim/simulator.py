@@ -13,9 +13,10 @@ from gendom.materials import Material
 from gendom.sim.batch import Batch
 from gendom.sim.blocks import Blocks, suits_blocks
 from gendom.sim.bodies import Body
-from gendom.sim.device import cores, open_device
+from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper
 from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
+from gendom.sim.teams import Teams, suits_teams
 from gendom.sim.threads import Threads
 from gendom.sim.worlds import STATE, Frames, Setting, Worlds, spread
 
@@ -110,25 +111,25 @@ class Simulator:
             ]
         )
         self.device = open_device(device)
-        self.worlds = Worlds(
-            Setting(
-                body=body,
-                materials=self.materials,
-                grippers=_grippers_of_worlds(grippers, W),
-                table=table,
-                box=box,
-                gravity=gravity,
-                damping=damping,
-                recovery=recovery,
-                law=law,
-                stiffness=self.stiffness,
-                positions=x,
-                substep=self.substep,
-                start_time=start_time,
-                dtype=dtype,
-                device=self.device,
-            )
+        setting = Setting(
+            body=body,
+            materials=self.materials,
+            grippers=_grippers_of_worlds(grippers, W),
+            table=table,
+            box=box,
+            gravity=gravity,
+            damping=damping,
+            recovery=recovery,
+            law=law,
+            stiffness=self.stiffness,
+            positions=x,
+            substep=self.substep,
+            start_time=start_time,
+            dtype=dtype,
+            device=self.device,
         )
+        with making:
+            self.worlds = Worlds(setting)
         self._runner: Batch | Threads | None = None
 
     @property
@@ -235,7 +236,8 @@ class Simulator:
             ) from None
         x = np.empty((len(t), self.num_worlds, len(picked), 3), dtype=self.dtype)
         if self._runner is None:
-            self._runner = self._make_runner()
+            with making:
+                self._runner = self._make_runner()
         self._runner.run(Frames(self.time, t, picked, x, on_frame, keep_going))
         self.time = float(t[-1])
         return x
@@ -243,6 +245,8 @@ class Simulator:
     def _make_runner(self) -> Batch | Threads:
         if not self.device.is_cuda:
             return Threads(self.worlds, self.threads)
+        if suits_teams(self.worlds):
+            return Teams(self.worlds)
         return (Blocks if suits_blocks(self.worlds) else Batch)(self.worlds)
 
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:

@@ -141,8 +141,7 @@ _GATHER = """
     lanes C0 = V, C1 = V, C2 = V, D0 = V, D1 = V, D2 = V;
     SLOPE_BEGIN
 #if defined(__CUDA_ARCH__)
-    // loops that stay loops, or the code would not fit into the instruction cache
-    constexpr int planes = 1, rows = ROWS_ON_CUDA;
+    constexpr int planes = PLANES_ON_CUDA, rows = ROWS_ON_CUDA;
 #else
     constexpr int planes = 3, rows = 3;
 #endif
@@ -233,12 +232,17 @@ def _native(text: str, real: Any, **parts: str) -> str:
 
 
 @functools.cache
-def make_stencil(real: Any) -> SimpleNamespace:
+def make_stencil(real: Any, *, straight: bool = False) -> SimpleNamespace:
     """Build the sums for one scalar type.
 
     All take a grid's array, its row and its layout (see ``gendom.sim.columns``), the particle's
     lowest node (column i and j of the layout, level), and the particle's place f above that node
     in cells, each in 0.5..1.5.
+
+    Args:
+        real: ``wp.float32`` or ``wp.float64``.
+        straight: Whether ``gather`` is straight code on CUDA, so that all nodes are waited for at
+            once, where loops that stay loops spare the instruction cache.
 
     Returns:
         Namespace with ``sums``, the 7 x 4 matrix, ``scatter`` (adds to the grid), ``gather``
@@ -281,6 +285,7 @@ def make_stencil(real: Any) -> SimpleNamespace:
         "SLOPE_BEGIN": "",
         "SLOPE_ROW": "",
         "SLOPE_END": "",
+        "PLANES_ON_CUDA": "3" if straight else "1",
         "ROWS_ON_CUDA": "3",
         "ROWS": "7",
     }
@@ -299,6 +304,7 @@ def make_stencil(real: Any) -> SimpleNamespace:
         "SLOPE_BEGIN": _SLOPE_BEGIN,
         "SLOPE_ROW": _SLOPE_ROW,
         "SLOPE_END": _SLOPE_END,
+        "PLANES_ON_CUDA": "1",
         "ROWS_ON_CUDA": "1",
         "ROWS": "8",
     }

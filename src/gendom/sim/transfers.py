@@ -30,12 +30,13 @@ SMALLEST_VOLUME = 0.2
 
 
 @functools.cache
-def make_transfers(real: Any, law: Law) -> SimpleNamespace:
+def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleNamespace:
     """Build the types and functions for one scalar type and one material.
 
     Args:
         real: ``wp.float32`` or ``wp.float64``.
         law: See ``gendom.materials.laws``.
+        straight: See ``make_stencil``.
 
     Returns:
         Namespace with the structs ``Matter``, ``State`` and ``MatterBars``, and with
@@ -44,7 +45,7 @@ def make_transfers(real: Any, law: Law) -> SimpleNamespace:
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
     mat33 = wp.types.matrix((3, 3), real)
-    stencil = make_stencil(real)
+    stencil = make_stencil(real, straight=straight)
     sums = stencil.sums
     scatter = stencil.scatter
     gather = stencil.gather

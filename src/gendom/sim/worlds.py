@@ -21,7 +21,7 @@ from gendom.sim.scene import Box, Table
 STATE = ("x", "v", "C", "F")
 """The arrays of a state."""
 
-CLOCK = ("dt", "steps", "step", "age", "travel", "status", "culprit")
+CLOCK = ("dt", "steps", "step", "age", "travel", "status", "culprit", "frame")
 """The arrays of a clock."""
 
 LAY_ANEW = 1e30
@@ -90,15 +90,15 @@ class Worlds:
         self.num_worlds, self.num_particles = W, N
         self.stiffness = spread(s.stiffness, (W, N), "stiffness")
         x = spread(s.positions, (W, N, 3), "positions")
-        self.room = room_for(x, s.body.dx)
+        self.room = room_for(_distinct(x), s.body.dx)
         self.matter = self._matter()
         self.scene = self._scene()
         self.paths = self._paths()
         self.grips = self.make_grips(W)
         self.clock = self._clock()
         self.state = self.make_state((W, N), wp.zeros)
-        self.state.x.assign(x)
-        self.state.F.assign(np.broadcast_to(np.eye(3), (W, N, 3, 3)))
+        wp.copy(self.state.x, self.array(x, self.kernels.vec3))
+        self.state.F.fill_(self.kernels.mat33(np.eye(3)))
         self.last_good = self.make_state((W, N))
         for name in STATE:
             wp.copy(getattr(self.last_good, name), getattr(self.state, name))
@@ -113,9 +113,10 @@ class Worlds:
     def _matter(self) -> Any:
         s, k = self.setting, self.kernels
         lame = np.array([m.lame for m in s.materials])
+        share = _distinct(self.stiffness)
         matter = k.transfers.Matter()
-        matter.mu = self.array(lame[:, :1] * self.stiffness)
-        matter.lam = self.array(lame[:, 1:] * self.stiffness)
+        matter.mu = self.array(np.broadcast_to(lame[:, :1] * share, self.stiffness.shape))
+        matter.lam = self.array(np.broadcast_to(lame[:, 1:] * share, self.stiffness.shape))
         matter.yield_stress = self.array(np.minimum([m.yield_stress for m in s.materials], 1e30))
         matter.mass = self.array(np.array([m.density for m in s.materials]) * s.body.volume)
         matter.volume = s.body.volume
@@ -156,7 +157,7 @@ class Worlds:
         clock = self.kernels.Clock()
         clock.dt = self.zeros(W, wp.float64)
         clock.travel = self.zeros(W, self.real)
-        for name in ("steps", "step", "age", "status", "culprit"):
+        for name in ("steps", "step", "age", "status", "culprit", "frame"):
             setattr(clock, name, self.zeros(W, wp.int32))
         return clock
 
@@ -178,9 +179,10 @@ class Worlds:
             setattr(state, name, make(shape, dtype=dtype, device=self.device))
         return state
 
-    def make_grid(self, layouts: int, *, make: Any = wp.zeros) -> Grid:
+    def make_grid(self, layouts: int, *, rows: int | None = None, make: Any = wp.zeros) -> Grid:
         """A grid with the room that worlds are known to need."""
-        return make_grid(self.room, layouts, self.kernels.vec4, self.device, make=make)
+        vec4 = self.kernels.vec4
+        return make_grid(self.room, layouts, vec4, self.device, rows=rows, make=make)
 
     def make_room(self, grid: Grid, layouts: int | None = None) -> None:
         """Let later grids hold what did not fit into the (first) layouts of this one.
@@ -230,11 +232,39 @@ class Worlds:
         )
 
     def array(self, values: Any, dtype: Any = None) -> wp.array:
-        """An array on the device, of the simulation's scalar type unless told otherwise."""
-        return wp.array(np.ascontiguousarray(values), dtype=dtype or self.real, device=self.device)
+        """An array on the device, of the simulation's scalar type unless told otherwise.
+
+        Numbers that a broadcast array repeats are repeated on the device.
+        """
+        dtype = dtype or self.real
+        values = np.asarray(values)
+        axes = values.ndim - len(getattr(dtype, "_shape_", ()))
+        distinct = _distinct(values, axes)
+        sent = wp.array(np.ascontiguousarray(distinct), dtype=dtype, device=self.device)
+        if distinct.shape == values.shape:
+            return sent
+        shape = values.shape[:axes]
+        strides = tuple(
+            0 if few < many else int(step or 0)
+            for few, many, step in zip(sent.shape, shape, sent.strides, strict=True)
+        )
+        repeated = wp.array(
+            ptr=sent.ptr, shape=shape, strides=strides, dtype=dtype, device=self.device
+        )
+        full = wp.empty(shape, dtype=dtype, device=self.device)
+        wp.copy(full, repeated)
+        return full
 
     def zeros(self, shape: Any, dtype: Any) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device=self.device)
+
+
+def _distinct(values: NDArray[Any], axes: int | None = None) -> NDArray[Any]:
+    """The array without what broadcasting repeats along its first axes, which have length 1."""
+    if values.size == 0:
+        return values
+    steps = values.strides[:axes]
+    return values[tuple(slice(0, 1) if step == 0 else slice(None) for step in steps)]
 
 
 def spread(values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.floating]:

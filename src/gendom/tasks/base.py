@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
@@ -48,7 +48,15 @@ class Task(Protocol):
         ...
 
     def demonstrate(
-        self, draws: Sequence[Mapping[str, float]], *, device: str, dtype: str
+        self,
+        draws: Sequence[Mapping[str, float]],
+        *,
+        device: str,
+        dtype: str,
+        on_frame: Callable[[int], None] | None = None,
     ) -> Outcomes:
-        """Simulate draws side by side. One that diverges is recorded as failed, others go on."""
+        """Simulate draws side by side. One that diverges is recorded as failed, others go on.
+
+        `on_frame` is called now and then; what it raises ends the simulation.
+        """
         ...

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import RECOVERY, Body, Gripper, Simulator, rope, stable_substep
+from gendom.sim import RECOVERY, Body, Gripper, Simulator, claimed, rope, stable_substep
 from gendom.tasks.base import Outcomes
 
 LENGTH, DIAMETER, GRAVITY = 0.25, 0.014, 9.81
@@ -65,8 +65,8 @@ GRIP = 0.042
 LEAST_GRIP = 0.75
 """Least radius of the held regions in diameters: less does not hold a thick rope."""
 
-BATCH = 1024
-"""Demonstrations simulated at once."""
+BATCH = 8192
+"""Demonstrations simulated at once at the most."""
 
 FRAMES = 150
 """Times at which the tip is recorded between release and end."""
@@ -383,30 +383,32 @@ class RopeReaching:
                 fix="give one release point (x, z) for each material",
             )
         body = self.body()
-        simulator = Simulator(
-            body,
-            materials,
-            grippers=[self.grippers(point) for point in points],
-            gravity=(0.0, 0.0, -self.gravity),
-            damping=self.damping,
-            # a rate, like damping: without this, ropes of two lengths would not move alike
-            recovery=RECOVERY / self._clock(LENGTH, GRAVITY),
-            dtype=dtype,
-            device=device,
-            threads=threads,
-        )
+        grippers = [self.grippers(point) for point in points]
         along = body.material_coordinates[:, 0]
         tip = np.flatnonzero(along == along.max())
         times = np.linspace(self.release_time, self.end_time, FRAMES + 1)
         if record_particles:
             before = np.linspace(0.0, self.release_time, FRAMES, endpoint=False)
             times = np.concatenate([before, times])
-        recorded = simulator.run(
-            times,
-            on_frame=on_frame,
-            particles=None if record_particles else tip,
-            keep_going=keep_going,
-        )
+        with claimed(device):
+            simulator = Simulator(
+                body,
+                materials,
+                grippers=grippers,
+                gravity=(0.0, 0.0, -self.gravity),
+                damping=self.damping,
+                # a rate, like damping: without this, ropes of two lengths would not move alike
+                recovery=RECOVERY / self._clock(LENGTH, GRAVITY),
+                dtype=dtype,
+                device=device,
+                threads=threads,
+            )
+            recorded = simulator.run(
+                times,
+                on_frame=on_frame,
+                particles=None if record_particles else tip,
+                keep_going=keep_going,
+            )
         ends = recorded[:, :, tip] if record_particles else recorded
         path = ends.astype(np.float64).mean(axis=2)
         free = path[-(FRAMES + 1) :]
@@ -425,8 +427,13 @@ class RopeReaching:
         *,
         device: str = "cpu",
         dtype: str = "float32",
+        on_frame: Callable[[int], None] | None = None,
     ) -> Outcomes:
         """Simulate what `draw` gave, side by side; one that diverges does not stop the others.
+
+        Args:
+            draws: Demonstrations.
+            device, dtype, on_frame: As in `simulate`.
 
         Returns:
             Columns goal_x [m], sideways [m] and substep [s].
@@ -449,7 +456,12 @@ class RopeReaching:
         for group in np.split(order, range(BATCH, len(order), BATCH)):
             chosen = [materials[w] for w in group]
             result = self.simulate(
-                actions[group], chosen, device=device, dtype=dtype, keep_going=True
+                actions[group],
+                chosen,
+                device=device,
+                dtype=dtype,
+                on_frame=on_frame,
+                keep_going=True,
             )
             goal[group], sideways[group] = result.reached, result.sideways
             for w, error in result.failures.items():
