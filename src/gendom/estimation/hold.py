@@ -79,7 +79,7 @@ class Held:
     hold: Hold
     bending: float
     """Bending length [m]."""
-    friction: float = 0.35
+    friction: float = 0.4
     """Coefficient of friction on the table."""
     doubt: float = 0.0
     """Standard deviation of log(bending) that not knowing the hold adds to that of a known one."""

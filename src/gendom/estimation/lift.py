@@ -63,7 +63,7 @@ that hangs by its edge is stretched by less than 1 % for each 0.3 m below."""
 BENDING_RANGE = {"rope": (0.08, 1.2), "cloth": (0.015, 0.2)}
 """Bending lengths searched for, in lengths of a rope or diagonals of a cloth."""
 
-FRICTION_PRIOR = (0.35, 0.15)
+FRICTION_PRIOR = (0.4, 0.25)
 """Mean and standard deviation of the coefficient of friction before seeing data."""
 
 FRICTION_RANGE = (0.05, 1.2)

@@ -28,7 +28,7 @@ SHEET_BENDING = 0.825
 """MuJoCo's bending rigidity of a sheet over that of plate theory, between that of strips cut along
 the sides and along the diagonals (`gendom.reality.benches`)."""
 
-CLOTH_RADIUS = 0.002
+CLOTH_RADIUS = 0.0005
 """Half the thickness with which a cloth touches and is seen [m]."""
 
 TABLE = (0.45, 0.0, 0.9, 1.4)
