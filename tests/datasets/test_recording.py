@@ -297,6 +297,10 @@ META_FAULTS = {
         lambda m: m["object"].update(diameter=-0.01),
         "object.diameter: is -0.01; give metres above 0, or null if unknown",
     ),
+    "grasp radius of nothing": (
+        lambda m: m["object"].update(grasp_radius=0.0),
+        "object.grasp_radius: is 0.0; give metres above 0, or null if unknown",
+    ),
     "size as text": (
         lambda m: m["object"].update(mass="20 g"),
         "object.mass: is '20 g'; give a number, or null",

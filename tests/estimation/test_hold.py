@@ -10,7 +10,7 @@ from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import ParameterError
 from gendom.estimation import Hold, Lift, ReplaySettings, Theta, replay_chamfer
 from gendom.estimation.gauss_newton import Bounds
-from gendom.estimation.hold import Held, as_held, fit_hold
+from gendom.estimation.hold import NAMES, Held, as_held, fit_hold
 
 SIDE = 0.2
 MODULUS = 600.0
@@ -197,7 +197,51 @@ def test_fit_hold_on_points_that_move_along():
     assert 0.0 <= found.doubt < 0.05
 
 
-@pytest.mark.parametrize("bad", [{"lag": -0.1}, {"sink": -0.01}, {"inset": np.nan}])
+def test_what_a_hold_hides_is_told():
+    """Points far to one side move alike when the cloth is held further in and when it bends
+    further: the bending is then in doubt, and not where they lie around the held point."""
+    rng = np.random.default_rng(1)
+    prior = Held(hold=Hold(), bending=0.02).vector
+    sd = np.full(len(NAMES), 0.1)
+    free = np.isin(NAMES, ["inset", "log_bending"])
+    bounds = Bounds(
+        low=np.where(free, prior - 0.4, prior), high=np.where(free, prior + 0.4, prior),
+        mean=prior, sd=sd, largest_step=sd, tolerance=1e-3 * sd,
+    )  # fmt: skip
+    doubts = []
+    for centre in (0.0, 0.3):
+        cloth = rng.uniform(-0.1, 0.1, size=(300, 3)) + np.array([centre, 0.0, 0.0])
+
+        def simulate(held, cloth=cloth):
+            wide = np.array([h.bending for h in held])[:, None, None] / 0.02
+            inset = np.array([[h.hold.inset, 0.0, 0.0] for h in held])[:, None]
+            return (cloth * [1.0, 0.0, 0.0] * wide + cloth * [0.0, 1.0, 1.0] + inset)[None]
+
+        clouds = list(simulate([Held(hold=Hold(), bending=0.021)])[:, 0])
+        doubts.append(fit_hold(simulate, clouds, None, bounds, [as_held(prior)]).doubt)
+    assert doubts[1] > 3.0 * doubts[0] > 0.0
+
+
+def test_a_stated_reach_is_believed(monkeypatch):
+    """A recording that says how far the fingers reach narrows the search for it."""
+    seen_bounds = []
+
+    def one_look(simulate, clouds, floor, bounds, starts, *, iterations):
+        seen_bounds.append(bounds)
+        assert starts[0].hold.reach == (stated or Hold().reach)
+        return starts[0]
+
+    monkeypatch.setattr("gendom.estimation.lift.fit_hold", one_look)
+    for stated in (None, 0.012):
+        seen = recording([flat()] * 12)
+        Lift(replace(seen, object=replace(seen.object, grasp_radius=stated)), CHEAP)
+    reach = NAMES.index("reach")
+    unknown, known = seen_bounds[0], seen_bounds[-1]
+    assert unknown.mean[reach] == Hold().reach and known.mean[reach] == 0.012
+    assert known.sd[reach] < 0.5 * unknown.sd[reach]
+
+
+@pytest.mark.parametrize("bad", [{"lag": -0.1}, {"sink": -0.01}, {"inset": np.nan}, {"reach": 0.0}])
 def test_bad_holds_are_refused(bad):
     """The error names the value."""
     with pytest.raises(ParameterError, match=next(iter(bad))):

@@ -23,6 +23,7 @@ from gendom.reality import (
     lift_cameras,
     record,
 )
+from gendom.reality.world import FINGER_WIDTH
 
 ROPE = cast(RealRope, OBJECTS["rope-polyester"])
 RATE = 4.0
@@ -108,6 +109,7 @@ def test_what_is_held_is_described(clean):
     meta = read_sighting(clean).meta
     assert meta["object"]["kind"] == "rope" and meta["object"]["grasp"] == "end"
     assert meta["object"]["length"] == ROPE.length
+    assert meta["object"]["grasp_radius"] == FINGER_WIDTH / 2.0
     assert meta["object"]["mass"] == pytest.approx(ROPE.mass)
     # A recording does not give away what is to be estimated.
     given = (clean / "object.toml").read_text().lower()

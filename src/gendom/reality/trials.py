@@ -31,6 +31,9 @@ ROPE_LIFT_SPEED, CLOTH_LIFT_SPEED = 0.05, 0.1
 RISE = 0.75
 """Height of a rope's lift, in its lengths; of a cloth's, in its sides."""
 
+TIP_HEIGHT = 0.002
+"""The lowest that the tool point goes above the table [m]: the pads reach 1.1 mm below it."""
+
 START = 0.32
 """How far in front of the base the nearest point of a lying object is [m]."""
 
@@ -203,7 +206,7 @@ def lift(item: RealObject, *, rise: float | None = None, speed: float | None = N
         layout = Layout(origin=origin, along=(half, -half, 0.0), across=(half, half, 0.0))
         size = item.side
     path = motions.lift(
-        origin + np.array([FINGER_WIDTH / 2.0, 0.0, 0.0]),
+        origin + np.array([FINGER_WIDTH / 2.0, 0.0, max(TIP_HEIGHT - height, 0.0)]),
         height=RISE * size if rise is None else rise,
         speed=(ROPE_LIFT_SPEED if rope else CLOTH_LIFT_SPEED) if speed is None else speed,
         quat_xyzw=pointing_down(),
@@ -300,8 +303,8 @@ def spreading(cloth: RealCloth, A: float) -> Trial:
         RobotError: A is negative or not finite.
     """
     half, height = cloth.side / 2.0, rest_height(cloth)
-    centre = np.array([START + half, 0.0, height])
-    layout = Layout(origin=centre - np.array([half, half, 0.0]))
+    layout = Layout(origin=(START, -half, height))
+    centre = (START + half, 0.0, max(height, TIP_HEIGHT))
     path = motions.cloth_spreading(
         centre, A, step_time=SPREAD_STEP, quat_xyzw=pointing_down(), wait=SETTLE
     ).shifted(SETTLE)
