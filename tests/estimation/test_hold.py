@@ -98,7 +98,7 @@ def test_a_thin_cloth_costs_no_more_substeps(monkeypatch):
     """The hold is found with a sheet that bends as far, whatever the thickness that is stated."""
     moduli = []
 
-    def one_look(simulate, clouds, floor, bounds, starts, *, iterations):
+    def one_look(simulate, clouds, floor, bounds, starts, **_):
         simulate(starts[:1])
         return starts[0]
 
@@ -188,7 +188,17 @@ def test_fit_hold_on_points_that_move_along():
     bounds = Bounds(
         low=low, high=high, mean=mean, sd=sd, largest_step=sd, tolerance=1e-3 * sd
     )  # fmt: skip
-    found = fit_hold(simulate, clouds, None, bounds, [as_held(mean)])
+    told = []
+    found = fit_hold(
+        simulate,
+        clouds,
+        None,
+        bounds,
+        [as_held(mean)],
+        on_iteration=lambda *best: told.append(best),
+    )
+    assert told[-1][0].hold == found.hold
+    assert [loss for _, loss in told] == sorted((loss for _, loss in told), reverse=True)
     for name in ("lag", "height", "inset", "aside"):
         assert getattr(found.hold, name) == pytest.approx(getattr(truth, name), abs=1.5e-3), name
     assert (found.hold.turn, found.hold.tilt, found.hold.sink) == (0.0, 0.0, 0.0)
@@ -226,7 +236,7 @@ def test_a_stated_reach_is_believed(monkeypatch):
     """A recording that says how far the fingers reach narrows the search for it."""
     seen_bounds = []
 
-    def one_look(simulate, clouds, floor, bounds, starts, *, iterations):
+    def one_look(simulate, clouds, floor, bounds, starts, **_):
         seen_bounds.append(bounds)
         assert starts[0].hold.reach == (stated or Hold().reach)
         return starts[0]

@@ -89,6 +89,7 @@ def estimate_text(record: dict[str, Any]) -> str:
     """An estimate for people."""
     low, high = record["intervals"]["youngs_modulus"]
     nu_low, nu_high = record["intervals"]["poissons_ratio"]
+    mu_low, mu_high = record["intervals"]["friction"]
     level = f"{record['intervals']['level']:.0%}"
     assumed = " (assumed: the mass is unknown)" if record["density_assumed"] else ""
     known = record["identifiable"]
@@ -101,6 +102,8 @@ def estimate_text(record: dict[str, Any]) -> str:
          + remark("youngs_modulus")),
         ("Poisson's ratio", f"{record['poissons_ratio']:.3f}, {level} in [{nu_low:.3f}, "
          f"{nu_high:.3f}]" + remark("poissons_ratio")),
+        ("friction", f"{record['friction']:.2f}, {level} in [{mu_low:.2f}, {mu_high:.2f}]"
+         + remark("friction")),
         ("density", f"{record['density']:.4g} kg/m^3{assumed}"),
         ("E / density", f"{record['specific_modulus']:.4g} m^2/s^2"),
     ]  # fmt: skip

@@ -112,6 +112,7 @@ def fit_hold(
     starts: Sequence[Held],
     *,
     iterations: int = ITERATIONS,
+    on_iteration: Callable[[Held, float], None] | None = None,
 ) -> Held:
     """The held cloth whose simulated lift lies nearest to the clouds.
 
@@ -128,6 +129,7 @@ def fit_hold(
         bounds: Limits and prior in the order of ``NAMES``; a value whose limits coincide is given.
         starts: First guesses; the best of what they lead to is taken.
         iterations: Simulated batches that the search may spend.
+        on_iteration: Called after each with the best so far and its summed distances.
 
     Raises:
         SimulationError: If a world diverges.
@@ -176,6 +178,7 @@ def fit_hold(
     for first in starts:
         theta = np.clip(first.vector, bounds.low, bounds.high)
         going.append(Start(initial=theta, theta=theta))
+    best = going[0]
     for _ in descend(
         models,
         going,
@@ -184,8 +187,9 @@ def fit_hold(
         max_iterations=iterations,
         least_gain=LEAST_GAIN,
     ):
-        pass
-    best = min(going, key=lambda s: s.model.sse)  # pyright: ignore[reportOptionalMemberAccess]
+        best = min(going, key=lambda s: s.model.sse)  # pyright: ignore[reportOptionalMemberAccess]
+        if on_iteration is not None and best.model is not None:
+            on_iteration(as_held(best.theta), best.model.sse)
     assert best.model is not None
     information = np.linalg.inv(posterior_covariance(best.model, bounds, effective=EFFECTIVE))
     doubt = np.linalg.inv(information)[-1, -1] - 1.0 / information[-1, -1]

@@ -158,6 +158,8 @@ class Lift:
         recording: What was seen.
         settings: How to simulate it.
         hold: How the corner of a cloth is held, or None to find it.
+        on_hold: Called while that is found with the share of its work that is done, the best so
+            far and its summed distances [m].
 
     Raises:
         RecordingError: If the recording shows too little to place the object.
@@ -169,6 +171,7 @@ class Lift:
         settings: ReplaySettings | None = None,
         *,
         hold: Hold | None = None,
+        on_hold: Callable[[float, Held, float], None] | None = None,
     ):
         self.recording = recording
         self.settings = settings or ReplaySettings()
@@ -191,7 +194,7 @@ class Lift:
         self.held: Held | None = None
         if hold is None and self.held_by_corner:
             _log.info("finding how the corner is held")
-            self.held = self._find_hold()
+            self.held = self._find_hold(on_hold)
             self.hold = Hold() if self.held is None else self.held.hold
         if self.hold is not None:
             x = self._laid(self.hold)
@@ -329,7 +332,7 @@ class Lift:
         )
         return lowest + FLOOR_MARGIN
 
-    def _find_hold(self) -> Held | None:
+    def _find_hold(self, on_hold: Callable[[float, Held, float], None] | None) -> Held | None:
         """How the corner is held, from the frames in which it hangs; None: it never does."""
         height = self.recording.gripper_position[:, 0, 2]
         rise = height - height[self.frames[0]]
@@ -351,7 +354,17 @@ class Lift:
             # the hand is where it says
             guesses = [replace(guesses[0], hold=replace(guesses[0].hold, lag=0.0))]
         found = None
-        for share, iterations in HOLD_STAGES.get(source, HOLD_STAGES["commanded"]):
+        stages = HOLD_STAGES.get(source, HOLD_STAGES["commanded"])
+        batches = sum(iterations for _, iterations in stages)
+        spent = 0
+
+        def tell(best: Held, loss: float) -> None:
+            nonlocal spent
+            spent += 1
+            if on_hold is not None:
+                on_hold(spent / batches, best, loss)
+
+        for share, iterations in stages:
             lift = self._for_hold(share, guesses[0].bending)
             k = lift.radius_of_gyration
 
@@ -366,7 +379,13 @@ class Lift:
             bounds = lift._hold_bounds()
             try:
                 found = fit_hold(
-                    simulate, clouds, self.floor, bounds, guesses, iterations=iterations
+                    simulate,
+                    clouds,
+                    self.floor,
+                    bounds,
+                    guesses,
+                    iterations=iterations,
+                    on_iteration=tell,
                 )
             except SimulationError as error:
                 self.notes.append(f"how the corner is held could not be found: {error}")

@@ -15,6 +15,7 @@ from gendom.viz.clouds import CloudSequence
 from gendom.viz.report.markup import DASH, escaped, facts_list, figure, table
 from gendom.viz.report.page import Section
 from gendom.viz.report.quantities import (
+    RATIOS,
     difference_text,
     finite,
     interval_text,
@@ -95,6 +96,7 @@ class EstimateSummary:
 _ROWS = (
     ("youngs_modulus", "Young's modulus <i>E</i>"),
     ("poissons_ratio", "Poisson's ratio <i>ν</i>"),
+    ("friction", "Friction on the table <i>μ</i>"),
     ("density", "Density <i>ρ</i>"),
     ("specific_modulus", "Specific modulus <i>E</i> / <i>ρ</i>"),
     ("bending_length", "Bending length"),
@@ -157,7 +159,7 @@ def _parameter_table(summary: EstimateSummary) -> str:
             '\n<p class="soft">Bars: the grey range was searched, the light part is the interval, '
             "the blue mark the estimate"
             + (", the black mark the true value" if knows_truth else "")
-            + ". Logarithmic, but for Poisson's ratio.</p>"
+            + ". Logarithmic, but for ratios.</p>"
         )
     return text
 
@@ -295,7 +297,7 @@ def _bar(
     bounds: tuple[float, float] | None,
 ) -> str:
     """The interval inside the range that was searched, drawn with boxes."""
-    linear = key == "poissons_ratio"
+    linear = key in RATIOS
     if interval is None or bounds is None or not bounds[0] < bounds[1]:
         return ""
     if not linear and min(*bounds, *interval, value) <= 0.0:

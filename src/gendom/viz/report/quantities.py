@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+RATIOS = ("poissons_ratio", "friction")
+"""Quantities without a unit, on a linear scale."""
+
 
 def finite(value: Any) -> float | None:
     """A finite float, or None."""
@@ -26,9 +29,10 @@ def quantity_text(key: str, value: float) -> str:
         return with_minus(f"{value * factor:.4g} {unit}")
     if key == "bending_length":
         return length_text(value)
-    unit = {"poissons_ratio": "", "density": " kg/m³", "specific_modulus": " m²/s²"}[key]
-    text = f"{value:.3f}" if key == "poissons_ratio" else f"{value:.4g}"
-    return with_minus(text + unit)
+    if key in RATIOS:
+        return with_minus(f"{value:.3f}")
+    unit = {"density": " kg/m³", "specific_modulus": " m²/s²"}[key]
+    return with_minus(f"{value:.4g}{unit}")
 
 
 def interval_text(key: str, interval: tuple[float, float]) -> str:
@@ -41,14 +45,14 @@ def interval_text(key: str, interval: tuple[float, float]) -> str:
         factor, unit = 1e3, "mm"
     low, high = factor * low, factor * high
     decimals = 3
-    if key != "poissons_ratio":
+    if key not in RATIOS:
         decimals = max(0, 3 - math.floor(math.log10(max(abs(high), 1e-9))))
     return with_minus(f"{low:.{decimals}f} to {high:.{decimals}f} {unit}".rstrip())
 
 
 def difference_text(key: str, value: float, true: float) -> str:
-    """Relative, but absolute for Poisson's ratio, whose zero means nothing special."""
-    if key == "poissons_ratio" or true == 0.0:
+    """Relative, but absolute for ratios, whose zero means nothing special."""
+    if key in RATIOS or true == 0.0:
         return with_minus(f"{value - true:+.3f}")
     return with_minus(f"{100.0 * (value / true - 1.0):+.1f} %")
 
