@@ -144,8 +144,12 @@ _GATHER = """
     SLOPE_BEGIN
 #if defined(__CUDA_ARCH__)
     constexpr int planes = PLANES_ON_CUDA, rows = ROWS_ON_CUDA;
+    const auto column = [&](int i, int j) { return wp::index(start, layout, ci + i, cj + j); };
 #else
     constexpr int planes = 3, rows = 3;
+    const int* first = &wp::index(start, layout, ci, cj);
+    const int pitch = start.strides[1] / sizeof(int);
+    const auto column = [&](int i, int j) { return first[i * pitch + j]; };
 #endif
     #pragma unroll planes
     for (int i = 0; i < 3; ++i) {
@@ -156,7 +160,7 @@ _GATHER = """
         for (int j = 0; j < 3; ++j) {
             const REAL wyj = j == 0 ? wy[0] : j == 1 ? wy[1] : wy[2];
             const REAL syj = j == 0 ? sy[0] : j == 1 ? sy[1] : sy[2];
-            const int n = wp::index(start, layout, ci + i, cj + j) + bz;
+            const int n = column(i, j) + bz;
             const REAL w = wxi * wyj, dx = sxi * wyj, dy = wxi * syj;
             const lanes h0 = *(const lanes*)(nodes + n), h1 = *(const lanes*)(nodes + n + 1);
             const lanes h2 = *(const lanes*)(nodes + n + 2);
