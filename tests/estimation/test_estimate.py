@@ -393,6 +393,7 @@ def test_differences_of_the_density_loss_are_its_gradient(lifted, monkeypatch, s
     comparison = _Comparison(lift, lift.frames, [16, 32, 64], free=[0, 1])
     theta = np.array([math.log(1.3 * MODULUS), 0.35, 0.0, 0.3])
     (model,) = comparison.models([theta])
+    assert model is not None
 
     x = torch.tensor(lift.simulate([_theta(theta)])[:, 0], requires_grad=True)
     loss = density_loss(comparison, x)
