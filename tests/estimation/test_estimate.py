@@ -15,10 +15,12 @@ from gendom.estimation import (
     estimate,
     replay_chamfer,
 )
+from gendom.estimation.estimate import STEPS, _Comparison, _theta
 from gendom.estimation.lift import BENDING_RANGE, FRICTION_PRIOR
 from gendom.files import to_json
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import chamfer
+from gendom.sim import Rollout, Simulator
 
 LENGTH, DIAMETER, DENSITY = 0.2, 0.012, 1000.0
 MODULUS = specific_modulus_of(0.35 * LENGTH, DIAMETER / 4.0, 9.81)
@@ -26,6 +28,9 @@ MODULUS = specific_modulus_of(0.35 * LENGTH, DIAMETER / 4.0, 9.81)
 
 CHEAP = ReplaySettings(cells_across=1.0, clock=5.0, threads=1)
 """A coarse and quick replay; the recording made with it is as quick."""
+
+SUBSTEP = 1.0e-4
+"""Where substeps are not to follow the stiffness [s]."""
 
 KEYS = {
     "bending_length", "bounds", "chamfer_last", "chamfer_last_surface", "chamfer_mean",
@@ -326,3 +331,77 @@ def test_bad_replay_settings_are_refused(setting):
     """Numbers that make no replay raise before anything is simulated."""
     with pytest.raises(ParameterError, match=next(iter(setting))):
         ReplaySettings(**setting)
+
+
+# ---- gradients -------------------------------------------------------------------------------
+
+
+def density_loss(comparison, x):
+    """[1] what ``_Comparison`` makes of positions x [T, N, 3], a tensor, in PyTorch."""
+    import torch
+
+    lift = comparison.lift
+    body = lift.body
+    loss = torch.zeros(1, dtype=x.dtype)
+    sections = len(np.unique(body.material_coordinates[:, 0]))
+    yz = np.linalg.norm(body.material_coordinates[: len(body.x) // sections, 1:], axis=1)
+    outer = torch.tensor(yz > 0.6 * yz.max())
+    for t in range(len(x)):
+        section = x[t].reshape(sections, -1, 3)
+        middle = section.mean(dim=1, keepdim=True)
+        out = (section - middle)[:, outer]
+        out = out * (body.thickness / 2.0 / out.norm(dim=-1, keepdim=True))
+        skin = (middle + out).reshape(-1, 3)
+        at = skin.detach().numpy()
+        skin = skin[torch.tensor(lift.visible(at) & lift.inside(at))]
+        for grid, seen, scale in zip(
+            comparison.grids, comparison.seen, comparison.scales, strict=True
+        ):
+            q = (skin - torch.tensor(grid.origin)) / grid.cell
+            base = torch.floor(q.detach() - 0.5)
+            f = q - base
+            w = torch.stack([(1.5 - f) ** 2 / 2, 0.75 - (f - 1) ** 2, (f - 0.5) ** 2 / 2], dim=-1)
+            density = torch.zeros(grid.shape, dtype=x.dtype)
+            for n in np.ndindex(3, 3, 3):
+                node = tuple((base[:, a] + n[a]).long() for a in range(3))
+                weight = w[:, 0, n[0]] * w[:, 1, n[1]] * w[:, 2, n[2]] / len(skin)
+                density = density.index_put(node, weight, accumulate=True)
+            loss = loss + scale * ((density.ravel() - torch.tensor(seen[t])) ** 2).sum()
+    return loss
+
+
+@pytest.mark.parametrize(("steps", "rel"), [([1e-6, 1e-6], 2e-4), (STEPS["rope"][:2], 0.08)])
+def test_differences_of_the_density_loss_are_its_gradient(lifted, monkeypatch, steps, rel):
+    """By log E and nu, in float64: reverse mode against the differences of one batch of worlds,
+    with tiny steps and with the estimator's own, one-sided and of 3 %."""
+    torch = pytest.importorskip("torch")
+    rollouts = []
+
+    class Recorded(Simulator):
+        """Keeps what it ran; substeps do not follow the stiffness, for that is not derived."""
+
+        def __init__(self, *args, cfl, **options):
+            super().__init__(*args, substep=SUBSTEP, **options)
+
+        def run(self, times, **options):
+            rollouts.append(Rollout(self))
+            return rollouts[-1].forward(times)
+
+    monkeypatch.setattr("gendom.estimation.lift.Simulator", Recorded)
+    monkeypatch.setitem(STEPS, "rope", np.array([*steps, 5e-4, 0.02]))
+    lift = Lift(lifted, CHEAP)
+    comparison = _Comparison(lift, lift.frames, [16, 32, 64], free=[0, 1])
+    theta = np.array([math.log(1.3 * MODULUS), 0.35, 0.0, 0.3])
+    (model,) = comparison.models([theta])
+    assert model is not None
+
+    x = torch.tensor(lift.simulate([_theta(theta)])[:, 0], requires_grad=True)
+    loss = density_loss(comparison, x)
+    loss.backward()
+    assert loss.item() == pytest.approx(model.sse, rel=1e-12)
+    assert x.grad is not None
+    gradients = rollouts[-1].backward(x.grad.numpy()[:, None])
+    E = lift.material(_theta(theta)).E
+    # the estimator's gradient is J^T r: half of that of the sum of squares
+    found = np.array([gradients.E[0] * E, gradients.nu[0]]) / 2.0
+    np.testing.assert_allclose(model.gradient[:2], found, rtol=rel)

@@ -58,13 +58,37 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
     """
     mat33 = wp.types.matrix((3, 3), real)
     vec3 = wp.types.vector(3, real)
+    SERIES = wp.constant(5 if real == wp.float32 else 10)
     close = 1.0e-3 if real == wp.float32 else 1.0e-7
+
+    @wp.func
+    def log_volume(J: real):
+        """log(J); near 1 by its series 2 (s + s^3/3 + ...), s = (J - 1)/(J + 1), without a call."""
+        result = real(0.0)
+        if wp.abs(J - real(1.0)) < real(0.25):
+            s = (J - real(1.0)) / (J + real(1.0))
+            q = s * s
+            for n in range(SERIES):
+                result = result * q + real(2.0) / real(2 * (SERIES - n) - 1)
+            result = result * s
+        else:
+            result = wp.log(J)
+        return result
 
     @wp.func
     def neo_hookean(F: mat33, mu: real, lam: real):
         """tau = mu (F F^T - I) + lam log(J) I. Source: Bonet and Wood (2008), chapter 6."""
-        eye = wp.identity(n=3, dtype=real)
-        return mu * (F * wp.transpose(F) - eye) + (lam * wp.log(wp.determinant(F))) * eye
+        B = F * wp.transpose(F)
+        one = real(1.0)
+        p = lam * log_volume(wp.determinant(F))
+        xy = mu * B[0, 1]
+        xz = mu * B[0, 2]
+        yz = mu * B[1, 2]
+        return mat33(
+            mu * (B[0, 0] - one) + p, xy, xz,
+            xy, mu * (B[1, 1] - one) + p, yz,
+            xz, yz, mu * (B[2, 2] - one) + p,
+        )  # fmt: skip
 
     @wp.func
     def neo_hookean_back(F: mat33, mu: real, lam: real, tau_bar: mat33):

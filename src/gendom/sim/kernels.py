@@ -175,20 +175,29 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     for p in range(N):
                         recover_particle(p, row, blend, matter, state)
                 nodes = columns.count[layout]
-                for n in range(nodes):
+                # while: of a range the compiler cannot tell that its numbers are not negative,
+                # and every index of an array would be looked at (a fifth slower)
+                n = int(0)
+                while n < nodes:
                     momentum[slot, n] = vec4()
-                for p in range(N):
+                    n += 1
+                p = int(0)
+                while p < N:
                     scatter_particle(
                         w, p, row, layout, slot, h, inv_dx, z0, matter, state, columns, momentum
                     )
-                for n in range(nodes):
+                    p += 1
+                n = int(0)
+                while n < nodes:
                     q = momentum[slot, n]
                     if q[3] > real(0.0):
                         u = update_node(w, w, layout, n, q, h, keep, scene, paths, grips, columns)
                         velocity[0, n] = vec4(u[0], u[1], u[2], q[3])
+                    n += 1
                 fastest = real(0.0)
                 total = real(0.0)
-                for p in range(N):
+                p = int(0)
+                while p < N:
                     speed, upright = move_particle(
                         w, p, row, after, layout, 0, h, inv_dx, z0, matter, columns, velocity,
                         state, state,
@@ -198,6 +207,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                         clock.culprit[w] = p
                     fastest = wp.max(fastest, speed)
                     total += speed
+                    p += 1
                 # a sum keeps a NaN, a maximum may drop it
                 if not (total < real(1.0e30)) or h * wp.sqrt(fastest) > dx:
                     status = DIVERGED

@@ -131,19 +131,25 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
             t = time + wp.float64(begun + slot) * dt
             for g in range(grips.closed.shape[1]):
                 place_gripper(w, w, g, t, dt, paths, grips)
-            for n in range(nodes):
+            # while, not range: see ``gendom.sim.kernels``
+            n = int(0)
+            while n < nodes:
                 grid_bar[0, n] = vec4()
                 velocity[0, n] = vec4()
                 q = momentum[slot, n]
                 if q[3] > real(0.0):
                     u = update_node(w, w, layout, n, q, h, keep, scene, paths, grips, columns)
                     velocity[0, n] = vec4(u[0], u[1], u[2], q[3])
-            for p in range(N):
+                n += 1
+            p = int(0)
+            while p < N:
                 move_particle_back(
                     w, p, slot, layout, 0, h, inv_dx, z0, matter, columns, velocity, state,
                     grid_bar, bars,
                 )  # fmt: skip
-            for n in range(nodes):
+                p += 1
+            n = int(0)
+            while n < nodes:
                 q = momentum[slot, n]
                 if q[3] > real(0.0):
                     b = grid_bar[0, n]
@@ -154,8 +160,10 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     grid_bar[0, n] = node_bar
                     scene_bars.keep[w] = scene_bars.keep[w] + keep_bar
                     scene_bars.gravity[w] = scene_bars.gravity[w] + gravity_bar
+                n += 1
             close_substep(w, w, t, dt, scene, paths, grips, scene_bars)
-            for p in range(N):
+            p = int(0)
+            while p < N:
                 size = scatter_particle_back(
                     w, p, slot, layout, 0, h, inv_dx, z0, matter, state, columns, grid_bar, bars
                 )
@@ -163,6 +171,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     status = NOT_FINITE
                     trouble.culprit[w] = p
                     trouble.slot[w] = slot
+                p += 1
             if (age + slot) % RECOVER_EVERY == 0 and blend > real(0.0):
                 for p in range(N):
                     recover_particle_back(w, p, slot, blend, matter, state, bars)
