@@ -324,13 +324,17 @@ def test_a_recording_without_points_cannot_be_lifted():
         Lift(recording([np.zeros((0, 3))] * 3))
 
 
-@pytest.mark.parametrize(
-    "setting", [{"clock": 0.0}, {"clock": np.nan}, {"cells_across": -1.0}, {"friction": -0.1}]
-)
+@pytest.mark.parametrize("setting", [{"clock": 0.0}, {"clock": np.nan}, {"cells_across": -1.0}])
 def test_bad_replay_settings_are_refused(setting):
     """Numbers that make no replay raise before anything is simulated."""
     with pytest.raises(ParameterError, match=next(iter(setting))):
         ReplaySettings(**setting)
+
+
+def test_negative_friction_is_refused():
+    """Before anything is simulated."""
+    with pytest.raises(ParameterError, match="friction"):
+        Theta(specific_modulus=MODULUS, friction=-0.1)
 
 
 # ---- gradients -------------------------------------------------------------------------------

@@ -144,6 +144,9 @@ class Theta:
     friction: float = 0.3
     """Coefficient of friction on the table [-]."""
 
+    def __post_init__(self) -> None:
+        check_numbers("friction", self.friction, least=0.0)
+
 
 class Lift:
     """One recording, ready to be simulated for any parameters.
