@@ -16,7 +16,7 @@ from gendom.estimation import (
     replay_chamfer,
 )
 from gendom.estimation.estimate import STEPS, _Comparison, _theta
-from gendom.estimation.lift import BENDING_RANGE, FRICTION_PRIOR
+from gendom.estimation.priors import BENDING_RANGE, FRICTION_PRIOR
 from gendom.files import to_json
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import chamfer

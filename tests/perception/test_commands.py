@@ -11,9 +11,7 @@ from PIL import Image
 
 from gendom import cli
 from gendom.datasets import Recording
-from gendom.errors import DeviceError
 from gendom.perception import FrameSource, PngCamera, RealSenseWriter, read_seen_by
-from gendom.perception.realsense import realsense_sdk
 
 RED = ["--colour", "180", "30", "35"]
 
@@ -370,14 +368,6 @@ def to_realsense(folder, names=("left", "right"), shift=0.0, unit=1.0):
         shutil.rmtree(place)
         place.with_name("new").rename(place)
     return folder
-
-
-@pytest.fixture(scope="module")
-def sdk():
-    try:
-        return realsense_sdk()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 @pytest.mark.parametrize("names", [("left", "right"), ("right",)])

@@ -20,17 +20,8 @@ from gendom.perception import (
     RealSenseWriter,
     record_cameras,
 )
-from gendom.perception.realsense import realsense_sdk
 
 WIDTH, HEIGHT, F = 64, 48, 60.0
-
-
-@pytest.fixture(scope="module")
-def sdk():
-    try:
-        return realsense_sdk()
-    except DeviceError as error:
-        pytest.skip(str(error))
 
 
 class Device:

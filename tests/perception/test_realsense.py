@@ -25,14 +25,6 @@ from gendom.perception.rosbag import _pixels
 RECORDINGS = Path(__file__).with_name("recordings")
 
 
-@pytest.fixture(scope="module")
-def sdk():
-    try:
-        return realsense_sdk()
-    except DeviceError as error:
-        pytest.skip(str(error))
-
-
 @pytest.fixture
 def copy(tmp_path):
     """Function (name) -> a copy of a stored recording, to spoil."""

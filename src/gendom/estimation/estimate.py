@@ -21,15 +21,17 @@ from gendom.estimation.gauss_newton import (
     posterior_covariance,
 )
 from gendom.estimation.hold import Held
-from gendom.estimation.lift import (
+from gendom.estimation.lift import Lift, ReplaySettings, Theta
+from gendom.estimation.placing import ASSUMED_THICKNESS
+from gendom.estimation.priors import (
     BENDING_RANGE,
     FRICTION_PRIOR,
     FRICTION_RANGE,
-    Lift,
-    ReplaySettings,
-    Theta,
+    NU_PRIOR,
+    NU_RANGE,
+    OFFSET_PRIOR,
+    START_RANGE,
 )
-from gendom.estimation.placing import ASSUMED_THICKNESS
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import DensityGrid, chamfer
 
@@ -96,14 +98,8 @@ HOLD_SHARE = 0.6
 IDENTIFIABLE = 0.5
 """A parameter counts as identifiable when the data cut its prior deviation at least this far."""
 
-NU_PRIOR = (0.3, 0.06)
-"""Mean and standard deviation of Poisson's ratio before seeing data."""
-
-OFFSET_PRIOR = {"commanded": 0.01, "measured": 0.002}
-"""Standard deviation of the grip offset [m] by the source of the gripper's path."""
-
-START_RANGE = {"rope": (0.2, 0.7), "cloth": (0.04, 0.1)}
-"""Bending lengths from which starts are drawn, likewise."""
+LOG_MODULUS, NU, OFFSET, FRICTION = range(4)
+"""Places in a vector of parameters: log E / density, nu, grip offset [m], friction."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,14 +189,18 @@ def estimate(
     effective = FRAME_EFFECT * min(len(_compared(fine, settings)), INDEPENDENT_FRAMES)
     frames = _compared(fine, settings)
     few = frames[:: -(-len(frames) // COARSE_FRAMES)]
-    free, most_fine = (0, 1, 2, 3), settings.max_iterations
+    free, most_fine = (LOG_MODULUS, NU, OFFSET, FRICTION), settings.max_iterations
     if fine.body.kind == "cloth":
         # nu does not show in how a cloth hangs: it stays where its prior has it
-        free, most_fine = (0, 2, 3), min(most_fine, CLOTH_ITERATIONS)
+        free, most_fine = (LOG_MODULUS, OFFSET, FRICTION), min(most_fine, CLOTH_ITERATIONS)
     if fine.table_height is None:
-        free = tuple(k for k in free if k != 3)
+        free = tuple(k for k in free if k != FRICTION)
     stages = (
-        ("coarse", _Comparison(coarse, few, COARSE_LEVELS, (0, 2)), COARSE_ITERATIONS),
+        (
+            "coarse",
+            _Comparison(coarse, few, COARSE_LEVELS, (LOG_MODULUS, OFFSET)),
+            COARSE_ITERATIONS,
+        ),
         ("fine", _Comparison(fine, frames, FINE_LEVELS, free), most_fine),
     )
     spent = 0
@@ -333,9 +333,11 @@ class _Comparison:
     def models(self, thetas: list[NDArray[np.floating]]) -> list[Normal | None]:
         """Quadratic models at parameter vectors, from one batch of worlds."""
         h = STEPS[self.lift.body.kind]
-        steps = [np.where(theta + h > [np.inf, 0.45, np.inf, np.inf], -h, h) for theta in thetas]
+        most = np.full(len(h), np.inf)
+        most[NU] = NU_RANGE[1]
+        steps = [np.where(theta + h > most, -h, h) for theta in thetas]
         worlds = [
-            [theta] + [theta + np.eye(4)[k] * step[k] for k in self.free]
+            [theta] + [theta + np.eye(len(h))[k] * step[k] for k in self.free]
             for theta, step in zip(thetas, steps, strict=True)
         ]
         size = 1 + len(self.free)
@@ -358,7 +360,7 @@ class _Comparison:
     def _model(self, x: NDArray[np.floating], step: NDArray[np.floating]) -> Normal:
         """From particles [T, 1 + free, N, 3] of a point and its neighbours."""
         free = np.ix_(self.free, self.free)
-        sse, gradient, hessian = 0.0, np.zeros(4), np.zeros((4, 4))
+        sse, gradient, hessian = 0.0, np.zeros(len(step)), np.zeros((len(step),) * 2)
         for t in range(len(x)):
             # neighbours show the same points: who is seen must not change within a difference
             skin = self.lift.body.surface(x[t])
@@ -375,10 +377,10 @@ class _Comparison:
 
 def _theta(vector: NDArray[np.floating]) -> Theta:
     return Theta(
-        specific_modulus=math.exp(vector[0]),
-        nu=float(vector[1]),
-        grip_offset=float(vector[2]),
-        friction=float(vector[3]),
+        specific_modulus=math.exp(vector[LOG_MODULUS]),
+        nu=float(vector[NU]),
+        grip_offset=float(vector[OFFSET]),
+        friction=float(vector[FRICTION]),
     )
 
 
@@ -394,8 +396,8 @@ def _starts(lift: Lift, settings: EstimateSettings) -> tuple[Bounds, list[Start]
     near, far = (math.log(share) for share in START_RANGE[lift.body.kind])
     offset = OFFSET_PRIOR.get(lift.recording.gripper_source, OFFSET_PRIOR["commanded"])
     bounds = Bounds(
-        low=np.array([low, 0.05, -5.0 * offset, FRICTION_RANGE[0]]),
-        high=np.array([high, 0.45, 5.0 * offset, FRICTION_RANGE[1]]),
+        low=np.array([low, NU_RANGE[0], -5.0 * offset, FRICTION_RANGE[0]]),
+        high=np.array([high, NU_RANGE[1], 5.0 * offset, FRICTION_RANGE[1]]),
         # the modulus is searched over this range without preference: a very wide Gaussian
         mean=np.array([(low + high) / 2.0, NU_PRIOR[0], 0.0, FRICTION_PRIOR[0]]),
         sd=np.array([(high - low) / 2.0, NU_PRIOR[1], offset, FRICTION_PRIOR[1]]),
@@ -477,18 +479,24 @@ def _result(
     sd = np.sqrt(np.diag(covariance))
     # E goes with the bending length cubed
     doubt = 0.0 if lift.held is None else 3.0 * lift.held.doubt
-    sd[0] = math.hypot(sd[0], _grid_error(lift, theta), doubt)
+    sd[LOG_MODULUS] = math.hypot(sd[LOG_MODULUS], _grid_error(lift, theta), doubt)
     z = float(norm.ppf(0.5 + settings.level / 2.0))
     positions = lift.simulate([theta])[:, 0]
     whole, surface = replay_chamfer(lift, positions)
-    specific = [theta.specific_modulus * math.exp(sign * z * sd[0]) for sign in (-1.0, 1.0)]
+    specific = [
+        theta.specific_modulus * math.exp(sign * z * sd[LOG_MODULUS]) for sign in (-1.0, 1.0)
+    ]
     density = lift.density
     k = lift.radius_of_gyration
 
     def bends(s: float) -> float:
         return bending_length(s, k, GRAVITY)
 
-    searched = [math.exp(bounds.low[0]), math.exp(bounds.high[0])]
+    def plausible(value: float, k: int) -> list[float]:
+        ends = [value - z * sd[k], value + z * sd[k]]
+        return [float(x) for x in np.clip(ends, bounds.low[k], bounds.high[k])]
+
+    searched = [math.exp(bounds.low[LOG_MODULUS]), math.exp(bounds.high[LOG_MODULUS])]
 
     described = lift.recording.object
     record: dict[str, Any] = {
@@ -507,26 +515,20 @@ def _result(
             "youngs_modulus": [s * density for s in specific],
             "specific_modulus": specific,
             "bending_length": [bends(s) for s in specific],
-            "poissons_ratio": [
-                float(np.clip(theta.nu + sign * z * sd[1], bounds.low[1], bounds.high[1]))
-                for sign in (-1.0, 1.0)
-            ],
-            "friction": [
-                float(np.clip(theta.friction + sign * z * sd[3], bounds.low[3], bounds.high[3]))
-                for sign in (-1.0, 1.0)
-            ],
+            "poissons_ratio": plausible(theta.nu, NU),
+            "friction": plausible(theta.friction, FRICTION),
         },
         "bounds": {
             "youngs_modulus": [s * density for s in searched],
             "specific_modulus": searched,
             "bending_length": [bends(s) for s in searched],
-            "poissons_ratio": [float(bounds.low[1]), float(bounds.high[1])],
-            "friction": [float(bounds.low[3]), float(bounds.high[3])],
+            "poissons_ratio": [float(bounds.low[NU]), float(bounds.high[NU])],
+            "friction": [float(bounds.low[FRICTION]), float(bounds.high[FRICTION])],
         },
         "identifiable": {
-            "youngs_modulus": bool(sd[0] < IDENTIFIABLE * bounds.sd[0]),
-            "poissons_ratio": bool(sd[1] < IDENTIFIABLE * bounds.sd[1]),
-            "friction": bool(sd[3] < IDENTIFIABLE * bounds.sd[3]),
+            "youngs_modulus": bool(sd[LOG_MODULUS] < IDENTIFIABLE * bounds.sd[LOG_MODULUS]),
+            "poissons_ratio": bool(sd[NU] < IDENTIFIABLE * bounds.sd[NU]),
+            "friction": bool(sd[FRICTION] < IDENTIFIABLE * bounds.sd[FRICTION]),
         },
         "chamfer_last": float(whole[-1]),
         "chamfer_mean": float(whole.mean()),
@@ -563,7 +565,7 @@ def _result(
             {
                 "initial": _named(theta0, density),
                 "final": _named(starts[heir].theta, density),
-                "bending_length": bends(math.exp(starts[heir].theta[0])),
+                "bending_length": bends(math.exp(starts[heir].theta[LOG_MODULUS])),
                 "loss": starts[heir].model.sse,  # pyright: ignore
                 "converged": bool(starts[heir].done),
                 "descent": heir,
@@ -586,9 +588,9 @@ def _grid_error(lift: Lift, theta: Theta) -> float:
 
 def _named(vector: NDArray[np.floating], density: float) -> dict[str, float]:
     return {
-        "youngs_modulus": math.exp(vector[0]) * density,
-        "specific_modulus": math.exp(vector[0]),
-        "poissons_ratio": float(vector[1]),
-        "grip_offset": float(vector[2]),
-        "friction": float(vector[3]),
+        "youngs_modulus": math.exp(vector[LOG_MODULUS]) * density,
+        "specific_modulus": math.exp(vector[LOG_MODULUS]),
+        "poissons_ratio": float(vector[NU]),
+        "grip_offset": float(vector[OFFSET]),
+        "friction": float(vector[FRICTION]),
     }

@@ -35,9 +35,6 @@ POINTS = 400
 EFFECTIVE = 250.0
 """Independent figures that the compared clouds contribute."""
 
-ITERATIONS = 10
-"""Simulated batches that a fit may spend."""
-
 LEAST_GAIN = 3e-3
 """Share of the summed distances that a step must still win."""
 
@@ -111,7 +108,7 @@ def fit_hold(
     bounds: Bounds,
     starts: Sequence[Held],
     *,
-    iterations: int = ITERATIONS,
+    iterations: int = 10,
     on_iteration: Callable[[Held, float], None] | None = None,
 ) -> Held:
     """The held cloth whose simulated lift lies nearest to the clouds.

@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
 from gendom.errors import RecordingError, SimulationError
-from gendom.estimation.gauss_newton import Bounds
-from gendom.estimation.hold import NAMES, Held, Hold, fit_hold
+from gendom.estimation.hold import Held, Hold, fit_hold
 from gendom.estimation.placing import place
+from gendom.estimation.priors import LEAST_REACH, hold_bounds, hold_guesses
 from gendom.materials import Material
 from gendom.materials.parameters import specific_modulus_of
 from gendom.observation import visible
@@ -50,8 +50,9 @@ RAMP_SPEED = 0.1
 """Speed at which the gripper takes the object from rest to its first recorded position [m/s]."""
 
 HOLD_STAGES = {"commanded": ((0.6, 8), (1.0, 4)), "measured": ((1.0, 6),)}
-"""Shares of those cells with which the hold of a corner is found, and the batches spent there: a
-stated point that was measured lies near enough for the grid of the estimate."""
+"""Grids on which the hold of a corner is found, one after the other, by the source of the gripper's
+path: cells for each cell of the estimate, and the batches that may be spent. Where the path was
+measured, the first guess is near enough for the estimate's own grid."""
 
 HOLD_FRAMES = 10
 """Frames from which the hold of a corner is found."""
@@ -59,53 +60,6 @@ HOLD_FRAMES = 10
 HOLD_THICKNESS = 1.0 / 15.0
 """Thickness of the sheet with which the hold of a thinner cloth is found, in bending lengths: one
 that hangs by its edge is stretched by less than 1 % for each 0.3 m below."""
-
-BENDING_RANGE = {"rope": (0.08, 1.2), "cloth": (0.015, 0.2)}
-"""Bending lengths searched for, in lengths of a rope or diagonals of a cloth."""
-
-FRICTION_PRIOR = (0.4, 0.25)
-"""Mean and standard deviation of the coefficient of friction before seeing data."""
-
-FRICTION_RANGE = (0.05, 1.2)
-"""Coefficients of friction that are searched."""
-
-HOLD_MEAN = Hold(lag=0.05, inset=0.02, tilt=0.8, sink=0.005)
-"""How the corner of a cloth is held, before seeing the clouds."""
-
-HOLD_SD = {
-    "commanded": Hold(
-        lag=0.1, height=0.02, inset=0.02, aside=0.015, turn=0.2, tilt=0.6, sink=0.01, reach=0.008
-    ),
-    "measured": Hold(
-        lag=0.02, height=0.005, inset=0.02, aside=0.015, turn=0.2, tilt=0.6, sink=0.01, reach=0.008
-    ),
-}
-"""Standard deviations of that by the source of the gripper's path: an arm trails its commands and
-what it is sent to is a point of the hand, not of the fingertips."""
-
-HOLD_RANGE = 4.0
-"""How far from that mean a hold is looked for, in standard deviations."""
-
-HOLD_STARTS = (
-    Held(hold=replace(HOLD_MEAN, tilt=0.2), bending=0.05),
-    Held(hold=replace(HOLD_MEAN, lag=0.1, height=-0.03, inset=0.04, tilt=1.4, sink=0.015),
-         bending=0.08),
-)  # fmt: skip
-"""First guesses, bending lengths in diagonals of the cloth: a level corner at the stated point,
-and a hanging one at fingertips below it that reach further in. What lies between them looks alike
-from afar, and a search from one side stays there."""
-
-LEAST_REACH = 0.4
-"""The smallest grip that a grid resolves, in cells."""
-
-STATED_REACH_SD = 0.003
-"""Standard deviation of a reach that the recording states [m]."""
-
-LEAST_TILT = -0.2
-"""Fingers turn a corner down, hardly ever up [rad]."""
-
-LARGEST_BEND = 0.4
-"""Largest step of the search in the logarithm of the bending length."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,8 +108,8 @@ class Lift:
     The object starts at rest on its table: a rope along its visible centre line, from the
     gripper on, as long as stated; a cloth as the flat square that holds most of the recorded
     points, held where the recording says. It is carried along the recorded path; heights below
-    rest mean slack. How the corner of a cloth is held is found from the clouds, with a nominal
-    material on a coarse grid.
+    rest mean slack. How the corner of a cloth is held is found from the clouds, together with how
+    far the cloth bends.
 
     Args:
         recording: What was seen.
@@ -347,17 +301,9 @@ class Lift:
             return None
         chosen = hanging[:: -(-len(hanging) // HOLD_FRAMES)]
         clouds = [self.recording.frame(t) for t in chosen]
-        reach = self.recording.object.grasp_radius or HOLD_MEAN.reach
-        guesses = [
-            Held(hold=replace(g.hold, reach=reach), bending=g.bending * self.size)
-            for g in HOLD_STARTS
-        ]
-        source = self.recording.gripper_source
-        if source == "measured":
-            # the hand is where it says
-            guesses = [replace(guesses[0], hold=replace(guesses[0].hold, lag=0.0))]
+        guesses = hold_guesses(self.recording, size=self.size)
         found = None
-        stages = HOLD_STAGES.get(source, HOLD_STAGES["commanded"])
+        stages = HOLD_STAGES.get(self.recording.gripper_source, HOLD_STAGES["commanded"])
         batches = sum(iterations for _, iterations in stages)
         spent = 0
 
@@ -379,7 +325,9 @@ class Lift:
                 ]
                 return lift.simulate(thetas, frames=chosen, holds=[h.hold for h in held])
 
-            bounds = lift._hold_bounds()
+            bounds = hold_bounds(
+                self.recording, size=self.size, cell=lift.body.dx, table_seen=self.floor is None
+            )
             try:
                 found = fit_hold(
                     simulate,
@@ -408,42 +356,6 @@ class Lift:
             return lift
         described = replace(self.recording.object, thickness=thickness)
         return Lift(replace(self.recording, object=described), lift.settings, hold=lift.hold)
-
-    def _hold_bounds(self) -> Bounds:
-        """Limits and prior of the held cloth, in the order of ``NAMES``."""
-        described = self.recording.object
-        assert described.width is not None and described.height is not None
-        source = self.recording.gripper_source
-        sd = np.array([*astuple(HOLD_SD.get(source, HOLD_SD["commanded"])), FRICTION_PRIOR[1], 1.0])
-        mean = np.array([*astuple(HOLD_MEAN), FRICTION_PRIOR[0], 0.0])
-        lag, inset, tilt, sink, reach, friction, bending = (
-            NAMES.index(name)
-            for name in ("lag", "inset", "tilt", "sink", "reach", "friction", "log_bending")
-        )
-        if source == "measured":
-            mean[lag] = 0.0
-        if described.grasp_radius is not None:
-            mean[reach], sd[reach] = described.grasp_radius, STATED_REACH_SD
-        # how far it bends is searched over its range without preference: a wide Gaussian
-        range_ = np.log(np.array(BENDING_RANGE["cloth"]) * self.size)
-        mean[bending], sd[bending] = range_.mean(), np.ptp(range_)
-        low, high = mean - HOLD_RANGE * sd, mean + HOLD_RANGE * sd
-        low[bending], high[bending] = range_
-        low[friction], high[friction] = FRICTION_RANGE
-        low[[lag, inset, sink]] = 0.0
-        low[tilt], low[reach] = LEAST_TILT, LEAST_REACH * self.body.dx
-        high[inset] = min(high[inset], described.width / 4.0, described.height / 4.0)
-        if self.recording.quasi_static:
-            # its clock is rescaled, so that a lag in seconds means nothing
-            mean[lag] = high[lag] = 0.0
-        if self.floor is None:
-            # a table that is seen lies where it is stated
-            mean[sink] = high[sink] = 0.0
-        largest = sd.copy()
-        largest[bending] = LARGEST_BEND
-        return Bounds(
-            low=low, high=high, mean=mean, sd=sd, largest_step=largest, tolerance=0.02 * largest
-        )
 
     def _laid(self, hold: Hold) -> NDArray[np.floating]:
         """[N, 3] particles of the flat cloth held like this, on the stated table [m]."""
