@@ -1,6 +1,6 @@
 """Constitutive laws as Warp functions, made for one floating-point type.
 
-A law maps the deformation gradient F to the Kirchhoff stress tau = J sigma; a return mapping
+A law maps the deformation gradient F to the first Piola-Kirchhoff stress P; a return mapping
 maps a trial F to the F that the yield surface allows. Each has its transpose beside it, which
 carries derivatives of a loss from the result to the arguments; a name with ``_bar`` is the
 derivative of the loss by that quantity. The simulator's kernels only loop.
@@ -30,8 +30,8 @@ class Law(NamedTuple):
     """The Warp functions of one material.
 
     Attributes:
-        stress: (F, mu, lam) -> tau [Pa].
-        stress_back: (F, mu, lam, tau_bar) -> F_bar, mu_bar, lam_bar.
+        stress: (F, mu, lam) -> P [Pa].
+        stress_back: (F, mu, lam, P_bar) -> F_bar, mu_bar, lam_bar.
         return_map: (F trial, mu, yield stress) -> F [-].
         return_map_back: (F trial, mu, yield stress, F_bar) -> F trial_bar, mu_bar, yield_bar.
         plastic: Whether the return mapping does anything.
@@ -76,29 +76,29 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
         return result
 
     @wp.func
-    def neo_hookean(F: mat33, mu: real, lam: real):
-        """tau = mu (F F^T - I) + lam log(J) I. Source: Bonet and Wood (2008), chapter 6."""
-        B = F * wp.transpose(F)
-        one = real(1.0)
-        p = lam * log_volume(wp.determinant(F))
-        xy = mu * B[0, 1]
-        xz = mu * B[0, 2]
-        yz = mu * B[1, 2]
-        return mat33(
-            mu * (B[0, 0] - one) + p, xy, xz,
-            xy, mu * (B[1, 1] - one) + p, yz,
-            xz, yz, mu * (B[2, 2] - one) + p,
-        )  # fmt: skip
+    def cofactors(F: mat33):
+        """J F^-T: columns are cross products of those of F."""
+        a = vec3(F[0, 0], F[1, 0], F[2, 0])
+        b = vec3(F[0, 1], F[1, 1], F[2, 1])
+        c = vec3(F[0, 2], F[1, 2], F[2, 2])
+        return wp.matrix_from_cols(wp.cross(b, c), wp.cross(c, a), wp.cross(a, b))
 
     @wp.func
-    def neo_hookean_back(F: mat33, mu: real, lam: real, tau_bar: mat33):
-        """Transpose of ``neo_hookean``."""
-        eye = wp.identity(n=3, dtype=real)
-        log_J = wp.log(wp.determinant(F))
-        trace = wp.trace(tau_bar)
-        F_bar = mu * ((tau_bar + wp.transpose(tau_bar)) * F)
-        F_bar += (lam * trace) * wp.transpose(wp.inverse(F))
-        return F_bar, wp.ddot(tau_bar, F * wp.transpose(F) - eye), log_J * trace
+    def neo_hookean(F: mat33, mu: real, lam: real):
+        """P = mu (F - F^-T) + lam log(J) F^-T. Source: Bonet and Wood (2008), chapter 6."""
+        J = wp.determinant(F)
+        return mu * F + ((lam * log_volume(J) - mu) / J) * cofactors(F)
+
+    @wp.func
+    def neo_hookean_back(F: mat33, mu: real, lam: real, P_bar: mat33):
+        """Transpose of ``neo_hookean``; d(F^-T) = -F^-T dF^T F^-T."""
+        J = wp.determinant(F)
+        B = (real(1.0) / J) * cofactors(F)
+        log_J = log_volume(J)
+        share = wp.ddot(P_bar, B)
+        F_bar = mu * P_bar + (lam * share) * B
+        F_bar -= (lam * log_J - mu) * (B * (wp.transpose(P_bar) * B))
+        return F_bar, wp.ddot(P_bar, F) - share, log_J * share
 
     @wp.func
     def rotation_of(F: mat33):
@@ -118,12 +118,9 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
 
     @wp.func
     def fixed_corotated(F: mat33, mu: real, lam: real):
-        """tau = 2 mu (F - R) F^T + lam J (J - 1) I. Source: Stomakhin et al. (2012)."""
+        """P = 2 mu (F - R) + lam (J - 1) J F^-T. Source: Stomakhin et al. (2012)."""
         J = wp.determinant(F)
-        eye = wp.identity(n=3, dtype=real)
-        return (real(2.0) * mu) * ((F - rotation_of(F)) * wp.transpose(F)) + (
-            lam * J * (J - real(1.0))
-        ) * eye
+        return (real(2.0) * mu) * (F - rotation_of(F)) + (lam * (J - real(1.0))) * cofactors(F)
 
     @wp.func
     def rotation_of_back(F: mat33, R: mat33, R_bar: mat33):
@@ -135,18 +132,17 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
         return R * wp.skew(y)
 
     @wp.func
-    def fixed_corotated_back(F: mat33, mu: real, lam: real, tau_bar: mat33):
+    def fixed_corotated_back(F: mat33, mu: real, lam: real, P_bar: mat33):
         """Transpose of ``fixed_corotated``."""
         R = rotation_of(F)
         J = wp.determinant(F)
-        trace = wp.trace(tau_bar)
-        two = real(2.0)
-        pulled = (two * mu) * (tau_bar * F)
-        F_bar = pulled - rotation_of_back(F, R, pulled)
-        F_bar += (two * mu) * (wp.transpose(tau_bar) * (F - R))
-        F_bar += (lam * trace * J * (two * J - real(1.0))) * wp.transpose(wp.inverse(F))
-        mu_bar = two * wp.ddot(tau_bar, (F - R) * wp.transpose(F))
-        return F_bar, mu_bar, trace * J * (J - real(1.0))
+        B = (real(1.0) / J) * cofactors(F)
+        share = J * wp.ddot(P_bar, B)
+        grown = J - real(1.0)
+        F_bar = (real(2.0) * mu) * (P_bar - rotation_of_back(F, R, P_bar))
+        F_bar += (lam * (J + grown) * share) * B
+        F_bar -= (lam * grown * J) * (B * (wp.transpose(P_bar) * B))
+        return F_bar, real(2.0) * wp.ddot(P_bar, F - R), grown * share
 
     @wp.func
     def hencky(F: mat33):

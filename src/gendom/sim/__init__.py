@@ -7,14 +7,13 @@ from gendom.sim.gripper import Gripper
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
 from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
-from gendom.sim.simulator import CFL, RECOVERY, Simulator, stable_substep
+from gendom.sim.simulator import CFL, Simulator, stable_substep
 
 __all__ = [
     "CFL",
     "GRAVITY",
     "METRIC",
     "PAPER",
-    "RECOVERY",
     "Body",
     "Box",
     "Gradients",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gendom.sim.columns import Grid
 from gendom.sim.kernels import GRID_FULL, OK
-from gendom.sim.worlds import LAY_ANEW, STATE, Frames, Worlds
+from gendom.sim.worlds import LAY_ANEW, Frames, Worlds
 
 SUBSTEPS_A_GRAPH = 8
 """Substeps recorded in one CUDA graph."""
@@ -55,7 +55,7 @@ class Batch:
         chosen: Any = s.state.x[:, s.array(frames.particles, wp.int32)]
         now = frames.began
         for f, until in enumerate(frames.times):
-            for name in STATE:
+            for name in s.carried:
                 wp.copy(getattr(s.last_good, name), getattr(s.state, name))
             s.last_good_time[:] = now
             self.plan(now, until)
@@ -185,8 +185,10 @@ class Batch:
         recorded = momentum is not None
         momentum = self.grid.momentum if momentum is None else momentum
         W, N = s.num_worlds, s.num_particles
+        if not s.plastic:
+            self.launch(k.tense, (W, N), [r, s.clock, lap, s.matter, s.scene, before, s.pulls])
         self.launch(k.p2g, (W, N), [
-            r, s.clock, lap, s.matter, s.scene, before, columns, momentum,
+            r, s.clock, lap, s.matter, s.scene, before, s.pulls, columns, momentum,
         ])  # fmt: skip
         self.launch(k.grid_update, self.velocity.shape, [
             r, s.clock, lap, s.scene, s.paths, self.grips, columns, int(recorded), momentum,

@@ -30,9 +30,6 @@ GRID_FULL = 1
 INVERTED = 2
 DIVERGED = 3
 
-RECOVER_EVERY = 16
-"""Substeps from one recovery of the deformation gradient to the next."""
-
 
 @functools.cache
 def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
@@ -46,8 +43,9 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     Returns:
         Namespace with the types, ``columns``, ``boundary`` and ``transfers`` of the kernels,
         ``frame_substep``, ``advance`` (CPU) and the stages of a substep (CUDA): ``tally``,
-        ``place``, ``locate``, ``empty``, ``mark``, ``lay`` where a graph begins, then ``p2g``,
-        ``grid_update``, ``g2p`` for each of its substeps, and ``take``.
+        ``place``, ``locate``, ``empty``, ``mark``, ``lay`` where a graph begins, then ``tense``
+        (of elastic bodies), ``p2g``, ``grid_update``, ``g2p`` for each of its substeps, and
+        ``take``.
     """
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
@@ -67,8 +65,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     Matter, State = transfers.Matter, transfers.State
     scatter_particle = transfers.scatter_particle
     move_particle = transfers.move_particle
-    recovery_share = transfers.recovery_share
-    recover_particle = transfers.recover_particle
+    tense_particle = transfers.tense_particle
+    yields = transfers.yields
 
     @wp.struct
     class Clock:
@@ -111,6 +109,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         scene: Scene,
         paths: Paths,
         grips: Grips,  # [W]
+        pulls: wp.array2d(dtype=mat33),  # [W, N] scratch
         # in rows: substep n of this call goes from row first + n * stride to the next; stride 0
         # works in place, 1 keeps every state, its grid and its layout for the reverse
         first: int,
@@ -129,7 +128,6 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         dt = clock.dt[w]
         h = real(dt)
         keep = wp.exp(-scene.damping[w] * h)
-        blend = recovery_share(h, RECOVER_EVERY, matter)
         begun = clock.step[w]
         step = int(begun)
         age = clock.age[w]
@@ -166,17 +164,21 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                         columns.bounds[0, a] = columns.bounds[layout, a]
                 else:
                     travel = real(0.0)
+            if yields == 0 and status == OK:
+                # while: of a range the compiler cannot tell that its numbers are not negative,
+                # and every index of an array would be looked at (a fifth slower)
+                p = int(0)
+                while p < N:
+                    if not tense_particle(w, p, row, h, matter, state, pulls):
+                        status = INVERTED
+                        clock.culprit[w] = p
+                    p += 1
             if status == OK:
                 layout_of[slot] = layout
                 t = time + wp.float64(step) * dt
                 for g in range(grips.closed.shape[1]):
                     place_gripper(w, w, g, t, dt, paths, grips)
-                if age % RECOVER_EVERY == 0 and blend > real(0.0):
-                    for p in range(N):
-                        recover_particle(p, row, blend, matter, state)
                 nodes = columns.count[layout]
-                # while: of a range the compiler cannot tell that its numbers are not negative,
-                # and every index of an array would be looked at (a fifth slower)
                 n = int(0)
                 while n < nodes:
                     momentum[slot, n] = vec4()
@@ -184,8 +186,9 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                 p = int(0)
                 while p < N:
                     scatter_particle(
-                        w, p, row, layout, slot, h, inv_dx, z0, matter, state, columns, momentum
-                    )
+                        w, p, row, layout, slot, h, inv_dx, z0, matter, state, pulls, columns,
+                        momentum,
+                    )  # fmt: skip
                     p += 1
                 n = int(0)
                 while n < nodes:
@@ -202,7 +205,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                         w, p, row, after, layout, 0, h, inv_dx, z0, matter, columns, velocity,
                         state, state,
                     )  # fmt: skip
-                    if not upright and status == OK:
+                    if not upright:
                         status = INVERTED
                         clock.culprit[w] = p
                     fastest = wp.max(fastest, speed)
@@ -222,7 +225,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     # ---- CUDA: a graph of GRAPH substeps; columns are laid anew only where it begins ------------
     #
     # A world that would leave its columns, that has done its substeps or that failed stands still
-    # for the rest of the graph. Inside a graph nothing but the substep's three kernels runs: how
+    # for the rest of the graph. Inside a graph nothing but the substep's kernels runs: how
     # far a world has travelled is summed from each substep's largest speed by whoever asks.
 
     @wp.struct
@@ -315,6 +318,23 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                 clock.status[w] = GRID_FULL
 
     @wp.kernel(enable_backward=False)
+    def tense(
+        r: int,
+        clock: Clock,
+        lap: Lap,
+        matter: Matter,
+        scene: Scene,
+        state: State,
+        pulls: wp.array2d(dtype=mat33),
+    ):
+        """Pulls between the particles of an elastic body."""
+        w, p = wp.tid()
+        if runs(w, r, scene.dx, clock, lap):
+            if not tense_particle(w, p, w, real(clock.dt[w]), matter, state, pulls):
+                wp.atomic_max(lap.trouble, w, INVERTED)
+                clock.culprit[w] = p
+
+    @wp.kernel(enable_backward=False)
     def p2g(
         r: int,
         clock: Clock,
@@ -322,6 +342,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         matter: Matter,
         scene: Scene,
         state: State,
+        pulls: wp.array2d(dtype=mat33),
         columns: Columns,
         momentum: wp.array2d(dtype=vec4),
     ):
@@ -329,14 +350,10 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         if r == 0 and p == 0:
             lap.stale[w] = 0  # laid by now
         if runs(w, r, scene.dx, clock, lap):
-            h = real(clock.dt[w])
-            if (clock.age[w] + r) % RECOVER_EVERY == 0:
-                blend = recovery_share(h, RECOVER_EVERY, matter)
-                if blend > real(0.0):
-                    recover_particle(p, w, blend, matter, state)
             scatter_particle(
-                w, p, w, w, w, h, real(1.0) / scene.dx, scene.z0, matter, state, columns, momentum
-            )
+                w, p, w, w, w, real(clock.dt[w]), real(1.0) / scene.dx, scene.z0, matter, state,
+                pulls, columns, momentum,
+            )  # fmt: skip
 
     @wp.kernel(enable_backward=False)
     def grid_update(
@@ -411,7 +428,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         state_out.x[w, p] = rows.x[row, p]
         state_out.v[w, p] = rows.v[row, p]
         state_out.C[w, p] = rows.C[row, p]
-        state_out.F[w, p] = rows.F[row, p]
+        if yields == 1:
+            state_out.F[w, p] = rows.F[row, p]
 
     return SimpleNamespace(
         vec3=vec3,
@@ -432,6 +450,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         empty=empty,
         mark=mark,
         lay=lay,
+        tense=tense,
         p2g=p2g,
         grid_update=grid_update,
         g2p=g2p,

@@ -7,7 +7,6 @@ from typing import Any
 from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim.scene import GRAVITY, Box, Table
-from gendom.sim.simulator import RECOVERY
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +30,6 @@ class Preset:
     """[s], or None for each world's stability limit."""
     table: Table | None
     box: Box | None
-    recovery: float
-    """[1/s]."""
 
     def material(self, *, E: float, nu: float) -> Material:
         """A material of this preset's density and yield stress."""
@@ -46,7 +43,6 @@ class Preset:
             "substep": self.substep,
             "table": self.table,
             "box": self.box,
-            "recovery": self.recovery,
         }
 
 
@@ -60,7 +56,6 @@ METRIC = Preset(
     substep=None,
     table=None,
     box=None,
-    recovery=RECOVERY,
 )
 """SI units; the default of every part of this package."""
 
@@ -77,7 +72,6 @@ PAPER = Preset(
     substep=1e-4,
     table=Table(height=2.0 * _CELL, friction=0.5),
     box=Box(lower=(_LOWER, _LOWER, _LOWER), upper=(_UPPER, _UPPER, _UPPER)),
-    recovery=0.0,
 )
 """The unit cube of the GenDOM authors' code, z up: 64 cells, density 1, their gravity, substep,
 yield stress, floor of three node layers and walls. At E above about 3,000 its substep is longer

@@ -23,9 +23,6 @@ from gendom.sim.worlds import STATE, Frames, Setting, Worlds, spread
 CFL = 0.4
 """Default share of the time in which a pressure wave crosses one cell."""
 
-RECOVERY = 1000.0
-"""Default rate at which F follows the particles' positions [1/s]."""
-
 
 class Simulator:
     """MLS-MPM of W worlds that differ in material, friction, gravity, damping and gripper paths.
@@ -41,8 +38,6 @@ class Simulator:
         gravity: [3] or [W, 3] [m/s^2].
         damping: Rate at which velocities decay, one number or [W] [1/s].
         box: Walls, or None.
-        recovery: Rate at which F of an elastic body follows its particles' positions [1/s];
-            0 switches this off. Yielding bodies keep their own F.
         law: Elastic law, see ``gendom.materials.laws.LAWS``.
         substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
         cfl: Share of the limit dx / wave speed (see ``stable_substep``).
@@ -68,7 +63,6 @@ class Simulator:
         gravity: ArrayLike = GRAVITY,
         damping: float | ArrayLike = 0.0,
         box: Box | None = None,
-        recovery: float = RECOVERY,
         law: str = "neo-hookean",
         substep: float | None = None,
         cfl: float = CFL,
@@ -84,7 +78,6 @@ class Simulator:
         if dtype not in ("float32", "float64"):
             raise ParameterError(f"dtype must be float32 or float64, got {dtype!r}")
         check_numbers("damping", damping, least=0.0)
-        check_numbers("recovery", recovery, least=0.0)
         check_numbers("gravity", gravity)
         check_numbers("start_time", start_time)
         check_numbers("cfl", cfl, above=0.0)
@@ -119,7 +112,6 @@ class Simulator:
             box=box,
             gravity=gravity,
             damping=damping,
-            recovery=recovery,
             law=law,
             stiffness=self.stiffness,
             positions=x,
@@ -156,7 +148,12 @@ class Simulator:
 
     def deformation_gradients(self) -> NDArray[Any]:
         """[W, N, 3, 3] deformation gradients F now [-]."""
-        return np.array(self.worlds.state.F.numpy())
+        return self._F(self.worlds.state)
+
+    def _F(self, state: Any) -> NDArray[Any]:
+        worlds = self.worlds
+        F = state.F.numpy() if worlds.plastic else worlds.deformation(state.x.numpy())
+        return np.array(F, dtype=self.dtype)
 
     def substeps_done(self) -> NDArray[Any]:
         """[W] substeps that each world has done."""
@@ -187,7 +184,7 @@ class Simulator:
                 [W]); after a failure the last that means anything.
         """
         kept = self.worlds.last_good if last_good else self.worlds.state
-        state = {name: getattr(kept, name).numpy() for name in STATE}
+        state = {name: getattr(kept, name).numpy() for name in STATE[:3]}
         with atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(
                 file,
@@ -196,6 +193,7 @@ class Simulator:
                 nu=[m.nu for m in self.materials],
                 density=[m.density for m in self.materials],
                 substep=self.substep,
+                F=self._F(kept),
                 **state,  # pyright: ignore[reportArgumentType]
             )
 

@@ -8,7 +8,8 @@ with quadratic B-spline weights w_n of the node (i, j, k) in 0..2 and their deri
 particle's place f in cells. Everything that particles and grid exchange is a derivative of P:
 ``scatter`` adds dP/dh to the grid, ``gather`` returns dP/dq, dP/da, dP/dt, and the reverse mode
 needs dP/df besides. Coefficients, and derivatives by them, are rows q, a_x, a_y, a_z, t_x, t_y, t_z
-of a 7 x 4 matrix. B-splines: Steffen, Kirby and Berzins (2008).
+of a 7 x 4 matrix; where nothing goes by the weights' slopes, t is left out and they are 4 x 4.
+B-splines: Steffen, Kirby and Berzins (2008).
 
 Written as native code because Warp's own vectors neither become SIMD lanes on the CPU nor one
 vector atomic on CUDA: the same text is compiled for both.
@@ -18,6 +19,7 @@ vector atomic on CUDA: the same text is compiled for both.
 # pyright: reportInvalidTypeForm=false
 
 import functools
+import re
 from types import SimpleNamespace
 from typing import Any
 
@@ -60,8 +62,8 @@ _WEIGHTS = """
 
 _COEFFICIENTS = """
     const lanes Q = load(c.data[0]), A0 = load(c.data[1]), A1 = load(c.data[2]);
-    const lanes A2 = load(c.data[3]), T0 = load(c.data[4]), T1 = load(c.data[5]);
-    const lanes T2 = load(c.data[6]);
+    const lanes A2 = load(c.data[3]);
+    const lanes T0 = load(c.data[4]), T1 = load(c.data[5]), T2 = load(c.data[6]);  // by slopes
 """
 
 _SPREAD = """
@@ -72,12 +74,19 @@ _SPREAD = """
         for (int j = 0; j < 3; ++j) {
             const int n = COLUMN;
             const REAL w = wx[i] * wy[j];
-            const lanes b = (Qi + A1 * REAL(j)) * w + T0 * (sx[i] * wy[j]) + T1 * (wx[i] * sy[j]);
+            const lanes b = (Qi + A1 * REAL(j)) * w
+                + T0 * (sx[i] * wy[j]) + T1 * (wx[i] * sy[j])  // by slopes
+                ;
             const lanes s = A2 * w;
-            const lanes t = T2 * w;
-            add(n, b * wz[0] + t * sz[0]);
-            add(n + 1, (b + s) * wz[1] + t * sz[1]);
-            add(n + 2, (b + s + s) * wz[2] + t * sz[2]);
+            const lanes t = T2 * w;  // by slopes
+            const auto value = [&](const lanes& a, int k) {
+                return a * wz[k]
+                    + t * sz[k]  // by slopes
+                    ;
+            };
+            add(n, value(b, 0));
+            add(n + 1, value(b + s, 1));
+            add(n + 2, value(b + s + s, 2));
         }
     }
 """
@@ -140,7 +149,8 @@ _GATHER = """
     const wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);
     const wp::vec_t<4, REAL> none = {};
     lanes V = *(const lanes*)&none;
-    lanes C0 = V, C1 = V, C2 = V, D0 = V, D1 = V, D2 = V;
+    lanes C0 = V, C1 = V, C2 = V;
+    lanes D0 = V, D1 = V, D2 = V;  // by slopes
     SLOPE_BEGIN
 #if defined(__CUDA_ARCH__)
     constexpr int planes = PLANES_ON_CUDA, rows = ROWS_ON_CUDA;
@@ -173,9 +183,9 @@ _GATHER = """
             C0 = C0 + s * REAL(i);
             C1 = C1 + s * REAL(j);
             C2 = C2 + k * w;
-            D0 = D0 + u * dx;
-            D1 = D1 + u * dy;
-            D2 = D2 + z * w;
+            D0 = D0 + u * dx;  // by slopes
+            D1 = D1 + u * dy;  // by slopes
+            D2 = D2 + z * w;  // by slopes
             SLOPE_ROW
         }
     }
@@ -186,9 +196,9 @@ _GATHER = """
         out.data[1][a] = C0[a];
         out.data[2][a] = C1[a];
         out.data[3][a] = C2[a];
-        out.data[4][a] = D0[a];
-        out.data[5][a] = D1[a];
-        out.data[6][a] = D2[a];
+        out.data[4][a] = D0[a];  // by slopes
+        out.data[5][a] = D1[a];  // by slopes
+        out.data[6][a] = D2[a];  // by slopes
     }
     SLOPE_END
     return out;
@@ -197,25 +207,29 @@ _GATHER = """
 _SLOPE_BEGIN = "lanes X = V, Y = V, Z = V;"
 
 _SLOPE_ROW = """
-            const REAL xx = (i == 1 ? REAL(-2) : REAL(1)) * wyj;
-            const REAL yy = (j == 1 ? REAL(-2) : REAL(1)) * wxi;
-            const REAL xy = sxi * syj;
             const lanes zk = h1 * sz[1] + h2 * (sz[2] + sz[2]);
-            const lanes zz = h0 - h1 - h1 + h2;
             const lanes Qij = Q + A0 * REAL(i) + A1 * REAL(j);
-            const lanes p = each(u, Qij) + each(k, A2) + each(z, T2);
-            const lanes p0 = each(u, T0), p1 = each(u, T1);
-            X = X + p * dx + p0 * xx + p1 * xy;
-            Y = Y + p * dy + p0 * xy + p1 * yy;
-            Z = Z + (each(z, Qij) + each(zk, A2) + each(zz, T2)) * w
-                  + each(z, T0) * dx + each(z, T1) * dy;
+            const lanes p = each(u, Qij) + each(k, A2)
+                + each(z, T2)  // by slopes
+                ;
+            X = X + p * dx;
+            Y = Y + p * dy;
+            Z = Z + (each(z, Qij) + each(zk, A2)) * w;
+            const REAL xx = (i == 1 ? REAL(-2) : REAL(1)) * wyj;  // by slopes
+            const REAL yy = (j == 1 ? REAL(-2) : REAL(1)) * wxi;  // by slopes
+            const REAL xy = sxi * syj;  // by slopes
+            const lanes zz = h0 - h1 - h1 + h2;  // by slopes
+            const lanes p0 = each(u, T0), p1 = each(u, T1);  // by slopes
+            X = X + p0 * xx + p1 * xy;  // by slopes
+            Y = Y + p0 * xy + p1 * yy;  // by slopes
+            Z = Z + each(zz, T2) * w + each(z, T0) * dx + each(z, T1) * dy;  // by slopes
 """
 
 _SLOPE_END = """
-    out.data[7][0] = X[0] + X[1] + X[2] + X[3];
-    out.data[7][1] = Y[0] + Y[1] + Y[2] + Y[3];
-    out.data[7][2] = Z[0] + Z[1] + Z[2] + Z[3];
-    out.data[7][3] = REAL(0);
+    out.data[ROWS - 1][0] = X[0] + X[1] + X[2] + X[3];
+    out.data[ROWS - 1][1] = Y[0] + Y[1] + Y[2] + Y[3];
+    out.data[ROWS - 1][2] = Z[0] + Z[1] + Z[2] + Z[3];
+    out.data[ROWS - 1][3] = REAL(0);
 """
 
 # On the CPU two nodes of a column fill a register, and sums go by planes: what all nodes of a plane
@@ -229,8 +243,9 @@ _PAIRS = """
     const lanes below = REAL(1.5) - place, middle = place - REAL(1), above = place - REAL(0.5);
     const lanes w[3] = {REAL(0.5) * below * below, REAL(0.75) - middle * middle,
                         REAL(0.5) * above * above};
-    const lanes s[3] = {-below, REAL(-2) * middle, above};
-    const pair wz01 = join(w[0].zzzz, w[1].zzzz), sz01 = join(s[0].zzzz, s[1].zzzz);
+    const pair wz01 = join(w[0].zzzz, w[1].zzzz);
+    const lanes s[3] = {-below, REAL(-2) * middle, above};  // by slopes
+    const pair sz01 = join(s[0].zzzz, s[1].zzzz);  // by slopes
     // columns are contiguous along y
     const int* first = &wp::index(start, layout, node[0], node[1]);
     const int pitch = start.strides[1] / sizeof(int);
@@ -239,34 +254,51 @@ _PAIRS = """
 _SCATTER_BY_PLANES = """
     const auto load = [](const REAL* a) { return *(const lanes*)a; };
     REAL* nodes = (REAL*)(&wp::index(grid, row, 0) + node[2]);
-    const auto spread = [&](auto q, auto x, auto y, auto tx, auto ty, REAL* h) {
+    const auto spread = [&](auto q, auto x, auto y,
+                            auto tx, auto ty,  // by slopes
+                            REAL* h) {
         typedef decltype(q) part __attribute__((aligned(sizeof(REAL))));
         #pragma unroll
         for (int i = 0; i < 3; ++i) {
             const part here = i == 0 ? q : i == 1 ? q + x : q + x + x;
-            const part b = here * w[i].x + tx * s[i].x;
-            const part c = y * w[i].x, t = ty * w[i].x;
+            const part b = here * w[i].x
+                + tx * s[i].x  // by slopes
+                ;
+            const part c = y * w[i].x;
+            const part t = ty * w[i].x;  // by slopes
+            const auto value = [&](const part& a, int j) {
+                return a * w[j].y
+                    + t * s[j].y  // by slopes
+                    ;
+            };
             const int* column = first + i * pitch;
-            *(part*)(h + 4 * column[0]) += b * w[0].y + t * s[0].y;
-            *(part*)(h + 4 * column[1]) += (b + c) * w[1].y + t * s[1].y;
-            *(part*)(h + 4 * column[2]) += (b + c + c) * w[2].y + t * s[2].y;
+            *(part*)(h + 4 * column[0]) += value(b, 0);
+            *(part*)(h + 4 * column[1]) += value(b + c, 1);
+            *(part*)(h + 4 * column[2]) += value(b + c + c, 2);
         }
     };
     const lanes Q = load(c.data[0]), A0 = load(c.data[1]), A1 = load(c.data[2]);
-    const lanes A2 = load(c.data[3]), T0 = load(c.data[4]), T1 = load(c.data[5]);
-    const lanes T2 = load(c.data[6]);
+    const lanes A2 = load(c.data[3]);
+    const lanes T0 = load(c.data[4]), T1 = load(c.data[5]), T2 = load(c.data[6]);  // by slopes
     // nodes 0 and 1 of each column together, node 2 by itself
-    spread(join(Q, Q + A2) * wz01 + join(T2, T2) * sz01, join(A0, A0) * wz01, join(A1, A1) * wz01,
-           join(T0, T0) * wz01, join(T1, T1) * wz01, nodes);
-    spread((Q + A2 + A2) * w[2].z + T2 * s[2].z, A0 * w[2].z, A1 * w[2].z, T0 * w[2].z,
-           T1 * w[2].z, nodes + 8);
+    spread(join(Q, Q + A2) * wz01
+               + join(T2, T2) * sz01  // by slopes
+           , join(A0, A0) * wz01, join(A1, A1) * wz01,
+           join(T0, T0) * wz01, join(T1, T1) * wz01,  // by slopes
+           nodes);
+    spread((Q + A2 + A2) * w[2].z
+               + T2 * s[2].z  // by slopes
+           , A0 * w[2].z, A1 * w[2].z,
+           T0 * w[2].z, T1 * w[2].z,  // by slopes
+           nodes + 8);
 """
 
 _GATHER_BY_PLANES = """
     const REAL* nodes = (const REAL*)(&wp::index(grid, row, 0) + node[2]);
     const auto collect = [&](auto none, const REAL* h, auto take) {
         typedef decltype(none) part __attribute__((aligned(sizeof(REAL))));
-        part v, cx, cy, dx, dy;
+        part v, cx, cy;
+        part dx, dy;  // by slopes
         #pragma unroll
         for (int i = 0; i < 3; ++i) {
             const int* column = first + i * pitch;
@@ -276,39 +308,45 @@ _GATHER_BY_PLANES = """
             const part u1 = h1 * w[1].y, u2 = h2 * w[2].y;
             const part j = u1 + u2 + u2;
             const part u = h0 * w[0].y + u1 + u2;
-            const part t = h0 * s[0].y + h1 * s[1].y + h2 * s[2].y;
+            const part t = h0 * s[0].y + h1 * s[1].y + h2 * s[2].y;  // by slopes
             const part uw = u * w[i].x;
             v = i == 0 ? uw : v + uw;
             cx = i == 0 ? none : i == 1 ? uw : cx + uw + uw;
             cy = i == 0 ? j * w[0].x : cy + j * w[i].x;
-            dx = i == 0 ? u * s[0].x : dx + u * s[i].x;
-            dy = i == 0 ? t * w[0].x : dy + t * w[i].x;
+            dx = i == 0 ? u * s[0].x : dx + u * s[i].x;  // by slopes
+            dy = i == 0 ? t * w[0].x : dy + t * w[i].x;  // by slopes
         }
-        take(v, cx, cy, dx, dy);
+        take(v, cx, cy
+             , dx, dy  // by slopes
+        );
     };
-    wp::mat_t<7, 4, REAL> out;
+    wp::mat_t<ROWS, 4, REAL> out;
     lanes* rows = (lanes*)out.data;
     const auto fold = [](pair a) { return a.lo + a.hi; };
     // nodes 0 and 1 of each column together, node 2 by itself
-    collect(pair(REAL(0)), nodes, [&](pair v, pair cx, pair cy, pair dx, pair dy) {
+    collect(pair(REAL(0)), nodes, [&](pair v, pair cx, pair cy
+                                      , pair dx, pair dy  // by slopes
+                                      ) {
         const pair vw = v * wz01;
         rows[0] = fold(vw);
         rows[1] = fold(cx * wz01);
         rows[2] = fold(cy * wz01);
         rows[3] = vw.hi;
-        rows[4] = fold(dx * wz01);
-        rows[5] = fold(dy * wz01);
-        rows[6] = fold(v * sz01);
+        rows[4] = fold(dx * wz01);  // by slopes
+        rows[5] = fold(dy * wz01);  // by slopes
+        rows[6] = fold(v * sz01);  // by slopes
     });
-    collect(lanes(REAL(0)), nodes + 8, [&](lanes v, lanes cx, lanes cy, lanes dx, lanes dy) {
+    collect(lanes(REAL(0)), nodes + 8, [&](lanes v, lanes cx, lanes cy
+                                           , lanes dx, lanes dy  // by slopes
+                                           ) {
         const lanes vw = v * w[2].z;
         rows[0] += vw;
         rows[1] += cx * w[2].z;
         rows[2] += cy * w[2].z;
         rows[3] += vw + vw;
-        rows[4] += dx * w[2].z;
-        rows[5] += dy * w[2].z;
-        rows[6] += v * s[2].z;
+        rows[4] += dx * w[2].z;  // by slopes
+        rows[5] += dy * w[2].z;  // by slopes
+        rows[6] += v * s[2].z;  // by slopes
     });
     return out;
 """
@@ -330,6 +368,10 @@ def _either(cpu: str, cuda: str) -> str:
     return f"\n#if defined(__CUDA_ARCH__)\n{cuda}\n#else\n{cpu}\n#endif\n"
 
 
+_BY_SLOPES = re.compile(r".*// by slopes\n")
+"""Lines of native code that have to do with t."""
+
+
 def _native(text: str, real: Any, **parts: str) -> str:
     """The text with its parts and its scalar type put in."""
     for name, part in parts.items():
@@ -338,7 +380,7 @@ def _native(text: str, real: Any, **parts: str) -> str:
 
 
 @functools.cache
-def make_stencil(real: Any, *, straight: bool = False) -> SimpleNamespace:
+def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNamespace:
     """Build the sums for one scalar type.
 
     All take a grid's array, its row and its layout (see ``gendom.sim.columns``), the particle's
@@ -347,23 +389,28 @@ def make_stencil(real: Any, *, straight: bool = False) -> SimpleNamespace:
 
     Args:
         real: ``wp.float32`` or ``wp.float64``.
+        slopes: Whether there is a t.
         straight: Whether ``gather`` is straight code on CUDA, so that all nodes are waited for at
             once, where loops that stay loops spare the instruction cache.
 
     Returns:
-        Namespace with ``sums``, the 7 x 4 matrix, ``scatter`` (adds to the grid), ``gather``
-        (dP/dq, dP/da, dP/dt) and ``gather_with_slope`` (8 x 4: a row with dP/df besides).
+        Namespace with ``sums``, the matrix of coefficients, ``scatter`` (adds to the grid),
+        ``gather`` (dP/dq, dP/da, dP/dt) and ``gather_with_slope`` (a last row with dP/df besides).
     """
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
-    sums = wp.types.matrix((7, 4), real)
-    sums_and_slope = wp.types.matrix((8, 4), real)
+    rows = 7 if slopes else 4
+    sums = wp.types.matrix((rows, 4), real)
+    sums_and_slope = wp.types.matrix((rows + 1, 4), real)
     window_type = wp.types.matrix((27, 4), real)
+
+    def native(text: str, **parts: str) -> str:
+        return _native(text if slopes else _BY_SLOPES.sub("", text), real, **parts)
 
     on_cpu = _PAIRS + _SCATTER_BY_PLANES
     on_cuda = _WEIGHTS + _COEFFICIENTS + _SCATTER
 
-    @wp.func_native(_native(_LANES + _either(on_cpu, on_cuda), real, ATOMIC_ADD=_ATOMIC_ADD[real]))
+    @wp.func_native(native(_LANES + _either(on_cpu, on_cuda), ATOMIC_ADD=_ATOMIC_ADD[real]))
     def scatter(
         grid: wp.array2d(dtype=vec4),
         row: int,
@@ -374,10 +421,10 @@ def make_stencil(real: Any, *, straight: bool = False) -> SimpleNamespace:
         c: sums,
     ): ...
 
-    @wp.func_native(_native(_LANES + _WEIGHTS + _COEFFICIENTS + _COLLECT, real))
+    @wp.func_native(native(_LANES + _WEIGHTS + _COEFFICIENTS + _COLLECT))
     def collect(window: window_type, f: vec3, c: sums) -> window_type: ...
 
-    @wp.func_native(_native(_LANES + _HAND_OVER, real, ATOMIC_ADD=_ATOMIC_ADD[real]))
+    @wp.func_native(native(_LANES + _HAND_OVER, ATOMIC_ADD=_ATOMIC_ADD[real]))
     def hand_over(
         window: window_type,
         held: wp.vec3i,
@@ -394,11 +441,11 @@ def make_stencil(real: Any, *, straight: bool = False) -> SimpleNamespace:
         "SLOPE_END": "",
         "PLANES_ON_CUDA": "3" if straight else "1",
         "ROWS_ON_CUDA": "3",
-        "ROWS": "7",
+        "ROWS": str(rows),
     }
 
     @wp.func_native(
-        _native(_LANES + _either(_PAIRS + _GATHER_BY_PLANES, _WEIGHTS + _GATHER), real, **plain)
+        native(_LANES + _either(_PAIRS + _GATHER_BY_PLANES, _WEIGHTS + _GATHER), **plain)
     )
     def gather(
         grid: wp.array2d(dtype=vec4),
@@ -415,10 +462,10 @@ def make_stencil(real: Any, *, straight: bool = False) -> SimpleNamespace:
         "SLOPE_END": _SLOPE_END,
         "PLANES_ON_CUDA": "1",
         "ROWS_ON_CUDA": "1",
-        "ROWS": "8",
+        "ROWS": str(rows + 1),
     }
 
-    @wp.func_native(_native(_LANES + _WEIGHTS + _COEFFICIENTS + _GATHER, real, **sloped))
+    @wp.func_native(native(_LANES + _WEIGHTS + _COEFFICIENTS + _GATHER, **sloped))
     def gather_with_slope(
         grid: wp.array2d(dtype=vec4),
         row: int,

@@ -11,7 +11,7 @@ import warp as wp
 from gendom.errors import SimulationError
 from gendom.sim.columns import Grid, GridExhausted
 from gendom.sim.kernels import DIVERGED, GRID_FULL, OK
-from gendom.sim.worlds import CLOCK, LAY_ANEW, STATE, Frames, Worlds
+from gendom.sim.worlds import CLOCK, LAY_ANEW, Frames, Worlds
 
 
 class Threads:
@@ -27,7 +27,7 @@ class Threads:
         self.count = count
         # on the CPU these share the arrays' memory
         self.clock = {name: getattr(worlds.clock, name).numpy() for name in CLOCK}
-        self.state = {name: getattr(worlds.state, name).numpy() for name in STATE}
+        self.state = {name: getattr(worlds.state, name).numpy() for name in worlds.carried}
 
     def run(self, frames: Frames) -> None:
         """Simulate all worlds to all times.
@@ -47,7 +47,7 @@ class Threads:
                 if stop:
                     return
                 worlds.last_good_time[w] = now
-                for name in STATE:
+                for name in worlds.carried:
                     getattr(worlds.last_good, name).numpy()[w] = self.state[name][w]
                 steps, dt = worlds.divide(w, until - now)
                 self.plan(w, begun=0, steps=steps, dt=dt)
@@ -133,7 +133,7 @@ class Threads:
             s.kernels.advance,
             dim=1,
             inputs=[
-                w, now, s.clock, s.matter, s.scene, s.paths, s.grips, first, stride, rows,
+                w, now, s.clock, s.matter, s.scene, s.paths, s.grips, s.pulls, first, stride, rows,
                 grid.columns, grid.layout_of, grid.momentum, velocity,
             ],
             device=s.device,

@@ -1,8 +1,17 @@
-"""What particles and grid exchange, and the deformation gradient's recovery.
+"""What particles exchange, with the grid and with their neighbours in an elastic body.
 
 APIC transfers with quadratic B-splines: Jiang et al. (2015), "The affine particle-in-cell
-method"; Jiang et al. (2016), "The material point method for simulating continuum materials"; the
-moving least squares variant of Hu et al. (2018) is not used: see ``gather_particle``.
+method"; Jiang et al. (2016), "The material point method for simulating continuum materials".
+
+**Elastic bodies** remember their shape at rest: F of a particle is what the differences of positions
+to its neighbours in the rest lattice say, the elastic energy is a function of positions alone, and
+its derivatives are the forces that the particles give to the grid (Jiang, Gast and Teran 2017,
+"Anisotropic elastoplasticity for cloth, knit and hair frictional contact", section 4: Lagrangian
+forces in the material point method). Nothing creeps and no energy comes from nowhere.
+
+**Bodies that yield** have no such shape. F follows the gradient of the interpolated velocity, the
+field by which particles move, and stress goes to the grid by the weights' slopes. (A moving least
+squares MPM, Hu et al. 2018, takes C for both: F then forgets strain as a body crosses cells.)
 
 Each function has its transpose beside it (``..._back``), which carries derivatives of a loss
 from results to arguments. A name with ``_bar`` is the derivative of the loss by that quantity.
@@ -25,9 +34,6 @@ from gendom.materials.laws import Law
 from gendom.sim.columns import Columns
 from gendom.sim.stencil import make_stencil
 
-SMALLEST_VOLUME = 0.2
-"""Relative volume below which positions no longer tell F."""
-
 
 @functools.cache
 def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleNamespace:
@@ -40,12 +46,12 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
 
     Returns:
         Namespace with the structs ``Matter``, ``State`` and ``MatterBars``, and with
-        ``scatter_particle``, ``move_particle``, ``recover_particle`` and the transpose of each.
+        ``tense_particle``, ``scatter_particle``, ``move_particle`` and the transpose of each.
     """
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
     mat33 = wp.types.matrix((3, 3), real)
-    stencil = make_stencil(real, straight=straight)
+    stencil = make_stencil(real, slopes=law.plastic, straight=straight)
     sums = stencil.sums
     scatter = stencil.scatter
     gather = stencil.gather
@@ -55,6 +61,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
     return_map = law.return_map
     return_map_back = law.return_map_back
     yields = wp.constant(1 if law.plastic else 0)
+    PLACE = wp.constant(7 if law.plastic else 4)
 
     @wp.struct
     class Matter:
@@ -67,7 +74,6 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         volume: real  # of a particle [m^3]
         lattice: wp.array3d(dtype=wp.int32)  # [N, 3, 2]
         rest_frame: wp.array(dtype=mat33)  # [N] [1/m]
-        recovery: real  # rate at which F follows the positions [1/s]
 
     @wp.struct
     class State:
@@ -76,7 +82,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         x: wp.array2d(dtype=vec3)  # [rows, N] [m]
         v: wp.array2d(dtype=vec3)  # [rows, N] [m/s]
         C: wp.array2d(dtype=mat33)  # [rows, N] [1/s]
-        F: wp.array2d(dtype=mat33)  # [rows, N]
+        F: wp.array2d(dtype=mat33)  # [rows, N], of bodies that yield
 
     @wp.struct
     class MatterBars:
@@ -101,8 +107,109 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         node = wp.vec3i(i - columns.bounds[layout, 0], j - columns.bounds[layout, 1], k)
         return node, y - vec3(real(i), real(j), real(k))
 
+    # ---- an elastic body's own forces --------------------------------------------------------
+
     @wp.func
-    def coefficients(f: vec3, q: vec3, mass: real, A: mat33, T: mat33):
+    def column(A: mat33, axis: int):
+        return vec3(A[0, axis], A[1, axis], A[2, axis])
+
+    @wp.func
+    def differences(p: int, row: int, matter: Matter, of: wp.array2d(dtype=vec3)):
+        """Differences [3, axis] of ``of`` between a particle's neighbours along the lattice."""
+        near = matter.lattice
+        return wp.matrix_from_cols(
+            of[row, near[p, 0, 1]] - of[row, near[p, 0, 0]],
+            of[row, near[p, 1, 1]] - of[row, near[p, 1, 0]],
+            of[row, near[p, 2, 1]] - of[row, near[p, 2, 0]],
+        )
+
+    @wp.func
+    def pulled(p: int, w: int, matter: Matter, pulls: wp.array2d(dtype=mat33)):
+        """Sum of all pulls on a particle; but for its sign the transpose of ``differences``."""
+        near = matter.lattice
+        total = vec3()
+        for axis in range(3):
+            back = column(pulls[w, near[p, axis, 0]], axis)
+            forth = column(pulls[w, near[p, axis, 1]], axis)
+            # where the lattice ends a particle stands in for the neighbour that it lacks
+            if near[p, axis, 0] == p:
+                back = -back
+            if near[p, axis, 1] == p:
+                forth = -forth
+            total += forth - back
+        return total
+
+    @wp.func
+    def tension(D: mat33, rest_frame: mat33, mu: real, lam: real, dt: real, volume: real):
+        """Impulses [3, axis] by which a particle's stress draws its neighbours together, from
+        their differences, and whether it is upright (J > 0)."""
+        F = D * rest_frame
+        P = stress(F, mu, lam)
+        return (dt * volume) * (P * wp.transpose(rest_frame)), wp.determinant(F) > real(0.0)
+
+    @wp.func
+    def tension_back(
+        D: mat33, rest_frame: mat33, mu: real, lam: real, dt: real, volume: real, pull_bar: mat33
+    ):
+        """Derivatives by the differences, mu and lam from that by the pulls."""
+        P_bar = (dt * volume) * (pull_bar * rest_frame)
+        F_bar, mu_bar, lam_bar = stress_back(D * rest_frame, mu, lam, P_bar)
+        return F_bar * wp.transpose(rest_frame), mu_bar, lam_bar
+
+    @wp.func
+    def tense_particle(
+        w: int,
+        p: int,
+        row: int,
+        dt: real,
+        matter: Matter,
+        state: State,
+        pulls: wp.array2d(dtype=mat33),  # [W, N]
+    ):
+        """Set a particle's pulls on its neighbours; returns whether it is upright."""
+        pull, upright = tension(
+            differences(p, row, matter, state.x), matter.rest_frame[p], matter.mu[w, p],
+            matter.lam[w, p], dt, matter.volume,
+        )  # fmt: skip
+        pulls[w, p] = pull
+        return upright
+
+    @wp.func
+    def tense_particle_back(
+        w: int,
+        p: int,
+        row: int,
+        dt: real,
+        matter: Matter,
+        state: State,
+        bars: MatterBars,
+        stretches: wp.array2d(dtype=mat33),  # [W, N]
+    ):
+        """Transpose of ``tense_particle`` and ``pulled`` but for its last step, ``slacken``.
+
+        Sets the derivatives by the differences; those by impulses are found in those by v.
+        """
+        # a pull draws one neighbour forth and the other back
+        pull_bar = (real(-1.0) / matter.mass[w]) * differences(p, w, matter, bars.v)
+        D_bar, mu_bar, lam_bar = tension_back(
+            differences(p, row, matter, state.x), matter.rest_frame[p], matter.mu[w, p],
+            matter.lam[w, p], dt, matter.volume, pull_bar,
+        )  # fmt: skip
+        stretches[w, p] = D_bar
+        bars.mu[w, p] = bars.mu[w, p] + mu_bar
+        bars.lam[w, p] = bars.lam[w, p] + lam_bar
+
+    @wp.func
+    def slacken(
+        w: int, p: int, matter: Matter, bars: MatterBars, stretches: wp.array2d(dtype=mat33)
+    ):
+        """Add to the derivatives by a particle's position those by all differences."""
+        bars.x[w, p] = bars.x[w, p] - pulled(p, w, matter, stretches)
+
+    # ---- particles and grid --------------------------------------------------------------------
+
+    @wp.func
+    def coefficients_by_slopes(f: vec3, q: vec3, mass: real, A: mat33, T: mat33):
         """Of momentum q and ``mass``, A about the particle, and T by the weights' slopes."""
         q0 = q - A * f
         return sums(
@@ -116,6 +223,19 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         )  # fmt: skip
 
     @wp.func
+    def coefficients_without(f: vec3, q: vec3, mass: real, A: mat33, T: mat33):
+        """The same without T."""
+        q0 = q - A * f
+        return sums(
+            q0[0], q0[1], q0[2], mass,
+            A[0, 0], A[1, 0], A[2, 0], real(0.0),
+            A[0, 1], A[1, 1], A[2, 1], real(0.0),
+            A[0, 2], A[1, 2], A[2, 2], real(0.0),
+        )  # fmt: skip
+
+    coefficients = coefficients_by_slopes if law.plastic else coefficients_without
+
+    @wp.func
     def affine_of(f: vec3, R: Any):
         """Derivative by A of ``coefficients`` from that by the coefficients."""
         return mat33(
@@ -125,7 +245,11 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         )  # fmt: skip
 
     @wp.func
-    def slopes_of(R: Any):
+    def without_slopes(R: Any):
+        return mat33()
+
+    @wp.func
+    def with_slopes(R: Any):
         """Derivative by T of ``coefficients`` from that by the coefficients."""
         return mat33(
             R[4, 0], R[5, 0], R[6, 0],
@@ -133,27 +257,78 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
             R[4, 2], R[5, 2], R[6, 2],
         )  # fmt: skip
 
+    slopes_of = with_slopes if law.plastic else without_slopes
+
+    @wp.func
+    def place_of(R: Any):
+        """Derivative by the place in cells, the last row of ``gather_with_slope``."""
+        return vec3(R[PLACE, 0], R[PLACE, 1], R[PLACE, 2])
+
+    @wp.func
+    def stress_by_slopes(F: mat33, mu: real, lam: real):
+        """Kirchhoff stress, which the weights' slopes give to the grid [Pa]."""
+        return stress(F, mu, lam) * wp.transpose(F)
+
     @wp.func
     def given_by(
-        x: vec3,
-        v: vec3,
-        C: mat33,
-        F: mat33,
-        mu: real,
-        lam: real,
-        mass: real,
-        volume: real,
-        layout: int,
-        dt: real,
-        inv_dx: real,
-        z0: real,
+        x: vec3, q: vec3, C: mat33, T: mat33, mass: real, layout: int, inv_dx: real, z0: real,
         columns: Columns,
     ):
-        """What a particle gives to the grid, mass, momentum and stress impulse: its lowest node,
-        its place above that, its coefficients."""
+        """What a particle gives to the grid, its mass, momentum q and T: its lowest node, its
+        place above that, its coefficients."""
         node, f = place_on_grid(layout, x, inv_dx, z0, columns)
-        T = (-dt * volume * inv_dx) * stress(F, mu, lam)
-        return node, f, coefficients(f, mass * v, mass, (mass / inv_dx) * C, T)
+        return node, f, coefficients(f, q, mass, (mass / inv_dx) * C, T)
+
+    @wp.func
+    def given_back(
+        x: vec3, v: vec3, q: vec3, C: mat33, T: mat33, mass: real, layout: int, slot: int,
+        inv_dx: real, z0: real, columns: Columns, grid_bar: wp.array2d(dtype=vec4),
+    ):
+        """Derivatives by x, v, C, T and mass, where v is that part of q that goes by the mass."""
+        node, f, c = given_by(x, q, C, T, mass, layout, inv_dx, z0, columns)
+        R = gather_with_slope(grid_bar, slot, columns.start, layout, node, f, c)
+        u = vec3(R[0, 0], R[0, 1], R[0, 2])
+        share = mass / inv_dx
+        A_bar = affine_of(f, R)
+        x_bar = inv_dx * (place_of(R) - share * (wp.transpose(C) * u))
+        mass_bar = wp.dot(u, v) + R[0, 3] + wp.ddot(A_bar, C) / inv_dx
+        return x_bar, mass * u, share * A_bar, slopes_of(R), mass_bar
+
+    @wp.func
+    def impulse_of_stress(F: mat33, mu: real, lam: real, dt: real, volume: real, inv_dx: real):
+        """T of a particle whose stress goes to the grid by the weights' slopes."""
+        return (-dt * volume * inv_dx) * stress_by_slopes(F, mu, lam)
+
+    @wp.func
+    def impulse_of_stress_back(
+        F: mat33, mu: real, lam: real, dt: real, volume: real, inv_dx: real, T_bar: mat33
+    ):
+        """Derivatives by F, mu and lam from that by T."""
+        tau_bar = (-dt * volume * inv_dx) * T_bar
+        F_bar, mu_bar, lam_bar = stress_back(F, mu, lam, tau_bar * F)
+        return F_bar + wp.transpose(tau_bar) * stress(F, mu, lam), mu_bar, lam_bar
+
+    @wp.func
+    def impulses(
+        w: int,
+        p: int,
+        row: int,
+        dt: real,
+        inv_dx: real,
+        matter: Matter,
+        state: State,
+        pulls: wp.array2d(dtype=mat33),  # [W, N]
+    ):
+        """Momentum of a particle with its neighbours' pulls, or else T."""
+        q = matter.mass[w] * state.v[row, p]
+        T = mat33()
+        if yields == 1:
+            T = impulse_of_stress(
+                state.F[row, p], matter.mu[w, p], matter.lam[w, p], dt, matter.volume, inv_dx
+            )
+        else:
+            q += pulled(p, w, matter, pulls)
+        return q, T
 
     @wp.func
     def scatter_particle(
@@ -167,45 +342,16 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         z0: real,
         matter: Matter,
         state: State,
+        pulls: wp.array2d(dtype=mat33),  # [W, N]
         columns: Columns,
         grid: wp.array2d(dtype=vec4),  # [slots, M] momentum and mass
     ):
-        """Add a particle's mass, momentum and stress impulse to its 27 nodes."""
+        """Add a particle's mass, momentum and impulses to its 27 nodes."""
+        q, T = impulses(w, p, row, dt, inv_dx, matter, state, pulls)
         node, f, c = given_by(
-            state.x[row, p], state.v[row, p], state.C[row, p], state.F[row, p], matter.mu[w, p],
-            matter.lam[w, p], matter.mass[w], matter.volume, layout, dt, inv_dx, z0, columns,
-        )  # fmt: skip
+            state.x[row, p], q, state.C[row, p], T, matter.mass[w], layout, inv_dx, z0, columns
+        )
         scatter(grid, slot, columns.start, layout, node, f, c)
-
-    @wp.func
-    def given_back(
-        x: vec3,
-        v: vec3,
-        C: mat33,
-        F: mat33,
-        mu: real,
-        lam: real,
-        mass: real,
-        volume: real,
-        layout: int,
-        slot: int,
-        dt: real,
-        inv_dx: real,
-        z0: real,
-        columns: Columns,
-        grid_bar: wp.array2d(dtype=vec4),
-    ):
-        """Derivatives by what ``given_by`` took: x, v, C, F, mu, lam, mass."""
-        node, f, c = given_by(x, v, C, F, mu, lam, mass, volume, layout, dt, inv_dx, z0, columns)
-        R = gather_with_slope(grid_bar, slot, columns.start, layout, node, f, c)
-        H = vec3(R[0, 0], R[0, 1], R[0, 2])
-        share = mass / inv_dx
-        A_bar = affine_of(f, R)
-        impulse = -dt * volume * inv_dx
-        F_bar, mu_bar, lam_bar = stress_back(F, mu, lam, impulse * slopes_of(R))
-        x_bar = inv_dx * (vec3(R[7, 0], R[7, 1], R[7, 2]) - share * (wp.transpose(C) * H))
-        mass_bar = wp.dot(H, v) + R[0, 3] + wp.ddot(A_bar, C) / inv_dx
-        return x_bar, mass * H, share * A_bar, F_bar, mu_bar, lam_bar, mass_bar
 
     @wp.func
     def scatter_particle_back(
@@ -219,24 +365,35 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         z0: real,
         matter: Matter,
         state: State,
+        pulls: wp.array2d(dtype=mat33),  # [W, N]
         columns: Columns,
         grid_bar: wp.array2d(dtype=vec4),  # [slots, M] by momentum and mass
         bars: MatterBars,
     ):
-        """Transpose of ``scatter_particle``; returns the square of what it adds by the state."""
-        x_bar, v_bar, C_bar, F_bar, mu_bar, lam_bar, mass_bar = given_back(
-            state.x[row, p], state.v[row, p], state.C[row, p], state.F[row, p], matter.mu[w, p],
-            matter.lam[w, p], matter.mass[w], matter.volume, layout, slot, dt, inv_dx, z0, columns,
-            grid_bar,
+        """Transpose of ``scatter_particle``; returns the square of what it adds by the state.
+
+        Of the pulls' derivatives nothing is stored: ``tense_particle_back`` has them from v's.
+        """
+        q, T = impulses(w, p, row, dt, inv_dx, matter, state, pulls)
+        x_bar, v_bar, C_bar, T_bar, mass_bar = given_back(
+            state.x[row, p], state.v[row, p], q, state.C[row, p], T, matter.mass[w], layout, slot,
+            inv_dx, z0, columns, grid_bar,
         )  # fmt: skip
         bars.x[w, p] = bars.x[w, p] + x_bar
         bars.v[w, p] = v_bar
         bars.C[w, p] = C_bar
-        bars.F[w, p] = bars.F[w, p] + F_bar
-        bars.mu[w, p] = bars.mu[w, p] + mu_bar
-        bars.lam[w, p] = bars.lam[w, p] + lam_bar
         bars.mass[w, p] = bars.mass[w, p] + mass_bar
-        return wp.length_sq(x_bar) + wp.length_sq(v_bar) + wp.ddot(F_bar, F_bar)
+        size = wp.length_sq(x_bar) + wp.length_sq(v_bar)
+        if yields == 1:
+            F_bar, mu_bar, lam_bar = impulse_of_stress_back(
+                state.F[row, p], matter.mu[w, p], matter.lam[w, p], dt, matter.volume, inv_dx,
+                T_bar,
+            )  # fmt: skip
+            bars.F[w, p] = bars.F[w, p] + F_bar
+            bars.mu[w, p] = bars.mu[w, p] + mu_bar
+            bars.lam[w, p] = bars.lam[w, p] + lam_bar
+            size += wp.ddot(F_bar, F_bar)
+        return size
 
     @wp.func
     def gather_particle(
@@ -248,13 +405,8 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         columns: Columns,
         grid: wp.array2d(dtype=vec4),
     ):
-        """Velocity v [m/s], affine velocity C [1/s] and velocity gradient [1/s] at a particle.
-
-        C is the moment that APIC carries; the gradient is that of the interpolated velocity by
-        which the particle moves, so that F stays the gradient of its motion. A moving least
-        squares MPM takes C for both: F then forgets strain as the object crosses cells, and thin
-        ropes creep.
-        """
+        """Velocity v [m/s], affine velocity C [1/s] and, of bodies that yield, the gradient of the
+        interpolated velocity [1/s] at a particle. C is the moment that APIC carries."""
         node, f = place_on_grid(layout, x, inv_dx, z0, columns)
         R = gather(grid, slot, columns.start, layout, node, f)
         v = vec3(R[0, 0], R[0, 1], R[0, 2])
@@ -274,7 +426,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         columns: Columns,
         grid: wp.array2d(dtype=vec4),
     ):
-        """A particle's new v, C and F."""
+        """A particle's new v, C and, if it yields, F."""
         v, C, D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
         return v, C, return_map(F + dt * (D * F), mu, yield_stress)
 
@@ -295,27 +447,25 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         state: State,
         state_out: State,
     ):
-        """Take a particle into the next state; returns its squared speed, and whether J > 0."""
+        """Take a particle into the next state; returns its squared speed, and whether an F of its
+        own is upright (J > 0)."""
         x = state.x[row, p]
-        F = state.F[row, p]
-        v, C, F = moved(
-            x,
-            F,
-            matter.mu[w, p],
-            matter.yield_stress[w],
-            layout,
-            slot,
-            dt,
-            inv_dx,
-            z0,
-            columns,
-            grid,
-        )
+        upright = True
+        v = vec3()
+        C = mat33()
+        if yields == 1:
+            v, C, F = moved(
+                x, state.F[row, p], matter.mu[w, p], matter.yield_stress[w], layout, slot, dt,
+                inv_dx, z0, columns, grid,
+            )  # fmt: skip
+            state_out.F[row_out, p] = F
+            upright = wp.determinant(F) > real(0.0)
+        else:
+            v, C, _D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
         state_out.x[row_out, p] = x + dt * v
         state_out.v[row_out, p] = v
         state_out.C[row_out, p] = C
-        state_out.F[row_out, p] = F
-        return wp.length_sq(v), wp.determinant(F) > real(0.0)
+        return wp.length_sq(v), upright
 
     @wp.func
     def before_yielding(
@@ -339,31 +489,31 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
     @wp.func
     def taken_by(
         x: vec3,
-        F: mat33,
         x_bar: vec3,
         v_bar: vec3,
         C_bar: mat33,
-        F_bar: mat33,  # by the F that was tried
+        T: mat33,
         layout: int,
         dt: real,
         inv_dx: real,
         z0: real,
         columns: Columns,
     ):
-        """What a particle's derivatives give to the grid's, as ``given_by``."""
+        """What a particle's derivatives give to the grid's, as ``given_by``.
+
+        T is dt / dx F_bar F^T of an F that was tried.
+        """
         node, f = place_on_grid(layout, x, inv_dx, z0, columns)
         A = (real(4.0) * inv_dx) * C_bar
-        T = (dt * inv_dx) * (F_bar * wp.transpose(F))
         return node, f, coefficients(f, v_bar + dt * x_bar, real(0.0), A, T)
 
     @wp.func
     def moved_back(
         x: vec3,
-        F: mat33,
         x_bar: vec3,
         v_bar: vec3,
         C_bar: mat33,
-        F_bar: mat33,  # by the F that was tried
+        T: mat33,
         layout: int,
         slot: int,
         dt: real,
@@ -372,15 +522,13 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         columns: Columns,
         grid: wp.array2d(dtype=vec4),  # velocity and mass
     ):
-        """Derivatives by the x and F before the substep, but for what goes by way of the grid."""
-        node, f, c = taken_by(
-            x, F, x_bar, v_bar, C_bar, F_bar, layout, dt, inv_dx, z0, columns
-        )  # fmt: skip
+        """Derivative by the x before the substep, but for what goes by way of the grid, and the
+        gradient of the velocity."""
+        node, f, c = taken_by(x, x_bar, v_bar, C_bar, T, layout, dt, inv_dx, z0, columns)
         R = gather_with_slope(grid, slot, columns.start, layout, node, f, c)
-        V = vec3(R[0, 0], R[0, 1], R[0, 2])
-        slope = vec3(R[7, 0], R[7, 1], R[7, 2])
-        slope = slope - (real(4.0) * inv_dx) * (wp.transpose(C_bar) * V)
-        return x_bar + inv_dx * slope, F_bar + (dt * inv_dx) * (wp.transpose(slopes_of(R)) * F_bar)
+        v = vec3(R[0, 0], R[0, 1], R[0, 2])
+        slope = place_of(R) - (real(4.0) * inv_dx) * (wp.transpose(C_bar) * v)
+        return x_bar + inv_dx * slope, inv_dx * slopes_of(R)
 
     @wp.func
     def move_particle_back(
@@ -401,75 +549,28 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
     ):
         """Transpose of ``move_particle``; those by v and C have then served their turn."""
         x = state.x[row, p]
-        F = state.F[row, p]
         x_bar = bars.x[w, p]
         v_bar = bars.v[w, p]
         C_bar = bars.C[w, p]
-        F_bar = bars.F[w, p]
+        T = mat33()
         if yields == 1:
+            F = state.F[row, p]
             F_bar, mu_bar, yield_bar = before_yielding(
-                x, F, matter.mu[w, p], matter.yield_stress[w], F_bar, layout, slot, dt, inv_dx, z0,
-                columns, grid,
+                x, F, matter.mu[w, p], matter.yield_stress[w], bars.F[w, p], layout, slot, dt,
+                inv_dx, z0, columns, grid,
             )  # fmt: skip
             bars.mu[w, p] = bars.mu[w, p] + mu_bar
             bars.yield_stress[w, p] = bars.yield_stress[w, p] + yield_bar
-        node, f, c = taken_by(
-            x, F, x_bar, v_bar, C_bar, F_bar, layout, dt, inv_dx, z0, columns
-        )  # fmt: skip
+            bars.F[w, p] = F_bar
+            T = (dt * inv_dx) * (F_bar * wp.transpose(F))
+        node, f, c = taken_by(x, x_bar, v_bar, C_bar, T, layout, dt, inv_dx, z0, columns)
         scatter(grid_bar, slot, columns.start, layout, node, f, c)
-        x_bar, F_bar = moved_back(
-            x, F, x_bar, v_bar, C_bar, F_bar, layout, slot, dt, inv_dx, z0, columns, grid
+        x_bar, D = moved_back(
+            x, x_bar, v_bar, C_bar, T, layout, slot, dt, inv_dx, z0, columns, grid
         )
         bars.x[w, p] = x_bar
-        bars.F[w, p] = F_bar
-
-    @wp.func
-    def recovery_share(dt: real, span: int, matter: Matter):
-        """Share of the way that F goes to the positions' gradient, every ``span`` substeps."""
-        return real(1.0) - wp.exp(-matter.recovery * dt * real(span))
-
-    @wp.func
-    def lattice_gradient(p: int, row: int, matter: Matter, state: State):
-        """Gradient of the motion from differences to the neighbours in the rest lattice [-]."""
-        lattice = matter.lattice
-        a = state.x[row, lattice[p, 0, 1]] - state.x[row, lattice[p, 0, 0]]
-        b = state.x[row, lattice[p, 1, 1]] - state.x[row, lattice[p, 1, 0]]
-        c = state.x[row, lattice[p, 2, 1]] - state.x[row, lattice[p, 2, 0]]
-        return wp.matrix_from_cols(a, b, c) * matter.rest_frame[p]
-
-    @wp.func
-    def recovered(F: mat33, G: mat33, blend: real):
-        """F drawn towards the gradient G of the positions, unless that means nothing."""
-        result = F
-        if wp.determinant(G) > real(SMALLEST_VOLUME):
-            result = F + blend * (G - F)
-        return result
-
-    @wp.func
-    def recover_particle(p: int, row: int, blend: real, matter: Matter, state: State):
-        """Draw F towards the differences of positions to the neighbours in the rest lattice.
-
-        An F summed up over time slowly loses strain that the grid does not see; positions do not.
-        Where neighbours have changed sides (a crumpled sheet) their differences mean nothing, and
-        F stays as it is.
-        """
-        G = lattice_gradient(p, row, matter, state)
-        state.F[row, p] = recovered(state.F[row, p], G, blend)
-
-    @wp.func
-    def recover_particle_back(
-        w: int, p: int, row: int, blend: real, matter: Matter, state: State, bars: MatterBars
-    ):
-        """Transpose of ``recover_particle``."""
-        G = lattice_gradient(p, row, matter, state)
-        if wp.determinant(G) > real(SMALLEST_VOLUME):
-            F_bar = bars.F[w, p]
-            D_bar = (blend * F_bar) * wp.transpose(matter.rest_frame[p])
-            for axis in range(3):
-                change = vec3(D_bar[0, axis], D_bar[1, axis], D_bar[2, axis])
-                wp.atomic_add(bars.x, w, matter.lattice[p, axis, 1], change)
-                wp.atomic_sub(bars.x, w, matter.lattice[p, axis, 0], change)
-            bars.F[w, p] = (real(1.0) - blend) * F_bar
+        if yields == 1:
+            bars.F[w, p] = bars.F[w, p] + dt * (wp.transpose(D) * bars.F[w, p])
 
     return SimpleNamespace(
         Matter=Matter,
@@ -478,21 +579,24 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         window=stencil.window,
         collect=stencil.collect,
         hand_over=stencil.hand_over,
-        place_on_grid=place_on_grid,
+        yields=yields,
+        column=column,
+        tension=tension,
+        tension_back=tension_back,
+        tense_particle=tense_particle,
+        tense_particle_back=tense_particle_back,
+        slacken=slacken,
         given_by=given_by,
         given_back=given_back,
+        impulse_of_stress=impulse_of_stress,
+        impulse_of_stress_back=impulse_of_stress_back,
         moved=moved,
-        yields=yields,
         before_yielding=before_yielding,
         taken_by=taken_by,
         moved_back=moved_back,
-        smallest_volume=SMALLEST_VOLUME,
-        recovered=recovered,
+        place_on_grid=place_on_grid,
         scatter_particle=scatter_particle,
         scatter_particle_back=scatter_particle_back,
         move_particle=move_particle,
         move_particle_back=move_particle_back,
-        recovery_share=recovery_share,
-        recover_particle=recover_particle,
-        recover_particle_back=recover_particle_back,
     )

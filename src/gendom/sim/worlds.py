@@ -19,7 +19,7 @@ from gendom.sim.reverse import make_reverse
 from gendom.sim.scene import Box, Table
 
 STATE = ("x", "v", "C", "F")
-"""The arrays of a state."""
+"""The arrays of a state; F of bodies that yield alone."""
 
 CLOCK = ("dt", "steps", "step", "age", "travel", "status", "culprit", "frame")
 """The arrays of a clock."""
@@ -56,7 +56,6 @@ class Setting:
     box: Box | None
     gravity: ArrayLike
     damping: ArrayLike
-    recovery: float
     law: str
     stiffness: ArrayLike
     positions: ArrayLike
@@ -96,11 +95,14 @@ class Worlds:
         self.paths = self._paths()
         self.grips = self.make_grips(W)
         self.clock = self._clock()
+        self.carried = STATE if self.plastic else STATE[:3]
         self.state = self.make_state((W, N), wp.zeros)
         wp.copy(self.state.x, self.array(x, self.kernels.vec3))
-        self.state.F.fill_(self.kernels.mat33(np.eye(3)))
+        if self.plastic:
+            self.state.F.fill_(self.kernels.mat33(np.eye(3)))
+        self.pulls = self.zeros((0, 0) if self.plastic else (W, N), self.kernels.mat33)
         self.last_good = self.make_state((W, N))
-        for name in STATE:
+        for name in self.carried:
             wp.copy(getattr(self.last_good, name), getattr(self.state, name))
         self.last_good_time = np.full(W, s.start_time)
         self.failures: dict[int, SimulationError] = {}
@@ -122,7 +124,6 @@ class Worlds:
         matter.volume = s.body.volume
         matter.lattice = self.array(s.body.lattice, wp.int32)
         matter.rest_frame = self.array(s.body.rest_frames, k.mat33)
-        matter.recovery = 0.0 if self.plastic else s.recovery
         return matter
 
     def _scene(self) -> Any:
@@ -172,12 +173,20 @@ class Worlds:
         return grips
 
     def make_state(self, shape: Any, make: Any = wp.empty) -> Any:
-        """Room for states, as ``STATE`` names them."""
+        """Room for states, as ``carried`` names them."""
         k = self.kernels
         state = k.transfers.State()
-        for name, dtype in zip(STATE, (k.vec3, k.vec3, k.mat33, k.mat33), strict=True):
+        for name in self.carried:
+            dtype = k.vec3 if name in ("x", "v") else k.mat33
             setattr(state, name, make(shape, dtype=dtype, device=self.device))
         return state
+
+    def deformation(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
+        """[..., N, 3, 3] F of an elastic body from its particles' positions [..., N, 3]."""
+        body = self.setting.body
+        x = x.astype(float)
+        first, second = body.lattice[:, :, 0], body.lattice[:, :, 1]
+        return np.swapaxes(x[..., second, :] - x[..., first, :], -1, -2) @ body.rest_frames
 
     def make_grid(self, layouts: int, *, rows: int | None = None, make: Any = wp.zeros) -> Grid:
         """A grid with the room that worlds are known to need."""

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import RECOVERY, Body, Gripper, Simulator, claimed, rope, stable_substep
+from gendom.sim import Body, Gripper, Simulator, claimed, rope, stable_substep
 from gendom.tasks.base import Outcomes
 
 LENGTH, DIAMETER, GRAVITY = 0.25, 0.014, 9.81
@@ -397,8 +397,6 @@ class RopeReaching:
                 grippers=grippers,
                 gravity=(0.0, 0.0, -self.gravity),
                 damping=self.damping,
-                # a rate, like damping: without this, ropes of two lengths would not move alike
-                recovery=RECOVERY / self._clock(LENGTH, GRAVITY),
                 dtype=dtype,
                 device=device,
                 threads=threads,

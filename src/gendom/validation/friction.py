@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gendom.materials import Material
-from gendom.sim import GRAVITY, RECOVERY, Gripper, Simulator, Table
+from gendom.sim import GRAVITY, Simulator, Table
 from gendom.validation.check import Check, Settings
 from gendom.validation.specimens import block
 
@@ -22,10 +22,10 @@ def sliding(settings: Settings) -> list[Check]:
     """A block pushed along the table, until it stops."""
     friction = np.array([0.2, 0.5])
     g, v = -GRAVITY[2], 1.0
-    s, start = resting_block(settings, friction, np.tile(GRAVITY, (2, 1)))
+    s = resting_block(settings, friction, np.tile(GRAVITY, (2, 1)))
     before = s.positions().mean(axis=1)[:, 0]
     s.set_velocities((v, 0.0, 0.0))
-    s.run([start + 1.5 * v / (friction.min() * g)])
+    s.run([1.5 * v / (friction.min() * g)])
     way = s.positions().mean(axis=1)[:, 0] - before
     return [
         Check.within_share(
@@ -46,10 +46,10 @@ def sticking(settings: Settings) -> list[Check]:
     shares = np.array([0.8, 0.95, 1.1, 1.25])
     angle = shares * math.atan(mu)
     pull = np.stack([g * np.sin(angle), 0.0 * angle, -g * np.cos(angle)], axis=1)
-    s, start = resting_block(settings, np.full(len(angle), mu), pull)
-    s.run([start + 0.1])
+    s = resting_block(settings, np.full(len(angle), mu), pull)
+    s.run([0.1])
     x0, v0 = (a.mean(axis=1)[:, 0].astype(float) for a in (s.positions(), s.velocities()))
-    s.run([start + 0.1 + time])
+    s.run([0.1 + time])
     x1, v1 = (a.mean(axis=1)[:, 0].astype(float) for a in (s.positions(), s.velocities()))
     checks = []
     for w, share in enumerate(shares):
@@ -78,22 +78,16 @@ def sticking(settings: Settings) -> list[Check]:
     return checks
 
 
-def resting_block(
-    settings: Settings, friction: ArrayLike, gravity: ArrayLike
-) -> tuple[Simulator, float]:
+def resting_block(settings: Settings, friction: ArrayLike, gravity: ArrayLike) -> Simulator:
     """A block at rest under its weight, one world for each friction and gravity.
 
-    A first simulator with damping lets it come to rest; a second, without, starts from there and
-    holds it until the deformation gradients have followed the positions. Otherwise it bounces,
-    and slides while the table hardly carries it.
+    A first simulator with damping lets it come to rest; a second, without, starts from there.
+    Otherwise it bounces, and slides while the table hardly carries it.
 
     Args:
         settings: How to run.
         friction: [W].
         gravity: [W, 3] [m/s^2].
-
-    Returns:
-        The simulator, and the time at which the block is let go [s].
     """
     dx = SIDE / (2 if settings.quick else 3)
     body = block((2.0 * SIDE, SIDE, SIDE), dx, centre=(0.003, 0.001, SIDE / 2.0 + dx / 4.0))
@@ -106,15 +100,10 @@ def resting_block(
         body, worlds, table=Table(height=0.0, friction=10.0), gravity=pull, damping=omega
     )
     first.run([20.0 / omega])
-    held = 10.0 / RECOVERY
-    hands = Gripper.still(body.x.mean(axis=0), radius=1.0, hold_until=held)
-    s = settings.simulator(
+    return settings.simulator(
         body,
         worlds,
         table=Table(height=0.0, friction=mu),
         gravity=pull,
-        grippers=[hands],
         positions=first.positions(),
     )
-    s.run([held])
-    return s, held
