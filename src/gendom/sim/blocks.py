@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from gendom.sim.block import ROOM_ALONE, ROOMS_OF_TWO
-from gendom.sim.block_kernels import COMPONENTS, STATE_COMPONENTS, make_block_kernels
+from gendom.sim.block_kernels import COMPONENTS, carried_components, make_block_kernels
 from gendom.sim.columns import Grid
 from gendom.sim.paced import Paced
 from gendom.sim.worlds import Worlds
@@ -42,7 +42,7 @@ def suits_blocks(worlds: Worlds) -> bool:
 
 def shared_room(worlds: Worlds) -> int:
     """Shared memory of a block in which its particles fit [bytes]; 0 if they do not."""
-    taken = STATE_COMPONENTS * worlds.num_particles * worlds.numpy_type.itemsize
+    taken = COMPONENTS * worlds.num_particles * worlds.numpy_type.itemsize
     if worlds.device.is_cuda:
         for room in (*ROOMS_OF_TWO, ROOM_ALONE):
             blocks = 2 if room in ROOMS_OF_TWO else 1
@@ -82,9 +82,11 @@ class Blocks(Paced):
             self.lanes = 1
         self.records = self.kernels.Records()
         rows = 1 if self.room else W
-        self.records.of = worlds.zeros((rows, STATE_COMPONENTS, N), worlds.real)
+        spare = carried_components(plastic=worlds.plastic) + 2
+        self.records.of = worlds.zeros((rows, COMPONENTS, N), worlds.real)
         self.records.moduli = worlds.zeros((W, 2, N), worlds.real)
-        self.records.spare = worlds.zeros((W, COMPONENTS, N), worlds.real)
+        self.records.near = worlds.zeros((W, 3, 0 if worlds.plastic else N), wp.int32)
+        self.records.spare = worlds.zeros((W, spare, N), worlds.real)
         self.records.strayed = worlds.zeros(W, worlds.real)
         for name in ("order", "place", "spare_order"):
             setattr(self.records, name, worlds.zeros((W, N), wp.int32))
