@@ -21,7 +21,7 @@ import warp as wp
 
 from gendom.sim.block import bounds, make_block, make_store
 from gendom.sim.columns import MARGIN, Columns
-from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, RECOVER_EVERY, make_kernels
+from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, make_kernels
 
 STATE_COMPONENTS = 24
 """Of a record: x, v, C, F."""
@@ -214,7 +214,7 @@ def make_block_kernels(
         steps = int(plan.steps[frame, w])
         h = real(dt)
         keep = wp.exp(-scene.damping[w] * h)
-        blend = recovery_share(h, RECOVER_EVERY, matter)
+        blend = recovery_share(h, matter)
         # of grid and layout; in place unless all are kept
         slot = int(w)
         layout = int(w)
@@ -399,7 +399,7 @@ def make_block_kernels(
                     dt = frame_substep(frame, w, plan)
                     h = real(dt)
                     keep = wp.exp(-scene.damping[w] * h)
-                    blend = recovery_share(h, RECOVER_EVERY, matter)
+                    blend = recovery_share(h, matter)
                     step = 0
             t = plan.time[frame] + wp.float64(step) * dt
         meet()

@@ -20,7 +20,7 @@ import warp as wp
 from gendom.sim.block import bounds, make_block, make_store
 from gendom.sim.block_kernels import STATE_COMPONENTS, make_block_kernels
 from gendom.sim.columns import Columns
-from gendom.sim.kernels import OK, RECOVER_EVERY, make_kernels
+from gendom.sim.kernels import OK, make_kernels
 from gendom.sim.reverse import NOT_FINITE, make_reverse
 
 SUM_COMPONENTS = 4
@@ -122,7 +122,7 @@ def make_block_reverse(
         dt = clock.dt[w]
         h = real(dt)
         keep = wp.exp(-scene.damping[w] * h)
-        blend = recovery_share(h, RECOVER_EVERY, matter)
+        blend = recovery_share(h, matter)
         mass = matter.mass[w]
         slot = int((slots - 1) * W + w)
         layout = tape.layout_of[slot]

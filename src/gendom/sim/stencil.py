@@ -405,7 +405,8 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
     window_type = wp.types.matrix((27, 4), real)
 
     def native(text: str, **parts: str) -> str:
-        return _native(text if slopes else _BY_SLOPES.sub("", text), real, **parts)
+        text = _native(text, real, **parts)
+        return text if slopes else _BY_SLOPES.sub("", text)
 
     on_cpu = _PAIRS + _SCATTER_BY_PLANES
     on_cuda = _WEIGHTS + _COEFFICIENTS + _SCATTER

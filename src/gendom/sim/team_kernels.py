@@ -19,7 +19,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.columns import MARGIN, Columns
-from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, RECOVER_EVERY, make_kernels
+from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, make_kernels
 from gendom.sim.team import make_team
 from gendom.sim.transfers import make_transfers
 
@@ -97,7 +97,7 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
         dt = frame_substep(frame, w, plan)
         h = real(dt)
         keep = wp.exp(-scene.damping[w] * h)
-        blend = recovery_share(h, RECOVER_EVERY, matter)
+        blend = recovery_share(h, matter)
         step = int(clock.step[w])
         t = begun + wp.float64(step) * dt
         age = clock.age[w]
@@ -244,7 +244,7 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     dt = frame_substep(frame, w, plan)
                     h = real(dt)
                     keep = wp.exp(-scene.damping[w] * h)
-                    blend = recovery_share(h, RECOVER_EVERY, matter)
+                    blend = recovery_share(h, matter)
                     step = 0
                     ahead = 0
                     fresh = True
