@@ -35,6 +35,7 @@ class Law(NamedTuple):
         return_map: (F trial, mu, yield stress) -> F [-].
         return_map_back: (F trial, mu, yield stress, F_bar) -> F trial_bar, mu_bar, yield_bar.
         plastic: Whether the return mapping does anything.
+        name: Of the elastic law.
     """
 
     stress: Any
@@ -42,6 +43,27 @@ class Law(NamedTuple):
     return_map: Any
     return_map_back: Any
     plastic: bool
+    name: str
+
+
+_LOG_VOLUME = """
+    const auto log_volume = [](REAL J) {
+        if (!(J > REAL(0.75) && J < REAL(1.25))) return wp::log(J);
+        const REAL s = (J - REAL(1)) / (J + REAL(1)), q = s * s;
+        REAL sum = REAL(0);
+        #pragma unroll
+        for (int n = SERIES; n > 0; --n) sum = sum * q + REAL(2.0 / (2 * n - 1));
+        return sum * s;
+    };
+"""
+
+
+def log_volume_text(real: Any) -> str:
+    """Native code of log(J); near 1 by its series 2 (s + s^3/3 + ...), s = (J - 1)/(J + 1),
+    without a call."""
+    single = real == wp.float32
+    text = _LOG_VOLUME.replace("SERIES", "5" if single else "10")
+    return text.replace("REAL", "wp::float32" if single else "wp::float64")
 
 
 @functools.cache
@@ -58,22 +80,10 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
     """
     mat33 = wp.types.matrix((3, 3), real)
     vec3 = wp.types.vector(3, real)
-    SERIES = wp.constant(5 if real == wp.float32 else 10)
     close = 1.0e-3 if real == wp.float32 else 1.0e-7
 
-    @wp.func
-    def log_volume(J: real):
-        """log(J); near 1 by its series 2 (s + s^3/3 + ...), s = (J - 1)/(J + 1), without a call."""
-        result = real(0.0)
-        if wp.abs(J - real(1.0)) < real(0.25):
-            s = (J - real(1.0)) / (J + real(1.0))
-            q = s * s
-            for n in range(SERIES):
-                result = result * q + real(2.0) / real(2 * (SERIES - n) - 1)
-            result = result * s
-        else:
-            result = wp.log(J)
-        return result
+    @wp.func_native(log_volume_text(real) + "return log_volume(J);")
+    def log_volume(J: real) -> real: ...
 
     @wp.func
     def cofactors(F: mat33):
@@ -238,4 +248,4 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
     if name not in stresses:
         raise ValueError(f"unknown elastic law {name!r}: choose one of {', '.join(LAWS)}")
     maps = (von_mises, von_mises_back) if plastic else (elastic, elastic_back)
-    return Law(*stresses[name], *maps, plastic)
+    return Law(*stresses[name], *maps, plastic, name)

@@ -13,7 +13,7 @@ from gendom.sim.columns import Columns
 from gendom.sim.gradients import Sums, overflow
 from gendom.sim.reverse import NOT_FINITE
 from gendom.sim.simulator import Simulator
-from gendom.sim.worlds import CLOCK, STATE
+from gendom.sim.worlds import CLOCK
 
 _LAYOUT = ("bounds", "low", "high", "start", "cell", "level", "count")
 _PLACED = ("centre", "velocity", "spin", "closed")
@@ -89,7 +89,7 @@ class BatchTape:
         return Segment(
             now,
             _copy(k.Clock(), worlds.clock, CLOCK),
-            _copy(k.transfers.State(), worlds.state, STATE),
+            _copy(k.transfers.State(), worlds.state, worlds.carried),
         )
 
     def _run_segment(self, segment: Segment) -> bool:
@@ -117,7 +117,7 @@ class BatchTape:
         W, N = worlds.num_worlds, worlds.num_particles
         X, Y, M = worlds.room
         real = worlds.numpy_type.itemsize
-        slot = W * real * (24 * N + 4 * M)
+        slot = W * (worlds.state_bytes + real * 4 * M)
         layout = W * 4 * (3 * X * Y + 2 * M)
         return max(1, int(self.memory / (SUBSTEPS_A_GRAPH * slot + layout)))
 
@@ -137,7 +137,7 @@ class BatchTape:
     def _return_to(self, segment: Segment) -> None:
         """Set worlds to the beginning of a segment; its columns are laid anew first."""
         worlds, batch = self.simulator.worlds, self._batch
-        for name in STATE:
+        for name in worlds.carried:
             wp.copy(getattr(worlds.state, name), getattr(segment.state, name))
         for name in ("dt", "step", "age", "frame"):
             wp.copy(getattr(worlds.clock, name), getattr(segment.clock, name))
@@ -152,7 +152,7 @@ class BatchTape:
         k, state, grid = worlds.kernels, worlds.state, batch.grid
         W, N = worlds.num_worlds, worlds.num_particles
         rows = worlds.make_state(((SUBSTEPS_A_GRAPH + 1) * W, N))
-        for name in STATE:
+        for name in worlds.carried:
             wp.copy(getattr(rows, name)[:W], getattr(state, name))
         graph = _Graph(
             clock=_copy(k.Clock(), worlds.clock, CLOCK),
@@ -172,7 +172,7 @@ class BatchTape:
         """The worlds' state before substep r of a recorded graph."""
         W = self.simulator.num_worlds
         state = self.simulator.worlds.kernels.transfers.State()
-        for name in STATE:
+        for name in self.simulator.worlds.carried:
             setattr(state, name, getattr(rows, name)[r * W : (r + 1) * W])
         return state
 
@@ -188,6 +188,8 @@ class BatchTape:
             row: Any = self._row(graph.rows, r)
             momentum = graph.momentum[r]
             going: list[Any] = [r, graph.done, dt]
+            if not s.plastic:
+                launch(k.tense_again, (W, N), [*going, s.matter, row, s.pulls])
             launch(k.grid_again, nodes, [
                 *going, s.scene, s.paths, grips, columns, momentum, velocity, grid_bar,
             ])  # fmt: skip
@@ -198,17 +200,18 @@ class BatchTape:
                 *going, s.scene, s.paths, grips, columns, momentum, grid_bar, sums.scene,
             ])  # fmt: skip
             launch(k.scatter_back, (W, N), [
-                *going, s.matter, s.scene, columns, row, grid_bar, sums.matter, sums.trouble,
+                *going, s.matter, s.scene, columns, row, s.pulls, grid_bar, sums.matter,
+                sums.trouble,
             ])  # fmt: skip
             launch(k.world_back, W, [
                 *going, graph.clock.step, segment.time, s.scene, s.paths, grips, sums.scene,
             ])  # fmt: skip
-            launch(k.recover_back, (W, N), [
-                *going, graph.clock.age, s.matter, row, sums.matter,
-            ])  # fmt: skip
+            if not s.plastic:
+                launch(k.tense_back, (W, N), [*going, s.matter, row, sums.matter, s.pulls])
+                launch(k.slacken_all, (W, N), [r, graph.done, s.matter, sums.matter, s.pulls])
 
         def F(slot: int, w: int, particle: int) -> NDArray[np.floating]:
-            return graph.rows.F.numpy()[slot * W + w, particle]
+            return s.deformation(graph.rows, slot * W + w)[particle]
 
         raise_trouble(self.simulator, segment.time, graph.clock, sums, F)
 

@@ -340,9 +340,10 @@ def make_block_kernels(
                     inverted = int(0)
                     for i in range(lane, N, lanes):
                         p = records.order[w, i]
+                        D = differences(of, w, 0, get_near(records.near, w, i))
                         pull, upright = tension(
-                            differences(of, w, 0, get_near(records.near, w, i)), matter.rest_frame[p],
-                            moduli[w, _MU, i], moduli[w, _LAM, i], h, matter.volume,
+                            D, matter.rest_frame[p], moduli[w, _MU, i], moduli[w, _LAM, i], h,
+                            matter.volume,
                         )  # fmt: skip
                         put_matrix(of, w, _F, i, pull)
                         if not upright:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
 from gendom.sim.simulator import Simulator
-from gendom.sim.worlds import STATE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +73,9 @@ class Sums:
         G, K = worlds.paths.time.shape[1:]
         k, real = worlds.kernels, worlds.real
         self.matter = k.transfers.MatterBars()
-        for name, dtype in zip(STATE, (k.vec3, k.vec3, k.mat33, k.mat33), strict=True):
-            setattr(self.matter, name, worlds.zeros((W, N), dtype))
+        state = worlds.make_state((W, N), wp.zeros)
+        for name in worlds.carried:
+            setattr(self.matter, name, getattr(state, name))
         for name in ("mu", "lam", "mass", "yield_stress"):
             setattr(self.matter, name, worlds.zeros((W, N), real))
         self.scene = k.boundary.SceneBars()

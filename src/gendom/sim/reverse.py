@@ -21,7 +21,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.columns import Columns
-from gendom.sim.kernels import OK, RECOVER_EVERY, make_kernels
+from gendom.sim.kernels import OK, make_kernels
 from gendom.sim.stencil import FUSED
 
 NOT_FINITE = 4
@@ -39,12 +39,13 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
 
     Returns:
         Namespace with ``reverse`` (CPU: a recorded stretch of one world) and with the stages of
-        one substep of all worlds (CUDA): ``grid_again``, ``gather_back``, ``grid_back``,
-        ``scatter_back``, ``world_back``, ``recover_back``, to be called in this order. Substep r
-        of a graph is reversed in the worlds that have done it (``r < done[w]``).
+        one substep of all worlds (CUDA): ``tense_again`` (of elastic bodies), ``grid_again``,
+        ``gather_back``, ``grid_back``, ``scatter_back``, ``world_back``, and of elastic bodies
+        ``tense_back`` and ``slacken_all``, to be called in this order. Substep r of a graph is
+        reversed in the worlds that have done it (``r < done[w]``).
     """
     k = make_kernels(real, law_name, plastic=plastic)
-    vec3, vec4 = k.vec3, k.vec4
+    vec3, vec4, mat33 = k.vec3, k.vec4, k.mat33
     boundary, transfers = k.boundary, k.transfers
     Scene, Paths, Grips = boundary.Scene, boundary.Paths, boundary.Grips
     SceneBars = boundary.SceneBars
@@ -55,8 +56,10 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     update_node_back = boundary.update_node_back
     scatter_particle_back = transfers.scatter_particle_back
     move_particle_back = transfers.move_particle_back
-    recovery_share = transfers.recovery_share
-    recover_particle_back = transfers.recover_particle_back
+    tense_particle = transfers.tense_particle
+    tense_particle_back = transfers.tense_particle_back
+    slacken = transfers.slacken
+    yields = transfers.yields
     largest = 1.0e37 if real == wp.float32 else 1.0e300
 
     @wp.struct
@@ -97,13 +100,13 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         w: int,
         slots: int,  # substeps to reverse
         begun: int,  # number in its frame of the first recorded substep
-        age: int,  # substeps done in all before it
         time: wp.float64,  # [s] at substep 0 of the frame
         dt: wp.float64,  # [s]
         matter: Matter,
         scene: Scene,
         paths: Paths,
         grips: Grips,  # [W]
+        pulls: wp.array2d(dtype=mat33),  # [W, N] scratch
         # the recording
         state: State,  # [S + 1, N]
         columns: Columns,  # S layouts
@@ -122,7 +125,6 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         inv_dx = real(1.0) / scene.dx
         h = real(dt)
         keep = wp.exp(-scene.damping[w] * h)
-        blend = recovery_share(h, RECOVER_EVERY, matter)
         status = int(OK)
         slot = int(slots - 1)
         while slot >= 0 and status == OK:
@@ -132,6 +134,11 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
             for g in range(grips.closed.shape[1]):
                 place_gripper(w, w, g, t, dt, paths, grips)
             # while, not range: see ``gendom.sim.kernels``
+            if yields == 0:
+                p = int(0)
+                while p < N:
+                    tense_particle(w, p, slot, h, matter, state, pulls)
+                    p += 1
             n = int(0)
             while n < nodes:
                 grid_bar[0, n] = vec4()
@@ -165,20 +172,41 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
             p = int(0)
             while p < N:
                 size = scatter_particle_back(
-                    w, p, slot, layout, 0, h, inv_dx, z0, matter, state, columns, grid_bar, bars
-                )
+                    w, p, slot, layout, 0, h, inv_dx, z0, matter, state, pulls, columns, grid_bar,
+                    bars,
+                )  # fmt: skip
                 if not (size < real(largest)) and status == OK:
                     status = NOT_FINITE
                     trouble.culprit[w] = p
                     trouble.slot[w] = slot
                 p += 1
-            if (age + slot) % RECOVER_EVERY == 0 and blend > real(0.0):
-                for p in range(N):
-                    recover_particle_back(w, p, slot, blend, matter, state, bars)
+            if yields == 0:
+                p = int(0)
+                while p < N:
+                    tense_particle_back(w, p, slot, h, matter, state, bars, pulls)
+                    p += 1
+                p = int(0)
+                while p < N:
+                    slacken(w, p, matter, bars, pulls)
+                    p += 1
             slot -= 1
         trouble.status[w] = status
 
     # ---- CUDA: one substep of all worlds, stage by stage ---------------------------------------
+
+    @wp.kernel(enable_backward=False)
+    def tense_again(
+        r: int,
+        done: wp.array(dtype=wp.int32),
+        dt: wp.array(dtype=wp.float64),
+        matter: Matter,
+        state: State,
+        pulls: wp.array2d(dtype=mat33),
+    ):
+        """The substep's pulls once more."""
+        w, p = wp.tid()
+        if r < done[w]:
+            tense_particle(w, p, w, real(dt[w]), matter, state, pulls)
 
     @wp.kernel(enable_backward=False)
     def grid_again(
@@ -265,6 +293,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         scene: Scene,
         columns: Columns,
         state: State,
+        pulls: wp.array2d(dtype=mat33),
         grid_bar: wp.array2d(dtype=vec4),
         bars: MatterBars,
         trouble: Trouble,
@@ -273,8 +302,8 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         if r >= done[w]:
             return
         size = scatter_particle_back(
-            w, p, w, w, w, real(dt[w]), real(1.0) / scene.dx, scene.z0, matter, state, columns,
-            grid_bar, bars,
+            w, p, w, w, w, real(dt[w]), real(1.0) / scene.dx, scene.z0, matter, state, pulls,
+            columns, grid_bar, bars,
         )  # fmt: skip
         # the first one found is named; a NaN is not below anything
         if not (size < real(largest)) and wp.atomic_max(trouble.status, w, NOT_FINITE) == OK:
@@ -300,31 +329,42 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
             close_substep(w, row, t, dt[w], scene, paths, grips, scene_bars)
 
     @wp.kernel(enable_backward=False)
-    def recover_back(
+    def tense_back(
         r: int,
         done: wp.array(dtype=wp.int32),
         dt: wp.array(dtype=wp.float64),
-        age: wp.array(dtype=wp.int32),  # [W] substeps done in all before the graph
         matter: Matter,
         state: State,
         bars: MatterBars,
+        stretches: wp.array2d(dtype=mat33),
     ):
         w, p = wp.tid()
-        if r >= done[w] or (age[w] + r) % RECOVER_EVERY != 0:
-            return
-        blend = recovery_share(real(dt[w]), RECOVER_EVERY, matter)
-        if blend > real(0.0):
-            recover_particle_back(w, p, w, blend, matter, state, bars)
+        if r < done[w]:
+            tense_particle_back(w, p, w, real(dt[w]), matter, state, bars, stretches)
+
+    @wp.kernel(enable_backward=False)
+    def slacken_all(
+        r: int,
+        done: wp.array(dtype=wp.int32),
+        matter: Matter,
+        bars: MatterBars,
+        stretches: wp.array2d(dtype=mat33),
+    ):
+        w, p = wp.tid()
+        if r < done[w]:
+            slacken(w, p, matter, bars, stretches)
 
     return SimpleNamespace(
         Trouble=Trouble,
         close_substep=close_substep,
         largest=largest,
         reverse=reverse,
+        tense_again=tense_again,
         grid_again=grid_again,
         gather_back=gather_back,
         grid_back=grid_back,
         scatter_back=scatter_back,
         world_back=world_back,
-        recover_back=recover_back,
+        tense_back=tense_back,
+        slacken_all=slacken_all,
     )

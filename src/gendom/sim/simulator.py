@@ -148,12 +148,7 @@ class Simulator:
 
     def deformation_gradients(self) -> NDArray[Any]:
         """[W, N, 3, 3] deformation gradients F now [-]."""
-        return self._F(self.worlds.state)
-
-    def _F(self, state: Any) -> NDArray[Any]:
-        worlds = self.worlds
-        F = state.F.numpy() if worlds.plastic else worlds.deformation(state.x.numpy())
-        return np.array(F, dtype=self.dtype)
+        return self.worlds.deformation(self.worlds.state).astype(self.dtype)
 
     def substeps_done(self) -> NDArray[Any]:
         """[W] substeps that each world has done."""
@@ -193,7 +188,7 @@ class Simulator:
                 nu=[m.nu for m in self.materials],
                 density=[m.density for m in self.materials],
                 substep=self.substep,
-                F=self._F(kept),
+                F=self.worlds.deformation(kept).astype(self.dtype),
                 **state,  # pyright: ignore[reportArgumentType]
             )
 

@@ -278,8 +278,8 @@ def make_team_kernels(
                         lift(peak, w, 2, wrong)
                         meet_block()
                     scatter_block(
-                        of, block, thread, threads, own, w, real(1.0e30), h, inv_dx, z0, mass, volume,
-                        columns, momentum,
+                        of, block, thread, threads, own, w, real(1.0e30), h, inv_dx, z0, mass,
+                        volume, columns, momentum,
                     )  # fmt: skip
                     came += members
                     meet(gate, w, came)

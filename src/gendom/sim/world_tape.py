@@ -13,7 +13,7 @@ from gendom.sim.kernels import GRID_FULL, OK
 from gendom.sim.reverse import NOT_FINITE
 from gendom.sim.simulator import Simulator
 from gendom.sim.threads import Threads
-from gendom.sim.worlds import LAY_ANEW, STATE, Worlds
+from gendom.sim.worlds import LAY_ANEW, Worlds
 
 STRETCH = 64
 """Substeps that are recorded, and reversed, at a time."""
@@ -54,7 +54,7 @@ class WorldTape:
                     pass
                 elif keeps_all:
                     stretch.recording = self._record(w, stretch, begin)
-                    for name in STATE:
+                    for name in worlds.carried:
                         rows = getattr(stretch.recording.rows, name).numpy()
                         threads.state[name][w] = rows[stretch.substeps]
                 else:
@@ -112,7 +112,7 @@ class WorldTape:
             recording = _Recording(worlds, stretch.substeps)
         while True:
             grid, rows = recording.grid, recording.rows
-            for name in STATE:
+            for name in worlds.carried:
                 getattr(rows, name).numpy()[0] = begin[name]
             self._begin(w, stretch)
             self._threads.launch(w, stretch.time, grid, rows, 0, 1, recording.velocity)
@@ -132,8 +132,8 @@ class WorldTape:
             s.reverse.reverse,
             dim=1,
             inputs=[
-                w, stretch.substeps, stretch.begun, stretch.age, stretch.time, stretch.dt,
-                s.matter, s.scene, s.paths, s.grips, recording.rows,
+                w, stretch.substeps, stretch.begun, stretch.time, stretch.dt,
+                s.matter, s.scene, s.paths, s.grips, s.pulls, recording.rows,
                 grid.columns, grid.layout_of, grid.momentum,
                 recording.velocity, s.zeros(recording.velocity.shape, s.kernels.vec4),
                 sums.matter, sums.scene, sums.trouble,
@@ -149,7 +149,7 @@ class WorldTape:
                 substep=stretch.age + slot,
                 time=stretch.time + (stretch.begun + slot) * stretch.dt,
                 particle=particle,
-                F=recording.rows.F.numpy()[slot, particle],
+                F=s.deformation(recording.rows, slot)[particle],
             )
 
 
@@ -196,4 +196,4 @@ class _Recording:
     def bytes_a_substep(worlds: Worlds) -> int:
         X, Y, M = worlds.room
         real = worlds.numpy_type.itemsize
-        return real * (24 * worlds.num_particles + 4 * M) + 4 * (3 * X * Y + 2 * M + 6)
+        return worlds.state_bytes + real * 4 * M + 4 * (3 * X * Y + 2 * M + 6)

@@ -181,8 +181,20 @@ class Worlds:
             setattr(state, name, make(shape, dtype=dtype, device=self.device))
         return state
 
-    def deformation(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
-        """[..., N, 3, 3] F of an elastic body from its particles' positions [..., N, 3]."""
+    @property
+    def state_bytes(self) -> int:
+        """Of one world's state."""
+        numbers = sum(3 if name in ("x", "v") else 9 for name in self.carried)
+        return numbers * self.num_particles * self.numpy_type.itemsize
+
+    def deformation(self, state: Any, row: Any = slice(None)) -> NDArray[np.floating]:
+        """[..., N, 3, 3] deformation gradients F in (a row of) a state [-]."""
+        if self.plastic:
+            return np.array(state.F.numpy()[row])
+        return self.deformation_at(state.x.numpy()[row])
+
+    def deformation_at(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
+        """[..., N, 3, 3] F of an elastic body whose particles are at [..., N, 3] [-]."""
         body = self.setting.body
         x = x.astype(float)
         first, second = body.lattice[:, :, 0], body.lattice[:, :, 1]
