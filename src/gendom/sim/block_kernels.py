@@ -38,7 +38,7 @@ def carried_components(*, plastic: bool) -> int:
 
 
 def taped_components(*, plastic: bool) -> int:
-    """Components of a record on a tape: its state, and the velocity that pulls give it."""
+    """Components of a record on a tape: its state, and the sum of pulls on it."""
     return 24 if plastic else 18
 
 
@@ -85,6 +85,7 @@ def make_block_kernels(
     tension = k.transfers.tension
     moved = k.transfers.moved
     gather_particle = k.transfers.gather_particle
+    get_node, put_node = k.transfers.get_node, k.transfers.put_node
     yields = k.transfers.yields
     CARRIED = wp.constant(carried_components(plastic=plastic))
     keeps = wp.constant(1 if taped else 0)
@@ -95,6 +96,7 @@ def make_block_kernels(
     vector, put_vector = store.vector, store.put_vector
     matrix, put_matrix = store.matrix, store.put_matrix
     differences, pulled = store.differences, store.pulled
+    put_taped = make_store(real, resident=False).put_vector
     block = make_block(real)
     meet, any_of, largest, before = block.meet, block.any, block.largest, block.before
 
@@ -341,11 +343,11 @@ def make_block_kernels(
                     for i in range(lane, N, lanes):
                         p = records.order[w, i]
                         D = differences(of, w, 0, get_near(records.near, w, i))
-                        pull, upright = tension(
+                        tight, upright = tension(
                             D, matter.rest_frame[p], moduli[w, _MU, i], moduli[w, _LAM, i], h,
                             matter.volume,
                         )  # fmt: skip
-                        put_matrix(of, w, _F, i, pull)
+                        put_matrix(of, w, _F, i, tight)
                         if not upright:
                             inverted = 1
                             clock.culprit[w] = p
@@ -360,26 +362,23 @@ def make_block_kernels(
                     for i in range(lane, N, lanes):
                         for c in range(CARRIED):
                             tape.of[slot, c, i] = get(of, w, c, i)
-                if yields == 0:
-                    # from here on the velocity is that of particles and their pulls
-                    for i in range(lane, N, lanes):
-                        kick = pulled(of, w, _F, get_near(records.near, w, i), i) / mass
-                        put_vector(of, w, _V, i, vector(of, w, _V, i) + kick)
-                        if keeps == 1:
-                            for n in range(3):
-                                tape.of[slot, CARRIED + n, i] = kick[n]
-                    meet()
                 window = window_type()
                 held = wp.vec3i(-1, -1, -1)
                 for i in range(lane * N // lanes, (lane + 1) * N // lanes):
+                    given = mass * vector(of, w, _V, i)
                     T = mat33()
                     if yields == 1:
                         T = impulse_of_stress(
                             matrix(of, w, _F, i), moduli[w, _MU, i], moduli[w, _LAM, i], h,
                             matter.volume, inv_dx,
                         )  # fmt: skip
+                    else:
+                        pull = pulled(of, w, _F, get_near(records.near, w, i), i)
+                        given += pull
+                        if keeps == 1:
+                            put_taped(tape.of, slot, CARRIED, i, pull)
                     node, f, q = given_by(
-                        vector(of, w, 0, i), mass * vector(of, w, _V, i), matrix(of, w, _C, i), T,
+                        vector(of, w, 0, i), given, matrix(of, w, _C, i), T,
                         mass, layout, inv_dx, z0, columns,
                     )  # fmt: skip
                     window = hand_over(window, held, node, momentum, slot, columns.start, layout)
@@ -387,13 +386,19 @@ def make_block_kernels(
                     held = node
                 hand_over(window, held, wp.vec3i(-1, -1, -1), momentum, slot, columns.start, layout)
                 meet()
+                following = vec4()
+                if lane < nodes:
+                    following = get_node(momentum, slot, lane)
                 for n in range(lane, nodes, lanes):
-                    m = momentum[slot, n]
+                    m = following
+                    # on its way while this one is updated
+                    if n + lanes < nodes:
+                        following = get_node(momentum, slot, n + lanes)
                     if m[3] > real(0.0):
                         if keeps == 0:
-                            momentum[slot, n] = vec4()
+                            put_node(momentum, slot, n, vec4())
                         u = update_node(w, w, layout, n, m, h, keep, scene, paths, grips, columns)
-                        velocity[w, n] = vec4(u[0], u[1], u[2], m[3])
+                        put_node(velocity, w, n, vec4(u[0], u[1], u[2], m[3]))
                 meet()
                 # the longest way, in squared cells; above 1 what went wrong
                 worst = real(0.0)

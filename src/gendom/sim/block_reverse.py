@@ -26,7 +26,7 @@ from gendom.sim.reverse import NOT_FINITE, make_reverse
 SUM_COMPONENTS = 4
 """Derivatives by mu, lam, mass and yield stress of a particle, besides those by its state."""
 
-_V, _C, _F, _KICK = 3, 6, 15, 15
+_V, _C, _F, _PULL = 3, 6, 15, 15
 _MU, _LAM, _MASS, _YIELD = 0, 1, 2, 3
 
 
@@ -72,6 +72,7 @@ def make_block_reverse(
     taken_by = k.transfers.taken_by
     moved_back = k.transfers.moved_back
     given_back = k.transfers.given_back
+    get_node, put_node = k.transfers.get_node, k.transfers.put_node
     impulse_of_stress = k.transfers.impulse_of_stress
     impulse_of_stress_back = k.transfers.impulse_of_stress_back
     tension_back = k.transfers.tension_back
@@ -183,13 +184,19 @@ def make_block_reverse(
             for g in range(lane, grips.closed.shape[1], lanes):
                 place_gripper(w, w, g, t, dt, paths, grips)
             meet()
+            following = vec4()
+            if lane < nodes:
+                following = get_node(momentum, slot, lane)
             for n in range(lane, nodes, lanes):
-                grid_bar[w, n] = vec4()
-                velocity[w, n] = vec4()
-                q = momentum[slot, n]
+                q = following
+                # on its way while this one is updated
+                if n + lanes < nodes:
+                    following = get_node(momentum, slot, n + lanes)
+                u = vec3()
                 if q[3] > real(0.0):
                     u = update_node(w, w, layout, n, q, h, keep, scene, paths, grips, columns)
-                    velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
+                put_node(grid_bar, w, n, vec4())
+                put_node(velocity, w, n, vec4(u[0], u[1], u[2], q[3]))
             meet()
             if yields == 1:
                 for i in range(lane, N, lanes):
@@ -236,14 +243,14 @@ def make_block_reverse(
             keep_sum = wp.float64(0.0)
             gravity_sum = wp.vec3d()
             for n in range(lane, nodes, lanes):
-                q = momentum[slot, n]
+                q = get_node(momentum, slot, n)
                 if q[3] > real(0.0):
-                    v_bar = grid_bar[w, n]
+                    v_bar = get_node(grid_bar, w, n)
                     node_bar, keep_bar, gravity_bar = update_node_back(
                         w, w, layout, n, q, vec3(v_bar[0], v_bar[1], v_bar[2]), h, keep, scene,
                         paths, grips, columns, scene_bars,
                     )  # fmt: skip
-                    grid_bar[w, n] = node_bar
+                    put_node(grid_bar, w, n, node_bar)
                     keep_sum += keep_bar
                     gravity_sum += gravity_bar
             wp.atomic_add(scene_bars.keep, w, keep_sum)
@@ -263,7 +270,7 @@ def make_block_reverse(
                         matter.volume, inv_dx,
                     )  # fmt: skip
                 else:
-                    given += mass * vector(tape.of, slot, _KICK, i)
+                    given += vector(tape.of, slot, _PULL, i)
                 x_bar, u_bar, C_bar, T_bar, mass_bar = given_back(
                     x, v, given, matrix(tape.of, slot, _C, i), T, mass, layout, w, inv_dx, z0,
                     columns, grid_bar,

@@ -30,8 +30,11 @@ LARGE_BODY = 2048
 WIDE = 256
 """Threads of a block that has a multiprocessor to itself."""
 
-NARROW = (128, 192)
+NARROW = 192
 """Threads of one of two blocks that share one; more leave too few registers for each."""
+
+NARROW_IN_ARRAYS = 128
+"""The same where particles stand in arrays."""
 
 
 def suits_blocks(worlds: Worlds) -> bool:
@@ -51,14 +54,6 @@ def shared_room(worlds: Worlds) -> int:
     return 0
 
 
-def _narrow(particles: int, *, resident: bool) -> int:
-    """Threads of one of two blocks that share a multiprocessor."""
-    if not resident:
-        return NARROW[0]
-    # the last round of the lanes through the particles should not leave many of them idle
-    return min(NARROW, key=lambda lanes: -(-particles // lanes) * lanes)
-
-
 class Blocks(Paced):
     """A block of threads a world.
 
@@ -73,7 +68,8 @@ class Blocks(Paced):
         self.room = shared_room(worlds)
         crowded = W > MANY_WORLDS and N <= LARGE_BODY
         pairs = crowded and self.room != ROOM_ALONE
-        self.lanes = lanes or (_narrow(N, resident=self.room > 0) if pairs else WIDE)
+        narrow = NARROW if self.room else NARROW_IN_ARRAYS
+        self.lanes = lanes or (narrow if pairs else WIDE)
         self.kernels = make_block_kernels(
             worlds.real, setting.law, plastic=worlds.plastic, room=self.room,
             lanes=self.lanes,

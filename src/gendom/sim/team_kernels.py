@@ -79,7 +79,8 @@ def make_team_kernels(
     tension = k.transfers.tension
     impulse_of_stress = k.transfers.impulse_of_stress
     given_by = k.transfers.given_by
-    scatter = k.transfers.scatter
+    scatter_plane = k.transfers.scatter_plane
+    get_node, put_node = k.transfers.get_node, k.transfers.put_node
     yields = k.transfers.yields
     straight = make_transfers(real, k.law, straight=True)
     moved, gather_particle = straight.moved, straight.gather_particle
@@ -123,8 +124,12 @@ def make_team_kernels(
         farthest: real, h: real, inv_dx: real, z0: real, mass: real, volume: real,
         columns: Columns, momentum: wp.array2d(dtype=vec4),
     ):  # fmt: skip
-        """Scatter a block's first particles but those that go farther in a substep [m]."""
-        for i in range(thread, count, threads):
+        """Scatter a block's first particles but those that go farther in a substep [m].
+
+        A thread gives to one plane of a particle's nodes.
+        """
+        for n in range(thread, 3 * count, threads):
+            i = n % count
             v = vector(of, block, _V, i)
             if h * wp.length(v) < farthest:
                 q = mass * v
@@ -140,7 +145,7 @@ def make_team_kernels(
                     vector(of, block, 0, i), q, matrix(of, block, _C, i), T, mass, w, inv_dx, z0,
                     columns,
                 )  # fmt: skip
-                scatter(momentum, w, columns.start, w, node, f, c)
+                scatter_plane(momentum, w, columns.start, w, node, f, c, n // count)
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(lanes, at_once))
     def advance(
@@ -288,14 +293,14 @@ def make_team_kernels(
                         substep = False
             if substep:
                 for n in range(lane, nodes, lanes):
-                    q = momentum[w, n]
+                    q = get_node(momentum, w, n)
                     if q[3] > real(0.0):
-                        momentum[w, n] = vec4()
+                        put_node(momentum, w, n, vec4())
                         u = update_node(
                             w, w * AHEAD + step % AHEAD, w, n, q, h, keep, scene, paths, grips,
                             columns,
                         )  # fmt: skip
-                        velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
+                        put_node(velocity, w, n, vec4(u[0], u[1], u[2], q[3]))
                 came += members
                 meet(gate, w, came)
                 step += 1

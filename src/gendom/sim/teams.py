@@ -23,9 +23,6 @@ LANES = 384
 BLOCKS_AT_ONCE = 4
 """Blocks on a multiprocessor at the most; more are no faster."""
 
-MOST_LANES = 512
-"""Threads of a block."""
-
 
 @dataclass(frozen=True)
 class Split:
@@ -35,15 +32,16 @@ class Split:
     count: NDArray[np.int32]
     near: NDArray[np.int32]
 
-    @property
-    def lanes(self) -> int:
-        """Threads of a block, one for each of its particles."""
-        return min(MOST_LANES, self.particles.shape[1])
+    def lanes(self) -> list[int]:
+        """Threads that a block may have: for each plane of nodes around each of its own particles,
+        or for each particle."""
+        K = self.particles.shape[1]
+        return sorted({max(K, 32 * math.ceil(3 * self.count[:, 0].max() / 32)), K}, reverse=True)
 
-    def at_once(self, number: int) -> int:
+    def at_once(self, lanes: int, number: int) -> int:
         """Blocks that are sure to fit on a multiprocessor, for numbers of so many bytes."""
         taken = COMPONENTS * self.particles.shape[1] * number
-        return min(BLOCKS_AT_ONCE, max(1, LANES // self.lanes), ROOM_ALONE // taken)
+        return min(BLOCKS_AT_ONCE, LANES // lanes, ROOM_ALONE // taken)
 
 
 def split_body(body: Body, members: int, *, alone: bool) -> Split:
@@ -83,16 +81,18 @@ def _bisected(
     return [*_bisected(x, order[:cut], half), *_bisected(x, order[cut:], parts - half)]
 
 
-def split_for(worlds: Worlds) -> Split | None:
-    """The finest split with which the teams of all worlds fit on the device at once."""
+def split_for(worlds: Worlds) -> tuple[Split, int] | None:
+    """The finest split, and the most threads of a block, with which the teams of all worlds fit on
+    the device at once."""
     for own in OWN:
         members = math.ceil(worlds.num_particles / own)
-        if members * worlds.num_worlds > BLOCKS_AT_ONCE * worlds.device.sm_count:
-            continue
-        split = split_body(worlds.setting.body, members, alone=worlds.plastic)
-        at_once = split.at_once(worlds.numpy_type.itemsize)
-        if members * worlds.num_worlds <= at_once * worlds.device.sm_count:
-            return split
+        blocks = members * worlds.num_worlds
+        if blocks <= BLOCKS_AT_ONCE * worlds.device.sm_count:
+            split = split_body(worlds.setting.body, members, alone=worlds.plastic)
+            for lanes in split.lanes():
+                at_once = split.at_once(lanes, worlds.numpy_type.itemsize)
+                if blocks <= at_once * worlds.device.sm_count:
+                    return split, lanes
     return None
 
 
@@ -113,12 +113,13 @@ class Teams(Paced):
     def __init__(self, worlds: Worlds):
         cuda = worlds.device.is_cuda
         whole = split_body(worlds.setting.body, 1, alone=worlds.plastic)
-        split = (split_for(worlds) if cuda else whole) or whole
+        split, lanes = (split_for(worlds) if cuda else None) or (whole, 1)
         self.members, room = split.particles.shape
-        self.lanes = split.lanes if cuda else 1
+        self.lanes = lanes
         self.kernels = make_team_kernels(
-            worlds.real, worlds.setting.law, plastic=worlds.plastic, lanes=split.lanes,
-            at_once=split.at_once(worlds.numpy_type.itemsize), room=room if cuda else 1,
+            worlds.real, worlds.setting.law, plastic=worlds.plastic, lanes=lanes,
+            at_once=split.at_once(lanes, worlds.numpy_type.itemsize) if cuda else 1,
+            room=room if cuda else 1,
         )  # fmt: skip
         self._parts: Any = Parts()
         for name in ("particles", "count", "near"):
