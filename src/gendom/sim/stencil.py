@@ -182,8 +182,14 @@ _GATHER = """
     const auto column = [&](int i, int j) { return first[i * pitch + j]; };
     const auto value = [nodes](int n) { return *(const lanes*)(nodes + n); };
 #endif
+    // the next plane's columns, and by slopes the next column's nodes, are on their way while these
+    // are summed
+    int n0 = column(0, 0) + bz, n1 = column(0, 1) + bz, n2 = column(0, 2) + bz;
+    AHEAD_BEGIN
     #pragma unroll planes
     for (int i = 0; i < 3; ++i) {
+        const int k = i < 2 ? i + 1 : i;
+        const int m0 = column(k, 0) + bz, m1 = column(k, 1) + bz, m2 = column(k, 2) + bz;
         // not wx[i]: in a loop that array would not be in registers
         const REAL wxi = i == 0 ? wx[0] : i == 1 ? wx[1] : wx[2];
         const REAL sxi = i == 0 ? sx[0] : i == 1 ? sx[1] : sx[2];
@@ -191,9 +197,8 @@ _GATHER = """
         for (int j = 0; j < 3; ++j) {
             const REAL wyj = j == 0 ? wy[0] : j == 1 ? wy[1] : wy[2];
             const REAL syj = j == 0 ? sy[0] : j == 1 ? sy[1] : sy[2];
-            const int n = column(i, j) + bz;
             const REAL w = wxi * wyj, dx = sxi * wyj, dy = wxi * syj;
-            const lanes h0 = value(n), h1 = value(n + 1), h2 = value(n + 2);
+            NODES
             const lanes u1 = h1 * wz[1], u2 = h2 * wz[2];
             const lanes u = h0 * wz[0] + u1 + u2;
             const lanes k = u1 + u2 + u2;
@@ -207,7 +212,11 @@ _GATHER = """
             D1 = D1 + u * dy;  // by slopes
             D2 = D2 + z * w;  // by slopes
             SLOPE_ROW
+            AHEAD_END
         }
+        n0 = m0;
+        n1 = m1;
+        n2 = m2;
     }
     wp::mat_t<ROWS, 4, REAL> out;
     #pragma unroll
@@ -223,6 +232,34 @@ _GATHER = """
     SLOPE_END
     return out;
 """
+
+_NODES = """
+            const int n = j == 0 ? n0 : j == 1 ? n1 : n2;
+            const lanes h0 = value(n), h1 = value(n + 1), h2 = value(n + 2);
+"""
+
+_AHEAD_BEGIN = "lanes h0 = value(n0), h1 = value(n0 + 1), h2 = value(n0 + 2);"
+
+_NODES_AHEAD = """
+            const int n = j == 0 ? n1 : j == 1 ? n2 : m0;
+            const lanes g0 = value(n), g1 = value(n + 1), g2 = value(n + 2);
+"""
+
+_AHEAD_END = """
+            h0 = g0;
+            h1 = g1;
+            h2 = g2;
+"""
+
+_GATHER_AT_ONCE = (
+    _GATHER.replace("AHEAD_BEGIN", "").replace("AHEAD_END", "").replace("NODES", _NODES)
+)
+
+_GATHER_AHEAD = (
+    _GATHER.replace("AHEAD_BEGIN", _AHEAD_BEGIN)
+    .replace("AHEAD_END", _AHEAD_END)
+    .replace("NODES", _NODES_AHEAD)
+)
 
 _SLOPE_BEGIN = "lanes X = V, Y = V, Z = V;"
 
@@ -504,7 +541,7 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
     }
 
     @wp.func_native(
-        native(_LANES + _either(_PAIRS + _GATHER_BY_PLANES, _WEIGHTS + _GATHER), **plain)
+        native(_LANES + _either(_PAIRS + _GATHER_BY_PLANES, _WEIGHTS + _GATHER_AT_ONCE), **plain)
     )
     def gather(
         grid: wp.array2d(dtype=vec4),
@@ -525,7 +562,9 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
         "ROWS": str(rows + 1),
     }
 
-    @wp.func_native(native(_LANES + _WEIGHTS + _COEFFICIENTS + _GATHER, **sloped))
+    sloped_gather = _either(_GATHER_AT_ONCE, _GATHER_AHEAD)
+
+    @wp.func_native(native(_LANES + _WEIGHTS + _COEFFICIENTS + sloped_gather, **sloped))
     def gather_with_slope(
         grid: wp.array2d(dtype=vec4),
         row: int,

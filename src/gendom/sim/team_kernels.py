@@ -346,8 +346,8 @@ def make_team_kernels(
                         clock.culprit[w] = parts.particles[part, i]
                     worst = wp.max(worst, far)
                 if scattered:
+                    meet_block()
                     if yields == 0:
-                        meet_block()
                         inverted = tense_block(of, block, thread, threads, tense, h, volume)
                         if inverted >= 0:
                             worst = wp.max(worst, real(INVERTED))

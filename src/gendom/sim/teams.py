@@ -1,5 +1,6 @@
 """Running on CUDA where worlds are few: several blocks of threads for each."""
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -46,26 +47,36 @@ class Split:
 
 def split_body(body: Body, members: int, *, alone: bool) -> Split:
     """Share a body's particles out among so many blocks; ``alone``: without their neighbours."""
-    blocks, counts = [], []
-    for own in _bisected(body.material_coordinates, np.arange(body.num_particles), members):
-        rings = [own]
-        for _ in range(0 if alone else 2):
-            have = np.concatenate(rings)
-            rings.append(np.setdiff1d(body.lattice[rings[-1]], have))
-        blocks.append(np.concatenate(rings))
-        counts.append(np.cumsum([len(ring) for ring in rings])[[0, -2, -1] if not alone else 0])
-    K = -(-max(map(len, blocks)) // 32) * 32
+    N, near = body.num_particles, body.lattice.reshape(-1, 6).astype(np.int64)
+    owner = np.empty(N, dtype=np.int64)
+    parts = _bisected(body.material_coordinates, np.arange(N), members)
+    owner[np.concatenate(parts)] = np.repeat(np.arange(members), [len(part) for part in parts])
+    # pairs of a block and a particle in its memory, as one number each
+    rings = [np.sort(owner * N + np.arange(N))]
+    for _ in range(0 if alone else 2):
+        block, p = np.divmod(rings[-1], N)
+        rings.append(np.unique((block[:, None] * N + near[p]).ravel()))
+    pairs = rings[-1]
+    ring = np.zeros(len(pairs), dtype=int)
+    for inner in rings[:-1]:
+        ring += np.isin(pairs, inner, invert=True)
+    order = np.lexsort((pairs, ring, pairs // N))
+    block, p = np.divmod(pairs[order], N)
+    present = np.bincount(block, minlength=members)
+    place = np.empty(len(pairs), dtype=np.int64)
+    place[order] = np.arange(len(pairs)) - np.repeat(np.cumsum(present) - present, present)
+    K = 32 * math.ceil(present.max() / 32)
     particles = np.zeros((members, K), dtype=np.int32)
-    near = np.zeros((members, K, 6), dtype=np.int32)
-    place = np.zeros(body.num_particles, dtype=np.int32)
-    for b, block in enumerate(blocks):
-        particles[b, : len(block)] = block
-        place[block] = np.arange(len(block))
-        if not alone:
-            with_neighbours = block[: counts[b][1]]
-            near[b, : counts[b][1]] = place[body.lattice[with_neighbours]].reshape(-1, 6)
-    count = np.stack([np.broadcast_to(c, 3) for c in counts]).astype(np.int32)
-    return Split(particles, count, near)
+    particles[block, place[order]] = p
+    tense = rings[-2:][0]
+    around = np.zeros((members, K, 6), dtype=np.int32)
+    if not alone:
+        block, p = np.divmod(tense, N)
+        at = np.searchsorted(pairs, block[:, None] * N + near[p])
+        around[block, place[np.searchsorted(pairs, tense)]] = place[at]
+    own = np.bincount(owner, minlength=members)
+    count = np.stack([own, np.bincount(tense // N, minlength=members), present], axis=1)
+    return Split(particles, count.astype(np.int32), around)
 
 
 def _bisected(
@@ -81,19 +92,41 @@ def _bisected(
     return [*_bisected(x, order[:cut], half), *_bisected(x, order[cut:], parts - half)]
 
 
+class _Same:
+    """A body as the key of what is known of it: the one object, whatever is equal to it."""
+
+    def __init__(self, body: Body):
+        self.body = body
+
+    def __hash__(self) -> int:
+        return id(self.body)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and other.body is self.body
+
+
+@functools.lru_cache(maxsize=64)
+def _split_once(body: _Same, members: int, alone: bool) -> Split:
+    return split_body(body.body, members, alone=alone)
+
+
 def split_for(worlds: Worlds) -> tuple[Split, int] | None:
     """The finest split, and the most threads of a block, with which the teams of all worlds fit on
     the device at once."""
     for own in OWN:
         members = math.ceil(worlds.num_particles / own)
-        blocks = members * worlds.num_worlds
-        if blocks <= BLOCKS_AT_ONCE * worlds.device.sm_count:
-            split = split_body(worlds.setting.body, members, alone=worlds.plastic)
+        needed = _blocks_each(worlds, members)
+        if needed <= BLOCKS_AT_ONCE:
+            split = _split_once(_Same(worlds.setting.body), members, worlds.plastic)
             for lanes in split.lanes():
-                at_once = split.at_once(lanes, worlds.numpy_type.itemsize)
-                if blocks <= at_once * worlds.device.sm_count:
+                if needed <= split.at_once(lanes, worlds.numpy_type.itemsize):
                     return split, lanes
     return None
+
+
+def _blocks_each(worlds: Worlds, members: int) -> int:
+    """Blocks that a multiprocessor must hold at the same time."""
+    return math.ceil(members * worlds.num_worlds / max(1, worlds.device.sm_count))
 
 
 def suits_teams(worlds: Worlds) -> bool:
@@ -112,13 +145,13 @@ class Teams(Paced):
 
     def __init__(self, worlds: Worlds):
         cuda = worlds.device.is_cuda
-        whole = split_body(worlds.setting.body, 1, alone=worlds.plastic)
-        split, lanes = (split_for(worlds) if cuda else None) or (whole, 1)
+        found = split_for(worlds) if cuda else None
+        split, lanes = found or (split_body(worlds.setting.body, 1, alone=worlds.plastic), 1)
         self.members, room = split.particles.shape
         self.lanes = lanes
         self.kernels = make_team_kernels(
             worlds.real, worlds.setting.law, plastic=worlds.plastic, lanes=lanes,
-            at_once=split.at_once(lanes, worlds.numpy_type.itemsize) if cuda else 1,
+            at_once=_blocks_each(worlds, self.members) if cuda else 1,
             room=room if cuda else 1,
         )  # fmt: skip
         self._parts: Any = Parts()
