@@ -11,8 +11,8 @@ from gendom.sim.columns import Grid
 from gendom.sim.paced import Paced
 from gendom.sim.worlds import Worlds
 
-MOST_PARTICLES = 16_384
-"""Of a body that one block simulates."""
+MOST_PARTICLES = 10_240
+"""Of a body that one block simulates; indices in ``near`` have 15 bits."""
 
 FEWEST_WORLDS = 16
 """Below, teams or the stages of ``Batch`` make more use of a GPU; of large bodies more are

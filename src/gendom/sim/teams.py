@@ -1,6 +1,7 @@
 """Running on CUDA where worlds are few: several blocks of threads for each."""
 
 import functools
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,9 @@ OWN = (64, 128, 256)
 LANES = 384
 """Threads on a multiprocessor that registers are sure to suffice for."""
 
+SHARES = (1.0, 0.6)
+"""Threads of a block for each particle in its memory, at the least; rather more of them."""
+
 BLOCKS_AT_ONCE = 4
 """Blocks on a multiprocessor at the most; more are no faster."""
 
@@ -33,16 +37,15 @@ class Split:
     count: NDArray[np.int32]
     near: NDArray[np.int32]
 
-    def lanes(self) -> list[int]:
-        """Threads that a block may have: for each plane of nodes around each of its own particles,
-        or for each particle."""
+    def lanes(self, at_once: int, number: int) -> int:
+        """Most threads of a block, so many of which a multiprocessor is to hold, for numbers of so
+        many bytes; 0 if it cannot."""
         K = self.particles.shape[1]
-        return sorted({max(K, 32 * math.ceil(3 * self.count[:, 0].max() / 32)), K}, reverse=True)
-
-    def at_once(self, lanes: int, number: int) -> int:
-        """Blocks that are sure to fit on a multiprocessor, for numbers of so many bytes."""
-        taken = COMPONENTS * self.particles.shape[1] * number
-        return min(BLOCKS_AT_ONCE, LANES // lanes, ROOM_ALONE // taken)
+        if at_once * COMPONENTS * K * number > ROOM_ALONE:
+            return 0
+        # one for each plane of nodes around each of a block's own particles is enough
+        enough = max(K, 32 * math.ceil(3 * self.count[:, 0].max() / 32))
+        return min(enough, LANES // at_once // 32 * 32)
 
 
 def split_body(body: Body, members: int, *, alone: bool) -> Split:
@@ -111,16 +114,17 @@ def _split_once(body: _Same, members: int, alone: bool) -> Split:
 
 
 def split_for(worlds: Worlds) -> tuple[Split, int] | None:
-    """The finest split, and the most threads of a block, with which the teams of all worlds fit on
-    the device at once."""
-    for own in OWN:
+    """The finest split, and the threads of a block, with which the teams of all worlds fit on the
+    device at once."""
+    body = _Same(worlds.setting.body)
+    for share, own in itertools.product(SHARES, OWN):
         members = math.ceil(worlds.num_particles / own)
-        needed = _blocks_each(worlds, members)
-        if needed <= BLOCKS_AT_ONCE:
-            split = _split_once(_Same(worlds.setting.body), members, worlds.plastic)
-            for lanes in split.lanes():
-                if needed <= split.at_once(lanes, worlds.numpy_type.itemsize):
-                    return split, lanes
+        at_once = _blocks_each(worlds, members)
+        if at_once <= BLOCKS_AT_ONCE:
+            split = _split_once(body, members, worlds.plastic)
+            lanes = split.lanes(at_once, worlds.numpy_type.itemsize)
+            if lanes >= share * split.particles.shape[1]:
+                return split, lanes
     return None
 
 
