@@ -155,7 +155,7 @@ def stiffer_in_single(settings, materials, options):
         ("sticking", slippery, "way in 0.5 s at 0.95 atan(mu)"),
         ("order", heavier, "order in dt, fall of a block"),
         ("order", stiffer, "order in dx with dt / dx fixed"),
-        ("energy", lifted, "growth of energy, swinging rope, 1 cell across, recovery off"),
+        ("energy", lifted, "growth of energy, swinging rope, 1 cell across"),
         ("batch", crowded, "largest difference of a batch of 5 from single worlds"),
         ("precision", stiffer_in_single, "largest difference of float32 from float64"),
     ],

@@ -114,7 +114,11 @@ class Worlds:
 
     def _matter(self) -> Any:
         s, k = self.setting, self.kernels
-        lame = np.array([m.lame for m in s.materials])
+        # what two layers lack of freedom in thickness, the parameters of plane stress have in them
+        self.plane_stress = s.body.has_two_layers and not self.plastic
+        lame = np.array(
+            [m.lame_of_plane_stress if self.plane_stress else m.lame for m in s.materials]
+        )
         share = _distinct(self.stiffness)
         matter = k.transfers.Matter()
         matter.mu = self.array(np.broadcast_to(lame[:, :1] * share, self.stiffness.shape))
