@@ -55,8 +55,10 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
     stencil = make_stencil(real, slopes=law.plastic, straight=straight)
     sums = stencil.sums
     lanes = make_lanes(real)
-    tense_lanes = lanes.tense
+    pull_type = lanes.pull
     pulled = lanes.pulled
+    tense_together = lanes.tense_together
+    width = wp.constant(lanes.width)
     scatter = stencil.scatter
     gather = stencil.gather
     gather_with_slope = stencil.gather_with_slope
@@ -78,6 +80,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         volume: real  # of a particle [m^3]
         lattice: wp.array3d(dtype=wp.int32)  # [N, 3, 2]
         rest_frame: wp.array(dtype=mat33)  # [N] [1/m]
+        frame: wp.array2d(dtype=real)  # [6, N] its upper triangle but for a rotation
 
     @wp.struct
     class State:
@@ -124,6 +127,15 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         )
 
     @wp.func
+    def by_axes(H: mat33):
+        """Pulls [3, axis] as they are stored."""
+        return pull_type(
+            H[0, 0], H[1, 0], H[2, 0], real(0.0),
+            H[0, 1], H[1, 1], H[2, 1], real(0.0),
+            H[0, 2], H[1, 2], H[2, 2], real(0.0),
+        )  # fmt: skip
+
+    @wp.func
     def tension(D: mat33, rest_frame: mat33, mu: real, lam: real, dt: real, volume: real):
         """Impulses [3, axis] by which a particle's stress draws its neighbours together, from
         their differences, and whether it is upright (J > 0)."""
@@ -141,40 +153,67 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         return F_bar * wp.transpose(rest_frame), mu_bar, lam_bar
 
     @wp.func
-    def tense_plainly(
+    def tense_particle(
         w: int,
         p: int,
         row: int,
         dt: real,
         matter: Matter,
         state: State,
-        pulls: wp.array2d(dtype=mat33),  # [W, N]: a pull along each lattice axis in each row
+        pulls: wp.array2d(dtype=pull_type),  # [W, N]
     ):
         """Set a particle's pulls on its neighbours; returns whether it is upright."""
         pull, upright = tension(
             differences(p, row, matter, state.x), matter.rest_frame[p], matter.mu[w, p],
             matter.lam[w, p], dt, matter.volume,
         )  # fmt: skip
-        pulls[w, p] = wp.transpose(pull)
+        pulls[w, p] = by_axes(pull)
         return upright
 
     @wp.func
-    def tense_by_lanes(
+    def tense_one_by_one(
         w: int,
-        p: int,
         row: int,
         dt: real,
         matter: Matter,
         state: State,
-        pulls: wp.array2d(dtype=mat33),
+        pulls: wp.array2d(dtype=pull_type),
     ):
-        """The same, faster."""
-        return tense_lanes(
-            p, state.x, row, matter.lattice, matter.rest_frame, matter.mu[w, p], matter.lam[w, p],
-            dt * matter.volume, pulls, w,
-        )  # fmt: skip
+        """Set all pulls of a body; returns a particle that is not upright, or -1."""
+        culprit = int(-1)
+        p = int(0)
+        while p < state.x.shape[1]:
+            if not tense_particle(w, p, row, dt, matter, state, pulls):
+                culprit = p
+            p += 1
+        return culprit
 
-    tense_particle = tense_by_lanes if law.name == "neo-hookean" else tense_plainly
+    @wp.func
+    def tense_side_by_side(
+        w: int,
+        row: int,
+        dt: real,
+        matter: Matter,
+        state: State,
+        pulls: wp.array2d(dtype=pull_type),
+    ):
+        """The same, faster, on the CPU."""
+        N = state.x.shape[1]
+        if N < width:
+            return tense_one_by_one(w, row, dt, matter, state, pulls)
+        culprit = int(-1)
+        p = int(0)
+        while p < N:
+            # the last ones together with some that are done already
+            found = tense_together(
+                w, wp.min(p, N - width), state.x, row, matter.lattice, matter.frame, matter.mu,
+                matter.lam, dt * matter.volume, pulls,
+            )  # fmt: skip
+            culprit = wp.max(culprit, found)
+            p += width
+        return culprit
+
+    tense_body = tense_side_by_side if law.name == "neo-hookean" else tense_one_by_one
 
     @wp.func
     def tense_particle_back(
@@ -185,7 +224,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         matter: Matter,
         state: State,
         bars: MatterBars,
-        stretches: wp.array2d(dtype=mat33),  # [W, N], as pulls
+        stretches: wp.array2d(dtype=pull_type),  # [W, N], as pulls
     ):
         """Transpose of ``tense_particle`` and ``pulled`` but for its last step, ``slacken``.
 
@@ -197,13 +236,13 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
             differences(p, row, matter, state.x), matter.rest_frame[p], matter.mu[w, p],
             matter.lam[w, p], dt, matter.volume, pull_bar,
         )  # fmt: skip
-        stretches[w, p] = wp.transpose(D_bar)
+        stretches[w, p] = by_axes(D_bar)
         bars.mu[w, p] = bars.mu[w, p] + mu_bar
         bars.lam[w, p] = bars.lam[w, p] + lam_bar
 
     @wp.func
     def slacken(
-        w: int, p: int, matter: Matter, bars: MatterBars, stretches: wp.array2d(dtype=mat33)
+        w: int, p: int, matter: Matter, bars: MatterBars, stretches: wp.array2d(dtype=pull_type)
     ):
         """Add to the derivatives by a particle's position those by all differences."""
         bars.x[w, p] = bars.x[w, p] - pulled(p, matter.lattice, stretches, w)
@@ -319,7 +358,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         inv_dx: real,
         matter: Matter,
         state: State,
-        pulls: wp.array2d(dtype=mat33),  # [W, N]
+        pulls: wp.array2d(dtype=pull_type),  # [W, N]
     ):
         """Momentum of a particle with its neighbours' pulls, or else T."""
         q = matter.mass[w] * state.v[row, p]
@@ -344,7 +383,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         z0: real,
         matter: Matter,
         state: State,
-        pulls: wp.array2d(dtype=mat33),  # [W, N]
+        pulls: wp.array2d(dtype=pull_type),  # [W, N]
         columns: Columns,
         grid: wp.array2d(dtype=vec4),  # [slots, M] momentum and mass
     ):
@@ -367,7 +406,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         z0: real,
         matter: Matter,
         state: State,
-        pulls: wp.array2d(dtype=mat33),  # [W, N]
+        pulls: wp.array2d(dtype=pull_type),  # [W, N]
         columns: Columns,
         grid_bar: wp.array2d(dtype=vec4),  # [slots, M] by momentum and mass
         bars: MatterBars,
@@ -586,7 +625,9 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         tension=tension,
         tension_back=tension_back,
         tense_particle=tense_particle,
-        tense_plainly=tense_plainly,
+        tense_body=tense_body,
+        tense_one_by_one=tense_one_by_one,
+        pull_type=pull_type,
         tense_particle_back=tense_particle_back,
         slacken=slacken,
         given_by=given_by,
