@@ -1,5 +1,7 @@
 """The Python API, with cameras that are no folders."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,31 @@ def test_a_cloth_lifted_by_its_corner(world):
     for t in range(2):
         error = held(t).distance(found.recording.frame(t).astype(float))
         assert abs(error.mean()) < 1e-3 and np.sqrt(np.mean(error**2)) < 0.003
+
+
+def test_a_shift_along_a_rope_shows_when_it_is_lifted(world, live):
+    """At first it lies straight, and 3 cm along it show nowhere."""
+    straight = world.Rope(np.array([[-0.1, 0.0, 0.005], [0.3, 0.0, 0.005]]))
+
+    def held(t):
+        return straight if t < 6 else world.lifted_rope(tip=(0.0, 0.0, 0.25))
+
+    def sighting(frames):
+        found = live(frames)
+        for source in found.sources:
+            source._held = held
+        right = found.sources[1]
+        real, T = right.camera, right.camera.T_world_camera.copy()
+        T[:3, 3] += [0.03, 0.0, 0.0]
+        right._render = lambda t: world.Scene([world.Plane(), held(t)]).pictures(real, seed=t)
+        right.camera = real.at(T)
+        height = [[[0.0, 0.0, 0.005]], [[0.0, 0.0, 0.005]], [[0.0, 0.0, 0.25]]]
+        return replace(found, robot=RobotPath(np.array([0.0, 0.19, 1.0]), np.array(height)))
+
+    lying = perceive(sighting(6), SETTINGS)
+    assert lying.disagreement is not None and lying.disagreement < 0.01
+    with pytest.raises(RecordingError, match=r"cameras left, right place the object \d+ mm apart"):
+        perceive(sighting(26), SETTINGS)
 
 
 def test_frames_outside_of_the_robots_path_are_not_decoded(live):

@@ -259,3 +259,8 @@ def test_unknown_formats_and_cameras_are_refused(tmp_path):
 def test_bad_frame_rates(rate):
     with pytest.raises(ParameterError, match="frame_rate: is"):
         replace(RecordSettings(), frame_rate=rate)
+
+
+def test_bad_seeds():
+    with pytest.raises(ParameterError, match="seed: is -1; give 0 or more"):
+        RecordSettings(seed=-1)

@@ -59,6 +59,8 @@ class RecordSettings:
             raise ParameterError(
                 f"is {self.frame_rate}", where="frame_rate", fix=f"give {PATH_RATE:g} or less"
             )
+        if self.seed < 0:
+            raise ParameterError(f"is {self.seed}", where="seed", fix="give 0 or more")
 
 
 def record(
