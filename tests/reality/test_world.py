@@ -58,8 +58,8 @@ def test_objects_rest_on_the_table(name):
     world = Reality(item, Layout(origin=(0.35, -0.1, rest_height(item))))
     before = world.vertices()
     world.step_to(0.2)
-    # Contact gives way by a fraction of a millimetre.
-    assert np.abs(world.vertices() - before).max() < 5e-4
+    # Contact gives way by some hundredths of a millimetre, by far less under a rope.
+    assert np.abs(world.vertices() - before).max() < (2e-6 if isinstance(item, RealRope) else 2e-5)
     assert world.speed() < 5e-3
 
 
