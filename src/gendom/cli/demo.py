@@ -263,6 +263,7 @@ def _predicted(
         recorded=[executed.shapes[k] for k in frames],
         simulated=[outcome.positions[k, 0] for k in nearest],
         times=executed.times[frames] - executed.times[frames[0]],
+        labels=("carried out", "predicted"),
     )
 
 
