@@ -196,6 +196,20 @@ def test_an_interrupted_recording_can_be_perceived(rendering, tmp_path):
         np.testing.assert_allclose(truth["time"], frames)
 
 
+def test_a_killed_recording_can_be_perceived(rendering, tmp_path):
+    """What is on disk in the middle, where nothing could be tidied up."""
+    folder, killed = tmp_path / "going", tmp_path / "killed"
+
+    def kill(moment):
+        if moment > 0.0 and not killed.exists():
+            shutil.copytree(folder, killed)
+
+    recorded(folder, noise=False, on_frame=kill)
+    assert not (killed / "truth").exists()
+    recording = perceived(killed)
+    assert 2 <= recording.num_frames < perceived(folder).num_frames
+
+
 def test_a_recording_is_not_overwritten(noisy):
     before = files(noisy, "**/*.*")
     with pytest.raises(GendomError, match="holds a recording already; name another folder"):
