@@ -16,6 +16,7 @@ from gendom.datasets import Fault, Recording
 from gendom.datasets.recording import check_name, parse_meta
 from gendom.errors import ParameterError, RecordingError
 from gendom.files import atomic_path
+from gendom.perception.camera import Camera
 from gendom.perception.cloud import (
     LEAST_DEPTH,
     STAGES,
@@ -45,6 +46,7 @@ from gendom.perception.quality import (
 _AGREEMENT_FRAMES = 5  # disagreement is judged from so many comparisons in a row
 _AGREEMENT_STRIDE = 5  # beyond the first of them, one frame of so many is compared
 _AGREEMENT_POINTS = 30
+_AGREEMENT_SHARE = 0.03  # of the pixels that the object would fill; fewer may be the table's noise
 _SHARE_FRAMES = 10  # frames on which the seen share is measured
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
@@ -179,6 +181,7 @@ class _Perception:
         self.grippers: list[tuple[np.ndarray, np.ndarray | None]] = []
         self.offsets: list[np.ndarray] = []
         self.comparable = 0  # frames with points enough in all views
+        self.fewest = [self._fewest(view.camera) for view in self.views]
         self.disagreement: float | None = None
         self.seen = np.zeros(len(self.names), dtype=np.int64)  # points of each camera
         self.unreadable: list[RecordingError] = []
@@ -232,6 +235,18 @@ class _Perception:
             high=(float(high[0]), float(high[1]), float(high[2])),
             **self.settings.cloud,
         )
+
+    def _fewest(self, camera: Camera) -> float:
+        """Points of one camera from which on its cloud is compared with others'."""
+        known = self.object
+        area = (
+            (known.length or 0.0) * (known.diameter or 0.0)
+            if known.kind == "rope"
+            else (known.width or 0.0) * (known.height or 0.0)
+        )
+        away = np.linalg.norm(self.sighting.robot.position.mean(axis=(0, 1)) - camera.position)
+        filled = area * camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
+        return max(_AGREEMENT_POINTS, _AGREEMENT_SHARE * filled)
 
     def _read(self, frames: tuple[Frame, ...]) -> list[Pictures] | None:
         try:
@@ -331,14 +346,19 @@ class _Perception:
     def _compare(self, clouds: list[np.ndarray]) -> None:
         """Stop when cameras place the object differently.
 
-        A shift along a straight rope shows only later, when it is bent: all of the recording is
-        looked at.
+        A shift along a straight rope shows only later, when it is bent: of a rope all of the
+        recording is looked at. A sheet's outline shows any shift at once, and later each camera
+        may see another side of it.
         """
         self.seen += [len(cloud) for cloud in clouds]
-        if len(clouds) < 2 or min(map(len, clouds)) < _AGREEMENT_POINTS:
+        if len(clouds) < 2 or any(
+            len(cloud) < least for cloud, least in zip(clouds, self.fewest, strict=True)
+        ):
             return
         self.comparable += 1
-        if self.comparable > _AGREEMENT_FRAMES and self.comparable % _AGREEMENT_STRIDE:
+        if self.comparable > _AGREEMENT_FRAMES and (
+            self.object.kind != "rope" or self.comparable % _AGREEMENT_STRIDE
+        ):
             return
         # With more than two cameras: the one farthest from the first.
         first, *others = (view.camera.position for view in self.views)
