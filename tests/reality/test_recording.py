@@ -1,6 +1,7 @@
 """Recordings of the second reality: what is written, and that perception can read it."""
 
 import shutil
+import sys
 from dataclasses import replace
 from typing import cast
 
@@ -9,7 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
-from gendom.errors import GendomError, ParameterError
+from gendom.errors import DeviceError, GendomError, ParameterError
 from gendom.files import read_json
 from gendom.perception import PerceptionSettings, perceive, read_sighting
 from gendom.reality import (
@@ -257,6 +258,14 @@ def test_recordings_need_cameras(tmp_path):
     performance = Performance(lift(ROPE, rise=0.02), robot=False)
     with pytest.raises(ParameterError, match="record: there is no camera"):
         record(performance, tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
+def test_without_the_sdk_nothing_is_written(rendering, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    performance = Performance(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
+    with performance.world, pytest.raises(DeviceError, match="the RealSense SDK is missing"):
+        record(performance, tmp_path / "none", RecordSettings(format="db3"))
     assert not (tmp_path / "none").exists()
 
 

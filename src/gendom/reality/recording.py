@@ -26,6 +26,7 @@ import numpy as np
 from gendom.errors import GendomError, ParameterError
 from gendom.files import atomic_path, write_json
 from gendom.perception import PngWriter, RealSenseWriter
+from gendom.perception.realsense import realsense_sdk
 from gendom.reality.sensor import DepthSensor, RigErrors
 from gendom.reality.trials import Performance
 from gendom.reality.world import Reality
@@ -115,7 +116,10 @@ def record(
     believed = errors.believed(world.cameras, rig)
     began = world.time
     seconds = performance.end - began
-    world.render(0)  # where nothing can be rendered, before anything is written
+    # Where nothing can be rendered or the SDK is missing, before anything is written.
+    world.render(0)
+    if settings.format == "db3":
+        realsense_sdk()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
