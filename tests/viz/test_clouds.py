@@ -47,8 +47,8 @@ def test_points_are_drawn_where_they_are():
 def test_the_legend_has_the_clouds_own_names(make_lift):
     """Other names, another legend, and the same picture below it."""
     pictures = [
-        np.asarray(Stage(CloudSequence(**make_lift(), **names)).draw(0))
-        for names in ({}, {"labels": ("carried out", "predicted")})
+        np.asarray(Stage(CloudSequence(**make_lift(), labels=labels)).draw(0))
+        for labels in (("recorded", "simulated"), ("carried out", "predicted"))
     ]
     rows = np.flatnonzero((pictures[0] != pictures[1]).any(axis=(1, 2)))
     assert len(rows) and rows.max() < 40
