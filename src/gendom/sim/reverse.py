@@ -58,6 +58,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     move_particle_back = transfers.move_particle_back
     tense_particle = transfers.tense_particle
     tense_body = transfers.tense_body
+    tense_body_back = transfers.tense_body_back
     pull_type = transfers.pull_type
     tense_particle_back = transfers.tense_particle_back
     slacken = transfers.slacken
@@ -180,10 +181,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     trouble.slot[w] = slot
                 p += 1
             if yields == 0:
-                p = int(0)
-                while p < N:
-                    tense_particle_back(w, p, slot, h, matter, state, bars, pulls)
-                    p += 1
+                tense_body_back(w, slot, h, matter, state, bars, pulls)
                 p = int(0)
                 while p < N:
                     slacken(w, p, matter, bars, pulls)

@@ -58,6 +58,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
     pull_type = lanes.pull
     pulled = lanes.pulled
     tense_together = lanes.tense_together
+    tense_together_back = lanes.tense_together_back
     width = wp.constant(lanes.width)
     scatter = stencil.scatter
     gather = stencil.gather
@@ -213,8 +214,6 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
             p += width
         return culprit
 
-    tense_body = tense_side_by_side if law.name == "neo-hookean" else tense_one_by_one
-
     @wp.func
     def tense_particle_back(
         w: int,
@@ -241,11 +240,53 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         bars.lam[w, p] = bars.lam[w, p] + lam_bar
 
     @wp.func
+    def tense_one_by_one_back(
+        w: int,
+        row: int,
+        dt: real,
+        matter: Matter,
+        state: State,
+        bars: MatterBars,
+        stretches: wp.array2d(dtype=pull_type),
+    ):
+        p = int(0)
+        while p < state.x.shape[1]:
+            tense_particle_back(w, p, row, dt, matter, state, bars, stretches)
+            p += 1
+
+    @wp.func
+    def tense_side_by_side_back(
+        w: int,
+        row: int,
+        dt: real,
+        matter: Matter,
+        state: State,
+        bars: MatterBars,
+        stretches: wp.array2d(dtype=pull_type),
+    ):
+        N = state.x.shape[1]
+        if N < width:
+            tense_one_by_one_back(w, row, dt, matter, state, bars, stretches)
+        else:
+            p = int(0)
+            while p < N:
+                tense_together_back(
+                    w, wp.min(p, N - width), p, state.x, row, matter.lattice, matter.frame,
+                    matter.mu, matter.lam, -(dt * matter.volume) / matter.mass[w], bars.v, bars.mu,
+                    bars.lam, stretches,
+                )  # fmt: skip
+                p += width
+
+    @wp.func
     def slacken(
         w: int, p: int, matter: Matter, bars: MatterBars, stretches: wp.array2d(dtype=pull_type)
     ):
         """Add to the derivatives by a particle's position those by all differences."""
         bars.x[w, p] = bars.x[w, p] - pulled(p, matter.lattice, stretches, w)
+
+    together = law.name == "neo-hookean"
+    tense_body = tense_side_by_side if together else tense_one_by_one
+    tense_body_back = tense_side_by_side_back if together else tense_one_by_one_back
 
     # ---- particles and grid --------------------------------------------------------------------
 
@@ -312,7 +353,14 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
 
     @wp.func
     def given_by(
-        x: vec3, q: vec3, C: mat33, T: mat33, mass: real, layout: int, inv_dx: real, z0: real,
+        x: vec3,
+        q: vec3,
+        C: mat33,
+        T: mat33,
+        mass: real,
+        layout: int,
+        inv_dx: real,
+        z0: real,
         columns: Columns,
     ):
         """What a particle gives to the grid, its mass, momentum q and T: its lowest node, its
@@ -322,8 +370,18 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
 
     @wp.func
     def given_back(
-        x: vec3, v: vec3, q: vec3, C: mat33, T: mat33, mass: real, layout: int, slot: int,
-        inv_dx: real, z0: real, columns: Columns, grid_bar: wp.array2d(dtype=vec4),
+        x: vec3,
+        v: vec3,
+        q: vec3,
+        C: mat33,
+        T: mat33,
+        mass: real,
+        layout: int,
+        slot: int,
+        inv_dx: real,
+        z0: real,
+        columns: Columns,
+        grid_bar: wp.array2d(dtype=vec4),
     ):
         """Derivatives by x, v, C, T and mass, where v is that part of q that goes by the mass."""
         node, f, c = given_by(x, q, C, T, mass, layout, inv_dx, z0, columns)
@@ -626,6 +684,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         tension_back=tension_back,
         tense_particle=tense_particle,
         tense_body=tense_body,
+        tense_body_back=tense_body_back,
         tense_one_by_one=tense_one_by_one,
         pull_type=pull_type,
         tense_particle_back=tense_particle_back,

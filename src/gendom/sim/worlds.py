@@ -100,7 +100,9 @@ class Worlds:
         wp.copy(self.state.x, self.array(x, self.kernels.vec3))
         if self.plastic:
             self.state.F.fill_(self.kernels.mat33(np.eye(3)))
-        self.pulls = self.zeros((0, 0) if self.plastic else (W, N), self.kernels.transfers.pull_type)
+        self.pulls = self.zeros(
+            (0, 0) if self.plastic else (W, N), self.kernels.transfers.pull_type
+        )
         self.last_good = self.make_state((W, N))
         for name in self.carried:
             wp.copy(getattr(self.last_good, name), getattr(self.state, name))
