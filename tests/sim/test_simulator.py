@@ -305,7 +305,6 @@ def creep(lift):
         [Material(E=1000.0 * specific, nu=0.3, density=1000.0)],
         grippers=[grip],
         damping=3.5 * math.sqrt(specific) * k / L**2,
-        dtype="float32",
     )
     x = s.run([0.4, 1.5])[:, 0, :, 2]
     tip = body.material_coordinates[:, 0] > L + back - 0.01

@@ -330,7 +330,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         """Pulls between the particles of an elastic body."""
         w, p = wp.tid()
         if runs(w, r, scene.dx, clock, lap):
-            if not tense_particle(w, p, w, real(clock.dt[w]), matter, state, pulls):
+            upright = tense_particle(w, p, w, real(clock.dt[w]), matter, state, pulls)
+            if not upright:
                 wp.atomic_max(lap.trouble, w, INVERTED)
                 clock.culprit[w] = p
 

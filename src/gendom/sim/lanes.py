@@ -126,7 +126,8 @@ _TENSE_BACK = """
                 - part * (C.of[0][n] * M0 + C.of[1][n] * M1 + C.of[2][n] * M2);
     }
     put_unframed(back);
-    const wide by_mu = dot(P.of[0], F.of[0]) + dot(P.of[1], F.of[1]) + dot(P.of[2], F.of[2]) - share;
+    const wide by_mu =
+        dot(P.of[0], F.of[0]) + dot(P.of[1], F.of[1]) + dot(P.of[2], F.of[2]) - share;
     #pragma unroll
     for (int l = 0; l < WIDTH; ++l)
         if (first + l >= fresh) {

@@ -3,11 +3,11 @@
 APIC transfers with quadratic B-splines: Jiang et al. (2015), "The affine particle-in-cell
 method"; Jiang et al. (2016), "The material point method for simulating continuum materials".
 
-**Elastic bodies** remember their shape at rest: F of a particle is what the differences of positions
-to its neighbours in the rest lattice say, the elastic energy is a function of positions alone, and
-its derivatives are the forces that the particles give to the grid (Jiang, Gast and Teran 2017,
-"Anisotropic elastoplasticity for cloth, knit and hair frictional contact", section 4: Lagrangian
-forces in the material point method). Nothing creeps and no energy comes from nowhere.
+**Elastic bodies** remember their shape at rest: F of a particle is what the differences of
+positions to its neighbours in the rest lattice say, the elastic energy is a function of positions
+alone, and its derivatives are the forces that the particles give to the grid (Jiang, Gast and Teran
+2017, "Anisotropic elastoplasticity for cloth, knit and hair frictional contact": Lagrangian forces
+in the material point method). No energy comes from nowhere.
 
 **Bodies that yield** have no such shape. F follows the gradient of the interpolated velocity, the
 field by which particles move, and stress goes to the grid by the weights' slopes. (A moving least
