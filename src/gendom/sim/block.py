@@ -19,6 +19,14 @@ _MEET = """
 #endif
 """
 
+_ANY = """
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(value) ? 1 : 0;
+#else
+    return value;
+#endif
+"""
+
 _LARGEST = """
 #if defined(__CUDA_ARCH__)
     __shared__ REAL of_warp[32];
@@ -70,6 +78,12 @@ _ADD = """
 #endif
 """
 
+Near = wp.types.vector(6, wp.int32)
+"""Where a particle's neighbours are, before and behind along each axis of the lattice."""
+
+LOWER = wp.constant(0xFFFF)
+"""Bits of the first of two indices in one number."""
+
 ROOMS_OF_TWO = (96_000, 112_000)
 """Shared memory for the particles of one of two blocks on a multiprocessor [bytes]; the smaller
 leaves more of it to the cache."""
@@ -94,8 +108,9 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
 
     Returns:
         Namespace with ``get``, ``put`` and ``add`` (atomic) of component c of particle i in a row
-        of the array ``of`` [rows, components, N], and with ``vector``, ``put_vector``, ``matrix``,
-        ``put_matrix`` of the components from c on.
+        of the array ``of`` [rows, components, N]; with ``vector``, ``put_vector``, ``matrix``,
+        ``put_matrix`` of the components from c on; and with ``differences`` and ``pulled``, those
+        of ``gendom.sim.transfers`` between the particles of a row.
     """
     store = _numbers(real, resident=resident)
     get, put = store.get, store.put
@@ -125,9 +140,54 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
             for n in range(3):
                 put(of, row, c + 3 * m + n, i, A[m, n])
 
+    @wp.func
+    def differences(of: wp.array3d(dtype=real), row: int, c: int, near: Near):
+        """Differences [3, axis] of the vectors at c between a particle's neighbours."""
+        D = mat33()
+        for axis in range(3):
+            d = vector(of, row, c, near[2 * axis + 1]) - vector(of, row, c, near[2 * axis])
+            for n in range(3):
+                D[n, axis] = d[n]
+        return D
+
+    @wp.func
+    def pulled(of: wp.array3d(dtype=real), row: int, c: int, near: Near, i: int):
+        """Sum of the pulls, the matrices at c, on a particle."""
+        total = vec3()
+        for axis in range(3):
+            a = near[2 * axis]
+            b = near[2 * axis + 1]
+            # where the lattice ends a particle stands in for the neighbour that it lacks
+            back = wp.where(a == i, real(-1.0), real(1.0))
+            forth = wp.where(b == i, real(-1.0), real(1.0))
+            for n in range(3):
+                total[n] += forth * get(of, row, c + 3 * n + axis, b)
+                total[n] -= back * get(of, row, c + 3 * n + axis, a)
+        return total
+
     return SimpleNamespace(
-        **vars(store), vector=vector, put_vector=put_vector, matrix=matrix, put_matrix=put_matrix
-    )
+        **vars(store), vector=vector, put_vector=put_vector, matrix=matrix, put_matrix=put_matrix,
+        differences=differences, pulled=pulled,
+    )  # fmt: skip
+
+
+@wp.func
+def put_near(
+    near: wp.array3d(dtype=wp.int32),  # [rows, 3, N], two indices in a number
+    row: int,
+    i: int,
+    of: Near,
+):
+    for axis in range(3):
+        near[row, axis, i] = of[2 * axis] | (of[2 * axis + 1] << 16)
+
+
+@wp.func
+def get_near(near: wp.array3d(dtype=wp.int32), row: int, i: int):
+    a = near[row, 0, i]
+    b = near[row, 1, i]
+    c = near[row, 2, i]
+    return Near(a & LOWER, a >> 16, b & LOWER, b >> 16, c & LOWER, c >> 16)
 
 
 def _numbers(real: Any, *, resident: bool) -> SimpleNamespace:
@@ -168,6 +228,7 @@ def make_block(real: Any) -> SimpleNamespace:
 
     Returns:
         Namespace with ``meet``, after which every thread sees what the others have written;
+        ``any``, whether a thread's value is not 0, which meets too;
         ``largest``, the largest of all threads' values (no NaN), which meets too, and wants
         another meeting before it is called again; ``before``, the sum of the values of the
         threads before this one.
@@ -176,13 +237,16 @@ def make_block(real: Any) -> SimpleNamespace:
     @wp.func_native(_MEET)
     def meet(): ...
 
+    @wp.func_native(_ANY)
+    def any_of(value: int) -> int: ...
+
     @wp.func_native(_LARGEST.replace("REAL", _name(real)))
     def largest(value: real) -> real: ...
 
     @wp.func_native(_BEFORE)
     def before(value: int) -> int: ...
 
-    return SimpleNamespace(meet=meet, largest=largest, before=before)
+    return SimpleNamespace(meet=meet, any=any_of, largest=largest, before=before)
 
 
 def _name(real: Any) -> str:

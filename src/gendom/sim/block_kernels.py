@@ -19,20 +19,27 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.block import bounds, make_block, make_store
+from gendom.sim.block import Near, bounds, get_near, make_block, make_store, put_near
 from gendom.sim.columns import MARGIN, Columns
 from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, make_kernels
 
-STATE_COMPONENTS = 24
-"""Of a record: x, v, C, F."""
-
-COMPONENTS = 26
-"""And mu, lam."""
+COMPONENTS = 24
+"""Of a record: x, v, C, and F or, of an elastic body, the particle's pulls on its neighbours."""
 
 ORDERLY = 1.0
 """How far a particle may travel, in cells, before the records are put in order anew."""
 
 _V, _C, _F, _MU, _LAM = 3, 6, 15, 0, 1
+
+
+def carried_components(*, plastic: bool) -> int:
+    """Components of a record that are the particle's state."""
+    return 24 if plastic else 15
+
+
+def taped_components(*, plastic: bool) -> int:
+    """Components of a record on a tape: its state, and the sum of pulls on it."""
+    return 24 if plastic else 18
 
 
 @functools.cache
@@ -57,7 +64,7 @@ def make_block_kernels(
         Namespace with ``Records``, ``Tape`` and ``advance``.
     """
     k = make_kernels(real, law_name, plastic=plastic)
-    vec4, mat33 = k.vec4, k.mat33
+    vec3, vec4, mat33 = k.vec3, k.vec4, k.mat33
     Clock, Plan, frame_substep = k.Clock, k.Plan, k.frame_substep
     forget_bounds = k.columns.forget_bounds
     reach = k.columns.reach
@@ -74,9 +81,13 @@ def make_block_kernels(
     hand_over = k.transfers.hand_over
     place_on_grid = k.transfers.place_on_grid
     given_by = k.transfers.given_by
+    impulse_of_stress = k.transfers.impulse_of_stress
+    tension = k.transfers.tension
     moved = k.transfers.moved
-    recovery_share = k.transfers.recovery_share
-    recovered = k.transfers.recovered
+    gather_particle = k.transfers.gather_particle
+    get_node, put_node = k.transfers.get_node, k.transfers.put_node
+    yields = k.transfers.yields
+    CARRIED = wp.constant(carried_components(plastic=plastic))
     keeps = wp.constant(1 if taped else 0)
     stays = wp.constant(1 if room else 0)
     numbers = wp.constant(max(1, room // (4 if real == wp.float32 else 8)))
@@ -84,20 +95,23 @@ def make_block_kernels(
     get, put = store.get, store.put
     vector, put_vector = store.vector, store.put_vector
     matrix, put_matrix = store.matrix, store.put_matrix
+    differences, pulled = store.differences, store.pulled
+    put_taped = make_store(real, resident=False).put_vector
     block = make_block(real)
-    meet, largest, before = block.meet, block.largest, block.before
+    meet, any_of, largest, before = block.meet, block.any, block.largest, block.before
 
     @wp.struct
     class Records:
         """Particles of W worlds in order."""
 
-        of: wp.array3d(dtype=real)  # [W, STATE_COMPONENTS, N], or [1, ...] if they are resident
+        of: wp.array3d(dtype=real)  # [W, COMPONENTS, N], or [1, ...] if they are resident
         moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
         order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
         place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
+        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours, if elastic
         strayed: wp.array(dtype=real)  # [W] distance travelled since they were put in order [m]
         # scratch
-        spare: wp.array3d(dtype=real)  # [W, COMPONENTS, N]
+        spare: wp.array3d(dtype=real)  # [W, carried_components + 2, N]
         spare_order: wp.array2d(dtype=wp.int32)  # [W, N]
         tally: wp.array2d(dtype=wp.int32)  # [W, M]
 
@@ -108,7 +122,7 @@ def make_block_kernels(
         Layout n of world w is number n * W + w; there may be fewer of them than substeps.
         """
 
-        of: wp.array3d(dtype=real)  # [S * W, STATE_COMPONENTS, N] records before the substep
+        of: wp.array3d(dtype=real)  # [S * W, taped_components, N] records before the substep
         order: wp.array2d(dtype=wp.int32)  # [L, N] of each layout
         place: wp.array2d(dtype=wp.int32)  # [L, N]
         layout_of: wp.array(dtype=wp.int32)  # [S * W] row of each substep's layout
@@ -121,6 +135,7 @@ def make_block_kernels(
         layout: int,
         inv_dx: real,
         z0: real,
+        matter: Matter,
         columns: Columns,
         records: Records,
     ):
@@ -154,17 +169,24 @@ def make_block_kernels(
             p = records.order[w, i]
             records.spare_order[w, j] = p
             records.place[w, p] = j
-            for c in range(STATE_COMPONENTS):
+            for c in range(CARRIED):
                 records.spare[w, c, j] = get(of, w, c, i)
             for c in range(2):
-                records.spare[w, STATE_COMPONENTS + c, j] = records.moduli[w, c, i]
+                records.spare[w, CARRIED + c, j] = records.moduli[w, c, i]
         meet()
         for i in range(lane, N, lanes):
-            records.order[w, i] = records.spare_order[w, i]
-            for c in range(STATE_COMPONENTS):
+            p = records.spare_order[w, i]
+            records.order[w, i] = p
+            for c in range(CARRIED):
                 put(of, w, c, i, records.spare[w, c, i])
             for c in range(2):
-                records.moduli[w, c, i] = records.spare[w, STATE_COMPONENTS + c, i]
+                records.moduli[w, c, i] = records.spare[w, CARRIED + c, i]
+            if yields == 0:
+                near = Near()
+                for axis in range(3):
+                    for side in range(2):
+                        near[2 * axis + side] = records.place[w, matter.lattice[p, axis, side]]
+                put_near(records.near, w, i, near)
         meet()
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=bounds(lanes))
@@ -214,7 +236,6 @@ def make_block_kernels(
         steps = int(plan.steps[frame, w])
         h = real(dt)
         keep = wp.exp(-scene.damping[w] * h)
-        blend = recovery_share(h, matter)
         # of grid and layout; in place unless all are kept
         slot = int(w)
         layout = int(w)
@@ -222,7 +243,10 @@ def make_block_kernels(
         travel = clock.travel[w]
         left = int(most)
         laid = int(w)
+        strayed = records.strayed[w]
         lost = travel >= real(MARGIN) * dx  # whatever the order was, it will be made anew
+        if lost:
+            strayed = real(ORDERLY) * dx
         for i in range(lane, N, lanes):
             p = int(i)
             if lost:
@@ -233,7 +257,8 @@ def make_block_kernels(
             put_vector(of, w, 0, i, state.x[w, p])
             put_vector(of, w, _V, i, state.v[w, p])
             put_matrix(of, w, _C, i, state.C[w, p])
-            put_matrix(of, w, _F, i, state.F[w, p])
+            if yields == 1:
+                put_matrix(of, w, _F, i, state.F[w, p])
             moduli[w, _MU, i] = matter.mu[w, p]
             moduli[w, _LAM, i] = matter.lam[w, p]
         if step == 0:
@@ -241,7 +266,8 @@ def make_block_kernels(
                 last_good.x[w, p] = state.x[w, p]
                 last_good.v[w, p] = state.v[w, p]
                 last_good.C[w, p] = state.C[w, p]
-                last_good.F[w, p] = state.F[w, p]
+                if yields == 1:
+                    last_good.F[w, p] = state.F[w, p]
         meet()
         while frame < frames and left > 0 and status == OK and t < pause:
             if step < steps and travel >= real(MARGIN) * dx:
@@ -288,13 +314,14 @@ def make_block_kernels(
                         meet()
                         if columns.count[layout] <= momentum.shape[1]:
                             status = OK
-                            strayed = records.strayed[w] + travel
+                            strayed += travel
                             travel = real(0.0)
                             meet()
                             if strayed >= real(ORDERLY) * dx:
                                 strayed = real(0.0)
-                                put_in_order(w, lane, lanes, layout, inv_dx, z0, columns, records)
-                            records.strayed[w] = strayed
+                                put_in_order(
+                                    w, lane, lanes, layout, inv_dx, z0, matter, columns, records
+                                )
                             if keeps == 1:
                                 for i in range(lane, N, lanes):
                                     tape.order[layout, i] = records.order[w, i]
@@ -303,70 +330,97 @@ def make_block_kernels(
                         # the grid's need is read from the world's first layout
                         for a in range(4):
                             columns.bounds[w, a] = columns.bounds[layout, a]
-            if step < steps and status == OK and left > 0:
-                nodes = columns.count[layout]
+            substep = step < steps and status == OK and left > 0
+            if substep:
                 for g in range(lane, grips.closed.shape[1], lanes):
                     place_gripper(w, w, g, t, dt, paths, grips)
                 if keeps == 1:
                     tape.layout_of[slot] = layout
-                    for n in range(lane, nodes, lanes):
+                    for n in range(lane, columns.count[layout], lanes):
                         momentum[slot, n] = vec4()
-                recovers = age % RECOVER_EVERY == 0 and blend > real(0.0)
-                if recovers:
+                if yields == 0:
+                    inverted = int(0)
                     for i in range(lane, N, lanes):
                         p = records.order[w, i]
-                        D = mat33()
-                        for axis in range(3):
-                            a = records.place[w, matter.lattice[p, axis, 1]]
-                            b = records.place[w, matter.lattice[p, axis, 0]]
-                            d = vector(of, w, 0, a) - vector(of, w, 0, b)
-                            for n in range(3):
-                                D[n, axis] = d[n]
-                        F = matrix(of, w, _F, i)
-                        F = recovered(F, D * matter.rest_frame[p], blend)
-                        put_matrix(of, w, _F, i, F)
-                if recovers or keeps == 1:
+                        D = differences(of, w, 0, get_near(records.near, w, i))
+                        tight, upright = tension(
+                            D, matter.rest_frame[p], moduli[w, _MU, i], moduli[w, _LAM, i], h,
+                            matter.volume,
+                        )  # fmt: skip
+                        put_matrix(of, w, _F, i, tight)
+                        if not upright:
+                            inverted = 1
+                            clock.culprit[w] = p
+                    if any_of(inverted) == 1:
+                        status = INVERTED
+                        substep = False
+                elif keeps == 1:
                     meet()
+            if substep:
+                nodes = columns.count[layout]
                 if keeps == 1:
                     for i in range(lane, N, lanes):
-                        for c in range(STATE_COMPONENTS):
+                        for c in range(CARRIED):
                             tape.of[slot, c, i] = get(of, w, c, i)
                 window = window_type()
                 held = wp.vec3i(-1, -1, -1)
                 for i in range(lane * N // lanes, (lane + 1) * N // lanes):
+                    given = mass * vector(of, w, _V, i)
+                    T = mat33()
+                    if yields == 1:
+                        T = impulse_of_stress(
+                            matrix(of, w, _F, i), moduli[w, _MU, i], moduli[w, _LAM, i], h,
+                            matter.volume, inv_dx,
+                        )  # fmt: skip
+                    else:
+                        pull = pulled(of, w, _F, get_near(records.near, w, i), i)
+                        given += pull
+                        if keeps == 1:
+                            put_taped(tape.of, slot, CARRIED, i, pull)
                     node, f, q = given_by(
-                        vector(of, w, 0, i), vector(of, w, _V, i),
-                        matrix(of, w, _C, i), matrix(of, w, _F, i),
-                        moduli[w, _MU, i], moduli[w, _LAM, i],
-                        mass, matter.volume, layout, h, inv_dx, z0, columns,
+                        vector(of, w, 0, i), given, matrix(of, w, _C, i), T,
+                        mass, layout, inv_dx, z0, columns,
                     )  # fmt: skip
                     window = hand_over(window, held, node, momentum, slot, columns.start, layout)
                     window = collect(window, f, q)
                     held = node
                 hand_over(window, held, wp.vec3i(-1, -1, -1), momentum, slot, columns.start, layout)
                 meet()
+                following = vec4()
+                if lane < nodes:
+                    following = get_node(momentum, slot, lane)
                 for n in range(lane, nodes, lanes):
-                    m = momentum[slot, n]
+                    m = following
+                    # on its way while this one is updated
+                    if n + lanes < nodes:
+                        following = get_node(momentum, slot, n + lanes)
                     if m[3] > real(0.0):
                         if keeps == 0:
-                            momentum[slot, n] = vec4()
+                            put_node(momentum, slot, n, vec4())
                         u = update_node(w, w, layout, n, m, h, keep, scene, paths, grips, columns)
-                        velocity[w, n] = vec4(u[0], u[1], u[2], m[3])
+                        put_node(velocity, w, n, vec4(u[0], u[1], u[2], m[3]))
                 meet()
                 # the longest way, in squared cells; above 1 what went wrong
                 worst = real(0.0)
                 for i in range(lane, N, lanes):
                     x = vector(of, w, 0, i)
-                    v, C, F = moved(
-                        x, matrix(of, w, _F, i), moduli[w, _MU, i],
-                        yield_stress, layout, w, h, inv_dx, z0, columns, velocity,
-                    )  # fmt: skip
+                    v = vec3()
+                    C = mat33()
+                    upright = bool(True)
+                    if yields == 1:
+                        v, C, F = moved(
+                            x, matrix(of, w, _F, i), moduli[w, _MU, i],
+                            yield_stress, layout, w, h, inv_dx, z0, columns, velocity,
+                        )  # fmt: skip
+                        put_matrix(of, w, _F, i, F)
+                        upright = wp.determinant(F) > real(0.0)
+                    else:
+                        v, C, _D = gather_particle(layout, w, x, inv_dx, z0, columns, velocity)
                     put_vector(of, w, 0, i, x + h * v)
                     put_vector(of, w, _V, i, v)
                     put_matrix(of, w, _C, i, C)
-                    put_matrix(of, w, _F, i, F)
                     far = wp.length_sq(v) * h * h / (dx * dx)
-                    if wp.determinant(F) <= real(0.0):
+                    if not upright:
                         far = wp.max(far, real(INVERTED))
                         clock.culprit[w] = records.order[w, i]
                     # a NaN is not below anything
@@ -394,12 +448,12 @@ def make_block_kernels(
                         last_good.x[w, p] = vector(of, w, 0, i)
                         last_good.v[w, p] = vector(of, w, _V, i)
                         last_good.C[w, p] = matrix(of, w, _C, i)
-                        last_good.F[w, p] = matrix(of, w, _F, i)
+                        if yields == 1:
+                            last_good.F[w, p] = matrix(of, w, _F, i)
                     steps = plan.steps[frame, w]
                     dt = frame_substep(frame, w, plan)
                     h = real(dt)
                     keep = wp.exp(-scene.damping[w] * h)
-                    blend = recovery_share(h, matter)
                     step = 0
             t = plan.time[frame] + wp.float64(step) * dt
         meet()
@@ -408,8 +462,10 @@ def make_block_kernels(
             state.x[w, p] = vector(of, w, 0, i)
             state.v[w, p] = vector(of, w, _V, i)
             state.C[w, p] = matrix(of, w, _C, i)
-            state.F[w, p] = matrix(of, w, _F, i)
+            if yields == 1:
+                state.F[w, p] = matrix(of, w, _F, i)
         if lane == 0:
+            records.strayed[w] = strayed
             clock.frame[w] = frame
             clock.dt[w] = dt
             clock.steps[w] = steps

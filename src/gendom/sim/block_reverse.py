@@ -17,8 +17,8 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.block import bounds, make_block, make_store
-from gendom.sim.block_kernels import STATE_COMPONENTS, make_block_kernels
+from gendom.sim.block import Near, bounds, get_near, make_block, make_store, put_near
+from gendom.sim.block_kernels import COMPONENTS, carried_components, make_block_kernels
 from gendom.sim.columns import Columns
 from gendom.sim.kernels import OK, make_kernels
 from gendom.sim.reverse import NOT_FINITE, make_reverse
@@ -26,7 +26,7 @@ from gendom.sim.reverse import NOT_FINITE, make_reverse
 SUM_COMPONENTS = 4
 """Derivatives by mu, lam, mass and yield stress of a particle, besides those by its state."""
 
-_V, _C, _F = 3, 6, 15
+_V, _C, _F, _PULL = 3, 6, 15, 15
 _MU, _LAM, _MASS, _YIELD = 0, 1, 2, 3
 
 
@@ -53,9 +53,11 @@ def make_block_reverse(
     Matter, MatterBars = k.transfers.Matter, k.transfers.MatterBars
     kept = make_store(real, resident=False)
     bar = make_store(real, resident=room > 0)
-    get, put, add = bar.get, bar.put, bar.add
+    get, put = bar.get, bar.put
     put_vector, put_matrix = bar.put_vector, bar.put_matrix
     bar_vector, bar_matrix = bar.vector, bar.matrix
+    bar_differences, pulled = bar.differences, bar.pulled
+    differences = kept.differences
     vector, matrix = kept.vector, kept.matrix
     stays = wp.constant(1 if room else 0)
     numbers = wp.constant(max(1, room // (4 if real == wp.float32 else 8)))
@@ -70,19 +72,39 @@ def make_block_reverse(
     taken_by = k.transfers.taken_by
     moved_back = k.transfers.moved_back
     given_back = k.transfers.given_back
-    recovery_share = k.transfers.recovery_share
+    get_node, put_node = k.transfers.get_node, k.transfers.put_node
+    impulse_of_stress = k.transfers.impulse_of_stress
+    impulse_of_stress_back = k.transfers.impulse_of_stress_back
+    tension_back = k.transfers.tension_back
     yields = k.transfers.yields
-    smallest_volume = k.transfers.smallest_volume
+    CARRIED = wp.constant(carried_components(plastic=plastic))
     largest_bar = one_thread.largest
     meet = make_block(real).meet
 
     @wp.struct
     class BarRecords:
-        """Derivatives by W worlds' particles in order."""
+        """Derivatives by W worlds' particles in order.
 
-        of: wp.array3d(dtype=real)  # [W, STATE_COMPONENTS, N], or [1, ...] if they are resident
+        By x, v, C, and F or, of an elastic body, by the differences of x.
+        """
+
+        of: wp.array3d(dtype=real)  # [W, COMPONENTS, N], or [1, ...] if they are resident
         sums: wp.array3d(dtype=real)  # [W, SUM_COMPONENTS, N]
-        spare: wp.array3d(dtype=real)  # [W, STATE_COMPONENTS + SUM_COMPONENTS, N] scratch
+        # scratch
+        spare: wp.array3d(dtype=real)  # [W, COMPONENTS + SUM_COMPONENTS, N]
+        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours, if elastic
+
+    @wp.func
+    def find_neighbours(
+        w: int, lane: int, lanes: int, layout: int, matter: Matter, tape: Tape, records: BarRecords
+    ):
+        for i in range(lane, records.near.shape[2], lanes):
+            p = tape.order[layout, i]
+            near = Near()
+            for axis in range(3):
+                for side in range(2):
+                    near[2 * axis + side] = tape.place[layout, matter.lattice[p, axis, side]]
+            put_near(records.near, w, i, near)
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=bounds(lanes))
     def reverse(
@@ -122,7 +144,6 @@ def make_block_reverse(
         dt = clock.dt[w]
         h = real(dt)
         keep = wp.exp(-scene.damping[w] * h)
-        blend = recovery_share(h, matter)
         mass = matter.mass[w]
         slot = int((slots - 1) * W + w)
         layout = tape.layout_of[slot]
@@ -131,26 +152,31 @@ def make_block_reverse(
             put_vector(of, w, 0, i, bars.x[w, p])
             put_vector(of, w, _V, i, bars.v[w, p])
             put_matrix(of, w, _C, i, bars.C[w, p])
-            put_matrix(of, w, _F, i, bars.F[w, p])
+            if yields == 1:
+                put_matrix(of, w, _F, i, bars.F[w, p])
             for c in range(SUM_COMPONENTS):
                 sums[w, c, i] = real(0.0)
+        if yields == 0:
+            find_neighbours(w, lane, lanes, layout, matter, tape, records)
         meet()
         while slot >= 0:
             if tape.layout_of[slot] != layout:
                 earlier = tape.layout_of[slot]
                 for i in range(lane, N, lanes):
                     j = tape.place[layout, tape.order[earlier, i]]
-                    for c in range(STATE_COMPONENTS):
+                    for c in range(CARRIED):
                         spare[w, c, i] = get(of, w, c, j)
                     for c in range(SUM_COMPONENTS):
-                        spare[w, STATE_COMPONENTS + c, i] = sums[w, c, j]
+                        spare[w, COMPONENTS + c, i] = sums[w, c, j]
                 layout = earlier
                 meet()
                 for i in range(lane, N, lanes):
-                    for c in range(STATE_COMPONENTS):
+                    for c in range(CARRIED):
                         put(of, w, c, i, spare[w, c, i])
                     for c in range(SUM_COMPONENTS):
-                        sums[w, c, i] = spare[w, STATE_COMPONENTS + c, i]
+                        sums[w, c, i] = spare[w, COMPONENTS + c, i]
+                if yields == 0:
+                    find_neighbours(w, lane, lanes, layout, matter, tape, records)
                 meet()
             nodes = columns.count[layout]
             step = clock.step[w] + (slot - w) // W
@@ -158,13 +184,19 @@ def make_block_reverse(
             for g in range(lane, grips.closed.shape[1], lanes):
                 place_gripper(w, w, g, t, dt, paths, grips)
             meet()
+            following = vec4()
+            if lane < nodes:
+                following = get_node(momentum, slot, lane)
             for n in range(lane, nodes, lanes):
-                grid_bar[w, n] = vec4()
-                velocity[w, n] = vec4()
-                q = momentum[slot, n]
+                q = following
+                # on its way while this one is updated
+                if n + lanes < nodes:
+                    following = get_node(momentum, slot, n + lanes)
+                u = vec3()
                 if q[3] > real(0.0):
                     u = update_node(w, w, layout, n, q, h, keep, scene, paths, grips, columns)
-                    velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
+                put_node(grid_bar, w, n, vec4())
+                put_node(velocity, w, n, vec4(u[0], u[1], u[2], q[3]))
             meet()
             if yields == 1:
                 for i in range(lane, N, lanes):
@@ -180,37 +212,45 @@ def make_block_reverse(
             window = window_type()
             held = wp.vec3i(-1, -1, -1)
             for i in range(lane * N // lanes, (lane + 1) * N // lanes):
-                node, f, pull = taken_by(
-                    vector(tape.of, slot, 0, i), matrix(tape.of, slot, _F, i),
-                    bar_vector(of, w, 0, i), bar_vector(of, w, _V, i),
-                    bar_matrix(of, w, _C, i), bar_matrix(of, w, _F, i),
+                T = mat33()
+                if yields == 1:
+                    F = matrix(tape.of, slot, _F, i)
+                    T = (h * inv_dx) * (bar_matrix(of, w, _F, i) * wp.transpose(F))
+                node, f, taken = taken_by(
+                    vector(tape.of, slot, 0, i), bar_vector(of, w, 0, i),
+                    bar_vector(of, w, _V, i), bar_matrix(of, w, _C, i), T,
                     layout, h, inv_dx, z0, columns,
                 )  # fmt: skip
                 window = hand_over(window, held, node, grid_bar, w, columns.start, layout)
-                window = collect(window, f, pull)
+                window = collect(window, f, taken)
                 held = node
             hand_over(window, held, wp.vec3i(-1, -1, -1), grid_bar, w, columns.start, layout)
             meet()
             for i in range(lane, N, lanes):
-                x_bar, F_bar = moved_back(
-                    vector(tape.of, slot, 0, i), matrix(tape.of, slot, _F, i),
-                    bar_vector(of, w, 0, i), bar_vector(of, w, _V, i),
-                    bar_matrix(of, w, _C, i), bar_matrix(of, w, _F, i),
+                T = mat33()
+                if yields == 1:
+                    F = matrix(tape.of, slot, _F, i)
+                    T = (h * inv_dx) * (bar_matrix(of, w, _F, i) * wp.transpose(F))
+                x_bar, D = moved_back(
+                    vector(tape.of, slot, 0, i), bar_vector(of, w, 0, i),
+                    bar_vector(of, w, _V, i), bar_matrix(of, w, _C, i), T,
                     layout, w, h, inv_dx, z0, columns, velocity,
                 )  # fmt: skip
                 put_vector(of, w, 0, i, x_bar)
-                put_matrix(of, w, _F, i, F_bar)
+                if yields == 1:
+                    F_bar = bar_matrix(of, w, _F, i)
+                    put_matrix(of, w, _F, i, F_bar + h * (wp.transpose(D) * F_bar))
             keep_sum = wp.float64(0.0)
             gravity_sum = wp.vec3d()
             for n in range(lane, nodes, lanes):
-                q = momentum[slot, n]
+                q = get_node(momentum, slot, n)
                 if q[3] > real(0.0):
-                    v_bar = grid_bar[w, n]
+                    v_bar = get_node(grid_bar, w, n)
                     node_bar, keep_bar, gravity_bar = update_node_back(
                         w, w, layout, n, q, vec3(v_bar[0], v_bar[1], v_bar[2]), h, keep, scene,
                         paths, grips, columns, scene_bars,
                     )  # fmt: skip
-                    grid_bar[w, n] = node_bar
+                    put_node(grid_bar, w, n, node_bar)
                     keep_sum += keep_bar
                     gravity_sum += gravity_bar
             wp.atomic_add(scene_bars.keep, w, keep_sum)
@@ -220,46 +260,58 @@ def make_block_reverse(
                 close_substep(w, w, t, dt, scene, paths, grips, scene_bars)
             for i in range(lane, N, lanes):
                 p = tape.order[layout, i]
-                x_bar, u_bar, C_bar, F_bar, mu_bar, lam_bar, mass_bar = given_back(
-                    vector(tape.of, slot, 0, i), vector(tape.of, slot, _V, i),
-                    matrix(tape.of, slot, _C, i), matrix(tape.of, slot, _F, i),
-                    matter.mu[w, p], matter.lam[w, p], mass, matter.volume, layout, w, h, inv_dx,
-                    z0, columns, grid_bar,
+                x = vector(tape.of, slot, 0, i)
+                v = vector(tape.of, slot, _V, i)
+                given = mass * v
+                T = mat33()
+                if yields == 1:
+                    T = impulse_of_stress(
+                        matrix(tape.of, slot, _F, i), matter.mu[w, p], matter.lam[w, p], h,
+                        matter.volume, inv_dx,
+                    )  # fmt: skip
+                else:
+                    given += vector(tape.of, slot, _PULL, i)
+                x_bar, u_bar, C_bar, T_bar, mass_bar = given_back(
+                    x, v, given, matrix(tape.of, slot, _C, i), T, mass, layout, w, inv_dx, z0,
+                    columns, grid_bar,
                 )  # fmt: skip
                 put_vector(of, w, 0, i, bar_vector(of, w, 0, i) + x_bar)
                 put_vector(of, w, _V, i, u_bar)
                 put_matrix(of, w, _C, i, C_bar)
-                put_matrix(of, w, _F, i, bar_matrix(of, w, _F, i) + F_bar)
-                sums[w, _MU, i] = sums[w, _MU, i] + mu_bar
-                sums[w, _LAM, i] = sums[w, _LAM, i] + lam_bar
                 sums[w, _MASS, i] = sums[w, _MASS, i] + mass_bar
-                size = wp.length_sq(x_bar) + wp.length_sq(u_bar) + wp.ddot(F_bar, F_bar)
+                size = wp.length_sq(x_bar) + wp.length_sq(u_bar)
+                if yields == 1:
+                    F_bar, mu_bar, lam_bar = impulse_of_stress_back(
+                        matrix(tape.of, slot, _F, i), matter.mu[w, p], matter.lam[w, p], h,
+                        matter.volume, inv_dx, T_bar,
+                    )  # fmt: skip
+                    put_matrix(of, w, _F, i, bar_matrix(of, w, _F, i) + F_bar)
+                    sums[w, _MU, i] = sums[w, _MU, i] + mu_bar
+                    sums[w, _LAM, i] = sums[w, _LAM, i] + lam_bar
+                    size += wp.ddot(F_bar, F_bar)
                 # the first one found is named; a NaN is not below anything
                 overflows = not (size < real(largest_bar))
                 if overflows and wp.atomic_max(trouble.status, w, NOT_FINITE) == OK:
                     trouble.culprit[w] = p
                     trouble.slot[w] = (slot - w) // W
-            if (clock.age[w] + (slot - w) // W) % RECOVER_EVERY == 0 and blend > real(0.0):
+            if yields == 0:
                 meet()
                 for i in range(lane, N, lanes):
                     p = tape.order[layout, i]
-                    D = mat33()
-                    for axis in range(3):
-                        a = tape.place[layout, matter.lattice[p, axis, 1]]
-                        b = tape.place[layout, matter.lattice[p, axis, 0]]
-                        d = vector(tape.of, slot, 0, a) - vector(tape.of, slot, 0, b)
-                        for n in range(3):
-                            D[n, axis] = d[n]
-                    if wp.determinant(D * matter.rest_frame[p]) > real(smallest_volume):
-                        F_bar = bar_matrix(of, w, _F, i)
-                        D_bar = (blend * F_bar) * wp.transpose(matter.rest_frame[p])
-                        for axis in range(3):
-                            a = tape.place[layout, matter.lattice[p, axis, 1]]
-                            b = tape.place[layout, matter.lattice[p, axis, 0]]
-                            for n in range(3):
-                                add(of, w, n, a, D_bar[n, axis])
-                                add(of, w, n, b, -D_bar[n, axis])
-                        put_matrix(of, w, _F, i, (real(1.0) - blend) * F_bar)
+                    # a pull draws one neighbour forth and the other back
+                    near = get_near(records.near, w, i)
+                    pull_bar = (real(-1.0) / mass) * bar_differences(of, w, _V, near)
+                    D_bar, mu_bar, lam_bar = tension_back(
+                        differences(tape.of, slot, 0, near), matter.rest_frame[p],
+                        matter.mu[w, p], matter.lam[w, p], h, matter.volume, pull_bar,
+                    )  # fmt: skip
+                    put_matrix(of, w, _F, i, D_bar)
+                    sums[w, _MU, i] = sums[w, _MU, i] + mu_bar
+                    sums[w, _LAM, i] = sums[w, _LAM, i] + lam_bar
+                meet()
+                for i in range(lane, N, lanes):
+                    slack = pulled(of, w, _F, get_near(records.near, w, i), i)
+                    put_vector(of, w, 0, i, bar_vector(of, w, 0, i) - slack)
             meet()
             slot -= W
         for i in range(lane, N, lanes):
@@ -267,7 +319,8 @@ def make_block_reverse(
             bars.x[w, p] = bar_vector(of, w, 0, i)
             bars.v[w, p] = bar_vector(of, w, _V, i)
             bars.C[w, p] = bar_matrix(of, w, _C, i)
-            bars.F[w, p] = bar_matrix(of, w, _F, i)
+            if yields == 1:
+                bars.F[w, p] = bar_matrix(of, w, _F, i)
             bars.mu[w, p] = bars.mu[w, p] + sums[w, _MU, i]
             bars.lam[w, p] = bars.lam[w, p] + sums[w, _LAM, i]
             bars.mass[w, p] = bars.mass[w, p] + sums[w, _MASS, i]

@@ -7,7 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.batch_tape import BatchTape, Segment, raise_trouble
-from gendom.sim.block_kernels import STATE_COMPONENTS, make_block_kernels
+from gendom.sim.block_kernels import COMPONENTS, make_block_kernels, taped_components
 from gendom.sim.block_reverse import SUM_COMPONENTS, make_block_reverse
 from gendom.sim.blocks import Blocks
 from gendom.sim.gradients import Sums
@@ -26,6 +26,7 @@ class _Recording:
     def __init__(self, blocks: Blocks, taped: Any, substeps: int, layouts: int):
         worlds = blocks.worlds
         W, N = worlds.num_worlds, worlds.num_particles
+        components = taped_components(plastic=worlds.plastic)
         # nothing is read before it was written
         self.room = worlds.room
         self.substeps = substeps
@@ -35,7 +36,7 @@ class _Recording:
             return wp.empty(shape, dtype=dtype, device=worlds.device)
 
         self.tape = taped.Tape()
-        self.tape.of = array((substeps * W, STATE_COMPONENTS, N), worlds.real)
+        self.tape.of = array((substeps * W, components, N), worlds.real)
         self.tape.order = array((layouts * W, N), wp.int32)
         self.tape.place = array((layouts * W, N), wp.int32)
         self.tape.layout_of = array(substeps * W, wp.int32)
@@ -64,11 +65,12 @@ class BlockTape(BatchTape):
         W, N = worlds.num_worlds, worlds.num_particles
         self._bars = self._back.BarRecords()
         for name, rows, components in (
-            ("of", 1 if self._blocks.room else W, STATE_COMPONENTS),
+            ("of", 1 if self._blocks.room else W, COMPONENTS),
             ("sums", W, SUM_COMPONENTS),
-            ("spare", W, STATE_COMPONENTS + SUM_COMPONENTS),
+            ("spare", W, COMPONENTS + SUM_COMPONENTS),
         ):
             setattr(self._bars, name, worlds.zeros((rows, components, N), worlds.real))
+        self._bars.near = worlds.zeros((W, 3, 0 if worlds.plastic else N), wp.int32)
         return self._blocks
 
     def forward(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
@@ -85,7 +87,8 @@ class BlockTape(BatchTape):
         N, real = worlds.num_particles, worlds.numpy_type.itemsize
         layout = 4 * (3 * X * Y + 2 * M + 2 * N + 7)
         return worlds.num_worlds * (
-            real * (STATE_COMPONENTS * N + 4 * M) + layout / substeps_a_layout
+            real * (taped_components(plastic=worlds.plastic) * N + 4 * M)
+            + layout / substeps_a_layout
         )
 
     def _segment(self) -> int:
@@ -126,9 +129,12 @@ class BlockTape(BatchTape):
         def F(slot: int, w: int, particle: int) -> NDArray[np.floating]:
             row = slot * s.num_worlds + w
             layout = int(recording.tape.layout_of.numpy()[row])
-            place = int(recording.tape.place.numpy()[layout, particle])
+            place = recording.tape.place.numpy()[layout]
             record: Any = recording.tape.of[row]
-            return record.numpy()[15:, place].reshape(3, 3)
+            records = record.numpy()[:, place].T
+            if s.plastic:
+                return records[particle, 15:].reshape(3, 3)
+            return s.deformation_at(records[:, :3])[particle]
 
         raise_trouble(self.simulator, segment.time, segment.clock, sums, F)
 

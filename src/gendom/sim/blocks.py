@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from gendom.sim.block import ROOM_ALONE, ROOMS_OF_TWO
-from gendom.sim.block_kernels import COMPONENTS, STATE_COMPONENTS, make_block_kernels
+from gendom.sim.block_kernels import COMPONENTS, carried_components, make_block_kernels
 from gendom.sim.columns import Grid
 from gendom.sim.paced import Paced
 from gendom.sim.worlds import Worlds
@@ -30,8 +30,11 @@ LARGE_BODY = 2048
 WIDE = 256
 """Threads of a block that has a multiprocessor to itself."""
 
-NARROW = (128, 192)
+NARROW = 192
 """Threads of one of two blocks that share one; more leave too few registers for each."""
+
+NARROW_IN_ARRAYS = 128
+"""The same where particles stand in arrays."""
 
 
 def suits_blocks(worlds: Worlds) -> bool:
@@ -42,21 +45,13 @@ def suits_blocks(worlds: Worlds) -> bool:
 
 def shared_room(worlds: Worlds) -> int:
     """Shared memory of a block in which its particles fit [bytes]; 0 if they do not."""
-    taken = STATE_COMPONENTS * worlds.num_particles * worlds.numpy_type.itemsize
+    taken = COMPONENTS * worlds.num_particles * worlds.numpy_type.itemsize
     if worlds.device.is_cuda:
         for room in (*ROOMS_OF_TWO, ROOM_ALONE):
             blocks = 2 if room in ROOMS_OF_TWO else 1
             if taken <= room and blocks * room <= worlds.device.max_shared_memory_per_block:
                 return room
     return 0
-
-
-def _narrow(particles: int, *, resident: bool) -> int:
-    """Threads of one of two blocks that share a multiprocessor."""
-    if not resident:
-        return NARROW[0]
-    # the last round of the lanes through the particles should not leave many of them idle
-    return min(NARROW, key=lambda lanes: -(-particles // lanes) * lanes)
 
 
 class Blocks(Paced):
@@ -73,7 +68,8 @@ class Blocks(Paced):
         self.room = shared_room(worlds)
         crowded = W > MANY_WORLDS and N <= LARGE_BODY
         pairs = crowded and self.room != ROOM_ALONE
-        self.lanes = lanes or (_narrow(N, resident=self.room > 0) if pairs else WIDE)
+        narrow = NARROW if self.room else NARROW_IN_ARRAYS
+        self.lanes = lanes or (narrow if pairs else WIDE)
         self.kernels = make_block_kernels(
             worlds.real, setting.law, plastic=worlds.plastic, room=self.room,
             lanes=self.lanes,
@@ -82,9 +78,11 @@ class Blocks(Paced):
             self.lanes = 1
         self.records = self.kernels.Records()
         rows = 1 if self.room else W
-        self.records.of = worlds.zeros((rows, STATE_COMPONENTS, N), worlds.real)
+        spare = carried_components(plastic=worlds.plastic) + 2
+        self.records.of = worlds.zeros((rows, COMPONENTS, N), worlds.real)
         self.records.moduli = worlds.zeros((W, 2, N), worlds.real)
-        self.records.spare = worlds.zeros((W, COMPONENTS, N), worlds.real)
+        self.records.near = worlds.zeros((W, 3, 0 if worlds.plastic else N), wp.int32)
+        self.records.spare = worlds.zeros((W, spare, N), worlds.real)
         self.records.strayed = worlds.zeros(W, worlds.real)
         for name in ("order", "place", "spare_order"):
             setattr(self.records, name, worlds.zeros((W, N), wp.int32))

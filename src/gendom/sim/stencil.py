@@ -67,15 +67,19 @@ _COEFFICIENTS = """
 """
 
 _SPREAD = """
+    // not wx[i]: where i is not known beforehand that array would not be in registers
+    const auto of_plane = [](const REAL* a, int i) { return i == 0 ? a[0] : i == 1 ? a[1] : a[2]; };
     #pragma unroll
-    for (int i = 0; i < 3; ++i) {
+    for (PLANES) {
+        const REAL wxi = of_plane(wx, i);
+        const REAL sxi = of_plane(sx, i);  // by slopes
         const lanes Qi = Q + A0 * REAL(i);
         #pragma unroll
         for (int j = 0; j < 3; ++j) {
             const int n = COLUMN;
-            const REAL w = wx[i] * wy[j];
+            const REAL w = wxi * wy[j];
             const lanes b = (Qi + A1 * REAL(j)) * w
-                + T0 * (sx[i] * wy[j]) + T1 * (wx[i] * sy[j])  // by slopes
+                + T0 * (sxi * wy[j]) + T1 * (wxi * sy[j])  // by slopes
                 ;
             const lanes s = A2 * w;
             const lanes t = T2 * w;  // by slopes
@@ -102,11 +106,23 @@ _ADD_TO_GRID = """
     };
 """
 
+# what is added to the grid keeps the compiler from loading columns together: it is done before
+_COLUMNS = """
+    int columns[9];
+    #pragma unroll
+    for (int n = 0; n < 9; ++n)
+        columns[n] = wp::index(start, layout, FIRST[0] + n / 3, FIRST[1] + n % 3) + FIRST[2];
+"""
+
 _SCATTER = (
-    "const int ci = node[0], cj = node[1], bz = node[2];"
+    _COLUMNS.replace("FIRST", "node")
     + _ADD_TO_GRID
-    + _SPREAD.replace("COLUMN", "wp::index(start, layout, ci + i, cj + j) + bz")
+    + _SPREAD.replace("COLUMN", "columns[3 * i + j]")
 )
+
+_ALL_PLANES = "int i = 0; i < 3; ++i"
+
+_ONE_PLANE = "int i = plane; i <= plane; ++i"
 
 _COLLECT = (
     """
@@ -125,12 +141,15 @@ _HAND_OVER = (
     const bool along = node[0] == held[0] && node[1] == held[1] && up >= 0 && up < 3;
     const int leaving = along ? up : 3;
     if (leaving == 0 || held[0] < 0) return window;
+"""
+    + _COLUMNS.replace("FIRST", "held")
+    + """
     const lanes none = {};
     #pragma unroll
     for (int i = 0; i < 3; ++i) {
         #pragma unroll
         for (int j = 0; j < 3; ++j) {
-            const int n = wp::index(start, layout, held[0] + i, held[1] + j) + held[2];
+            const int n = columns[3 * i + j];
             lanes* h = (lanes*)window.data[9 * i + 3 * j];
             add(n, h[0]);
             if (leaving > 1) add(n + 1, h[1]);
@@ -155,14 +174,22 @@ _GATHER = """
 #if defined(__CUDA_ARCH__)
     constexpr int planes = PLANES_ON_CUDA, rows = ROWS_ON_CUDA;
     const auto column = [&](int i, int j) { return wp::index(start, layout, ci + i, cj + j); };
+    const auto value = [nodes](int n) { LOAD };
 #else
     constexpr int planes = 3, rows = 3;
     const int* first = &wp::index(start, layout, ci, cj);
     const int pitch = start.strides[1] / sizeof(int);
     const auto column = [&](int i, int j) { return first[i * pitch + j]; };
+    const auto value = [nodes](int n) { return *(const lanes*)(nodes + n); };
 #endif
+    // the next plane's columns, and by slopes the next column's nodes, are on their way while these
+    // are summed
+    int n0 = column(0, 0) + bz, n1 = column(0, 1) + bz, n2 = column(0, 2) + bz;
+    AHEAD_BEGIN
     #pragma unroll planes
     for (int i = 0; i < 3; ++i) {
+        const int k = i < 2 ? i + 1 : i;
+        const int m0 = column(k, 0) + bz, m1 = column(k, 1) + bz, m2 = column(k, 2) + bz;
         // not wx[i]: in a loop that array would not be in registers
         const REAL wxi = i == 0 ? wx[0] : i == 1 ? wx[1] : wx[2];
         const REAL sxi = i == 0 ? sx[0] : i == 1 ? sx[1] : sx[2];
@@ -170,10 +197,8 @@ _GATHER = """
         for (int j = 0; j < 3; ++j) {
             const REAL wyj = j == 0 ? wy[0] : j == 1 ? wy[1] : wy[2];
             const REAL syj = j == 0 ? sy[0] : j == 1 ? sy[1] : sy[2];
-            const int n = column(i, j) + bz;
             const REAL w = wxi * wyj, dx = sxi * wyj, dy = wxi * syj;
-            const lanes h0 = *(const lanes*)(nodes + n), h1 = *(const lanes*)(nodes + n + 1);
-            const lanes h2 = *(const lanes*)(nodes + n + 2);
+            NODES
             const lanes u1 = h1 * wz[1], u2 = h2 * wz[2];
             const lanes u = h0 * wz[0] + u1 + u2;
             const lanes k = u1 + u2 + u2;
@@ -187,7 +212,11 @@ _GATHER = """
             D1 = D1 + u * dy;  // by slopes
             D2 = D2 + z * w;  // by slopes
             SLOPE_ROW
+            AHEAD_END
         }
+        n0 = m0;
+        n1 = m1;
+        n2 = m2;
     }
     wp::mat_t<ROWS, 4, REAL> out;
     #pragma unroll
@@ -203,6 +232,34 @@ _GATHER = """
     SLOPE_END
     return out;
 """
+
+_NODES = """
+            const int n = j == 0 ? n0 : j == 1 ? n1 : n2;
+            const lanes h0 = value(n), h1 = value(n + 1), h2 = value(n + 2);
+"""
+
+_AHEAD_BEGIN = "lanes h0 = value(n0), h1 = value(n0 + 1), h2 = value(n0 + 2);"
+
+_NODES_AHEAD = """
+            const int n = j == 0 ? n1 : j == 1 ? n2 : m0;
+            const lanes g0 = value(n), g1 = value(n + 1), g2 = value(n + 2);
+"""
+
+_AHEAD_END = """
+            h0 = g0;
+            h1 = g1;
+            h2 = g2;
+"""
+
+_GATHER_AT_ONCE = (
+    _GATHER.replace("AHEAD_BEGIN", "").replace("AHEAD_END", "").replace("NODES", _NODES)
+)
+
+_GATHER_AHEAD = (
+    _GATHER.replace("AHEAD_BEGIN", _AHEAD_BEGIN)
+    .replace("AHEAD_END", _AHEAD_END)
+    .replace("NODES", _NODES_AHEAD)
+)
 
 _SLOPE_BEGIN = "lanes X = V, Y = V, Z = V;"
 
@@ -428,6 +485,27 @@ _ATOMIC_ADD = {
 }
 
 
+_LOAD = {
+    wp.float32: """
+        const float4 h = *(const float4*)(nodes + n);
+        return lanes(h.x, h.y, h.z, h.w);
+""",
+    wp.float64: """
+        const double2 a = *(const double2*)(nodes + n), b = *((const double2*)(nodes + n) + 1);
+        return lanes(a.x, a.y, b.x, b.y);
+""",
+}
+"""Of a node's value on CUDA, whose compiler does not see that its numbers are aligned."""
+
+_STORE = {
+    wp.float32: "*(float4*)(nodes + n) = make_float4(h[0], h[1], h[2], h[3]);",
+    wp.float64: """
+        *(double2*)(nodes + n) = make_double2(h[0], h[1]);
+        *((double2*)(nodes + n) + 1) = make_double2(h[2], h[3]);
+""",
+}
+
+
 def _either(cpu: str, cuda: str) -> str:
     """The text for each kind of device."""
     return f"\n#if defined(__CUDA_ARCH__)\n{cuda}\n#else\n{cpu}\n#endif\n"
@@ -460,7 +538,10 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
 
     Returns:
         Namespace with ``sums``, the matrix of coefficients, ``scatter`` (adds to the grid),
-        ``gather`` (dP/dq, dP/da, dP/dt) and ``gather_with_slope`` (a last row with dP/df besides).
+        ``scatter_plane`` (a third of that), ``collect`` and ``hand_over`` (add to a window of 27
+        nodes, and what is left behind of it to the grid), ``gather`` (dP/dq, dP/da, dP/dt),
+        ``gather_with_slope`` (a last row with dP/df besides), and ``get_node`` and ``put_node``,
+        whole on CUDA.
     """
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
@@ -475,7 +556,8 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
 
     pairs = _PAIRS + (_SLOPES_OF_PAIRS if slopes else "")
     on_cpu = pairs + _SCATTER_BY_PLANES
-    on_cuda = _WEIGHTS + _COEFFICIENTS + _SCATTER
+    by_nodes = _WEIGHTS + _COEFFICIENTS + _SCATTER
+    on_cuda = by_nodes.replace("PLANES", _ALL_PLANES)
 
     @wp.func_native(native(_LANES + _either(on_cpu, on_cuda), ATOMIC_ADD=_ATOMIC_ADD[real]))
     def scatter(
@@ -488,7 +570,19 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
         c: sums,
     ): ...
 
-    @wp.func_native(native(_LANES + _WEIGHTS + _COEFFICIENTS + _COLLECT))
+    @wp.func_native(native(_LANES + by_nodes, PLANES=_ONE_PLANE, ATOMIC_ADD=_ATOMIC_ADD[real]))
+    def scatter_plane(
+        grid: wp.array2d(dtype=vec4),
+        row: int,
+        start: wp.array3d(dtype=wp.int32),
+        layout: int,
+        node: wp.vec3i,
+        f: vec3,
+        c: sums,
+        plane: int,
+    ): ...
+
+    @wp.func_native(native(_LANES + _WEIGHTS + _COEFFICIENTS + _COLLECT, PLANES=_ALL_PLANES))
     def collect(window: window_type, f: vec3, c: sums) -> window_type: ...
 
     @wp.func_native(native(_LANES + _HAND_OVER, ATOMIC_ADD=_ATOMIC_ADD[real]))
@@ -506,13 +600,14 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
         "SLOPE_BEGIN": "",
         "SLOPE_ROW": "",
         "SLOPE_END": "",
+        "LOAD": _LOAD[real],
         "PLANES_ON_CUDA": "3" if straight else "1",
         "ROWS_ON_CUDA": "3",
         "ROWS": str(rows),
     }
 
     @wp.func_native(
-        native(_LANES + _either(pairs + _GATHER_BY_PLANES, _WEIGHTS + _GATHER), **plain)
+        native(_LANES + _either(pairs + _GATHER_BY_PLANES, _WEIGHTS + _GATHER_AT_ONCE), **plain)
     )
     def gather(
         grid: wp.array2d(dtype=vec4),
@@ -527,20 +622,18 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
         "SLOPE_BEGIN": _SLOPE_BEGIN,
         "SLOPE_ROW": _SLOPE_ROW,
         "SLOPE_END": _SLOPE_END,
+        "LOAD": _LOAD[real],
         "PLANES_ON_CUDA": "1",
         "ROWS_ON_CUDA": "1",
         "ROWS": str(rows + 1),
     }
 
-    sloped_on_cuda = _WEIGHTS + _COEFFICIENTS + _GATHER
+    by_nodes = _WEIGHTS + _COEFFICIENTS
     sloped_on_cpu = _PAIRS + _SLOPES_OF_PAIRS + _GATHER_WITH_SLOPE_BY_PLANES
+    if slopes:
+        sloped_on_cpu = by_nodes + _GATHER_AT_ONCE
 
-    @wp.func_native(
-        native(
-            _LANES + (sloped_on_cuda if slopes else _either(sloped_on_cpu, sloped_on_cuda)),
-            **sloped,
-        )
-    )
+    @wp.func_native(native(_LANES + _either(sloped_on_cpu, by_nodes + _GATHER_AHEAD), **sloped))
     def gather_with_slope(
         grid: wp.array2d(dtype=vec4),
         row: int,
@@ -551,10 +644,21 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
         c: sums,
     ) -> sums_and_slope: ...
 
+    here = "wp::vec_t<4, REAL>* nodes = &wp::index(grid, row, 0);"
+
+    @wp.func_native(native(_LANES + here + _either("return nodes[n];", _LOAD[real])))
+    def get_node(grid: wp.array2d(dtype=vec4), row: int, n: int) -> vec4: ...
+
+    @wp.func_native(native(here + _either("nodes[n] = h;", _STORE[real])))
+    def put_node(grid: wp.array2d(dtype=vec4), row: int, n: int, h: vec4): ...
+
     return SimpleNamespace(
         sums=sums,
         window=window_type,
         scatter=scatter,
+        scatter_plane=scatter_plane,
+        get_node=get_node,
+        put_node=put_node,
         collect=collect,
         hand_over=hand_over,
         gather=gather,

@@ -4,7 +4,11 @@ The same functions as in ``kernels``, called by all threads of the team. A lane 
 what waits for what then decides the pace, not how much there is to do. So the team meets but twice
 a substep: particles that have moved give to the grid at once what they give in the next substep.
 
-Shapes: W worlds, N particles, M grid nodes.
+Of an elastic body that is what their neighbours pull, whose strain depends on neighbours again. A
+block therefore moves, besides its own particles, those two steps of the lattice around: it finds
+by itself what other blocks would have to tell it.
+
+Shapes: W worlds, N particles, M grid nodes, B blocks of a team, K particles in a block's memory.
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -18,30 +22,50 @@ from typing import Any
 
 import warp as wp
 
+from gendom.sim.block import Near, make_block, make_store
 from gendom.sim.columns import MARGIN, Columns
 from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, make_kernels
 from gendom.sim.team import make_team
 from gendom.sim.transfers import make_transfers
 
-LANES = 64
-"""Threads of a block."""
-
-BLOCKS_AT_ONCE = 4
-"""Blocks that are sure to fit on a multiprocessor at the same time."""
-
 AHEAD = 32
 """Substeps for which grippers are placed at once."""
 
+COMPONENTS = 41
+"""Of a particle in a block's memory: x, v, C, F or pulls, mu, lam, rest frame, neighbours."""
+
+_V, _C, _F, _MU, _LAM, _FRAME, _NEAR = 3, 6, 15, 24, 25, 26, 35
+
+
+@wp.struct
+class Parts:
+    """Which particles the blocks of a team have."""
+
+    # [B, K] its own, then their neighbours, then those' neighbours (of bodies that yield: its own)
+    particles: wp.array2d(dtype=wp.int32)
+    # [B, 3] how many: its own, with neighbours, in all
+    count: wp.array2d(dtype=wp.int32)
+    # [B, K, 6] where the neighbours of those with neighbours in the block's memory are
+    near: wp.array3d(dtype=wp.int32)
+
 
 @functools.cache
-def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
+def make_team_kernels(
+    real: Any, law_name: str, *, plastic: bool, lanes: int = 64, at_once: int = 1, room: int = 1
+) -> SimpleNamespace:
     """Build the kernel for one scalar type and one material, see ``make_kernels``.
+
+    Args:
+        real, law_name, plastic: As there.
+        lanes: Threads of a block.
+        at_once: Blocks that are to fit on a multiprocessor at the same time.
+        room: K.
 
     Returns:
         Namespace with ``advance``.
     """
     k = make_kernels(real, law_name, plastic=plastic)
-    vec4 = k.vec4
+    vec3, vec4, mat33 = k.vec3, k.vec4, k.mat33
     Clock, Plan, frame_substep = k.Clock, k.Plan, k.frame_substep
     forget_bounds = k.columns.forget_bounds
     locate_particle = k.columns.locate_particle
@@ -52,19 +76,84 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
     place_gripper = k.boundary.place_gripper
     update_node = k.boundary.update_node
     Matter, State = k.transfers.Matter, k.transfers.State
-    scatter_particle = k.transfers.scatter_particle
-    recovery_share = k.transfers.recovery_share
-    recover_particle = k.transfers.recover_particle
-    moved = make_transfers(real, k.law, straight=True).moved
+    tension = k.transfers.tension
+    impulse_of_stress = k.transfers.impulse_of_stress
+    given_by = k.transfers.given_by
+    scatter_plane = k.transfers.scatter_plane
+    get_node, put_node = k.transfers.get_node, k.transfers.put_node
+    yields = k.transfers.yields
+    straight = make_transfers(real, k.law, straight=True)
+    moved, gather_particle = straight.moved, straight.gather_particle
+    numbers = wp.constant(COMPONENTS * room)
+    store = make_store(real, resident=True)
+    get, put = store.get, store.put
+    vector, put_vector = store.vector, store.put_vector
+    matrix, put_matrix = store.matrix, store.put_matrix
+    differences, pulled = store.differences, store.pulled
+    meet_block = make_block(real).meet
     team = make_team(real)
     meet, lift = team.meet, team.lift
 
-    @wp.kernel(enable_backward=False, module="unique", launch_bounds=(LANES, BLOCKS_AT_ONCE))
+    @wp.func
+    def near_of(of: wp.array3d(dtype=real), block: int, i: int):
+        near = Near()
+        for n in range(6):
+            near[n] = int(get(of, block, _NEAR + n, i))
+        return near
+
+    @wp.func
+    def tense_block(
+        of: wp.array3d(dtype=real), block: int, thread: int, threads: int, count: int, h: real,
+        volume: real,
+    ):  # fmt: skip
+        """Set the pulls of a block's first particles; returns one that is not upright, or -1."""
+        inverted = int(-1)
+        for i in range(thread, count, threads):
+            pull, upright = tension(
+                differences(of, block, 0, near_of(of, block, i)), matrix(of, block, _FRAME, i),
+                get(of, block, _MU, i), get(of, block, _LAM, i), h, volume,
+            )  # fmt: skip
+            put_matrix(of, block, _F, i, pull)
+            if not upright:
+                inverted = i
+        return inverted
+
+    @wp.func
+    def scatter_block(
+        of: wp.array3d(dtype=real), block: int, thread: int, threads: int, count: int, w: int,
+        farthest: real, h: real, inv_dx: real, z0: real, mass: real, volume: real,
+        columns: Columns, momentum: wp.array2d(dtype=vec4),
+    ):  # fmt: skip
+        """Scatter a block's first particles but those that go farther in a substep [m].
+
+        A thread gives to one plane of a particle's nodes.
+        """
+        for n in range(thread, 3 * count, threads):
+            i = n % count
+            v = vector(of, block, _V, i)
+            if h * wp.length(v) < farthest:
+                q = mass * v
+                T = mat33()
+                if yields == 1:
+                    T = impulse_of_stress(
+                        matrix(of, block, _F, i), get(of, block, _MU, i), get(of, block, _LAM, i),
+                        h, volume, inv_dx,
+                    )  # fmt: skip
+                else:
+                    q += pulled(of, block, _F, near_of(of, block, i), i)
+                node, f, c = given_by(
+                    vector(of, block, 0, i), q, matrix(of, block, _C, i), T, mass, w, inv_dx, z0,
+                    columns,
+                )  # fmt: skip
+                scatter_plane(momentum, w, columns.start, w, node, f, c, n // count)
+
+    @wp.kernel(enable_backward=False, module="unique", launch_bounds=(lanes, at_once))
     def advance(
         members: int,  # blocks of a team; world w has blocks w * members and following
-        lanes: int,  # threads of a team
+        threads: int,  # of a block
         most: int,  # substeps at the most
         pause: wp.float64,  # [s] no substep begins from here on
+        parts: Parts,
         plan: Plan,
         clock: Clock,
         matter: Matter,
@@ -77,27 +166,48 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
         momentum: wp.array2d(dtype=vec4),  # [W, M] and mass; empty before and after each substep
         velocity: wp.array2d(dtype=vec4),  # [W, M] and mass
         # scratch, 0 before the launch
+        of: wp.array3d(dtype=real),  # [W * B, COMPONENTS, K]; on CUDA [1, ...]
         gate: wp.array(dtype=wp.int32),  # [W]
-        peak: wp.array2d(dtype=real),  # [W, 2] longest way in even and in odd substeps
+        # [W, 3] longest way in even and in odd substeps; what is wrong before a substep
+        peak: wp.array2d(dtype=real),
     ):
         block, thread = wp.tid()
+        wp.tile_empty(shape=numbers, dtype=real, storage="shared")
         w = block // members
-        lane = (block % members) * (lanes // members) + thread
+        part = block % members
+        lanes = members * threads
+        lane = part * threads + thread
         frames = plan.steps.shape[0]
         frame = int(clock.frame[w])
         status = int(clock.status[w])
         if frame >= frames or status != OK:
             return
-        N = state.x.shape[1]
         dx = scene.dx
         z0 = scene.z0
         inv_dx = real(1.0) / dx
+        mass = matter.mass[w]
+        volume = matter.volume
+        own = parts.count[part, 0]
+        tense = parts.count[part, 1]
+        present = parts.count[part, 2]
+        for i in range(thread, present, threads):
+            p = parts.particles[part, i]
+            put_vector(of, block, 0, i, state.x[w, p])
+            put_vector(of, block, _V, i, state.v[w, p])
+            put_matrix(of, block, _C, i, state.C[w, p])
+            put(of, block, _MU, i, matter.mu[w, p])
+            put(of, block, _LAM, i, matter.lam[w, p])
+            if yields == 1:
+                put_matrix(of, block, _F, i, state.F[w, p])
+            else:
+                put_matrix(of, block, _FRAME, i, matter.rest_frame[p])
+                for n in range(6):
+                    put(of, block, _NEAR + n, i, real(parts.near[part, i, n]))
         begun = plan.time[frame]  # of the frame that the world is in
         steps = int(plan.steps[frame, w])
         dt = frame_substep(frame, w, plan)
         h = real(dt)
         keep = wp.exp(-scene.damping[w] * h)
-        blend = recovery_share(h, matter)
         step = int(clock.step[w])
         t = begun + wp.float64(step) * dt
         age = clock.age[w]
@@ -112,11 +222,13 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
         meet(gate, w, came)
         while frame < frames and left > 0 and status == OK and t < pause:
             if fresh:
-                for p in range(lane, N, lanes):
-                    last_good.x[w, p] = state.x[w, p]
-                    last_good.v[w, p] = state.v[w, p]
-                    last_good.C[w, p] = state.C[w, p]
-                    last_good.F[w, p] = state.F[w, p]
+                for i in range(thread, own, threads):
+                    p = parts.particles[part, i]
+                    last_good.x[w, p] = vector(of, block, 0, i)
+                    last_good.v[w, p] = vector(of, block, _V, i)
+                    last_good.C[w, p] = matrix(of, block, _C, i)
+                    if yields == 1:
+                        last_good.F[w, p] = matrix(of, block, _F, i)
                 fresh = False
             if step < steps and travel >= real(MARGIN) * dx:
                 scattered = False
@@ -125,8 +237,8 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     forget_bounds(w, columns)
                 came += members
                 meet(gate, w, came)
-                for p in range(lane, N, lanes):
-                    locate_particle(w, state.x[w, p], inv_dx, columns)
+                for i in range(thread, own, threads):
+                    locate_particle(w, vector(of, block, 0, i), inv_dx, columns)
                 came += members
                 meet(gate, w, came)
                 X = columns.bounds[w, 2] - columns.bounds[w, 0] + 1
@@ -137,8 +249,8 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                         empty_column(w, n // Y, n % Y, columns)
                     came += members
                     meet(gate, w, came)
-                    for p in range(lane, N, lanes):
-                        mark_particle(w, state.x[w, p], inv_dx, z0, columns)
+                    for i in range(thread, own, threads):
+                        mark_particle(w, vector(of, block, 0, i), inv_dx, z0, columns)
                     came += members
                     meet(gate, w, came)
                     for n in range(lane, X * Y, lanes):
@@ -149,7 +261,8 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     if nodes <= momentum.shape[1]:
                         status = OK
                         travel = real(0.0)
-            if step < steps and status == OK:
+            substep = step < steps and status == OK
+            if substep:
                 if ahead == 0:
                     # a path takes many steps to follow: once for all grippers of some substeps
                     ahead = AHEAD
@@ -161,24 +274,33 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                         )  # fmt: skip
                     scattered = False
                 if not scattered:
-                    recovers = age % RECOVER_EVERY == 0 and blend > real(0.0)
-                    for p in range(lane, N, lanes):
-                        if recovers:
-                            recover_particle(p, w, blend, matter, state)
-                        scatter_particle(
-                            w, p, w, w, w, h, inv_dx, z0, matter, state, columns, momentum
-                        )
+                    if yields == 0:
+                        wrong = real(0.0)
+                        inverted = tense_block(of, block, thread, threads, tense, h, volume)
+                        if inverted >= 0:
+                            wrong = real(INVERTED)
+                            clock.culprit[w] = parts.particles[part, inverted]
+                        lift(peak, w, 2, wrong)
+                        meet_block()
+                    scatter_block(
+                        of, block, thread, threads, own, w, real(1.0e30), h, inv_dx, z0, mass,
+                        volume, columns, momentum,
+                    )  # fmt: skip
                     came += members
                     meet(gate, w, came)
+                    if peak[w, 2] > real(0.0):
+                        status = int(INVERTED)
+                        substep = False
+            if substep:
                 for n in range(lane, nodes, lanes):
-                    q = momentum[w, n]
+                    q = get_node(momentum, w, n)
                     if q[3] > real(0.0):
-                        momentum[w, n] = vec4()
+                        put_node(momentum, w, n, vec4())
                         u = update_node(
                             w, w * AHEAD + step % AHEAD, w, n, q, h, keep, scene, paths, grips,
                             columns,
                         )  # fmt: skip
-                        velocity[w, n] = vec4(u[0], u[1], u[2], q[3])
+                        put_node(velocity, w, n, vec4(u[0], u[1], u[2], q[3]))
                 came += members
                 meet(gate, w, came)
                 step += 1
@@ -190,34 +312,51 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                 scattered = (
                     step < steps and left > 0 and t < pause and ahead > 0
                     and travel + real(1.2) * stride < real(MARGIN) * dx
-                    and not (age % RECOVER_EVERY == 0 and blend > real(0.0))
                 )  # fmt: skip
                 if lane == 0:
                     peak[w, age % 2] = real(0.0)  # of the next substep
                 # the longest way, in squared cells; above 1 what went wrong
                 worst = real(0.0)
-                for p in range(lane, N, lanes):
-                    x = state.x[w, p]
-                    v, C, F = moved(
-                        x, state.F[w, p], matter.mu[w, p], matter.yield_stress[w], w, w, h, inv_dx,
-                        z0, columns, velocity,
-                    )  # fmt: skip
-                    state.x[w, p] = x + h * v
-                    state.v[w, p] = v
-                    state.C[w, p] = C
-                    state.F[w, p] = F
+                for i in range(thread, present, threads):
+                    x = vector(of, block, 0, i)
+                    v = vec3()
+                    C = mat33()
+                    upright = bool(True)
+                    if yields == 1:
+                        v, C, F = moved(
+                            x, matrix(of, block, _F, i), get(of, block, _MU, i),
+                            matter.yield_stress[w], w, w, h, inv_dx, z0, columns, velocity,
+                        )  # fmt: skip
+                        put_matrix(of, block, _F, i, F)
+                        upright = wp.determinant(F) > real(0.0)
+                    else:
+                        v, C, _D = gather_particle(w, w, x, inv_dx, z0, columns, velocity)
+                    x += h * v
+                    put_vector(of, block, 0, i, x)
+                    put_vector(of, block, _V, i, v)
+                    put_matrix(of, block, _C, i, C)
+                    if step == steps and i < own:
+                        state.x[w, parts.particles[part, i]] = x
                     far = wp.length_sq(v) * h * h / (dx * dx)
                     # a NaN is not below anything
                     if not (wp.length_sq(v) * h * h <= dx * dx):
                         far = real(DIVERGED)
-                    elif wp.determinant(F) <= real(0.0):
+                    elif not upright:
                         far = real(INVERTED)
-                        clock.culprit[w] = p
+                        clock.culprit[w] = parts.particles[part, i]
                     worst = wp.max(worst, far)
-                    if scattered and travel + dx * wp.sqrt(far) < real(MARGIN) * dx:
-                        scatter_particle(
-                            w, p, w, w, w, h, inv_dx, z0, matter, state, columns, momentum
-                        )
+                if scattered:
+                    meet_block()
+                    if yields == 0:
+                        inverted = tense_block(of, block, thread, threads, tense, h, volume)
+                        if inverted >= 0:
+                            worst = wp.max(worst, real(INVERTED))
+                            clock.culprit[w] = parts.particles[part, inverted]
+                        meet_block()
+                    scatter_block(
+                        of, block, thread, threads, own, w, real(MARGIN) * dx - travel, h, inv_dx,
+                        z0, mass, volume, columns, momentum,
+                    )  # fmt: skip
                 lift(peak, w, 1 - age % 2, worst)
                 came += members
                 meet(gate, w, came)
@@ -244,11 +383,17 @@ def make_team_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNames
                     dt = frame_substep(frame, w, plan)
                     h = real(dt)
                     keep = wp.exp(-scene.damping[w] * h)
-                    blend = recovery_share(h, matter)
                     step = 0
                     ahead = 0
                     fresh = True
                     t = begun
+        for i in range(thread, own, threads):
+            p = parts.particles[part, i]
+            state.x[w, p] = vector(of, block, 0, i)
+            state.v[w, p] = vector(of, block, _V, i)
+            state.C[w, p] = matrix(of, block, _C, i)
+            if yields == 1:
+                state.F[w, p] = matrix(of, block, _F, i)
         came += members
         meet(gate, w, came)
         if lane == 0:
