@@ -628,12 +628,12 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
         "ROWS": str(rows + 1),
     }
 
-    by_nodes = _WEIGHTS + _COEFFICIENTS
+    one_by_one = _WEIGHTS + _COEFFICIENTS
     sloped_on_cpu = _PAIRS + _SLOPES_OF_PAIRS + _GATHER_WITH_SLOPE_BY_PLANES
     if slopes:
-        sloped_on_cpu = by_nodes + _GATHER_AT_ONCE
+        sloped_on_cpu = one_by_one + _GATHER_AT_ONCE
 
-    @wp.func_native(native(_LANES + _either(sloped_on_cpu, by_nodes + _GATHER_AHEAD), **sloped))
+    @wp.func_native(native(_LANES + _either(sloped_on_cpu, one_by_one + _GATHER_AHEAD), **sloped))
     def gather_with_slope(
         grid: wp.array2d(dtype=vec4),
         row: int,
