@@ -1,4 +1,5 @@
-"""Files that are either whole or absent, JSON that every reader understands, and TOML."""
+"""Files that are either whole or absent, JSON that every reader understands, TOML, and rows of
+numbers that an interrupted program left."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ import os
 import secrets
 import shutil
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from enum import Enum
@@ -148,6 +149,17 @@ def read_toml(
         ) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
         raise error(f"is not TOML ({fault})", where=str(path), fix="mend that line") from None
+
+
+def is_cut(row: Sequence[str], width: int) -> bool:
+    """Whether a row of `width` numbers ends too early, as where its writer was interrupted."""
+    if len(row) != width:
+        return len(row) < width
+    try:
+        float(row[-1])
+    except ValueError:
+        return True
+    return False
 
 
 def _refuse_constant(name: str) -> float:

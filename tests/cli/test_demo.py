@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import tyro
 
+from gendom import cli
 from gendom.cli.demo import Command, _command_line
 
 
@@ -22,3 +23,12 @@ def test_the_reported_command_repeats_the_run(command):
     assert words[:2] == ["gendom", "demo"]
     config = (tyro.conf.FlagCreatePairsOff,)
     assert tyro.cli(Command, args=words[2:], config=config) == command
+
+
+@pytest.mark.parametrize("goal", ["5", "0.01", "nan"])
+def test_a_goal_that_no_rope_reaches_is_refused_before_the_work(tmp_path, capsys, goal):
+    pytest.importorskip("mujoco", reason="needs the extra reality")
+    assert cli.main(["demo", "--out", str(tmp_path / "demo"), "--goal", goal]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and not (tmp_path / "demo").exists()
+    assert "--goal: " in printed.err and "choose 0." in printed.err

@@ -11,7 +11,13 @@ from PIL import Image
 
 from gendom import cli
 from gendom.datasets import Recording
-from gendom.perception import FrameSource, PngCamera, RealSenseWriter, read_seen_by
+from gendom.perception import (
+    FrameSource,
+    PngCamera,
+    RealSenseWriter,
+    read_seen_by,
+    read_sighting,
+)
 
 RED = ["--colour", "180", "30", "35"]
 
@@ -145,7 +151,7 @@ def test_without_colour_pictures(copy, perceive):
     assert perceive(copy)[0] == 0
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e-5])
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 5e-4, 2e-4, 1.25e-4, 5e-5, 1e-5])
 def test_depth_in_the_wrong_unit(copy, perceive, unit):
     path = copy / "cameras" / "right" / "camera.toml"
     path.write_text(path.read_text().replace("depth_unit = 0.0001", f"depth_unit = {unit}"))
@@ -204,7 +210,11 @@ def test_unsynchronised_cameras(world, tmp_path, perceive):
 def test_robot_on_another_clock(copy, perceive):
     path = copy / "gripper.csv"
     path.write_text("time,x,y,z\n100,0,0,0.2\n101,0,0,0.3\n")
-    refused(perceive(copy, *RED), "the robot's path is at other times")
+    refused(
+        perceive(copy, *RED),
+        "the robot's path is at other times, 100 to 101 s, than the cameras' frames (left 0 to",
+        "one clock",
+    )
 
 
 def test_dropped_frames_are_told(copy, perceive):
@@ -282,7 +292,72 @@ def test_a_truncated_recording(copy, perceive):
 def test_all_pictures_damaged(copy, perceive):
     for path in copy.glob("cameras/left/depth/*.png"):
         path.write_bytes(b"")
-    refused(perceive(copy, *RED), "no frame can be read")
+    refused(
+        perceive(copy, *RED),
+        "left/depth/000000.png: none of 6 frames can be read; the first: is damaged (no PNG); copy",
+    )
+
+
+def test_intrinsics_of_another_size(copy, perceive):
+    """The message says what does not fit, and where."""
+    path = copy / "cameras" / "left" / "camera.toml"
+    path.write_text(path.read_text().replace("width = 320", "width = 640"))
+    refused(perceive(copy, *RED), "000000.png", "is 320 x 240, camera.toml says 640 x 240")
+
+
+def without_depth(path):
+    """Empty a picture; the file stays one that can be read."""
+    with Image.open(path) as picture:
+        Image.fromarray(np.zeros_like(np.asarray(picture))).save(path)
+
+
+def test_a_sensor_that_wakes_up_late(copy, perceive):
+    """The first picture has no depth: only it is lost."""
+    without_depth(copy / "cameras" / "right" / "depth" / "000000.png")
+    code, printed, out = perceive(copy, *RED)
+    assert code == 0 and Recording.read(out).num_frames == 5
+    assert "depth/000000.png: 1 of 6 frames cannot be read" in printed.out
+    assert "only 0 of 76800 pixels have depth" in printed.out
+
+
+def test_a_sensor_that_never_wakes_up(copy, perceive):
+    for path in copy.glob("cameras/right/depth/*.png"):
+        without_depth(path)
+    refused(perceive(copy, *RED), "none of 6 frames can be read", "0 of 76800 pixels have depth")
+
+
+def test_a_camera_that_sees_nothing_is_told(copy, perceive):
+    for path in copy.glob("cameras/right/colour/*.png"):
+        without_depth(path)
+    code, printed, _ = perceive(copy, *RED)
+    assert code == 0
+    assert "camera 'right': sees nothing of the object in any frame" in printed.out
+    assert "camera 'left': sees nothing" not in printed.out
+
+
+@pytest.mark.parametrize("end", [",0.23", ",-"])
+def test_a_robot_s_path_that_was_cut_off(copy, perceive, end):
+    """What the robot wrote until then is used."""
+    path = copy / "gripper.csv"
+    rows = path.read_text().splitlines()
+    half = rows[5].rsplit(",", 2 if end == ",0.23" else 1)[0] + end
+    path.write_text("\n".join([*rows[:5], half]))
+    code, printed, out = perceive(copy, *RED)
+    assert code == 0, printed.err
+    assert Recording.read(out).num_frames == 4
+    assert "gripper.csv, line 6: is cut short" in printed.out
+    out.unlink()
+    path.write_text("\n".join([*rows[:5], half, rows[6]]))
+    refused(perceive(copy, *RED), "gripper.csv, line 6")
+
+
+def test_joint_angles_that_were_cut_off(copy):
+    path = copy / "joints.csv"
+    rows = [f"{t / 30!r},0,0,0,0.4,0,0.4,0" for t in range(6)]
+    path.write_text("\n".join(["time,q0,q1,q2,q3,q4,q5,q6", *rows])[:-5])
+    warnings = []
+    assert read_sighting(copy, on_warning=warnings.append).capsules is not None
+    assert "joints.csv, line 7: is cut short" in str(warnings[0])
 
 
 def test_no_object_in_view(world, tmp_path, perceive):
@@ -353,6 +428,12 @@ def test_bad_flags(lift, perceive):
     refused(perceive(lift[0], "--voxel", "-1"), "voxel is -1")
 
 
+def test_a_bad_name_is_told_before_the_work(tmp_path, capsys):
+    words = ["perceive", str(tmp_path / "absent"), "--out", str(tmp_path / "a.txt")]
+    assert cli.main(words) == 2
+    assert "a.txt: has the suffix '.txt'; name the file .npz" in capsys.readouterr().err
+
+
 # The same lift as RealSense recordings.
 
 
@@ -411,6 +492,13 @@ def test_truncated_realsense_recording(copy, sdk, perceive):
     code, printed, out = perceive(copy, *RED)
     assert code == 0 and 2 <= Recording.read(out).num_frames <= 4
     assert "recording.db3: is damaged or cut off" in printed.out
+
+
+def test_a_realsense_recording_cut_off_at_its_start(copy, sdk, perceive):
+    """Not even its intrinsics are left."""
+    path = to_realsense(copy) / "cameras" / "right" / "recording.db3"
+    path.write_bytes(path.read_bytes()[:20_000])
+    refused(perceive(copy, *RED), "right/recording.db3", "is missing or damaged (no message of it")
 
 
 def test_damage_inside_a_realsense_recording(copy, sdk, perceive):

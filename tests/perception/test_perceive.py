@@ -1,5 +1,7 @@
 """The Python API, with cameras that are no folders."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,51 @@ def test_a_cloth_lifted_by_its_corner(world):
     for t in range(2):
         error = held(t).distance(found.recording.frame(t).astype(float))
         assert abs(error.mean()) < 1e-3 and np.sqrt(np.mean(error**2)) < 0.003
+
+
+def test_specks_before_the_cloth_is_seen_say_nothing_about_the_cameras(world):
+    """A cloth that lies within the table's noise: only its rims show, to each camera others."""
+    places = {"left": (0.1, 0.1, 0.04), "right": (-0.1, -0.1, 0.04)}
+    cameras = [world.make_camera(), world.make_camera("right", eye=(0.1, 0.65, 0.47))]
+
+    def held(name):
+        speck = world.Sphere(places[name], 0.012)
+        sheet = world.Sheet((-0.1, -0.1, 0.1), (0.2, 0.0, 0.0), (0.0, 0.2, 0.0))
+        return lambda t: speck if t < 5 else sheet
+
+    cloth = {"kind": "cloth", "width": 0.2, "height": 0.2, "thickness": 0.001, "grasp": "corner"}
+    sighting = Sighting(
+        [Live(world, camera, 7, held(camera.name)) for camera in cameras],
+        RobotPath(np.array([0.0, 1.0]), np.full((2, 1, 3), 0.1) * [-1.0, -1.0, 1.0]),
+        {"object": cloth, "table_height": 0.0},
+    )
+    found = perceive(sighting)
+    assert found.disagreement is not None and found.disagreement < 0.005
+
+
+def test_a_shift_along_a_rope_shows_when_it_is_lifted(world, live):
+    """At first it lies straight, and 3 cm along it show nowhere."""
+    straight = world.Rope(np.array([[-0.1, 0.0, 0.005], [0.3, 0.0, 0.005]]))
+
+    def held(t):
+        return straight if t < 6 else world.lifted_rope(tip=(0.0, 0.0, 0.25))
+
+    def sighting(frames):
+        found = live(frames)
+        for source in found.sources:
+            source._held = held
+        right = found.sources[1]
+        real, T = right.camera, right.camera.T_world_camera.copy()
+        T[:3, 3] += [0.03, 0.0, 0.0]
+        right._render = lambda t: world.Scene([world.Plane(), held(t)]).pictures(real, seed=t)
+        right.camera = real.at(T)
+        height = [[[0.0, 0.0, 0.005]], [[0.0, 0.0, 0.005]], [[0.0, 0.0, 0.25]]]
+        return replace(found, robot=RobotPath(np.array([0.0, 0.19, 1.0]), np.array(height)))
+
+    lying = perceive(sighting(6), SETTINGS)
+    assert lying.disagreement is not None and lying.disagreement < 0.01
+    with pytest.raises(RecordingError, match=r"cameras left, right place the object \d+ mm apart"):
+        perceive(sighting(26), SETTINGS)
 
 
 def test_frames_outside_of_the_robots_path_are_not_decoded(live):

@@ -55,9 +55,9 @@ def test_gymnasium_finds_nothing_to_blame_in_pictures(rendering, name):
 
 @pytest.mark.parametrize("name", ["RopeReaching", "RopeCasting", "ClothSpreading"])
 def test_a_fresh_process_makes_it_as_documented(run_python, name):
-    """By the id with the module in front of it, and without any other import."""
+    """By the id with the package in front of it, and without any other import."""
     code = (
-        f"import gymnasium; env = gymnasium.make('gendom.reality.envs:gendom/{name}-v0', "
+        f"import gymnasium; env = gymnasium.make('gendom.reality:gendom/{name}-v0', "
         "parameters=True); observation, info = env.reset(seed=0); "
         "print(env.unwrapped.spec.id, *sorted(observation), info['object'])"
     )
@@ -289,6 +289,12 @@ def test_the_second_reality_needs_no_gymnasium(run_python):
     assert message.startswith("DeviceError") and "gendom[reality]" in message
 
 
-def test_make_imports_what_it_names(run_python):
-    code = "import gymnasium; e = gymnasium.make('gendom.reality.envs:gendom/RopeCasting-v0')"
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import gymnasium; e = gymnasium.make('gendom.reality.envs:gendom/RopeCasting-v0')",
+        "import gymnasium, gendom.reality; e = gymnasium.make('gendom/RopeCasting-v0')",
+    ],
+)
+def test_make_finds_what_it_names(run_python, code):
     assert "RopeCasting" in run_python(code + "; print(e.unwrapped)")

@@ -1,6 +1,7 @@
 """Recordings of the second reality: what is written, and that perception can read it."""
 
 import shutil
+import sys
 from dataclasses import replace
 from typing import cast
 
@@ -9,7 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
-from gendom.errors import GendomError, ParameterError
+from gendom.errors import DeviceError, GendomError, ParameterError
 from gendom.files import read_json
 from gendom.perception import PerceptionSettings, perceive, read_sighting
 from gendom.reality import (
@@ -196,6 +197,20 @@ def test_an_interrupted_recording_can_be_perceived(rendering, tmp_path):
         np.testing.assert_allclose(truth["time"], frames)
 
 
+def test_a_killed_recording_can_be_perceived(rendering, tmp_path):
+    """What is on disk in the middle, where nothing could be tidied up."""
+    folder, killed = tmp_path / "going", tmp_path / "killed"
+
+    def kill(moment):
+        if moment > 0.0 and not killed.exists():
+            shutil.copytree(folder, killed)
+
+    recorded(folder, noise=False, on_frame=kill)
+    assert not (killed / "truth").exists()
+    recording = perceived(killed)
+    assert 2 <= recording.num_frames < perceived(folder).num_frames
+
+
 def test_a_recording_is_not_overwritten(noisy):
     before = files(noisy, "**/*.*")
     with pytest.raises(GendomError, match="holds a recording already; name another folder"):
@@ -246,6 +261,14 @@ def test_recordings_need_cameras(tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+def test_without_the_sdk_nothing_is_written(rendering, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    performance = Performance(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
+    with performance.world, pytest.raises(DeviceError, match="the RealSense SDK is missing"):
+        record(performance, tmp_path / "none", RecordSettings(format="db3"))
+    assert not (tmp_path / "none").exists()
+
+
 def test_unknown_formats_and_cameras_are_refused(tmp_path):
     performance = Performance(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
     with pytest.raises(ParameterError, match="no format 'gif'; choose png or db3"):
@@ -259,3 +282,8 @@ def test_unknown_formats_and_cameras_are_refused(tmp_path):
 def test_bad_frame_rates(rate):
     with pytest.raises(ParameterError, match="frame_rate: is"):
         replace(RecordSettings(), frame_rate=rate)
+
+
+def test_bad_seeds():
+    with pytest.raises(ParameterError, match="seed: is -1; give 0 or more"):
+        RecordSettings(seed=-1)

@@ -58,8 +58,8 @@ def test_objects_rest_on_the_table(name):
     world = Reality(item, Layout(origin=(0.35, -0.1, rest_height(item))))
     before = world.vertices()
     world.step_to(0.2)
-    # Contact gives way by a fraction of a millimetre.
-    assert np.abs(world.vertices() - before).max() < 5e-4
+    # Contact gives way by some hundredths of a millimetre, by far less under a rope.
+    assert np.abs(world.vertices() - before).max() < (2e-6 if isinstance(item, RealRope) else 2e-5)
     assert world.speed() < 5e-3
 
 
@@ -138,6 +138,22 @@ def test_both_cameras_see_the_rope_where_it_is(seeing):
         inside = (points[:, 0] > x[0, 0]) & (points[:, 0] < x[-1, 0])
         off = np.hypot(points[inside, 1], points[inside, 2] - rest_height(COTTON))
         assert np.median(np.abs(off - COTTON.diameter / 2)) < 5e-4
+
+
+def test_a_backend_that_cannot_render_is_named(run_python):
+    """With the reason that it gave when mujoco was imported; physics runs without it."""
+    code = (
+        "import os; os.environ['MUJOCO_GL'] = 'nothing'\n"
+        "from gendom.reality import *\n"
+        "rope = find_object('rope-cotton')\n"
+        "layout = Layout(origin=(0.35, 0.0, rest_height(rope)))\n"
+        "world = Reality(rope, layout, cameras=default_cameras())\n"
+        "world.step_to(0.01)\n"
+        "try:\n world.render(0)\nexcept Exception as e: print(type(e).__name__, e)"
+    )
+    message = run_python(code)
+    assert message.startswith("DeviceError rendering, MUJOCO_GL=nothing: no OpenGL context (")
+    assert "invalid value" in message and "libegl1" in message and "libosmesa6" in message
 
 
 def test_unknown_objects_are_refused_with_those_there_are():

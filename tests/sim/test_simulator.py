@@ -67,12 +67,12 @@ def test_free_fall_is_that_of_symplectic_euler():
     assert expected[0, 2] - body.x[0, 2] < 1.0 * 0.35 - G * 0.35**2 / 2 - 1e-5
 
 
-@pytest.mark.parametrize("recovery", [0.0, 1000.0])
-def test_momenta_of_a_free_block_are_conserved(recovery):
+@pytest.mark.parametrize("material", [SOFT, replace(SOFT, yield_stress=1e12)])
+def test_momenta_of_a_free_block_are_conserved(material):
     """A turning, wobbling block keeps linear and angular momentum to round-off."""
     body = block(size=(0.06, 0.04, 0.03))
     body = body.moved(-body.x.mean(axis=0))
-    s = simulator(body, gravity=(0.0, 0.0, 0.0), recovery=recovery)
+    s = simulator(body, [material], gravity=(0.0, 0.0, 0.0))
     spin = np.cross([3.0, 2.0, 10.0], body.x)
     stretch = 5.0 * body.x * [1.0, -0.5, 0.2]
     s.set_velocities(spin + stretch + [1.0, 0.5, 0.2])
@@ -291,7 +291,7 @@ def test_cantilever_sags_as_a_beam(cells, slenderness):
     assert cantilever_ratio(cells, slenderness=slenderness) == pytest.approx(1.0, abs=0.06)
 
 
-def creep(recovery, lift):
+def creep(lift):
     """How much further a clamped rope sags after a slow lift, relative to its sag before."""
     d, L, back, far = 0.02, 0.2, 0.04, 1.0
     k = d / 4.0
@@ -305,8 +305,6 @@ def creep(recovery, lift):
         [Material(E=1000.0 * specific, nu=0.3, density=1000.0)],
         grippers=[grip],
         damping=3.5 * math.sqrt(specific) * k / L**2,
-        dtype="float32",
-        recovery=recovery,
     )
     x = s.run([0.4, 1.5])[:, 0, :, 2]
     tip = body.material_coordinates[:, 0] > L + back - 0.01
@@ -314,11 +312,9 @@ def creep(recovery, lift):
     return sags[1] / sags[0] - 1.0
 
 
-def test_recovery_keeps_the_shape_across_cells():
-    """Carried slowly through 15 cells a beam creeps by 5 % and more; with recovery by under 1 %."""
-    assert creep(0.0, 0.2) > 0.05
-    assert abs(creep(1000.0, 0.2)) < 0.01
-    assert abs(creep(0.0, 0.0)) < 0.01  # held still it does not
+def test_a_beam_keeps_its_shape_across_cells():
+    """Carried slowly through 15 cells a beam creeps by under 1 %."""
+    assert abs(creep(0.2)) < 0.01
 
 
 # ---- table and walls -------------------------------------------------------------------------
@@ -566,7 +562,7 @@ def failing(E=1.0e6, substep=1e-3):
 
 @pytest.mark.parametrize(
     ("E", "substep", "what"),
-    [(1.0e6, 1e-3, "velocities grew"), (1.0e5, 2e-3, "turned inside out")],
+    [(1.0e6, 1e-3, "velocities grew"), (3.0e5, 2e-3, "turned inside out")],
 )
 def test_divergence_names_its_world(E, substep, what):
     """The error says which world failed, how, when and with what, and which particle if one."""
@@ -640,7 +636,6 @@ def test_state_now(tmp_path):
         ({"gravity": (0.0, -9.81)}, "gravity"),
         ({"gravity": (0.0, 0.0, np.nan)}, "gravity must be finite"),
         ({"damping": -1.0}, "damping"),
-        ({"recovery": np.nan}, "recovery"),
         ({"substep": -1e-3}, "substep"),
         ({"substep": 0.0}, "substep"),
         ({"cfl": 0.0}, "cfl"),
@@ -697,11 +692,12 @@ def test_a_list_of_devices():
 # ---- yielding --------------------------------------------------------------------------------
 
 
-def test_unreachable_yield_stress_changes_nothing():
-    """A body that never yields moves as an elastic one without recovery, to round-off."""
+def test_unreachable_yield_stress_changes_little():
+    """A body that never yields moves as an elastic one, but for how its strain is known."""
     hard = replace(SOFT, yield_stress=1e12)
-    elastic = lifted_rope([SOFT], recovery=0.0).run([0.2])
-    assert np.abs(lifted_rope([hard]).run([0.2]) - elastic).max() < 1e-12
+    elastic = lifted_rope([SOFT]).run([0.2])
+    way = np.abs(elastic - lifted_rope([SOFT]).positions()).max()
+    assert np.abs(lifted_rope([hard]).run([0.2]) - elastic).max() < 0.02 * way
 
 
 def test_yielding_body_stays_flat():
@@ -738,8 +734,8 @@ def test_unknown_particles_are_refused():
     assert s.time == 0.0
 
 
-def test_recovery_does_not_depend_on_the_frame_rate():
-    """Frames of one substep give the same motion as one long frame, recovery included."""
+def test_motion_does_not_depend_on_the_frame_rate():
+    """Frames of one substep give the same motion as one long frame."""
     long, short = lifted_rope(substep=1e-4), lifted_rope(substep=1e-4)
     a = long.run([0.05])[-1]
     b = short.run(np.arange(1, 501) * 1e-4)[-1]

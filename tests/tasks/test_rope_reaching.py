@@ -112,14 +112,16 @@ def test_a_rope_of_twice_the_length_reaches_twice_as_far(outcome):
     np.testing.assert_allclose(reached, 2.0 * outcome.reached[:2], rtol=2e-4)
 
 
-def test_a_thinner_rope_of_equal_bending_length_reaches_as_far(outcome):
-    thin = TASK.scaled_to(L, diameter=0.010)
+def test_a_thinner_rope_of_equal_bending_length_reaches_as_far():
+    thick = replace(TASK, cells_across=1.5)
+    thin = thick.scaled_to(L, diameter=0.010)
     modulus = thin.conditioned_on(MODULI[1], length=L, diameter=TASK.diameter)
     given = bending_length(MODULI[1], TASK.diameter / 4.0, 9.81)
     assert bending_length(modulus, thin.diameter / 4.0, 9.81) == pytest.approx(given)
     reached = thin.simulate(RELEASES[1:2], [material(modulus)]).reached[0]
-    unmatched = outcome.reached[0]  # another bending length: 4 % off
-    assert abs(reached - outcome.reached[1]) < 0.02 * L < abs(unmatched - outcome.reached[1])
+    # of two bending lengths
+    unmatched, matched = thick.simulate(RELEASES[:2], [material(m) for m in MODULI[:2]]).reached
+    assert abs(reached - matched) < 0.02 * L < abs(reached - unmatched)
 
 
 def test_the_papers_scene():
@@ -211,10 +213,10 @@ def test_a_world_that_diverges_fails_alone():
             "poissons_ratio": 0.3,
             "density": 1000.0,
         }
-        for (x, z), modulus in zip(RELEASES[:3], [MODULI[0], 2.0, MODULI[2]], strict=True)
+        for (x, z), modulus in zip(RELEASES[:3], [MODULI[0], 0.1, MODULI[2]], strict=True)
     ]
     with pytest.raises(SimulationError):
-        TASK.simulate(RELEASES[1:2], [material(2.0)])
+        TASK.simulate(RELEASES[1:2], [material(0.1)])
     outcomes = TASK.demonstrate(draws)
     assert outcomes.faults[0] is None and outcomes.faults[2] is None
     assert outcomes.faults[1] is not None and " s" in outcomes.faults[1]

@@ -44,6 +44,16 @@ def test_points_are_drawn_where_they_are():
     assert not near(picture, SIMULATED_COLOR, 20).any()  # under the recorded one, and pale
 
 
+def test_the_legend_has_the_clouds_own_names(make_lift):
+    """Other names, another legend, and the same picture below it."""
+    pictures = [
+        np.asarray(Stage(CloudSequence(**make_lift(), labels=labels)).draw(0))
+        for labels in (("recorded", "simulated"), ("carried out", "predicted"))
+    ]
+    rows = np.flatnonzero((pictures[0] != pictures[1]).any(axis=(1, 2)))
+    assert len(rows) and rows.max() < 40
+
+
 def test_limits_do_not_change_between_frames(make_lift):
     stage = Stage(CloudSequence(**make_lift()))
     images = [np.asarray(stage.draw(t)) for t in (0, 19)]

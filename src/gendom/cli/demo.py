@@ -88,6 +88,8 @@ class Command:
             raise ParameterError(
                 f"{rope.name} is no rope", where="--reality", fix="the demo's task takes ropes"
             )
+        policies = (Policy.pretrained(), Policy.pretrained(parameters=False))
+        _check_goals(self.goal, policies[0], rope)
         if self.live:
             with _timed(seconds, "record and perceive"):
                 recording, sights = record_and_perceive(
@@ -122,13 +124,15 @@ class Command:
                 bar.set_description(f"estimating ({progress.stage})")
 
             found = estimate(recording, settings, on_progress=show)
+        # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.
+        self.out.mkdir(parents=True, exist_ok=True)
+        write_json(self.out / "estimate.json", found.record)
         print(estimate_text(found.record))
         print(
             f"true values      E {truth['youngs_modulus']:.4g} Pa, nu "
             f"{truth['poissons_ratio']:.3f}\n",
             flush=True,
         )
-        policies = (Policy.pretrained(), Policy.pretrained(parameters=False))
         goals = self.goal or _default_goals(policies[0], found)
         with _timed(seconds, "act and carry out"):
             runs, shown = _carry_out(rope, policies, goals, found)
@@ -141,7 +145,6 @@ class Command:
                 f"reached {ours.reached.item():.3f} m, off by {1e3 * _error(ours, goal):.1f} mm "
                 f"(without parameters {1e3 * _error(without, goal):.1f} mm)"
             )
-        self.out.mkdir(parents=True, exist_ok=True)
         frames = found.lift.frames
         clouds = CloudSequence(
             recorded=[recording.frame(t) for t in frames],
@@ -153,7 +156,6 @@ class Command:
         )
         with _timed(seconds, "pictures and report"):
             write_gif(self.out / "lift.gif", clouds)
-            write_json(self.out / "estimate.json", found.record)
             actions = {"format": "gendom-demo/1", "task": task.name, "outcomes": _outcomes(runs)}
             write_json(self.out / "actions.json", actions)
             _report(self, recording, views, clouds, found, truth, task, runs, motion, seconds)
@@ -161,6 +163,18 @@ class Command:
             print(to_json({"estimate": found.record, **actions, "seconds": seconds}))
         print(f"\nreport: {self.out / 'report.html'}")
         return 0
+
+
+def _check_goals(goals: Sequence[float], policy: Policy, rope: RealRope) -> None:
+    """Refuse what no rope of this length reaches, before minutes go into the estimate."""
+    low, high = (rope.length * share for share in policy.goal_range())
+    for goal in goals:
+        if not low <= goal <= high:
+            raise ParameterError(
+                f"{goal:g} m is what no rope of {rope.length:g} m reaches",
+                where="--goal",
+                fix=f"choose {low:.3f} to {high:.3f} m; softer and stiffer ropes reach part of it",
+            )
 
 
 def _default_goals(policy: Policy, found: Estimate) -> tuple[float, ...]:
@@ -263,6 +277,7 @@ def _predicted(
         recorded=[executed.shapes[k] for k in frames],
         simulated=[outcome.positions[k, 0] for k in nearest],
         times=executed.times[frames] - executed.times[frames[0]],
+        labels=("carried out", "predicted"),
     )
 
 

@@ -11,6 +11,7 @@ import tyro
 
 from gendom.cli.check import fault_entry
 from gendom.datasets import Fault
+from gendom.datasets.recording import check_name
 from gendom.files import to_json
 from gendom.perception import (
     STAGES,
@@ -62,6 +63,7 @@ class Command:
     """Print JSON."""
 
     def run(self) -> int:
+        check_name(self.out)
         warnings: list[Fault] = []
         settings = PerceptionSettings(
             workspace=self.workspace,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gendom.errors import RecordingError
-from gendom.files import atomic_path, read_toml
+from gendom.files import atomic_path, is_cut, read_toml
 
 _TYPES = {
     "char": "i1",
@@ -335,12 +336,25 @@ def read_object(path: Path) -> dict[str, Any]:
     return meta
 
 
-def read_gripper(path: Path) -> dict[str, np.ndarray]:
-    """gripper.csv as time [T], gripper_position [T, G, 3] and perhaps gripper_axis [T, G, 3]."""
+def read_gripper(
+    path: Path, *, on_cut: Callable[[int], None] | None = None
+) -> dict[str, np.ndarray]:
+    """gripper.csv as time [T], gripper_position [T, G, 3] and perhaps gripper_axis [T, G, 3].
+
+    Args:
+        path: The file.
+        on_cut: Called with the number of the last line, where it has no end and lacks values: an
+            interrupted recording. The line is left out then; None: it is refused.
+
+    Raises:
+        RecordingError: The file cannot be read, or a row is malformed.
+    """
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
             lines = [(reader.line_num, row) for row in reader if row]
+            file.seek(0)
+            whole = file.read().endswith(("\n", "\r"))
     except FileNotFoundError:
         raise RecordingError(
             "no such file", where=str(path), fix="write one row a frame under time,x,y,z"
@@ -355,6 +369,10 @@ def read_gripper(path: Path) -> dict[str, np.ndarray]:
         )
     header = [name.strip() for name in lines[0][1]]
     position, axis = _gripper_columns(header, path)
+    number, last = lines[-1]
+    if on_cut is not None and not whole and len(lines) > 2 and is_cut(last, len(header)):
+        on_cut(number)
+        del lines[-1]
     table = np.empty((len(lines) - 1, len(header)))
     for i, (number, row) in enumerate(lines[1:]):
         if len(row) != len(header):

@@ -267,10 +267,7 @@ class Recording:
             GendomError: The place cannot be written.
         """
         path = Path(path)
-        if path.suffix != ".npz":
-            raise RecordingError(
-                f"has the suffix {path.suffix!r}", where=str(path), fix="name the file .npz"
-            )
+        check_name(path)
         arrays = {name: getattr(self, name) for name in _STORED_ARRAYS}
         arrays = {name: array for name, array in arrays.items() if array is not None}
         try:
@@ -429,6 +426,18 @@ _LOAD_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
 )
+
+
+def check_name(path: str | os.PathLike) -> None:
+    """Whether a recording can be written under a name; to be asked before much work is done.
+
+    Raises:
+        RecordingError: It does not end in .npz.
+    """
+    if (suffix := Path(path).suffix) != ".npz":
+        raise RecordingError(
+            f"has the suffix {suffix!r}", where=str(path), fix="name the file .npz"
+        )
 
 
 def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -47,6 +47,12 @@ class Material:
         return mu, 2.0 * mu * self.nu / (1.0 - 2.0 * self.nu)
 
     @property
+    def lame_of_plane_stress(self) -> tuple[float, float]:
+        """Parameters (mu, lam) of a thin sheet, which is free to change its thickness [Pa]."""
+        mu, _ = self.lame
+        return mu, 2.0 * mu * self.nu / (1.0 - self.nu)
+
+    @property
     def specific_modulus(self) -> float:
         """E / density [m^2/s^2]."""
         return self.E / self.density

@@ -28,9 +28,14 @@ STAGES = ("depth", "workspace", "table", "colour", "support", "robot", "voxels",
 """What is counted: pixels with depth, then those left after each stage, then fused voxels and
 those left after outlier removal."""
 
+LEAST_DEPTH = 100
+"""A picture in which fewer pixels have depth shows nothing."""
+
 _NEVER = np.uint16(65535)
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
 _STEEPEST = 5.0  # a surface's depth may change by this many pixels' width from one to the next
+_COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
+_TABLE_SHARE = 0.2  # of the pixels that look down lie on a table by which a unit is told
 _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 
 
@@ -122,20 +127,18 @@ class View:
         raw = depth.ravel()
         return ((raw >= self._near) & (raw <= self._far)).reshape(depth.shape)
 
-    def check_depth(self, depth: npt.NDArray[np.uint16]) -> None:
+    def check_depth(self, depth: npt.NDArray[np.uint16], table_height: float | None = None) -> None:
         """Whether depth reaches the workspace at all.
+
+        Args:
+            depth: [height, width]; `LEAST_DEPTH` pixels or more have depth.
+            table_height: z of the table [m]; None: unknown.
 
         Raises:
             RecordingError: It does not; says whether another depth unit would.
         """
         where = f"camera {self.camera.name!r}"
         has = np.count_nonzero(depth)
-        if has < 100:
-            raise RecordingError(
-                f"only {has} of {depth.size} pixels have depth",
-                where=where,
-                fix="check the sensor, and that the depth pictures are 16 bit",
-            )
         inside = np.count_nonzero(self.in_workspace(depth))
         raw = depth.ravel().astype(np.float32)
 
@@ -148,12 +151,15 @@ class View:
         best = max(scales, key=lambda s: scales[s])
         if scales[best] >= max(10 * inside, 0.005 * has, 100):
             unit = self.camera.depth_unit
+            right = self._unit_by_table(depth, table_height) or unit * best
             raise RecordingError(
                 f"depth of median {np.median(raw[raw > 0]) * unit:.4g} m misses the workspace, "
                 f"but would be in it in another unit",
                 where=f"{where}: depth_unit",
-                fix=f"it is {unit:g} m a count; {unit * best:g} seems right",
+                fix=f"it is {unit:g} m a count; {right:g} seems right",
             )
+        if inside < 50:
+            self.check_unit(depth, table_height)
         if inside < 50:
             raise RecordingError(
                 f"sees nothing of the workspace, {_corners(self.settings)}; "
@@ -161,6 +167,48 @@ class View:
                 where=where,
                 fix="check T_world_camera (camera to world) and --workspace",
             )
+
+    def check_unit(self, depth: npt.NDArray[np.uint16], table_height: float | None) -> None:
+        """Whether another depth unit brings the table to where it should be, if none is there.
+
+        Args:
+            depth: [height, width].
+            table_height: z of the table [m]; None: unknown, so nothing can be told.
+
+        Raises:
+            RecordingError: One does.
+        """
+        unit, right = self.camera.depth_unit, self._unit_by_table(depth, table_height)
+        if right is not None:
+            raise RecordingError(
+                f"sees no table at z = {table_height:g} m, but would in another unit",
+                where=f"camera {self.camera.name!r}: depth_unit",
+                fix=f"it is {unit:g} m a count; {right:g} seems right",
+            )
+
+    def _unit_by_table(
+        self, depth: npt.NDArray[np.uint16], table_height: float | None
+    ) -> float | None:
+        """The common unit [m], other than the camera's, in which a table is at a height [m].
+
+        In any unit a table is a plane; only how far below the camera it lies changes.
+        """
+        raw, slope = depth.ravel(), -self._directions[2]
+        pixels = np.flatnonzero((raw > 0) & (slope > 0.1))
+        if table_height is None or len(pixels) < LEAST_DEPTH:
+            return None
+        below = np.log(slope[pixels] * raw[pixels])  # of counts
+        bins = ((below - below.min()) / 0.02).astype(np.int64)
+        counts = np.convolve(np.bincount(bins), [1, 1, 1], mode="same")
+        peak = int(counts.argmax())
+        expected = float(self.camera.position[2]) - table_height
+        if expected <= 0.0 or counts[peak] < _TABLE_SHARE * len(pixels):
+            return None
+        unit = expected / np.exp(np.median(below[np.abs(bins - peak) <= 1]))
+        nearest = min(_COMMON_UNITS, key=lambda common: abs(np.log(common / unit)))
+        if abs(np.log(nearest / unit)) > 0.04 or nearest == self.camera.depth_unit:
+            return None
+        return nearest
 
     def find_table(self, depth: npt.NDArray[np.uint16], expected_height: float | None) -> None:
         """Fit the table in a depth picture, and remove it from now on where there is one.

@@ -38,7 +38,7 @@ from gendom.perception.camera import Camera, read_camera, write_camera
 from gendom.perception.frames import Frame, FrameSource, Pictures
 from gendom.perception.png import read_png
 from gendom.perception.realsense import RealSenseRecording, find_recording
-from gendom.perception.robot import CapsulePath, read_shape
+from gendom.perception.robot import CapsulePath, cut_off, read_shape
 
 _HEADER = "time,depth,colour"
 _ROUNDING = 1e-6  # [s]; files of different formats round the same time differently
@@ -217,12 +217,13 @@ def read_sighting(
             f"there is no camera {unknown[0]!r}", where=str(place), fix=f"have {', '.join(found)}"
         )
     meta = read_object(folder / "object.toml")
-    arrays = read_gripper(folder / "gripper.csv")
+    path = folder / "gripper.csv"
+    arrays = read_gripper(path, on_cut=lambda line: on_warning(cut_off(path, line)))
     time = arrays["time"]
     if not np.isfinite(time).all() or (np.diff(time) <= 0).any():
         raise RecordingError(
             "its times do not increase",
-            where=str(folder / "gripper.csv"),
+            where=str(path),
             fix="give the robot's path in order of time",
         )
     return Sighting(

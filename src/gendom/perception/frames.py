@@ -78,6 +78,13 @@ class Matching:
     span: list[tuple[float, float]] | None = None
     """First and last time stamp of each camera [s]."""
 
+    def spans(self, names: Sequence[str]) -> str:
+        """`span` in words."""
+        return ", ".join(
+            f"{name} {first:.6g} to {last:.6g} s"
+            for name, (first, last) in zip(names, self.span or [], strict=True)
+        )
+
 
 def match_frames(
     sources: Sequence[Iterable[Frame]],

@@ -7,17 +7,18 @@ import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from gendom.datasets import Fault, Recording
-from gendom.datasets.recording import parse_meta
+from gendom.datasets.recording import check_name, parse_meta
 from gendom.errors import ParameterError, RecordingError
 from gendom.files import atomic_path
+from gendom.perception.camera import Camera
 from gendom.perception.cloud import (
+    LEAST_DEPTH,
     STAGES,
     CloudSettings,
     FusedCloud,
@@ -42,8 +43,10 @@ from gendom.perception.quality import (
     sides_apart,
 )
 
-_AGREEMENT_FRAMES = 5  # frames with points in all views from which disagreement is judged
+_AGREEMENT_FRAMES = 5  # disagreement is judged from so many comparisons in a row
+_AGREEMENT_STRIDE = 5  # beyond the first of them, one frame of so many is compared
 _AGREEMENT_POINTS = 30
+_AGREEMENT_SHARE = 0.03  # of the pixels that the object would fill; fewer may be the table's noise
 _SHARE_FRAMES = 10  # frames on which the seen share is measured
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
@@ -102,7 +105,7 @@ class Perceived:
     """About how much of the object is seen in the middle of all frames, 0 to 1."""
     disagreement: float | None
     """How far another camera's clouds are from the first's [m], the sides of the object that
-    they see allowed for; None: unknown."""
+    they see allowed for, at the worst stretch of the recording; None: unknown."""
 
     def write(self, path: str | os.PathLike) -> None:
         """Write a `gendom-recording/1` file with the array `seen_by`, atomically.
@@ -110,8 +113,7 @@ class Perceived:
         Raises:
             RecordingError, GendomError: As `Recording.write`.
         """
-        if Path(path).suffix != ".npz":
-            self.recording.write(path)  # tells what is wrong with the name
+        check_name(path)
         with atomic_path(path) as temporary:
             self.recording.write(temporary)
             with (
@@ -178,6 +180,10 @@ class _Perception:
         self.times: list[float] = []
         self.grippers: list[tuple[np.ndarray, np.ndarray | None]] = []
         self.offsets: list[np.ndarray] = []
+        self.comparable = 0  # frames with points enough in all views
+        self.fewest = [self._fewest(view.camera) for view in self.views]
+        self.disagreement: float | None = None
+        self.seen = np.zeros(len(self.names), dtype=np.int64)  # points of each camera
         self.unreadable: list[RecordingError] = []
         self.off_path = 0
 
@@ -230,20 +236,45 @@ class _Perception:
             **self.settings.cloud,
         )
 
+    def _fewest(self, camera: Camera) -> float:
+        """Points of one camera from which on its cloud is compared with others'."""
+        known = self.object
+        area = (
+            (known.length or 0.0) * (known.diameter or 0.0)
+            if known.kind == "rope"
+            else (known.width or 0.0) * (known.height or 0.0)
+        )
+        away = np.linalg.norm(self.sighting.robot.position.mean(axis=(0, 1)) - camera.position)
+        filled = area * camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
+        return max(_AGREEMENT_POINTS, _AGREEMENT_SHARE * filled)
+
     def _read(self, frames: tuple[Frame, ...]) -> list[Pictures] | None:
         try:
-            return [frame.read() for frame in frames]
+            pictures = [frame.read() for frame in frames]
+            for frame, seen in zip(frames, pictures, strict=True):
+                # Sensors that are just switched on give such pictures.
+                if (has := np.count_nonzero(seen.depth)) < LEAST_DEPTH:
+                    raise RecordingError(
+                        f"only {has} of {seen.depth.size} pixels have depth",
+                        where=frame.where,
+                        fix="check the sensor, and that the depth pictures are 16 bit",
+                    )
         except RecordingError as error:
             self.unreadable.append(error)
             return None
+        return pictures
 
     def _begin(self, pictures: list[Pictures]) -> None:
         """What the first frame settles: units, table, colour."""
         for view, seen in zip(self.views, pictures, strict=True):
-            view.check_depth(seen.depth)
+            view.check_depth(seen.depth, self._expected_table())
         if self.settings.find_table:
             self._find_table(pictures)
         self.colour = self._find_colour(pictures)
+
+    def _expected_table(self) -> float | None:
+        """z of the table [m], if it is known and looked for."""
+        return self.values["table_height"] if self.settings.find_table else None
 
     def _find_table(self, pictures: list[Pictures]) -> None:
         expected = self.values["table_height"]
@@ -251,7 +282,9 @@ class _Perception:
         middle = np.add(self.cloud_settings.low, self.cloud_settings.high) / 2.0
         for view, seen in zip(self.views, pictures, strict=True):
             view.find_table(seen.depth, expected)
-            if view.table is not None:
+            if view.table is None:
+                view.check_unit(seen.depth, expected)
+            else:
                 heights[view.camera.name] = view.table.height(middle[0], middle[1])
         known = dict(heights) if expected is None else {"object.toml": expected, **heights}
         if heights and max(known.values()) - min(known.values()) > MAX_DISAGREEMENT:
@@ -311,10 +344,21 @@ class _Perception:
         return colour
 
     def _compare(self, clouds: list[np.ndarray]) -> None:
-        """Stop early when cameras place the object differently."""
-        if len(clouds) < 2 or len(self.offsets) >= _AGREEMENT_FRAMES:
+        """Stop when cameras place the object differently.
+
+        A shift along a straight rope shows only later, when it is bent: of a rope all of the
+        recording is looked at. A sheet's outline shows any shift at once, and later each camera
+        may see another side of it.
+        """
+        self.seen += [len(cloud) for cloud in clouds]
+        if len(clouds) < 2 or any(
+            len(cloud) < least for cloud, least in zip(clouds, self.fewest, strict=True)
+        ):
             return
-        if min(map(len, clouds)) < _AGREEMENT_POINTS:
+        self.comparable += 1
+        if self.comparable > _AGREEMENT_FRAMES and (
+            self.object.kind != "rope" or self.comparable % _AGREEMENT_STRIDE
+        ):
             return
         # With more than two cameras: the one farthest from the first.
         first, *others = (view.camera.position for view in self.views)
@@ -324,13 +368,15 @@ class _Perception:
             for cloud, place in zip(clouds[1:], others, strict=True)
         ]
         self.offsets.append(max(between, key=lambda d: float(np.linalg.norm(d))))
-        if len(self.offsets) == _AGREEMENT_FRAMES:
+        if len(self.offsets) >= _AGREEMENT_FRAMES:
             self._check_agreement()
 
     def _check_agreement(self) -> None:
-        apart = median_distance(self.offsets)
+        latest = self.offsets[-_AGREEMENT_FRAMES:]
+        apart = median_distance(latest)
+        self.disagreement = max(apart, self.disagreement or 0.0)
         if apart > MAX_DISAGREEMENT:
-            x, y, z = 1e3 * np.median(np.array(self.offsets), axis=0)
+            x, y, z = 1e3 * np.median(np.array(latest), axis=0)
             raise RecordingError(
                 f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
                 f"({x:.0f}, {y:.0f}, {z:.0f} mm)",
@@ -344,12 +390,9 @@ class _Perception:
             self.on_warning(Fault(what, where, fix, "warning"))
 
         if matching.used == 0:
-            spans = ", ".join(
-                f"{name} {first:.6g} to {last:.6g} s"
-                for name, (first, last) in zip(self.names, matching.span or [], strict=True)
-            )
             raise RecordingError(
-                f"no frames of the cameras lie within {self.settings.sync_tolerance:g} s ({spans})",
+                f"no frames of the cameras lie within {self.settings.sync_tolerance:g} s "
+                f"({matching.spans(self.names)})",
                 where=self.sighting.where,
                 fix="put all time stamps on one clock, or raise --sync-tolerance",
             )
@@ -378,11 +421,20 @@ class _Perception:
                 "put robot and cameras on one clock if there are many",
             )
         if not self.clouds:
-            if self.off_path == matching.used:
-                what, fix = "the robot's path is at other times", "put both on one clock"
-            else:
-                what, fix = "no frame can be read", self.unreadable[0].fix
-            raise RecordingError(what, where=self.sighting.where, fix=fix)
+            if not self.unreadable:
+                path = self.sighting.robot.time
+                raise RecordingError(
+                    f"the robot's path is at other times, {path[0]:.6g} to {path[-1]:.6g} s, than "
+                    f"the cameras' frames ({matching.spans(self.names)})",
+                    where=self.sighting.where,
+                    fix="put both on one clock",
+                )
+            first = self.unreadable[0]
+            raise RecordingError(
+                f"none of {len(self.unreadable)} frames can be read; the first: {first.what}",
+                where=first.where or self.sighting.where,
+                fix=first.fix,
+            )
 
     def _result(self) -> Perceived:
         counts = np.array([cloud.counts for cloud in self.clouds])
@@ -417,6 +469,16 @@ class _Perception:
             raise RecordingError(where=self.sighting.where, faults=errors)
         for fault in faults:
             self.on_warning(fault)
+        for name, count in zip(self.names, self.seen, strict=True):
+            if count == 0:
+                self.on_warning(
+                    Fault(
+                        "sees nothing of the object in any frame",
+                        f"camera {name!r}",
+                        "check its colour pictures, its T_world_camera and what hides the object",
+                        "warning",
+                    )
+                )
         share = self._share(recording)
         if share < 0.5:
             self.on_warning(
@@ -433,7 +495,7 @@ class _Perception:
             counts,
             self.names,
             share,
-            median_distance(self.offsets) if self.offsets else None,
+            self.disagreement,
         )
 
     def _share(self, recording: Recording) -> float:

@@ -164,7 +164,7 @@ def read_shape(
                 error.what, where=f"{folder / 'object.toml'}: robot", fix=error.fix
             ) from None
         try:
-            states = read_joints(joints, arm)
+            states = read_joints(joints, arm, on_cut=lambda line: on_warning(cut_off(joints, line)))
         except RobotError as error:
             raise RecordingError(error.what, where=error.where, fix=error.fix) from None
         sizes = [held.get(size) for size in ("diameter", "thickness")]
@@ -184,6 +184,16 @@ def read_shape(
         given = read_capsules(capsules)
         shape = given if shape is None else shape.joined(given)
     return shape
+
+
+def cut_off(path: Path, line: int) -> Fault:
+    """The warning that the last row of a file was half written."""
+    return Fault(
+        "is cut short, as by an interrupted recording; it is left out",
+        f"{path}, line {line}",
+        "record again if too much is missing",
+        "warning",
+    )
 
 
 def read_capsules(path: str | os.PathLike) -> CapsulePath:

@@ -193,7 +193,8 @@ class Bag:
             model = info["model"]
         except (KeyError, ValueError) as error:
             raise self._error(
-                f"{where} is missing or damaged ({error})", "record again; depth needs intrinsics"
+                f"{where} is missing or damaged ({error})",
+                "copy the file again, or record again; depth needs intrinsics",
             ) from None
         known = _PROJECTED if kind == "Color" else _OPENCV
         if not any(coefficients) or model in _UNDISTORTED:
@@ -305,10 +306,13 @@ class Bag:
         """The "key=value;..." of a topic's first message.
 
         Raises:
-            KeyError, ValueError: There is none that can be read.
+            ValueError: There is none that can be read.
         """
+        rows = self._rows.get(self._topics.get(topic, -1))
+        if not rows:
+            raise ValueError("no message of it is left")
         try:
-            return _pairs(self._text(self._rows[self._topics[topic]][0][0]))
+            return _pairs(self._text(rows[0][0]))
         except sqlite3.DatabaseError as error:
             raise ValueError(str(error)) from None
 

@@ -1,4 +1,8 @@
-"""A second, independent reality on MuJoCo: objects, table, arm and depth cameras."""
+"""A second, independent reality on MuJoCo: objects, table, arm and depth cameras.
+
+Its tasks are Gymnasium environments, where that is installed: `gendom/RopeReaching-v0`,
+`gendom/RopeCasting-v0` and `gendom/ClothSpreading-v0`, see `gendom.reality.envs`.
+"""
 
 from gendom.reality.benches import Bench, cantilever, stretch
 from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, find_object
@@ -59,3 +63,15 @@ __all__ = [
     "spreading",
     "stretch",
 ]
+
+
+def _register() -> None:
+    try:
+        import gymnasium
+    except ImportError:
+        return
+    for task in ("RopeReaching", "RopeCasting", "ClothSpreading"):
+        gymnasium.register(id=f"gendom/{task}-v0", entry_point=f"gendom.reality.envs:{task}Env")
+
+
+_register()

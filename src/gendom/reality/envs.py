@@ -4,7 +4,7 @@
     gendom/RopeCasting-v0      way of the hand [m]          goal: the tip's highest point [m]
     gendom/ClothSpreading-v0   the paper's acceleration A   goal: extended ratio
 
-Importing this module registers them; `gymnasium.make("gendom.reality.envs:gendom/RopeReaching-v0")`
+Importing `gendom.reality` registers them; `gymnasium.make("gendom.reality:gendom/RopeReaching-v0")`
 does both. A step is one action carried out to its end, and ends the episode.
 
 Observation: a dictionary of float32. `metadata["units"]` has the units too, by the same names, and
@@ -434,7 +434,3 @@ def _numbers(value: Any, count: int, name: str) -> Array:
             f"is {value}", where=name, fix=f"give {count} finite number{'s' * (count > 1)}"
         )
     return numbers
-
-
-for _name in ("RopeReaching", "RopeCasting", "ClothSpreading"):
-    gymnasium.register(id=f"gendom/{_name}-v0", entry_point=f"{__name__}:{_name}Env")

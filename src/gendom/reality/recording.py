@@ -26,6 +26,7 @@ import numpy as np
 from gendom.errors import GendomError, ParameterError
 from gendom.files import atomic_path, write_json
 from gendom.perception import PngWriter, RealSenseWriter
+from gendom.perception.realsense import realsense_sdk
 from gendom.reality.sensor import DepthSensor, RigErrors
 from gendom.reality.trials import Performance
 from gendom.reality.world import Reality
@@ -59,6 +60,8 @@ class RecordSettings:
             raise ParameterError(
                 f"is {self.frame_rate}", where="frame_rate", fix=f"give {PATH_RATE:g} or less"
             )
+        if self.seed < 0:
+            raise ParameterError(f"is {self.seed}", where="seed", fix="give 0 or more")
 
 
 def record(
@@ -72,8 +75,9 @@ def record(
 ) -> None:
     """Carry a trial out to its end and write what the cameras and the robot measure.
 
-    Time stamps begin with 0 now; step to where the hand has closed first. Pictures are on disk
-    frame by frame: an interrupted recording can be perceived as far as it goes.
+    Time stamps begin with 0 now; step to where the hand has closed first. Pictures and the robot's
+    path are on disk frame by frame: an interrupted recording can be perceived as far as it goes,
+    even if the program was killed.
 
     Args:
         performance: The trial, with cameras.
@@ -112,7 +116,10 @@ def record(
     believed = errors.believed(world.cameras, rig)
     began = world.time
     seconds = performance.end - began
-    world.render(0)  # where nothing can be rendered, before anything is written
+    # Where nothing can be rendered or the SDK is missing, before anything is written.
+    world.render(0)
+    if settings.format == "db3":
+        realsense_sdk()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -121,7 +128,7 @@ def record(
         ) from None
     writers = [_WRITERS[settings.format](folder / "cameras" / c.name, c) for c in believed]
     _write_object(folder / "object.toml", performance, settings)
-    path, truth = _Rows(), []
+    path, truth = _Rows(folder, world), []
     frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
     frames = frames / settings.frame_rate
     # A little longer than the frames: some clocks are ahead.
@@ -137,7 +144,7 @@ def record(
             for moment in np.union1d(frames, samples):
                 performance.step_to(began + moment)
                 if moment in samples:
-                    path.add(world, moment)
+                    path.add(moment)
                 if moment not in frames:
                     continue
                 clean = [world.render(c) for c in range(len(writers))]
@@ -147,35 +154,47 @@ def record(
     finally:
         for writer in writers:
             writer.close()
-        path.write(folder)
+        path.close()
         _write_truth(folder / "truth", world, settings, sensor, errors, truth)
 
 
 class _Rows:
-    """The robot's path as it is measured."""
+    """The robot's path as it is measured, each row on disk at once."""
 
-    def __init__(self) -> None:
-        self._hand: list[Sequence[float]] = []
-        self._joints: list[Sequence[float]] = []
+    def __init__(self, folder: Path, world: Reality):
+        self._world = world
+        header = ["time", "x", "y", "z", "ax", "ay", "az"]
+        self._hand = _NumberFile(folder / "gripper.csv", header)
+        self._joints = None
+        if (robot := world.robot) is not None:
+            names = [f"q{k}" for k in range(robot.arm.joints)]
+            self._joints = _NumberFile(folder / "joints.csv", ["time", *names])
 
-    def add(self, world: Reality, moment: float) -> None:
-        axis = world.hand_axis
-        self._hand.append([moment, *world.hand, *axis])
-        if world.robot is not None:
-            self._joints.append([moment, *world.robot.measured(world.data)])
+    def add(self, moment: float) -> None:
+        world = self._world
+        self._hand.add([moment, *world.hand, *world.hand_axis])
+        if self._joints is not None:
+            self._joints.add([moment, *world.robot.measured(world.data)])
 
-    def write(self, folder: Path) -> None:
-        _write_csv(folder / "gripper.csv", ["time", "x", "y", "z", "ax", "ay", "az"], self._hand)
-        if self._joints:
-            names = [f"q{k}" for k in range(len(self._joints[0]) - 1)]
-            _write_csv(folder / "joints.csv", ["time", *names], self._joints)
+    def close(self) -> None:
+        for file in (self._hand, self._joints):
+            if file is not None:
+                file.close()
 
 
-def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float]]) -> None:
-    with atomic_path(path) as temporary, open(temporary, "w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows([[f"{float(x):.6f}" for x in row] for row in rows])
+class _NumberFile:
+    """A CSV file of numbers that grows."""
+
+    def __init__(self, path: Path, header: Sequence[str]):
+        self._file = open(path, "w", newline="", buffering=1, encoding="utf-8")  # noqa: SIM115
+        self._writer = csv.writer(self._file)
+        self._writer.writerow(header)
+
+    def add(self, row: Sequence[float]) -> None:
+        self._writer.writerow([f"{float(x):.6f}" for x in row])
+
+    def close(self) -> None:
+        self._file.close()
 
 
 def _write_object(path: Path, performance: Performance, settings: RecordSettings) -> None:

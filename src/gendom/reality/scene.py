@@ -7,11 +7,10 @@ measured against closed forms, and `gendom.reality.twist` for what its rods lack
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -175,10 +174,12 @@ def build_model(
     flex, vertices = _flex(item, layout, step)
     held = clamped_vertices(item, layout)
     x, y, wide, deep = TABLE
+    # By its priority all of the table's contact counts, not its friction only: it is as hard as
+    # the object's.
     top = (
         f'<geom name="table" type="box" pos="{x} {y} -0.02" size="{wide / 2} {deep / 2} 0.02"'
         f' rgba="0.62 0.58 0.52 1" contype="{_FIXED}" conaffinity="{_OBJECT}"'
-        f' friction="{item.friction} 0.005 0.0001" priority="1"/>'
+        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1" priority="1"/>'
         if table
         else ""
     )
@@ -317,6 +318,19 @@ def _row(values: Any) -> str:
     return " ".join(repr(float(x)) for x in np.ravel(values))
 
 
+class GLFault(NamedTuple):
+    """Why MuJoCo does not render in this process."""
+
+    backend: str
+    """What MUJOCO_GL asked for."""
+    reason: str
+    """What MuJoCo raised."""
+
+
+gl_faults: list[GLFault] = []
+"""At most one: `load_mujoco` had to turn rendering off."""
+
+
 def load_mujoco() -> Any:
     """The module `mujoco`, told to render without a screen where there is none.
 
@@ -326,10 +340,12 @@ def load_mujoco() -> Any:
     if headless():
         # mujoco reads this when it is imported, and fails there when the library is missing.
         os.environ.setdefault("MUJOCO_GL", "egl")
-    with contextlib.suppress(ImportError, AttributeError, OSError):
+    try:
         import mujoco
 
         return mujoco
+    except (ImportError, AttributeError, OSError, RuntimeError) as error:
+        without = GLFault(os.environ.get("MUJOCO_GL", ""), f"{type(error).__name__}: {error}")
     os.environ["MUJOCO_GL"] = "disable"
     try:
         import mujoco
@@ -337,6 +353,7 @@ def load_mujoco() -> Any:
         raise DeviceError(
             "MuJoCo is not installed", where="reality", fix="pip install 'gendom[reality]'"
         ) from None
+    gl_faults.append(without)
     return mujoco
 
 

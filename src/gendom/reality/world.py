@@ -14,9 +14,11 @@ from gendom.errors import DeviceError, ParameterError, SimulationError
 from gendom.perception.camera import Camera
 from gendom.reality.objects import RealObject, RealRope
 from gendom.reality.scene import (
+    GLFault,
     Layout,
     build_model,
     clamped_vertices,
+    gl_faults,
     headless,
     load_mujoco,
 )
@@ -282,9 +284,13 @@ class Reality:
                 self._renderer = self._mujoco.Renderer(self.model, height, width)
             # What PyOpenGL and GLFW raise where a library is missing has no common base.
             except Exception as error:
+                backend = os.environ.get("MUJOCO_GL", "")
+                found = GLFault(backend, f"{type(error).__name__}: {error}")
+                # Turned off when mujoco was imported, it has no more to tell by now.
+                fault = gl_faults[0] if gl_faults and backend == "disable" else found
                 raise DeviceError(
-                    f"no OpenGL context ({type(error).__name__}: {error})",
-                    where=f"rendering, MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}",
+                    f"no OpenGL context ({fault.reason})",
+                    where=f"rendering, MUJOCO_GL={fault.backend}",
                     fix=GL_PACKAGES,
                 ) from None
         return self._renderer

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import RobotError
+from gendom.files import is_cut
 from gendom.robot.arm import Arm
 
 
@@ -31,8 +33,16 @@ class JointStates:
     """[M] distance of the fingers' inner faces [m]; None: unknown."""
 
 
-def read_joints(path: str | os.PathLike, arm: Arm) -> JointStates:
+def read_joints(
+    path: str | os.PathLike, arm: Arm, *, on_cut: Callable[[int], None] | None = None
+) -> JointStates:
     """The joint angles of a file joints.csv; see the top of this module.
+
+    Args:
+        path: The file.
+        arm: Whose joints they are.
+        on_cut: Called with the number of the last line, where it has no end and lacks values: an
+            interrupted recording. The line is left out then; None: it is refused.
 
     Raises:
         RobotError: The file cannot be read, a row is malformed or out of order, or a joint is
@@ -44,6 +54,8 @@ def read_joints(path: str | os.PathLike, arm: Arm) -> JointStates:
         with open(path, newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
             lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
+            file.seek(0)
+            whole = file.read().endswith(("\n", "\r"))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RobotError(
             f"cannot be read ({error})", where=str(path), fix="save it as CSV"
@@ -55,6 +67,10 @@ def read_joints(path: str | os.PathLike, arm: Arm) -> JointStates:
             where=str(path),
             fix=f"write rows under {','.join(expected)}[,gripper]",
         )
+    number, last = lines[-1]
+    if on_cut is not None and not whole and len(lines) > 2 and is_cut(last, len(header)):
+        on_cut(number)
+        del lines[-1]
     table = np.empty((len(lines) - 1, len(header)))
     for i, (number, row) in enumerate(lines[1:]):
         where = f"{path}, line {number}"

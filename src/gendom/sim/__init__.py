@@ -1,4 +1,4 @@
-"""MLS-MPM simulation of ropes and cloths, batched over worlds."""
+"""Simulation of ropes and cloths by the material point method, batched over worlds."""
 
 from gendom.sim.bodies import Body, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device

@@ -114,7 +114,7 @@ class BatchTape:
     def _segment(self) -> int:
         """Graphs that the memory holds."""
         worlds = self.simulator.worlds
-        W, N = worlds.num_worlds, worlds.num_particles
+        W = worlds.num_worlds
         X, Y, M = worlds.room
         real = worlds.numpy_type.itemsize
         slot = W * (worlds.state_bytes + real * 4 * M)

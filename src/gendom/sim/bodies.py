@@ -41,6 +41,16 @@ class Body:
         first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
         return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
 
+    @property
+    def has_two_layers(self) -> bool:
+        """Whether somewhere the body is but two particles across.
+
+        Such a section, bent, cannot become thinner on one side and thicker on the other: it would
+        be too stiff by (1 - nu)^2 / (1 - 2 nu) in a sheet, 1 / (1 - nu^2) in a rope.
+        """
+        alone = self.lattice == np.arange(len(self.x))[:, None, None]
+        return bool(alone.any(axis=2).all(axis=0).any())
+
     def surface(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
         """[..., M, 3] points on the object's skin for particle positions [..., N, 3] [m].
 

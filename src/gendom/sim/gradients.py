@@ -102,11 +102,14 @@ class Sums:
         E = np.array([m.E for m in s.materials])[:, None]
         nu = np.array([m.nu for m in s.materials])[:, None]
         mu_bar, lam_bar = matter.mu.numpy().astype(float), matter.lam.numpy().astype(float)
-        # mu = E / (2 (1 + nu)), lam = E nu / ((1 + nu) (1 - 2 nu)), times the stiffness
+        # mu = E / (2 (1 + nu)), lam = E nu / ((1 + nu) (1 - 2 nu)) or, in plane stress,
+        # E nu / (1 - nu^2), times the stiffness
+        twice = 1.0 if s.worlds.plane_stress else 2.0
+        room = (1.0 + nu) * (1.0 - twice * nu)
         mu_E = 1.0 / (2.0 * (1.0 + nu))
-        lam_E = nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+        lam_E = nu / room
         mu_nu = -E / (2.0 * (1.0 + nu) ** 2)
-        lam_nu = E * (1.0 + 2.0 * nu**2) / ((1.0 + nu) * (1.0 - 2.0 * nu)) ** 2
+        lam_nu = E * (1.0 + twice * nu**2) / room**2
         by_E = mu_bar * mu_E + lam_bar * lam_E
         path = np.array(scene.path.numpy())
         for w, grippers in enumerate(s.worlds.setting.grippers):

@@ -66,6 +66,8 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     scatter_particle = transfers.scatter_particle
     move_particle = transfers.move_particle
     tense_particle = transfers.tense_particle
+    tense_body = transfers.tense_body
+    pull_type = transfers.pull_type
     yields = transfers.yields
 
     @wp.struct
@@ -109,7 +111,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         scene: Scene,
         paths: Paths,
         grips: Grips,  # [W]
-        pulls: wp.array2d(dtype=mat33),  # [W, N] scratch
+        pulls: wp.array2d(dtype=pull_type),  # [W, N] scratch
         # in rows: substep n of this call goes from row first + n * stride to the next; stride 0
         # works in place, 1 keeps every state, its grid and its layout for the reverse
         first: int,
@@ -165,20 +167,18 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                 else:
                     travel = real(0.0)
             if yields == 0 and status == OK:
-                # while: of a range the compiler cannot tell that its numbers are not negative,
-                # and every index of an array would be looked at (a fifth slower)
-                p = int(0)
-                while p < N:
-                    if not tense_particle(w, p, row, h, matter, state, pulls):
-                        status = INVERTED
-                        clock.culprit[w] = p
-                    p += 1
+                culprit = tense_body(w, row, h, matter, state, pulls)
+                if culprit >= 0:
+                    status = INVERTED
+                    clock.culprit[w] = culprit
             if status == OK:
                 layout_of[slot] = layout
                 t = time + wp.float64(step) * dt
                 for g in range(grips.closed.shape[1]):
                     place_gripper(w, w, g, t, dt, paths, grips)
                 nodes = columns.count[layout]
+                # while: of a range the compiler cannot tell that its numbers are not negative,
+                # and every index of an array would be looked at (a fifth slower)
                 n = int(0)
                 while n < nodes:
                     momentum[slot, n] = vec4()
@@ -325,12 +325,13 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         matter: Matter,
         scene: Scene,
         state: State,
-        pulls: wp.array2d(dtype=mat33),
+        pulls: wp.array2d(dtype=pull_type),
     ):
         """Pulls between the particles of an elastic body."""
         w, p = wp.tid()
         if runs(w, r, scene.dx, clock, lap):
-            if not tense_particle(w, p, w, real(clock.dt[w]), matter, state, pulls):
+            upright = tense_particle(w, p, w, real(clock.dt[w]), matter, state, pulls)
+            if not upright:
                 wp.atomic_max(lap.trouble, w, INVERTED)
                 clock.culprit[w] = p
 
@@ -342,7 +343,7 @@ def make_kernels(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         matter: Matter,
         scene: Scene,
         state: State,
-        pulls: wp.array2d(dtype=mat33),
+        pulls: wp.array2d(dtype=pull_type),
         columns: Columns,
         momentum: wp.array2d(dtype=vec4),
     ):

@@ -45,7 +45,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         reversed in the worlds that have done it (``r < done[w]``).
     """
     k = make_kernels(real, law_name, plastic=plastic)
-    vec3, vec4, mat33 = k.vec3, k.vec4, k.mat33
+    vec3, vec4 = k.vec3, k.vec4
     boundary, transfers = k.boundary, k.transfers
     Scene, Paths, Grips = boundary.Scene, boundary.Paths, boundary.Grips
     SceneBars = boundary.SceneBars
@@ -57,6 +57,9 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
     scatter_particle_back = transfers.scatter_particle_back
     move_particle_back = transfers.move_particle_back
     tense_particle = transfers.tense_particle
+    tense_body = transfers.tense_body
+    tense_body_back = transfers.tense_body_back
+    pull_type = transfers.pull_type
     tense_particle_back = transfers.tense_particle_back
     slacken = transfers.slacken
     yields = transfers.yields
@@ -106,7 +109,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         scene: Scene,
         paths: Paths,
         grips: Grips,  # [W]
-        pulls: wp.array2d(dtype=mat33),  # [W, N] scratch
+        pulls: wp.array2d(dtype=pull_type),  # [W, N] scratch
         # the recording
         state: State,  # [S + 1, N]
         columns: Columns,  # S layouts
@@ -135,10 +138,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                 place_gripper(w, w, g, t, dt, paths, grips)
             # while, not range: see ``gendom.sim.kernels``
             if yields == 0:
-                p = int(0)
-                while p < N:
-                    tense_particle(w, p, slot, h, matter, state, pulls)
-                    p += 1
+                tense_body(w, slot, h, matter, state, pulls)
             n = int(0)
             while n < nodes:
                 grid_bar[0, n] = vec4()
@@ -181,10 +181,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     trouble.slot[w] = slot
                 p += 1
             if yields == 0:
-                p = int(0)
-                while p < N:
-                    tense_particle_back(w, p, slot, h, matter, state, bars, pulls)
-                    p += 1
+                tense_body_back(w, slot, h, matter, state, bars, pulls)
                 p = int(0)
                 while p < N:
                     slacken(w, p, matter, bars, pulls)
@@ -201,7 +198,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         dt: wp.array(dtype=wp.float64),
         matter: Matter,
         state: State,
-        pulls: wp.array2d(dtype=mat33),
+        pulls: wp.array2d(dtype=pull_type),
     ):
         """The substep's pulls once more."""
         w, p = wp.tid()
@@ -293,7 +290,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         scene: Scene,
         columns: Columns,
         state: State,
-        pulls: wp.array2d(dtype=mat33),
+        pulls: wp.array2d(dtype=pull_type),
         grid_bar: wp.array2d(dtype=vec4),
         bars: MatterBars,
         trouble: Trouble,
@@ -336,7 +333,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         matter: Matter,
         state: State,
         bars: MatterBars,
-        stretches: wp.array2d(dtype=mat33),
+        stretches: wp.array2d(dtype=pull_type),
     ):
         w, p = wp.tid()
         if r < done[w]:
@@ -348,7 +345,7 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
         done: wp.array(dtype=wp.int32),
         matter: Matter,
         bars: MatterBars,
-        stretches: wp.array2d(dtype=mat33),
+        stretches: wp.array2d(dtype=pull_type),
     ):
         w, p = wp.tid()
         if r < done[w]:

@@ -25,7 +25,7 @@ CFL = 0.4
 
 
 class Simulator:
-    """MLS-MPM of W worlds that differ in material, friction, gravity, damping and gripper paths.
+    """W worlds of material points that differ in material, friction, gravity, damping and paths.
 
     All worlds share the body's geometry. State arrays are [W, N]; nothing is stored for space
     that the body does not occupy.

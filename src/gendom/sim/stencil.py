@@ -301,11 +301,14 @@ _PAIRS = """
     const lanes w[3] = {REAL(0.5) * below * below, REAL(0.75) - middle * middle,
                         REAL(0.5) * above * above};
     const pair wz01 = join(w[0].zzzz, w[1].zzzz);
-    const lanes s[3] = {-below, REAL(-2) * middle, above};  // by slopes
-    const pair sz01 = join(s[0].zzzz, s[1].zzzz);  // by slopes
     // columns are contiguous along y
     const int* first = &wp::index(start, layout, node[0], node[1]);
     const int pitch = start.strides[1] / sizeof(int);
+"""
+
+_SLOPES_OF_PAIRS = """
+    const lanes s[3] = {-below, REAL(-2) * middle, above};
+    const pair sz01 = join(s[0].zzzz, s[1].zzzz);
 """
 
 _SCATTER_BY_PLANES = """
@@ -408,6 +411,68 @@ _GATHER_BY_PLANES = """
     return out;
 """
 
+# without t
+_GATHER_WITH_SLOPE_BY_PLANES = """
+    const auto load = [](const REAL* a) { return *(const lanes*)a; };
+    const REAL* nodes = (const REAL*)(&wp::index(grid, row, 0) + node[2]);
+    const auto collect = [&](auto q, auto x, auto y, const REAL* h, auto take) {
+        typedef decltype(q) part __attribute__((aligned(sizeof(REAL))));
+        part v, cx, cy, dx, dy, all;
+        #pragma unroll
+        for (int i = 0; i < 3; ++i) {
+            const int* column = first + i * pitch;
+            const part h0 = *(const part*)(h + 4 * column[0]);
+            const part h1 = *(const part*)(h + 4 * column[1]);
+            const part h2 = *(const part*)(h + 4 * column[2]);
+            const part u1 = h1 * w[1].y, u2 = h2 * w[2].y, t1 = h1 * s[1].y, t2 = h2 * s[2].y;
+            const part u = h0 * w[0].y + u1 + u2, j = u1 + u2 + u2;
+            const part t = h0 * s[0].y + t1 + t2, tj = t1 + t2 + t2;
+            const part here = i == 0 ? q : i == 1 ? q + x : q + x + x;
+            const part e = u * here + j * y, f = t * here + tj * y;
+            const part uw = u * w[i].x;
+            v = i == 0 ? uw : v + uw;
+            cx = i == 0 ? uw - uw : i == 1 ? uw : cx + uw + uw;
+            cy = i == 0 ? j * w[0].x : cy + j * w[i].x;
+            dx = i == 0 ? e * s[0].x : dx + e * s[i].x;
+            dy = i == 0 ? f * w[0].x : dy + f * w[i].x;
+            all = i == 0 ? e * w[0].x : all + e * w[i].x;
+        }
+        take(v, cx, cy, dx, dy, all);
+    };
+    const lanes Q = load(c.data[0]), A0 = load(c.data[1]), A1 = load(c.data[2]);
+    const lanes A2 = load(c.data[3]);
+    wp::mat_t<ROWS, 4, REAL> out;
+    lanes* rows = (lanes*)out.data;
+    lanes X, Y, Z;
+    const auto fold = [](pair a) { return a.lo + a.hi; };
+    // nodes 0 and 1 of each column together, node 2 by itself
+    collect(join(Q, Q + A2), join(A0, A0), join(A1, A1), nodes,
+            [&](pair v, pair cx, pair cy, pair dx, pair dy, pair all) {
+        const pair vw = v * wz01;
+        rows[0] = fold(vw);
+        rows[1] = fold(cx * wz01);
+        rows[2] = fold(cy * wz01);
+        rows[3] = vw.hi;
+        X = fold(dx * wz01);
+        Y = fold(dy * wz01);
+        Z = fold(all * sz01);
+    });
+    collect(Q + A2 + A2, A0, A1, nodes + 8,
+            [&](lanes v, lanes cx, lanes cy, lanes dx, lanes dy, lanes all) {
+        const lanes vw = v * w[2].z;
+        rows[0] += vw;
+        rows[1] += cx * w[2].z;
+        rows[2] += cy * w[2].z;
+        rows[3] += vw + vw;
+        X += dx * w[2].z;
+        Y += dy * w[2].z;
+        Z += all * s[2].z;
+    });
+    const auto sum = [](lanes a) { return a.x + a.y + a.z + a.w; };
+    rows[4] = lanes{sum(X), sum(Y), sum(Z), REAL(0)};
+    return out;
+"""
+
 _ATOMIC_ADD = {
     wp.float32: """
 #if __CUDA_ARCH__ >= 900
@@ -489,7 +554,8 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
         text = _native(text, real, **parts)
         return text if slopes else _BY_SLOPES.sub("", text)
 
-    on_cpu = _PAIRS + _SCATTER_BY_PLANES
+    pairs = _PAIRS + (_SLOPES_OF_PAIRS if slopes else "")
+    on_cpu = pairs + _SCATTER_BY_PLANES
     by_nodes = _WEIGHTS + _COEFFICIENTS + _SCATTER
     on_cuda = by_nodes.replace("PLANES", _ALL_PLANES)
 
@@ -541,7 +607,7 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
     }
 
     @wp.func_native(
-        native(_LANES + _either(_PAIRS + _GATHER_BY_PLANES, _WEIGHTS + _GATHER_AT_ONCE), **plain)
+        native(_LANES + _either(pairs + _GATHER_BY_PLANES, _WEIGHTS + _GATHER_AT_ONCE), **plain)
     )
     def gather(
         grid: wp.array2d(dtype=vec4),
@@ -562,9 +628,12 @@ def make_stencil(real: Any, *, slopes: bool, straight: bool = False) -> SimpleNa
         "ROWS": str(rows + 1),
     }
 
-    sloped_gather = _either(_GATHER_AT_ONCE, _GATHER_AHEAD)
+    one_by_one = _WEIGHTS + _COEFFICIENTS
+    sloped_on_cpu = _PAIRS + _SLOPES_OF_PAIRS + _GATHER_WITH_SLOPE_BY_PLANES
+    if slopes:
+        sloped_on_cpu = one_by_one + _GATHER_AT_ONCE
 
-    @wp.func_native(native(_LANES + _WEIGHTS + _COEFFICIENTS + sloped_gather, **sloped))
+    @wp.func_native(native(_LANES + _either(sloped_on_cpu, one_by_one + _GATHER_AHEAD), **sloped))
     def gather_with_slope(
         grid: wp.array2d(dtype=vec4),
         row: int,

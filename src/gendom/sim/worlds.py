@@ -100,7 +100,9 @@ class Worlds:
         wp.copy(self.state.x, self.array(x, self.kernels.vec3))
         if self.plastic:
             self.state.F.fill_(self.kernels.mat33(np.eye(3)))
-        self.pulls = self.zeros((0, 0) if self.plastic else (W, N), self.kernels.mat33)
+        self.pulls = self.zeros(
+            (0, 0) if self.plastic else (W, N), self.kernels.transfers.pull_type
+        )
         self.last_good = self.make_state((W, N))
         for name in self.carried:
             wp.copy(getattr(self.last_good, name), getattr(self.state, name))
@@ -114,7 +116,11 @@ class Worlds:
 
     def _matter(self) -> Any:
         s, k = self.setting, self.kernels
-        lame = np.array([m.lame for m in s.materials])
+        # what two layers lack of freedom in thickness, the parameters of plane stress have in them
+        self.plane_stress = s.body.has_two_layers and not self.plastic
+        lame = np.array(
+            [m.lame_of_plane_stress if self.plane_stress else m.lame for m in s.materials]
+        )
         share = _distinct(self.stiffness)
         matter = k.transfers.Matter()
         matter.mu = self.array(np.broadcast_to(lame[:, :1] * share, self.stiffness.shape))
@@ -124,6 +130,7 @@ class Worlds:
         matter.volume = s.body.volume
         matter.lattice = self.array(s.body.lattice, wp.int32)
         matter.rest_frame = self.array(s.body.rest_frames, k.mat33)
+        matter.frame = self.array(_triangles(s.body.rest_frames))
         return matter
 
     def _scene(self) -> Any:
@@ -278,6 +285,15 @@ class Worlds:
 
     def zeros(self, shape: Any, dtype: Any) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device=self.device)
+
+
+def _triangles(frames: NDArray[np.floating]) -> NDArray[np.floating]:
+    """[6, N] upper triangles U, row by row, of the frames R = U Q [N, 3, 3] with a rotation Q."""
+    _, inverse = np.linalg.qr(np.linalg.inv(frames))
+    U = np.linalg.inv(inverse)
+    U = U * np.sign(np.diagonal(U, axis1=1, axis2=2))[:, None]
+    rows, columns = np.triu_indices(3)
+    return U[:, rows, columns].T
 
 
 def _distinct(values: NDArray[Any], axes: int | None = None) -> NDArray[Any]:

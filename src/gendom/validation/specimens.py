@@ -132,7 +132,7 @@ def energies(simulator: Simulator, gravity: ArrayLike) -> tuple[float, float, fl
     neo-Hookean law. Gravitational: -m g . x.
     """
     body, material = simulator.body, simulator.materials[0]
-    mu, lam = material.lame
+    mu, lam = material.lame_of_plane_stress if body.has_two_layers else material.lame
     m = material.density * body.volume
     v, C = simulator.velocities()[0].astype(float), simulator.affine_velocities()[0].astype(float)
     kinetic = 0.5 * m * (np.sum(v**2) + body.dx**2 / 4.0 * np.sum(C**2))

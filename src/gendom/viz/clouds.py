@@ -33,6 +33,8 @@ class CloudSequence:
     """z of the table [m]; None: no table."""
     chamfer: np.ndarray | None = None
     """[T] Chamfer distance of the two clouds [m]."""
+    labels: tuple[str, str] = ("recorded", "simulated")
+    """What legends call the two clouds."""
 
     def __post_init__(self):
         times = _array(self.times, "times", (None,))

@@ -229,9 +229,10 @@ class Stage:
         unit = self._unit
         font = lettering(12 * unit)
         x, y = self._frame[2], self._frame[1] - 15 * unit
-        entries: list[tuple[str, str | None]] = [("recorded", RECORDED_COLOR)]
+        recorded, simulated = self.sequence.labels
+        entries: list[tuple[str, str | None]] = [(recorded, RECORDED_COLOR)]
         if self.sequence.simulated is not None:
-            entries.append(("simulated", SIMULATED_COLOR))
+            entries.append((simulated, SIMULATED_COLOR))
         if self.sequence.gripper is not None:
             entries.append(("gripper", None))
         for label, color in reversed(entries):

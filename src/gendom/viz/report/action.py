@@ -257,7 +257,7 @@ def _swing_figure(action: ActionSummary, outcome: ReachOutcome) -> str:
         chart,
         "Paths of the rope's tip after the release",
         f"Goal {place_text(outcome.goal)}. Circles: the tip at release; diamonds: at its farthest. "
-        "Dots: the rope at these two moments, the earlier one pale.",
+        "Thick: the rope at these two moments, the earlier one pale.",
     )
 
 

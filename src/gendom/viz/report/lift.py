@@ -62,7 +62,7 @@ def animated_figure(clouds: CloudSequence, subject: str, *, view: str, fps: floa
             break
     duration = float(clouds.times[-1] - clouds.times[0])
     shown = len(clouds.spread(max_frames))
-    caption = f"{clouds.num_frames} frames, {duration:.3g} s of recording"
+    caption = f"{clouds.num_frames} frames over {duration:.3g} s"
     caption += f", shown in {shown / fps:.2g} s." if shown > 1 else "."
     return (
         f'<figure class="moving">{image(gif, "gif", f"{subject}, animated")}'
