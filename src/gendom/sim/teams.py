@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.block import ROOM_ALONE
+from gendom.sim.blocks import suits_blocks
 from gendom.sim.bodies import Body
 from gendom.sim.paced import Paced
 from gendom.sim.team_kernels import AHEAD, COMPONENTS, Parts, make_team_kernels
@@ -22,8 +23,9 @@ OWN = (64, 128, 256)
 LANES = 384
 """Threads on a multiprocessor that registers are sure to suffice for."""
 
-SHARES = (1.0, 0.6)
-"""Threads of a block for each particle in its memory, at the least; rather more of them."""
+FEWEST_LANES = 0.6
+"""Threads of a block for each particle in its memory, at the least; 1 where a block a world would
+do."""
 
 BLOCKS_AT_ONCE = 4
 """Blocks on a multiprocessor at the most; more are no faster."""
@@ -117,7 +119,8 @@ def split_for(worlds: Worlds) -> tuple[Split, int] | None:
     """The finest split, and the threads of a block, with which the teams of all worlds fit on the
     device at once."""
     body = _Same(worlds.setting.body)
-    for share, own in itertools.product(SHARES, OWN):
+    shares = (1.0,) if suits_blocks(worlds) else (1.0, FEWEST_LANES)
+    for share, own in itertools.product(shares, OWN):
         members = math.ceil(worlds.num_particles / own)
         at_once = _blocks_each(worlds, members)
         if at_once <= BLOCKS_AT_ONCE:
