@@ -36,6 +36,8 @@ class Command:
     """Seed of all random draws."""
     device: str = "cpu"
     """cpu, cuda, cuda:0 and so on; several (cuda:0,cuda:1) or all GPUs share the work."""
+    cells_across: float | None = None
+    """Grid cells across the rope's diameter (default: the task's own)."""
     shard_size: int | None = None
     """Demonstrations in one file (default: 256 on the CPU, 4096 on CUDA)."""
     json: bool = False
@@ -56,8 +58,9 @@ class Command:
                     known = True
                 bar.update(done - bar.n)
 
+            chosen = {} if self.cells_across is None else {"cells_across": self.cells_across}
             table = generate(
-                TASKS[self.task](),
+                TASKS[self.task](**chosen),
                 self.size,
                 self.out,
                 seed=self.seed,

@@ -16,8 +16,8 @@ from gendom.materials import Material
 from gendom.sim import Rollout, Simulator, open_device
 from gendom.tasks import RopeReaching
 
-STATE_REALS = 24
-"""Numbers that a particle carries from substep to substep: x, v, C and F."""
+STATE_REALS = 15
+"""Numbers that a particle of an elastic body carries from substep to substep: x, v and C."""
 
 COPIED = 1 << 28
 """Numbers copied to find a device's memory bandwidth."""

@@ -20,7 +20,7 @@ from gendom.sim.teams import Teams, suits_teams
 from gendom.sim.threads import Threads
 from gendom.sim.worlds import STATE, Frames, Setting, Worlds, spread
 
-CFL = 0.4
+CFL = 0.6
 """Default share of the time in which a pressure wave crosses one cell."""
 
 
