@@ -19,7 +19,7 @@ from gendom.reality import OBJECTS, Performance, RealRope, carry_out_reaching, r
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--goals", type=int, default=6, help="for each rope")
     parser.add_argument("--policy", nargs=2, help="with and without parameters")
     parser.add_argument("--json", action="store_true")
