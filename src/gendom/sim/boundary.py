@@ -131,11 +131,15 @@ def make_boundary(real: Any) -> SimpleNamespace:
     ):
         """Gripper g of world w in the substep from t to t + dt [s]."""
         here, knot = path_point(w, g, t, paths)
-        there, _ = path_point(w, g, t + dt, paths)
-        spin = paths.spin[w, g, knot]
-        last = paths.time.shape[2] - 1
-        if t < paths.time[w, g, 0] or t >= paths.time[w, g, last]:
-            spin = wp.vec3d()
+        there, end = path_point(w, g, t + dt, paths)
+        # each segment turns it for as long as the substep has part in it
+        turned = wp.vec3d()
+        for k in range(knot, end + 1):
+            until = wp.min(t + dt, paths.time[w, g, k + 1])
+            turned += wp.max(until - wp.max(t, paths.time[w, g, k]), wp.float64(0.0)) * (
+                paths.spin[w, g, k]
+            )
+        spin = turned / dt
         grips.centre[row, g] = narrow(here)
         grips.velocity[row, g] = narrow((there - here) / dt)
         grips.spin[row, g] = narrow(spin)
