@@ -136,9 +136,8 @@ def make_boundary(real: Any) -> SimpleNamespace:
         turned = wp.vec3d()
         for k in range(knot, end + 1):
             until = wp.min(t + dt, paths.time[w, g, k + 1])
-            turned += wp.max(until - wp.max(t, paths.time[w, g, k]), wp.float64(0.0)) * (
-                paths.spin[w, g, k]
-            )
+            inside = wp.max(until - wp.max(t, paths.time[w, g, k]), wp.float64(0.0))
+            turned += inside * paths.spin[w, g, k]
         spin = turned / dt
         grips.centre[row, g] = narrow(here)
         grips.velocity[row, g] = narrow((there - here) / dt)
