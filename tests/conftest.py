@@ -1,4 +1,4 @@
-"""What tests of several folders need: real recordings, and interpreters of their own."""
+"""What tests of several folders need: recordings, new interpreters, the RealSense SDK."""
 
 import os
 import subprocess
@@ -7,6 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from gendom.errors import DeviceError
+from gendom.perception.realsense import realsense_sdk
 
 
 @pytest.fixture(scope="session")
@@ -30,3 +33,12 @@ def run_python() -> Callable[[str], str]:
         return result.stdout.strip()
 
     return run
+
+
+@pytest.fixture(scope="session")
+def sdk():
+    """RealSense's module; without it the test is skipped."""
+    try:
+        return realsense_sdk()
+    except DeviceError as error:
+        pytest.skip(str(error))

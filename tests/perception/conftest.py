@@ -1,5 +1,4 @@
-"""A small ray caster: planes, spheres and ropes of known shape as depth and colour pictures; and
-the RealSense SDK."""
+"""A small ray caster: planes, spheres and ropes of known shape as depth and colour pictures."""
 
 from __future__ import annotations
 
@@ -10,9 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gendom.errors import DeviceError
 from gendom.perception import Camera, PngWriter
-from gendom.perception.realsense import realsense_sdk
 from gendom.reality.sensor import DepthSensor
 
 EXACT = DepthSensor.exact(colour_noise=3.0)
@@ -234,12 +231,3 @@ def write_lift(folder, *, frames=6, scale=0.5, sensor=NOISE, **changes):
 def world():
     """The names above."""
     return SimpleNamespace(**{k: v for k, v in globals().items() if not k.startswith("_")})
-
-
-@pytest.fixture(scope="session")
-def sdk():
-    """RealSense's module; without it the test is skipped."""
-    try:
-        return realsense_sdk()
-    except DeviceError as error:
-        pytest.skip(str(error))

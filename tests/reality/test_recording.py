@@ -240,8 +240,7 @@ def test_the_arms_joints_are_recorded(rendering, tmp_path):
     np.testing.assert_allclose(np.linalg.norm(hand[:, 4:7], axis=1), 1.0, atol=1e-5)
 
 
-def test_realsense_recordings_are_perceived_alike(rendering, tmp_path):
-    pytest.importorskip("pyrealsense2", reason="needs the extra camera")
+def test_realsense_recordings_are_perceived_alike(sdk, rendering, tmp_path):
     clouds = []
     for kind in ("png", "db3"):
         performance = Performance(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
