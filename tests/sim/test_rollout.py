@@ -155,11 +155,14 @@ def test_walls_pass_no_derivative_through():
     assert (g.velocities[0] * v).sum() == pytest.approx(expected, rel=1e-6)
 
 
-def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit():
-    recorded, repeated = Rollout(scene(worlds=2)), Rollout(scene(worlds=2), memory=0.0)
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit(dtype):
+    recorded, repeated = (
+        Rollout(scene(worlds=2, dtype=dtype), memory=memory) for memory in (1e9, 0.0)
+    )
     x, y = recorded.forward(TIMES), repeated.forward(TIMES)
     assert np.array_equal(x, y)
-    assert np.array_equal(x, scene(worlds=2).run(TIMES))
+    assert np.array_equal(x, scene(worlds=2, dtype=dtype).run(TIMES))
     bar = weights(x.shape)
     a, b = recorded.backward(bar), repeated.backward(bar)
     for name in NOTHING:

@@ -62,6 +62,19 @@ def test_worlds_together_move_as_each_alone(together):
     assert np.ptp(expected[-1], axis=0).max() > 1e-3
 
 
+@pytest.mark.parametrize("together", [None, Batch, Blocks, Teams])
+def test_motion_below_the_last_bit_is_not_lost(together):
+    """In float32 a substep of 1e-8 m vanishes beside 1 m; a hundred together must not."""
+    body = rope(diameter=0.02, length=0.06, start=(1.0, 1.0, 1.0), cells_across=1.5)
+    s = simulator(body, [SOFT], gravity=(0, 0, 0), dtype="float32")
+    drift = np.array([1e-5, -1e-5, 2e-5])
+    s.set_velocities(drift)
+    x = s.run([0.5]) if together is None else run_together(s, together, [0.5])
+    assert s.substeps_done()[0] > 100
+    moved = x[0, 0].mean(axis=0, dtype=float) - body.x.mean(axis=0)
+    np.testing.assert_allclose(moved, 0.5 * drift, rtol=0.02)
+
+
 @pytest.mark.gpu
 @pytest.mark.parametrize(("dtype", "bound"), [("float32", 5e-6), ("float64", 1e-12)])
 @TOGETHER

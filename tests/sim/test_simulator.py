@@ -204,12 +204,12 @@ def test_worlds_take_their_own_values():
 
 
 def test_float32_is_close_to_float64():
-    """A lift of 10 cm differs by less than 0.01 mm between the two."""
+    """A lift of 10 cm differs by hardly more than the last rounding between the two."""
     times = [0.1, 0.3]
     double = lifted_rope(DIFFERENT).run(times)
     single = lifted_rope(DIFFERENT, dtype="float32").run(times)
     assert single.dtype == np.float32
-    assert 0.0 < np.abs(single - double).max() < 1e-5
+    assert 0.0 < np.abs(single - double).max() < 3e-7
 
 
 @pytest.mark.gpu

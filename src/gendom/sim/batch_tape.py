@@ -89,7 +89,7 @@ class BatchTape:
         return Segment(
             now,
             _copy(k.Clock(), worlds.clock, CLOCK),
-            _copy(k.transfers.State(), worlds.state, worlds.carried),
+            _copy(k.transfers.State(), worlds.state, (*worlds.carried, "low")),
         )
 
     def _run_segment(self, segment: Segment) -> bool:
@@ -137,7 +137,7 @@ class BatchTape:
     def _return_to(self, segment: Segment) -> None:
         """Set worlds to the beginning of a segment; its columns are laid anew first."""
         worlds, batch = self.simulator.worlds, self._batch
-        for name in worlds.carried:
+        for name in (*worlds.carried, "low"):
             wp.copy(getattr(worlds.state, name), getattr(segment.state, name))
         for name in ("dt", "step", "age", "frame"):
             wp.copy(getattr(worlds.clock, name), getattr(segment.clock, name))
@@ -172,6 +172,7 @@ class BatchTape:
         """The worlds' state before substep r of a recorded graph."""
         W = self.simulator.num_worlds
         state = self.simulator.worlds.kernels.transfers.State()
+        state.low = rows.low
         for name in self.simulator.worlds.carried:
             setattr(state, name, getattr(rows, name)[r * W : (r + 1) * W])
         return state

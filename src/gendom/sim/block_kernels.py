@@ -84,6 +84,7 @@ def make_block_kernels(
     impulse_of_stress = k.transfers.impulse_of_stress
     tension = k.transfers.tension
     moved = k.transfers.moved
+    step_on = k.transfers.step_on
     gather_particle = k.transfers.gather_particle
     get_node, put_node = k.transfers.get_node, k.transfers.put_node
     yields = k.transfers.yields
@@ -416,7 +417,7 @@ def make_block_kernels(
                         upright = wp.determinant(F) > real(0.0)
                     else:
                         v, C, _D = gather_particle(layout, w, x, inv_dx, z0, columns, velocity)
-                    put_vector(of, w, 0, i, x + h * v)
+                    put_vector(of, w, 0, i, step_on(x, h * v, w, records.order[w, i], state.low))
                     put_vector(of, w, _V, i, v)
                     put_matrix(of, w, _C, i, C)
                     far = wp.length_sq(v) * h * h / (dx * dx)

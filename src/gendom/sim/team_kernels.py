@@ -31,10 +31,10 @@ from gendom.sim.transfers import make_transfers
 AHEAD = 32
 """Substeps for which grippers are placed at once."""
 
-COMPONENTS = 41
-"""Of a particle in a block's memory: x, v, C, F or pulls, mu, lam, rest frame, neighbours."""
+COMPONENTS = 44
+"""Of a particle in a block's memory: x, v, C, F or pulls, mu, lam, rest frame, neighbours, low."""
 
-_V, _C, _F, _MU, _LAM, _FRAME, _NEAR = 3, 6, 15, 24, 25, 26, 35
+_V, _C, _F, _MU, _LAM, _FRAME, _NEAR, _LOW = 3, 6, 15, 24, 25, 26, 35, 41
 
 
 @wp.struct
@@ -81,7 +81,7 @@ def make_team_kernels(
     given_by = k.transfers.given_by
     scatter_plane = k.transfers.scatter_plane
     get_node, put_node = k.transfers.get_node, k.transfers.put_node
-    yields = k.transfers.yields
+    yields, rounds, sum_up = k.transfers.yields, k.transfers.rounds, k.transfers.sum_up
     straight = make_transfers(real, k.law, straight=True)
     moved, gather_particle = straight.moved, straight.gather_particle
     numbers = wp.constant(COMPONENTS * room)
@@ -203,6 +203,8 @@ def make_team_kernels(
                 put_matrix(of, block, _FRAME, i, matter.rest_frame[p])
                 for n in range(6):
                     put(of, block, _NEAR + n, i, real(parts.near[part, i, n]))
+            if rounds == 1:
+                put_vector(of, block, _LOW, i, state.low[w, p])
         begun = plan.time[frame]  # of the frame that the world is in
         steps = int(plan.steps[frame, w])
         dt = frame_substep(frame, w, plan)
@@ -331,7 +333,11 @@ def make_team_kernels(
                         upright = wp.determinant(F) > real(0.0)
                     else:
                         v, C, _D = gather_particle(w, w, x, inv_dx, z0, columns, velocity)
-                    x += h * v
+                    if rounds == 1:
+                        x, low = sum_up(x, h * v, vector(of, block, _LOW, i))
+                        put_vector(of, block, _LOW, i, low)
+                    else:
+                        x += h * v
                     put_vector(of, block, 0, i, x)
                     put_vector(of, block, _V, i, v)
                     put_matrix(of, block, _C, i, C)
@@ -394,6 +400,8 @@ def make_team_kernels(
             state.C[w, p] = matrix(of, block, _C, i)
             if yields == 1:
                 state.F[w, p] = matrix(of, block, _F, i)
+            if rounds == 1:
+                state.low[w, p] = vector(of, block, _LOW, i)
         came += members
         meet(gate, w, came)
         if lane == 0:

@@ -28,6 +28,7 @@ class Threads:
         # on the CPU these share the arrays' memory
         self.clock = {name: getattr(worlds.clock, name).numpy() for name in CLOCK}
         self.state = {name: getattr(worlds.state, name).numpy() for name in worlds.carried}
+        self.low = worlds.low.numpy()
 
     def run(self, frames: Frames) -> None:
         """Simulate all worlds to all times.

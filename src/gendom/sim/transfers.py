@@ -68,6 +68,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
     return_map = law.return_map
     return_map_back = law.return_map_back
     yields = wp.constant(1 if law.plastic else 0)
+    rounds = wp.constant(1 if real == wp.float32 else 0)
     PLACE = wp.constant(7 if law.plastic else 4)
 
     @wp.struct
@@ -91,6 +92,8 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         v: wp.array2d(dtype=vec3)  # [rows, N] [m/s]
         C: wp.array2d(dtype=mat33)  # [rows, N] [1/s]
         F: wp.array2d(dtype=mat33)  # [rows, N], of bodies that yield
+        # [W, N] what x leaves out of the position by rounding [m], in float32; not by rows
+        low: wp.array2d(dtype=vec3)
 
     @wp.struct
     class MatterBars:
@@ -512,6 +515,26 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         return v, (real(4.0) * inv_dx) * affine_of(f, R), inv_dx * slopes_of(R)
 
     @wp.func
+    def sum_up(x: vec3, step: vec3, low: vec3):
+        """x + low + step as a rounded number and what that leaves out."""
+        more = step + low
+        there = x + more
+        return there, more - (there - x)
+
+    @wp.func
+    def step_on(x: vec3, step: vec3, w: int, p: int, low: wp.array2d(dtype=vec3)):
+        """x after a step; in float32, what earlier roundings left out comes with it.
+
+        Alone, x would lose what is smaller than its last bit: slow bodies would stand still.
+        Source: Kahan (1965), "Further remarks on reducing truncation errors".
+        """
+        there = x + step
+        if rounds == 1:
+            there, left_out = sum_up(x, step, low[w, p])
+            low[w, p] = left_out
+        return there
+
+    @wp.func
     def moved(
         x: vec3,
         F: mat33,
@@ -561,7 +584,7 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
             upright = wp.determinant(F) > real(0.0)
         else:
             v, C, _D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
-        state_out.x[row_out, p] = x + dt * v
+        state_out.x[row_out, p] = step_on(x, dt * v, w, p, state.low)
         state_out.v[row_out, p] = v
         state_out.C[row_out, p] = C
         return wp.length_sq(v), upright
@@ -697,6 +720,9 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         given_back=given_back,
         impulse_of_stress=impulse_of_stress,
         impulse_of_stress_back=impulse_of_stress_back,
+        step_on=step_on,
+        sum_up=sum_up,
+        rounds=rounds,
         moved=moved,
         before_yielding=before_yielding,
         taken_by=taken_by,

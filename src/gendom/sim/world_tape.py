@@ -50,6 +50,7 @@ class WorldTape:
             grid = worlds.make_grid(1)
             for stretch in self._stretches[w]:
                 begin = {name: view[w].copy() for name, view in threads.state.items()}
+                begin["low"] = threads.low[w : w + 1].copy()  # none in float64
                 if not stretch.substeps:
                     pass
                 elif keeps_all:
@@ -114,6 +115,7 @@ class WorldTape:
             grid, rows = recording.grid, recording.rows
             for name in worlds.carried:
                 getattr(rows, name).numpy()[0] = begin[name]
+            self._threads.low[w : w + 1] = begin["low"]
             self._begin(w, stretch)
             self._threads.launch(w, stretch.time, grid, rows, 0, 1, recording.velocity)
             status = self._threads.clock["status"][w]

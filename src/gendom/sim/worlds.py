@@ -19,7 +19,7 @@ from gendom.sim.reverse import make_reverse
 from gendom.sim.scene import Box, Table
 
 STATE = ("x", "v", "C", "F")
-"""The arrays of a state; F of bodies that yield alone."""
+"""The arrays of a state, row by row; F of bodies that yield alone."""
 
 CLOCK = ("dt", "steps", "step", "age", "travel", "status", "culprit", "frame")
 """The arrays of a clock."""
@@ -96,6 +96,7 @@ class Worlds:
         self.grips = self.make_grips(W)
         self.clock = self._clock()
         self.carried = STATE if self.plastic else STATE[:3]
+        self.low = self.zeros((W, N) if s.dtype == "float32" else (0, 0), self.kernels.vec3)
         self.state = self.make_state((W, N), wp.zeros)
         wp.copy(self.state.x, self.array(x, self.kernels.vec3))
         if self.plastic:
@@ -180,9 +181,10 @@ class Worlds:
         return grips
 
     def make_state(self, shape: Any, make: Any = wp.empty) -> Any:
-        """Room for states, as ``carried`` names them."""
+        """Room for states, as ``carried`` names them; all have the worlds' own ``low``."""
         k = self.kernels
         state = k.transfers.State()
+        state.low = self.low
         for name in self.carried:
             dtype = k.vec3 if name in ("x", "v") else k.mat33
             setattr(state, name, make(shape, dtype=dtype, device=self.device))
