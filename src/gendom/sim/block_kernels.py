@@ -24,12 +24,21 @@ from gendom.sim.columns import MARGIN, Columns
 from gendom.sim.kernels import DIVERGED, GRID_FULL, INVERTED, OK, make_kernels
 
 COMPONENTS = 24
-"""Of a record: x, v, C, and F or, of an elastic body, the particle's pulls on its neighbours."""
+"""Of a record: x, v, C, and F or, of an elastic body, the particle's pulls on its neighbours. In
+float32 low follows, see ``record_components``."""
+
+SPARE = 29
+"""Numbers that are put in order with a particle, at the most: a record, mu and lam."""
 
 ORDERLY = 1.0
 """How far a particle may travel, in cells, before the records are put in order anew."""
 
-_V, _C, _F, _MU, _LAM = 3, 6, 15, 0, 1
+_V, _C, _F, _LOW, _MU, _LAM = 3, 6, 15, 24, 0, 1
+
+
+def record_components(real: Any) -> int:
+    """Components of a record in a scalar type."""
+    return COMPONENTS + (3 if real == wp.float32 else 0)
 
 
 def carried_components(*, plastic: bool) -> int:
@@ -84,7 +93,7 @@ def make_block_kernels(
     impulse_of_stress = k.transfers.impulse_of_stress
     tension = k.transfers.tension
     moved = k.transfers.moved
-    step_on = k.transfers.step_on
+    rounds, sum_up = k.transfers.rounds, k.transfers.sum_up
     gather_particle = k.transfers.gather_particle
     get_node, put_node = k.transfers.get_node, k.transfers.put_node
     yields = k.transfers.yields
@@ -105,14 +114,14 @@ def make_block_kernels(
     class Records:
         """Particles of W worlds in order."""
 
-        of: wp.array3d(dtype=real)  # [W, COMPONENTS, N], or [1, ...] if they are resident
+        of: wp.array3d(dtype=real)  # [W, record_components, N], or [1, ...] if they are resident
         moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
         order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
         place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
         near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours, if elastic
         strayed: wp.array(dtype=real)  # [W] distance travelled since they were put in order [m]
         # scratch
-        spare: wp.array3d(dtype=real)  # [W, carried_components + 2, N]
+        spare: wp.array3d(dtype=real)  # [W, SPARE, N]
         spare_order: wp.array2d(dtype=wp.int32)  # [W, N]
         tally: wp.array2d(dtype=wp.int32)  # [W, M]
 
@@ -174,6 +183,9 @@ def make_block_kernels(
                 records.spare[w, c, j] = get(of, w, c, i)
             for c in range(2):
                 records.spare[w, CARRIED + c, j] = records.moduli[w, c, i]
+            if rounds == 1:
+                for c in range(3):
+                    records.spare[w, CARRIED + 2 + c, j] = get(of, w, _LOW + c, i)
         meet()
         for i in range(lane, N, lanes):
             p = records.spare_order[w, i]
@@ -182,6 +194,9 @@ def make_block_kernels(
                 put(of, w, c, i, records.spare[w, c, i])
             for c in range(2):
                 records.moduli[w, c, i] = records.spare[w, CARRIED + c, i]
+            if rounds == 1:
+                for c in range(3):
+                    put(of, w, _LOW + c, i, records.spare[w, CARRIED + 2 + c, i])
             if yields == 0:
                 near = Near()
                 for axis in range(3):
@@ -260,6 +275,8 @@ def make_block_kernels(
             put_matrix(of, w, _C, i, state.C[w, p])
             if yields == 1:
                 put_matrix(of, w, _F, i, state.F[w, p])
+            if rounds == 1:
+                put_vector(of, w, _LOW, i, state.low[w, p])
             moduli[w, _MU, i] = matter.mu[w, p]
             moduli[w, _LAM, i] = matter.lam[w, p]
         if step == 0:
@@ -417,7 +434,12 @@ def make_block_kernels(
                         upright = wp.determinant(F) > real(0.0)
                     else:
                         v, C, _D = gather_particle(layout, w, x, inv_dx, z0, columns, velocity)
-                    put_vector(of, w, 0, i, step_on(x, h * v, w, records.order[w, i], state.low))
+                    if rounds == 1:
+                        x, left_out = sum_up(x, h * v, vector(of, w, _LOW, i))
+                        put_vector(of, w, _LOW, i, left_out)
+                    else:
+                        x += h * v
+                    put_vector(of, w, 0, i, x)
                     put_vector(of, w, _V, i, v)
                     put_matrix(of, w, _C, i, C)
                     far = wp.length_sq(v) * h * h / (dx * dx)
@@ -465,6 +487,8 @@ def make_block_kernels(
             state.C[w, p] = matrix(of, w, _C, i)
             if yields == 1:
                 state.F[w, p] = matrix(of, w, _F, i)
+            if rounds == 1:
+                state.low[w, p] = vector(of, w, _LOW, i)
         if lane == 0:
             records.strayed[w] = strayed
             clock.frame[w] = frame

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from gendom.sim.block import ROOM_ALONE, ROOMS_OF_TWO
-from gendom.sim.block_kernels import COMPONENTS, carried_components, make_block_kernels
+from gendom.sim.block_kernels import SPARE, make_block_kernels, record_components
 from gendom.sim.columns import Grid
 from gendom.sim.paced import Paced
 from gendom.sim.worlds import Worlds
@@ -45,7 +45,8 @@ def suits_blocks(worlds: Worlds) -> bool:
 
 def shared_room(worlds: Worlds) -> int:
     """Shared memory of a block in which its particles fit [bytes]; 0 if they do not."""
-    taken = COMPONENTS * worlds.num_particles * worlds.numpy_type.itemsize
+    components = record_components(worlds.real)
+    taken = components * worlds.num_particles * worlds.numpy_type.itemsize
     if worlds.device.is_cuda:
         for room in (*ROOMS_OF_TWO, ROOM_ALONE):
             blocks = 2 if room in ROOMS_OF_TWO else 1
@@ -78,11 +79,10 @@ class Blocks(Paced):
             self.lanes = 1
         self.records = self.kernels.Records()
         rows = 1 if self.room else W
-        spare = carried_components(plastic=worlds.plastic) + 2
-        self.records.of = worlds.zeros((rows, COMPONENTS, N), worlds.real)
+        self.records.of = worlds.zeros((rows, record_components(worlds.real), N), worlds.real)
         self.records.moduli = worlds.zeros((W, 2, N), worlds.real)
         self.records.near = worlds.zeros((W, 3, 0 if worlds.plastic else N), wp.int32)
-        self.records.spare = worlds.zeros((W, spare, N), worlds.real)
+        self.records.spare = worlds.zeros((W, SPARE, N), worlds.real)
         self.records.strayed = worlds.zeros(W, worlds.real)
         for name in ("order", "place", "spare_order"):
             setattr(self.records, name, worlds.zeros((W, N), wp.int32))

@@ -516,23 +516,14 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
 
     @wp.func
     def sum_up(x: vec3, step: vec3, low: vec3):
-        """x + low + step as a rounded number and what that leaves out."""
+        """x + low + step as a rounded number and what that leaves out.
+
+        Rounded alone, x loses what is smaller than its last bit: slow bodies stand still. Source:
+        Kahan (1965), "Further remarks on reducing truncation errors".
+        """
         more = step + low
         there = x + more
         return there, more - (there - x)
-
-    @wp.func
-    def step_on(x: vec3, step: vec3, w: int, p: int, low: wp.array2d(dtype=vec3)):
-        """x after a step; in float32, what earlier roundings left out comes with it.
-
-        Alone, x would lose what is smaller than its last bit: slow bodies would stand still.
-        Source: Kahan (1965), "Further remarks on reducing truncation errors".
-        """
-        there = x + step
-        if rounds == 1:
-            there, left_out = sum_up(x, step, low[w, p])
-            low[w, p] = left_out
-        return there
 
     @wp.func
     def moved(
@@ -584,7 +575,12 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
             upright = wp.determinant(F) > real(0.0)
         else:
             v, C, _D = gather_particle(layout, slot, x, inv_dx, z0, columns, grid)
-        state_out.x[row_out, p] = step_on(x, dt * v, w, p, state.low)
+        if rounds == 1:
+            there, low = sum_up(x, dt * v, state.low[w, p])
+            state_out.x[row_out, p] = there
+            state.low[w, p] = low
+        else:
+            state_out.x[row_out, p] = x + dt * v
         state_out.v[row_out, p] = v
         state_out.C[row_out, p] = C
         return wp.length_sq(v), upright
@@ -720,7 +716,6 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         given_back=given_back,
         impulse_of_stress=impulse_of_stress,
         impulse_of_stress_back=impulse_of_stress_back,
-        step_on=step_on,
         sum_up=sum_up,
         rounds=rounds,
         moved=moved,

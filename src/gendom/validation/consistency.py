@@ -47,7 +47,7 @@ def precision(settings: Settings) -> list[Check]:
             "-",
             0.0,
             float(np.abs(single - double).max() / LIFT),
-            1e-3,
+            1e-5,
             "round-off: 2^-24 a number (IEEE 754)",
         )
     ]
