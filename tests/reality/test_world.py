@@ -12,6 +12,7 @@ from gendom.reality import (
     OBJECTS,
     Layout,
     Reality,
+    RealObject,
     RealRope,
     default_cameras,
     find_object,
@@ -22,7 +23,7 @@ from gendom.reality import (
 COTTON = cast(RealRope, OBJECTS["rope-cotton"])
 
 
-def lying(item=COTTON):
+def lying(item: RealObject = COTTON) -> Layout:
     return Layout(origin=(0.35, 0.0, rest_height(item)))
 
 
@@ -61,6 +62,23 @@ def test_objects_rest_on_the_table(name):
     # Contact gives way by some hundredths of a millimetre, by far less under a rope.
     assert np.abs(world.vertices() - before).max() < (2e-6 if isinstance(item, RealRope) else 2e-5)
     assert world.speed() < 5e-3
+
+
+@pytest.mark.parametrize("name", ["rope-cotton", "cloth-cotton", "cloth-rubber"])
+def test_friction_is_coulombs(name):
+    """On a slope objects stick below atan(mu) and slide at g (sin a - mu cos a) above."""
+    item = find_object(name)
+    ways = []
+    for share in (0.8, 1.5):
+        slope = share * np.arctan(item.friction)
+        with Reality(item, lying(item)) as world:
+            world.model.opt.gravity[:] = 9.81 * np.array([np.sin(slope), 0.0, -np.cos(slope)])
+            x = world.vertices()
+            world.step_to(world.time + 0.2)
+            ways.append((world.vertices() - x)[:, 0].mean())
+    assert abs(ways[0]) < 5e-4
+    expected = 9.81 * (np.sin(slope) - item.friction * np.cos(slope)) * 0.2**2 / 2.0
+    assert ways[1] == pytest.approx(expected, rel=0.05)
 
 
 def test_what_is_held_follows_the_hand_without_stretching():

@@ -175,11 +175,11 @@ def build_model(
     held = clamped_vertices(item, layout)
     x, y, wide, deep = TABLE
     # By its priority all of the table's contact counts, not its friction only: it is as hard as
-    # the object's, and gives little where a fold presses a single vertex down.
+    # the object's.
     top = (
         f'<geom name="table" type="box" pos="{x} {y} -0.02" size="{wide / 2} {deep / 2} 0.02"'
         f' rgba="0.62 0.58 0.52 1" contype="{_FIXED}" conaffinity="{_OBJECT}"'
-        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1" solimp="0.99 0.999 0.0001" priority="1"/>'
+        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1" priority="1"/>'
         if table
         else ""
     )
