@@ -155,6 +155,8 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                     grid_bar, bars,
                 )  # fmt: skip
                 p += 1
+            by_keep = wp.float64(0.0)
+            by_gravity = wp.vec3d()
             n = int(0)
             while n < nodes:
                 q = momentum[slot, n]
@@ -165,9 +167,11 @@ def make_reverse(real: Any, law_name: str, *, plastic: bool) -> SimpleNamespace:
                         columns, scene_bars,
                     )  # fmt: skip
                     grid_bar[0, n] = node_bar
-                    scene_bars.keep[w] = scene_bars.keep[w] + keep_bar
-                    scene_bars.gravity[w] = scene_bars.gravity[w] + gravity_bar
+                    by_keep += keep_bar
+                    by_gravity += gravity_bar
                 n += 1
+            scene_bars.keep[w] = scene_bars.keep[w] + by_keep
+            scene_bars.gravity[w] = scene_bars.gravity[w] + by_gravity
             close_substep(w, w, t, dt, scene, paths, grips, scene_bars)
             p = int(0)
             while p < N:

@@ -1,6 +1,7 @@
 """What the CPU keeps of a simulation to reverse it: each world by itself, on its own thread."""
 
 import itertools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -190,8 +191,9 @@ class _Recording:
     def __init__(self, worlds: Worlds, slots: int):
         # nothing is read before it was written: memory that is never needed is never touched
         self.slots = slots
-        self.grid = worlds.make_grid(slots, make=wp.empty)
-        self.rows = worlds.make_state((slots + 1, worlds.num_particles))
+        pages = _Pages((slots + 1) * self.bytes_a_substep(worlds))
+        self.grid = worlds.make_grid(slots, make=pages.take)
+        self.rows = worlds.make_state((slots + 1, worlds.num_particles), pages.take)
         self.velocity = worlds.zeros((1, self.grid.momentum.shape[1]), worlds.kernels.vec4)
 
     @staticmethod
@@ -199,3 +201,33 @@ class _Recording:
         X, Y, M = worlds.room
         real = worlds.numpy_type.itemsize
         return worlds.state_bytes + real * 4 * M + 4 * (3 * X * Y + 2 * M + 6)
+
+
+class _Pages:
+    """Memory for many arrays in one piece, for which the system may use large pages.
+
+    To touch a page of 4 KB for the first time takes as long as to compute what is written to it.
+
+    Args:
+        size: Of all arrays together [bytes]; a little more is set aside.
+    """
+
+    ALIGNED = 64
+    """Multiple at which each array begins [bytes]."""
+
+    def __init__(self, size: int):
+        # numpy asks the system for large pages
+        self._memory = np.empty(size + (1 << 12), dtype=np.uint8)
+        self._taken = 0
+
+    def take(self, shape: int | tuple[int, ...], *, dtype: Any, device: Any) -> wp.array:
+        """An array that is not filled."""
+        shape = (shape,) if isinstance(shape, int) else shape
+        inner = getattr(dtype, "_shape_", ())
+        scalar = np.dtype(wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)))
+        size = math.prod(shape + inner) * scalar.itemsize
+        self._taken += -(self._memory.ctypes.data + self._taken) % self.ALIGNED
+        piece = self._memory[self._taken : self._taken + size]
+        self._taken += size
+        numbers = piece.view(scalar).reshape(shape + inner)
+        return wp.array(numbers, dtype=dtype, device=device, copy=False)
