@@ -1,6 +1,7 @@
 """Known parameters come back from lifts that were simulated with them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,6 +29,8 @@ MODULUS = specific_modulus_of(0.35 * LENGTH, DIAMETER / 4.0, 9.81)
 
 CHEAP = ReplaySettings(cells_across=1.0, clock=5.0, threads=1)
 """A coarse and quick replay; the recording made with it is as quick."""
+
+EXACT = replace(CHEAP, dtype="float64")
 
 SUBSTEP = 1.0e-4
 """Where substeps are not to follow the stiffness [s]."""
@@ -309,10 +312,10 @@ def test_unknown_mass_assumes_a_density():
     """Without a mass the density is assumed and said to be; motion does not depend on it."""
     description = ObjectDescription(kind="rope", length=LENGTH, diameter=DIAMETER)
     seen = recording([at_rest()] * 3, object=description)
-    lift = Lift(seen, CHEAP)
+    lift = Lift(seen, EXACT)
     assert lift.density_assumed and lift.density == 1000.0
     heavy = ObjectDescription(kind="rope", length=LENGTH, diameter=DIAMETER, mass=0.1)
-    other = Lift(recording([at_rest()] * 3, object=heavy), CHEAP)
+    other = Lift(recording([at_rest()] * 3, object=heavy), EXACT)
     assert other.density == pytest.approx(0.1 / (math.pi / 4 * DIAMETER**2 * LENGTH))
     theta = [Theta(specific_modulus=MODULUS)]
     assert np.abs(other.simulate(theta) - lift.simulate(theta)).max() < 1e-9
@@ -393,7 +396,7 @@ def test_differences_of_the_density_loss_are_its_gradient(lifted, monkeypatch, s
 
     monkeypatch.setattr("gendom.estimation.lift.Simulator", Recorded)
     monkeypatch.setitem(STEPS, "rope", np.array([*steps, 5e-4, 0.02]))
-    lift = Lift(lifted, CHEAP)
+    lift = Lift(lifted, EXACT)
     comparison = _Comparison(lift, lift.frames, [16, 32, 64], free=[0, 1])
     theta = np.array([math.log(1.3 * MODULUS), 0.35, 0.0, 0.3])
     (model,) = comparison.models([theta])
