@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gendom.cli.replay import replay_setup
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import ParameterError
 from gendom.estimation import Hold, Lift, ReplaySettings, Theta, replay_chamfer
 from gendom.estimation.gauss_newton import Bounds
 from gendom.estimation.hold import NAMES, Held, as_held, fit_hold
+from gendom.materials.parameters import bending_length
 
 SIDE = 0.2
 MODULUS = 600.0
@@ -249,6 +251,30 @@ def test_a_stated_reach_is_believed(monkeypatch):
     unknown, known = seen_bounds[0], seen_bounds[-1]
     assert unknown.mean[reach] == Hold().reach and known.mean[reach] == 0.012
     assert known.sd[reach] < 0.5 * unknown.sd[reach]
+
+
+def test_a_replay_seeks_the_hold_alone(monkeypatch):
+    """Material and friction are the estimate's; the height of its own lift's grip is not carried
+    over to another one."""
+    seen_bounds = []
+
+    def one_look(simulate, clouds, floor, bounds, starts, **_):
+        seen_bounds.append(bounds)
+        return starts[0]
+
+    monkeypatch.setattr("gendom.estimation.lift.fit_hold", one_look)
+    params = {
+        "format": "gendom-estimate/1", "specific_modulus": MODULUS, "poissons_ratio": 0.3,
+        "grip_offset": 0.004, "friction": 0.45, "object": {"kind": "cloth"},
+    }  # fmt: skip
+    lift, theta = replay_setup(recording([flat()] * 12), params, "estimate.json", "cpu")
+    assert theta == Theta(specific_modulus=MODULUS, nu=0.3, friction=0.45)
+    length = bending_length(MODULUS, lift.radius_of_gyration, 9.81)
+    for name, value in (("friction", 0.45), ("log_bending", math.log(length))):
+        n = NAMES.index(name)
+        assert all(b.low[n] == b.high[n] == pytest.approx(value) for b in seen_bounds)
+    tilt = NAMES.index("tilt")
+    assert seen_bounds and all(b.low[tilt] < b.high[tilt] for b in seen_bounds)
 
 
 @pytest.mark.parametrize("bad", [{"lag": -0.1}, {"sink": -0.01}, {"inset": np.nan}, {"reach": 0.0}])

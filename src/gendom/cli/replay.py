@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -135,4 +135,8 @@ def replay_setup(
             where=where,
             fix="estimate from a recording of the same object",
         )
-    return Lift(recording, settings), theta
+    lift = Lift(recording, settings, known=theta)
+    if lift.held is not None:
+        # the offset belongs to the estimate's own lift; how this corner is held was just found
+        theta = replace(theta, grip_offset=0.0)
+    return lift, theta

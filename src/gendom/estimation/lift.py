@@ -16,7 +16,7 @@ from gendom.estimation.hold import Held, Hold, fit_hold
 from gendom.estimation.placing import place
 from gendom.estimation.priors import LEAST_REACH, hold_bounds, hold_guesses
 from gendom.materials import Material
-from gendom.materials.parameters import specific_modulus_of
+from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import visible
 from gendom.sim import CFL, GRAVITY, Gripper, Simulator, Table, check_numbers
 
@@ -116,6 +116,7 @@ class Lift:
         recording: What was seen.
         settings: How to simulate it.
         hold: How the corner of a cloth is held, or None to find it.
+        known: The object's parameters, if they are known while the hold is found.
         on_hold: Called while that is found with the share of its work that is done, the best so
             far and its summed distances [m].
 
@@ -129,6 +130,7 @@ class Lift:
         settings: ReplaySettings | None = None,
         *,
         hold: Hold | None = None,
+        known: Theta | None = None,
         on_hold: Callable[[float, Held, float], None] | None = None,
     ):
         self.recording = recording
@@ -152,7 +154,7 @@ class Lift:
         self.held: Held | None = None
         if hold is None and self.held_by_corner:
             _log.info("finding how the corner is held")
-            self.held = self._find_hold(on_hold)
+            self.held = self._find_hold(known, on_hold)
             self.hold = Hold() if self.held is None else self.held.hold
         if self.hold is not None:
             x = self._laid(self.hold)
@@ -290,7 +292,9 @@ class Lift:
         )
         return lowest + FLOOR_MARGIN
 
-    def _find_hold(self, on_hold: Callable[[float, Held, float], None] | None) -> Held | None:
+    def _find_hold(
+        self, known: Theta | None, on_hold: Callable[[float, Held, float], None] | None
+    ) -> Held | None:
         """How the corner is held, from the frames in which it hangs; None: it never does."""
         height = self.recording.gripper_position[:, 0, 2]
         rise = height - height[self.frames[0]]
@@ -303,6 +307,11 @@ class Lift:
         chosen = hanging[:: -(-len(hanging) // HOLD_FRAMES)]
         clouds = [self.recording.frame(t) for t in chosen]
         guesses = hold_guesses(self.recording, size=self.size)
+        given = {}
+        if known is not None:
+            length = bending_length(known.specific_modulus, self.radius_of_gyration, -GRAVITY[2])
+            given = {"bending": length, "friction": known.friction}
+            guesses = [replace(g, **given) for g in guesses]
         found = None
         stages = HOLD_STAGES.get(self.recording.gripper_source, HOLD_STAGES["commanded"])
         batches = sum(iterations for _, iterations in stages)
@@ -327,7 +336,11 @@ class Lift:
                 return lift.simulate(thetas, frames=chosen, holds=[h.hold for h in held])
 
             bounds = hold_bounds(
-                self.recording, size=self.size, cell=lift.body.dx, table_seen=self.floor is None
+                self.recording,
+                size=self.size,
+                cell=lift.body.dx,
+                table_seen=self.floor is None,
+                **given,
             )
             try:
                 found = fit_hold(

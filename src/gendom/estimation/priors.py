@@ -82,7 +82,15 @@ def hold_guesses(recording: Recording, *, size: float) -> list[Held]:
     return [Held(hold=replace(g.hold, reach=reach), bending=g.bending * size) for g in guesses]
 
 
-def hold_bounds(recording: Recording, *, size: float, cell: float, table_seen: bool) -> Bounds:
+def hold_bounds(
+    recording: Recording,
+    *,
+    size: float,
+    cell: float,
+    table_seen: bool,
+    bending: float | None = None,
+    friction: float | None = None,
+) -> Bounds:
     """Limits and prior of a held cloth, in the order of ``hold.NAMES``.
 
     Args:
@@ -90,12 +98,14 @@ def hold_bounds(recording: Recording, *, size: float, cell: float, table_seen: b
         size: Diagonal of the cloth [m].
         cell: Of the grid with which it is searched [m].
         table_seen: Whether clouds show what lies on the table.
+        bending: How far the cloth bends, where that is known [m].
+        friction: Its coefficient of friction, where that is known.
     """
     described, source = recording.object, recording.gripper_source
     assert described.width is not None and described.height is not None
     sd = np.array([*astuple(HOLD_SD.get(source, HOLD_SD["commanded"])), FRICTION_PRIOR[1], 1.0])
     mean = np.array([*astuple(HOLD_MEAN), FRICTION_PRIOR[0], 0.0])
-    lag, inset, tilt, sink, reach, friction, bending = (
+    lag, inset, tilt, sink, reach, rubs, bends = (
         NAMES.index(name)
         for name in ("lag", "inset", "tilt", "sink", "reach", "friction", "log_bending")
     )
@@ -104,11 +114,11 @@ def hold_bounds(recording: Recording, *, size: float, cell: float, table_seen: b
     if described.grasp_radius is not None:
         mean[reach], sd[reach] = described.grasp_radius, STATED_REACH_SD
     # how far it bends is searched over its range without preference: a wide Gaussian
-    bends = np.log(np.array(BENDING_RANGE["cloth"]) * size)
-    mean[bending], sd[bending] = bends.mean(), np.ptp(bends)
+    logs = np.log(np.array(BENDING_RANGE["cloth"]) * size)
+    mean[bends], sd[bends] = logs.mean(), np.ptp(logs)
     low, high = mean - HOLD_RANGE * sd, mean + HOLD_RANGE * sd
-    low[bending], high[bending] = bends
-    low[friction], high[friction] = FRICTION_RANGE
+    low[bends], high[bends] = logs
+    low[rubs], high[rubs] = FRICTION_RANGE
     low[[lag, inset, sink]] = 0.0
     low[tilt], low[reach] = LEAST_TILT, LEAST_REACH * cell
     high[inset] = min(high[inset], described.width / 4.0, described.height / 4.0)
@@ -118,8 +128,12 @@ def hold_bounds(recording: Recording, *, size: float, cell: float, table_seen: b
     if table_seen:
         # it lies where it is stated
         mean[sink] = high[sink] = 0.0
+    if bending is not None:
+        mean[bends] = low[bends] = high[bends] = np.log(bending)
+    if friction is not None:
+        mean[rubs] = low[rubs] = high[rubs] = friction
     largest = sd.copy()
-    largest[bending] = LARGEST_BEND
+    largest[bends] = LARGEST_BEND
     return Bounds(
         low=low, high=high, mean=mean, sd=sd, largest_step=largest, tolerance=0.02 * largest
     )
