@@ -13,6 +13,8 @@ from typing import Any
 
 import warp as wp
 
+from gendom.sim.rounding import make_rounding
+
 _MEET = """
 #if defined(__CUDA_ARCH__)
     __syncthreads();
@@ -109,13 +111,15 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
     Returns:
         Namespace with ``get``, ``put`` and ``add`` (atomic) of component c of particle i in a row
         of the array ``of`` [rows, components, N]; with ``vector``, ``put_vector``, ``matrix``,
-        ``put_matrix`` of the components from c on; and with ``differences`` and ``pulled``, those
-        of ``gendom.sim.transfers`` between the particles of a row.
+        ``put_matrix`` of the components from c on; with ``differences`` and ``pulled``, those of
+        ``gendom.sim.transfers`` between the particles of a row; and with ``step_on``.
     """
     store = _numbers(real, resident=resident)
     get, put = store.get, store.put
     vec3 = wp.types.vector(3, real)
     mat33 = wp.types.matrix((3, 3), real)
+    rounding = make_rounding(real)
+    rounds, sum_up = rounding.rounds, rounding.sum_up
 
     @wp.func
     def vector(of: wp.array3d(dtype=real), row: int, c: int, i: int):
@@ -165,9 +169,18 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
                 total[n] -= back * get(of, row, c + 3 * n + axis, a)
         return total
 
+    @wp.func
+    def step_on(of: wp.array3d(dtype=real), row: int, c: int, i: int, x: vec3, step: vec3):
+        """x after a step; in float32 with what was left out so far, the vector at c."""
+        there = x + step
+        if rounds == 1:
+            there, left_out = sum_up(x, step, vector(of, row, c, i))
+            put_vector(of, row, c, i, left_out)
+        return there
+
     return SimpleNamespace(
         **vars(store), vector=vector, put_vector=put_vector, matrix=matrix, put_matrix=put_matrix,
-        differences=differences, pulled=pulled,
+        differences=differences, pulled=pulled, step_on=step_on,
     )  # fmt: skip
 
 

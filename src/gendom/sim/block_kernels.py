@@ -93,7 +93,7 @@ def make_block_kernels(
     impulse_of_stress = k.transfers.impulse_of_stress
     tension = k.transfers.tension
     moved = k.transfers.moved
-    rounds, sum_up = k.transfers.rounds, k.transfers.sum_up
+    rounds = k.transfers.rounds
     gather_particle = k.transfers.gather_particle
     get_node, put_node = k.transfers.get_node, k.transfers.put_node
     yields = k.transfers.yields
@@ -105,7 +105,7 @@ def make_block_kernels(
     get, put = store.get, store.put
     vector, put_vector = store.vector, store.put_vector
     matrix, put_matrix = store.matrix, store.put_matrix
-    differences, pulled = store.differences, store.pulled
+    differences, pulled, step_on = store.differences, store.pulled, store.step_on
     put_taped = make_store(real, resident=False).put_vector
     block = make_block(real)
     meet, any_of, largest, before = block.meet, block.any, block.largest, block.before
@@ -434,12 +434,7 @@ def make_block_kernels(
                         upright = wp.determinant(F) > real(0.0)
                     else:
                         v, C, _D = gather_particle(layout, w, x, inv_dx, z0, columns, velocity)
-                    if rounds == 1:
-                        x, left_out = sum_up(x, h * v, vector(of, w, _LOW, i))
-                        put_vector(of, w, _LOW, i, left_out)
-                    else:
-                        x += h * v
-                    put_vector(of, w, 0, i, x)
+                    put_vector(of, w, 0, i, step_on(of, w, _LOW, i, x, h * v))
                     put_vector(of, w, _V, i, v)
                     put_matrix(of, w, _C, i, C)
                     far = wp.length_sq(v) * h * h / (dx * dx)

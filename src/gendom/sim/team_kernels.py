@@ -81,7 +81,7 @@ def make_team_kernels(
     given_by = k.transfers.given_by
     scatter_plane = k.transfers.scatter_plane
     get_node, put_node = k.transfers.get_node, k.transfers.put_node
-    yields, rounds, sum_up = k.transfers.yields, k.transfers.rounds, k.transfers.sum_up
+    yields, rounds = k.transfers.yields, k.transfers.rounds
     straight = make_transfers(real, k.law, straight=True)
     moved, gather_particle = straight.moved, straight.gather_particle
     numbers = wp.constant(COMPONENTS * room)
@@ -89,7 +89,7 @@ def make_team_kernels(
     get, put = store.get, store.put
     vector, put_vector = store.vector, store.put_vector
     matrix, put_matrix = store.matrix, store.put_matrix
-    differences, pulled = store.differences, store.pulled
+    differences, pulled, step_on = store.differences, store.pulled, store.step_on
     meet_block = make_block(real).meet
     team = make_team(real)
     meet, lift = team.meet, team.lift
@@ -333,11 +333,7 @@ def make_team_kernels(
                         upright = wp.determinant(F) > real(0.0)
                     else:
                         v, C, _D = gather_particle(w, w, x, inv_dx, z0, columns, velocity)
-                    if rounds == 1:
-                        x, low = sum_up(x, h * v, vector(of, block, _LOW, i))
-                        put_vector(of, block, _LOW, i, low)
-                    else:
-                        x += h * v
+                    x = step_on(of, block, _LOW, i, x, h * v)
                     put_vector(of, block, 0, i, x)
                     put_vector(of, block, _V, i, v)
                     put_matrix(of, block, _C, i, C)

@@ -33,6 +33,7 @@ import warp as wp
 from gendom.materials.laws import Law
 from gendom.sim.columns import Columns
 from gendom.sim.lanes import make_lanes
+from gendom.sim.rounding import make_rounding
 from gendom.sim.stencil import make_stencil
 
 
@@ -68,7 +69,8 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
     return_map = law.return_map
     return_map_back = law.return_map_back
     yields = wp.constant(1 if law.plastic else 0)
-    rounds = wp.constant(1 if real == wp.float32 else 0)
+    rounding = make_rounding(real)
+    rounds, sum_up = rounding.rounds, rounding.sum_up
     PLACE = wp.constant(7 if law.plastic else 4)
 
     @wp.struct
@@ -515,17 +517,6 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         return v, (real(4.0) * inv_dx) * affine_of(f, R), inv_dx * slopes_of(R)
 
     @wp.func
-    def sum_up(x: vec3, step: vec3, low: vec3):
-        """x + low + step as a rounded number and what that leaves out.
-
-        Rounded alone, x loses what is smaller than its last bit: slow bodies stand still. Source:
-        Kahan (1965), "Further remarks on reducing truncation errors".
-        """
-        more = step + low
-        there = x + more
-        return there, more - (there - x)
-
-    @wp.func
     def moved(
         x: vec3,
         F: mat33,
@@ -716,7 +707,6 @@ def make_transfers(real: Any, law: Law, *, straight: bool = False) -> SimpleName
         given_back=given_back,
         impulse_of_stress=impulse_of_stress,
         impulse_of_stress_back=impulse_of_stress_back,
-        sum_up=sum_up,
         rounds=rounds,
         moved=moved,
         before_yielding=before_yielding,
