@@ -30,7 +30,6 @@ from gendom.reality import (
     stretch,
 )
 from gendom.reality.arm import surroundings
-from gendom.reality.scene import CLOTH_RADIUS
 from gendom.robot import XARM7, collision_along, tcp_pose
 from gendom.tasks.rope_reaching import PAPER_TIMES
 
@@ -264,8 +263,7 @@ def test_the_arm_spreads_a_cloth():
     assert centre[:, 2].max() - centre[0, 2] == pytest.approx(0.16, abs=2e-3)
     assert 0.05 < outcome.ratio < 0.5  # it crumples
     assert np.abs(edges(COTTON_CLOTH, outcome.vertices[-1]).mean() - 1.0) < 0.005
-    # folds press single vertices into the table, none through it
-    assert outcome.vertices[-1, :, 2].min() > -CLOTH_RADIUS
+    assert outcome.vertices[-1, :, 2].min() > 0.0
 
 
 def flat(cloth, turn=0.0):
