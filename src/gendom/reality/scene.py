@@ -191,11 +191,12 @@ def build_model(
     connections += [
         f'<connect name="stand_{v}" body1="object_{v}" anchor="0 0 0" {_firm(step)}/>' for v in held
     ]
+    # CG needs many steps where a cloth lies on itself: stopped too early, vertices sink in.
     solver = "Newton" if isinstance(item, RealRope) else "CG"
     xml = f"""
 <mujoco model="{item.name}">
   <option timestep="{step}" integrator="discrete" solver="{solver}" tolerance="1e-8"
-          iterations="100" gravity="{_row(gravity)}"/>
+          iterations="400" gravity="{_row(gravity)}"/>
   <size memory="256M"/>
   <visual>
     <global offwidth="1280" offheight="960"/>
