@@ -56,7 +56,7 @@ def measure_speed(
     dtype: str = "float32",
     worlds: int = 1,
     threads: int | None = 1,
-    seconds: float = 0.1,
+    seconds: float = 0.5,
     runs: int = 5,
     gradient: bool = False,
     seed: int = 0,
