@@ -183,7 +183,8 @@ def test_fit_hold_on_points_that_move_along():
 
     clouds = list(simulate([Held(hold=truth, bending=0.022)])[:, 0])
     mean = Held(hold=Hold(tilt=0.0), friction=0.3, bending=0.02).vector
-    sd = np.array([0.1, 0.02, 0.02, 0.02, 0.1, 0.1, 0.01, 0.01, 0.1, 0.3])
+    sd = np.full(len(NAMES), 0.1)
+    sd[1:4], sd[-1] = 0.02, 0.3
     low, high = mean - 4.0 * sd, mean + 4.0 * sd
     low[4:-1] = high[4:-1] = mean[4:-1]
     low[0] = 0.0

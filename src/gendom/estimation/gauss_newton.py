@@ -61,6 +61,7 @@ def descend(
     effective: float,
     max_iterations: int,
     least_gain: float,
+    least_damping: float = 1e-9,
 ) -> Iterator[int]:
     """Run all starts to convergence; yields the number of the iteration just finished.
 
@@ -77,6 +78,8 @@ def descend(
         max_iterations: Evaluations a start may spend.
         least_gain: A start has arrived when an accepted step lowers its sum of squares by less
             than this share.
+        least_damping: Damping below which none falls: where pairs or contacts change with each
+            step, a first refusal should shorten the next one.
     """
     precision = 1.0 / bounds.sd**2
     for iteration in range(1, max_iterations + 1):
@@ -91,7 +94,7 @@ def descend(
             if model is not None and (first or _better(start, theta, model, bounds, effective)):
                 gain = 1.0 if start.model is None else 1.0 - model.sse / start.model.sse
                 start.theta, start.model = theta, model
-                start.damping = max(start.damping / 8.0, 1e-9)
+                start.damping = max(start.damping / 8.0, least_damping)
                 start.done = not first and (
                     gain < least_gain or bool(np.all(step < bounds.tolerance))
                 )

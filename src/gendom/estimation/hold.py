@@ -38,6 +38,9 @@ EFFECTIVE = 250.0
 LEAST_GAIN = 3e-3
 """Share of the summed distances that a step must still win."""
 
+LEAST_DAMPING = 3e-3
+"""Least damping of the search: pairs change with every step, so that long steps are often vain."""
+
 
 @dataclass(frozen=True)
 class Hold:
@@ -60,6 +63,22 @@ class Hold:
     reach: float = 0.025
     """How far from the held point the cloth moves with the gripper as one: fingers and the folds
     between them [m]."""
+    east: float = 0.0
+    """How far along x the cloud lies from where the stated point would have it [m]."""
+    north: float = 0.0
+    """The same along y [m]."""
+    pleat: float = 0.0
+    """Steepest slope of the pleat that the fingers have pressed, 0 for none [rad]."""
+    pleat_width: float = 0.045
+    """Half the width of that pleat, measured in the cloth [m]."""
+    pleat_turn: float = 0.0
+    """Turn of the pleat from the diagonal, about the held point [rad]."""
+    arch_along: float = 0.0
+    """Curvature along the diagonal of a cloth free of stress, positive where it arches up [1/m]."""
+    arch_across: float = 0.0
+    """The same across the diagonal [1/m]."""
+    crumple: float = 0.0
+    """Share of the curvature in which the cloth lay that it keeps; 0: it lay flat."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -67,6 +86,13 @@ class Hold:
         check_numbers("lag", self.lag, least=0.0)
         check_numbers("sink", self.sink, least=0.0)
         check_numbers("reach", self.reach, above=0.0)
+        check_numbers("pleat_width", self.pleat_width, above=0.0)
+        check_numbers("crumple", self.crumple, least=0.0)
+
+    @property
+    def shaped(self) -> bool:
+        """Whether the cloth is other than flat without stress."""
+        return any((self.pleat, self.arch_along, self.arch_across, self.crumple))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +106,8 @@ class Held:
     """Coefficient of friction on the table."""
     doubt: float = 0.0
     """Standard deviation of log(bending) that not knowing the hold adds to that of a known one."""
+    loss: float = math.inf
+    """Summed distances from the clouds [m]."""
 
     @property
     def vector(self) -> NDArray[np.float64]:
@@ -93,7 +121,8 @@ NAMES = (*(field.name for field in fields(Hold)), "friction", "log_bending")
 STEPS = Held(
     hold=Hold(
         lag=0.01, height=0.003, inset=0.003, aside=0.003, turn=0.015, tilt=0.05, sink=0.0015,
-        reach=0.004,
+        reach=0.004, east=0.003, north=0.003, pleat=0.06, pleat_width=0.002, pleat_turn=0.03,
+        arch_along=0.8, arch_across=0.8, crumple=0.06,
     ),
     friction=0.05,
     bending=math.exp(0.06),
@@ -183,6 +212,7 @@ def fit_hold(
         effective=EFFECTIVE,
         max_iterations=iterations,
         least_gain=LEAST_GAIN,
+        least_damping=LEAST_DAMPING,
     ):
         best = min(going, key=lambda s: s.model.sse)  # pyright: ignore[reportOptionalMemberAccess]
         if on_iteration is not None and best.model is not None:
@@ -190,7 +220,8 @@ def fit_hold(
     assert best.model is not None
     information = np.linalg.inv(posterior_covariance(best.model, bounds, effective=EFFECTIVE))
     doubt = np.linalg.inv(information)[-1, -1] - 1.0 / information[-1, -1]
-    return replace(as_held(best.theta), doubt=math.sqrt(max(doubt, 0.0)))
+    held = as_held(best.theta)
+    return replace(held, doubt=math.sqrt(max(doubt, 0.0)), loss=best.model.sse)
 
 
 def _shown(

@@ -14,11 +14,18 @@ from gendom.datasets import Recording
 from gendom.errors import RecordingError, SimulationError
 from gendom.estimation.hold import Held, Hold, fit_hold
 from gendom.estimation.placing import place
-from gendom.estimation.priors import LEAST_REACH, hold_bounds, hold_guesses
+from gendom.estimation.priors import (
+    HOLD_MEAN,
+    LEAST_REACH,
+    hold_bounds,
+    hold_guesses,
+    shaped_guesses,
+)
+from gendom.estimation.shapes import Sheet, best_sheet, held_height, shaped
 from gendom.materials import Material
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import visible
-from gendom.sim import CFL, GRAVITY, Gripper, Simulator, Table, check_numbers
+from gendom.sim import CFL, GRAVITY, Body, Gripper, Simulator, Table, check_numbers
 
 _log = logging.getLogger(__name__)
 
@@ -53,6 +60,22 @@ HOLD_STAGES = {"commanded": ((0.6, 8), (1.0, 4)), "measured": ((1.0, 6),)}
 """Grids on which the hold of a corner is found, one after the other, by the source of the gripper's
 path: cells for each cell of the estimate, and the batches that may be spent. Where the path was
 measured, the first guess is near enough for the estimate's own grid."""
+
+SHAPE_STAGES = ((1.0 / 9.0, 8), (1.0 / 15.0, 6))
+"""Thicknesses in bending lengths, and batches that may be spent, for the search of a cloth that is
+not flat: a thicker sheet is more pliant in its plane, so that a wrong shape finds its way out."""
+
+RAISED = 0.015
+"""Height over the table's crop at which a cloth at rest shows that it does not lie flat [m]."""
+
+FEWEST_RAISED = 100
+"""Points that must show it."""
+
+REST_FRAMES = 3
+"""First frames, in which the cloth still lies."""
+
+SHAPE_GAIN = 0.9
+"""Share of a flat cloth's summed distances that one with a shape must come below."""
 
 HOLD_FRAMES = 10
 """Frames from which the hold of a corner is found."""
@@ -110,7 +133,7 @@ class Lift:
     gripper on, as long as stated; a cloth as the flat square that holds most of the recorded
     points, held where the recording says. It is carried along the recorded path; heights below
     rest mean slack. How the corner of a cloth is held is found from the clouds, together with how
-    far the cloth bends.
+    far the cloth bends; where the first frames show a ridge, also how it lay other than flat.
 
     Args:
         recording: What was seen.
@@ -119,6 +142,7 @@ class Lift:
         known: The object's parameters, if they are known while the hold is found.
         on_hold: Called while that is found with the share of its work that is done, the best so
             far and its summed distances [m].
+        sheet: How a crumpled cloth lies, or None to find that where it is needed.
 
     Raises:
         RecordingError: If the recording shows too little to place the object.
@@ -132,6 +156,7 @@ class Lift:
         hold: Hold | None = None,
         known: Theta | None = None,
         on_hold: Callable[[float, Held, float], None] | None = None,
+        sheet: Sheet | None = None,
     ):
         self.recording = recording
         self.settings = settings or ReplaySettings()
@@ -149,7 +174,8 @@ class Lift:
         self.damping = damping
         self.density, self.density_assumed = self._density()
         self.floor = self._find_floor()
-        self._flat = self.body.x
+        self._flat = self.body
+        self._sheet = sheet
         self.hold = hold
         self.held: Held | None = None
         if hold is None and self.held_by_corner:
@@ -157,8 +183,7 @@ class Lift:
             self.held = self._find_hold(known, on_hold)
             self.hold = Hold() if self.held is None else self.held.hold
         if self.hold is not None:
-            x = self._laid(self.hold)
-            self.body = replace(self.body, x=x - [0.0, 0.0, self.hold.sink])
+            self.body = self._laid(self.hold).moved(_from_simulated(self.hold))
 
     # ---- what the estimator needs -------------------------------------------------------------
 
@@ -187,31 +212,56 @@ class Lift:
         """
         chosen = self.frames if frames is None else list(frames)
         every = [self.hold] * len(thetas) if holds is None else list(holds)
-        grippers = [self._grippers(theta, h) for theta, h in zip(thetas, every, strict=True)]
+        bodies = [self._flat if h is None else self._laid(h) for h in every]
+        # worlds of one batch share the shape that is free of stress
+        alike: dict[bytes, list[int]] = {}
+        for w, body in enumerate(bodies):
+            key = b"" if body.curvature is None else body.curvature.tobytes()
+            alike.setdefault(key, []).append(w)
+        x = np.empty((len(chosen), len(thetas), self.body.num_particles, 3), self.settings.dtype)
+        for worlds in alike.values():
+            x[:, worlds] = self._simulate_alike(
+                [thetas[w] for w in worlds],
+                [every[w] for w in worlds],
+                [bodies[w] for w in worlds],
+                chosen,
+                on_frame,
+            )
+        x += np.array([[0.0] * 3 if h is None else _from_simulated(h) for h in every])[:, None]
+        return x
+
+    def _simulate_alike(
+        self,
+        thetas: Sequence[Theta],
+        holds: Sequence[Hold | None],
+        bodies: Sequence[Body],
+        frames: Sequence[int],
+        on_frame: Callable[[int], None] | None,
+    ) -> NDArray[np.floating]:
+        """[T, W, N, 3] particles of worlds whose bodies are free of stress in the same shape, on
+        the stated table [m]."""
+        grippers = [self._grippers(theta, h) for theta, h in zip(thetas, holds, strict=True)]
         begin = min(float(np.asarray(g.time)[0]) for world in grippers for g in world)
-        times = self._sim_time(self.recording.time[chosen])
+        times = self._sim_time(self.recording.time[list(frames)])
         begin = min(begin, float(times[0]))  # a path that lags begins after the clouds
         table = None
         if self.table_height is not None:
             table = Table(height=self.table_height, friction=[t.friction for t in thetas])
         simulator = Simulator(
-            self.body,
+            bodies[0] if bodies[0].curvature is not None else self._flat,
             [self.material(theta) for theta in thetas],
             grippers=grippers,
             table=table,
             damping=self.damping,
             law=self.settings.law,
             cfl=CFL,
-            positions=[self._flat if h is None else self._laid(h) for h in every],
+            positions=[body.x for body in bodies],
             start_time=begin,
             dtype=self.settings.dtype,
             device=self.settings.device,
             threads=self.settings.threads,
         )
-        x = simulator.run(times, on_frame=on_frame)
-        # worlds share one table: where it lies lower, everything was simulated that much higher
-        x[..., 2] -= np.array([0.0 if h is None else h.sink for h in every])[:, None]
-        return x
+        return simulator.run(times, on_frame=on_frame)
 
     def inside(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
         """[n] which points [n, 3] lie in the recorded space: all, or all above ``floor``."""
@@ -304,17 +354,20 @@ class Lift:
         if not hanging:
             self.notes.append("the corner is never lifted: taken as held at its very tip")
             return None
-        chosen = hanging[:: -(-len(hanging) // HOLD_FRAMES)]
-        clouds = [self.recording.frame(t) for t in chosen]
+        # the last frame is the one in which most of the cloth hangs
+        count = min(HOLD_FRAMES, len(hanging))
+        chosen = [hanging[n] for n in np.linspace(0, len(hanging) - 1, count).round().astype(int)]
         guesses = hold_guesses(self.recording, size=self.size)
         given = {}
         if known is not None:
             length = bending_length(known.specific_modulus, self.radius_of_gyration, -GRAVITY[2])
             given = {"bending": length, "friction": known.friction}
             guesses = [replace(g, **given) for g in guesses]
-        found = None
         stages = HOLD_STAGES.get(self.recording.gripper_source, HOLD_STAGES["commanded"])
-        batches = sum(iterations for _, iterations in stages)
+        plan = [(share, HOLD_THICKNESS, iterations) for share, iterations in stages]
+        formed = [(1.0, thickness, iterations) for thickness, iterations in SHAPE_STAGES]
+        formed = formed if self._lies_raised else []
+        batches = sum(iterations for *_, iterations in plan + formed)
         spent = 0
 
         def tell(best: Held, loss: float) -> None:
@@ -323,8 +376,39 @@ class Lift:
             if on_hold is not None:
                 on_hold(spent / batches, best, loss)
 
-        for share, iterations in stages:
-            lift = self._for_hold(share, guesses[0].bending)
+        found = self._search_hold(plan, guesses, chosen, given, tell)
+        if formed:
+            self._sheet = self._register()
+            guesses = shaped_guesses(guesses)
+            other = self._search_hold(formed, guesses, chosen, given, tell)
+            if other is not None and (found is None or other.loss < SHAPE_GAIN * found.loss):
+                self.notes.append(
+                    "the cloth does not lie flat: how it lies was read off the first frames"
+                )
+                found = other
+        return found or guesses[0]
+
+    def _search_hold(
+        self,
+        stages: Sequence[tuple[float, float, int]],
+        guesses: Sequence[Held],
+        chosen: Sequence[int],
+        given: dict[str, float],
+        tell: Callable[[Held, float], None],
+    ) -> Held | None:
+        """The best held cloth from these guesses, or None where none can be simulated.
+
+        Args:
+            stages: Cells for each cell of the estimate, thickness in bending lengths, batches.
+            guesses: First guesses.
+            chosen: Frames that are compared.
+            given: What is known, for ``hold_bounds``.
+            tell: Called after each batch.
+        """
+        clouds = [self.recording.frame(t) for t in chosen]
+        found = None
+        for share, thickness, iterations in stages:
+            lift = self._for_hold(share, thickness * guesses[0].bending)
             k = lift.radius_of_gyration
 
             def simulate(held: Sequence[Held], lift: Lift = lift, k: float = k):
@@ -340,6 +424,7 @@ class Lift:
                 size=self.size,
                 cell=lift.body.dx,
                 table_seen=self.floor is None,
+                shaped=guesses[0].hold.shaped,
                 **given,
             )
             try:
@@ -356,33 +441,84 @@ class Lift:
                 self.notes.append(f"how the corner is held could not be found: {error}")
                 break
             guesses = [found]
-        return found or guesses[0]
+        return found
 
-    def _for_hold(self, share: float, bending: float) -> "Lift":
-        """A cheap lift to find the hold with, of a cloth that bends about so far [m].
+    def _resting_points(self) -> NDArray[np.floating]:
+        """[n, 3] points of the first frames that lie within the cloth's reach of the grip [m]."""
+        points = np.concatenate([self.recording.frame(t) for t in self.frames[:REST_FRAMES]])
+        away = np.linalg.norm(points[:, :2] - self.grip[0, :2], axis=1)
+        return points[away < 1.15 * self.size].astype(float)
+
+    @property
+    def _lies_raised(self) -> bool:
+        """Whether the first frames show that the cloth does not lie flat."""
+        if self.floor is None:
+            return False
+        raised = self._resting_points()[:, 2] > self.floor + RAISED
+        return int(raised.sum()) >= FEWEST_RAISED
+
+    def _register(self) -> Sheet:
+        """How a crumpled cloth lies."""
+        assert self.floor is not None and self.table_height is not None
+        described = self.recording.object
+        assert described.width is not None
+        inwards = self._inwards()
+        return best_sheet(
+            self._resting_points(),
+            self.grip[0, :2],
+            yaw=math.atan2(inwards[1], inwards[0]),
+            size=described.width,
+            floor=self.floor,
+            table=self.table_height - HOLD_MEAN.sink,
+            inset=HOLD_MEAN.inset,
+            aside=HOLD_MEAN.aside,
+        )
+
+    def _for_hold(self, share: float, thickness: float) -> "Lift":
+        """A cheap lift to find the hold with, of a sheet of this thickness [m] or its own.
 
         With equal bending a thinner sheet is stiffer in its plane, as 1 / thickness^2, which costs
         substeps and tells nothing of the hold.
         """
         lift = self.coarser(share, hurry=1.0)
-        thickness = HOLD_THICKNESS * bending
         if lift.body.thickness >= thickness:
             return lift
         described = replace(self.recording.object, thickness=thickness)
-        return Lift(replace(self.recording, object=described), lift.settings, hold=lift.hold)
+        seen = replace(self.recording, object=described)
+        return Lift(seen, lift.settings, hold=lift.hold, sheet=self._sheet)
 
-    def _laid(self, hold: Hold) -> NDArray[np.floating]:
-        """[N, 3] particles of the flat cloth held like this, on the stated table [m]."""
-        c, s = math.cos(hold.turn), math.sin(hold.turn)
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    def _laid(self, hold: Hold) -> Body:
+        """The cloth held like this, on the stated table."""
         inwards = self._inwards()
         left = np.array([-inwards[1], inwards[0], 0.0])
-        x = self._flat - self.grip[0] - hold.inset * inwards - hold.aside * left
-        return self.grip[0] + x @ turn.T
+        turn = Rotation.from_euler("z", hold.turn).as_matrix()
+        if not hold.shaped:
+            x = self._flat.x - self.grip[0] - hold.inset * inwards - hold.aside * left
+            return replace(self._flat, x=self.grip[0] + x @ turn.T)
+        x, curvature = self._shape(hold)
+        axes = np.stack([inwards, left, [0.0, 0.0, 1.0]])
+        x = self.grip[0] + x @ axes @ turn.T
+        # nothing lies under the table
+        x[:, 2] = np.maximum(x[:, 2], self.grip[0, 2] - self._flat.thickness)
+        return replace(self._flat, x=x, curvature=curvature)
+
+    def _shape(self, hold: Hold) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """What ``shaped`` says of this cloth."""
+        if hold.crumple and self._sheet is None:
+            self._sheet = self._register()
+        described = self.recording.object
+        assert described.width is not None and described.height is not None
+        return shaped(
+            self._flat.material_coordinates,
+            hold,
+            self._sheet,
+            width=described.width,
+            height=described.height,
+        )
 
     def _inwards(self) -> NDArray[np.floating]:
         """[3] horizontal unit vector from the held corner along the diagonal, before any turn."""
-        towards = self._flat.mean(axis=0) - self.grip[0]
+        towards = self._flat.x.mean(axis=0) - self.grip[0]
         towards[2] = 0.0
         return towards / np.linalg.norm(towards)
 
@@ -406,10 +542,12 @@ class Lift:
         first = self.frames[0]
         time = self._sim_time(self.recording.time[first:])
         higher = theta.grip_offset
+        pinch = 0.0
         if hold is not None:
+            pinch = held_height(hold)
             time = time + hold.lag / self.clock
             higher += hold.height + hold.sink
-        for g, held in enumerate(self.grip):
+        for g, held in enumerate(self.grip + np.array([0.0, 0.0, pinch])):
             path = self.recording.gripper_position[first:, g].astype(float).copy()
             path[:, :2] += held[:2] - path[0, :2]
             path[:, 2] += higher
@@ -440,4 +578,10 @@ class Lift:
         hold = self.hold or (Hold() if self.held_by_corner else None)
         cells = self.settings.cells_across * share
         settings = replace(self.settings, cells_across=cells, clock=clock)
-        return Lift(self.recording, settings, hold=hold)
+        return Lift(self.recording, settings, hold=hold, sheet=self._sheet)
+
+
+def _from_simulated(hold: Hold) -> NDArray[np.floating]:
+    """[3] from where a cloth was simulated to where it is: worlds share one table, and where it
+    lies lower, everything was simulated that much higher [m]."""
+    return np.array([hold.east, hold.north, -hold.sink])

@@ -1,5 +1,6 @@
 """What is believed of a lift before its clouds are seen: ranges, means and deviations."""
 
+from collections.abc import Sequence
 from dataclasses import astuple, replace
 
 import numpy as np
@@ -30,7 +31,19 @@ OFFSET_PRIOR = {"commanded": 0.01, "measured": 0.002}
 """Standard deviation of the grip offset [m] by the source of the gripper's path."""
 
 HOLD_MEAN = Hold(lag=0.05, inset=0.02, tilt=0.8, sink=0.005)
-"""How the corner of a cloth is held."""
+"""How the corner of a flat cloth is held."""
+
+SHAPE_SD = {
+    "east": 0.01, "north": 0.01, "pleat": 0.8, "pleat_width": 0.01, "pleat_turn": 0.15,
+    "arch_along": 8.0, "arch_across": 8.0, "crumple": 0.4,
+}  # fmt: skip
+"""Standard deviations about ``SHAPE_MEAN`` of what only a cloth that does not lie flat shows."""
+
+SHAPE_MEAN = {"crumple": 0.6}
+"""Means of that where they are not those of a flat cloth."""
+
+LEAST_CRUMPLE = 0.05
+"""Least share of its curvature that a crumpled cloth keeps."""
 
 HOLD_SD = {
     "commanded": Hold(
@@ -82,12 +95,19 @@ def hold_guesses(recording: Recording, *, size: float) -> list[Held]:
     return [Held(hold=replace(g.hold, reach=reach), bending=g.bending * size) for g in guesses]
 
 
+def shaped_guesses(guesses: Sequence[Held]) -> list[Held]:
+    """Where the search for a cloth that does not lie flat begins: hanging, its corner pleated."""
+    last = guesses[-1]
+    return [replace(last, hold=replace(last.hold, pleat=1.0, **SHAPE_MEAN))]
+
+
 def hold_bounds(
     recording: Recording,
     *,
     size: float,
     cell: float,
     table_seen: bool,
+    shaped: bool = False,
     bending: float | None = None,
     friction: float | None = None,
 ) -> Bounds:
@@ -98,6 +118,7 @@ def hold_bounds(
         size: Diagonal of the cloth [m].
         cell: Of the grid with which it is searched [m].
         table_seen: Whether clouds show what lies on the table.
+        shaped: Whether the cloth may be other than flat.
         bending: How far the cloth bends, where that is known [m].
         friction: Its coefficient of friction, where that is known.
     """
@@ -113,6 +134,7 @@ def hold_bounds(
         mean[lag] = 0.0
     if described.grasp_radius is not None:
         mean[reach], sd[reach] = described.grasp_radius, STATED_REACH_SD
+    sd[sd == 0.0] = 1.0
     # how far it bends is searched over its range without preference: a wide Gaussian
     logs = np.log(np.array(BENDING_RANGE["cloth"]) * size)
     mean[bends], sd[bends] = logs.mean(), np.ptp(logs)
@@ -128,6 +150,14 @@ def hold_bounds(
     if table_seen:
         # it lies where it is stated
         mean[sink] = high[sink] = 0.0
+    for name, deviation in SHAPE_SD.items():
+        n = NAMES.index(name)
+        if shaped:
+            mean[n], sd[n] = SHAPE_MEAN.get(name, mean[n]), deviation
+        wide = HOLD_RANGE * sd[n] if shaped else 0.0
+        low[n], high[n] = mean[n] - wide, mean[n] + wide
+    if shaped:
+        low[NAMES.index("crumple")] = LEAST_CRUMPLE
     if bending is not None:
         mean[bends] = low[bends] = high[bends] = np.log(bending)
     if friction is not None:

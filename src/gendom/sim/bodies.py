@@ -30,6 +30,9 @@ class Body:
     """Size of a grid cell [m]."""
     thickness: float
     """Diameter of a rope, thickness of a cloth [m]."""
+    curvature: NDArray[np.floating] | None = None
+    """[N, 2, 2] how a cloth curves that is free of stress, in its own first two axes, positive
+    where it arches towards the third [1/m]; None: its first shape ``x`` is free of stress."""
 
     @property
     def num_particles(self) -> int:
@@ -39,7 +42,13 @@ class Body:
     def rest_frames(self) -> NDArray[np.floating]:
         """[N, 3, 3] inverses of the rest differences along the lattice axes [1/m]."""
         first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
-        return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
+        if self.curvature is None:
+            return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
+        # no surface need have these curvatures: only how long each layer is in the plane counts
+        m = self.material_coordinates
+        stretch = np.tile(np.eye(3), (len(m), 1, 1))
+        stretch[:, :2, :2] += m[:, 2, None, None] * self.curvature
+        return np.linalg.inv(stretch @ np.swapaxes(m[second] - m[first], 1, 2))
 
     @property
     def has_two_layers(self) -> bool:
