@@ -1,7 +1,7 @@
 """How a corner is held comes back from the clouds of a lift that was simulated with it."""
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -276,6 +276,24 @@ def test_a_replay_seeks_the_hold_alone(monkeypatch):
         assert all(b.low[n] == b.high[n] == pytest.approx(value) for b in seen_bounds)
     tilt = NAMES.index("tilt")
     assert seen_bounds and all(b.low[tilt] < b.high[tilt] for b in seen_bounds)
+
+
+def test_a_replay_of_the_same_lift_holds_as_the_estimate_did(monkeypatch):
+    """Also of a longer recording of it, which is then foretold and not fitted."""
+
+    def no_look(*_, **__):
+        raise AssertionError("the hold is known")
+
+    monkeypatch.setattr("gendom.estimation.lift.fit_hold", no_look)
+    seen = recording([flat()] * 12)
+    hold = Hold(lag=0.03, inset=0.012, tilt=1.1)
+    params = {
+        "format": "gendom-estimate/1", "specific_modulus": MODULUS, "poissons_ratio": 0.3,
+        "grip_offset": 0.004, "friction": 0.45, "object": {"kind": "cloth"},
+        "hold": asdict(hold), "begins_with": seen.head(5).begins_with,
+    }  # fmt: skip
+    lift, theta = replay_setup(seen, params, "estimate.json", "cpu")
+    assert lift.hold == hold and theta.grip_offset == 0.004
 
 
 @pytest.mark.parametrize("bad", [{"lag": -0.1}, {"sink": -0.01}, {"inset": np.nan}, {"reach": 0.0}])

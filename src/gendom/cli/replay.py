@@ -98,10 +98,13 @@ def replay_setup(
 ) -> tuple[Lift, Theta]:
     """The lift and the parameters that an estimate's JSON stands for.
 
+    How a cloth's corner is held belongs to one lift: in the lift of the estimate, however long, it
+    is held as the estimate says; in another one that is found anew.
+
     Raises:
         ParameterError: If the parameters are not an estimate or belong to another kind of object.
     """
-    from gendom.estimation import Lift, ReplaySettings, Theta
+    from gendom.estimation import Hold, Lift, ReplaySettings, Theta
 
     if params.get("format") != "gendom-estimate/1":
         raise ParameterError(
@@ -123,6 +126,8 @@ def replay_setup(
             law=str(simulation.get("law", "neo-hookean")),
             device=device,
         )
+        same = params.get("begins_with") == recording.begins_with and params.get("hold")
+        hold = Hold(**params["hold"]) if same else None
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(
             f"cannot be used: {type(error).__name__} {error}",
@@ -135,7 +140,7 @@ def replay_setup(
             where=where,
             fix="estimate from a recording of the same object",
         )
-    lift = Lift(recording, settings, known=theta)
+    lift = Lift(recording, settings, hold=hold, known=theta)
     if lift.held is not None:
         # the offset belongs to the estimate's own lift; how this corner is held was just found
         theta = replace(theta, grip_offset=0.0)

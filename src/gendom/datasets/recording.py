@@ -13,6 +13,7 @@ On disk it is `gendom-recording/1`, a NumPy `.npz` without pickles:
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import math
@@ -132,6 +133,12 @@ class Recording:
     def frame_valid(self) -> np.ndarray:
         """[T] bool: the frame has points."""
         return np.diff(self.offsets) > 0
+
+    @property
+    def begins_with(self) -> str:
+        """SHA-256 of the first points: a recording and a longer one of the same motion share it."""
+        first = self.frame(int(np.argmax(self.frame_valid)))
+        return hashlib.sha256(np.ascontiguousarray(first, dtype="<f4").tobytes()).hexdigest()
 
     def frame(self, t: int) -> np.ndarray:
         """[n, 3] float32: the points of frame t [m]; a negative t counts from the end.

@@ -551,6 +551,7 @@ def _result(
             "thickness": lift.body.thickness if described.kind == "cloth" else None,
             "mass": described.mass,
         },
+        "begins_with": lift.recording.begins_with,
         "simulation": {
             "particles": lift.body.num_particles,
             "dx": lift.body.dx,

@@ -3,6 +3,7 @@
 import logging
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from gendom.materials import Material
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import visible
 from gendom.sim import CFL, GRAVITY, Body, Gripper, Simulator, Table, check_numbers
+from gendom.sim.device import cores
 
 _log = logging.getLogger(__name__)
 
@@ -218,15 +220,25 @@ class Lift:
         for w, body in enumerate(bodies):
             key = b"" if body.curvature is None else body.curvature.tobytes()
             alike.setdefault(key, []).append(w)
+        batches, threads = list(alike.values()), self.settings.threads or cores()
+        at_once = 1
+        if len(batches) > 1 and self.settings.device == "cpu":
+            # a world keeps a core busy by itself
+            batches, threads, at_once = [[w] for w in range(len(thetas))], 1, threads
         x = np.empty((len(chosen), len(thetas), self.body.num_particles, 3), self.settings.dtype)
-        for worlds in alike.values():
+
+        def run(worlds: list[int]) -> None:
             x[:, worlds] = self._simulate_alike(
                 [thetas[w] for w in worlds],
                 [every[w] for w in worlds],
                 [bodies[w] for w in worlds],
                 chosen,
+                threads,
                 on_frame,
             )
+
+        with ThreadPoolExecutor(at_once) as pool:
+            list(pool.map(run, batches))
         x += np.array([[0.0] * 3 if h is None else _from_simulated(h) for h in every])[:, None]
         return x
 
@@ -236,6 +248,7 @@ class Lift:
         holds: Sequence[Hold | None],
         bodies: Sequence[Body],
         frames: Sequence[int],
+        threads: int,
         on_frame: Callable[[int], None] | None,
     ) -> NDArray[np.floating]:
         """[T, W, N, 3] particles of worlds whose bodies are free of stress in the same shape, on
@@ -259,7 +272,7 @@ class Lift:
             start_time=begin,
             dtype=self.settings.dtype,
             device=self.settings.device,
-            threads=self.settings.threads,
+            threads=threads,
         )
         return simulator.run(times, on_frame=on_frame)
 
@@ -461,13 +474,14 @@ class Lift:
         """How a crumpled cloth lies."""
         assert self.floor is not None and self.table_height is not None
         described = self.recording.object
-        assert described.width is not None
+        assert described.width is not None and described.height is not None
         inwards = self._inwards()
         return best_sheet(
             self._resting_points(),
             self.grip[0, :2],
             yaw=math.atan2(inwards[1], inwards[0]),
-            size=described.width,
+            width=described.width,
+            height=described.height,
             floor=self.floor,
             table=self.table_height - HOLD_MEAN.sink,
             inset=HOLD_MEAN.inset,

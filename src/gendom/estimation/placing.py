@@ -9,8 +9,9 @@ from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.sim import Body, cloth, rope
 
-ASSUMED_THICKNESS = 0.002
-"""Thickness of a cloth that the recording does not state [m]."""
+ASSUMED_THICKNESS = 0.003
+"""Thickness of a cloth that the recording does not state [m]. Of sheets that bend alike a thicker
+one gives way more in its plane, as what is woven does."""
 
 CLOTH_CELLS = 14
 """Grid cells along a cloth's longer side at full resolution."""

@@ -134,7 +134,7 @@ def hold_bounds(
         mean[lag] = 0.0
     if described.grasp_radius is not None:
         mean[reach], sd[reach] = described.grasp_radius, STATED_REACH_SD
-    sd[sd == 0.0] = 1.0
+    sd[sd == 0.0] = 1.0  # of what a flat cloth has no more than one value of
     # how far it bends is searched over its range without preference: a wide Gaussian
     logs = np.log(np.array(BENDING_RANGE["cloth"]) * size)
     mean[bends], sd[bends] = logs.mean(), np.ptp(logs)

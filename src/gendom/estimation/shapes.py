@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,8 @@ from scipy.optimize import minimize
 from scipy.spatial import KDTree
 
 from gendom.estimation.hold import Hold
+
+Array = NDArray[Any]
 
 NODES = 29
 """Nodes of the registered sheet along each side."""
@@ -45,11 +48,11 @@ HEIGHT_HELD = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
-    """A square cloth as it lies, registered to the first clouds."""
+    """A cloth as it lies, registered to the first clouds."""
 
     nodes: NDArray[np.floating]
-    """[K, K, 3] positions relative to the held point, in axes along and to the left of the diagonal
-    and up [m]."""
+    """[K, K, 3] positions over the cloth's first and second axis, relative to the held point, in
+    axes along and to the left of the diagonal and up [m]."""
     yaw: float
     """Direction of the diagonal [rad]."""
     inset: float
@@ -63,14 +66,15 @@ def register(
     points: NDArray[np.floating],
     grip: NDArray[np.floating],
     *,
-    size: float,
+    width: float,
+    height: float,
     floor: float,
     table: float,
     yaw: float,
     inset: float,
     aside: float,
 ) -> Sheet:
-    """The square sheet that comes nearest to points [n, 3], hardly stretched, from one direction.
+    """The sheet that comes nearest to points [n, 3], hardly stretched, from one direction.
 
     A grid of nodes with stiff edges and weak bending; each point draws its nearest node, each node
     that should have been seen its nearest point; all else sinks onto the table.
@@ -78,22 +82,22 @@ def register(
     Args:
         points: What was seen of the cloth at rest, all of it above ``floor`` [m].
         grip: [2] where it is held [m].
-        size: Side of the square [m].
+        width, height: Sizes of the cloth [m].
         floor: Height below which nothing is seen [m].
         table: Height of the table [m].
         yaw: Direction of the diagonal [rad].
         inset, aside: Held point inside the corner and left of the diagonal [m].
     """
-    ticks = np.linspace(0.0, size, NODES)
-    h = ticks[1]
-    a, b = np.meshgrid(ticks, ticks, indexing="ij")
-    flat = np.stack([(a + b) / math.sqrt(2), (b - a) / math.sqrt(2), 0.0 * a], axis=-1)
-    flat -= [inset, aside, 0.0]
+    ticks = [np.linspace(0.0, size, NODES) for size in (width, height)]
+    h = ticks[0][1]
+    material = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1)
+    flat = np.zeros((NODES, NODES, 3))
+    flat[..., :2] = material @ _diagonal_axes(width, height).T - [inset, aside]
     c, s = math.cos(yaw), math.sin(yaw)
     # in the axes of the cloth the sheet need not be turned back
     local = (points - [*grip, table]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     number = np.arange(NODES**2).reshape(NODES, NODES)
-    first, second, length = _edges(number, h)
+    first, second, length = _edges(number, h, ticks[1][1])
     rows = [
         np.stack([n.ravel() for n in (line[2:], line[1:-1], line[:-2])], axis=1)
         for line in (number, number.T)
@@ -102,7 +106,10 @@ def register(
     pin = int(np.argmin(np.linalg.norm(flat.reshape(-1, 3), axis=1)))
     tree = KDTree(local)
 
-    def energy(v, pair, draw, target, drawn):
+    def energy(
+        v: Array, pair: Array, draw: Array, target: Array, drawn: Array
+    ) -> tuple[float, Array]:
+        """And its slope, at positions v of pairs of points and nodes that draw so much."""
         x = v.reshape(-1, 3) / h
         slope = np.zeros_like(x)
         d = x[first] - x[second]
@@ -148,24 +155,30 @@ def register(
     return Sheet(nodes=x.reshape(NODES, NODES, 3), yaw=yaw, inset=inset, aside=aside, energy=e)
 
 
-def _add(slope, plus, minus, value) -> None:
+def _add(slope: Array, plus: Array, minus: Array, value: Array) -> None:
     """Add values [n, 3] to some rows and take them from others."""
     np.add.at(slope, plus, value)
     np.add.at(slope, minus, -value)
 
 
-def _edges(number: NDArray[np.int64], h: float):
-    """First and second nodes and lengths of the edges of a grid with diagonals."""
+def _edges(number: Array, h: float, k: float) -> tuple[Array, Array, Array]:
+    """First and second nodes and lengths of the edges of a grid of spacings h and k."""
     pairs = [
         (number[1:], number[:-1], h),
-        (number[:, 1:], number[:, :-1], h),
-        (number[1:, 1:], number[:-1, :-1], h * math.sqrt(2)),
-        (number[1:, :-1], number[:-1, 1:], h * math.sqrt(2)),
+        (number[:, 1:], number[:, :-1], k),
+        (number[1:, 1:], number[:-1, :-1], math.hypot(h, k)),
+        (number[1:, :-1], number[:-1, 1:], math.hypot(h, k)),
     ]
     first = np.concatenate([p.ravel() for p, _, _ in pairs])
     second = np.concatenate([q.ravel() for _, q, _ in pairs])
     length = np.concatenate([np.full(p.size, d) for p, _, d in pairs])
     return first, second, length
+
+
+def _diagonal_axes(width: float, height: float) -> Array:
+    """[2, 2] unit vectors along the diagonal and to its left, in a cloth's own axes."""
+    along = np.array([width, height]) / math.hypot(width, height)
+    return np.stack([along, [-along[1], along[0]]])
 
 
 def best_sheet(
@@ -194,8 +207,7 @@ def shaped(
         Positions [N, 3] relative to the held point on the table, in axes along and to the left of
         the diagonal and up [m]; natural curvature [N, 2, 2] in the cloth's own axes [1/m].
     """
-    along = np.array([width, height]) / math.hypot(width, height)
-    axes = np.stack([along, [-along[1], along[0]]])
+    axes = _diagonal_axes(width, height)
     u, v = (material[:, :2] @ axes.T - [hold.inset, hold.aside]).T
     z = material[:, 2]
     K = np.tile(np.diag([hold.arch_along, hold.arch_across]), (len(u), 1, 1))
@@ -226,7 +238,7 @@ def _fade(down: NDArray[np.floating], length: float) -> NDArray[np.floating]:
     return np.clip(2.0 - 2.0 * down / length, 0.0, 1.0)
 
 
-def _pressed(out, z, slope, P):
+def _pressed(out: Array, z: Array, slope: Array, P: float) -> tuple[Array, Array]:
     """How far [N] a pleat of steepest slopes [N] moves particles sideways and where up [m].
 
     Its section climbs at the angle slope sin(pi s / P) of the distance s from its crest.
@@ -241,12 +253,14 @@ def _pressed(out, z, slope, P):
     return shift, rise
 
 
-def _on_sheet(material, sheet: Sheet, width: float, height: float):
+def _on_sheet(
+    material: Array, sheet: Sheet, width: float, height: float
+) -> tuple[Array, Array, Array]:
     """Positions [N, 3], normals [N, 3] and curvatures [N, 2, 2] of a sheet at material points."""
     a, b = (np.linspace(0.0, size, len(sheet.nodes)) for size in (width, height))
     splines = [RectBivariateSpline(a, b, sheet.nodes[..., k]) for k in range(3)]
 
-    def at(i: int, j: int):
+    def at(i: int, j: int) -> Array:
         values = [f.ev(material[:, 0], material[:, 1], dx=i, dy=j) for f in splines]
         return np.stack(values, axis=-1)
 
