@@ -36,11 +36,11 @@ SUBSTEP = 1.0e-4
 """Where substeps are not to follow the stiffness [s]."""
 
 KEYS = {
-    "begins_with", "bending_length", "bounds", "chamfer_last", "chamfer_last_surface", "chamfer_mean",
-    "chamfer_mean_surface", "density", "density_assumed", "device", "format", "frames", "friction",
-    "grip_offset", "history", "hold", "identifiable", "interrupted", "intervals", "iterations",
-    "loss", "method", "notes", "object", "poissons_ratio", "seconds", "seed", "simulation",
-    "specific_modulus", "starts", "youngs_modulus",
+    "begins_with", "bending_length", "bounds", "chamfer_last", "chamfer_last_surface",
+    "chamfer_mean", "chamfer_mean_surface", "density", "density_assumed", "device", "format",
+    "frames", "friction", "grip_offset", "history", "hold", "identifiable", "interrupted",
+    "intervals", "iterations", "loss", "method", "notes", "object", "poissons_ratio", "seconds",
+    "seed", "simulation", "specific_modulus", "starts", "youngs_modulus",
 }  # fmt: skip
 
 
