@@ -464,8 +464,9 @@ class Lift:
 
     @property
     def _lies_raised(self) -> bool:
-        """Whether the first frames show that the cloth does not lie flat."""
-        if self.floor is None:
+        """Whether the first frames show that a square cloth does not lie flat."""
+        described = self.recording.object
+        if self.floor is None or described.width != described.height:
             return False
         raised = self._resting_points()[:, 2] > self.floor + RAISED
         return int(raised.sum()) >= FEWEST_RAISED
@@ -474,14 +475,13 @@ class Lift:
         """How a crumpled cloth lies."""
         assert self.floor is not None and self.table_height is not None
         described = self.recording.object
-        assert described.width is not None and described.height is not None
+        assert described.width is not None
         inwards = self._inwards()
         return best_sheet(
             self._resting_points(),
             self.grip[0, :2],
             yaw=math.atan2(inwards[1], inwards[0]),
-            width=described.width,
-            height=described.height,
+            size=described.width,
             floor=self.floor,
             table=self.table_height - HOLD_MEAN.sink,
             inset=HOLD_MEAN.inset,

@@ -48,7 +48,7 @@ HEIGHT_HELD = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
-    """A cloth as it lies, registered to the first clouds."""
+    """A square cloth as it lies, registered to the first clouds."""
 
     nodes: NDArray[np.floating]
     """[K, K, 3] positions over the cloth's first and second axis, relative to the held point, in
@@ -66,15 +66,14 @@ def register(
     points: NDArray[np.floating],
     grip: NDArray[np.floating],
     *,
-    width: float,
-    height: float,
+    size: float,
     floor: float,
     table: float,
     yaw: float,
     inset: float,
     aside: float,
 ) -> Sheet:
-    """The sheet that comes nearest to points [n, 3], hardly stretched, from one direction.
+    """The square sheet that comes nearest to points [n, 3], hardly stretched, from one direction.
 
     A grid of nodes with stiff edges and weak bending; each point draws its nearest node, each node
     that should have been seen its nearest point; all else sinks onto the table.
@@ -82,22 +81,22 @@ def register(
     Args:
         points: What was seen of the cloth at rest, all of it above ``floor`` [m].
         grip: [2] where it is held [m].
-        width, height: Sizes of the cloth [m].
+        size: Side of the square [m].
         floor: Height below which nothing is seen [m].
         table: Height of the table [m].
         yaw: Direction of the diagonal [rad].
         inset, aside: Held point inside the corner and left of the diagonal [m].
     """
-    ticks = [np.linspace(0.0, size, NODES) for size in (width, height)]
-    h = ticks[0][1]
-    material = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1)
-    flat = np.zeros((NODES, NODES, 3))
-    flat[..., :2] = material @ _diagonal_axes(width, height).T - [inset, aside]
+    ticks = np.linspace(0.0, size, NODES)
+    h = ticks[1]
+    a, b = np.meshgrid(ticks, ticks, indexing="ij")
+    flat = np.stack([(a + b) / math.sqrt(2), (b - a) / math.sqrt(2), 0.0 * a], axis=-1)
+    flat -= [inset, aside, 0.0]
     c, s = math.cos(yaw), math.sin(yaw)
     # in the axes of the cloth the sheet need not be turned back
     local = (points - [*grip, table]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     number = np.arange(NODES**2).reshape(NODES, NODES)
-    first, second, length = _edges(number, h, ticks[1][1])
+    first, second, length = _edges(number, h)
     rows = [
         np.stack([n.ravel() for n in (line[2:], line[1:-1], line[:-2])], axis=1)
         for line in (number, number.T)
@@ -161,24 +160,18 @@ def _add(slope: Array, plus: Array, minus: Array, value: Array) -> None:
     np.add.at(slope, minus, -value)
 
 
-def _edges(number: Array, h: float, k: float) -> tuple[Array, Array, Array]:
-    """First and second nodes and lengths of the edges of a grid of spacings h and k."""
+def _edges(number: Array, h: float) -> tuple[Array, Array, Array]:
+    """First and second nodes and lengths of the edges of a grid with diagonals."""
     pairs = [
         (number[1:], number[:-1], h),
-        (number[:, 1:], number[:, :-1], k),
-        (number[1:, 1:], number[:-1, :-1], math.hypot(h, k)),
-        (number[1:, :-1], number[:-1, 1:], math.hypot(h, k)),
+        (number[:, 1:], number[:, :-1], h),
+        (number[1:, 1:], number[:-1, :-1], h * math.sqrt(2)),
+        (number[1:, :-1], number[:-1, 1:], h * math.sqrt(2)),
     ]
     first = np.concatenate([p.ravel() for p, _, _ in pairs])
     second = np.concatenate([q.ravel() for _, q, _ in pairs])
     length = np.concatenate([np.full(p.size, d) for p, _, d in pairs])
     return first, second, length
-
-
-def _diagonal_axes(width: float, height: float) -> Array:
-    """[2, 2] unit vectors along the diagonal and to its left, in a cloth's own axes."""
-    along = np.array([width, height]) / math.hypot(width, height)
-    return np.stack([along, [-along[1], along[0]]])
 
 
 def best_sheet(
@@ -207,7 +200,8 @@ def shaped(
         Positions [N, 3] relative to the held point on the table, in axes along and to the left of
         the diagonal and up [m]; natural curvature [N, 2, 2] in the cloth's own axes [1/m].
     """
-    axes = _diagonal_axes(width, height)
+    along = np.array([width, height]) / math.hypot(width, height)
+    axes = np.stack([along, [-along[1], along[0]]])
     u, v = (material[:, :2] @ axes.T - [hold.inset, hold.aside]).T
     z = material[:, 2]
     K = np.tile(np.diag([hold.arch_along, hold.arch_across]), (len(u), 1, 1))
