@@ -14,15 +14,15 @@ from scipy.spatial.transform import Rotation
 from gendom.datasets import Recording
 from gendom.errors import RecordingError, SimulationError
 from gendom.estimation.hold import Held, Hold, fit_hold
+from gendom.estimation.lying import Lying
 from gendom.estimation.placing import place
 from gendom.estimation.priors import (
-    HOLD_MEAN,
     LEAST_REACH,
     hold_bounds,
     hold_guesses,
     shaped_guesses,
 )
-from gendom.estimation.shapes import Sheet, best_sheet, held_height, shaped
+from gendom.estimation.shapes import Sheet, held_height
 from gendom.materials import Material
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import visible
@@ -66,15 +66,6 @@ measured, the first guess is near enough for the estimate's own grid."""
 SHAPE_STAGES = ((1.0 / 9.0, 8), (1.0 / 15.0, 6))
 """Thicknesses in bending lengths, and batches that may be spent, for the search of a cloth that is
 not flat: a thicker sheet is more pliant in its plane, so that a wrong shape finds its way out."""
-
-RAISED = 0.015
-"""Height over the table's crop at which a cloth at rest shows that it does not lie flat [m]."""
-
-FEWEST_RAISED = 100
-"""Points that must show it."""
-
-REST_FRAMES = 3
-"""First frames, in which the cloth still lies."""
 
 SHAPE_GAIN = 0.9
 """Share of a flat cloth's summed distances that one with a shape must come below."""
@@ -176,8 +167,10 @@ class Lift:
         self.damping = damping
         self.density, self.density_assumed = self._density()
         self.floor = self._find_floor()
-        self._flat = self.body
-        self._sheet = sheet
+        self._lying = Lying(
+            recording=recording, frames=self.frames, flat=self.body, grip=self.grip[0],
+            size=self.size, floor=self.floor, sheet=sheet,
+        )  # fmt: skip
         self.hold = hold
         self.held: Held | None = None
         if hold is None and self.held_by_corner:
@@ -185,7 +178,7 @@ class Lift:
             self.held = self._find_hold(known, on_hold)
             self.hold = Hold() if self.held is None else self.held.hold
         if self.hold is not None:
-            self.body = self._laid(self.hold).moved(_from_simulated(self.hold))
+            self.body = self._lying.laid(self.hold).moved(_from_simulated(self.hold))
 
     # ---- what the estimator needs -------------------------------------------------------------
 
@@ -214,7 +207,7 @@ class Lift:
         """
         chosen = self.frames if frames is None else list(frames)
         every = [self.hold] * len(thetas) if holds is None else list(holds)
-        bodies = [self._flat if h is None else self._laid(h) for h in every]
+        bodies = [self._lying.flat if h is None else self._lying.laid(h) for h in every]
         # worlds of one batch share the shape that is free of stress
         alike: dict[bytes, list[int]] = {}
         for w, body in enumerate(bodies):
@@ -261,7 +254,7 @@ class Lift:
         if self.table_height is not None:
             table = Table(height=self.table_height, friction=[t.friction for t in thetas])
         simulator = Simulator(
-            bodies[0] if bodies[0].curvature is not None else self._flat,
+            bodies[0] if bodies[0].curvature is not None else self._lying.flat,
             [self.material(theta) for theta in thetas],
             grippers=grippers,
             table=table,
@@ -379,7 +372,7 @@ class Lift:
         stages = HOLD_STAGES.get(self.recording.gripper_source, HOLD_STAGES["commanded"])
         plan = [(share, HOLD_THICKNESS, iterations) for share, iterations in stages]
         formed = [(1.0, thickness, iterations) for thickness, iterations in SHAPE_STAGES]
-        formed = formed if self._lies_raised else []
+        formed = formed if self._lying.lies_raised else []
         batches = sum(iterations for *_, iterations in plan + formed)
         spent = 0
 
@@ -391,7 +384,7 @@ class Lift:
 
         found = self._search_hold(plan, guesses, chosen, given, tell)
         if formed:
-            self._sheet = self._register()
+            self._lying.register()
             guesses = shaped_guesses(guesses)
             other = self._search_hold(formed, guesses, chosen, given, tell)
             if other is not None and (found is None or other.loss < SHAPE_GAIN * found.loss):
@@ -456,38 +449,6 @@ class Lift:
             guesses = [found]
         return found
 
-    def _resting_points(self) -> NDArray[np.floating]:
-        """[n, 3] points of the first frames that lie within the cloth's reach of the grip [m]."""
-        points = np.concatenate([self.recording.frame(t) for t in self.frames[:REST_FRAMES]])
-        away = np.linalg.norm(points[:, :2] - self.grip[0, :2], axis=1)
-        return points[away < 1.15 * self.size].astype(float)
-
-    @property
-    def _lies_raised(self) -> bool:
-        """Whether the first frames show that a square cloth does not lie flat."""
-        described = self.recording.object
-        if self.floor is None or described.width != described.height:
-            return False
-        raised = self._resting_points()[:, 2] > self.floor + RAISED
-        return int(raised.sum()) >= FEWEST_RAISED
-
-    def _register(self) -> Sheet:
-        """How a crumpled cloth lies."""
-        assert self.floor is not None and self.table_height is not None
-        described = self.recording.object
-        assert described.width is not None
-        inwards = self._inwards()
-        return best_sheet(
-            self._resting_points(),
-            self.grip[0, :2],
-            yaw=math.atan2(inwards[1], inwards[0]),
-            size=described.width,
-            floor=self.floor,
-            table=self.table_height - HOLD_MEAN.sink,
-            inset=HOLD_MEAN.inset,
-            aside=HOLD_MEAN.aside,
-        )
-
     def _for_hold(self, share: float, thickness: float) -> "Lift":
         """A cheap lift to find the hold with, of a sheet of this thickness [m] or its own.
 
@@ -499,42 +460,7 @@ class Lift:
             return lift
         described = replace(self.recording.object, thickness=thickness)
         seen = replace(self.recording, object=described)
-        return Lift(seen, lift.settings, hold=lift.hold, sheet=self._sheet)
-
-    def _laid(self, hold: Hold) -> Body:
-        """The cloth held like this, on the stated table."""
-        inwards = self._inwards()
-        left = np.array([-inwards[1], inwards[0], 0.0])
-        turn = Rotation.from_euler("z", hold.turn).as_matrix()
-        if not hold.shaped:
-            x = self._flat.x - self.grip[0] - hold.inset * inwards - hold.aside * left
-            return replace(self._flat, x=self.grip[0] + x @ turn.T)
-        x, curvature = self._shape(hold)
-        axes = np.stack([inwards, left, [0.0, 0.0, 1.0]])
-        x = self.grip[0] + x @ axes @ turn.T
-        # nothing lies under the table
-        x[:, 2] = np.maximum(x[:, 2], self.grip[0, 2] - self._flat.thickness)
-        return replace(self._flat, x=x, curvature=curvature)
-
-    def _shape(self, hold: Hold) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """What ``shaped`` says of this cloth."""
-        if hold.crumple and self._sheet is None:
-            self._sheet = self._register()
-        described = self.recording.object
-        assert described.width is not None and described.height is not None
-        return shaped(
-            self._flat.material_coordinates,
-            hold,
-            self._sheet,
-            width=described.width,
-            height=described.height,
-        )
-
-    def _inwards(self) -> NDArray[np.floating]:
-        """[3] horizontal unit vector from the held corner along the diagonal, before any turn."""
-        towards = self._flat.x.mean(axis=0) - self.grip[0]
-        towards[2] = 0.0
-        return towards / np.linalg.norm(towards)
+        return Lift(seen, lift.settings, hold=lift.hold, sheet=self._lying.sheet)
 
     def _hanging(self, rise: NDArray[np.floating], hold: Hold) -> NDArray[np.floating]:
         """[K, 4] turn of the grip: a pinched corner does not stay level, it hangs.
@@ -544,7 +470,7 @@ class Lift:
             hold: How the corner is held.
         """
         c, s = math.cos(hold.turn), math.sin(hold.turn)
-        inwards = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._inwards()
+        inwards = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._lying.inwards()
         axis = np.cross(inwards, [0.0, 0.0, -1.0])
         reach = self._grip_radius(hold) + self.body.dx
         angle = hold.tilt * np.clip(rise / (HANG_RISE * reach), 0.0, 1.0)
@@ -592,7 +518,7 @@ class Lift:
         hold = self.hold or (Hold() if self.held_by_corner else None)
         cells = self.settings.cells_across * share
         settings = replace(self.settings, cells_across=cells, clock=clock)
-        return Lift(self.recording, settings, hold=hold, sheet=self._sheet)
+        return Lift(self.recording, settings, hold=hold, sheet=self._lying.sheet)
 
 
 def _from_simulated(hold: Hold) -> NDArray[np.floating]:
