@@ -5,14 +5,16 @@ import math
 import numpy as np
 import pytest
 import warp as wp
+from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Box, Gripper, Rollout, Simulator, Table, block_tape, rope
-from gendom.sim.batch_tape import BatchTape
-from gendom.sim.block_tape import BlockTape
-from gendom.sim.gradients import Sums
-from gendom.sim.world_tape import WorldTape
+from gendom.sim import Box, Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.sim.mpm.adjoint import block_per_world as block_tape
+from gendom.sim.mpm.adjoint.block_per_world import BlockTape
+from gendom.sim.mpm.adjoint.cpu import WorldTape
+from gendom.sim.mpm.adjoint.graph import BatchTape
+from gendom.sim.mpm.adjoint.sums import Sums
 
 TIMES = [0.015, 0.03]
 NOTHING = {
@@ -22,19 +24,26 @@ NOTHING = {
     "yield_stress": 0.0,
     "friction": 0.0,
     "damping": 0.0,
+    "velocity_damping": 0.0,
+    "air_density": 0.0,
     "gravity": np.zeros(3),
     "positions": 0.0,
     "velocities": np.zeros(3),
     "stiffness": 0.0,
     "gripper_positions": np.zeros((3, 3)),
+    "gripper_rotations": np.zeros((3, 3)),
+    "gripper_radius": 0.0,
 }
-SCALE = {"E": 2.0e5, "density": 1000.0}
+SCALE = {"E": 2.0e5, "density": 1000.0, "yield_stress": 2.0e3}
+TURN = Rotation.from_rotvec([(0.0, 0.0, 0.0), (0.1, 0.3, 0.2), (0.2, -0.1, 0.5)])
 
 
 def scene(
     law="neo-hookean",
     yields_at=math.inf,
     *,
+    sheet=False,
+    damped=0.0,
     dtype="float64",
     device="cpu",
     worlds=1,
@@ -42,15 +51,26 @@ def scene(
     rubs=True,
     **by,
 ):
-    """A rope that slides on its table while a gripper lifts its end; ``by`` moves what goes in."""
+    """A rope or cloth that slides on its table while a gripper lifts and turns its end, which it
+    lets go of; ``by`` moves what goes in."""
     d = {**NOTHING, **by}
     body = rope(diameter=0.014, length=0.08, start=(0.0, 0.0, 0.0075), cells_across=2.0)
+    if sheet:
+        body = cloth(width=0.08, height=0.05, thickness=0.004, dx=0.01, corner=(0, -0.02, 0.0025))
     path = np.array([[0.0, 0.0, 0.0072], [0.005, 0.002, 0.02], [0.012, 0.004, 0.03]])
-    gripper = Gripper(time=[0.0, 0.02, 0.04], position=path + d["gripper_positions"], radius=0.006)
+    gripper = Gripper(
+        time=[0.0, 0.02, 0.04],
+        position=path + d["gripper_positions"],
+        quat_xyzw=(Rotation.from_rotvec(d["gripper_rotations"]) * TURN).as_quat(),
+        radius=0.0132 + d["gripper_radius"],
+        hold_from=0.003,
+        hold_until=0.026,
+    )
     material = Material(
         E=2.0e5 * (1.0 + d["E"]),
         nu=0.3 + d["nu"],
         density=1000.0 * (1.0 + d["density"]),
+        damping=damped + d["damping"],
         yield_stress=yields_at + d["yield_stress"] * 2.0e3,
     )
     simulator = Simulator(
@@ -58,7 +78,8 @@ def scene(
         [material] * worlds,
         grippers=[gripper],
         table=Table(height=0.0, friction=0.3 + d["friction"]) if rubs else None,
-        damping=2.0 + d["damping"],
+        velocity_damping=2.0 + d["velocity_damping"],
+        air_density=30.0 + d["air_density"],
         gravity=np.array([0.5, 0.2, -9.81]) + d["gravity"],
         box=box,
         law=law,
@@ -88,44 +109,58 @@ def directions(simulator):
         "density": (1.0, 3e-6),
         "yield_stress": (1.0, 1e-5),
         "friction": (1.0, 1e-5),
-        "damping": (1.0, 1e-4),
+        "damping": (1.0, 1e-7),
+        "velocity_damping": (1.0, 1e-4),
+        "air_density": (1.0, 1e-3),
         "gravity": (r.standard_normal(3), 1e-4),
         "positions": (r.standard_normal((N, 3)), 3e-9),
         "velocities": (r.standard_normal(3), 1e-6),
         "stiffness": (r.standard_normal(N), 1e-5),
         "gripper_positions": (r.standard_normal((3, 3)), 3e-9),
+        "gripper_rotations": (r.standard_normal((3, 3)), 3e-7),
+        "gripper_radius": (1.0, 3e-8),
     }
 
 
 @pytest.mark.parametrize(
-    ("law", "yields_at"),
-    [("neo-hookean", math.inf), ("fixed-corotated", math.inf), ("neo-hookean", 2.0e3)],
+    "options",
+    [
+        {},
+        {"damped": 3e-3},
+        {"damped": 1e-4},
+        {"sheet": True, "damped": 3e-3},
+        {"law": "fixed-corotated", "damped": 3e-3},
+        {"yields_at": 2.0e3},
+        {"yields_at": 2.0e3, "damped": 3e-3},
+    ],
+    ids=lambda options: " ".join(options) or "elastic",
 )
-def test_derivatives_by_everything_equal_central_differences(law, yields_at):
-    rollouts = {rubs: Rollout(scene(law, yields_at, rubs=rubs)) for rubs in (True, False)}
+def test_derivatives_by_everything_equal_central_differences(options):
+    rollouts = {rubs: Rollout(scene(rubs=rubs, **options)) for rubs in (True, False)}
     bar = weights(rollouts[True].forward(TIMES).shape)
     rollouts[False].forward(TIMES)
     gradients = {rubs: rollout.backward(bar) for rubs, rollout in rollouts.items()}
     for name, (direction, h) in directions(rollouts[True].simulator).items():
-        # a node of the table that begins to slide bends the loss: only friction is asked of it
+        # a section of the table that begins to slide bends the loss: only friction is asked of it
         rubs = name == "friction"
-        if name == "yield_stress" and not math.isfinite(yields_at):
-            assert gradients[rubs].yield_stress[0] == 0.0
-            continue
+        yields = "yields_at" in options
         found = getattr(gradients[rubs], name)[0]
-        if name == "gripper_positions":
+        if name == "yield_stress" and not yields:
+            assert found == 0.0
+            continue
+        if name == "damping" and "damped" not in options:
+            assert found == 0.0
+            continue
+        if name.startswith("gripper"):
             found = found[0]
-        scale = 2.0e3 if name == "yield_stress" else SCALE.get(name, 1.0)
-        found = float((found * scale * direction).sum())
+        found = float((found * SCALE.get(name, 1.0) * direction).sum())
         # a particle that begins to yield bends it too: the shortest steps have no bend inside
-        kinked = rubs or math.isfinite(yields_at)
-        steps = (h, 0.1 * h, 0.03 * h, 0.01 * h) if kinked else (h,)
+        steps = (h, 0.3 * h, 0.1 * h, 0.03 * h, 0.01 * h) if rubs or yields else (h,)
         errors = []
         for step in steps:
             moved = [{name: sign * step * direction} for sign in (1.0, -1.0)]
             up, down = (
-                float((scene(law, yields_at, rubs=rubs, **by).run(TIMES) * bar).sum())
-                for by in moved
+                float((scene(rubs=rubs, **options, **by).run(TIMES) * bar).sum()) for by in moved
             )
             errors.append(found * 2.0 * step / (up - down) - 1.0)
         assert min(map(abs, errors)) < 1e-6, (name, errors)
@@ -140,7 +175,7 @@ def test_derivatives_hold_where_a_rope_rubs_over_its_table():
 
 
 def test_walls_pass_no_derivative_through():
-    wall = Box(lower=(-1.0, -1.0, -1.0), upper=(0.07, 1.0, 1.0))
+    wall = Box(lower=(-1.0, -1.0, -1.0), upper=(0.0875, 1.0, 1.0))
 
     def make(**by):
         return scene(box=wall, **by)
@@ -245,13 +280,20 @@ def test_a_long_rollout_stays_within_its_memory():
     assert all(stretch.recording is None for stretch in kept)
 
 
-@pytest.mark.parametrize("yields_at", [math.inf, 2.0e3])
+KINDS = pytest.mark.parametrize(
+    "options",
+    [{}, {"sheet": True, "damped": 3e-3}, {"yields_at": 2.0e3, "damped": 3e-3}],
+    ids=lambda options: " ".join(options) or "elastic",
+)
+
+
+@KINDS
 @pytest.mark.parametrize("memory", [0.0, 1e9])
 @pytest.mark.parametrize("together", [BatchTape, BlockTape])
-def test_all_worlds_together_give_the_derivatives_of_each_alone(together, yields_at, memory):
+def test_all_worlds_together_give_the_derivatives_of_each_alone(together, options, memory):
     """What a GPU does, stages or blocks, which run on the CPU too, against the CPU's own kernel."""
-    alone = WorldTape(scene(yields_at=yields_at, worlds=2), memory=1e9)
-    check_derivatives(alone, together(scene(yields_at=yields_at, worlds=2), memory=memory))
+    alone = WorldTape(scene(worlds=2, **options), memory=1e9)
+    check_derivatives(alone, together(scene(worlds=2, **options), memory=memory))
 
 
 def test_a_recording_may_run_out_of_layouts(monkeypatch):
@@ -264,14 +306,14 @@ def test_a_recording_may_run_out_of_layouts(monkeypatch):
 
 
 @pytest.mark.gpu
+@KINDS
 @pytest.mark.parametrize("memory", [0.0, 1e9])
 @pytest.mark.parametrize("together", [BatchTape, BlockTape])
-def test_cuda_gives_the_derivatives_of_the_cpu(together, memory):
+def test_cuda_gives_the_derivatives_of_the_cpu(together, options, memory):
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
-    alone = WorldTape(scene(yields_at=2.0e3, worlds=2), memory=1e9)
-    cuda = scene(yields_at=2.0e3, worlds=2, device="cuda")
-    check_derivatives(alone, together(cuda, memory=memory))
+    alone = WorldTape(scene(worlds=2, **options), memory=1e9)
+    check_derivatives(alone, together(scene(worlds=2, device="cuda", **options), memory=memory))
 
 
 def check_derivatives(*tapes):
@@ -304,7 +346,7 @@ def test_float32_points_where_float64_does_after_a_whole_lift():
             [Material(E=E, nu=nu, density=1000.0)],
             grippers=[Gripper(time=t, position=path, radius=0.009)],
             table=Table(height=0.0),
-            damping=4.0,
+            velocity_damping=4.0,
             dtype=dtype,
             threads=1,
         )

@@ -42,7 +42,7 @@ def lifted_rope(materials=(SOFT,), *, cells=1.5, **options):
     body = rope(diameter=0.02, length=0.12, start=(0.0, 0.0, 0.01), cells_across=cells)
     grip = Gripper(time=[0.0, 0.3], position=[(0, 0, 0.01), (0, 0, 0.11)], radius=0.02)
     table = options.pop("table", Table(height=0.0))
-    return simulator(body, materials, grippers=[grip], table=table, damping=2.0, **options)
+    return simulator(body, materials, grippers=[grip], table=table, velocity_damping=2.0, **options)
 
 
 # ---- free motion -----------------------------------------------------------------------------
@@ -95,7 +95,7 @@ def test_momenta_of_a_free_block_are_conserved(material):
 
 def test_damping_is_exponential():
     """Without gravity every velocity falls as exp(-damping t), whatever the substep."""
-    s = simulator(block(), gravity=(0, 0, 0), damping=3.0)
+    s = simulator(block(), gravity=(0, 0, 0), velocity_damping=3.0)
     s.set_velocities((1.0, 2.0, -3.0))
     s.run([0.4])
     assert s.velocities()[0] == pytest.approx(
@@ -191,7 +191,7 @@ def test_worlds_take_their_own_values():
             [SOFT] * len(worlds),
             table=Table(height=0.0, friction=[w["friction"] for w in worlds]),
             gravity=[w["gravity"] for w in worlds],
-            damping=[w["damping"] for w in worlds],
+            velocity_damping=[w["damping"] for w in worlds],
             grippers=[[w["grip"]] for w in worlds],
             positions=np.stack([body.x + np.array([w["at"], 0.0, 0.0]) for w in worlds]),
         ).run([0.1])[0]
@@ -272,7 +272,7 @@ def cantilever_ratio(cells, *, slenderness):
         body,
         [Material(E=1000.0 * specific, nu=0.3, density=1000.0)],
         grippers=[clamp],
-        damping=1.6 * frequency,
+        velocity_damping=1.6 * frequency,
         dtype="float32",
     )
     x = s.run(np.array([0.8, 1.0]) * 10.0 / frequency)[:, 0]
@@ -304,7 +304,7 @@ def creep(lift):
         body,
         [Material(E=1000.0 * specific, nu=0.3, density=1000.0)],
         grippers=[grip],
-        damping=3.5 * math.sqrt(specific) * k / L**2,
+        velocity_damping=3.5 * math.sqrt(specific) * k / L**2,
     )
     x = s.run([0.4, 1.5])[:, 0, :, 2]
     tip = body.material_coordinates[:, 0] > L + back - 0.01
@@ -380,7 +380,7 @@ def on_table(**options):
 
 def test_block_rests_at_table_height():
     """Weight pressed it down by no more than 2 rho g h^2 / E / 2; the lowest layer stays above."""
-    s = on_table(damping=20.0)
+    s = on_table(velocity_damping=20.0)
     first = s.body.x
     x = s.run([0.4])[0, 0]
     assert np.abs(s.velocities()).max() < 2e-3
@@ -395,7 +395,7 @@ def test_dropped_block_stops_less_than_a_cell_above_the_table():
 
     Nodes at table height already hold what is within 1.5 cells of them.
     """
-    s = on_table(damping=20.0, positions=block(size=(0.06, 0.04, 0.04), corner=(0, 0, 0.54)).x)
+    s = on_table(velocity_damping=20.0, positions=block(size=(0.06, 0.04, 0.04), corner=(0, 0, 0.54)).x)
     x = s.run([0.6])[0, 0]
     assert np.abs(s.velocities()).max() < 2e-3
     assert 0.5 < x[:, 2].min() < 0.5 + DX
@@ -439,7 +439,7 @@ def test_walls_keep_particles_in():
     box = Box(lower=(-0.05, -0.05, -0.05), upper=(0.1, 0.1, 0.1))
     runs = []
     for walls in (box, None):
-        s = simulator(block(corner=(0.0, 0.0, 0.0)), box=walls, damping=0.5)
+        s = simulator(block(corner=(0.0, 0.0, 0.0)), box=walls, velocity_damping=0.5)
         s.set_velocities((1.0, 0.7, 1.8))
         runs.append(s.run(np.linspace(0.02, 0.8, 40))[:, 0])
     inside, free = runs
@@ -756,7 +756,7 @@ def test_yielding_body_stays_flat():
     body = block(corner=(0.003, 0.001, 0.1))
     heights = []
     for material in (SOFT, replace(SOFT, yield_stress=400.0)):
-        s = simulator(body, [material], table=Table(height=0.0), damping=5.0)
+        s = simulator(body, [material], table=Table(height=0.0), velocity_damping=5.0)
         heights.append(np.ptp(s.run([1.0])[0, 0, :, 2]))
     assert heights[0] == pytest.approx(0.035, rel=0.08)
     assert heights[1] < 0.9 * heights[0]

@@ -258,7 +258,7 @@ class Lift:
             [self.material(theta) for theta in thetas],
             grippers=grippers,
             table=table,
-            damping=self.damping,
+            velocity_damping=self.damping,
             law=self.settings.law,
             cfl=CFL,
             positions=[body.x for body in bodies],

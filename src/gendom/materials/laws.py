@@ -46,26 +46,6 @@ class Law(NamedTuple):
     name: str
 
 
-_LOG_VOLUME = """
-    const auto log_volume = [](REAL J) {
-        if (!(J > REAL(0.75) && J < REAL(1.25))) return wp::log(J);
-        const REAL s = (J - REAL(1)) / (J + REAL(1)), q = s * s;
-        REAL sum = REAL(0);
-        #pragma unroll
-        for (int n = SERIES; n > 0; --n) sum = sum * q + REAL(2.0 / (2 * n - 1));
-        return sum * s;
-    };
-"""
-
-
-def log_volume_text(real: Any) -> str:
-    """Native code of log(J); near 1 by its series 2 (s + s^3/3 + ...), s = (J - 1)/(J + 1),
-    without a call."""
-    single = real == wp.float32
-    text = _LOG_VOLUME.replace("SERIES", "5" if single else "10")
-    return text.replace("REAL", "wp::float32" if single else "wp::float64")
-
-
 @functools.cache
 def make_law(name: str, real: Any, *, plastic: bool) -> Law:
     """Build a law's functions for a scalar type.
@@ -82,9 +62,6 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
     vec3 = wp.types.vector(3, real)
     close = 1.0e-3 if real == wp.float32 else 1.0e-7
 
-    @wp.func_native(log_volume_text(real) + "return log_volume(J);")
-    def log_volume(J: real) -> real: ...
-
     @wp.func
     def cofactors(F: mat33):
         """J F^-T: columns are cross products of those of F."""
@@ -97,14 +74,14 @@ def make_law(name: str, real: Any, *, plastic: bool) -> Law:
     def neo_hookean(F: mat33, mu: real, lam: real):
         """P = mu (F - F^-T) + lam log(J) F^-T. Source: Bonet and Wood (2008), chapter 6."""
         J = wp.determinant(F)
-        return mu * F + ((lam * log_volume(J) - mu) / J) * cofactors(F)
+        return mu * F + ((lam * wp.log(J) - mu) / J) * cofactors(F)
 
     @wp.func
     def neo_hookean_back(F: mat33, mu: real, lam: real, P_bar: mat33):
         """Transpose of ``neo_hookean``; d(F^-T) = -F^-T dF^T F^-T."""
         J = wp.determinant(F)
         B = (real(1.0) / J) * cofactors(F)
-        log_J = log_volume(J)
+        log_J = wp.log(J)
         share = wp.ddot(P_bar, B)
         F_bar = mu * P_bar + (lam * share) * B
         F_bar -= (lam * log_J - mu) * (B * (wp.transpose(P_bar) * B))

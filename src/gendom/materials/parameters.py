@@ -23,6 +23,10 @@ class Material:
     """Poisson's ratio [-], in (-1, 0.5)."""
     density: float = 1000.0
     """Mass density [kg/m^3]."""
+    damping: float = 0.0
+    """Viscous over elastic stress in slow motion [s]: the time tau of a standard linear solid whose
+    Maxwell branch is as stiff as the elastic law. Free motion at a frequency w well below 1 / tau is
+    damped at the ratio w tau / 2; static shapes are not changed."""
     yield_stress: float = math.inf
     """Von Mises yield stress of the deviatoric Hencky stress [Pa]; infinite means elastic."""
 
@@ -37,20 +41,25 @@ class Material:
             raise ParameterError(f"Poisson's ratio nu must lie in (-1, 0.5), got {self.nu}")
         if self.density <= 0.0:
             raise ParameterError(f"density must be positive [kg/m^3], got {self.density}")
+        if not (math.isfinite(self.damping) and self.damping >= 0.0):
+            raise ParameterError(
+                f"damping must be finite and at least 0 [s], got {self.damping}",
+                fix="ropes and cloths have 0.001 to 0.02 s; 0 means none",
+            )
         if not self.yield_stress > 0.0:
             raise ParameterError(f"yield_stress must be positive [Pa], got {self.yield_stress}")
 
     @property
     def lame(self) -> tuple[float, float]:
         """Lamé parameters (mu, lam) [Pa]."""
-        mu = self.E / (2.0 * (1.0 + self.nu))
-        return mu, 2.0 * mu * self.nu / (1.0 - 2.0 * self.nu)
+        return self.lame_of(2.0)
 
-    @property
-    def lame_of_plane_stress(self) -> tuple[float, float]:
-        """Parameters (mu, lam) of a thin sheet, which is free to change its thickness [Pa]."""
-        mu, _ = self.lame
-        return mu, 2.0 * mu * self.nu / (1.0 - self.nu)
+    def lame_of(self, lateral_constraint: float) -> tuple[float, float]:
+        """Parameters (mu, lam = 2 mu nu / (1 - k nu)) of a section that follows its contraction
+        only in part [Pa]: k = 2 where it is free to (or a solid), 1 in plane stress; see
+        ``Body.lateral_constraint``."""
+        mu = self.E / (2.0 * (1.0 + self.nu))
+        return mu, 2.0 * mu * self.nu / (1.0 - lateral_constraint * self.nu)
 
     @property
     def specific_modulus(self) -> float:
@@ -59,9 +68,11 @@ class Material:
 
     @property
     def wave_speed(self) -> float:
-        """Speed of pressure waves sqrt((lam + 2 mu) / density) [m/s]."""
+        """Speed of the fastest pressure waves sqrt((lam + 2 mu) / density) [m/s]; with damping
+        they meet twice the stiffness."""
         mu, lam = self.lame
-        return math.sqrt((lam + 2.0 * mu) / self.density)
+        stiffness = (2.0 if self.damping > 0.0 else 1.0) * (lam + 2.0 * mu)
+        return math.sqrt(stiffness / self.density)
 
 
 def bending_length(specific_modulus: float, radius_of_gyration: float, gravity: float) -> float:

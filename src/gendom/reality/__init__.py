@@ -4,6 +4,7 @@ Its tasks are Gymnasium environments, where that is installed: `gendom/RopeReach
 `gendom/RopeCasting-v0` and `gendom/ClothSpreading-v0`, see `gendom.reality.envs`.
 """
 
+from gendom.reality.air import AIR_DENSITY, Air
 from gendom.reality.benches import Bench, cantilever, stretch
 from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, find_object
 from gendom.reality.recording import RecordSettings, record
@@ -29,7 +30,9 @@ from gendom.reality.trials import (
 from gendom.reality.world import Reality
 
 __all__ = [
+    "AIR_DENSITY",
     "OBJECTS",
+    "Air",
     "Bench",
     "Cast",
     "DepthSensor",

@@ -235,6 +235,7 @@ def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
             "density": item.material.density,
             "damping": item.damping,
             "friction": item.friction,
+            "air_density": world.air.density,
             # JSON has no infinity: an unlimited range is null.
             "sensor": {k: v if math.isfinite(v) else None for k, v in asdict(sensor).items()},
             "errors": asdict(errors),

@@ -18,6 +18,7 @@ from PIL import Image, ImageDraw
 
 from gendom.errors import RobotError
 from gendom.perception.camera import Camera
+from gendom.reality.air import AIR_DENSITY
 from gendom.reality.arm import RobotArm, surroundings
 from gendom.reality.objects import RealCloth, RealObject, RealRope
 from gendom.reality.scene import Layout, default_cameras, rest_height
@@ -97,14 +98,23 @@ class Performance:
         trial: What is done.
         robot: True: the xArm 7 does it; False: a free hand.
         cameras: Fixed cameras.
+        air_density: Of the still air [kg/m^3]; 0: none.
 
     Raises:
         RobotError: The arm cannot follow the path within its limits, or would touch itself, the
             table or a camera.
+        ParameterError: `air_density` is negative or not finite.
         DeviceError: MuJoCo is not installed.
     """
 
-    def __init__(self, trial: Trial, *, robot: bool = True, cameras: Sequence[Camera] = ()):
+    def __init__(
+        self,
+        trial: Trial,
+        *,
+        robot: bool = True,
+        cameras: Sequence[Camera] = (),
+        air_density: float = AIR_DENSITY,
+    ):
         self.trial = trial
         thick = trial.item.diameter if isinstance(trial.item, RealRope) else trial.item.thickness
         self.motion = None
@@ -117,7 +127,9 @@ class Performance:
                 opening=thick,
             )
         arm = None if self.motion is None else RobotArm(XARM7, self.motion, opening=thick)
-        self.world = Reality(trial.item, trial.layout, robot=arm, cameras=cameras)
+        self.world = Reality(
+            trial.item, trial.layout, robot=arm, cameras=cameras, air_density=air_density
+        )
         if arm is None:
             self.world.follow(trial.path.position_at)
         self.events = trial.path.events if self.motion is None else self.motion.events

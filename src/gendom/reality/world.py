@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from gendom.errors import DeviceError, ParameterError, SimulationError
 from gendom.perception.camera import Camera
+from gendom.reality.air import AIR_DENSITY, Air
 from gendom.reality.objects import RealObject, RealRope
 from gendom.reality.scene import (
     GLFault,
@@ -45,10 +46,11 @@ class Reality:
         table: Whether there is a table.
         timestep: [s]; None for the default of the object's kind.
         gravity: [3] [m/s^2].
+        air_density: Of the still air [kg/m^3], see `gendom.reality.air`; 0: none.
 
     Raises:
         DeviceError: MuJoCo is not installed.
-        ParameterError: The scene cannot be built.
+        ParameterError: The scene cannot be built, or `air_density` is negative or not finite.
     """
 
     def __init__(
@@ -61,7 +63,9 @@ class Reality:
         table: bool = True,
         timestep: float | None = None,
         gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
+        air_density: float = AIR_DENSITY,
     ):
+        self.air = Air(item, air_density)
         self._mujoco = load_mujoco()
         self.item = item
         self.layout = layout
@@ -81,6 +85,8 @@ class Reality:
         self.data = self._mujoco.MjData(self.model)
         self._hand = self.model.body("hand").id
         self._bodies = np.array(self.model.flex_vertbodyid)
+        # Each vertex has three slides along the world's axes.
+        self._dofs = self.model.body_dofadr[self._bodies][:, None] + np.arange(3)
         self._connections = np.array(
             [self.model.equality(f"hand_{v}").id for v in range(len(self._bodies))]
         )
@@ -116,8 +122,7 @@ class Reality:
                 self.robot.control(self.data, self.time + step)
             elif self._path is not None:
                 self.data.mocap_pos[0] = self._path(self.time + step)
-            if self._twist is not None:
-                self._apply(self._twist)
+            self._load()
             self._mujoco.mj_step(self.model, self.data)
         self._place()
         bad = (self._mujoco.mjtWarning.mjWARN_BADQPOS, self._mujoco.mjtWarning.mjWARN_BADQACC)
@@ -136,13 +141,21 @@ class Reality:
         self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_flex(self.model, self.data)
 
-    def _apply(self, twist: Twist) -> None:
-        """A twisted rope's forces on its vertices and its moment on the hand, for the next step."""
+    def _load(self) -> None:
+        """Forces of twist and air on the vertices, and the twist's moment on the hand, for the next
+        step."""
+        if self._twist is None and self.air.density == 0.0:
+            return
         self._place()
-        rotation = self.data.xmat[self._hand].reshape(3, 3)
-        load = twist.load(self.data.flexvert_xpos, rotation, self.model.opt.timestep)
-        self.data.xfrc_applied[self._bodies, :3] = load.forces
-        self.data.xfrc_applied[self._hand, 3:] = load.moment
+        x = self.data.flexvert_xpos
+        forces = self.air.forces(x, self.data.qvel[self._dofs])
+        if self._twist is not None:
+            rotation = self.data.xmat[self._hand].reshape(3, 3)
+            load = self._twist.load(x, rotation, self.model.opt.timestep)
+            forces += load.forces
+            self.data.xfrc_applied[self._hand, 3:] = load.moment
+        # Along the slides, not as wrenches on bodies: MuJoCo takes a Jacobian for each of those.
+        self.data.qfrc_applied[self._dofs] = forces
 
     # ---- the hand --------------------------------------------------------------------------------
 
@@ -218,6 +231,7 @@ class Reality:
         self.data.eq_active[self._connections] = 0
         self._twist = None
         self.data.xfrc_applied[:] = 0.0
+        self.data.qfrc_applied[self._dofs] = 0.0
 
     # ---- what is true ----------------------------------------------------------------------------
 
@@ -227,10 +241,7 @@ class Reality:
 
     def speed(self) -> float:
         """Largest speed of a vertex [m/s]."""
-        address = self.model.body_dofadr[self._bodies]
-        free = address >= 0
-        v = self.data.qvel[address[free, None] + np.arange(3)]
-        return float(np.linalg.norm(v, axis=1).max())
+        return float(np.linalg.norm(self.data.qvel[self._dofs], axis=1).max())
 
     # ---- what is seen ----------------------------------------------------------------------------
 

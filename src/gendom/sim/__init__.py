@@ -6,10 +6,11 @@ from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
-from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
+from gendom.sim.scene import AIR_DENSITY, GRAVITY, Box, Table, check_numbers
 from gendom.sim.simulator import CFL, Simulator, stable_substep
 
 __all__ = [
+    "AIR_DENSITY",
     "CFL",
     "GRAVITY",
     "METRIC",

@@ -15,7 +15,9 @@ from gendom.errors import ParameterError
 class Gripper:
     """A gripper that carries all material inside a sphere along a timed path.
 
-    Between two knots it moves on a straight line at constant speed and turns at constant rate;
+    What it holds is decided when it closes, and stays: each particle keeps its place in the
+    gripper's frame. Whether a cross-section is held goes by its centre: the free length of a rope
+    begins where the sphere's surface cuts its centre line. Between two knots it moves on a straight line at constant speed and turns at constant rate;
     outside the path it stands still.
 
     Raises:
@@ -34,6 +36,8 @@ class Gripper:
     """Closes at this time [s]."""
     hold_until: float = math.inf
     """Opens at this time [s]."""
+    may_miss: bool = False
+    """Whether it may close on nothing; otherwise that ends the simulation with an error."""
 
     def __post_init__(self) -> None:
         t = np.atleast_1d(np.asarray(self.time, dtype=float))
@@ -62,15 +66,13 @@ class Gripper:
         return cls(time=[0.0], position=np.atleast_2d(position), radius=radius, **hold)
 
     @property
-    def spin(self) -> NDArray[np.floating]:
-        """[K, 3] angular velocity from each knot to the next, in world axes [rad/s]."""
-        t = np.asarray(self.time)
-        rates = np.zeros((len(t), 3))
-        if self.quat_xyzw is not None and len(t) > 1:
+    def turn(self) -> NDArray[np.floating]:
+        """[K, 3] rotation vector from each knot to the next, in world axes [rad]."""
+        turns = np.zeros((len(np.asarray(self.time)), 3))
+        if self.quat_xyzw is not None and len(turns) > 1:
             pose = Rotation.from_quat(self.quat_xyzw)
-            turn = (pose[1:] * pose[:-1].inv()).as_rotvec()
-            rates[:-1] = turn / np.diff(t)[:, None]
-        return rates
+            turns[:-1] = (pose[1:] * pose[:-1].inv()).as_rotvec()
+        return turns
 
     def position_at(self, time: ArrayLike) -> NDArray[np.floating]:
         """[..., 3] centre at given times [s]."""
@@ -86,10 +88,13 @@ def stack_paths(every: Sequence[Sequence[Gripper]]) -> dict[str, NDArray[np.floa
     out = {
         "time": np.zeros((W, G, K)),
         "position": np.zeros((W, G, K, 3)),
-        "spin": np.zeros((W, G, K, 3)),
+        "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, G, K, 1)),
+        "turn": np.zeros((W, G, K, 3)),
+        "turns": np.zeros((W, G)),
         "hold_from": np.zeros((W, G)),
         "hold_until": np.zeros((W, G)),
         "radius": np.zeros((W, G)),
+        "may_miss": np.zeros((W, G)),
     }
     for w, grippers in enumerate(every):
         for g, gripper in enumerate(grippers):
@@ -98,7 +103,13 @@ def stack_paths(every: Sequence[Sequence[Gripper]]) -> dict[str, NDArray[np.floa
             out["position"][w, g] = np.concatenate(
                 [gripper.position, np.repeat(np.asarray(gripper.position)[-1:], K - len(t), 0)]
             )
-            out["spin"][w, g, : len(t)] = gripper.spin
+            if gripper.quat_xyzw is not None:
+                q = np.asarray(gripper.quat_xyzw, dtype=float)
+                q = q / np.linalg.norm(q, axis=1, keepdims=True)
+                out["orientation"][w, g] = np.concatenate([q, np.repeat(q[-1:], K - len(t), 0)])
+                out["turn"][w, g, : len(t)] = gripper.turn
+                out["turns"][w, g] = 1
+            out["may_miss"][w, g] = gripper.may_miss
             out["hold_from"][w, g] = gripper.hold_from
             out["hold_until"][w, g] = gripper.hold_until
             out["radius"][w, g] = gripper.radius

@@ -6,7 +6,7 @@ from typing import Any
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim.scene import GRAVITY, Box, Table
+from gendom.sim.scene import AIR_DENSITY, GRAVITY, Box, Table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,20 +26,25 @@ class Preset:
     law: str
     gravity: tuple[float, float, float]
     """[m/s^2]."""
+    air_density: float
+    """[kg/m^3]."""
     substep: float | None
     """[s], or None for each world's stability limit."""
     table: Table | None
     box: Box | None
 
-    def material(self, *, E: float, nu: float) -> Material:
+    def material(self, *, E: float, nu: float, damping: float = 0.0) -> Material:
         """A material of this preset's density and yield stress."""
-        return Material(E=E, nu=nu, density=self.density, yield_stress=self.yield_stress)
+        return Material(
+            E=E, nu=nu, density=self.density, damping=damping, yield_stress=self.yield_stress
+        )
 
     def settings(self) -> dict[str, Any]:
         """Keyword arguments for ``Simulator``."""
         return {
             "law": self.law,
             "gravity": self.gravity,
+            "air_density": self.air_density,
             "substep": self.substep,
             "table": self.table,
             "box": self.box,
@@ -53,6 +58,7 @@ METRIC = Preset(
     yield_stress=math.inf,
     law="neo-hookean",
     gravity=GRAVITY,
+    air_density=AIR_DENSITY,
     substep=None,
     table=None,
     box=None,
@@ -69,6 +75,7 @@ PAPER = Preset(
     yield_stress=200.0,
     law="fixed-corotated",
     gravity=(0.0, 0.0, -12.0),
+    air_density=0.0,
     substep=1e-4,
     table=Table(height=2.0 * _CELL, friction=0.5),
     box=Box(lower=(_LOWER, _LOWER, _LOWER), upper=(_UPPER, _UPPER, _UPPER)),

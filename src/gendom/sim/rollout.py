@@ -1,15 +1,15 @@
 """Derivatives through whole simulations, by reverse mode with recorded or repeated substeps."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError
-from gendom.sim.batch_tape import BatchTape
-from gendom.sim.block_tape import BlockTape
-from gendom.sim.blocks import suits_blocks
-from gendom.sim.gradients import Gradients, Sums
+from gendom.sim.gradients import Gradients
+from gendom.sim.mpm.adjoint.cpu import WorldTape
+from gendom.sim.mpm.adjoint.sums import Sums
 from gendom.sim.simulator import Simulator
-from gendom.sim.world_tape import WorldTape
 
 MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}
 """Default bounds on what a rollout keeps for its reverse [bytes]."""
@@ -37,8 +37,7 @@ class Rollout:
         cuda = simulator.device.is_cuda
         if memory is None:
             memory = MEMORY["cuda" if cuda else "cpu"]
-        together = BlockTape if suits_blocks(simulator.worlds) else BatchTape
-        self._tape = (together if cuda else WorldTape)(simulator, memory)
+        self._tape = _make_tape(simulator, memory)
         self._times: NDArray[np.float64] | None = None
 
     def forward(self, times: ArrayLike) -> NDArray[np.floating]:
@@ -82,3 +81,13 @@ class Rollout:
         sums = Sums(s)
         self._tape.backward(bar, sums)
         return sums.gradients(s)
+
+
+def _make_tape(simulator: Simulator, memory: float) -> Any:
+    if not simulator.device.is_cuda:
+        return WorldTape(simulator, memory)
+    from gendom.sim.mpm.adjoint.block_per_world import BlockTape
+    from gendom.sim.mpm.adjoint.graph import BatchTape
+    from gendom.sim.mpm.runners.block_per_world import suits_blocks
+
+    return (BlockTape if suits_blocks(simulator.worlds) else BatchTape)(simulator, memory)

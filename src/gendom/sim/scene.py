@@ -12,6 +12,10 @@ GRAVITY = (0.0, 0.0, -9.81)
 """Standard gravity, z up [m/s^2]."""
 
 
+AIR_DENSITY = 1.2
+"""Of air at 20 C and sea level [kg/m^3]."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Table:
     """A horizontal plane that nothing falls through, with Coulomb friction per world."""

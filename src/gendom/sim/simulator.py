@@ -1,5 +1,6 @@
 """Batched simulation of one body in many worlds."""
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,18 +11,19 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
 from gendom.materials import Material
-from gendom.sim.batch import Batch
-from gendom.sim.blocks import Blocks, suits_blocks
+from gendom.materials.laws import LAWS
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper
-from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
-from gendom.sim.teams import Teams, suits_teams
-from gendom.sim.threads import Threads
-from gendom.sim.worlds import STATE, Frames, Setting, Worlds, spread
+from gendom.sim.mpm.model import Frames, Setting, Worlds, spread
+from gendom.sim.mpm.runners.cpu import Threads
+from gendom.sim.scene import AIR_DENSITY, GRAVITY, Box, Table, check_numbers
 
 CFL = 0.6
 """Default share of the time in which a pressure wave crosses one cell."""
+
+START_INSIDE = 0.1
+"""How deep a body may begin inside a table or wall [cells]; it is put on it at once."""
 
 
 class Simulator:
@@ -36,7 +38,9 @@ class Simulator:
         grippers: Grippers shared by all worlds, or one sequence of them for each world.
         table: Table, or None for open space.
         gravity: [3] or [W, 3] [m/s^2].
-        damping: Rate at which velocities decay, one number or [W] [1/s].
+        velocity_damping: Rate at which all velocities decay, one number or [W] [1/s]; for what
+            materials lose see ``Material.damping``.
+        air_density: Of the air that drags on ropes and cloths, one number or [W] [kg/m^3].
         box: Walls, or None.
         law: Elastic law, see ``gendom.materials.laws.LAWS``.
         substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
@@ -61,7 +65,8 @@ class Simulator:
         grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
         table: Table | None = None,
         gravity: ArrayLike = GRAVITY,
-        damping: float | ArrayLike = 0.0,
+        velocity_damping: float | ArrayLike = 0.0,
+        air_density: float | ArrayLike = AIR_DENSITY,
         box: Box | None = None,
         law: str = "neo-hookean",
         substep: float | None = None,
@@ -77,7 +82,8 @@ class Simulator:
             raise ParameterError("a simulation needs at least one material (one a world)")
         if dtype not in ("float32", "float64"):
             raise ParameterError(f"dtype must be float32 or float64, got {dtype!r}")
-        check_numbers("damping", damping, least=0.0)
+        check_numbers("velocity_damping", velocity_damping, least=0.0)
+        check_numbers("air_density", air_density, least=0.0)
         check_numbers("gravity", gravity)
         check_numbers("start_time", start_time)
         check_numbers("cfl", cfl, above=0.0)
@@ -90,6 +96,11 @@ class Simulator:
         if not np.isfinite(x).all():
             raise ParameterError("positions hold numbers that are not finite")
         W = len(materials)
+        if law not in LAWS:
+            raise ParameterError(
+                f"unknown elastic law {law!r}", fix=f"choose one of {', '.join(LAWS)}"
+            )
+        _check_clear(body, x, table, box)
         self.body = body
         self.materials = tuple(materials)
         self.time = start_time
@@ -111,7 +122,8 @@ class Simulator:
             table=table,
             box=box,
             gravity=gravity,
-            damping=damping,
+            velocity_damping=velocity_damping,
+            air_density=air_density,
             law=law,
             stiffness=self.stiffness,
             positions=x,
@@ -122,7 +134,7 @@ class Simulator:
         )
         with making:
             self.worlds = Worlds(setting)
-        self._runner: Batch | Threads | None = None
+        self._runner: Any = None
 
     @property
     def num_worlds(self) -> int:
@@ -148,7 +160,7 @@ class Simulator:
 
     def deformation_gradients(self) -> NDArray[Any]:
         """[W, N, 3, 3] deformation gradients F now [-]."""
-        return self.worlds.deformation(self.worlds.state).astype(self.dtype)
+        return self.worlds.deformation_at(self.worlds.state.x.numpy()).astype(self.dtype)
 
     def substeps_done(self) -> NDArray[Any]:
         """[W] substeps that each world has done."""
@@ -171,7 +183,7 @@ class Simulator:
         self.worlds.state.C.assign(C.astype(self.dtype))
 
     def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
-        """Write x, v, C, F, the time and the parameters of all worlds to an ``.npz`` file.
+        """Write x, v, C, F (and Z and G where there are some), the time and the parameters of all worlds to an ``.npz`` file.
 
         Args:
             path: File to write, atomically.
@@ -179,7 +191,7 @@ class Simulator:
                 [W]); after a failure the last that means anything.
         """
         kept = self.worlds.last_good if last_good else self.worlds.state
-        state = {name: getattr(kept, name).numpy() for name in STATE[:3]}
+        state = {name: getattr(kept, name).numpy() for name in self.worlds.carried}
         with atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(
                 file,
@@ -188,7 +200,7 @@ class Simulator:
                 nu=[m.nu for m in self.materials],
                 density=[m.density for m in self.materials],
                 substep=self.substep,
-                F=self.worlds.deformation(kept).astype(self.dtype),
+                F=self.worlds.deformation_at(state["x"]).astype(self.dtype),
                 **state,  # pyright: ignore[reportArgumentType]
             )
 
@@ -235,11 +247,12 @@ class Simulator:
         self.time = float(t[-1])
         return x
 
-    def _make_runner(self) -> Batch | Threads:
+    def _make_runner(self) -> Any:
         if not self.device.is_cuda:
             return Threads(self.worlds, self.threads)
-        if suits_teams(self.worlds):
-            return Teams(self.worlds)
+        from gendom.sim.mpm.runners.block_per_world import Blocks, suits_blocks
+        from gendom.sim.mpm.runners.graph import Batch
+
         return (Blocks if suits_blocks(self.worlds) else Batch)(self.worlds)
 
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:
@@ -250,6 +263,30 @@ class Simulator:
         if np.any(np.diff(np.concatenate([[self.time], t])) < 0.0):
             raise ParameterError("times must not decrease nor lie before the simulator's time")
         return t
+
+
+def _check_clear(
+    body: Body, x: NDArray[np.floating], table: Table | None, box: Box | None
+) -> None:
+    """Refuse positions [..., N, 3] that lie in the table or in a wall.
+
+    Raises:
+        ParameterError: With how deep they lie.
+    """
+    centres = x.reshape(*x.shape[:-2], -1, body.section, 3).mean(axis=-2).reshape(-1, 3)
+    lowest, highest = centres.min(axis=0), centres.max(axis=0)
+    planes = [] if table is None else [("the table", table.height - lowest[2])]
+    if box is not None:
+        planes += [("a wall", d) for d in (*(box.lower - lowest), *(highest - box.upper))]
+    for name, beyond in planes:
+        depth = beyond + body.contact_radius
+        if depth > START_INSIDE * body.dx:
+            raise ParameterError(
+                f"the object begins {1e3 * depth:.3g} mm inside {name}",
+                where=f"centres of its cross-sections lie between {lowest.round(4).tolist()} and "
+                f"{highest.round(4).tolist()} m, half its thickness is {body.contact_radius:.4g} m",
+                fix="move the object, or the table or wall",
+            )
 
 
 def _grippers_of_worlds(
@@ -275,6 +312,8 @@ def stable_substep(material: Material, dx: float, *, cfl: float = CFL) -> float:
     """Longest substep [s] at a share ``cfl`` of the Courant limit dx / wave speed.
 
     The wave speed is that of small strains; ``CFL`` leaves room for stiffening under compression.
+    What yields is given a quarter: a substep must not strain it by much more than it yields at.
     Source: Courant, Friedrichs and Lewy (1928).
     """
-    return cfl * dx / material.wave_speed
+    share = 0.25 if math.isfinite(material.yield_stress) else 1.0
+    return share * cfl * dx / material.wave_speed

@@ -396,7 +396,7 @@ class RopeReaching:
                 materials,
                 grippers=grippers,
                 gravity=(0.0, 0.0, -self.gravity),
-                damping=self.damping,
+                velocity_damping=self.damping,
                 dtype=dtype,
                 device=device,
                 threads=threads,

@@ -102,5 +102,5 @@ def clamped_bar(
     body = block((L + back, SIDE, SIDE), dx, centre=((L - back - dx) / 2.0, 0.0, 0.0))
     clamp = clamp_beyond((-dx / 2.0, 0.0, 0.0), (-1.0, 0.0, 0.0), SIDE)
     return settings.simulator(
-        body, [material], grippers=[clamp], gravity=(pull, 0.0, 0.0), damping=damping
+        body, [material], grippers=[clamp], gravity=(pull, 0.0, 0.0), velocity_damping=damping
     )

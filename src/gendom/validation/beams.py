@@ -169,7 +169,7 @@ def clamped_strip(
     pull = np.asarray(gravity, dtype=float)
     material = Material(E=1000.0 * specific, nu=0.3, density=1000.0)
     s = settings.simulator(
-        body, [material] * len(pull), grippers=[clamp], damping=2.0 * omega, gravity=pull
+        body, [material] * len(pull), grippers=[clamp], velocity_damping=2.0 * omega, gravity=pull
     )
     return s, omega
 

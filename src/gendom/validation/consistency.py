@@ -57,5 +57,5 @@ def _lift(settings: Settings, materials) -> NDArray[np.floating]:
     """[T, W, N, 3] a rope on a table, one end of it lifted by 10 cm in 0.3 s [m]."""
     body = rope(diameter=0.02, length=0.2, start=(0.0, 0.0, 0.01), cells_across=1.5)
     grip = Gripper(time=[0.0, 0.3], position=[(0, 0, 0.01), (0, 0, 0.01 + LIFT)], radius=0.02)
-    s = settings.simulator(body, materials, grippers=[grip], table=Table(height=0.0), damping=2.0)
+    s = settings.simulator(body, materials, grippers=[grip], table=Table(height=0.0), velocity_damping=2.0)
     return s.run([0.1, 0.3]).astype(float)

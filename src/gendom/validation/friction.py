@@ -97,7 +97,7 @@ def resting_block(settings: Settings, friction: ArrayLike, gravity: ArrayLike) -
     worlds = [MATERIAL] * len(mu)
     # friction that holds everything, so that no block slides away before its time
     first = settings.simulator(
-        body, worlds, table=Table(height=0.0, friction=10.0), gravity=pull, damping=omega
+        body, worlds, table=Table(height=0.0, friction=10.0), gravity=pull, velocity_damping=omega
     )
     first.run([20.0 / omega])
     return settings.simulator(

@@ -37,6 +37,8 @@ def block(size: ArrayLike, dx: float, *, centre: ArrayLike = (0.0, 0.0, 0.0)) ->
         volume=float(np.prod(edges)) / len(cells),
         dx=dx,
         thickness=float(edges[2]),
+        section=1,
+        contact_radius=0.0,
     )
 
 
@@ -132,7 +134,7 @@ def energies(simulator: Simulator, gravity: ArrayLike) -> tuple[float, float, fl
     neo-Hookean law. Gravitational: -m g . x.
     """
     body, material = simulator.body, simulator.materials[0]
-    mu, lam = material.lame_of_plane_stress if body.has_two_layers else material.lame
+    mu, lam = material.lame_of(body.lateral_constraint)
     m = material.density * body.volume
     v, C = simulator.velocities()[0].astype(float), simulator.affine_velocities()[0].astype(float)
     kinetic = 0.5 * m * (np.sum(v**2) + body.dx**2 / 4.0 * np.sum(C**2))

@@ -6,8 +6,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.sim.batch import Batch
-from gendom.sim.worlds import Frames, Worlds
+from gendom.sim.mpm.model import Frames, Worlds
+from gendom.sim.mpm.runners.graph import Batch
 
 SLICES = 16
 """Launches between two looks at how the worlds do."""
@@ -70,12 +70,12 @@ class Paced(Batch, ABC):
         self._time = np.concatenate([[now], times])
         self._pause = now
         steps = np.stack([s.divide(slice(None), span)[0] for span in np.diff(self._time)])
-        self.frame_plan = s.kernels.Plan()
+        self.frame_plan = s.types.Plan()
         self.frame_plan.time = s.array(self._time, wp.float64)
         self.frame_plan.steps = s.array(steps, wp.int32)
         self.frame_plan.particles = s.array(particles, wp.int32)
         self.frame_plan.x = wp.empty(
-            (len(times), s.num_worlds, len(particles)), dtype=s.kernels.vec3, device=s.device
+            (len(times), s.num_worlds, len(particles)), dtype=s.types.vec3, device=s.device
         )
         # worlds that failed are through
         self._frame = np.zeros(s.num_worlds, dtype=np.int32)

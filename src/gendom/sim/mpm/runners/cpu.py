@@ -1,6 +1,11 @@
 """Running on the CPU: every thread takes a world from the first frame to the last."""
 
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+
 import contextlib
+import functools
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -9,9 +14,105 @@ import numpy as np
 import warp as wp
 
 from gendom.errors import SimulationError
-from gendom.sim.columns import Grid, GridExhausted
-from gendom.sim.kernels import DIVERGED, GRID_FULL, OK
-from gendom.sim.worlds import CLOCK, LAY_ANEW, Frames, Worlds
+from gendom.sim.mpm.boundary import make_boundary
+from gendom.sim.mpm.grid import MARGIN, Grid, GridExhausted, SparseGrid, make_rebuild_world
+from gendom.sim.mpm.model import CLOCK, REBUILD, Frames, Worlds
+from gendom.sim.mpm.native import MODULE_OPTIONS
+from gendom.sim.mpm.particles import make_rows
+from gendom.sim.mpm.step import DIVERGED, GRID_FULL, OK, make_stages, make_step
+from gendom.sim.mpm.types import make_types
+
+
+@functools.cache
+def make_advance(real: Any, law_name: str, *, yields: bool) -> Any:
+    """Build the kernel that takes one world through many substeps, see ``step.make_stages``."""
+    k = make_stages(real, law_name, yields=yields)
+    types = k.types
+    vec4 = types.vec4
+    substep = make_step(real, law_name, yields=yields).substep
+    rebuild = make_rebuild_world(real, make_rows(real))
+    near_table = k.boundary.near_table
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def advance(
+        w: int,
+        time: wp.float64,  # [s] at substep 0
+        clock: types.Clock,
+        matter: types.Matter,
+        scene: types.Scene,
+        paths: types.Paths,
+        grips: types.Grips,  # [W]
+        pulls: wp.array2d(dtype=types.pull),  # [W, N] scratch
+        touched: wp.array2d(dtype=types.vec3),  # [W, sections] scratch
+        # in rows: substep n of this call goes from row first + n * stride to the next; stride 0
+        # works in place, 1 keeps every state, its grid and its layout for the reverse
+        first: int,
+        stride: int,
+        state: types.State,
+        # grid of this world alone
+        grid: SparseGrid,
+        layout_of: wp.array(dtype=wp.int32),  # [L] the layout of each substep of this call
+        momentum: wp.array2d(dtype=vec4),  # [L, M] and mass
+        velocity: wp.array2d(dtype=vec4),  # [1, M] and mass; may be ``momentum`` where stride is 0
+    ):
+        N = state.x.shape[1]
+        dx = scene.dx
+        dt = clock.dt[w]
+        begun = clock.step[w]
+        step = int(begun)
+        age = clock.age[w]
+        travel = clock.travel[w]
+        status = int(OK)
+        layout = layout_of[0]
+        while step < clock.steps[w] and status == OK:
+            slot = (step - begun) * stride
+            row = first + slot
+            if travel >= real(MARGIN) * dx:
+                layout = slot
+                fits = rebuild(
+                    row, 0, 1, N, layout, momentum.shape[1], real(1.0) / dx, scene.z0, state, grid
+                )
+                near = int(0)
+                for p in range(N):
+                    if near_table(state.x[row, p], matter, scene):
+                        near = 1
+                clock.near_table[w] = near
+                if fits:
+                    travel = real(0.0)
+                else:
+                    status = GRID_FULL
+                    # the grid's need is read from the first layout
+                    for a in range(4):
+                        grid.bounds[0, a] = grid.bounds[layout, a]
+            if status == OK:
+                layout_of[slot] = layout
+                fastest, status = substep(
+                    w, time + wp.float64(step) * dt, dt, age, row, row + stride, layout, slot,
+                    clock, matter, scene, paths, grips, pulls, touched, state, grid, momentum,
+                    velocity,
+                )  # fmt: skip
+                travel += real(dt) * wp.sqrt(fastest)
+                step += 1
+                age += 1
+        clock.step[w] = step
+        clock.age[w] = age
+        clock.travel[w] = travel
+        clock.status[w] = status
+
+    return advance
+
+
+@functools.cache
+def make_hold_as_at(real: Any) -> Any:
+    """Build the kernel that lets a world's grippers hold what they held before a substep."""
+    hold_world_as_at = make_boundary(real, make_rows(real)).hold_as_at
+    types = make_types(real)
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def hold_as_at(w: int, age: int, grips: types.Grips):
+        hold_world_as_at(w, age, grips)
+
+    return hold_as_at
 
 
 class Threads:
@@ -42,7 +143,7 @@ class Threads:
 
         def one_world(w: int) -> None:
             grid = worlds.make_grid(1)
-            self.clock["travel"][w] = LAY_ANEW
+            self.clock["travel"][w] = REBUILD
             now = frames.began
             for f, until in enumerate(frames.times):
                 if stop:
@@ -105,6 +206,13 @@ class Threads:
         clock["step"][w], clock["steps"][w], clock["dt"][w] = begun, steps, dt
         clock["status"][w] = OK
 
+    def hold_as_at(self, w: int, age: int) -> None:
+        """Let world w's grippers hold what they held before substep ``age`` of all."""
+        grips = self.worlds.grips
+        if grips.count.shape[1]:
+            kernel = make_hold_as_at(self.worlds.real)
+            wp.launch(kernel, dim=1, inputs=[w, age, grips], device=self.worlds.device)
+
     def advance(self, w: int, now: float, grid: Grid) -> Grid:
         """Take world w through its planned substeps; returns the grid, larger if it had to grow.
 
@@ -131,11 +239,11 @@ class Threads:
         """Call the kernel on state rows and grid; see there for ``first`` and ``stride``."""
         s = self.worlds
         wp.launch(
-            s.kernels.advance,
+            make_advance(s.real, s.setting.law, yields=bool(s.yields[w])),
             dim=1,
             inputs=[
-                w, now, s.clock, s.matter, s.scene, s.paths, s.grips, s.pulls, first, stride, rows,
-                grid.columns, grid.layout_of, grid.momentum, velocity,
+                w, now, s.clock, s.matter, s.scene, s.paths, s.grips, s.pulls, s.touched, first, stride, rows,
+                grid.layouts, grid.layout_of, grid.momentum, velocity,
             ],
             device=s.device,
         )  # fmt: skip

@@ -11,21 +11,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
+from gendom.materials.laws import LAWS
 from gendom.sim.bodies import Body
-from gendom.sim.columns import Grid, grown_room, make_grid, room_for
 from gendom.sim.gripper import Gripper, stack_paths
-from gendom.sim.kernels import INVERTED, make_kernels
-from gendom.sim.reverse import make_reverse
+from gendom.sim.mpm.grid import Grid, grown_room, make_grid, room_for
+from gendom.sim.mpm.step import INVERTED, NOTHING_HELD
+from gendom.sim.mpm.types import make_types
 from gendom.sim.scene import Box, Table
 
-STATE = ("x", "v", "C", "F")
-"""The arrays of a state, row by row; F of bodies that yield alone."""
-
-CLOCK = ("dt", "steps", "step", "age", "travel", "status", "culprit", "frame")
+CLOCK = (
+    "dt", "steps", "step", "age", "travel", "near_table", "status", "failed_particle", "frame"
+)  # fmt: skip
 """The arrays of a clock."""
 
-LAY_ANEW = 1e30
-"""Distance travelled [m] after which any world lays its columns anew."""
+REBUILD = 1e30
+"""Distance travelled [m] after which any world makes its grid anew."""
+
+DRAG = {"rope": 1.1, "cloth": 1.2}
+"""Drag coefficients of a cylinder across the flow at Reynolds numbers of 1e3 to 1e5 and of a plate
+that faces it. Source: Hoerner (1965), "Fluid-Dynamic Drag", chapter 3."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,8 @@ class Setting:
     table: Table | None
     box: Box | None
     gravity: ArrayLike
-    damping: ArrayLike
+    velocity_damping: ArrayLike
+    air_density: ArrayLike
     law: str
     stiffness: ArrayLike
     positions: ArrayLike
@@ -80,11 +85,10 @@ class Worlds:
         self.substep = s.substep
         self.numpy_type = np.dtype(s.dtype)
         self.real = wp.float32 if s.dtype == "float32" else wp.float64
-        self.plastic = any(math.isfinite(m.yield_stress) for m in s.materials)
-        try:
-            self.kernels = make_kernels(self.real, s.law, plastic=self.plastic)
-        except ValueError as error:
-            raise ParameterError(str(error)) from None
+        self.types = make_types(self.real)
+        # elastic worlds run kernels of their own: what the others do does not show in them
+        self.yields = np.array([math.isfinite(m.yield_stress) for m in s.materials])
+        self.damped = any(m.damping > 0.0 for m in s.materials)
         W, N = len(s.materials), s.body.num_particles
         self.num_worlds, self.num_particles = W, N
         self.stiffness = spread(s.stiffness, (W, N), "stiffness")
@@ -93,55 +97,55 @@ class Worlds:
         self.matter = self._matter()
         self.scene = self._scene()
         self.paths = self._paths()
-        self.grips = self.make_grips(W)
+        self.grips = self._grips()
         self.clock = self._clock()
-        self.carried = STATE if self.plastic else STATE[:3]
-        self.low = self.zeros((W, N) if s.dtype == "float32" else (0, 0), self.kernels.vec3)
-        self.state = self.make_state((W, N), wp.zeros)
-        wp.copy(self.state.x, self.array(x, self.kernels.vec3))
-        if self.plastic:
-            self.state.F.fill_(self.kernels.mat33(np.eye(3)))
-        self.pulls = self.zeros(
-            (0, 0) if self.plastic else (W, N), self.kernels.transfers.pull_type
-        )
-        self.last_good = self.make_state((W, N))
+        self.carried = ("x", "v", "C", *(("Z",) if self.damped else ()), *(("G",) if self.yields.any() else ()))
+        self.low = self.zeros((W, N) if s.dtype == "float32" else (0, 0), self.types.vec3)
+        self.state = self.make_state(W, wp.zeros)
+        wp.copy(self.state.x, self.array(x, self.types.vec3))
+        if self.yields.any():
+            self.state.G.fill_(self.types.mat33(np.eye(3)))
+        self.pulls = self.zeros((W, N), self.types.pull)
+        self.touched = self.zeros((W, N // s.body.section), self.types.vec3)
+        self.last_good = self.make_state(W)
         for name in self.carried:
             wp.copy(getattr(self.last_good, name), getattr(self.state, name))
         self.last_good_time = np.full(W, s.start_time)
         self.failures: dict[int, SimulationError] = {}
 
-    @property
-    def reverse(self) -> Any:
-        """The kernels of the reverse, made when first asked for."""
-        return make_reverse(self.real, self.setting.law, plastic=self.plastic)
-
     def _matter(self) -> Any:
-        s, k = self.setting, self.kernels
-        # what two layers lack of freedom in thickness, the parameters of plane stress have in them
-        self.plane_stress = s.body.has_two_layers and not self.plastic
-        lame = np.array(
-            [m.lame_of_plane_stress if self.plane_stress else m.lame for m in s.materials]
-        )
+        s = self.setting
+        lame = np.array([m.lame_of(s.body.lateral_constraint) for m in s.materials])
         share = _distinct(self.stiffness)
-        matter = k.transfers.Matter()
+        air = spread(s.air_density, (self.num_worlds,), "air_density")
+        across = s.body.thickness if s.body.kind == "rope" else 1.0
+        matter = self.types.Matter()
         matter.mu = self.array(np.broadcast_to(lame[:, :1] * share, self.stiffness.shape))
         matter.lam = self.array(np.broadcast_to(lame[:, 1:] * share, self.stiffness.shape))
         matter.yield_stress = self.array(np.minimum([m.yield_stress for m in s.materials], 1e30))
         matter.mass = self.array(np.array([m.density for m in s.materials]) * s.body.volume)
+        matter.damping = self.array(np.array([m.damping for m in s.materials]))
+        self.drag_by_air = 0.5 * DRAG.get(s.body.kind, 0.0) * across / s.body.section
+        matter.drag = self.array(self.drag_by_air * air)
         matter.volume = s.body.volume
+        matter.sheet = int(s.body.kind == "cloth")
+        matter.section = s.body.section
+        matter.contact_radius = s.body.contact_radius
         matter.lattice = self.array(s.body.lattice, wp.int32)
-        matter.rest_frame = self.array(s.body.rest_frames, k.mat33)
+        matter.rest_frame = self.array(s.body.rest_frames, self.types.mat33)
         matter.frame = self.array(_triangles(s.body.rest_frames))
         return matter
 
     def _scene(self) -> Any:
-        s, k, W = self.setting, self.kernels, self.num_worlds
+        s, k, W = self.setting, self.types, self.num_worlds
         friction = s.table.friction if s.table is not None else 0.0
-        scene = k.boundary.Scene()
+        scene = k.Scene()
         scene.dx = s.body.dx
         scene.z0 = s.table.height if s.table is not None else 0.0
         scene.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), k.vec3)
-        scene.damping = self.array(spread(s.damping, (W,), "damping"))
+        scene.velocity_damping = self.array(
+            spread(s.velocity_damping, (W,), "velocity_damping")
+        )
         scene.friction = self.array(spread(friction, (W,), "friction"))
         scene.table = int(s.table is not None)
         scene.walls = int(s.box is not None)
@@ -152,58 +156,69 @@ class Worlds:
 
     def _paths(self) -> Any:
         stacked = stack_paths(self.setting.grippers)
-        paths = self.kernels.boundary.Paths()
+        paths = self.types.Paths()
         paths.time = self.array(stacked["time"], wp.float64)
         paths.position = self.array(stacked["position"], wp.vec3d)
-        paths.spin = self.array(stacked["spin"], wp.vec3d)
+        paths.orientation = self.array(stacked["orientation"], wp.quatd)
+        paths.turn = self.array(stacked["turn"], wp.vec3d)
+        paths.turns = self.array(stacked["turns"], wp.int32)
         paths.hold_from = self.array(stacked["hold_from"], wp.float64)
         paths.hold_until = self.array(stacked["hold_until"], wp.float64)
         paths.radius = self.array(stacked["radius"])
+        paths.may_miss = self.array(stacked["may_miss"], wp.int32)
         return paths
+
+    def _grips(self) -> Any:
+        W, G, N = self.num_worlds, len(self.setting.grippers[0]), self.num_particles
+        grips = self.types.Grips()
+        self.place_grippers(grips, W)
+        grips.since = wp.full((W, G), -1, dtype=wp.int32, device=self.device)
+        grips.until = wp.full((W, G), -1, dtype=wp.int32, device=self.device)
+        grips.count = self.zeros((W, G), wp.int32)
+        grips.particle = self.zeros((W, G, N), wp.int32)
+        grips.weight = self.zeros((W, G, N), self.real)
+        grips.place = self.zeros((W, G, N), self.types.vec3)
+        grips.free = wp.full((W, N), 1.0, dtype=self.real, device=self.device)
+        grips.guided = self.zeros((W, N), self.types.vec3)
+        return grips
+
+    def place_grippers(self, grips: Any, rows: int) -> None:
+        """Room for the poses of all grippers at so many moments."""
+        shape = (rows, len(self.setting.grippers[0]))
+        grips.closed = self.zeros(shape, wp.int32)
+        for name in ("centre", "velocity", "spin"):
+            setattr(grips, name, self.zeros(shape, self.types.vec3))
+        grips.orientation = self.zeros(shape, self.types.mat33)
 
     def _clock(self) -> Any:
         W = self.num_worlds
-        clock = self.kernels.Clock()
+        clock = self.types.Clock()
         clock.dt = self.zeros(W, wp.float64)
         clock.travel = self.zeros(W, self.real)
-        for name in ("steps", "step", "age", "status", "culprit", "frame"):
+        for name in set(CLOCK) - {"dt", "travel"}:
             setattr(clock, name, self.zeros(W, wp.int32))
         return clock
 
-    def make_grips(self, rows: int) -> Any:
-        """Room for the placement of all grippers at so many moments."""
-        k = self.kernels
-        shape = (rows, len(self.setting.grippers[0]))
-        grips = k.boundary.Grips()
-        for name in ("centre", "velocity", "spin"):
-            setattr(grips, name, self.zeros(shape, k.vec3))
-        grips.closed = self.zeros(shape, wp.int32)
-        return grips
-
-    def make_state(self, shape: Any, make: Any = wp.empty) -> Any:
+    def make_state(self, rows: int, make: Any = wp.empty) -> Any:
         """Room for states, as ``carried`` names them; all have the worlds' own ``low``."""
-        k = self.kernels
-        state = k.transfers.State()
+        N, k = self.num_particles, self.types
+        kinds = {"x": k.vec3, "v": k.vec3, "C": k.mat33, "G": k.mat33, "Z": k.real}
+        state = k.State()
         state.low = self.low
-        for name in self.carried:
-            dtype = k.vec3 if name in ("x", "v") else k.mat33
+        for name, dtype in kinds.items():
+            have = rows if name in self.carried else 0
+            shape = (have, 6, N) if name == "Z" else (have, N)
             setattr(state, name, make(shape, dtype=dtype, device=self.device))
         return state
 
     @property
     def state_bytes(self) -> int:
         """Of one world's state."""
-        numbers = sum(3 if name in ("x", "v") else 9 for name in self.carried)
-        return numbers * self.num_particles * self.numpy_type.itemsize
-
-    def deformation(self, state: Any, row: Any = slice(None)) -> NDArray[np.floating]:
-        """[..., N, 3, 3] deformation gradients F in (a row of) a state [-]."""
-        if self.plastic:
-            return np.array(state.F.numpy()[row])
-        return self.deformation_at(state.x.numpy()[row])
+        numbers = {"x": 3, "v": 3, "C": 9, "Z": 6, "G": 9}
+        return sum(map(numbers.__getitem__, self.carried)) * self.num_particles * self.numpy_type.itemsize
 
     def deformation_at(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
-        """[..., N, 3, 3] F of an elastic body whose particles are at [..., N, 3] [-]."""
+        """[..., N, 3, 3] deformation gradients F of particles at [..., N, 3] [-]."""
         body = self.setting.body
         x = x.astype(float)
         first, second = body.lattice[:, :, 0], body.lattice[:, :, 1]
@@ -211,8 +226,7 @@ class Worlds:
 
     def make_grid(self, layouts: int, *, rows: int | None = None, make: Any = wp.zeros) -> Grid:
         """A grid with the room that worlds are known to need."""
-        vec4 = self.kernels.vec4
-        return make_grid(self.room, layouts, vec4, self.device, rows=rows, make=make)
+        return make_grid(self.room, layouts, self.types.vec4, self.device, rows=rows, make=make)
 
     def make_room(self, grid: Grid, layouts: int | None = None) -> None:
         """Let later grids hold what did not fit into the (first) layouts of this one.
@@ -220,7 +234,7 @@ class Worlds:
         Raises:
             GridExhausted: If no real object needs so much.
         """
-        self.room = grown_room(self.room, grid.columns.bounds.numpy()[:layouts], grid)
+        self.room = grown_room(self.room, grid.layouts.bounds.numpy()[:layouts], grid)
 
     def divide(self, w: int | slice, interval: float) -> tuple[Any, Any]:
         """Number and length [s] of a frame's equal substeps, no longer than each world's limit."""
@@ -233,16 +247,28 @@ class Worlds:
     def failure(self, w: int, frame_start: float) -> SimulationError:
         """What to say of world w, which has failed."""
         clock = self.clock
-        inverted = clock.status.numpy()[w] == INVERTED
+        status = clock.status.numpy()[w]
+        time = frame_start + float(clock.step.numpy()[w]) * float(clock.dt.numpy()[w])
+        found = int(clock.failed_particle.numpy()[w])
+        if status == NOTHING_HELD:
+            return self.error(
+                w,
+                time,
+                f"gripper {found} closed on nothing",
+                where=f"radius {self.setting.grippers[w][found].radius:.4g} m",
+                fix="move its path to the object, or give it may_miss=True",
+                particle=None,
+            )
+        inverted = status == INVERTED
         return self.error(
             w,
-            frame_start + float(clock.step.numpy()[w]) * float(clock.dt.numpy()[w]),
+            time,
             "a particle turned inside out"
             if inverted
             else "velocities grew beyond one cell a substep",
             where=f"substep {clock.dt.numpy()[w]:.3g} s",
             fix="use a smaller substep or cfl, or slower gripper motion",
-            particle=int(clock.culprit.numpy()[w]) if inverted else None,
+            particle=found if inverted else None,
         )
 
     def error(

@@ -1,5 +1,10 @@
 """What the CPU keeps of a simulation to reverse it: each world by itself, on its own thread."""
 
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+
+import functools
 import itertools
 import math
 from dataclasses import dataclass
@@ -9,15 +14,69 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.sim.gradients import Sums, overflow
-from gendom.sim.kernels import GRID_FULL, OK
-from gendom.sim.reverse import NOT_FINITE
+from gendom.sim.mpm.adjoint.sums import Sums, Trouble, overflow
+from gendom.sim.mpm.grid import SparseGrid
+from gendom.sim.mpm.model import REBUILD, Worlds
+from gendom.sim.mpm.native import MODULE_OPTIONS
+from gendom.sim.mpm.runners.cpu import Threads
+from gendom.sim.mpm.step import GRID_FULL, NOT_FINITE, OK, make_step
+from gendom.sim.mpm.types import make_types
 from gendom.sim.simulator import Simulator
-from gendom.sim.threads import Threads
-from gendom.sim.worlds import LAY_ANEW, Worlds
 
 STRETCH = 64
 """Substeps that are recorded, and reversed, at a time."""
+
+
+@functools.cache
+def make_reverse(real: Any, law_name: str, *, yields: bool) -> Any:
+    """Build the kernel that reverses a recorded stretch of one world, see ``step.make_stages``."""
+    types = make_types(real)
+    vec4 = types.vec4
+    substep_adjoint = make_step(real, law_name, yields=yields).substep_adjoint
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def reverse(
+        w: int,
+        slots: int,  # substeps to reverse
+        begun: int,  # number in its frame of the first recorded substep
+        age: int,  # substeps before it in all
+        time: wp.float64,  # [s] at substep 0 of the frame
+        dt: wp.float64,  # [s]
+        matter: types.Matter,
+        scene: types.Scene,
+        paths: types.Paths,
+        grips: types.Grips,  # [W]
+        pulls: wp.array2d(dtype=types.pull),  # [W, N] scratch
+        touched: wp.array2d(dtype=types.vec3),  # [W, sections] scratch
+        # the recording
+        state: types.State,  # [S + 1, N]
+        grid: SparseGrid,  # S layouts
+        layout_of: wp.array(dtype=wp.int32),  # [S]
+        momentum: wp.array2d(dtype=vec4),  # [S, M]
+        # scratch
+        velocity: wp.array2d(dtype=vec4),  # [1, M]
+        nodes_bar: wp.array2d(dtype=vec4),  # [1, M]
+        # by the state: of the last row on entry, of the first on return
+        bars: types.MatterBars,
+        scene_bars: types.SceneBars,
+        trouble: Trouble,
+    ):
+        status = int(OK)
+        slot = int(slots - 1)
+        while slot >= 0 and status == OK:
+            failed = substep_adjoint(
+                w, time + wp.float64(begun + slot) * dt, dt, age + slot, slot, layout_of[slot], slot,
+                matter, scene, paths, grips, pulls, touched, state, grid, momentum, velocity,
+                nodes_bar, bars, scene_bars,
+            )  # fmt: skip
+            if failed >= 0:
+                status = NOT_FINITE
+                trouble.failed_particle[w] = failed
+                trouble.slot[w] = slot
+            slot -= 1
+        trouble.status[w] = status
+
+    return reverse
 
 
 class WorldTape:
@@ -91,11 +150,12 @@ class WorldTape:
         self._threads.for_worlds(one_world)
 
     def _begin(self, w: int, stretch: "_Stretch") -> None:
-        """Set world w's clock to the stretch; its columns are laid anew first."""
+        """Set world w's clock to the stretch; its grid is rebuilt first."""
         until = stretch.begun + stretch.substeps
         self._threads.plan(w, begun=stretch.begun, steps=until, dt=stretch.dt)
+        self._threads.hold_as_at(w, stretch.age)
         self._threads.clock["age"][w] = stretch.age
-        self._threads.clock["travel"][w] = LAY_ANEW
+        self._threads.clock["travel"][w] = REBUILD
 
     def _record(
         self,
@@ -132,27 +192,27 @@ class WorldTape:
         """Carry world w's derivatives from the end of a recorded stretch to its beginning."""
         s, grid = self.simulator.worlds, recording.grid
         wp.launch(
-            s.reverse.reverse,
+            make_reverse(s.real, s.setting.law, yields=bool(s.yields[w])),
             dim=1,
             inputs=[
-                w, stretch.substeps, stretch.begun, stretch.time, stretch.dt,
-                s.matter, s.scene, s.paths, s.grips, s.pulls, recording.rows,
-                grid.columns, grid.layout_of, grid.momentum,
-                recording.velocity, s.zeros(recording.velocity.shape, s.kernels.vec4),
+                w, stretch.substeps, stretch.begun, stretch.age, stretch.time, stretch.dt,
+                s.matter, s.scene, s.paths, s.grips, s.pulls, s.touched, recording.rows,
+                grid.layouts, grid.layout_of, grid.momentum,
+                recording.velocity, s.zeros(recording.velocity.shape, s.types.vec4),
                 sums.matter, sums.scene, sums.trouble,
             ],
             device=s.device,
         )  # fmt: skip
         if sums.trouble.status.numpy()[w] == NOT_FINITE:
             slot = int(sums.trouble.slot.numpy()[w])
-            particle = int(sums.trouble.culprit.numpy()[w])
+            particle = int(sums.trouble.failed_particle.numpy()[w])
             raise overflow(
                 self.simulator,
                 w,
                 substep=stretch.age + slot,
                 time=stretch.time + (stretch.begun + slot) * stretch.dt,
                 particle=particle,
-                F=s.deformation(recording.rows, slot)[particle],
+                F=s.deformation_at(recording.rows.x.numpy()[slot])[particle],
             )
 
 
@@ -193,14 +253,14 @@ class _Recording:
         self.slots = slots
         pages = _Pages((slots + 1) * self.bytes_a_substep(worlds))
         self.grid = worlds.make_grid(slots, make=pages.take)
-        self.rows = worlds.make_state((slots + 1, worlds.num_particles), pages.take)
-        self.velocity = worlds.zeros((1, self.grid.momentum.shape[1]), worlds.kernels.vec4)
+        self.rows = worlds.make_state(slots + 1, pages.take)
+        self.velocity = worlds.zeros((1, self.grid.momentum.shape[1]), worlds.types.vec4)
 
     @staticmethod
     def bytes_a_substep(worlds: Worlds) -> int:
         X, Y, M = worlds.room
         real = worlds.numpy_type.itemsize
-        return worlds.state_bytes + real * 4 * M + 4 * (3 * X * Y + 2 * M + 6)
+        return worlds.state_bytes + real * 4 * M + 4 * (3 * X * Y + 6)
 
 
 class _Pages:

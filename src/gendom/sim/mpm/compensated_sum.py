@@ -4,24 +4,20 @@
 # pyright: reportInvalidTypeForm=false
 
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
+from gendom.sim.mpm.types import make_types
+
 
 @functools.cache
-def make_rounding(real: Any) -> SimpleNamespace:
-    """Build the sum for one scalar type.
-
-    Returns:
-        Namespace with ``rounds``, 1 where positions keep what rounding leaves out (float32) and 0
-        elsewhere, and ``sum_up``.
-    """
-    vec3 = wp.types.vector(3, real)
+def make_compensated_sum(real: Any) -> Any:
+    """Build ``compensated_sum`` for one scalar type."""
+    vec3 = make_types(real).vec3
 
     @wp.func
-    def sum_up(x: vec3, step: vec3, low: vec3):
+    def compensated_sum(x: vec3, step: vec3, low: vec3):
         """x + low + step as a rounded number and what that leaves out.
 
         Rounded alone, x loses what is smaller than its last bit: slow bodies stand still. Source:
@@ -31,4 +27,4 @@ def make_rounding(real: Any) -> SimpleNamespace:
         there = x + more
         return there, more - (there - x)
 
-    return SimpleNamespace(rounds=wp.constant(1 if real == wp.float32 else 0), sum_up=sum_up)
+    return compensated_sum

@@ -5,21 +5,18 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from gendom.sim.block import ROOM_ALONE, ROOMS_OF_TWO
-from gendom.sim.block_kernels import SPARE, make_block_kernels, record_components
-from gendom.sim.columns import Grid
-from gendom.sim.paced import Paced
-from gendom.sim.worlds import Worlds
+from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
+from gendom.sim.mpm.grid import Grid
+from gendom.sim.mpm.model import Worlds
+from gendom.sim.mpm.runners.block_kernels import Variant, make_block_kernels
+from gendom.sim.mpm.runners.paced import Paced
 
 MOST_PARTICLES = 10_240
 """Of a body that one block simulates; indices in ``near`` have 15 bits."""
 
-FEWEST_WORLDS = 16
-"""Below, teams or the stages of ``Batch`` make more use of a GPU; of large bodies more are
-needed."""
-
-PARTICLES_A_WORLD = 128
-"""There must be so many worlds that each block has the time to be the slower one."""
+PARTICLES_A_WORLD = 1024
+"""There must be so many worlds that each block has the time to be the slower one; with fewer, the
+stages of ``Batch`` make more use of a GPU."""
 
 MANY_WORLDS = 132
 """Above, two blocks share a multiprocessor, which wants them small."""
@@ -40,12 +37,11 @@ NARROW_IN_ARRAYS = 128
 def suits_blocks(worlds: Worlds) -> bool:
     """Whether a block a world is the faster way (measured: docs/performance.md)."""
     W, N = worlds.num_worlds, worlds.num_particles
-    return N <= MOST_PARTICLES and max(FEWEST_WORLDS, N / PARTICLES_A_WORLD) <= W
+    return N <= MOST_PARTICLES and N / PARTICLES_A_WORLD <= W
 
 
-def shared_room(worlds: Worlds) -> int:
+def shared_room(worlds: Worlds, components: int) -> int:
     """Shared memory of a block in which its particles fit [bytes]; 0 if they do not."""
-    components = record_components(worlds.real)
     taken = components * worlds.num_particles * worlds.numpy_type.itemsize
     if worlds.device.is_cuda:
         for room in (*ROOMS_OF_TWO, ROOM_ALONE):
@@ -64,78 +60,89 @@ class Blocks(Paced):
     """
 
     def __init__(self, worlds: Worlds, lanes: int | None = None):
-        setting = worlds.setting
         W, N = worlds.num_worlds, worlds.num_particles
-        self.room = shared_room(worlds)
+        every = self._variant(worlds, yields=bool(worlds.yields.any()), room=0, lanes=0)
+        self.room = shared_room(worlds, every.components)
         crowded = W > MANY_WORLDS and N <= LARGE_BODY
         pairs = crowded and self.room != ROOM_ALONE
         narrow = NARROW if self.room else NARROW_IN_ARRAYS
-        self.lanes = lanes or (narrow if pairs else WIDE)
-        self.kernels = make_block_kernels(
-            worlds.real, setting.law, plastic=worlds.plastic, room=self.room,
-            lanes=self.lanes,
-        )  # fmt: skip
-        if not worlds.device.is_cuda:
-            self.lanes = 1
-        self.records = self.kernels.Records()
+        lanes = lanes or (narrow if pairs else WIDE)
+        # worlds that yield have kernels of their own; the slowest worlds go first, so that no block
+        # ends alone
+        self.variants: list[tuple[Variant, Any]] = []
+        slowest = np.argsort(worlds.substep)
+        for yields in sorted({bool(one) for one in worlds.yields}):
+            chosen = slowest[worlds.yields[slowest] == yields]
+            variant = self._variant(worlds, yields=yields, room=self.room, lanes=lanes)
+            self.variants.append((variant, worlds.array(chosen, wp.int32)))
+        self.lanes = lanes if worlds.device.is_cuda else 1
+        self.records = make_block_kernels(self.variants[0][0]).Records()
         rows = 1 if self.room else W
-        self.records.of = worlds.zeros((rows, record_components(worlds.real), N), worlds.real)
+        self.records.of = worlds.zeros((rows, every.components, N), worlds.real)
         self.records.moduli = worlds.zeros((W, 2, N), worlds.real)
-        self.records.near = worlds.zeros((W, 3, 0 if worlds.plastic else N), wp.int32)
-        self.records.spare = worlds.zeros((W, SPARE, N), worlds.real)
+        self.records.near = worlds.zeros((W, 3, N), wp.int32)
+        self.records.spare = worlds.zeros((W, every.components + 2, N), worlds.real)
         self.records.strayed = worlds.zeros(W, worlds.real)
         for name in ("order", "place", "spare_order"):
             setattr(self.records, name, worlds.zeros((W, N), wp.int32))
-        # the slowest worlds go first, so that no block ends alone
-        slowest = np.argsort(worlds.substep)
-        self.order = worlds.array(slowest, wp.int32)
-        self._groups: list[tuple[Any, Any]] = [(self.order, None)]
+        self._streams: list[Any] = [None]
         if crowded and worlds.device.is_cuda:
             # two groups take turns: one fills the multiprocessors that the other leaves idle
-            self._groups = [
-                (worlds.array(slowest[half::2], wp.int32), wp.Stream(worlds.device))
-                for half in (0, 1)
-            ]
+            self._streams = [wp.Stream(worlds.device) for _ in range(2)]
         super().__init__(worlds)
+
+    @staticmethod
+    def _variant(worlds: Worlds, *, yields: bool, room: int, lanes: int) -> Variant:
+        return Variant(
+            worlds.real, worlds.setting.law, yields, worlds.damped, room=room, lanes=lanes
+        )
+
+    @property
+    def grip_rows(self) -> int:
+        return self.worlds.num_worlds
 
     def make_grid(self) -> None:
         super().make_grid()
         self.records.tally = self.worlds.zeros(self.grid.momentum.shape, wp.int32)
 
     def load(self) -> None:
-        module = self.kernels.advance.module
-        wp.load_module(module, device=self.worlds.device, block_dim=self.lanes)
+        for variant, _ in self.variants:
+            module = make_block_kernels(variant).advance.module
+            wp.load_module(module, device=self.worlds.device, block_dim=self.lanes)
 
     def launch_slices(self, slices: list[tuple[int, float]]) -> None:
-        several = len(self._groups) > 1
+        several = len(self._streams) > 1
         if several:
             wp.synchronize_device(self.worlds.device)
         for substeps, pause in slices:
-            for order, stream in self._groups:
+            for group, stream in enumerate(self._streams):
                 self.launch_advance(
-                    self.kernels.advance, substeps, pause, self.frame_plan, self.grid,
-                    self.kernels.Tape(), order, stream,
+                    substeps, pause, self.frame_plan, self.grid, share=(group, len(self._streams)),
+                    stream=stream,
                 )  # fmt: skip
         if several:
             wp.synchronize_device(self.worlds.device)
 
     def launch_advance(
         self,
-        kernel: Any,
         most: int,
         pause: float,
         plan: Any,
         grid: Grid,
-        tape: Any,
-        order: Any = None,
+        tape: Any = None,
+        *,
+        share: tuple[int, int] = (0, 1),
         stream: Any = None,
     ) -> None:
-        """Call the kernel on the worlds ``order`` (default: all); see there."""
+        """Call the kernel, on a share of the worlds; with a tape that which keeps all substeps."""
         s = self.worlds
-        self.launch_block(kernel, self.order if order is None else order, [
-            most, pause, plan, s.clock, s.matter, s.scene, s.paths, s.grips, s.state, s.last_good,
-            grid.columns, grid.momentum, self.velocity, self.records, tape,
-        ], stream)  # fmt: skip
+        for variant, order in self.variants:
+            kernels = make_block_kernels(variant, taped=tape is not None)
+            self.launch_block(kernels.advance, order[share[0] :: share[1]], [
+                most, pause, plan, s.clock, s.matter, s.scene, s.paths, s.grips, s.state,
+                s.last_good, grid.layouts, grid.momentum, self.velocity, s.touched, self.records,
+                kernels.Tape() if tape is None else tape,
+            ], stream)  # fmt: skip
 
     def launch_block(self, kernel: Any, order: Any, inputs: list[Any], stream: Any = None) -> None:
         """Launch a block for each of the worlds ``order``."""

@@ -6,12 +6,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.sim.batch_tape import BatchTape, Segment, raise_trouble
-from gendom.sim.block_kernels import COMPONENTS, make_block_kernels, taped_components
-from gendom.sim.block_reverse import SUM_COMPONENTS, make_block_reverse
-from gendom.sim.blocks import Blocks
-from gendom.sim.gradients import Sums
-from gendom.sim.kernels import GRID_FULL
+from gendom.sim.mpm.adjoint.block_kernels import SUMS, make_block_reverse
+from gendom.sim.mpm.adjoint.graph import BatchTape, Segment, raise_trouble
+from gendom.sim.mpm.adjoint.sums import Sums
+from gendom.sim.mpm.runners.block_kernels import make_tape
+from gendom.sim.mpm.runners.block_per_world import Blocks
+from gendom.sim.mpm.step import GRID_FULL
 
 SHORTEST, LONGEST = 8, 256
 """Bounds on the substeps of a segment."""
@@ -23,10 +23,10 @@ SUBSTEPS_A_LAYOUT = 2
 class _Recording:
     """States, grids and layouts of consecutive substeps of all worlds."""
 
-    def __init__(self, blocks: Blocks, taped: Any, substeps: int, layouts: int):
+    def __init__(self, blocks: Blocks, substeps: int, layouts: int):
         worlds = blocks.worlds
         W, N = worlds.num_worlds, worlds.num_particles
-        components = taped_components(plastic=worlds.plastic)
+        components = _taped(blocks)
         # nothing is read before it was written
         self.room = worlds.room
         self.substeps = substeps
@@ -35,11 +35,16 @@ class _Recording:
         def array(shape: Any, dtype: Any) -> wp.array:
             return wp.empty(shape, dtype=dtype, device=worlds.device)
 
-        self.tape = taped.Tape()
+        self.tape = make_tape(worlds.real)()
         self.tape.of = array((substeps * W, components, N), worlds.real)
         self.tape.order = array((layouts * W, N), wp.int32)
         self.tape.place = array((layouts * W, N), wp.int32)
         self.tape.layout_of = array(substeps * W, wp.int32)
+
+
+def _taped(blocks: Blocks) -> int:
+    """Components of a record on a tape."""
+    return max(variant.taped for variant, _ in blocks.variants)
 
 
 class BlockTape(BatchTape):
@@ -50,28 +55,21 @@ class BlockTape(BatchTape):
 
     def _make_batch(self) -> Blocks:
         worlds = self.simulator.worlds
-        law, plastic = worlds.setting.law, worlds.plastic
-        self._blocks = Blocks(worlds)
-        self._taped = make_block_kernels(
-            worlds.real, law, plastic=plastic, taped=True, room=self._blocks.room,
-            lanes=self._blocks.lanes,
-        )  # fmt: skip
-        self._back = make_block_reverse(
-            worlds.real, law, plastic=plastic, room=self._blocks.room,
-            lanes=self._blocks.lanes,
-        )  # fmt: skip
+        self._blocks = blocks = Blocks(worlds)
         self._recording: _Recording | None = None
         self._keeps = False
         W, N = worlds.num_worlds, worlds.num_particles
-        self._bars = self._back.BarRecords()
-        for name, rows, components in (
-            ("of", 1 if self._blocks.room else W, COMPONENTS),
-            ("sums", W, SUM_COMPONENTS),
-            ("spare", W, COMPONENTS + SUM_COMPONENTS),
+        components = max(variant.components for variant, _ in blocks.variants)
+        self._bars = make_block_reverse(blocks.variants[0][0]).BarRecords()
+        for name, rows, count in (
+            ("of", 1 if blocks.room else W, components),
+            ("sums", W, SUMS),
+            ("spare", W, components + SUMS),
         ):
-            setattr(self._bars, name, worlds.zeros((rows, components, N), worlds.real))
-        self._bars.near = worlds.zeros((W, 3, 0 if worlds.plastic else N), wp.int32)
-        return self._blocks
+            setattr(self._bars, name, worlds.zeros((rows, count, N), worlds.real))
+        self._bars.near = worlds.zeros((W, 3, N), wp.int32)
+        self._bars.place = worlds.zeros((W, N), wp.int32)
+        return blocks
 
     def forward(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
         worlds = self.simulator.worlds
@@ -85,9 +83,9 @@ class BlockTape(BatchTape):
         worlds = self.simulator.worlds
         X, Y, M = worlds.room
         N, real = worlds.num_particles, worlds.numpy_type.itemsize
-        layout = 4 * (3 * X * Y + 2 * M + 2 * N + 7)
+        layout = 4 * (3 * X * Y + 2 * N + 7)
         return worlds.num_worlds * (
-            real * (taped_components(plastic=worlds.plastic) * N + 4 * M)
+            real * (_taped(self._blocks) * N + 4 * M)
             + layout / substeps_a_layout
         )
 
@@ -118,12 +116,14 @@ class BlockTape(BatchTape):
         s, blocks = self.simulator.worlds, self._blocks
         grid = recording.grid
         nodes = (s.num_worlds, grid.momentum.shape[1])
-        velocity = wp.empty(nodes, dtype=s.kernels.vec4, device=s.device)
-        blocks.launch_block(self._back.reverse, blocks.order, [
-            segment.time, segment.until, segment.clock, s.matter, s.scene, s.paths, s.grips,
-            grid.columns, grid.momentum, recording.tape, velocity, wp.empty_like(velocity),
-            self._bars, sums.matter, sums.scene, sums.trouble,
-        ])  # fmt: skip
+        velocity = wp.empty(nodes, dtype=s.types.vec4, device=s.device)
+        nodes_bar = wp.empty_like(velocity)
+        for variant, order in blocks.variants:
+            blocks.launch_block(make_block_reverse(variant).reverse, order, [
+                segment.time, segment.until, segment.clock, s.matter, s.scene, s.paths, s.grips,
+                grid.layouts, grid.momentum, recording.tape, velocity, nodes_bar, s.touched,
+                self._bars, sums.matter, sums.scene, sums.trouble,
+            ])  # fmt: skip
         segment.recording = None
 
         def F(slot: int, w: int, particle: int) -> NDArray[np.floating]:
@@ -132,8 +132,6 @@ class BlockTape(BatchTape):
             place = recording.tape.place.numpy()[layout]
             record: Any = recording.tape.of[row]
             records = record.numpy()[:, place].T
-            if s.plastic:
-                return records[particle, 15:].reshape(3, 3)
             return s.deformation_at(records[:, :3])[particle]
 
         raise_trouble(self.simulator, segment.time, segment.clock, sums, F)
@@ -148,15 +146,14 @@ class BlockTape(BatchTape):
             if recording is None or recording.room != s.room or recording.substeps < substeps:
                 self._recording = recording = None  # its memory first
                 layouts = -(-substeps // substeps_a_layout)
-                recording = _Recording(blocks, self._taped, substeps, layouts)
+                recording = _Recording(blocks, substeps, layouts)
                 self._recording = recording
             self._return_to(segment)
             blocks.launch_advance(
-                self._taped.advance, substeps, np.inf, segment.plan, recording.grid,
-                recording.tape,
-            )  # fmt: skip
+                substeps, np.inf, segment.plan, recording.grid, recording.tape
+            )
             if not (s.clock.status.numpy() == GRID_FULL).any():
                 return recording
-            # laid where the segment begins, columns may need a little more than they did
+            # made where the segment begins, grids may need a little more than they did
             s.make_room(recording.grid, layouts=s.num_worlds)
             blocks.make_grid()

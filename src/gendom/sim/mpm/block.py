@@ -13,72 +13,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.rounding import make_rounding
-
-_MEET = """
-#if defined(__CUDA_ARCH__)
-    __syncthreads();
-#endif
-"""
-
-_ANY = """
-#if defined(__CUDA_ARCH__)
-    return __syncthreads_or(value) ? 1 : 0;
-#else
-    return value;
-#endif
-"""
-
-_LARGEST = """
-#if defined(__CUDA_ARCH__)
-    __shared__ REAL of_warp[32];
-    for (int by = 16; by > 0; by /= 2) value = max(value, __shfl_xor_sync(0xffffffffu, value, by));
-    const int warps = blockDim.x / 32, own = threadIdx.x % 32;
-    if (own == 0) of_warp[threadIdx.x / 32] = value;
-    __syncthreads();
-    value = of_warp[own < warps ? own : 0];
-    for (int by = 16; by > 0; by /= 2) value = max(value, __shfl_xor_sync(0xffffffffu, value, by));
-#endif
-    return value;
-"""
-
-_BEFORE = """
-#if defined(__CUDA_ARCH__)
-    __shared__ int of_warp[32];
-    const int own = threadIdx.x % 32, warp = threadIdx.x / 32;
-    int sum = value;
-    for (int by = 1; by < 32; by *= 2) {
-        const int lower = __shfl_up_sync(0xffffffffu, sum, by);
-        if (own >= by) sum += lower;
-    }
-    if (own == 31) of_warp[warp] = sum;
-    __syncthreads();
-    sum -= value;
-    for (int i = 0; i < warp; ++i) sum += of_warp[i];
-    __syncthreads();
-    return sum;
-#else
-    return 0;
-#endif
-"""
-
-
-_IN_SHARED_MEMORY = """
-#if defined(__CUDA_ARCH__)
-    extern __shared__ REAL resident[];
-    REAL& there = resident[c * of.shape[2] + i];
-#else
-    REAL& there = wp::index(of, row, c, i);
-#endif
-"""
-
-_ADD = """
-#if defined(__CUDA_ARCH__)
-    atomicAdd(&there, value);
-#else
-    there += value;
-#endif
-"""
+from gendom.sim.mpm.types import make_types
 
 Near = wp.types.vector(6, wp.int32)
 """Where a particle's neighbours are, before and behind along each axis of the lattice."""
@@ -86,7 +21,7 @@ Near = wp.types.vector(6, wp.int32)
 LOWER = wp.constant(0xFFFF)
 """Bits of the first of two indices in one number."""
 
-ROOMS_OF_TWO = (96_000, 112_000)
+ROOMS_OF_TWO = (96_000, 114_000)
 """Shared memory for the particles of one of two blocks on a multiprocessor [bytes]; the smaller
 leaves more of it to the cache."""
 
@@ -100,6 +35,32 @@ def bounds(lanes: int) -> tuple[int, int]:
 
 
 @functools.cache
+def make_block(real: Any) -> SimpleNamespace:
+    """Build the functions for one scalar type; all threads of a block must call them.
+
+    Returns:
+        Namespace with ``meet``, after which every thread sees what the others have written;
+        ``any``, whether a thread's value is not 0, which meets too; ``largest``, the largest of all
+        threads' values (no NaN), which meets too, and wants another meeting before it is called
+        again; ``before``, the sum of the values of the threads before this one.
+    """
+
+    @wp.func_native("gendom::meet();")
+    def meet(): ...
+
+    @wp.func_native("return gendom::any_of(value);")
+    def any_of(value: int) -> int: ...
+
+    @wp.func_native("return gendom::largest(value);")
+    def largest(value: real) -> real: ...
+
+    @wp.func_native("return gendom::sum_before(value);")
+    def before(value: int) -> int: ...
+
+    return SimpleNamespace(meet=meet, any=any_of, largest=largest, before=before)
+
+
+@functools.cache
 def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
     """Build the access to particles by component, for one scalar type.
 
@@ -109,17 +70,14 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
             that its kernel sets aside; otherwise they stand in an array.
 
     Returns:
-        Namespace with ``get``, ``put`` and ``add`` (atomic) of component c of particle i in a row
-        of the array ``of`` [rows, components, N]; with ``vector``, ``put_vector``, ``matrix``,
-        ``put_matrix`` of the components from c on; with ``differences`` and ``pulled``, those of
-        ``gendom.sim.transfers`` between the particles of a row; and with ``step_on``.
+        Namespace with ``get`` and ``put`` of component c of particle i in a row of the array ``of``
+        [rows, components, N]; with ``vector``, ``put_vector``, ``matrix``, ``put_matrix`` and
+        ``symmetric``, ``put_symmetric`` of the components from c on; and with ``differences`` and
+        ``pulled``, those of ``elasticity`` between the particles of a row.
     """
-    store = _numbers(real, resident=resident)
-    get, put = store.get, store.put
-    vec3 = wp.types.vector(3, real)
-    mat33 = wp.types.matrix((3, 3), real)
-    rounding = make_rounding(real)
-    rounds, sum_up = rounding.rounds, rounding.sum_up
+    get, put = _numbers(real, resident=resident)
+    types = make_types(real)
+    vec3, mat33 = types.vec3, types.mat33
 
     @wp.func
     def vector(of: wp.array3d(dtype=real), row: int, c: int, i: int):
@@ -143,6 +101,25 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
         for m in range(3):
             for n in range(3):
                 put(of, row, c + 3 * m + n, i, A[m, n])
+
+    @wp.func
+    def symmetric(of: wp.array3d(dtype=real), row: int, c: int, i: int):
+        """From the numbers xx, yy, zz, xy, xz, yz."""
+        xy = get(of, row, c + 3, i)
+        xz = get(of, row, c + 4, i)
+        yz = get(of, row, c + 5, i)
+        return mat33(
+            get(of, row, c, i), xy, xz, xy, get(of, row, c + 1, i), yz, xz, yz,
+            get(of, row, c + 2, i),
+        )  # fmt: skip
+
+    @wp.func
+    def put_symmetric(of: wp.array3d(dtype=real), row: int, c: int, i: int, A: mat33):
+        for n in range(3):
+            put(of, row, c + n, i, A[n, n])
+        put(of, row, c + 3, i, A[0, 1])
+        put(of, row, c + 4, i, A[0, 2])
+        put(of, row, c + 5, i, A[1, 2])
 
     @wp.func
     def differences(of: wp.array3d(dtype=real), row: int, c: int, near: Near):
@@ -169,18 +146,10 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
                 total[n] -= back * get(of, row, c + 3 * n + axis, a)
         return total
 
-    @wp.func
-    def step_on(of: wp.array3d(dtype=real), row: int, c: int, i: int, x: vec3, step: vec3):
-        """x after a step; in float32 with what was left out so far, the vector at c."""
-        there = x + step
-        if rounds == 1:
-            there, left_out = sum_up(x, step, vector(of, row, c, i))
-            put_vector(of, row, c, i, left_out)
-        return there
-
     return SimpleNamespace(
-        **vars(store), vector=vector, put_vector=put_vector, matrix=matrix, put_matrix=put_matrix,
-        differences=differences, pulled=pulled, step_on=step_on,
+        get=get, put=put, vector=vector, put_vector=put_vector, matrix=matrix,
+        put_matrix=put_matrix, symmetric=symmetric, put_symmetric=put_symmetric,
+        differences=differences, pulled=pulled,
     )  # fmt: skip
 
 
@@ -203,8 +172,18 @@ def get_near(near: wp.array3d(dtype=wp.int32), row: int, i: int):
     return Near(a & LOWER, a >> 16, b & LOWER, b >> 16, c & LOWER, c >> 16)
 
 
-def _numbers(real: Any, *, resident: bool) -> SimpleNamespace:
-    """``get``, ``put`` and ``add`` of ``make_store``."""
+@wp.func
+def spans_of(near: Near, i: int):
+    """Lattice spacings between a particle's neighbours along each axis: 2, or 1 at an end."""
+    spans = wp.vec3i(2, 2, 2)
+    for axis in range(3):
+        if near[2 * axis] == i or near[2 * axis + 1] == i:
+            spans[axis] = 1
+    return spans
+
+
+def _numbers(real: Any, *, resident: bool) -> tuple[Any, Any]:
+    """``get`` and ``put`` of ``make_store``."""
     if not resident:
 
         @wp.func
@@ -215,52 +194,12 @@ def _numbers(real: Any, *, resident: bool) -> SimpleNamespace:
         def put_in_array(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real):
             of[row, c, i] = value
 
-        @wp.func
-        def add_to_array(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real):
-            wp.atomic_add(of, row, c, i, value)
+        return get_from_array, put_in_array
 
-        return SimpleNamespace(get=get_from_array, put=put_in_array, add=add_to_array)
-
-    there = _IN_SHARED_MEMORY.replace("REAL", _name(real))
-
-    @wp.func_native(there + "return there;")
+    @wp.func_native("return gendom::resident(of, row, c, i);")
     def get(of: wp.array3d(dtype=real), row: int, c: int, i: int) -> real: ...
 
-    @wp.func_native(there + "there = value;")
+    @wp.func_native("gendom::resident(of, row, c, i) = value;")
     def put(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
 
-    @wp.func_native(there + _ADD)
-    def add(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
-
-    return SimpleNamespace(get=get, put=put, add=add)
-
-
-@functools.cache
-def make_block(real: Any) -> SimpleNamespace:
-    """Build the functions for one scalar type; all threads of a block must call them.
-
-    Returns:
-        Namespace with ``meet``, after which every thread sees what the others have written;
-        ``any``, whether a thread's value is not 0, which meets too;
-        ``largest``, the largest of all threads' values (no NaN), which meets too, and wants
-        another meeting before it is called again; ``before``, the sum of the values of the
-        threads before this one.
-    """
-
-    @wp.func_native(_MEET)
-    def meet(): ...
-
-    @wp.func_native(_ANY)
-    def any_of(value: int) -> int: ...
-
-    @wp.func_native(_LARGEST.replace("REAL", _name(real)))
-    def largest(value: real) -> real: ...
-
-    @wp.func_native(_BEFORE)
-    def before(value: int) -> int: ...
-
-    return SimpleNamespace(meet=meet, any=any_of, largest=largest, before=before)
-
-
-def _name(real: Any) -> str:
-    return "wp::float32" if real == wp.float32 else "wp::float64"
+    return get, put

@@ -1,0 +1,256 @@
+"""Transposes of what acts on particles besides each other; see ``gendom.sim.mpm.boundary``.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
+import functools
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from gendom.sim.mpm.boundary import DASHPOT, FOLLOWS, SPRING, make_boundary, make_paths
+from gendom.sim.mpm.particles import Particles
+from gendom.sim.mpm.types import make_types
+
+
+@dataclass(frozen=True)
+class ParticleBars:
+    """A struct of derivatives by particles and the Warp functions that read and write it."""
+
+    Struct: Any
+    x: Any
+    """(bars, w, p) -> derivative by x; likewise ``v`` and ``C``."""
+    v: Any
+    C: Any
+    put_x: Any
+    """(bars, w, p, value); likewise ``put_v`` and ``put_C``."""
+    put_v: Any
+    put_C: Any
+
+
+@functools.cache
+def make_row_bars(real: Any) -> ParticleBars:
+    """Derivatives in rows of vectors, ``MatterBars``."""
+    types = make_types(real)
+    vec3, mat33, Bars = types.vec3, types.mat33, types.MatterBars
+
+    @wp.func
+    def x_of(bars: Bars, w: int, p: int):
+        return bars.x[w, p]
+
+    @wp.func
+    def v_of(bars: Bars, w: int, p: int):
+        return bars.v[w, p]
+
+    @wp.func
+    def C_of(bars: Bars, w: int, p: int):
+        return bars.C[w, p]
+
+    @wp.func
+    def put_x(bars: Bars, w: int, p: int, value: vec3):
+        bars.x[w, p] = value
+
+    @wp.func
+    def put_v(bars: Bars, w: int, p: int, value: vec3):
+        bars.v[w, p] = value
+
+    @wp.func
+    def put_C(bars: Bars, w: int, p: int, value: mat33):
+        bars.C[w, p] = value
+
+    return ParticleBars(Bars, x_of, v_of, C_of, put_x, put_v, put_C)
+
+
+@functools.cache
+def make_boundary_adjoint(
+    real: Any, particles: Particles, particle_bars: ParticleBars
+) -> SimpleNamespace:
+    """Build the transposes for one scalar type.
+
+    Args:
+        real: ``wp.float32`` or ``wp.float64``.
+        particles: How recorded particles are stored.
+        particle_bars: How the derivatives by them are.
+
+    Returns:
+        Namespace with ``contact_adjoint`` (of a section's mean motion), ``grip_adjoint`` and ``guide_adjoint`` (a held particle)
+        and ``grasp_adjoint``.
+    """
+    types = make_types(real)
+    vec3, mat33 = types.vec3, types.mat33
+    Matter, Scene, Paths, Grips = types.Matter, types.Scene, types.Paths, types.Grips
+    SceneBars = types.SceneBars
+    Recorded, Bars = particles.Struct, particle_bars.Struct
+    x_of = particles.x
+    x_bar_of, v_bar_of, C_bar_of = particle_bars.x, particle_bars.v, particle_bars.C
+    put_x_bar, put_v_bar, put_C_bar = (
+        particle_bars.put_x,
+        particle_bars.put_v,
+        particle_bars.put_C,
+    )
+    boundary = make_boundary(real, particles)
+    push, section_centre, hold_on = boundary.push, boundary.section_centre, boundary.hold_on
+    carried = boundary.carried
+    paths_of = make_paths(real)
+    pose, pose_adjoint = paths_of.pose, paths_of.pose_adjoint
+    narrow, narrow_matrix = paths_of.narrow, paths_of.narrow_matrix
+
+    @wp.func
+    def wide(a: vec3):
+        return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
+
+    @wp.func
+    def contact_adjoint(
+        w: int, x: vec3, u: vec3, dt: real, radius: real, scene: Scene, change_bar: vec3,
+        bars: SceneBars,
+    ):  # fmt: skip
+        """Derivatives by x and u from that by the change that ``contact`` makes."""
+        x_bar = vec3()
+        u_bar = vec3()
+        stiff = real(-SPRING) / dt
+        loss = real(-DASHPOT)
+        if scene.walls == 1:
+            for a in range(3):
+                b = change_bar[a]
+                if push(x[a] - scene.box_lower[a] - radius, u[a], dt) > real(0.0):
+                    x_bar[a] = x_bar[a] + stiff * b
+                    u_bar[a] = u_bar[a] + loss * b
+                if push(scene.box_upper[a] - x[a] - radius, -u[a], dt) > real(0.0):
+                    x_bar[a] = x_bar[a] + stiff * b
+                    u_bar[a] = u_bar[a] + loss * b
+        if scene.table == 1:
+            given = push(x[2] - scene.z0 - radius, u[2], dt)
+            if given > real(0.0):
+                given_bar = change_bar[2]
+                slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])
+                lost = real(1.0)
+                if slip > scene.friction[w] * given:
+                    lost = scene.friction[w] * given / slip
+                    lost_bar = -(change_bar[0] * u[0] + change_bar[1] * u[1])
+                    given_bar += lost_bar * scene.friction[w] / slip
+                    wp.atomic_add(bars.friction, w, wp.float64(lost_bar * given / slip))
+                    slip_bar = -lost_bar * lost / slip
+                    u_bar[0] = u_bar[0] + slip_bar * u[0] / slip
+                    u_bar[1] = u_bar[1] + slip_bar * u[1] / slip
+                u_bar[0] = u_bar[0] - lost * change_bar[0]
+                u_bar[1] = u_bar[1] - lost * change_bar[1]
+                x_bar[2] = x_bar[2] + stiff * given_bar
+                u_bar[2] = u_bar[2] + loss * given_bar
+        return x_bar, u_bar
+
+    @wp.func
+    def carried_adjoint(
+        w: int, g: int, n: int, grip_row: int, dt: real, v_bar: vec3, grips: Grips,
+        scene_bars: SceneBars,
+    ):  # fmt: skip
+        """Transpose of ``carried``; returns the derivative by x."""
+        arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
+        place_bar = (real(FOLLOWS) / dt) * v_bar
+        V_bar = (real(1.0) - real(FOLLOWS)) * v_bar
+        arm_bar = place_bar + wp.cross(V_bar, grips.spin[grip_row, g])
+        wp.atomic_add(scene_bars.centre, w, g, wide(place_bar))
+        wp.atomic_add(scene_bars.velocity, w, g, wide(V_bar))
+        wp.atomic_add(scene_bars.spin, w, g, wide(wp.cross(arm, V_bar)))
+        wp.atomic_add(scene_bars.rotation, w, g, wide(wp.cross(arm, arm_bar)))
+        scene_bars.place[w, g, n] = (
+            scene_bars.place[w, g, n] + wp.transpose(grips.orientation[grip_row, g]) * arm_bar
+        )
+        return -place_bar
+
+    @wp.func
+    def grip_adjoint(
+        w: int, g: int, n: int, grip_row: int, dt: real, grips: Grips, bars: Bars,
+        scene_bars: SceneBars,
+    ):  # fmt: skip
+        """Transpose of ``grip``."""
+        if grips.weight[w, g, n] == real(1.0):
+            p = grips.particle[w, g, n]
+            x_bar = x_bar_of(bars, w, p)
+            C_bar = C_bar_of(bars, w, p)
+            vee = vec3(
+                C_bar[2, 1] - C_bar[1, 2], C_bar[0, 2] - C_bar[2, 0], C_bar[1, 0] - C_bar[0, 1]
+            )
+            wp.atomic_add(scene_bars.spin, w, g, wide(vee))
+            v_bar = v_bar_of(bars, w, p) + dt * x_bar
+            by_x = carried_adjoint(w, g, n, grip_row, dt, v_bar, grips, scene_bars)
+            put_x_bar(bars, w, p, x_bar + by_x)
+            put_v_bar(bars, w, p, vec3())
+            put_C_bar(bars, w, p, mat33())
+
+    @wp.func
+    def guide_adjoint(
+        w: int, g: int, n: int, grip_row: int, x: vec3, u: vec3, dt: real, grips: Grips,
+        bars: Bars, scene_bars: SceneBars,
+    ):  # fmt: skip
+        """Transpose of ``guide``, from the derivative by w, which stands for that by v; returns
+        that by u, which takes its place."""
+        p = grips.particle[w, g, n]
+        f = grips.weight[w, g, n]
+        w_bar = v_bar_of(bars, w, p)
+        arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
+        f_bar = wp.dot(w_bar, carried(g, grip_row, x, arm, dt, grips) - u)
+        scene_bars.weight[w, g, n] = scene_bars.weight[w, g, n] + f_bar
+        by_x = carried_adjoint(w, g, n, grip_row, dt, f * w_bar, grips, scene_bars)
+        put_x_bar(bars, w, p, x_bar_of(bars, w, p) + by_x)
+        u_bar = (real(1.0) - f) * w_bar
+        put_v_bar(bars, w, p, u_bar)
+        return u_bar
+
+    @wp.func
+    def attach_adjoint(
+        w: int, g: int, t: wp.float64, row: int, matter: Matter, scene: Scene, paths: Paths,
+        grips: Grips, recorded: Recorded, bars: Bars, scene_bars: SceneBars,
+    ):  # fmt: skip
+        """Transpose of ``attach``: to the positions at that moment, and to the gripper's pose."""
+        centre, orientation, _knot = pose(w, g, t, paths)
+        c = narrow(centre)
+        R = narrow_matrix(orientation)
+        spacing = real(0.5) * scene.dx
+        centre_bar = wp.vec3d()
+        R_bar = wp.vec3d()
+        for n in range(grips.count[w, g]):
+            p = grips.particle[w, g, n]
+            back = R * scene_bars.place[w, g, n]
+            put_x_bar(bars, w, p, x_bar_of(bars, w, p) + back)
+            centre_bar -= wide(back)
+            R_bar -= wide(wp.cross(x_of(recorded, row, p) - c, back))
+            f = grips.weight[w, g, n]
+            if f < real(1.0):
+                f_bar = scene_bars.weight[w, g, n] / spacing
+                scene_bars.radius[w, g] = scene_bars.radius[w, g] + wp.float64(f_bar)
+                outwards = -f_bar * wp.normalize(section_centre(row, p, matter, recorded) - c)
+                centre_bar -= wide(outwards)
+                first = p - p % matter.section
+                for q in range(first, first + matter.section):
+                    share = outwards / real(matter.section)
+                    put_x_bar(bars, w, q, x_bar_of(bars, w, q) + share)
+            scene_bars.weight[w, g, n] = real(0.0)
+            scene_bars.place[w, g, n] = vec3()
+        pose_adjoint(w, g, t, centre_bar, R_bar, paths, scene_bars)
+
+    @wp.func
+    def grasp_adjoint(
+        w: int, t: wp.float64, age: int, row: int, matter: Matter, scene: Scene, paths: Paths,
+        grips: Grips, recorded: Recorded, bars: Bars, scene_bars: SceneBars,
+    ):  # fmt: skip
+        """Go back over grippers that opened or closed before substep ``age``; by one thread."""
+        for g in range(paths.radius.shape[1]):
+            if grips.until[w, g] == age:
+                hold_on(w, g, real(1.0), grips)
+            if grips.since[w, g] == age:
+                attach_adjoint(
+                    w, g, t, row, matter, scene, paths, grips, recorded, bars, scene_bars
+                )
+                hold_on(w, g, real(0.0), grips)
+
+    return SimpleNamespace(
+        contact_adjoint=contact_adjoint,
+        grip_adjoint=grip_adjoint,
+        guide_adjoint=guide_adjoint,
+        grasp_adjoint=grasp_adjoint,
+    )

@@ -1,0 +1,533 @@
+"""What a GPU keeps of a simulation to reverse it: all worlds together, graph by graph."""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gendom.sim.mpm.adjoint.sums import Sums, Trouble, overflow
+from gendom.sim.mpm.grid import SparseGrid
+from gendom.sim.mpm.model import CLOCK
+from gendom.sim.mpm.native import MODULE_OPTIONS
+from gendom.sim.mpm.runners.graph import SUBSTEPS_A_GRAPH, YIELDS, Batch
+from gendom.sim.mpm.step import NOT_FINITE, OK, make_close_substep, make_stages
+from gendom.sim.simulator import Simulator
+
+_LAYOUT = ("bounds", "low", "high", "start", "count")
+_POSES = ("closed", "centre", "orientation", "velocity", "spin")
+
+wp.set_module_options(MODULE_OPTIONS)
+
+
+@functools.cache
+def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
+    """Build the stages of one substep backwards as kernels over all worlds.
+
+    Returns:
+        Namespace with ``forces``, ``touch``, ``guide``, ``nodes``, which make again what the recording lacks,
+        and with ``grip_back``, ``g2p_back``, ``nodes_back``, ``p2g_back``, ``guide_back``, ``touch_back``,
+        ``forces_back``, ``momenta_back`` and ``world_back``, to be called in this order. Substep r of a graph is
+        reversed in the worlds that have done it (``r < done[w]``).
+    """
+    k = make_stages(real, law_name, yields=yields)
+    types = k.types
+    vec4 = types.vec4
+    Clock, Matter, Scene, State = types.Clock, types.Matter, types.Scene, types.State
+    Paths, Grips = types.Paths, types.Grips
+    MatterBars, SceneBars = types.MatterBars, types.SceneBars
+    branch, particle_forces = k.forces.branch, k.forces.particle_forces
+    particle_forces_adjoint = k.forces.particle_forces_adjoint
+    node_velocity, node_velocity_adjoint = (
+        k.transfer.node_velocity,
+        k.transfer.node_velocity_adjoint,
+    )
+    scatter_adjoint, move_adjoint = k.scatter_adjoint, k.move_adjoint
+    touch_section, touch_adjoint, momentum_adjoint = k.touch, k.touch_adjoint, k.momentum_adjoint
+    guide_particle, guide_adjoint = k.guide, k.guide_adjoint
+    grip_adjoint = k.boundary_adjoint.grip_adjoint
+    grasp_adjoint = k.boundary_adjoint.grasp_adjoint
+    close_substep = make_close_substep(real)
+    largest = k.largest
+    plastic = wp.constant(int(yields))
+
+    @wp.kernel
+    def forces(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, state: State,
+        state_out: State, pulls: wp.array2d(dtype=types.pull),
+    ):  # fmt: skip
+        """The substep's pulls once more."""
+        w, p = wp.tid()
+        if (matter.yield_stress[w] < real(YIELDS)) != (plastic == 1):
+            return
+        if r < done[w]:
+            h = real(clock.dt[w])
+            keep, share = branch(matter.damping[w], h, clock.age[w] + r)
+            particle_forces(w, p, w, w, h, keep, share, matter, state, state_out, pulls)
+
+    @wp.kernel
+    def touch(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
+        state: State, pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=types.vec3),
+    ):  # fmt: skip
+        """What the table does once more."""
+        w, s = wp.tid()
+        if r < done[w]:
+            touch_section(w, s, w, real(clock.dt[w]), matter, scene, state, pulls, touched)
+
+    @wp.kernel
+    def guide(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
+        state: State, pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=types.vec3),
+        grips: Grips,
+    ):  # fmt: skip
+        """What grippers do once more."""
+        w, g, n = wp.tid()
+        row = r * done.shape[0] + w
+        if r < done[w] and n < grips.count[w, g] and grips.closed[row, g] == 1:
+            guide_particle(
+                w, g, n, w, row, real(clock.dt[w]), wp.max(scene.table, scene.walls), matter, scene,
+                grips, state, pulls, touched,
+            )  # fmt: skip
+
+    @wp.kernel
+    def nodes(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, scene: Scene, grid: SparseGrid,
+        momentum: wp.array2d(dtype=vec4), velocity: wp.array2d(dtype=vec4),
+        nodes_bar: wp.array2d(dtype=vec4),
+    ):  # fmt: skip
+        """Velocities of the substep's grid once more, and an empty grid of derivatives."""
+        w, n = wp.tid()
+        if n >= grid.count[w] or r >= done[w]:
+            return
+        factor = wp.exp(-scene.velocity_damping[w] * real(clock.dt[w]))
+        velocity[w, n] = node_velocity(momentum[w, n], factor)
+        nodes_bar[w, n] = vec4()
+
+    @wp.kernel
+    def grip_back(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, grips: Grips, bars: MatterBars,
+        scene_bars: SceneBars,
+    ):  # fmt: skip
+        w, g, n = wp.tid()
+        row = r * done.shape[0] + w
+        if r < done[w] and n < grips.count[w, g] and grips.closed[row, g] == 1:
+            grip_adjoint(w, g, n, row, real(clock.dt[w]), grips, bars, scene_bars)
+
+    @wp.kernel
+    def guide_back(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
+        state: State, pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=types.vec3),
+        grips: Grips, bars: MatterBars, scene_bars: SceneBars,
+    ):  # fmt: skip
+        w, g, n = wp.tid()
+        row = r * done.shape[0] + w
+        if r < done[w] and n < grips.count[w, g] and grips.closed[row, g] == 1:
+            guide_adjoint(
+                w, g, n, w, row, real(clock.dt[w]), wp.max(scene.table, scene.walls), matter, scene,
+                grips, state, pulls, touched, bars, scene_bars,
+            )  # fmt: skip
+
+    @wp.kernel
+    def touch_back(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
+        state: State, pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=types.vec3),
+        bars: MatterBars, scene_bars: SceneBars,
+    ):  # fmt: skip
+        w, s = wp.tid()
+        if r < done[w]:
+            touch_adjoint(
+                w, s, w, real(clock.dt[w]), matter, scene, state, pulls, touched, bars, scene_bars
+            )
+
+    @wp.kernel
+    def g2p_back(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, scene: Scene, grips: Grips,
+        grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
+        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars,
+    ):  # fmt: skip
+        w, p = wp.tid()
+        if r < done[w]:
+            move_adjoint(
+                w, p, w, w, w, real(clock.dt[w]), scene, grips, grid, velocity, state, nodes_bar,
+                bars,
+            )  # fmt: skip
+
+    @wp.kernel
+    def nodes_back(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, scene: Scene, grid: SparseGrid,
+        momentum: wp.array2d(dtype=vec4), nodes_bar: wp.array2d(dtype=vec4), scene_bars: SceneBars,
+    ):  # fmt: skip
+        w, n = wp.tid()
+        if n >= grid.count[w] or r >= done[w]:
+            return
+        factor = wp.exp(-scene.velocity_damping[w] * real(clock.dt[w]))
+        q_bar, factor_bar = node_velocity_adjoint(momentum[w, n], nodes_bar[w, n], factor)
+        nodes_bar[w, n] = q_bar
+        if scene.velocity_damping[w] > real(0.0):
+            wp.atomic_add(scene_bars.damping_factor, w, wp.float64(factor_bar))
+
+    @wp.kernel
+    def p2g_back(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
+        grips: Grips, grid: SparseGrid, state: State, pulls: wp.array2d(dtype=types.pull),
+        touched: wp.array2d(dtype=types.vec3), nodes_bar: wp.array2d(dtype=vec4),
+        bars: MatterBars, trouble: Trouble,
+    ):  # fmt: skip
+        w, p = wp.tid()
+        if r >= done[w]:
+            return
+        near = wp.max(scene.table, scene.walls)
+        size = scatter_adjoint(
+            w, p, w, w, w, real(clock.dt[w]), near, matter, scene, grips, state, pulls, touched,
+            grid, nodes_bar, bars,
+        )  # fmt: skip
+        # the first one found is named; a NaN is not below anything
+        if not (size < real(largest)) and wp.atomic_max(trouble.status, w, NOT_FINITE) == OK:
+            trouble.failed_particle[w] = p
+            trouble.slot[w] = r
+
+    @wp.kernel
+    def forces_back(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, state: State,
+        bars: MatterBars, scene_bars: SceneBars, stretches: wp.array2d(dtype=types.pull),
+    ):  # fmt: skip
+        w, p = wp.tid()
+        if (matter.yield_stress[w] < real(YIELDS)) != (plastic == 1):
+            return
+        if r < done[w]:
+            h = real(clock.dt[w])
+            keep, share = branch(matter.damping[w], h, clock.age[w] + r)
+            keep_bar, share_bar = particle_forces_adjoint(
+                w, p, w, h, keep, share, matter, state, bars, stretches
+            )
+            if share > real(0.0):
+                wp.atomic_add(scene_bars.branch_factor, w, wp.float64(keep_bar))
+                wp.atomic_add(scene_bars.branch_share, w, wp.float64(share_bar))
+
+    @wp.kernel
+    def momenta_back(
+        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
+        state: State, bars: MatterBars, scene_bars: SceneBars,
+        stretches: wp.array2d(dtype=types.pull),
+    ):  # fmt: skip
+        w, p = wp.tid()
+        if r < done[w]:
+            g = momentum_adjoint(
+                w, p, w, real(clock.dt[w]), matter, scene, state, bars, stretches
+            )
+            wp.atomic_add(
+                scene_bars.gravity, w,
+                wp.vec3d(wp.float64(g[0]), wp.float64(g[1]), wp.float64(g[2])),
+            )  # fmt: skip
+
+    @wp.kernel
+    def world_back(
+        r: int,
+        done: wp.array(dtype=wp.int32),
+        clock: Clock,  # where the graph began
+        time: wp.float64,
+        matter: Matter,
+        scene: Scene,
+        paths: Paths,
+        grips: Grips,  # [GRAPH * W, G]
+        state: State,
+        bars: MatterBars,
+        scene_bars: SceneBars,
+    ):
+        w = wp.tid()
+        if r < done[w]:
+            dt = clock.dt[w]
+            t = time + wp.float64(clock.step[w] + r) * dt
+            row = r * done.shape[0] + w
+            age = clock.age[w] + r
+            close_substep(w, row, t, dt, age, matter, scene, paths, grips, scene_bars)
+            grasp_adjoint(w, t, age, w, matter, scene, paths, grips, state, bars, scene_bars)
+
+    return SimpleNamespace(
+        forces=forces,
+        touch=touch,
+        guide=guide,
+        nodes=nodes,
+        grip_back=grip_back,
+        guide_back=guide_back,
+        touch_back=touch_back,
+        g2p_back=g2p_back,
+        nodes_back=nodes_back,
+        p2g_back=p2g_back,
+        forces_back=forces_back,
+        momenta_back=momenta_back,
+        world_back=world_back,
+    )
+
+
+@dataclass
+class Segment:
+    """Some graphs of one frame: where they begin, and how far each world has come in the end."""
+
+    time: float  # of the frame's substep 0 [s]
+    clock: Any
+    state: Any
+    until: Any = None  # [W] substeps of the frame done after
+    plan: Any = None  # of the frame, where worlds advance by themselves
+    recording: Any = None  # if it is kept from the forward run
+
+
+@dataclass
+class _Graph:
+    """The substeps of one graph: states, grids, layout, grippers."""
+
+    clock: Any
+    layouts: Any
+    grips: Any
+    rows: Any  # a state of [(GRAPH + 1) * W, N]
+    momentum: wp.array  # [GRAPH, W, M]
+    done: wp.array | None = None  # [W] substeps done in it
+
+
+class BatchTape:
+    """States every few graphs, from which the graphs between are run again to be reversed.
+
+    Args:
+        simulator: Not run before.
+        memory: Bound on what one segment records [bytes]; at least one graph is.
+    """
+
+    def __init__(self, simulator: Simulator, memory: float):
+        self.simulator = simulator
+        self.memory = memory
+        self._batch = self._make_batch()
+        self._frames: list[list[Segment]] = []
+
+    def _make_batch(self) -> Batch:
+        return Batch(self.simulator.worlds)
+
+    def forward(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
+        """Positions [T, W, N, 3] at the times [m].
+
+        Raises:
+            SimulationError: If a world diverges.
+        """
+        s, batch, clock = self.simulator, self._batch, self.simulator.worlds.clock
+        frames = np.empty((len(times), s.num_worlds, s.body.num_particles, 3), dtype=s.dtype)
+        now = s.time
+        for f, until in enumerate(times):
+            batch.plan(now, until)
+            frame: list[Segment] = []
+            more = bool(clock.steps.numpy().any())
+            while more:
+                segment = self._begin_segment(now)
+                more = self._run_segment(segment)
+                segment.until = wp.clone(clock.step)
+                frame.append(segment)
+            self._frames.append(frame)
+            frames[f] = s.positions()
+            now = float(until)
+        return frames
+
+    def _begin_segment(self, now: float) -> Segment:
+        worlds = self.simulator.worlds
+        types = worlds.types
+        return Segment(
+            now,
+            _copy(types.Clock(), worlds.clock, CLOCK),
+            _copy(types.State(), worlds.state, (*worlds.carried, "low")),
+        )
+
+    def _run_segment(self, segment: Segment) -> bool:
+        """Advance by one segment; whether the frame goes on."""
+        return self._batch.advance(segment.time, most=self._segment())
+
+    def backward(self, bar: NDArray[np.floating], sums: Sums) -> None:
+        """Carry derivatives [T, W, N, 3] by the positions back to the first state.
+
+        Raises:
+            SimulationError: If a derivative is not finite.
+        """
+        for frame, frame_bar in zip(reversed(self._frames), bar[::-1], strict=True):
+            sums.add_positions(slice(None), frame_bar)
+            for segment in reversed(frame):
+                self._reverse_segment(segment, sums)
+
+    def _reverse_segment(self, segment: Segment, sums: Sums) -> None:
+        for graph in reversed(self._record(segment)):
+            self._reverse(segment, graph, sums)
+
+    def _segment(self) -> int:
+        """Graphs that the memory holds."""
+        worlds = self.simulator.worlds
+        W = worlds.num_worlds
+        X, Y, M = worlds.room
+        real = worlds.numpy_type.itemsize
+        slot = W * (worlds.state_bytes + real * 4 * M)
+        layout = W * 4 * 3 * X * Y
+        return max(1, int(self.memory / (SUBSTEPS_A_GRAPH * slot + layout)))
+
+    def _record(self, segment: Segment) -> list[_Graph]:
+        """Run a segment again and keep everything its reverse needs."""
+        batch = self._batch
+        self._return_to(segment)
+        graphs: list[_Graph] = []
+        more = True
+        while more:
+            batch.launch_rebuild()
+            graphs.append(self._record_graph())
+            batch.launch_tally()
+            more = batch.settle(segment.time)
+        return graphs
+
+    def _return_to(self, segment: Segment) -> None:
+        """Set worlds to the beginning of a segment; its grids are rebuilt first."""
+        worlds, batch = self.simulator.worlds, self._batch
+        for name in (*worlds.carried, "low"):
+            wp.copy(getattr(worlds.state, name), getattr(segment.state, name))
+        for name in ("dt", "step", "age", "frame"):
+            wp.copy(getattr(worlds.clock, name), getattr(segment.clock, name))
+        if segment.until is not None:
+            wp.copy(worlds.clock.steps, segment.until)
+        worlds.clock.status.zero_()
+        batch.hold_as_at(worlds.clock.age)
+        batch.begin()
+        batch.lap.time.fill_(segment.time)
+
+    def _record_graph(self) -> _Graph:
+        worlds, batch = self.simulator.worlds, self._batch
+        types, state, grid = worlds.types, worlds.state, batch.grid
+        W, N = worlds.num_worlds, worlds.num_particles
+        rows = worlds.make_state((SUBSTEPS_A_GRAPH + 1) * W)
+        for name in worlds.carried:
+            wp.copy(getattr(rows, name)[:W], getattr(state, name))
+        grips = _copy(types.Grips(), batch.grips, _POSES)
+        for name in ("since", "until", "count", "particle", "weight", "place", "free", "guided"):
+            setattr(grips, name, getattr(batch.grips, name))
+        graph = _Graph(
+            clock=_copy(types.Clock(), worlds.clock, CLOCK),
+            layouts=_copy(SparseGrid(), grid.layouts, _LAYOUT),
+            grips=grips,
+            rows=rows,
+            momentum=worlds.zeros((SUBSTEPS_A_GRAPH, *grid.momentum.shape), types.vec4),
+        )
+        for r in range(SUBSTEPS_A_GRAPH):
+            momentum: Any = graph.momentum[r]
+            batch.launch_substep(r, self._row(rows, r), self._row(rows, r + 1), momentum)
+        graph.done = wp.clone(batch.lap.done)
+        batch.launch(batch.stages.take, (W, N), [graph.done, rows, state])
+        return graph
+
+    def _row(self, rows: Any, r: int) -> Any:
+        """The worlds' state before substep r of a recorded graph."""
+        W = self.simulator.num_worlds
+        state = self.simulator.worlds.types.State()
+        state.low = rows.low
+        for name in ("x", "v", "C", "Z", "G"):
+            carried = name in self.simulator.worlds.carried
+            all_rows = getattr(rows, name)
+            setattr(state, name, all_rows[r * W : (r + 1) * W] if carried else all_rows)
+        return state
+
+    def _reverse(self, segment: Segment, graph: _Graph, sums: Sums) -> None:
+        """Carry derivatives from the end of a recorded graph to its beginning."""
+        s, launch = self.simulator.worlds, self._batch.launch
+        law, clock, layouts, grips = s.setting.law, graph.clock, graph.layouts, graph.grips
+        every = [
+            make_reverse_kernels(s.real, law, yields=yields)
+            for yields in sorted({bool(one) for one in s.yields})
+        ]
+        k = every[0]
+        W, N, G = s.num_worlds, s.num_particles, grips.count.shape[1]
+        nodes = graph.momentum.shape[1:]
+        velocity = wp.empty(nodes, dtype=s.types.vec4, device=s.device)
+        nodes_bar = wp.empty(nodes, dtype=s.types.vec4, device=s.device)
+        bars, scene_bars = sums.matter, sums.scene
+        for r in reversed(range(SUBSTEPS_A_GRAPH)):
+            row: Any = self._row(graph.rows, r)
+            momentum = graph.momentum[r]
+            going: list[Any] = [r, graph.done, clock]
+            for kind in every:
+                after = self._row(graph.rows, r + 1)
+                launch(kind.forces, (W, N), [*going, s.matter, row, after, s.pulls])
+            touches = s.scene.table or s.scene.walls
+            pushed = [*going, s.matter, s.scene, row, s.pulls, s.touched]
+            if touches:
+                launch(k.touch, s.touched.shape, pushed)
+            if G:
+                launch(k.guide, (W, G, N), [*pushed, grips])
+            launch(k.nodes, nodes, [*going, s.scene, layouts, momentum, velocity, nodes_bar])
+            if G:
+                launch(k.grip_back, (W, G, N), [*going, grips, bars, scene_bars])
+            launch(k.g2p_back, (W, N), [
+                *going, s.scene, grips, layouts, velocity, row, nodes_bar, bars,
+            ])  # fmt: skip
+            launch(k.nodes_back, nodes, [
+                *going, s.scene, layouts, momentum, nodes_bar, scene_bars,
+            ])  # fmt: skip
+            launch(k.p2g_back, (W, N), [
+                *going, s.matter, s.scene, grips, layouts, row, s.pulls, s.touched, nodes_bar,
+                bars, sums.trouble,
+            ])  # fmt: skip
+            if G:
+                launch(k.guide_back, (W, G, N), [*pushed, grips, bars, scene_bars])
+            if touches:
+                launch(k.touch_back, s.touched.shape, [*pushed, bars, scene_bars])
+            for kind in every:
+                launch(kind.forces_back, (W, N), [
+                    *going, s.matter, row, bars, scene_bars, s.pulls,
+                ])  # fmt: skip
+            launch(k.momenta_back, (W, N), [
+                *going, s.matter, s.scene, row, bars, scene_bars, s.pulls,
+            ])  # fmt: skip
+            launch(k.world_back, W, [
+                *going, segment.time, s.matter, s.scene, s.paths, grips, row, bars, scene_bars,
+            ])  # fmt: skip
+
+        def F(slot: int, w: int, particle: int) -> NDArray[np.floating]:
+            return s.deformation_at(graph.rows.x.numpy()[slot * W + w])[particle]
+
+        raise_trouble(self.simulator, segment.time, graph.clock, sums, F)
+
+
+def raise_trouble(
+    s: Simulator,
+    time: float,
+    clock: Any,
+    sums: Sums,
+    F: Callable[[int, int, int], NDArray[np.floating]],
+) -> None:
+    """Raise what a derivative that is not finite calls for, if there is one.
+
+    Args:
+        s: Whose derivatives.
+        time: Of the frame's substep 0 [s].
+        clock: Where the substeps begin that were reversed.
+        sums: Derivatives.
+        F: The recorded F of (substep, world, particle).
+    """
+    failed = np.flatnonzero(sums.trouble.status.numpy() == NOT_FINITE)
+    if len(failed):
+        w = int(failed[0])
+        slot = int(sums.trouble.slot.numpy()[w])
+        particle = int(sums.trouble.failed_particle.numpy()[w])
+        step = int(clock.step.numpy()[w]) + slot
+        raise overflow(
+            s,
+            w,
+            substep=int(clock.age.numpy()[w]) + slot,
+            time=time + step * float(clock.dt.numpy()[w]),
+            particle=particle,
+            F=F(slot, w, particle),
+        )
+
+
+def _copy(copy: Any, of: Any, names: tuple[str, ...]) -> Any:
+    """The struct ``copy`` with arrays of its own, equal to those of another."""
+    for name in names:
+        setattr(copy, name, wp.clone(getattr(of, name)))
+    return copy

@@ -1,0 +1,121 @@
+"""Derivatives by state and parameters while they are summed up."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gendom.errors import SimulationError
+from gendom.sim.gradients import Gradients
+from gendom.sim.simulator import Simulator
+
+
+def overflow(
+    s: Simulator, w: int, *, substep: int, time: float, particle: int, F: NDArray[np.floating]
+) -> SimulationError:
+    """The error of a derivative by a particle's state [its F: 3, 3] that is not finite."""
+    J = float(np.linalg.det(np.asarray(F, dtype=float)))
+    cause = (
+        f"its volume is {J:.2g} of that at rest, where the stress law is singular"
+        if J < 0.1
+        else f"derivatives grew beyond {s.dtype} over the substeps after it"
+    )
+    return s.worlds.error(
+        w,
+        time,
+        f"the derivative by the state of particle {particle} is not finite: {cause}",
+        where=f"substep {substep}",
+        fix="use float64, a shorter rollout, or more damping",
+        particle=particle,
+    )
+
+
+@wp.struct
+class Trouble:
+    """Where a derivative overflowed."""
+
+    status: wp.array(dtype=wp.int32)  # pyright: ignore  # [W]
+    slot: wp.array(dtype=wp.int32)  # pyright: ignore  # [W] substep
+    failed_particle: wp.array(dtype=wp.int32)  # pyright: ignore  # [W]
+
+
+class Sums:
+    """Derivatives by state and parameters while they are summed up."""
+
+    def __init__(self, s: Simulator):
+        worlds, types = s.worlds, s.worlds.types
+        self.device_is_cuda = s.device.is_cuda
+        W, N = worlds.num_worlds, worlds.num_particles
+        G, K = worlds.paths.time.shape[1:]
+        self.matter = types.MatterBars()
+        state = worlds.make_state(W, wp.zeros)
+        for name in ("x", "v", "C", "Z", "G"):
+            setattr(self.matter, name, getattr(state, name))
+        for name in ("mu", "lam", "mass", "yield_stress", "drag"):
+            setattr(self.matter, name, worlds.zeros((W, N), types.real))
+        self.scene = types.SceneBars()
+        for name in (
+            "friction", "velocity_damping", "damping", "damping_factor", "branch_factor",
+            "branch_share",
+        ):  # fmt: skip
+            setattr(self.scene, name, worlds.zeros(W, wp.float64))
+        self.scene.gravity = worlds.zeros(W, wp.vec3d)
+        for name in ("position", "turn"):
+            setattr(self.scene, name, worlds.zeros((W, G, K), wp.vec3d))
+        self.scene.radius = worlds.zeros((W, G), wp.float64)
+        self.scene.weight = worlds.zeros((W, G, N), types.real)
+        self.scene.place = worlds.zeros((W, G, N), types.vec3)
+        for name in ("centre", "rotation", "velocity", "spin"):
+            setattr(self.scene, name, worlds.zeros((W, G), wp.vec3d))
+        self.trouble = Trouble()
+        for name in ("status", "slot", "failed_particle"):
+            setattr(self.trouble, name, worlds.zeros(W, wp.int32))
+
+    def add_positions(self, w: int | slice, bar: NDArray[np.floating]) -> None:
+        """Add a loss's own derivative by world w's positions now, [N, 3] or [W, N, 3] [1/m]."""
+        now = self.matter.x.numpy()
+        now[w] += bar
+        if self.device_is_cuda:
+            self.matter.x.assign(now)
+
+    def gradients(self, s: Simulator) -> Gradients:
+        """What the sums mean for the numbers that a user gave."""
+        matter, scene = self.matter, self.scene
+        E = np.array([m.E for m in s.materials])[:, None]
+        nu = np.array([m.nu for m in s.materials])[:, None]
+        mu_bar, lam_bar = matter.mu.numpy().astype(float), matter.lam.numpy().astype(float)
+        # mu = E / (2 (1 + nu)), lam = E nu / ((1 + nu) (1 - k nu)), times the stiffness
+        constraint = s.body.lateral_constraint
+        room = (1.0 + nu) * (1.0 - constraint * nu)
+        mu_E = 1.0 / (2.0 * (1.0 + nu))
+        lam_E = nu / room
+        mu_nu = -E / (2.0 * (1.0 + nu) ** 2)
+        lam_nu = E * (1.0 + constraint * nu**2) / room**2
+        by_E = mu_bar * mu_E + lam_bar * lam_E
+        by_knots = {}
+        for name in ("position", "turn"):
+            by_knot = np.array(getattr(scene, name).numpy())
+            for w, grippers in enumerate(s.worlds.setting.grippers):
+                for g, gripper in enumerate(grippers):
+                    last = len(np.asarray(gripper.time)) - 1
+                    by_knot[w, g, last] += by_knot[w, g, last + 1 :].sum(axis=0)
+                    by_knot[w, g, last + 1 :] = 0.0
+            by_knots[name] = by_knot
+        return Gradients(
+            E=(by_E * s.stiffness).sum(axis=1),
+            nu=((mu_bar * mu_nu + lam_bar * lam_nu) * s.stiffness).sum(axis=1),
+            density=matter.mass.numpy().astype(float).sum(axis=1) * s.body.volume,
+            yield_stress=matter.yield_stress.numpy().astype(float).sum(axis=1),
+            stiffness=by_E * E,
+            damping=np.array(scene.damping.numpy()),
+            velocity_damping=np.array(scene.velocity_damping.numpy()),
+            air_density=matter.drag.numpy().astype(float).sum(axis=1) * s.worlds.drag_by_air,
+            friction=np.array(scene.friction.numpy()),
+            gravity=np.array(scene.gravity.numpy()),
+            positions=np.array(matter.x.numpy()),
+            velocities=np.array(matter.v.numpy()),
+            gripper_positions=by_knots["position"],
+            gripper_rotations=by_knots["turn"],
+            gripper_radius=np.array(scene.radius.numpy()),
+        )

@@ -1,0 +1,266 @@
+"""The sparse grid: contiguous runs of nodes along z, a column for each (x, y) near a particle.
+
+Memory and work follow the object: a column exists where particles are, and holds the nodes
+between the lowest and the highest that they reach, with room for half a cell of travel. Node k of
+column (i, j) is number ``start[i, j] + k``. A layout is one such numbering; it is made anew when a
+particle may have left it.
+
+Shapes: L layouts, X x Y grid columns, M grid nodes.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
+import functools
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gendom.sim.mpm.block import make_block
+from gendom.sim.mpm.types import make_types
+
+MARGIN = 0.5
+"""How far a particle may travel, in cells, before the grid is rebuilt."""
+
+EMPTY_BELOW = 1 << 20
+"""Lower end of the node range of a column without nodes."""
+
+WIDEST_WINDOW = 1 << 10
+"""Columns along x or y that a world may span."""
+
+LARGEST_GRID = 1 << 24
+"""Nodes a world may use; a run that wants more has an object that flies apart."""
+
+
+@wp.struct
+class SparseGrid:
+    """L layouts, as kernels take them."""
+
+    bounds: wp.array2d(dtype=wp.int32)  # [L, 4] lowest and highest cell in x, y
+    low: wp.array3d(dtype=wp.int32)  # [L, X, Y] lowest node of the column
+    high: wp.array3d(dtype=wp.int32)  # [L, X, Y] highest node of the column
+    start: wp.array3d(dtype=wp.int32)  # [L, X, Y] node k is number start + k
+    count: wp.array(dtype=wp.int32)  # [L] nodes in use
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Layouts and what stands on their nodes."""
+
+    layouts: Any
+    """``SparseGrid`` of L layouts."""
+    layout_of: wp.array
+    """[S] the layout of each recorded substep."""
+    momentum: wp.array
+    """[S, M] momentum and mass."""
+
+
+class GridExhausted(Exception):
+    """The object spreads over more nodes than any real one does."""
+
+
+def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
+    """Columns in x and y and nodes that the first grid of particles x [W, N, 3] offers.
+
+    A body may turn any way without needing more columns.
+    """
+    extent = (x.max(axis=1) - x.min(axis=1)).max(axis=0) / dx
+    side = int(np.ceil(np.linalg.norm(extent))) + 8
+    cell = np.floor(x[0] / dx).astype(np.int64)
+    cell -= cell.min(axis=0)
+    cells = len(np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1))))
+    return min(side, WIDEST_WINDOW), min(side, WIDEST_WINDOW), 8 * cells + 256
+
+
+def grown_room(
+    room: tuple[int, int, int], bounds: NDArray[Any], grid: Grid
+) -> tuple[int, int, int]:
+    """Room for the bounds [L, 4] for which the grid was too small.
+
+    Raises:
+        GridExhausted: If that is more than any object needs.
+    """
+    window = (bounds[:, 2:] - bounds[:, :2] + 1).max(axis=0)
+    X, Y, M = room
+    have = grid.layouts.low.shape[1:]
+    if window.max() > WIDEST_WINDOW or M > LARGEST_GRID:
+        raise GridExhausted
+    if window[0] > have[0] or window[1] > have[1]:
+        X = max(X, min(WIDEST_WINDOW, int(window[0]) + 8))
+        Y = max(Y, min(WIDEST_WINDOW, int(window[1]) + 8))
+    else:
+        M = max(M, 2 * grid.momentum.shape[1])
+    return X, Y, M
+
+
+def make_grid(
+    room: tuple[int, int, int],
+    layouts: int,
+    node: Any,
+    device: Any,
+    *,
+    rows: int | None = None,
+    make: Any = wp.zeros,
+) -> Grid:
+    """A grid of so many layouts, and of so many rows of nodes (default: one a layout).
+
+    ``node`` is the type of a node's value, ``make`` fills arrays.
+    """
+    X, Y, M = room
+    rows = layouts if rows is None else rows
+
+    def array(shape: Any, dtype: Any = wp.int32) -> wp.array:
+        return make(shape, dtype=dtype, device=device)
+
+    grid = SparseGrid()
+    grid.bounds = array((layouts, 4))
+    for name in ("low", "high", "start"):
+        setattr(grid, name, array((layouts, X, Y)))
+    grid.count = array(layouts)
+    return Grid(grid, array(rows), array((rows, M), node))
+
+
+@functools.cache
+def make_rebuild(real: Any) -> SimpleNamespace:
+    """Build the functions that number the nodes, for one scalar type.
+
+    Returns:
+        Namespace with ``reset``, ``reach`` (lowest and highest node of a particle), ``widen``,
+        ``clear_column``, ``mark``, ``number_column``, to be called in this order over all particles
+        or columns.
+    """
+    vec3 = make_types(real).vec3
+
+    @wp.func
+    def reset(layout: int, grid: SparseGrid):
+        grid.count[layout] = 0
+        grid.bounds[layout, 0] = EMPTY_BELOW
+        grid.bounds[layout, 1] = EMPTY_BELOW
+        grid.bounds[layout, 2] = -EMPTY_BELOW
+        grid.bounds[layout, 3] = -EMPTY_BELOW
+
+    @wp.func
+    def reach(x: vec3, inv_dx: real, z0: real):
+        """Lowest and highest node [cells] of a particle that may yet travel by the margin."""
+        y = vec3(x[0], x[1], x[2] - z0) * inv_dx
+        below = real(-MARGIN) - real(0.5)
+        above = real(MARGIN) - real(0.5)
+        lower = wp.vec3i(
+            int(wp.floor(y[0] + below)), int(wp.floor(y[1] + below)), int(wp.floor(y[2] + below))
+        )
+        upper = wp.vec3i(
+            int(wp.floor(y[0] + above)) + 2,
+            int(wp.floor(y[1] + above)) + 2,
+            int(wp.floor(y[2] + above)) + 2,
+        )
+        return lower, upper
+
+    @wp.func
+    def widen(layout: int, lower: wp.vec3i, upper: wp.vec3i, grid: SparseGrid):
+        wp.atomic_min(grid.bounds, layout, 0, lower[0])
+        wp.atomic_min(grid.bounds, layout, 1, lower[1])
+        wp.atomic_max(grid.bounds, layout, 2, upper[0])
+        wp.atomic_max(grid.bounds, layout, 3, upper[1])
+
+    @wp.func
+    def mark(layout: int, lower: wp.vec3i, upper: wp.vec3i, grid: SparseGrid):
+        """Let columns hold all nodes of a box, unless the layout has no room for it."""
+        i0 = lower[0] - grid.bounds[layout, 0]
+        j0 = lower[1] - grid.bounds[layout, 1]
+        i1 = upper[0] - grid.bounds[layout, 0]
+        j1 = upper[1] - grid.bounds[layout, 1]
+        if i0 >= 0 and j0 >= 0 and i1 < grid.low.shape[1] and j1 < grid.low.shape[2]:
+            for i in range(i0, i1 + 1):
+                for j in range(j0, j1 + 1):
+                    wp.atomic_min(grid.low, layout, i, j, lower[2])
+                    wp.atomic_max(grid.high, layout, i, j, upper[2])
+
+    @wp.func
+    def clear_column(layout: int, i: int, j: int, grid: SparseGrid):
+        grid.low[layout, i, j] = EMPTY_BELOW
+        grid.high[layout, i, j] = -EMPTY_BELOW
+
+    @wp.func
+    def number_column(layout: int, i: int, j: int, grid: SparseGrid):
+        """Number a column's nodes, in any order of columns: sums do not depend on it.
+
+        The count may exceed the room.
+        """
+        k0 = grid.low[layout, i, j]
+        k1 = grid.high[layout, i, j]
+        first = wp.atomic_add(grid.count, layout, wp.max(0, k1 - k0 + 1))
+        grid.start[layout, i, j] = first - k0
+
+    return SimpleNamespace(
+        reset=reset,
+        reach=reach,
+        widen=widen,
+        mark=mark,
+        clear_column=clear_column,
+        number_column=number_column,
+    )
+
+
+@functools.cache
+def make_rebuild_world(real: Any, particles: Any) -> Any:
+    """Build ``rebuild``, by which the threads of a block make a world's layout anew.
+
+    Args:
+        real: ``wp.float32`` or ``wp.float64``.
+        particles: How particles are stored, see ``particles``.
+    """
+    one = make_rebuild(real)
+    reset, reach, widen, mark = one.reset, one.reach, one.widen, one.mark
+    clear_column, number_column = one.clear_column, one.number_column
+    position, Particles = particles.position, particles.Struct
+    meet = make_block(real).meet
+
+    @wp.func
+    def rebuild(
+        row: int, lane: int, lanes: int, N: int, layout: int, room: int, inv_dx: real, z0: real,
+        particles: Particles, grid: SparseGrid,
+    ):  # fmt: skip
+        """Returns whether the layout has room for the particles of a row, with so many nodes."""
+        if lane == 0:
+            reset(layout, grid)
+        meet()
+        lower, upper = reach(position(particles, row, lane % N), inv_dx, z0)
+        for i in range(lane, N, lanes):
+            low, high = reach(position(particles, row, i), inv_dx, z0)
+            lower = wp.min(lower, low)
+            upper = wp.max(upper, high)
+        widen(layout, lower, upper, grid)
+        meet()
+        X = grid.bounds[layout, 2] - grid.bounds[layout, 0] + 1
+        Y = grid.bounds[layout, 3] - grid.bounds[layout, 1] + 1
+        fits = X <= grid.low.shape[1] and Y <= grid.low.shape[2]
+        if fits:
+            for n in range(lane, X * Y, lanes):
+                clear_column(layout, n // Y, n % Y, grid)
+            meet()
+            # particles that follow each other mostly stand in one column
+            begin = lane * N // lanes
+            lower, upper = reach(position(particles, row, begin % N), inv_dx, z0)
+            for i in range(begin, (lane + 1) * N // lanes):
+                low, high = reach(position(particles, row, i), inv_dx, z0)
+                if wp.abs(low[0] - lower[0]) + wp.abs(low[1] - lower[1]) > 1:
+                    mark(layout, lower, upper, grid)
+                    lower = low
+                    upper = high
+                lower = wp.min(lower, low)
+                upper = wp.max(upper, high)
+            mark(layout, lower, upper, grid)
+            meet()
+            for n in range(lane, X * Y, lanes):
+                number_column(layout, n // Y, n % Y, grid)
+            meet()
+            fits = grid.count[layout] <= room
+        return fits
+
+    return rebuild

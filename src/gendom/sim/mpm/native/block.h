@@ -1,0 +1,67 @@
+// What the threads of a CUDA block do together; on the CPU a block is one thread.
+#pragma once
+
+namespace gendom {
+
+CUDA_CALLABLE inline void meet() {
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+}
+
+// Whether a thread's value is not 0.
+CUDA_CALLABLE inline int any_of(int value) {
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(value) ? 1 : 0;
+#else
+    return value;
+#endif
+}
+
+// The largest of all threads' values (no NaN); wants another meeting before it is called again.
+template <typename real> CUDA_CALLABLE inline real largest(real value) {
+#if defined(__CUDA_ARCH__)
+    __shared__ real of_warp[32];
+    for (int by = 16; by > 0; by /= 2) value = max(value, __shfl_xor_sync(0xffffffffu, value, by));
+    const int warps = blockDim.x / 32, own = threadIdx.x % 32;
+    if (own == 0) of_warp[threadIdx.x / 32] = value;
+    __syncthreads();
+    value = of_warp[own < warps ? own : 0];
+    for (int by = 16; by > 0; by /= 2) value = max(value, __shfl_xor_sync(0xffffffffu, value, by));
+#endif
+    return value;
+}
+
+// The sum of the values of the threads before this one.
+CUDA_CALLABLE inline int sum_before(int value) {
+#if defined(__CUDA_ARCH__)
+    __shared__ int of_warp[32];
+    const int own = threadIdx.x % 32, warp = threadIdx.x / 32;
+    int sum = value;
+    for (int by = 1; by < 32; by *= 2) {
+        const int lower = __shfl_up_sync(0xffffffffu, sum, by);
+        if (own >= by) sum += lower;
+    }
+    if (own == 31) of_warp[warp] = sum;
+    __syncthreads();
+    sum -= value;
+    for (int i = 0; i < warp; ++i) sum += of_warp[i];
+    __syncthreads();
+    return sum;
+#else
+    return 0;
+#endif
+}
+
+// Component c of particle i of a block whose particles stay in shared memory; on the CPU, of an array.
+template <typename real>
+CUDA_CALLABLE inline real& resident(const wp::array_t<real>& of, int row, int c, int i) {
+#if defined(__CUDA_ARCH__)
+    extern __shared__ __align__(16) unsigned char gendom_shared[];
+    return ((real*)gendom_shared)[c * of.shape[2] + i];
+#else
+    return wp::index(of, row, c, i);
+#endif
+}
+
+}  // namespace gendom

@@ -1,0 +1,651 @@
+"""The substep on CUDA where bodies are small: a block of threads takes one world through many.
+
+The same functions as in ``step``, called by the lanes of a block, which meet between stages. What is
+different is where particles are: each world has them as records, component by component, in the
+order of their lowest nodes. Lanes then read and write neighbouring numbers, and what neighbouring
+particles give to the same nodes is summed before it goes to the grid.
+
+Shapes: W worlds, N particles, L layouts of the grid, M nodes.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
+import functools
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from gendom.sim.mpm.block import (
+    Near,
+    bounds,
+    get_near,
+    make_block,
+    make_store,
+    put_near,
+    spans_of,
+)
+from gendom.sim.mpm.boundary import make_boundary, make_paths
+from gendom.sim.mpm.compensated_sum import make_compensated_sum
+from gendom.sim.mpm.elasticity import make_elasticity
+from gendom.sim.mpm.grid import MARGIN, SparseGrid, make_rebuild_world
+from gendom.sim.mpm.native import MODULE_OPTIONS
+from gendom.sim.mpm.particles import Particles
+from gendom.sim.mpm.step import DIVERGED, GRID_FULL, INVERTED, NOTHING_HELD, OK
+from gendom.sim.mpm.transfer import make_bspline, make_transfer
+from gendom.sim.mpm.types import make_types
+
+X, V, C, PULLS, LOW = 0, 3, 6, 15, 24
+"""First components of a record: position, velocity, affine velocity, pulls on the neighbours, what
+rounding leaves out; then Z and G where bodies have them."""
+
+ORDERLY = 1.0
+"""How far a particle may travel, in cells, before the records are put in order anew."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What a kernel is compiled for."""
+
+    real: Any
+    law: str
+    yields: bool
+    damped: bool
+    room: int
+    """Shared memory in which a block's particles stay [bytes]; 0: in arrays."""
+    lanes: int
+    """Threads of a block on CUDA."""
+
+    @property
+    def components(self) -> int:
+        """Of a record."""
+        return 27 + 6 * self.damped + 9 * self.yields
+
+    @property
+    def Z(self) -> int:
+        """First component of Z."""
+        return 27
+
+    @property
+    def G(self) -> int:
+        """First component of G."""
+        return 27 + 6 * self.damped
+
+    @property
+    def numbers(self) -> int:
+        """That the room holds."""
+        return max(1, self.room // (4 if self.real == wp.float32 else 8))
+
+    @property
+    def taped(self) -> int:
+        """Components of a record on a tape: x, v, C, its momentum but for the table's, Z, G."""
+        return 18 + 6 * self.damped + 9 * self.yields
+
+
+@functools.cache
+def make_records(real: Any, *, resident: bool) -> Particles:
+    """Particles in records, as ``particles.make_rows``."""
+    types = make_types(real)
+    vec3, mat33 = types.vec3, types.mat33
+    store = make_store(real, resident=resident)
+    vector, put_vector = store.vector, store.put_vector
+    matrix, put_matrix = store.matrix, store.put_matrix
+    compensates = wp.constant(int(types.compensates))
+    compensated_sum = make_compensated_sum(real)
+
+    @wp.struct
+    class Records:
+        """Particles of W worlds in order."""
+
+        of: wp.array3d(dtype=real)  # [W, components, N], or [1, ...] if they are resident
+        moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
+        order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
+        place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
+        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
+        strayed: wp.array(dtype=real)  # [W] distance travelled since they were put in order [m]
+        # scratch
+        spare: wp.array3d(dtype=real)  # [W, components + 2, N]
+        spare_order: wp.array2d(dtype=wp.int32)  # [W, N]
+        tally: wp.array2d(dtype=wp.int32)  # [W, M]
+
+    @wp.func
+    def position(records: Records, w: int, i: int):
+        return vector(records.of, w, X, i)
+
+    @wp.func
+    def x_of(records: Records, w: int, p: int):
+        return vector(records.of, w, X, records.place[w, p])
+
+    @wp.func
+    def v_of(records: Records, w: int, p: int):
+        return vector(records.of, w, V, records.place[w, p])
+
+    @wp.func
+    def C_of(records: Records, w: int, p: int):
+        return matrix(records.of, w, C, records.place[w, p])
+
+    @wp.func
+    def put_v(records: Records, w: int, p: int, v: vec3):
+        put_vector(records.of, w, V, records.place[w, p], v)
+
+    @wp.func
+    def put_C(records: Records, w: int, p: int, C_new: mat33):
+        put_matrix(records.of, w, C, records.place[w, p], C_new)
+
+    @wp.func
+    def move(records: Records, row: int, w: int, p: int, step: vec3):
+        i = records.place[w, p]
+        x = vector(records.of, w, X, i)
+        if compensates == 1:
+            there, low = compensated_sum(x, step, vector(records.of, w, LOW, i))
+            put_vector(records.of, w, X, i, there)
+            put_vector(records.of, w, LOW, i, low)
+        else:
+            put_vector(records.of, w, X, i, x + step)
+
+    return Particles(Records, position, x_of, v_of, C_of, put_v, put_C, move)
+
+
+@functools.cache
+def make_tape(real: Any) -> Any:
+    """The struct of recorded substeps."""
+
+    @wp.struct
+    class Tape:
+        """S substeps of W worlds: substep n of world w has row n * W + w.
+
+        Layout n of world w is number n * W + w; there may be fewer of them than substeps.
+        """
+
+        of: wp.array3d(dtype=real)  # [S * W, taped, N] records before the substep
+        order: wp.array2d(dtype=wp.int32)  # [L, N] of each layout
+        place: wp.array2d(dtype=wp.int32)  # [L, N]
+        layout_of: wp.array(dtype=wp.int32)  # [S * W] row of each substep's layout
+
+    return Tape
+
+
+@functools.cache
+def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamespace:
+    """Build the kernel of a variant; ``taped``: every substep is kept for the reverse.
+
+    Returns:
+        Namespace with ``Records``, ``Tape`` and ``advance``.
+    """
+    real = variant.real
+    types = make_types(real)
+    vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
+    Clock, Plan, Matter, State = types.Clock, types.Plan, types.Matter, types.State
+    Scene, Paths, Grips = types.Scene, types.Paths, types.Grips
+    elasticity = make_elasticity(real, variant.law, yields=variant.yields)
+    branch, pull_of, air = elasticity.branch, elasticity.pull, elasticity.air
+    bspline, transfer = make_bspline(real), make_transfer(real)
+    window_type, collect, hand_over = bspline.window, bspline.collect, bspline.hand_over
+    get_node, put_node = bspline.get_node, bspline.put_node
+    locate, given_by, g2p = transfer.locate, transfer.given_by, transfer.g2p
+    node_velocity = transfer.node_velocity
+    records_of = make_records(real, resident=variant.room > 0)
+    Records, Tape = records_of.Struct, make_tape(real)
+    rebuild = make_rebuild_world(real, records_of)
+    boundary, paths_of = make_boundary(real, records_of), make_paths(real)
+    grasp, guide, grip = boundary.grasp, boundary.guide, boundary.grip
+    contact, near_table = boundary.contact, boundary.near_table
+    pose_gripper = paths_of.pose_gripper
+    store = make_store(real, resident=variant.room > 0)
+    get, put = store.get, store.put
+    vector, put_vector = store.vector, store.put_vector
+    matrix, put_matrix = store.matrix, store.put_matrix
+    symmetric, put_symmetric = store.symmetric, store.put_symmetric
+    differences, pulled = store.differences, store.pulled
+    kept = make_store(real, resident=False)
+    tape_vector, tape_matrix, tape_symmetric = (
+        kept.put_vector,
+        kept.put_matrix,
+        kept.put_symmetric,
+    )
+    compensates = wp.constant(int(types.compensates))
+    compensated_sum = make_compensated_sum(real)
+    block = make_block(real)
+    meet, any_of, largest, before = block.meet, block.any, block.largest, block.before
+    COMPONENTS, Z, G = map(wp.constant, (variant.components, variant.Z, variant.G))
+    TAPED_Z, TAPED_G = wp.constant(18), wp.constant(18 + 6 * variant.damped)
+    damped, plastic = wp.constant(int(variant.damped)), wp.constant(int(variant.yields))
+    keeps = wp.constant(int(taped))
+    stays, numbers = wp.constant(int(variant.room > 0)), wp.constant(variant.numbers)
+
+    @wp.func
+    def frame_substep(frame: int, w: int, plan: Plan):
+        """Length of a world's substeps in a frame [s]; 0 where it has none."""
+        dt = wp.float64(0.0)
+        if plan.steps[frame, w] > 0:
+            dt = (plan.time[frame + 1] - plan.time[frame]) / wp.float64(plan.steps[frame, w])
+        return dt
+
+    @wp.func
+    def next_event(w: int, t: wp.float64, paths: Paths):
+        """When a gripper opens or closes next [s]."""
+        soon = wp.float64(1.0e30)
+        for g in range(paths.radius.shape[1]):
+            if paths.hold_from[w, g] > t:
+                soon = wp.min(soon, paths.hold_from[w, g])
+            if paths.hold_until[w, g] > t:
+                soon = wp.min(soon, paths.hold_until[w, g])
+        return soon
+
+    @wp.func
+    def put_in_order(
+        w: int, lane: int, lanes: int, layout: int, inv_dx: real, z0: real, matter: Matter,
+        grid: SparseGrid, records: Records,
+    ):  # fmt: skip
+        """Order a world's records by their lowest nodes."""
+        of = records.of
+        N = of.shape[2]
+        nodes = grid.count[layout]
+        begin = lane * nodes // lanes
+        end = (lane + 1) * nodes // lanes
+        for n in range(begin, end):
+            records.tally[w, n] = 0
+        meet()
+        for i in range(lane, N, lanes):
+            node, _f = locate(layout, vector(of, w, X, i), inv_dx, z0, grid)
+            n = grid.start[layout, node[0], node[1]] + node[2]
+            wp.atomic_add(records.tally, w, n, 1)
+        meet()
+        total = int(0)
+        for n in range(begin, end):
+            total += records.tally[w, n]
+        first = before(total)
+        for n in range(begin, end):
+            here = records.tally[w, n]
+            records.tally[w, n] = first
+            first += here
+        meet()
+        for i in range(lane, N, lanes):
+            node, _f = locate(layout, vector(of, w, X, i), inv_dx, z0, grid)
+            n = grid.start[layout, node[0], node[1]] + node[2]
+            j = wp.atomic_add(records.tally, w, n, 1)
+            p = records.order[w, i]
+            records.spare_order[w, j] = p
+            records.place[w, p] = j
+            for c in range(COMPONENTS):
+                records.spare[w, c, j] = get(of, w, c, i)
+            for c in range(2):
+                records.spare[w, COMPONENTS + c, j] = records.moduli[w, c, i]
+        meet()
+        for i in range(lane, N, lanes):
+            p = records.spare_order[w, i]
+            records.order[w, i] = p
+            for c in range(COMPONENTS):
+                put(of, w, c, i, records.spare[w, c, i])
+            for c in range(2):
+                records.moduli[w, c, i] = records.spare[w, COMPONENTS + c, i]
+            near = Near()
+            for axis in range(3):
+                for side in range(2):
+                    near[2 * axis + side] = records.place[w, matter.lattice[p, axis, side]]
+            put_near(records.near, w, i, near)
+        meet()
+
+    @wp.func
+    def load(w: int, i: int, p: int, matter: Matter, state: State, records: Records):
+        """Make record i of particle p."""
+        of = records.of
+        put_vector(of, w, X, i, state.x[w, p])
+        put_vector(of, w, V, i, state.v[w, p])
+        put_matrix(of, w, C, i, state.C[w, p])
+        if compensates == 1:
+            put_vector(of, w, LOW, i, state.low[w, p])
+        if damped == 1:
+            for c in range(6):
+                put(of, w, Z + c, i, state.Z[w, c, p])
+        if plastic == 1:
+            put_matrix(of, w, G, i, state.G[w, p])
+        records.moduli[w, 0, i] = matter.mu[w, p]
+        records.moduli[w, 1, i] = matter.lam[w, p]
+
+    @wp.func
+    def unload(w: int, i: int, p: int, records: Records, state: State):
+        """Write record i to particle p."""
+        of = records.of
+        state.x[w, p] = vector(of, w, X, i)
+        state.v[w, p] = vector(of, w, V, i)
+        state.C[w, p] = matrix(of, w, C, i)
+        if damped == 1:
+            for c in range(6):
+                state.Z[w, c, p] = get(of, w, Z + c, i)
+        if plastic == 1:
+            state.G[w, p] = matrix(of, w, G, i)
+
+    @wp.func
+    def momentum_of(w: int, i: int, h: real, mass: real, gravity: vec3, records: Records):
+        """Momentum of a particle with the impulses of the substep, but for the table's."""
+        q = mass * (vector(records.of, w, V, i) + h * gravity)
+        return q + pulled(records.of, w, PULLS, get_near(records.near, w, i), i)
+
+    @wp.func
+    def touch(
+        w: int, s: int, h: real, mass: real, matter: Matter, scene: Scene, records: Records,
+        touched: wp.array2d(dtype=vec3),
+    ):  # fmt: skip
+        """As that of ``step``."""
+        size = matter.section
+        x = vec3()
+        q = vec3()
+        change = vec3()
+        first = vector(records.of, w, X, records.place[w, s * size])
+        if near_table(first, matter, scene):
+            for p in range(s * size, (s + 1) * size):
+                i = records.place[w, p]
+                x += vector(records.of, w, X, i)
+                q += momentum_of(w, i, h, mass, scene.gravity[w], records)
+            share = real(1.0) / real(size)
+            change = contact(w, share * x, (share / mass) * q, h, matter.contact_radius, scene)
+        touched[w, s] = change
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds(variant.lanes))
+    def advance(
+        order: wp.array(dtype=wp.int32),  # world of each block
+        lanes: int,
+        most: int,  # substeps at the most
+        pause: wp.float64,  # [s] no substep begins from here on
+        plan: Plan,
+        clock: Clock,
+        matter: Matter,
+        scene: Scene,
+        paths: Paths,
+        grips: Grips,  # [W]
+        state: State,  # [W, N]
+        last_good: State,  # [W, N] where the last frame began
+        grid: SparseGrid,  # a layout a world; L for the tape
+        # empty before and after each substep; kept with the tape
+        momentum: wp.array2d(dtype=vec4),  # [W, M] and mass; [S * W, M] for the tape
+        velocity: wp.array2d(dtype=vec4),  # [W, M] and mass
+        touched: wp.array2d(dtype=vec3),  # [W, sections] scratch
+        records: Records,
+        tape: Tape,
+    ):
+        block, lane = wp.tid()
+        if stays == 1:
+            wp.tile_empty(shape=numbers, dtype=real, storage="shared")
+        w = order[block]
+        of = records.of
+        moduli = records.moduli
+        W = state.x.shape[0]
+        N = state.x.shape[1]
+        grippers = grips.closed.shape[1]
+        frames = plan.steps.shape[0]
+        frame = int(clock.frame[w])
+        status = int(clock.status[w])
+        if frame >= frames or status != OK:
+            return
+        dt = frame_substep(frame, w, plan)
+        step = int(clock.step[w])
+        t = plan.time[frame] + wp.float64(step) * dt
+        if t >= pause:
+            return
+        dx = scene.dx
+        z0 = scene.z0
+        inv_dx = real(1.0) / dx
+        mass = matter.mass[w]
+        drag = matter.drag[w]
+        gravity = scene.gravity[w]
+        steps = int(plan.steps[frame, w])
+        h = real(dt)
+        factor = wp.exp(-scene.velocity_damping[w] * h)
+        # of grid and layout; in place unless all are kept
+        slot = int(w)
+        layout = int(w)
+        age = clock.age[w]
+        travel = clock.travel[w]
+        near_by = int(clock.near_table[w])
+        event = wp.float64(-1.0e30)
+        left = int(most)
+        made = int(w)
+        strayed = records.strayed[w]
+        lost = travel >= real(MARGIN) * dx  # whatever the order was, it will be made anew
+        if lost:
+            strayed = real(ORDERLY) * dx
+        for i in range(lane, N, lanes):
+            p = int(i)
+            if lost:
+                records.order[w, i] = i
+                records.place[w, i] = i
+            else:
+                p = records.order[w, i]
+            load(w, i, p, matter, state, records)
+        meet()
+        if step == 0:
+            for i in range(lane, N, lanes):
+                unload(w, i, records.order[w, i], records, last_good)
+        while frame < frames and left > 0 and status == OK and t < pause:
+            if step < steps and travel >= real(MARGIN) * dx:
+                if keeps == 1:
+                    if made >= grid.count.shape[0]:
+                        left = 0  # the tape is full
+                    else:
+                        layout = made
+                        made += W
+                if left > 0:
+                    fits = rebuild(
+                        w, lane, lanes, N, layout, momentum.shape[1], inv_dx, z0, records, grid
+                    )
+                    status = GRID_FULL
+                    if fits:
+                        status = OK
+                        strayed += travel
+                        travel = real(0.0)
+                        mine = int(0)
+                        for i in range(lane, N, lanes):
+                            if near_table(vector(of, w, X, i), matter, scene):
+                                mine = 1
+                        near_by = any_of(mine)
+                        if strayed >= real(ORDERLY) * dx:
+                            strayed = real(0.0)
+                            put_in_order(
+                                w, lane, lanes, layout, inv_dx, z0, matter, grid, records
+                            )
+                        if keeps == 1:
+                            for i in range(lane, N, lanes):
+                                tape.order[layout, i] = records.order[w, i]
+                                tape.place[layout, i] = records.place[w, i]
+                    elif lane == 0:
+                        # the grid's need is read from the world's first layout
+                        for a in range(4):
+                            grid.bounds[w, a] = grid.bounds[layout, a]
+            substep = step < steps and status == OK and left > 0
+            if substep and t >= event:
+                empty = int(-1)
+                if lane == 0:
+                    empty = grasp(w, t, age, w, N, matter, scene, paths, grips, records)
+                    if empty >= 0:
+                        clock.failed_particle[w] = empty
+                event = next_event(w, t, paths)
+                if any_of(int(empty >= 0)) == 1:
+                    status = NOTHING_HELD
+                    substep = False
+            if substep:
+                for g in range(lane, grippers, lanes):
+                    pose_gripper(w, w, g, t, dt, paths, grips)
+                if keeps == 1:
+                    tape.layout_of[slot] = layout
+                    for n in range(lane, grid.count[layout], lanes):
+                        momentum[slot, n] = vec4()
+                keep, share = branch(matter.damping[w], h, age)
+                inverted = int(0)
+                for i in range(lane, N, lanes):
+                    p = records.order[w, i]
+                    near = get_near(records.near, w, i)
+                    D = differences(of, w, X, near)
+                    filtered = mat33()
+                    inverse_plastic = mat33()
+                    if damped == 1:
+                        filtered = symmetric(of, w, Z, i)
+                    if plastic == 1:
+                        inverse_plastic = matrix(of, w, G, i)
+                    pull, filtered_after, inverse_after, upright = pull_of(
+                        D, matter.rest_frame[p], moduli[w, 0, i], moduli[w, 1, i],
+                        matter.yield_stress[w], keep, share, filtered, inverse_plastic,
+                        h * matter.volume,
+                    )  # fmt: skip
+                    v = vector(of, w, V, i)
+                    if keeps == 1:
+                        tape_vector(tape.of, slot, 0, i, vector(of, w, X, i))
+                        tape_vector(tape.of, slot, 3, i, v)
+                        tape_matrix(tape.of, slot, 6, i, matrix(of, w, C, i))
+                        if damped == 1:
+                            tape_symmetric(tape.of, slot, TAPED_Z, i, filtered)
+                        if plastic == 1:
+                            tape_matrix(tape.of, slot, TAPED_G, i, inverse_plastic)
+                    if drag > real(0.0):
+                        wind = air(D, v, spans_of(near, i), matter.sheet, drag, h)
+                        put_vector(of, w, V, i, v + wind / mass)
+                    put_matrix(of, w, PULLS, i, pull)
+                    if damped == 1:
+                        put_symmetric(of, w, Z, i, filtered_after)
+                    if plastic == 1:
+                        put_matrix(of, w, G, i, inverse_after)
+                    if not upright:
+                        inverted = 1
+                        clock.failed_particle[w] = p
+                if any_of(inverted) == 1:
+                    status = INVERTED
+                    substep = False
+            if substep:
+                if near_by == 1:
+                    for s in range(lane, N // matter.section, lanes):
+                        touch(w, s, h, mass, matter, scene, records, touched)
+                    meet()
+                for g in range(grippers):
+                    if grips.closed[w, g] == 1:
+                        for n in range(lane, grips.count[w, g], lanes):
+                            if grips.weight[w, g, n] < real(1.0):
+                                p = grips.particle[w, g, n]
+                                i = records.place[w, p]
+                                q = momentum_of(w, i, h, mass, gravity, records)
+                                u = q / mass
+                                if near_by == 1:
+                                    u += touched[w, p // matter.section]
+                                x = vector(of, w, X, i)
+                                grips.guided[w, p] = guide(w, g, n, w, x, u, h, grips)
+                if grippers > 0:
+                    meet()
+                nodes = grid.count[layout]
+                window = window_type()
+                held = wp.vec3i(-1, -1, -1)
+                for i in range(lane * N // lanes, (lane + 1) * N // lanes):
+                    free = real(1.0)
+                    if grippers > 0:
+                        free = grips.free[w, records.order[w, i]]
+                    q = momentum_of(w, i, h, mass, gravity, records)
+                    if keeps == 1:
+                        tape_vector(tape.of, slot, 15, i, q)
+                    if near_by == 1:
+                        q += mass * touched[w, records.order[w, i] // matter.section]
+                    if free < real(1.0):
+                        q = mass * grips.guided[w, records.order[w, i]]
+                    if free > real(0.0):
+                        node, f, given = given_by(
+                            vector(of, w, X, i), q, matrix(of, w, C, i), mass, layout, inv_dx, z0,
+                            grid,
+                        )  # fmt: skip
+                        window = hand_over(
+                            window, held, node, momentum, slot, grid.start, layout
+                        )
+                        window = collect(window, f, given)
+                        held = node
+                hand_over(window, held, wp.vec3i(-1, -1, -1), momentum, slot, grid.start, layout)
+                meet()
+                following = vec4()
+                if lane < nodes:
+                    following = get_node(momentum, slot, lane)
+                for n in range(lane, nodes, lanes):
+                    m = following
+                    # on its way while this one is updated
+                    if n + lanes < nodes:
+                        following = get_node(momentum, slot, n + lanes)
+                    if m[3] > real(0.0):
+                        if keeps == 0:
+                            put_node(momentum, slot, n, vec4())
+                        put_node(velocity, w, n, node_velocity(m, factor))
+                meet()
+                # the longest way, in squared cells; above 1 what went wrong
+                worst = real(0.0)
+                for i in range(lane, N, lanes):
+                    free = real(1.0)
+                    if grippers > 0:
+                        free = grips.free[w, records.order[w, i]]
+                    v = vec3()
+                    affine = mat33()
+                    x = vector(of, w, X, i)
+                    if free > real(0.0):
+                        v, affine = g2p(layout, w, x, inv_dx, z0, grid, velocity)
+                    if compensates == 1:
+                        there, low = compensated_sum(x, h * v, vector(of, w, LOW, i))
+                        put_vector(of, w, X, i, there)
+                        put_vector(of, w, LOW, i, low)
+                    else:
+                        put_vector(of, w, X, i, x + h * v)
+                    put_vector(of, w, V, i, v)
+                    put_matrix(of, w, C, i, affine)
+                    far = wp.length_sq(v) * h * h / (dx * dx)
+                    # a NaN is not below anything
+                    if not (far <= real(1.0)):
+                        far = real(3.0)
+                    worst = wp.max(worst, far)
+                if grippers > 0:
+                    meet()
+                    for g in range(grippers):
+                        if grips.closed[w, g] == 1:
+                            for n in range(lane, grips.count[w, g], lanes):
+                                speed = grip(w, g, n, w, w, h, grips, records)
+                                far = speed * h * h / (dx * dx)
+                                if not (far <= real(1.0)):
+                                    far = real(3.0)
+                                worst = wp.max(worst, far)
+                worst = largest(worst)
+                if worst > real(1.5):
+                    status = int(DIVERGED)
+                else:
+                    travel += dx * wp.sqrt(worst)
+                if keeps == 1:
+                    slot += W
+                step += 1
+                age += 1
+                left -= 1
+                meet()
+            if step == steps and status == OK:
+                for c in range(lane, plan.particles.shape[0], lanes):
+                    i = records.place[w, plan.particles[c]]
+                    plan.x[frame, w, c] = vector(of, w, X, i)
+                frame += 1
+                if frame < frames:
+                    for i in range(lane, N, lanes):
+                        unload(w, i, records.order[w, i], records, last_good)
+                    steps = plan.steps[frame, w]
+                    dt = frame_substep(frame, w, plan)
+                    h = real(dt)
+                    factor = wp.exp(-scene.velocity_damping[w] * h)
+                    step = 0
+            t = plan.time[frame] + wp.float64(step) * dt
+        meet()
+        for i in range(lane, N, lanes):
+            p = records.order[w, i]
+            unload(w, i, p, records, state)
+            if compensates == 1:
+                state.low[w, p] = vector(of, w, LOW, i)
+        if lane == 0:
+            records.strayed[w] = strayed
+            clock.frame[w] = frame
+            clock.dt[w] = dt
+            clock.steps[w] = steps
+            clock.step[w] = step
+            clock.age[w] = age
+            clock.travel[w] = travel
+            clock.near_table[w] = near_by
+            clock.status[w] = status
+
+    return SimpleNamespace(Records=Records, Tape=Tape, advance=advance)

@@ -1,0 +1,535 @@
+"""The substep of the material point method, forward and transposed: the algorithm at a glance.
+
+    1. grasp             grippers open and close                          (boundary)
+    2. internal forces   pulls between particles, damping, air            (elasticity)
+    3. touch             table and walls change momenta                   (boundary)
+    4. guide             grippers change momenta of what they hold        (boundary)
+    5. p2g               mass and momentum to the grid                    (transfer)
+    6. nodes             velocity = momentum / mass                       (transfer)
+    7. g2p               velocity and affine velocity back, x += dt v     (transfer)
+    8. grip              what grippers hold goes where they go            (boundary)
+
+``make_stages`` has each as a function of one particle, section or node in rows of particles
+(``types.State``); ``make_step`` puts them together for one thread and one world, as the CPU runs it.
+CUDA runs the same stages as kernels over all worlds (``runners.graph``), or the same functions on
+particles in the memory of a block (``runners.block_kernels``). Symplectic Euler.
+
+Shapes: W worlds, N particles, G grippers, L layouts of the grid, M nodes.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from gendom.sim.mpm.adjoint.boundary import make_boundary_adjoint, make_row_bars
+from gendom.sim.mpm.boundary import make_boundary, make_paths
+from gendom.sim.mpm.compensated_sum import make_compensated_sum
+from gendom.sim.mpm.elasticity import make_internal_forces
+from gendom.sim.mpm.grid import SparseGrid
+from gendom.sim.mpm.particles import make_rows
+from gendom.sim.mpm.transfer import make_bspline, make_transfer
+from gendom.sim.mpm.types import make_types
+
+OK = 0
+GRID_FULL = 1
+INVERTED = 2
+DIVERGED = 3
+NOT_FINITE = 4
+"""Status of a world whose derivatives overflowed."""
+NOTHING_HELD = 5
+"""Status of a world in which a gripper closed on nothing."""
+
+
+@functools.cache
+def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
+    """Build the stages of a substep on rows of particles.
+
+    Args:
+        real: ``wp.float32`` or ``wp.float64``.
+        law_name: Elastic law, see ``gendom.materials.laws``.
+        yields: Whether the worlds that run it yield.
+
+    Returns:
+        Namespace with ``touch``, ``guide``, ``scatter``, ``move`` and their transposes, and with what it has them from:
+        ``types``, ``transfer``, ``forces``, ``boundary`` and ``boundary_adjoint``.
+    """
+    types = make_types(real)
+    vec3, vec4 = types.vec3, types.vec4
+    Matter, Scene, State, Grips = types.Matter, types.Scene, types.State, types.Grips
+    MatterBars, SceneBars = types.MatterBars, types.SceneBars
+    forces = make_internal_forces(real, law_name, yields=yields)
+    impulse_on, impulse_on_adjoint = forces.impulse_on, forces.impulse_on_adjoint
+    bspline, transfer = make_bspline(real), make_transfer(real)
+    add_to_nodes = bspline.scatter
+    given_by, p2g_adjoint = transfer.given_by, transfer.p2g_adjoint
+    g2p, taken_by, g2p_adjoint = transfer.g2p, transfer.taken_by, transfer.g2p_adjoint
+    rows, row_bars = make_rows(real), make_row_bars(real)
+    boundary = make_boundary(real, rows)
+    boundary_adjoint = make_boundary_adjoint(real, rows, row_bars)
+    contact, near_table = boundary.contact, boundary.near_table
+    contact_adjoint = boundary_adjoint.contact_adjoint
+    guided_velocity, guided_adjoint = boundary.guide, boundary_adjoint.guide_adjoint
+    compensates = wp.constant(int(types.compensates))
+    compensated_sum = make_compensated_sum(real)
+
+    @wp.func
+    def momentum_of(
+        w: int, p: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
+        pulls: wp.array2d(dtype=types.pull),
+    ):  # fmt: skip
+        """Momentum of a particle with the impulses of the substep, but for the table's."""
+        v = state.v[row, p] + dt * scene.gravity[w]
+        return matter.mass[w] * v + impulse_on(p, matter, pulls, w)
+
+    @wp.func
+    def section_motion(
+        w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
+        pulls: wp.array2d(dtype=types.pull),
+    ):  # fmt: skip
+        """Mean position of section s, and its mean velocity if it touched nothing."""
+        size = matter.section
+        x = vec3()
+        q = vec3()
+        for p in range(s * size, (s + 1) * size):
+            x += state.x[row, p]
+            q += momentum_of(w, p, row, dt, matter, scene, state, pulls)
+        share = real(1.0) / real(size)
+        return share * x, (share / matter.mass[w]) * q
+
+    @wp.func
+    def touch(
+        w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
+        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3),
+    ):  # fmt: skip
+        """Set what table and walls change of a section's velocity."""
+        change = vec3()
+        if near_table(state.x[row, s * matter.section], matter, scene):
+            x, u = section_motion(w, s, row, dt, matter, scene, state, pulls)
+            change = contact(w, x, u, dt, matter.contact_radius, scene)
+        touched[w, s] = change
+
+    @wp.func
+    def touch_adjoint(
+        w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
+        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), bars: MatterBars,
+        scene_bars: SceneBars,
+    ):  # fmt: skip
+        """Transpose of ``touch``: adds to the derivatives by x and by momenta, which are found in
+        those by v."""
+        if wp.length_sq(touched[w, s]) > real(0.0):
+            size = matter.section
+            change_bar = vec3()
+            for p in range(s * size, (s + 1) * size):
+                change_bar += bars.v[w, p]
+            x, u = section_motion(w, s, row, dt, matter, scene, state, pulls)
+            x_bar, u_bar = contact_adjoint(
+                w, x, u, dt, matter.contact_radius, scene, change_bar, scene_bars
+            )
+            for p in range(s * size, (s + 1) * size):
+                bars.x[w, p] = bars.x[w, p] + x_bar / real(size)
+                bars.v[w, p] = bars.v[w, p] + u_bar / real(size)
+            # u is momentum over mass
+            first = s * size
+            bars.mass[w, first] = bars.mass[w, first] - wp.dot(u_bar, u) / matter.mass[w]
+
+    @wp.func
+    def own_velocity(
+        w: int, p: int, row: int, dt: real, near: int, matter: Matter, scene: Scene, state: State,
+        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3),
+    ):  # fmt: skip
+        """Velocity of a particle with all impulses of the substep, but for what grippers do."""
+        u = momentum_of(w, p, row, dt, matter, scene, state, pulls) / matter.mass[w]
+        if near == 1:
+            u += touched[w, p // matter.section]
+        return u
+
+    @wp.func
+    def guide(
+        w: int, g: int, n: int, row: int, grip_row: int, dt: real, near: int, matter: Matter,
+        scene: Scene, grips: Grips, state: State, pulls: wp.array2d(dtype=types.pull),
+        touched: wp.array2d(dtype=vec3),
+    ):  # fmt: skip
+        """Set the velocity of a particle that is held in part."""
+        if grips.weight[w, g, n] < real(1.0):
+            p = grips.particle[w, g, n]
+            u = own_velocity(w, p, row, dt, near, matter, scene, state, pulls, touched)
+            grips.guided[w, p] = guided_velocity(w, g, n, grip_row, state.x[row, p], u, dt, grips)
+
+    @wp.func
+    def guide_adjoint(
+        w: int, g: int, n: int, row: int, grip_row: int, dt: real, near: int, matter: Matter,
+        scene: Scene, grips: Grips, state: State, pulls: wp.array2d(dtype=types.pull),
+        touched: wp.array2d(dtype=vec3), bars: MatterBars, scene_bars: SceneBars,
+    ):  # fmt: skip
+        if grips.weight[w, g, n] < real(1.0):
+            p = grips.particle[w, g, n]
+            u = own_velocity(w, p, row, dt, near, matter, scene, state, pulls, touched)
+            u_bar = guided_adjoint(
+                w, g, n, grip_row, state.x[row, p], u, dt, grips, bars, scene_bars
+            )
+            # u is momentum over mass
+            if near == 1:
+                u -= touched[w, p // matter.section]
+            bars.mass[w, p] = bars.mass[w, p] - wp.dot(u_bar, u) / matter.mass[w]
+
+    @wp.func
+    def scatter(
+        w: int, p: int, row: int, layout: int, slot: int, dt: real, near: int, matter: Matter,
+        scene: Scene, grips: Grips, state: State, pulls: wp.array2d(dtype=types.pull),
+        touched: wp.array2d(dtype=vec3), grid: SparseGrid, momentum: wp.array2d(dtype=vec4),
+    ):  # fmt: skip
+        """Give a particle's mass and momentum, if it is not carried, to its 27 nodes."""
+        free = grips.free[w, p]
+        if free > real(0.0):
+            q = matter.mass[w] * grips.guided[w, p]
+            if free == real(1.0):
+                q = momentum_of(w, p, row, dt, matter, scene, state, pulls)
+                if near == 1:
+                    q += matter.mass[w] * touched[w, p // matter.section]
+            node, f, c = given_by(
+                state.x[row, p], q, state.C[row, p], matter.mass[w], layout,
+                real(1.0) / scene.dx, scene.z0, grid,
+            )  # fmt: skip
+            add_to_nodes(momentum, slot, grid.start, layout, node, f, c)
+
+    @wp.func
+    def scatter_adjoint(
+        w: int, p: int, row: int, layout: int, slot: int, dt: real, near: int, matter: Matter,
+        scene: Scene, grips: Grips, state: State, pulls: wp.array2d(dtype=types.pull),
+        touched: wp.array2d(dtype=vec3), grid: SparseGrid, nodes_bar: wp.array2d(dtype=vec4),
+        bars: MatterBars,
+    ):  # fmt: skip
+        """Transpose of ``scatter``: sets the derivatives by v (as found in those by momentum)
+        and C, adds to those by x and mass. Returns the square
+        of what it found."""
+        free = grips.free[w, p]
+        mass = matter.mass[w]
+        x_bar = vec3()
+        q_bar = vec3()
+        C_bar = types.mat33()
+        mass_bar = real(0.0)
+        if free > real(0.0):
+            q = mass * grips.guided[w, p]
+            if free == real(1.0):
+                q = momentum_of(w, p, row, dt, matter, scene, state, pulls)
+                if near == 1:
+                    q += mass * touched[w, p // matter.section]
+            x_bar, q_bar, C_bar, mass_bar = p2g_adjoint(
+                state.x[row, p], q, state.C[row, p], mass, layout, slot,
+                real(1.0) / scene.dx, scene.z0, grid, nodes_bar,
+            )  # fmt: skip
+            if free < real(1.0):
+                mass_bar += wp.dot(q_bar, grips.guided[w, p])
+            elif near == 1:
+                mass_bar += wp.dot(q_bar, touched[w, p // matter.section])
+        bars.x[w, p] = bars.x[w, p] + x_bar
+        bars.v[w, p] = mass * q_bar
+        bars.C[w, p] = C_bar
+        bars.mass[w, p] = bars.mass[w, p] + mass_bar
+        return wp.length_sq(x_bar) + wp.length_sq(mass * q_bar)
+
+    @wp.func
+    def momentum_adjoint(
+        w: int, p: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
+        bars: MatterBars, stretches: wp.array2d(dtype=types.pull),
+    ):  # fmt: skip
+        """Transpose of ``momentum_of``; returns the derivative by gravity."""
+        v_bar = bars.v[w, p]
+        speed = state.v[row, p] + dt * scene.gravity[w]
+        bars.mass[w, p] = bars.mass[w, p] + wp.dot(v_bar, speed) / matter.mass[w]
+        impulse_on_adjoint(w, p, matter, bars, stretches)
+        return dt * v_bar
+
+    @wp.func
+    def move(
+        w: int, p: int, row: int, row_out: int, layout: int, slot: int, dt: real, scene: Scene,
+        grips: Grips, grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
+        state_out: State,
+    ):  # fmt: skip
+        """Take a particle into the next state; returns its squared speed."""
+        x = state.x[row, p]
+        v = vec3()
+        C = types.mat33()
+        if grips.free[w, p] > real(0.0):
+            v, C = g2p(layout, slot, x, real(1.0) / scene.dx, scene.z0, grid, velocity)
+        if compensates == 1:
+            there, low = compensated_sum(x, dt * v, state.low[w, p])
+            state_out.x[row_out, p] = there
+            state.low[w, p] = low
+        else:
+            state_out.x[row_out, p] = x + dt * v
+        state_out.v[row_out, p] = v
+        state_out.C[row_out, p] = C
+        return wp.length_sq(v)
+
+    @wp.func
+    def move_adjoint(
+        w: int, p: int, row: int, layout: int, slot: int, dt: real, scene: Scene, grips: Grips,
+        grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
+        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars,
+    ):  # fmt: skip
+        """Transpose of ``move``; those by v and C have then served their turn."""
+        if grips.free[w, p] > real(0.0):
+            x = state.x[row, p]
+            inv_dx = real(1.0) / scene.dx
+            x_bar = bars.x[w, p]
+            v_bar = bars.v[w, p] + dt * x_bar
+            C_bar = bars.C[w, p]
+            node, f, c = taken_by(x, v_bar, C_bar, layout, inv_dx, scene.z0, grid)
+            add_to_nodes(nodes_bar, slot, grid.start, layout, node, f, c)
+            bars.x[w, p] = x_bar + g2p_adjoint(
+                x, v_bar, C_bar, layout, slot, inv_dx, scene.z0, grid, velocity
+            )
+
+    return SimpleNamespace(
+        types=types,
+        bspline=bspline,
+        transfer=transfer,
+        forces=forces,
+        boundary=boundary,
+        boundary_adjoint=boundary_adjoint,
+        paths=make_paths(real),
+        touch=touch,
+        touch_adjoint=touch_adjoint,
+        guide=guide,
+        guide_adjoint=guide_adjoint,
+        scatter=scatter,
+        scatter_adjoint=scatter_adjoint,
+        momentum_adjoint=momentum_adjoint,
+        move=move,
+        move_adjoint=move_adjoint,
+        largest=1.0e37 if real == wp.float32 else 1.0e300,
+    )
+
+
+@functools.cache
+def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
+    """Build ``substep`` and ``substep_adjoint`` of one world by one thread (CPU); see above."""
+    k = make_stages(real, law_name, yields=yields)
+    types = k.types
+    vec3, vec4 = types.vec3, types.vec4
+    Matter, Scene, State = types.Matter, types.Scene, types.State
+    Paths, Grips, Clock = types.Paths, types.Grips, types.Clock
+    MatterBars, SceneBars = types.MatterBars, types.SceneBars
+    forces, boundary, boundary_adjoint = k.forces, k.boundary, k.boundary_adjoint
+    branch, body_forces = forces.branch, forces.body_forces
+    body_forces_adjoint = forces.body_forces_adjoint
+    touch, guide, scatter, move = k.touch, k.guide, k.scatter, k.move
+    guide_adjoint = k.guide_adjoint
+    touch_adjoint, scatter_adjoint, move_adjoint = (
+        k.touch_adjoint,
+        k.scatter_adjoint,
+        k.move_adjoint,
+    )
+    momentum_adjoint = k.momentum_adjoint
+    clear, normalise = k.bspline.clear, k.bspline.normalise
+    node_velocity_adjoint = k.transfer.node_velocity_adjoint
+    grasp, grip, grip_adjoint = boundary.grasp, boundary.grip, boundary_adjoint.grip_adjoint
+    grasp_adjoint = boundary_adjoint.grasp_adjoint
+    pose_gripper, pose_gripper_adjoint = k.paths.pose_gripper, k.paths.pose_gripper_adjoint
+    close_substep = make_close_substep(real)
+    largest = k.largest
+
+    # while, not range: of a range the compiler cannot tell that its numbers are not negative, and
+    # every index of an array would be looked at (a fifth slower)
+
+    @wp.func
+    def substep(
+        w: int, t: wp.float64, dt: wp.float64, age: int, row: int, row_out: int, layout: int,
+        slot: int, clock: Clock, matter: Matter, scene: Scene, paths: Paths, grips: Grips,
+        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), state: State,
+        grid: SparseGrid, momentum: wp.array2d(dtype=vec4), velocity: wp.array2d(dtype=vec4),
+    ):  # fmt: skip
+        """From a row of particles at t to the next; returns the largest squared speed and how it
+        went. The grid's momentum is left in ``slot``."""
+        N = state.x.shape[1]
+        G = grips.closed.shape[1]
+        h = real(dt)
+        status = int(OK)
+        if G > 0:
+            empty = grasp(w, t, age, row, N, matter, scene, paths, grips, state)
+            if empty >= 0:
+                clock.failed_particle[w] = empty
+                status = NOTHING_HELD
+        for g in range(G):
+            pose_gripper(w, w, g, t, dt, paths, grips)
+        keep, share = branch(matter.damping[w], h, age)
+        inverted = body_forces(w, row, row_out, h, keep, share, matter, state, state, pulls)
+        if inverted >= 0:
+            clock.failed_particle[w] = inverted
+            status = INVERTED
+        near = clock.near_table[w]
+        if near == 1:
+            for s in range(N // matter.section):
+                touch(w, s, row, h, matter, scene, state, pulls, touched)
+        for g in range(G):
+            if grips.closed[w, g] == 1:
+                for n in range(grips.count[w, g]):
+                    guide(
+                        w, g, n, row, w, h, near, matter, scene, grips, state, pulls, touched
+                    )
+        nodes = grid.count[layout]
+        clear(momentum, slot, nodes)
+        p = int(0)
+        while p < N:
+            scatter(
+                w, p, row, layout, slot, h, near, matter, scene, grips, state, pulls, touched, grid,
+                momentum,
+            )  # fmt: skip
+            p += 1
+        normalise(momentum, slot, velocity, 0, nodes, wp.exp(-scene.velocity_damping[w] * h))
+        fastest = real(0.0)
+        total = real(0.0)
+        p = int(0)
+        while p < N:
+            speed = move(
+                w, p, row, row_out, layout, 0, h, scene, grips, grid, velocity, state, state
+            )
+            fastest = wp.max(fastest, speed)
+            total += speed
+            p += 1
+        for g in range(G):
+            if grips.closed[w, g] == 1:
+                for n in range(grips.count[w, g]):
+                    speed = grip(w, g, n, row_out, w, h, grips, state)
+                    fastest = wp.max(fastest, speed)
+        # a sum keeps a NaN, a maximum may drop it
+        if status == OK and (not (total < real(1.0e30)) or h * wp.sqrt(fastest) > scene.dx):
+            status = DIVERGED
+        return fastest, status
+
+    @wp.func
+    def substep_adjoint(
+        w: int, t: wp.float64, dt: wp.float64, age: int, row: int, layout: int, slot: int,
+        matter: Matter, scene: Scene, paths: Paths, grips: Grips,
+        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), state: State,
+        grid: SparseGrid, momentum: wp.array2d(dtype=vec4), velocity: wp.array2d(dtype=vec4),
+        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars, scene_bars: SceneBars,
+    ):  # fmt: skip
+        """Carry derivatives by the state after a recorded substep to that before it.
+
+        Returns a particle whose derivatives are not finite, or -1.
+        """
+        N = state.x.shape[1]
+        G = grips.closed.shape[1]
+        h = real(dt)
+        nodes = grid.count[layout]
+        damping_factor = wp.exp(-scene.velocity_damping[w] * h)
+        keep, share = branch(matter.damping[w], h, age)
+        # what the substep had besides the recorded momentum; Z and G after it are not asked for
+        for g in range(G):
+            pose_gripper(w, w, g, t, dt, paths, grips)
+        body_forces(w, row, row + 1, h, keep, share, matter, state, state, pulls)
+        near = int(0)
+        if scene.table == 1 or scene.walls == 1:
+            near = 1
+            for s in range(N // matter.section):
+                touch(w, s, row, h, matter, scene, state, pulls, touched)
+        for g in range(G):
+            if grips.closed[w, g] == 1:
+                for n in range(grips.count[w, g]):
+                    guide(
+                        w, g, n, row, w, h, near, matter, scene, grips, state, pulls, touched
+                    )
+        normalise(momentum, slot, velocity, 0, nodes, damping_factor)
+        clear(nodes_bar, 0, nodes)
+        # 8, 7
+        for g in range(G):
+            if grips.closed[w, g] == 1:
+                for n in range(grips.count[w, g]):
+                    grip_adjoint(w, g, n, w, h, grips, bars, scene_bars)
+        p = int(0)
+        while p < N:
+            move_adjoint(
+                w, p, row, layout, 0, h, scene, grips, grid, velocity, state, nodes_bar, bars
+            )
+            p += 1
+        # 6
+        by_factor = wp.float64(0.0)
+        n = int(0)
+        while n < nodes:
+            q_bar, factor_bar = node_velocity_adjoint(
+                momentum[slot, n], nodes_bar[0, n], damping_factor
+            )
+            nodes_bar[0, n] = q_bar
+            by_factor += wp.float64(factor_bar)
+            n += 1
+        scene_bars.damping_factor[w] = scene_bars.damping_factor[w] + by_factor
+        # 5, 4, 3, 2
+        failed = int(-1)
+        p = int(0)
+        while p < N:
+            size = scatter_adjoint(
+                w, p, row, layout, 0, h, near, matter, scene, grips, state, pulls, touched, grid,
+                nodes_bar, bars,
+            )  # fmt: skip
+            if not (size < real(largest)) and failed < 0:
+                failed = p
+            p += 1
+        for g in range(G):
+            if grips.closed[w, g] == 1:
+                for n in range(grips.count[w, g]):
+                    guide_adjoint(
+                        w, g, n, row, w, h, near, matter, scene, grips, state, pulls, touched, bars,
+                        scene_bars,
+                    )  # fmt: skip
+        if near == 1:
+            for s in range(N // matter.section):
+                touch_adjoint(
+                    w, s, row, h, matter, scene, state, pulls, touched, bars, scene_bars
+                )
+        body_forces_adjoint(w, row, h, keep, share, matter, state, bars, scene_bars, pulls)
+        by_gravity = vec3()
+        p = int(0)
+        while p < N:
+            by_gravity += momentum_adjoint(w, p, row, h, matter, scene, state, bars, pulls)
+            p += 1
+        scene_bars.gravity[w] = scene_bars.gravity[w] + wp.vec3d(
+            wp.float64(by_gravity[0]), wp.float64(by_gravity[1]), wp.float64(by_gravity[2])
+        )
+        # 1
+        close_substep(w, w, t, dt, age, matter, scene, paths, grips, scene_bars)
+        if G > 0:
+            grasp_adjoint(w, t, age, row, matter, scene, paths, grips, state, bars, scene_bars)
+        return failed
+
+    return SimpleNamespace(substep=substep, substep_adjoint=substep_adjoint)
+
+
+@functools.cache
+def make_close_substep(real: Any) -> Any:
+    """Build the function by which a substep's sums go to paths and rates."""
+    types = make_types(real)
+    Matter, Scene, Paths, Grips = types.Matter, types.Scene, types.Paths, types.Grips
+    SceneBars = types.SceneBars
+    pose_gripper_adjoint = make_paths(real).pose_gripper_adjoint
+    branch_adjoint = make_internal_forces(real, "neo-hookean", yields=False).branch_adjoint
+
+    @wp.func
+    def close_substep(
+        w: int, grip_row: int, t: wp.float64, dt: wp.float64, age: int, matter: Matter,
+        scene: Scene, paths: Paths, grips: Grips, bars: SceneBars,
+    ):  # fmt: skip
+        """What a substep says of grippers' paths and of the rates of damping; sums begin anew."""
+        for g in range(grips.closed.shape[1]):
+            if grips.closed[grip_row, g] == 1:
+                pose_gripper_adjoint(w, g, t, dt, paths, bars)
+        h = real(dt)
+        slope = wp.float64(-h * wp.exp(-scene.velocity_damping[w] * h))
+        bars.velocity_damping[w] = bars.velocity_damping[w] + slope * bars.damping_factor[w]
+        by_damping = branch_adjoint(
+            matter.damping[w], h, age, real(bars.branch_factor[w]), real(bars.branch_share[w])
+        )
+        bars.damping[w] = bars.damping[w] + wp.float64(by_damping)
+        bars.damping_factor[w] = wp.float64(0.0)
+        bars.branch_factor[w] = wp.float64(0.0)
+        bars.branch_share[w] = wp.float64(0.0)
+
+    return close_substep

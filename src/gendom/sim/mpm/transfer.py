@@ -1,0 +1,246 @@
+"""What particles and grid exchange: APIC transfers with quadratic B-splines.
+
+For a particle at x_p with mass m_p, momentum q_p (with the impulses of the substep) and affine
+velocity C_p, and for nodes at x_i:
+
+    p2g:  m_i = sum_p w_ip m_p            (m u)_i = sum_p w_ip (q_p + m_p C_p (x_i - x_p))
+    g2p:  v_p = sum_i w_ip u_i            C_p = 4 / dx^2 sum_i w_ip u_i (x_i - x_p)^T
+
+Source: Jiang et al. (2015), "The affine particle-in-cell method". A NumPy twin of the substep stands
+in ``tests/sim/numpy_mpm.py``. Each function has its transpose beside it (``..._adjoint``), which
+carries derivatives of a loss from results to arguments.
+
+Shapes: W worlds, N particles, L layouts of the grid (see ``grid``), M grid nodes.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from gendom.sim.mpm.grid import SparseGrid
+from gendom.sim.mpm.types import make_types
+
+
+@functools.cache
+def make_bspline(real: Any) -> SimpleNamespace:
+    """The sums over 27 nodes of ``native/bspline_transfer.h`` for one scalar type.
+
+    All take a grid's array, its row and its layout (see ``grid``), the particle's lowest node
+    (column i and j of the layout, level), and the particle's place f above that node in cells.
+
+    Returns:
+        Namespace with ``sums``, the matrix of coefficients; ``scatter``, ``gather`` and
+        ``gather_with_slope``; ``collect`` and ``hand_over``, which add to a ``window`` of 27 nodes,
+        and what is left behind of it to the grid; ``get_node`` and ``put_node``, whole on CUDA; and
+        for the CPU ``clear`` and ``normalise`` of all nodes.
+    """
+    types = make_types(real)
+    vec3, vec4 = types.vec3, types.vec4
+    nodes = wp.array2d(dtype=vec4)
+    columns = wp.array3d(dtype=wp.int32)
+    sums = wp.types.matrix((4, 4), real)
+    sums_and_slope = wp.types.matrix((5, 4), real)
+    window_type = wp.types.matrix((27, 4), real)
+
+    @wp.func_native("gendom::scatter(grid, row, start, layout, node, f, c);")
+    def scatter(
+        grid: nodes, row: int, start: columns, layout: int, node: wp.vec3i, f: vec3, c: sums
+    ): ...
+
+    @wp.func_native("return gendom::gather(grid, row, start, layout, node, f);")
+    def gather(
+        grid: nodes, row: int, start: columns, layout: int, node: wp.vec3i, f: vec3
+    ) -> sums: ...
+
+    @wp.func_native("return gendom::gather_with_slope(grid, row, start, layout, node, f, c);")
+    def gather_with_slope(
+        grid: nodes, row: int, start: columns, layout: int, node: wp.vec3i, f: vec3, c: sums
+    ) -> sums_and_slope: ...
+
+    @wp.func_native("return gendom::collect(window, f, c);")
+    def collect(window: window_type, f: vec3, c: sums) -> window_type: ...
+
+    @wp.func_native("return gendom::hand_over(window, held, node, grid, row, start, layout);")
+    def hand_over(
+        window: window_type,
+        held: wp.vec3i,
+        node: wp.vec3i,
+        grid: nodes,
+        row: int,
+        start: columns,
+        layout: int,
+    ) -> window_type: ...
+
+    @wp.func_native("return gendom::get_node(grid, row, n);")
+    def get_node(grid: nodes, row: int, n: int) -> vec4: ...
+
+    @wp.func_native("gendom::put_node(grid, row, n, h);")
+    def put_node(grid: nodes, row: int, n: int, h: vec4): ...
+
+    cpu_only = "\n#if !defined(__CUDA_ARCH__)\n{}\n#endif\n"
+
+    @wp.func_native(cpu_only.format("gendom::clear(grid, row, count);"))
+    def clear(grid: nodes, row: int, count: int): ...
+
+    @wp.func_native(
+        cpu_only.format("gendom::normalise(momentum, row, velocity, row_out, count, keep);")
+    )
+    def normalise(
+        momentum: nodes, row: int, velocity: nodes, row_out: int, count: int, keep: real
+    ): ...
+
+    return SimpleNamespace(
+        sums=sums,
+        window=window_type,
+        scatter=scatter,
+        gather=gather,
+        gather_with_slope=gather_with_slope,
+        collect=collect,
+        hand_over=hand_over,
+        get_node=get_node,
+        put_node=put_node,
+        clear=clear,
+        normalise=normalise,
+    )
+
+
+@functools.cache
+def make_transfer(real: Any) -> SimpleNamespace:
+    """Build the transfers for one scalar type.
+
+    Returns:
+        Namespace with ``locate``, ``given_by`` (what a particle gives to the grid), ``p2g_adjoint``,
+        ``g2p``, ``taken_by`` (what its derivatives give to the grid's), ``g2p_adjoint``, and for
+        nodes ``node_velocity`` and its transpose.
+    """
+    types = make_types(real)
+    vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
+    bspline = make_bspline(real)
+    sums, gather, gather_with_slope = bspline.sums, bspline.gather, bspline.gather_with_slope
+
+    @wp.func
+    def locate(layout: int, x: vec3, inv_dx: real, z0: real, grid: SparseGrid):
+        """Lowest of a particle's 27 nodes in a layout, and the place f above it in cells."""
+        y = vec3(x[0], x[1], x[2] - z0) * inv_dx
+        i = int(wp.floor(y[0] - real(0.5)))
+        j = int(wp.floor(y[1] - real(0.5)))
+        k = int(wp.floor(y[2] - real(0.5)))
+        node = wp.vec3i(i - grid.bounds[layout, 0], j - grid.bounds[layout, 1], k)
+        return node, y - vec3(real(i), real(j), real(k))
+
+    @wp.func
+    def coefficients(f: vec3, q: vec3, mass: real, A: mat33):
+        """Of momentum q and ``mass`` at the particle, and A times the distance from it in cells."""
+        q0 = q - A * f
+        return sums(
+            q0[0], q0[1], q0[2], mass,
+            A[0, 0], A[1, 0], A[2, 0], real(0.0),
+            A[0, 1], A[1, 1], A[2, 1], real(0.0),
+            A[0, 2], A[1, 2], A[2, 2], real(0.0),
+        )  # fmt: skip
+
+    @wp.func
+    def affine_of(f: vec3, R: Any):
+        """Derivative by A of ``coefficients`` from that by the coefficients."""
+        return mat33(
+            R[1, 0] - f[0] * R[0, 0], R[2, 0] - f[1] * R[0, 0], R[3, 0] - f[2] * R[0, 0],
+            R[1, 1] - f[0] * R[0, 1], R[2, 1] - f[1] * R[0, 1], R[3, 1] - f[2] * R[0, 1],
+            R[1, 2] - f[0] * R[0, 2], R[2, 2] - f[1] * R[0, 2], R[3, 2] - f[2] * R[0, 2],
+        )  # fmt: skip
+
+    @wp.func
+    def place_of(R: Any):
+        """Derivative by the place in cells, the last row of ``gather_with_slope``."""
+        return vec3(R[4, 0], R[4, 1], R[4, 2])
+
+    @wp.func
+    def given_by(
+        x: vec3, q: vec3, C: mat33, mass: real, layout: int, inv_dx: real, z0: real,
+        grid: SparseGrid,
+    ):  # fmt: skip
+        """What a particle gives to the grid: its lowest node, its place above, its coefficients."""
+        node, f = locate(layout, x, inv_dx, z0, grid)
+        return node, f, coefficients(f, q, mass, (mass / inv_dx) * C)
+
+    @wp.func
+    def p2g_adjoint(
+        x: vec3, q: vec3, C: mat33, mass: real, layout: int, slot: int, inv_dx: real, z0: real,
+        grid: SparseGrid, nodes_bar: wp.array2d(dtype=vec4),
+    ):  # fmt: skip
+        """Derivatives by x, q, C and mass from those by the nodes."""
+        node, f, c = given_by(x, q, C, mass, layout, inv_dx, z0, grid)
+        R = gather_with_slope(nodes_bar, slot, grid.start, layout, node, f, c)
+        u = vec3(R[0, 0], R[0, 1], R[0, 2])
+        A_bar = affine_of(f, R)
+        share = mass / inv_dx
+        x_bar = inv_dx * (place_of(R) - share * (wp.transpose(C) * u))
+        by_mass = R[0, 3] + wp.ddot(A_bar, C) / inv_dx
+        return x_bar, u, share * A_bar, by_mass
+
+    @wp.func
+    def g2p(
+        layout: int, slot: int, x: vec3, inv_dx: real, z0: real, grid: SparseGrid,
+        nodes: wp.array2d(dtype=vec4),
+    ):  # fmt: skip
+        """Velocity v [m/s] and affine velocity C [1/s] of a particle from those of the nodes."""
+        node, f = locate(layout, x, inv_dx, z0, grid)
+        R = gather(nodes, slot, grid.start, layout, node, f)
+        return vec3(R[0, 0], R[0, 1], R[0, 2]), (real(4.0) * inv_dx) * affine_of(f, R)
+
+    @wp.func
+    def taken_by(
+        x: vec3, v_bar: vec3, C_bar: mat33, layout: int, inv_dx: real, z0: real, grid: SparseGrid
+    ):
+        """What a particle's derivatives give to the grid's, as ``given_by``."""
+        node, f = locate(layout, x, inv_dx, z0, grid)
+        return node, f, coefficients(f, v_bar, real(0.0), (real(4.0) * inv_dx) * C_bar)
+
+    @wp.func
+    def g2p_adjoint(
+        x: vec3, v_bar: vec3, C_bar: mat33, layout: int, slot: int, inv_dx: real, z0: real,
+        grid: SparseGrid, nodes: wp.array2d(dtype=vec4),
+    ):  # fmt: skip
+        """Derivative by the x at which the grid was read; that by the nodes is ``taken_by``."""
+        node, f, c = taken_by(x, v_bar, C_bar, layout, inv_dx, z0, grid)
+        R = gather_with_slope(nodes, slot, grid.start, layout, node, f, c)
+        v = vec3(R[0, 0], R[0, 1], R[0, 2])
+        return inv_dx * (place_of(R) - (real(4.0) * inv_dx) * (wp.transpose(C_bar) * v))
+
+    @wp.func
+    def node_velocity(q: vec4, damping_factor: real):
+        """Velocity and mass of a node from momentum and mass; of none: 0."""
+        u = vec4()
+        if q[3] > real(0.0):
+            share = damping_factor / q[3]
+            u = vec4(share * q[0], share * q[1], share * q[2], q[3])
+        return u
+
+    @wp.func
+    def node_velocity_adjoint(q: vec4, u_bar: vec4, damping_factor: real):
+        """Derivatives by momentum and mass, and by the damping factor."""
+        q_bar = vec4()
+        factor_bar = real(0.0)
+        if q[3] > real(0.0):
+            share = damping_factor / q[3]
+            along = (u_bar[0] * q[0] + u_bar[1] * q[1] + u_bar[2] * q[2]) / q[3]
+            factor_bar = along
+            q_bar = vec4(share * u_bar[0], share * u_bar[1], share * u_bar[2], -share * along)
+        return q_bar, factor_bar
+
+    return SimpleNamespace(
+        locate=locate,
+        given_by=given_by,
+        p2g_adjoint=p2g_adjoint,
+        g2p=g2p,
+        taken_by=taken_by,
+        g2p_adjoint=g2p_adjoint,
+        node_velocity=node_velocity,
+        node_velocity_adjoint=node_velocity_adjoint,
+    )

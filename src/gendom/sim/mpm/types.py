@@ -1,0 +1,200 @@
+"""What kernels take: structs of arrays, made for one scalar type.
+
+Shapes: W worlds, N particles, G grippers, K path knots, rows: one a world or one a recorded
+substep. A name with ``_bar`` is the derivative of a loss by that quantity.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+
+@dataclass(frozen=True)
+class Types:
+    """Vectors, matrices and structs of one scalar type."""
+
+    real: Any
+    vec3: Any
+    vec4: Any
+    mat33: Any
+    pull: Any
+    """A particle's pulls: a row for each lattice axis, padded with the air's impulse."""
+    compensates: bool
+    """Whether positions keep what rounding leaves out (float32)."""
+    Matter: Any
+    Scene: Any
+    Paths: Any
+    Grips: Any
+    State: Any
+    Clock: Any
+    Plan: Any
+    MatterBars: Any
+    SceneBars: Any
+
+
+@functools.cache
+def make_types(real: Any) -> Types:
+    """The types for ``wp.float32`` or ``wp.float64``."""
+    vec3 = wp.types.vector(3, real)
+    vec4 = wp.types.vector(4, real)
+    mat33 = wp.types.matrix((3, 3), real)
+
+    @wp.struct
+    class Matter:
+        """What W bodies consist of."""
+
+        mu: wp.array2d(dtype=real)  # [W, N] [Pa]
+        lam: wp.array2d(dtype=real)  # [W, N] [Pa]
+        mass: wp.array(dtype=real)  # [W] of a particle [kg]
+        damping: wp.array(dtype=real)  # [W] viscous over elastic stress in slow motion [s]
+        yield_stress: wp.array(dtype=real)  # [W] [Pa]; infinite: elastic
+        drag: wp.array(dtype=real)  # [W] see ``elasticity``; 0: no air
+        volume: real  # of a particle [m^3]
+        sheet: int  # 1: a cloth, 0: a rope
+        section: int  # particles that share a cross-section; they follow each other
+        contact_radius: real  # height of a section's centre above the table at rest [m]
+        lattice: wp.array3d(dtype=wp.int32)  # [N, 3, 2]
+        rest_frame: wp.array(dtype=mat33)  # [N] [1/m]
+        frame: wp.array2d(dtype=real)  # [6, N] its upper triangle but for a rotation
+
+    @wp.struct
+    class Scene:
+        """What surrounds W bodies."""
+
+        dx: real
+        z0: real  # height of node level 0, and of the table [m]
+        gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
+        velocity_damping: wp.array(dtype=real)  # [W] [1/s]
+        table: int
+        friction: wp.array(dtype=real)  # [W]
+        walls: int
+        box_lower: vec3
+        box_upper: vec3
+
+    @wp.struct
+    class Paths:
+        """Grippers as a user gave them."""
+
+        time: wp.array3d(dtype=wp.float64)  # [W, G, K] [s]
+        position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] [m]
+        orientation: wp.array3d(dtype=wp.quatd)  # [W, G, K]
+        turn: wp.array3d(dtype=wp.vec3d)  # [W, G, K] rotation vector to the next knot [rad]
+        turns: wp.array2d(dtype=wp.int32)  # [W, G] whether orientations were given
+        hold_from: wp.array2d(dtype=wp.float64)  # [W, G] [s]
+        hold_until: wp.array2d(dtype=wp.float64)  # [W, G] [s]
+        radius: wp.array2d(dtype=real)  # [W, G] [m]
+        may_miss: wp.array2d(dtype=wp.int32)  # [W, G]
+
+    @wp.struct
+    class Grips:
+        """Where grippers are at the end of a substep, and what they hold."""
+
+        closed: wp.array2d(dtype=wp.int32)  # [rows, G]
+        centre: wp.array2d(dtype=vec3)  # [rows, G] [m]
+        orientation: wp.array2d(dtype=mat33)  # [rows, G]
+        velocity: wp.array2d(dtype=vec3)  # [rows, G] [m/s]
+        spin: wp.array2d(dtype=vec3)  # [rows, G] [rad/s]
+        # from the substep on in which a gripper closed
+        since: wp.array2d(dtype=wp.int32)  # [W, G] number of that substep; -1: not yet
+        until: wp.array2d(dtype=wp.int32)  # [W, G] number of that in which it opened; -1: not yet
+        count: wp.array2d(dtype=wp.int32)  # [W, G] particles held
+        particle: wp.array3d(dtype=wp.int32)  # [W, G, N] which
+        weight: wp.array3d(dtype=real)  # [W, G, N] how firmly, above 0, at most 1
+        place: wp.array3d(dtype=vec3)  # [W, G, N] where in the gripper's frame [m]
+        free: wp.array2d(dtype=real)  # [W, N] share of a particle that no gripper holds
+        guided: wp.array2d(dtype=vec3)  # [W, N] velocity of what is held in part [m/s]
+
+    @wp.struct
+    class State:
+        """Particles, a row for each world or each recorded substep."""
+
+        x: wp.array2d(dtype=vec3)  # [rows, N] [m]
+        v: wp.array2d(dtype=vec3)  # [rows, N] [m/s]
+        C: wp.array2d(dtype=mat33)  # [rows, N] [1/s]
+        Z: wp.array3d(dtype=real)  # [rows, 6, N] filtered stress, of bodies with damping [Pa]
+        G: wp.array2d(dtype=mat33)  # [rows, N] inverse plastic F, of bodies that yield
+        # [W, N] what x leaves out of the position by rounding [m], in float32; not by rows
+        low: wp.array2d(dtype=vec3)
+
+    @wp.struct
+    class Clock:
+        """Where W worlds stand in the frame that they are in."""
+
+        dt: wp.array(dtype=wp.float64)  # [W] [s]
+        steps: wp.array(dtype=wp.int32)  # [W] substeps to do
+        step: wp.array(dtype=wp.int32)  # [W] substeps done
+        age: wp.array(dtype=wp.int32)  # [W] substeps done in all
+        travel: wp.array(dtype=real)  # [W] distance since the grid was rebuilt [m]
+        near_table: wp.array(dtype=wp.int32)  # [W] whether the table may be touched before then
+        status: wp.array(dtype=wp.int32)  # [W]
+        failed_particle: wp.array(dtype=wp.int32)  # [W] or gripper
+        frame: wp.array(dtype=wp.int32)  # [W] of a ``Plan``
+
+    @wp.struct
+    class Plan:
+        """T frames that W worlds go through, each at its own pace."""
+
+        time: wp.array(dtype=wp.float64)  # [T + 1] where each begins, and the last one's end [s]
+        steps: wp.array2d(dtype=wp.int32)  # [T, W] equal substeps of each
+        particles: wp.array(dtype=wp.int32)  # [P] whose positions are recorded where a frame ends
+        x: wp.array3d(dtype=vec3)  # [T, W, P] [m]
+
+    @wp.struct
+    class MatterBars:
+        """Derivatives by each particle's state, and by its parameters, summed up."""
+
+        x: wp.array2d(dtype=vec3)  # [W, N]
+        v: wp.array2d(dtype=vec3)
+        C: wp.array2d(dtype=mat33)
+        Z: wp.array3d(dtype=real)  # [W, 6, N]
+        G: wp.array2d(dtype=mat33)
+        mu: wp.array2d(dtype=real)  # [W, N]
+        lam: wp.array2d(dtype=real)
+        mass: wp.array2d(dtype=real)
+        yield_stress: wp.array2d(dtype=real)
+        drag: wp.array2d(dtype=real)
+
+    @wp.struct
+    class SceneBars:
+        """Derivatives by scene and grippers, summed up."""
+
+        friction: wp.array(dtype=wp.float64)  # [W]
+        velocity_damping: wp.array(dtype=wp.float64)  # [W]
+        damping: wp.array(dtype=wp.float64)  # [W]
+        gravity: wp.array(dtype=wp.vec3d)  # [W]
+        position: wp.array3d(dtype=wp.vec3d)  # [W, G, K]
+        turn: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by a rotation of each knot, in world axes
+        radius: wp.array2d(dtype=wp.float64)  # [W, G]
+        weight: wp.array3d(dtype=real)  # [W, G, N]
+        place: wp.array3d(dtype=vec3)  # [W, G, N]
+        # of one substep
+        centre: wp.array2d(dtype=wp.vec3d)  # [W, G]
+        rotation: wp.array2d(dtype=wp.vec3d)
+        velocity: wp.array2d(dtype=wp.vec3d)
+        spin: wp.array2d(dtype=wp.vec3d)
+        damping_factor: wp.array(dtype=wp.float64)  # [W] share of velocity that damping leaves
+        branch_factor: wp.array(dtype=wp.float64)  # [W] share of Z that stays
+        branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``elasticity``
+
+    return Types(
+        real=real,
+        vec3=vec3,
+        vec4=vec4,
+        mat33=mat33,
+        pull=wp.types.matrix((3, 4), real),
+        compensates=real == wp.float32,
+        Matter=Matter,
+        Scene=Scene,
+        Paths=Paths,
+        Grips=Grips,
+        State=State,
+        Clock=Clock,
+        Plan=Plan,
+        MatterBars=MatterBars,
+        SceneBars=SceneBars,
+    )

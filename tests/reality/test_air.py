@@ -1,0 +1,153 @@
+"""Drag of the air: how fast things fall in the end, and where there is none."""
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs the extra reality")
+
+from gendom.errors import ParameterError
+from gendom.reality import OBJECTS, Air, Layout, Performance, RealCloth, Reality, RealRope, reaching
+
+ROPE = cast(RealRope, OBJECTS["rope-cotton"])
+CLOTH = cast(RealCloth, OBJECTS["cloth-cotton"])
+
+HALF = 0.5**0.5
+TURNED = Layout(origin=(0.3, -0.2, 90.0), along=(HALF, HALF, 0.0), across=(-HALF, HALF, 0.0))
+
+
+def stiff(item):
+    """So stiff that it falls straight or flat."""
+    return replace(item, material=replace(item.material, E=1e3 * item.material.E))
+
+
+def falling(item, **kwargs):
+    return Reality(item, TURNED, table=False, **kwargs)
+
+
+def fall_speed(world, seconds):
+    """Mean speed downwards in the 20 ms after it has fallen for some time [m/s]."""
+    world.step_to(seconds)
+    before = world.vertices()
+    world.step_to(seconds + 0.02)
+    return (before - world.vertices())[:, 2].mean() / 0.02
+
+
+# ---- terminal speed ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("density", [1.2, 0.4])
+def test_a_flat_sheet_falls_at_its_terminal_speed(density):
+    """sqrt(2 m g / (rho C A)) with C = 1.2."""
+    cloth = stiff(replace(CLOTH, vertices=13))
+    expected = np.sqrt(2.0 * cloth.mass * 9.81 / (density * 1.2 * cloth.side**2))
+    world = falling(cloth, air_density=density)
+    assert fall_speed(world, 4.0 * expected / 9.81) == pytest.approx(expected, rel=0.03)
+    assert np.ptp(world.vertices()[:, 2]) < 0.02
+
+
+@pytest.mark.parametrize("density", [1.2, 4.8])
+def test_a_level_rope_falls_at_its_terminal_speed(density):
+    """sqrt(2 m g / (rho C d L)) with C = 1.1."""
+    rope = stiff(ROPE)
+    expected = np.sqrt(2.0 * rope.mass * 9.81 / (density * 1.1 * rope.diameter * rope.length))
+    world = falling(rope, air_density=density)
+    assert fall_speed(world, 4.0 * expected / 9.81) == pytest.approx(expected, rel=0.03)
+    assert np.ptp(world.vertices()[:, 2]) < 0.02
+
+
+# ---- forces --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["rope", "cloth"])
+def moving(request):
+    """An object, crooked, whose vertices move at random: item, x, v."""
+    item = ROPE if request.param == "rope" else replace(CLOTH, vertices=7)
+    rng = np.random.default_rng(3)
+    n = item.vertices if isinstance(item, RealRope) else item.vertices**2
+    points = np.zeros((n, 3))
+    if isinstance(item, RealRope):
+        points[:, 0] = np.linspace(0.0, item.length, n)
+    else:
+        points[:, :2] = item.sheet[0]
+    return item, points + 0.005 * rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
+
+
+def test_drag_takes_energy_and_grows_with_the_square_of_the_speed(moving):
+    item, x, v = moving
+    forces = Air(item).forces(x, v)
+    assert (forces * v).sum() < 0.0
+    np.testing.assert_allclose(Air(item).forces(x, -3.0 * v), -9.0 * forces, atol=1e-12)
+    np.testing.assert_allclose(Air(item, 2.4).forces(x, v), 2.0 * forces, atol=1e-12)
+
+
+def test_drag_does_not_depend_on_how_the_world_is_turned(moving):
+    item, x, v = moving
+    c, s = np.cos(0.7), np.sin(0.7)
+    R = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    forces = Air(item).forces(x, v)
+    np.testing.assert_allclose(Air(item).forces(x @ R.T + 1.0, v @ R.T), forces @ R.T, atol=1e-12)
+
+
+@pytest.mark.parametrize("vertices", [5, 16])
+@pytest.mark.parametrize("tilt", [0.0, 0.6])
+def test_only_what_goes_across_counts(vertices, tilt):
+    """A rope and a sheet that are tilted and move as a whole, however finely they are divided."""
+    rope, cloth = replace(ROPE, vertices=vertices), replace(CLOTH, vertices=vertices)
+    along = np.array([np.cos(tilt), 0.0, np.sin(tilt)])
+    normal = np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
+    v = np.array([0.0, 0.0, -2.0])
+    x = np.linspace(0.0, rope.length, vertices)[:, None] * along
+    total = Air(rope).forces(x, np.tile(v, (vertices, 1))).sum(axis=0)
+    size = 0.5 * 1.2 * 1.1 * rope.diameter * rope.length * (2.0 * np.cos(tilt)) ** 2
+    np.testing.assert_allclose(total, size * normal, atol=1e-12)
+    x = cloth.sheet[0] @ np.stack([along, [0.0, 1.0, 0.0]])
+    total = Air(cloth).forces(x, np.tile(v, (vertices**2, 1))).sum(axis=0)
+    size = 0.5 * 1.2 * 1.2 * cloth.side**2 * (2.0 * np.cos(tilt)) ** 2
+    np.testing.assert_allclose(total, size * normal, atol=1e-12)
+    # Along itself nothing.
+    for item, points in ((rope, x[::vertices]), (cloth, x)):
+        slides = np.tile(3.0 * along, (len(points), 1))
+        np.testing.assert_allclose(Air(item).forces(points, slides), 0.0, atol=1e-12)
+
+
+# ---- none ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("item", [ROPE, replace(CLOTH, vertices=13)], ids=["rope", "cloth"])
+def test_without_air_things_fall_freely(item):
+    """Also beside a world that has air, stepped by turns."""
+    empty, airy = falling(item, air_density=0.0), falling(item)
+    step = empty.model.opt.timestep
+    n = round(0.4 / step)
+    for k in range(1, n + 1):
+        empty.step_to(k * step)
+        airy.step_to(k * step)
+    assert np.all(empty.data.qfrc_applied == 0.0) and np.any(airy.data.qfrc_applied != 0.0)
+    fallen = 90.0 - empty.vertices()[:, 2]
+    # Symplectic steps: g dt^2 n (n + 1) / 2.
+    np.testing.assert_allclose(fallen, 9.81 * step**2 * n * (n + 1) / 2.0, rtol=1e-9)
+    assert (90.0 - airy.vertices()[:, 2]).max() < fallen.min()
+
+
+def test_a_released_rope_keeps_no_force():
+    """The force of the step before does not stay where nothing replaces it."""
+    performance = Performance(reaching(ROPE, (0.153, 0.125)), robot=False, air_density=0.0)
+    performance.step_to(performance.opens - 0.01)
+    # A hair's breadth of twist is enough.
+    performance.world.data.mocap_quat[0] = [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]
+    performance.world.step_to(performance.world.time + 0.002)
+    assert np.any(performance.world.data.qfrc_applied != 0.0)
+    performance.world.release()
+    assert np.all(performance.world.data.qfrc_applied == 0.0)
+
+
+@pytest.mark.parametrize("density", [-1.2, np.nan, np.inf])
+def test_a_density_that_cannot_be_is_refused(density):
+    message = r"^air_density: is (-1\.2|nan|inf); give kg/m\^3: 0 for none, 1\.2 in a room$"
+    with pytest.raises(ParameterError, match=message):
+        falling(ROPE, air_density=density)
+    with pytest.raises(ParameterError, match=message):
+        Performance(reaching(ROPE, (0.153, 0.125)), robot=False, air_density=density)

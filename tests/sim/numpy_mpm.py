@@ -1,0 +1,328 @@
+"""The substep of ``gendom.sim`` in NumPy, one world in float64: written to be read, not to be fast.
+
+Every runner of the simulator is held against it. Symplectic Euler; particles and grid exchange by
+APIC with quadratic B-splines; an elastic body's forces are derivatives of its energy by positions.
+
+Sources:
+    Transfers: Jiang et al. (2015), "The affine particle-in-cell method"; weights: Steffen, Kirby
+        and Berzins (2008).
+    Lagrangian forces: Jiang, Gast and Teran (2017), "Anisotropic elastoplasticity for cloth, knit
+        and hair frictional contact".
+    Laws: neo-Hookean, Bonet and Wood (2008), chapter 6; fixed-corotated, Stomakhin et al. (2012).
+    Radial return: Klar et al. (2016), section 6, with a von Mises surface.
+    Material damping: Simo and Hughes (1998), "Computational Inelasticity", chapter 10.
+
+Shapes: N particles, S sections of N / S particles each, K knots of a gripper's path, n grid nodes.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from gendom.materials import Material
+from gendom.sim import GRAVITY, Body, Box, Gripper, Table
+
+Array = NDArray[np.floating]
+
+BETA = 1.0
+"""Stiffness of the Maxwell branch as a share of the elastic law's [-]."""
+SMALLEST_STRETCH = 0.05
+"""Principal stretches are kept above this before their logarithm is taken [-]."""
+DRAG = {"rope": 1.1, "cloth": 1.2}
+"""Drag coefficients: of a cylinder, of a plate, across the flow [-]."""
+
+
+@dataclass
+class State:
+    """Particles at one moment."""
+
+    x: Array
+    """[N, 3] positions [m]."""
+    v: Array
+    """[N, 3] velocities [m/s]."""
+    C: Array
+    """[N, 3, 3] affine velocities [1/s]."""
+    Z: Array
+    """[N, 3, 3] second Piola-Kirchhoff stress, low-pass filtered [Pa]."""
+    G: Array
+    """[N, 3, 3] inverse of the plastic deformation: the elastic one is F G [-]."""
+
+
+@dataclass
+class Grip:
+    """What a gripper took hold of when it closed."""
+
+    weight: Array
+    """[N] share in which it carries each particle [-]."""
+    place: Array
+    """[N, 3] where it holds each particle, in its own frame [m]."""
+
+
+class NumpyMPM:
+    """One world.
+
+    Args:
+        body: What is simulated, at rest.
+        material: What it consists of.
+        grippers: In any number.
+        table: Table, or None for open space.
+        box: Walls, or None.
+        gravity: [3] [m/s^2].
+        velocity_damping: Rate at which the grid's velocities decay [1/s].
+        air_density: Of the air that is at rest around the body [kg/m^3].
+        law: ``neo-hookean`` or ``fixed-corotated``.
+        stiffness: Share of its material's E that each particle has, one number or [N] [-].
+        positions: [N, 3] initial positions, if not the body's own [m].
+        start_time: Time of the initial state [s].
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        material: Material,
+        *,
+        grippers: Sequence[Gripper] = (),
+        table: Table | None = None,
+        box: Box | None = None,
+        gravity: ArrayLike = GRAVITY,
+        velocity_damping: float = 0.0,
+        air_density: float = 0.0,
+        law: str = "neo-hookean",
+        stiffness: ArrayLike = 1.0,
+        positions: ArrayLike | None = None,
+        start_time: float = 0.0,
+    ):
+        self.body, self.material, self.law = body, material, law
+        self.grippers, self.table, self.box = grippers, table, box
+        self.gravity = np.asarray(gravity, dtype=float)
+        self.velocity_damping, self.air_density = velocity_damping, air_density
+        self.yields = math.isfinite(material.yield_stress)
+        plane_stress = body.has_two_layers and not self.yields
+        share = np.broadcast_to(np.asarray(stiffness, dtype=float), body.num_particles)
+        mu, lam = material.lame_of_plane_stress if plane_stress else material.lame
+        self.mu, self.lam = (p * share[:, None, None] for p in (mu, lam))
+        self.mass = material.density * body.volume
+        self.grips: list[Grip | None] = [None] * len(grippers)
+        self.time = start_time
+        x = np.array(body.x if positions is None else positions, dtype=float)
+        zeros, ones = np.zeros((len(x), 3, 3)), np.tile(np.eye(3), (len(x), 1, 1))
+        self.state = State(x=x, v=np.zeros_like(x), C=zeros, Z=zeros, G=ones)
+        if material.damping > 0.0:
+            Fe = self.differences() @ body.rest_frames
+            self.state.Z = np.linalg.solve(Fe, self.elastic_stress(Fe))
+
+    def run(self, times: ArrayLike, substep: float) -> Array:
+        """[T, N, 3] positions at times [T] [s]; each interval in equal substeps of at most
+        ``substep`` [s], none where it is empty."""
+        frames = []
+        for until in np.atleast_1d(np.asarray(times, dtype=float)):
+            start, interval = self.time, float(until) - self.time
+            steps = max(1, math.ceil(interval / substep - 1e-9)) if interval > 0.0 else 0
+            for n in range(steps):
+                self.advance(start + n * (interval / steps), interval / steps)
+            self.time = float(until)
+            frames.append(self.state.x)
+        return np.stack(frames)
+
+    def advance(self, t: float, dt: float) -> None:
+        """One substep from t to t + dt [s]."""
+        held, carried, placed, turning = self.hold(t, dt)
+        impulse = self.internal_impulse(dt) + self.drag_impulse(dt)
+        v, C = self.move_with_grid(1.0 - held, impulse, dt)
+        x = self.state.x
+        if self.table is not None:
+            x, v = self.rest_on_table(self.table, x, v, dt)
+        if self.box is not None:  # a wall is reached, not passed; beyond it nothing goes further
+            lower, upper = np.asarray(self.box.lower), np.asarray(self.box.upper)
+            v = np.clip(v, np.minimum(lower - x, 0.0) / dt, np.maximum(upper - x, 0.0) / dt)
+        free = (1.0 - held)[:, None]
+        self.state.x = free * (x + dt * v) + placed
+        self.state.v = free * v + carried
+        self.state.C = free[..., None] * C + turning
+
+    # ---- grippers ----------------------------------------------------------------------------
+
+    def hold(self, t: float, dt: float) -> tuple[Array, Array, Array, Array]:
+        """Sums over the closed grippers: weights [N], and by weights the velocities [N, 3], the
+        positions at t + dt [N, 3] and the affine velocities [N, 3, 3] that they impose."""
+        x = self.state.x
+        for i, gripper in enumerate(self.grippers):
+            if not gripper.hold_from <= t < gripper.hold_until:
+                self.grips[i] = None
+            elif self.grips[i] is None:
+                centre, R = pose(gripper, t)
+                rho = np.linalg.norm(self.sections(x) - centre, axis=1)
+                f = np.clip((gripper.radius - rho) / (self.body.dx / 2.0) + 0.5, 0.0, 1.0)
+                self.grips[i] = Grip(self.spread(f), (x - centre) @ R)
+        # weights that sum to more than 1 are scaled to sum to 1
+        total = sum((grip.weight for grip in self.grips if grip is not None), np.zeros(len(x)))
+        scale = 1.0 / np.maximum(total, 1.0)
+        v, placed, C = np.zeros_like(x), np.zeros_like(x), np.zeros((len(x), 3, 3))
+        for gripper, grip in zip(self.grippers, self.grips, strict=True):
+            if grip is None:
+                continue
+            (c0, R0), (c1, R1) = pose(gripper, t), pose(gripper, t + dt)
+            before, after = c0 + grip.place @ R0.T, c1 + grip.place @ R1.T
+            omega = Rotation.from_matrix(R1 @ R0.T).as_rotvec() / dt
+            f = (scale * grip.weight)[:, None]
+            v += f * (after - before) / dt
+            placed += f * after
+            C += f[..., None] * np.cross(np.eye(3), omega)  # C r = omega x r
+        return np.minimum(total, 1.0), v, placed, C
+
+    def sections(self, of: Array) -> Array:
+        """[S, 3] means over the particles of each section."""
+        return of.reshape(-1, self.body.section, 3).mean(axis=1)
+
+    def spread(self, of: Array) -> Array:
+        """[N, ...] for each particle what [S, ...] says of its section."""
+        return np.repeat(of, self.body.section, axis=0)
+
+    # ---- forces ------------------------------------------------------------------------------
+
+    def differences(self) -> Array:
+        """[N, 3, axis] differences of the neighbours' positions along the lattice axes [m]."""
+        near = self.body.lattice
+        return np.swapaxes(self.state.x[near[:, :, 1]] - self.state.x[near[:, :, 0]], 1, 2)
+
+    def internal_impulse(self, dt: float) -> Array:
+        """[N, 3] impulses of the stress [kg m/s]; Z and G move on to the end of the substep."""
+        B, near, state = self.body.rest_frames, self.body.lattice, self.state
+        F = self.differences() @ B
+        if self.yields:
+            state.G = self.returned(F, state.G)
+        Fe = F @ state.G
+        P = self.elastic_stress(Fe)
+        if self.material.damping > 0.0:
+            # the branch's stress S - Z falls to a (S - Z) in dt; its mean acts
+            a = math.exp(-dt * BETA / self.material.damping)
+            g = BETA * (1.0 + a) / 2.0
+            S = np.linalg.solve(Fe, P)
+            P = (1.0 + g) * P - g * Fe @ state.Z
+            state.Z = state.Z + (1.0 - a) * (S - state.Z)
+        pull = dt * self.body.volume * P @ np.swapaxes(B @ state.G, 1, 2)
+        impulse = np.zeros_like(state.x)
+        for k in range(3):
+            np.add.at(impulse, near[:, k, 0], pull[:, :, k])
+            np.add.at(impulse, near[:, k, 1], -pull[:, :, k])
+        return impulse
+
+    def elastic_stress(self, F: Array) -> Array:
+        """[N, 3, 3] first Piola-Kirchhoff stress P of F [N, 3, 3] [Pa].
+
+        Raises:
+            FloatingPointError: If a particle is turned inside out.
+        """
+        J = np.linalg.det(F)[:, None, None]
+        if not (J > 0.0).all():
+            raise FloatingPointError(f"particle {np.argmin(J > 0.0)} is turned inside out")
+        F_invT = np.swapaxes(np.linalg.inv(F), 1, 2)
+        if self.law == "neo-hookean":
+            return self.mu * (F - F_invT) + self.lam * np.log(J) * F_invT
+        U, _, Vt = np.linalg.svd(F)
+        return 2.0 * self.mu * (F - U @ Vt) + self.lam * (J - 1.0) * J * F_invT
+
+    def returned(self, F: Array, G: Array) -> Array:
+        """[N, 3, 3] G after radial return of F G: |2 mu dev(log s)| <= yield stress."""
+        U, s, Vt = np.linalg.svd(F @ G)
+        eps = np.log(np.maximum(s, SMALLEST_STRETCH))
+        dev = eps - eps.mean(axis=1, keepdims=True)
+        norm = np.linalg.norm(dev, axis=1, keepdims=True)
+        reach = self.material.yield_stress / (2.0 * self.mu[:, :, 0])
+        flows = norm > reach
+        kept = np.exp(eps - dev * (1.0 - reach / np.where(flows, norm, reach)))
+        return np.where(flows[..., None], np.linalg.solve(F, U @ (kept[:, :, None] * Vt)), G)
+
+    def drag_impulse(self, dt: float) -> Array:
+        """[N, 3] impulses of the air, c_d rho_a / 2 |v|^2 A against the velocity v across a rope or
+        through a cloth [kg m/s]; A is each particle's share of its section's area [m^2]."""
+        body, v = self.body, self.state.v
+        alone = (body.lattice == np.arange(body.num_particles)[:, None, None]).any(axis=2)
+        edges = self.differences() / np.where(alone, 1.0, 2.0)[:, None, :]  # of one particle
+        if body.kind == "rope":
+            length = np.linalg.norm(edges[:, :, 0], axis=1, keepdims=True)
+            along = edges[:, :, 0] / length
+            across = v - np.sum(v * along, axis=1, keepdims=True) * along
+            area = body.thickness * length / body.section
+        else:
+            normal = np.cross(edges[:, :, 0], edges[:, :, 1])
+            area = np.linalg.norm(normal, axis=1, keepdims=True)
+            normal, area = normal / area, area / body.section
+            across = np.sum(v * normal, axis=1, keepdims=True) * normal
+        speed = np.linalg.norm(across, axis=1, keepdims=True)
+        return -dt / 2.0 * self.air_density * DRAG[body.kind] * area * speed * across
+
+    # ---- grid and table ----------------------------------------------------------------------
+
+    def move_with_grid(self, free: Array, impulse: Array, dt: float) -> tuple[Array, Array]:
+        """p2g of the particles' free shares [N] and their impulses [N, 3] [kg m/s], g2p.
+
+        Returns:
+            [N, 3] velocities v [m/s] and [N, 3, 3] affine velocities C [1/s].
+        """
+        dx, m, state = self.body.dx, self.mass, self.state
+        origin = np.array([0.0, 0.0, 0.0 if self.table is None else self.table.height])
+        y = (state.x - origin) / dx
+        base = np.floor(y - 0.5).astype(int)
+        f = y - base  # in 1/2 .. 3/2
+        w = 0.5 * np.stack(
+            [(1.5 - f) ** 2, 1.5 - 2.0 * (f - 1.0) ** 2, (f - 0.5) ** 2]
+        )  # [3, N, 3]
+        offset = np.stack(np.meshgrid(*[range(3)] * 3, indexing="ij"), axis=-1).reshape(27, 3)
+        i, j, k = offset.T
+        w = (w[i, :, 0] * w[j, :, 1] * w[k, :, 2]).T[..., None]  # [N, 27, 1]
+        r = (offset - f[:, None]) * dx  # [N, 27, 3] x_i - x_p
+
+        node = base[:, None] + offset
+        node -= node.min(axis=(0, 1))
+        flat = np.ravel_multi_index(np.moveaxis(node, 2, 0), tuple(node.max(axis=(0, 1)) + 1))
+        nodes, index = np.unique(flat, return_inverse=True)
+        index = index.reshape(flat.shape)  # [N, 27] in 0 .. n - 1
+
+        share = w * free[:, None, None]
+        q = m * state.v + impulse + m * dt * self.gravity
+        mass, momentum = np.zeros((len(nodes), 1)), np.zeros((len(nodes), 3))
+        np.add.at(mass, index, share * m)
+        np.add.at(momentum, index, share * (q[:, None] + m * r @ np.swapaxes(state.C, 1, 2)))
+        u = np.divide(momentum, mass, out=np.zeros_like(momentum), where=mass > 0.0)
+        u *= math.exp(-self.velocity_damping * dt)
+
+        wu = w * u[index]  # [N, 27, 3]
+        return wu.sum(axis=1), 4.0 / dx**2 * np.swapaxes(wu, 1, 2) @ r
+
+    def rest_on_table(self, table: Table, x: Array, v: Array, dt: float) -> tuple[Array, Array]:
+        """Contact and Coulomb friction, section by section.
+
+        Returns:
+            [N, 3] positions [m], raised where a section's centre is too low, and [N, 3] velocities
+            [m/s] that bring no centre below its height at rest by the substep's end.
+        """
+        gap = self.sections(x)[:, 2] - (table.height + self.body.contact_radius)
+        mean = self.sections(v)
+        push = np.maximum(-np.maximum(gap, 0.0) / dt - mean[:, 2], 0.0)  # change of v_z
+        change = np.column_stack([-mean[:, :2], push])
+        slip = np.linalg.norm(mean[:, :2], axis=1)
+        slide = float(np.asarray(table.friction)) * push  # the most that friction can change
+        change[:, :2] *= np.where(slide < slip, slide / np.where(slip > 0.0, slip, 1.0), 1.0)[
+            :, None
+        ]
+        up = np.outer(np.maximum(-gap, 0.0), [0.0, 0.0, 1.0])
+        return x + self.spread(up), v + self.spread(change)
+
+
+def pose(gripper: Gripper, t: float) -> tuple[Array, Array]:
+    """Centre [3] [m] and rotation [3, 3] at time t [s]; turns at constant rate between knots."""
+    centre, knots = gripper.position_at(t), np.asarray(gripper.time)
+    if gripper.quat_xyzw is None:
+        return centre, np.eye(3)
+    turns = Rotation.from_quat(np.asarray(gripper.quat_xyzw))
+    k = int(np.searchsorted(knots, t, side="right")) - 1
+    if k < 0 or k >= len(knots) - 1:
+        return centre, turns[max(k, 0)].as_matrix()
+    share = (t - knots[k]) / (knots[k + 1] - knots[k])
+    rest = Rotation.from_rotvec(share * (turns[k + 1] * turns[k].inv()).as_rotvec())
+    return centre, (rest * turns[k]).as_matrix()
