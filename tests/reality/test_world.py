@@ -1,16 +1,18 @@
 """The second reality: holding, letting go, looking, and what it refuses."""
 
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
+mujoco = pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from gendom.errors import DeviceError, ParameterError, SimulationError
 from gendom.reality import (
     OBJECTS,
     Layout,
+    RealCloth,
     Reality,
     RealObject,
     RealRope,
@@ -62,6 +64,60 @@ def test_objects_rest_on_the_table(name):
     # Contact gives way by some hundredths of a millimetre, by far less under a rope.
     assert np.abs(world.vertices() - before).max() < (2e-6 if isinstance(item, RealRope) else 2e-5)
     assert world.speed() < 5e-3
+
+
+def masses(item):
+    """[V] what MuJoCo moves [kg]: a vertex is a body with three slides along the world's axes."""
+    world = Reality(item, lying(item), table=False)
+    model = world.model
+    x, bodies = world.vertices(), model.flex_vertbodyid
+    # What it steps with, too, not only what it states.
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, world.data, inertia)
+    dofs = model.body_dofadr[bodies][:, None] + np.arange(3)
+    m = model.body_mass[bodies]
+    np.testing.assert_allclose(inertia, np.diag(np.diag(inertia)), atol=1e-15)
+    np.testing.assert_allclose(np.diag(inertia)[dofs], m[:, None] * np.ones(3), rtol=1e-12)
+    np.testing.assert_allclose(model.body_invweight0[bodies, 0], 1.0 / m, rtol=1e-9)
+    assert model.body_subtreemass[0] == pytest.approx(item.mass)
+    return x, m
+
+
+def test_a_ropes_vertices_weigh_what_they_stand_for():
+    """Inner ones an edge, ends half of one."""
+    x, m = masses(COTTON)
+    edge = COTTON.mass / (COTTON.vertices - 1)
+    assert m[1:-1] == pytest.approx(edge) and m[[0, -1]] == pytest.approx(edge / 2.0)
+    assert m.sum() == pytest.approx(COTTON.mass)
+    assert m @ x / m.sum() == pytest.approx([0.35 + COTTON.length / 2.0, 0.0, x[0, 2]])
+
+
+@pytest.mark.parametrize("diagonal", [None, False, True], ids=["whole", "side", "diagonal"])
+def test_a_cloths_vertices_weigh_what_they_stand_for(diagonal):
+    """A third of their triangles: an edge half a row, a corner a sixth or a third of a square."""
+    strip = {} if diagonal is None else {"strip": 6, "diagonal": diagonal}
+    cloth = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=13, **strip)
+    x, m = masses(cloth)
+    points, triangles = cloth.sheet
+    assert m.sum() == pytest.approx(cloth.mass)
+    # The centre and the second moments of a sheet whose triangles' masses sit in their vertices.
+    a, b, c = points[triangles.T]
+    area = 0.5 * np.abs(np.linalg.det(np.stack([b - a, c - a], axis=-1)))
+    centre = area @ (a + b + c) / 3.0 / area.sum()
+    assert m @ x / m.sum() == pytest.approx([*([0.35, 0.0] + centre), x[0, 2]])
+    per_area = cloth.material.density * cloth.thickness
+    for k in range(2):
+        moment = per_area * area @ (a[:, k] ** 2 + b[:, k] ** 2 + c[:, k] ** 2) / 3.0
+        assert m @ points[:, k] ** 2 == pytest.approx(moment)
+    if diagonal is not None:
+        return
+    square = per_area * cloth.spacing**2
+    m = m.reshape(cloth.counts)
+    for edge in (m[0], m[-1], m[:, 0], m[:, -1]):
+        assert edge.sum() == pytest.approx((cloth.vertices - 1) * square / 2.0)
+        corners = edge[[0, -1], None] / square
+        assert np.isclose(corners, [1.0 / 6.0, 1.0 / 3.0]).any(axis=1).all()
+    assert m[1:-1].sum(axis=1) == pytest.approx((cloth.vertices - 1) * square)
 
 
 @pytest.mark.parametrize("name", ["rope-cotton", "cloth-cotton", "cloth-rubber"])

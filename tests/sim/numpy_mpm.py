@@ -28,12 +28,16 @@ from gendom.sim import GRAVITY, Body, Box, Gripper, Table
 
 Array = NDArray[np.floating]
 
-BETA = 1.0
-"""Stiffness of the Maxwell branch as a share of the elastic law's [-]."""
 SMALLEST_STRETCH = 0.05
 """Principal stretches are kept above this before their logarithm is taken [-]."""
 DRAG = {"rope": 1.1, "cloth": 1.2}
 """Drag coefficients: of a cylinder, of a plate, across the flow [-]."""
+SPRING, DASHPOT = 0.1, 0.85
+"""Of table and walls: what they make good of depth and of velocity inwards in a substep [-]."""
+BEYOND = 1.3
+"""Where a gripper's weights fall to 0, in spacings beyond its surface [-]."""
+FOLLOWS = 0.5
+"""Share of its distance from where it belongs that held material makes good in a substep [-]."""
 
 
 @dataclass
@@ -101,9 +105,8 @@ class NumpyMPM:
         self.gravity = np.asarray(gravity, dtype=float)
         self.velocity_damping, self.air_density = velocity_damping, air_density
         self.yields = math.isfinite(material.yield_stress)
-        plane_stress = body.has_two_layers and not self.yields
         share = np.broadcast_to(np.asarray(stiffness, dtype=float), body.num_particles)
-        mu, lam = material.lame_of_plane_stress if plane_stress else material.lame
+        mu, lam = material.lame_of(body.lateral_constraint)
         self.mu, self.lam = (p * share[:, None, None] for p in (mu, lam))
         self.mass = material.density * body.volume
         self.grips: list[Grip | None] = [None] * len(grippers)
@@ -130,25 +133,42 @@ class NumpyMPM:
 
     def advance(self, t: float, dt: float) -> None:
         """One substep from t to t + dt [s]."""
-        held, carried, placed, turning = self.hold(t, dt)
+        self.grasp(t)
+        m, x = self.mass, self.state.x
         impulse = self.internal_impulse(dt) + self.drag_impulse(dt)
-        v, C = self.move_with_grid(1.0 - held, impulse, dt)
-        x = self.state.x
+        u = self.state.v + dt * self.gravity + impulse / m
+        u = u + self.spread(self.contact(self.sections(x), self.sections(u), dt))
+        held, carried, turning = self.carried(t, dt)
+        u = u + held[:, None] * (carried - u)
+        grid = held < 1.0  # what is held firmly has no part in the grid
+        v, C = self.move_with_grid(grid, m * u, dt)
+        self.state.v = np.where(grid[:, None], v, carried)
+        self.state.C = np.where(grid[:, None, None], C, turning)
+        self.state.x = x + dt * self.state.v
+
+    # ---- table, walls, grippers -----------------------------------------------------------------
+
+    def contact(self, x: Array, u: Array, dt: float) -> Array:
+        """[S, 3] change of the velocities u of sections at x by a spring, a dashpot and friction."""
+        radius, change = self.body.contact_radius, np.zeros_like(u)
+
+        def push(gap: Array, outwards: Array) -> Array:
+            given = np.maximum(-SPRING * gap / dt - DASHPOT * outwards, 0.0)
+            return np.where(gap < 0.0, given, 0.0)
+
         if self.table is not None:
-            x, v = self.rest_on_table(self.table, x, v, dt)
-        if self.box is not None:  # a wall is reached, not passed; beyond it nothing goes further
-            lower, upper = np.asarray(self.box.lower), np.asarray(self.box.upper)
-            v = np.clip(v, np.minimum(lower - x, 0.0) / dt, np.maximum(upper - x, 0.0) / dt)
-        free = (1.0 - held)[:, None]
-        self.state.x = free * (x + dt * v) + placed
-        self.state.v = free * v + carried
-        self.state.C = free[..., None] * C + turning
+            change[:, 2] = push(x[:, 2] - self.table.height - radius, u[:, 2])
+            slip = np.linalg.norm(u[:, :2], axis=1)
+            most = float(np.asarray(self.table.friction)) * change[:, 2]
+            lost = np.where(slip > most, most / np.where(slip > 0.0, slip, 1.0), 1.0)
+            change[:, :2] = -np.where(change[:, 2] > 0.0, lost, 0.0)[:, None] * u[:, :2]
+        if self.box is not None:
+            change += push(x - np.asarray(self.box.lower) - radius, u)
+            change -= push(np.asarray(self.box.upper) - x - radius, -u)
+        return change
 
-    # ---- grippers ----------------------------------------------------------------------------
-
-    def hold(self, t: float, dt: float) -> tuple[Array, Array, Array, Array]:
-        """Sums over the closed grippers: weights [N], and by weights the velocities [N, 3], the
-        positions at t + dt [N, 3] and the affine velocities [N, 3, 3] that they impose."""
+    def grasp(self, t: float) -> None:
+        """Let grippers open and close; what one holds is left to it."""
         x = self.state.x
         for i, gripper in enumerate(self.grippers):
             if not gripper.hold_from <= t < gripper.hold_until:
@@ -156,23 +176,27 @@ class NumpyMPM:
             elif self.grips[i] is None:
                 centre, R = pose(gripper, t)
                 rho = np.linalg.norm(self.sections(x) - centre, axis=1)
-                f = np.clip((gripper.radius - rho) / (self.body.dx / 2.0) + 0.5, 0.0, 1.0)
-                self.grips[i] = Grip(self.spread(f), (x - centre) @ R)
-        # weights that sum to more than 1 are scaled to sum to 1
-        total = sum((grip.weight for grip in self.grips if grip is not None), np.zeros(len(x)))
-        scale = 1.0 / np.maximum(total, 1.0)
-        v, placed, C = np.zeros_like(x), np.zeros_like(x), np.zeros((len(x), 3, 3))
+                f = np.clip((gripper.radius - rho) / (self.body.dx / 2.0) + BEYOND, 0.0, 1.0)
+                taken = sum((g.weight for g in self.grips if g is not None), np.zeros(len(x)))
+                self.grips[i] = Grip(np.where(taken > 0.0, 0.0, self.spread(f)), (x - centre) @ R)
+
+    def carried(self, t: float, dt: float) -> tuple[Array, Array, Array]:
+        """Weights [N], velocities [N, 3] and affine velocities [N, 3, 3] that grippers impose."""
+        x = self.state.x
+        held, v, C = np.zeros(len(x)), np.zeros_like(x), np.zeros((len(x), 3, 3))
         for gripper, grip in zip(self.grippers, self.grips, strict=True):
             if grip is None:
                 continue
             (c0, R0), (c1, R1) = pose(gripper, t), pose(gripper, t + dt)
-            before, after = c0 + grip.place @ R0.T, c1 + grip.place @ R1.T
             omega = Rotation.from_matrix(R1 @ R0.T).as_rotvec() / dt
-            f = (scale * grip.weight)[:, None]
-            v += f * (after - before) / dt
-            placed += f * after
-            C += f[..., None] * np.cross(np.eye(3), omega)  # C r = omega x r
-        return np.minimum(total, 1.0), v, placed, C
+            arm = grip.place @ R1.T
+            V = (c1 - c0) / dt + np.cross(omega, arm)
+            behind = c1 + arm - dt * V - x
+            mine = grip.weight > 0.0
+            held = held + grip.weight
+            v[mine] = (V + FOLLOWS / dt * behind)[mine]
+            C[mine] = np.cross(np.eye(3), omega)  # C r = omega x r
+        return held, v, C
 
     def sections(self, of: Array) -> Array:
         """[S, 3] means over the particles of each section."""
@@ -199,8 +223,10 @@ class NumpyMPM:
         P = self.elastic_stress(Fe)
         if self.material.damping > 0.0:
             # the branch's stress S - Z falls to a (S - Z) in dt; its mean acts
-            a = math.exp(-dt * BETA / self.material.damping)
-            g = BETA * (1.0 + a) / 2.0
+            # it cannot be faster than the substep: it is softer instead
+            tau = max(self.material.damping, dt)
+            a = math.exp(-dt / tau)
+            g = self.material.damping / tau * (1.0 + a) / 2.0
             S = np.linalg.solve(Fe, P)
             P = (1.0 + g) * P - g * Fe @ state.Z
             state.Z = state.Z + (1.0 - a) * (S - state.Z)
@@ -256,10 +282,10 @@ class NumpyMPM:
         speed = np.linalg.norm(across, axis=1, keepdims=True)
         return -dt / 2.0 * self.air_density * DRAG[body.kind] * area * speed * across
 
-    # ---- grid and table ----------------------------------------------------------------------
+    # ---- grid --------------------------------------------------------------------------------
 
-    def move_with_grid(self, free: Array, impulse: Array, dt: float) -> tuple[Array, Array]:
-        """p2g of the particles' free shares [N] and their impulses [N, 3] [kg m/s], g2p.
+    def move_with_grid(self, part: Array, q: Array, dt: float) -> tuple[Array, Array]:
+        """p2g of the particles [N] that have part in it and of their momenta [N, 3] [kg m/s]; g2p.
 
         Returns:
             [N, 3] velocities v [m/s] and [N, 3, 3] affine velocities C [1/s].
@@ -283,8 +309,7 @@ class NumpyMPM:
         nodes, index = np.unique(flat, return_inverse=True)
         index = index.reshape(flat.shape)  # [N, 27] in 0 .. n - 1
 
-        share = w * free[:, None, None]
-        q = m * state.v + impulse + m * dt * self.gravity
+        share = w * part[:, None, None]
         mass, momentum = np.zeros((len(nodes), 1)), np.zeros((len(nodes), 3))
         np.add.at(mass, index, share * m)
         np.add.at(momentum, index, share * (q[:, None] + m * r @ np.swapaxes(state.C, 1, 2)))
@@ -293,25 +318,6 @@ class NumpyMPM:
 
         wu = w * u[index]  # [N, 27, 3]
         return wu.sum(axis=1), 4.0 / dx**2 * np.swapaxes(wu, 1, 2) @ r
-
-    def rest_on_table(self, table: Table, x: Array, v: Array, dt: float) -> tuple[Array, Array]:
-        """Contact and Coulomb friction, section by section.
-
-        Returns:
-            [N, 3] positions [m], raised where a section's centre is too low, and [N, 3] velocities
-            [m/s] that bring no centre below its height at rest by the substep's end.
-        """
-        gap = self.sections(x)[:, 2] - (table.height + self.body.contact_radius)
-        mean = self.sections(v)
-        push = np.maximum(-np.maximum(gap, 0.0) / dt - mean[:, 2], 0.0)  # change of v_z
-        change = np.column_stack([-mean[:, :2], push])
-        slip = np.linalg.norm(mean[:, :2], axis=1)
-        slide = float(np.asarray(table.friction)) * push  # the most that friction can change
-        change[:, :2] *= np.where(slide < slip, slide / np.where(slip > 0.0, slip, 1.0), 1.0)[
-            :, None
-        ]
-        up = np.outer(np.maximum(-gap, 0.0), [0.0, 0.0, 1.0])
-        return x + self.spread(up), v + self.spread(change)
 
 
 def pose(gripper: Gripper, t: float) -> tuple[Array, Array]:

@@ -28,8 +28,8 @@ def test_positions_between_and_beyond_knots():
     assert np.array_equal(Gripper(**path()).position_at(0.5), [0.5, 0.0, 1.0])
 
 
-def test_spin_carries_one_orientation_into_the_next():
-    """exp(spin * interval) times the pose at a knot is the pose at the next, in world axes."""
+def test_turn_carries_one_orientation_into_the_next():
+    """exp(turn) times the pose at a knot is the pose at the next, in world axes."""
     poses = Rotation.from_rotvec([[0.3, -0.2, 0.1], [1.0, 0.5, -0.7], [-0.4, 0.9, 0.2]])
     gripper = Gripper(**path(quat_xyzw=poses.as_quat()))
     for k, interval in enumerate((1.0, 2.0)):
@@ -38,14 +38,14 @@ def test_spin_carries_one_orientation_into_the_next():
     assert np.array_equal(gripper.turn[-1], np.zeros(3))
 
 
-def test_spin_takes_the_short_way():
+def test_turn_takes_the_short_way():
     """q and -q are one orientation; quaternions need not be of unit length."""
     q = Rotation.from_rotvec([[0, 0, 0], [0, 0, 0.5], [0, 0, 1.5]]).as_quat()
-    spin = Gripper(**path(quat_xyzw=q * np.array([[1.0], [-3.0], [0.2]]))).turn
-    assert np.allclose(spin, [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], atol=1e-12)
+    turn = Gripper(**path(quat_xyzw=q * np.array([[1.0], [-3.0], [0.2]]))).turn
+    assert np.allclose(turn, [[0, 0, 0.5], [0, 0, 1.0], [0, 0, 0]], atol=1e-12)
 
 
-def test_no_orientation_no_spin():
+def test_no_orientation_no_turn():
     """Without orientations, or with a single knot, a gripper never turns."""
     assert np.array_equal(Gripper(**path()).turn, np.zeros((3, 3)))
     one = Gripper(time=[0.0], position=[[0, 0, 0]], quat_xyzw=[[0, 0, 1, 1]], radius=0.01)

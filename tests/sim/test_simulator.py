@@ -33,8 +33,9 @@ def block(size=(0.04, 0.04, 0.04), corner=(0.003, 0.001, 0.022)):
 
 
 def simulator(body, materials=(SOFT,), **options):
-    """A simulator in float64 on one thread, unless told otherwise."""
-    return Simulator(body, materials, **{"dtype": "float64", "threads": 1, **options})
+    """A simulator in float64 on one thread and without air, unless told otherwise."""
+    defaults = {"dtype": "float64", "threads": 1, "air_density": 0.0}
+    return Simulator(body, materials, **{**defaults, **options})
 
 
 def lifted_rope(materials=(SOFT,), *, cells=1.5, **options):
@@ -177,7 +178,7 @@ def test_a_batch_equals_its_worlds_bit_for_bit():
 def test_worlds_take_their_own_values():
     """Friction, gravity, damping, grippers and positions of world w are row w of what is given."""
     body = block(size=(0.04, 0.02, 0.02), corner=(0.0, 0.0, 0.0125))
-    still = Gripper.still((9.0, 0.0, 0.0), radius=0.001)
+    still = Gripper.still((9.0, 0.0, 0.0), radius=0.001, may_miss=True)
     holds = Gripper.still(body.x[0], radius=0.03)
     own = [
         {"friction": 0.1, "gravity": (3.0, 0.0, -9.0), "damping": 0.0, "grip": still, "at": 0.0},
@@ -204,12 +205,26 @@ def test_worlds_take_their_own_values():
 
 
 def test_float32_is_close_to_float64():
-    """A lift of 10 cm differs by hardly more than the last rounding between the two."""
+    """A lift of 10 cm differs by hardly more than the last rounding between the two.
+
+    Over a table it differs by more: a section that sticks in one slides in the other for a while.
+    """
     times = [0.1, 0.3]
-    double = lifted_rope(DIFFERENT).run(times)
-    single = lifted_rope(DIFFERENT, dtype="float32").run(times)
-    assert single.dtype == np.float32
-    assert 0.0 < np.abs(single - double).max() < 3e-7
+    for table, bound in ((None, 3e-7), (Table(height=0.0), 3e-5)):
+        double = lifted_rope(DIFFERENT, table=table).run(times)
+        single = lifted_rope(DIFFERENT, table=table, dtype="float32").run(times)
+        assert single.dtype == np.float32
+        assert 0.0 < np.abs(single - double).max() < bound
+
+
+def test_a_table_far_from_the_origin_is_as_calm_in_float32():
+    """What presses on a table is far below the last bit of its height."""
+    body = rope(diameter=0.02, length=0.12, start=(0.0, 0.0, 300.01), cells_across=1.5)
+    s = simulator(body, table=Table(height=300.0), dtype="float32")
+    s.run([0.2])
+    assert np.abs(s.velocities()).max() < 1e-5
+    height = s.positions()[0, :, 2].mean(dtype=float) - 300.0
+    assert height == pytest.approx(0.01, abs=1e-4)
 
 
 @pytest.mark.gpu
@@ -264,9 +279,7 @@ def cantilever_ratio(cells, *, slenderness):
     sag = 0.03 * L
     specific = G * L**4 / (8.0 * k**2 * sag)
     body = rope(diameter=d, length=L + back, start=(-back, 0, 0), cells_across=cells)
-    # a sphere so wide that its surface at the rope is the plane x = 0, nodes there included
-    far, slack = 1.0, 8e-4
-    clamp = Gripper.still((-far, 0.0, 0.0), radius=far + slack - body.dx)
+    clamp = Gripper.still((-1.5 * d, 0.0, 0.0), radius=1.5 * d)
     frequency = 3.5 * math.sqrt(specific) * k / L**2
     s = simulator(
         body,
@@ -287,8 +300,9 @@ def cantilever_ratio(cells, *, slenderness):
     ("cells", "slenderness"), [(1.0, 15.0), (1.5, 15.0), (2.0, 15.0), (3.0, 10.0)]
 )
 def test_cantilever_sags_as_a_beam(cells, slenderness):
-    """Tip sag within 6 % of w L^4 / (8 E I), whatever the grid."""
-    assert cantilever_ratio(cells, slenderness=slenderness) == pytest.approx(1.0, abs=0.06)
+    """Tip sag within 2 % of w L^4 / (8 E I), whatever the grid (4 % where there is one cell)."""
+    bound = 0.04 if cells == 1.0 else 0.02
+    assert cantilever_ratio(cells, slenderness=slenderness) == pytest.approx(1.0, abs=bound)
 
 
 def creep(lift):
@@ -299,7 +313,7 @@ def creep(lift):
     specific = G * L**4 / (8.0 * k**2 * sag)
     body = rope(diameter=d, length=L + back, start=(-back, 0, 0), cells_across=1.5)
     path = [(-far, 0, 0), (-far, 0, 0), (-far, 0, lift)]
-    grip = Gripper(time=[0.0, 0.4, 1.0], position=path, radius=far + 8e-4 - body.dx)
+    grip = Gripper(time=[0.0, 0.4, 1.0], position=path, radius=far)
     s = simulator(
         body,
         [Material(E=1000.0 * specific, nu=0.3, density=1000.0)],
@@ -379,7 +393,7 @@ def on_table(**options):
 
 
 def test_block_rests_at_table_height():
-    """Weight pressed it down by no more than 2 rho g h^2 / E / 2; the lowest layer stays above."""
+    """Weight pressed it down by no more than 2 rho g h^2 / E / 2; the lowest layer lies on it."""
     s = on_table(velocity_damping=20.0)
     first = s.body.x
     x = s.run([0.4])[0, 0]
@@ -387,18 +401,15 @@ def test_block_rests_at_table_height():
     assert x[:, 2].min() == pytest.approx(0.5 + DX / 4, abs=0.1 * DX)
     sunk = first[:, 2].mean() - x[:, 2].mean()
     assert 0.0 < sunk < 1000.0 * G * 0.04**2 / 2.0e4
-    assert np.abs(x.mean(axis=0) - first.mean(axis=0))[:2].max() < 1e-6
+    assert np.abs(x.mean(axis=0) - first.mean(axis=0))[:2].max() < 1e-3 * DX
 
 
-def test_dropped_block_stops_less_than_a_cell_above_the_table():
-    """The grid stops it before it touches, by no more than one cell; it neither bounces nor sinks.
-
-    Nodes at table height already hold what is within 1.5 cells of them.
-    """
+def test_dropped_block_rests_on_the_table():
+    """It neither bounces nor sinks: its lowest layer lies a quarter of a cell above the table."""
     s = on_table(velocity_damping=20.0, positions=block(size=(0.06, 0.04, 0.04), corner=(0, 0, 0.54)).x)
     x = s.run([0.6])[0, 0]
     assert np.abs(s.velocities()).max() < 2e-3
-    assert 0.5 < x[:, 2].min() < 0.5 + DX
+    assert x[:, 2].min() == pytest.approx(0.5 + DX / 4, abs=0.1 * DX)
 
 
 @pytest.mark.parametrize("mu", [0.2, 0.5])
@@ -423,9 +434,9 @@ def test_tilted_gravity_slides_beyond_the_angle_of_friction(side):
     mu = 0.3
     angle = math.atan(mu) * (1.0 + 0.25 * side)
     s = on_table(friction=mu, gravity=(G * math.sin(angle), 0.0, -G * math.cos(angle)))
-    s.run([0.3])
-    x0, v0 = s.positions()[0].mean(axis=0)[0], s.velocities()[0].mean(axis=0)[0]
     s.run([0.8])
+    x0, v0 = s.positions()[0].mean(axis=0)[0], s.velocities()[0].mean(axis=0)[0]
+    s.run([1.3])
     x1, v1 = s.positions()[0].mean(axis=0)[0], s.velocities()[0].mean(axis=0)[0]
     gain = 0.5 * G * (math.sin(angle) - mu * math.cos(angle))
     if side < 0:
@@ -443,7 +454,9 @@ def test_walls_keep_particles_in():
         s.set_velocities((1.0, 0.7, 1.8))
         runs.append(s.run(np.linspace(0.02, 0.8, 40))[:, 0])
     inside, free = runs
-    assert np.all(inside >= box.lower) and np.all(inside <= box.upper)
+    # what flies at a wall is stopped in the substeps in which it would go half a cell
+    assert np.all(inside >= np.array(box.lower) - 0.5 * DX)
+    assert np.all(inside <= np.array(box.upper) + 0.5 * DX)
     assert np.any(free > box.upper, axis=(0, 1)).all() and np.any(free < box.lower)
     for axis in range(3):
         assert inside[..., axis].max() > box.upper[axis] - 1.5 * DX
@@ -613,7 +626,7 @@ def failing(E=1.0e6, substep=1e-3):
 
 @pytest.mark.parametrize(
     ("E", "substep", "what"),
-    [(1.0e6, 1e-3, "velocities grew"), (3.0e5, 2e-3, "turned inside out")],
+    [(1.0e6, 1e-3, "velocities grew"), (1.0e5, 1.5e-3, "turned inside out")],
 )
 def test_divergence_names_its_world(E, substep, what):
     """The error says which world failed, how, when and with what, and which particle if one."""
@@ -686,13 +699,14 @@ def test_state_now(tmp_path):
         ({"law": "rubber"}, "'rubber'.*neo-hookean"),
         ({"gravity": (0.0, -9.81)}, "gravity"),
         ({"gravity": (0.0, 0.0, np.nan)}, "gravity must be finite"),
-        ({"damping": -1.0}, "damping"),
+        ({"velocity_damping": -1.0}, "velocity_damping"),
+        ({"air_density": -1.0}, "air_density"),
         ({"substep": -1e-3}, "substep"),
         ({"substep": 0.0}, "substep"),
         ({"cfl": 0.0}, "cfl"),
         ({"threads": 0}, "threads"),
         ({"start_time": np.nan}, "start_time"),
-        ({"damping": [1.0, 2.0]}, "damping"),
+        ({"velocity_damping": [1.0, 2.0]}, "velocity_damping"),
         ({"table": Table(height=0.0, friction=[0.1, 0.2])}, "friction"),
         ({"positions": np.zeros((5, 3))}, "positions"),
         ({"positions": np.full((512, 3), np.nan)}, "not finite"),

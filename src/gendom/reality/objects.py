@@ -65,6 +65,13 @@ class RealRope:
         """[kg]."""
         return math.pi / 4.0 * self.diameter**2 * self.length * self.material.density
 
+    @property
+    def vertex_masses(self) -> npt.NDArray[np.float64]:
+        """[V] half of the edges that meet there [kg]."""
+        masses = np.full(self.vertices, self.mass / (self.vertices - 1))
+        masses[[0, -1]] /= 2.0
+        return masses
+
     def description(self) -> dict[str, Any]:
         """The object's part of a recording's meta, without the grasp."""
         return {
@@ -123,6 +130,13 @@ class RealCloth:
         """[kg]."""
         area = 0.5 * self.spacing**2 * len(self.sheet[1])
         return area * self.thickness * self.material.density
+
+    @property
+    def vertex_masses(self) -> npt.NDArray[np.float64]:
+        """[V] a third of the triangles that meet there [kg]."""
+        triangles = self.sheet[1]
+        # All triangles are halves of squares.
+        return np.bincount(triangles.ravel()) * (self.mass / (3.0 * len(triangles)))
 
     @property
     def rigidity(self) -> float:

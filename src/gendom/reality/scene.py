@@ -221,11 +221,21 @@ def build_model(
   </equality>
 </mujoco>"""
     try:
-        return mujoco.MjModel.from_xml_string(xml)
+        model = mujoco.MjModel.from_xml_string(xml)
     except ValueError as error:
         raise ParameterError(
             f"MuJoCo refuses the scene ({error})", where=item.name, fix="check its sizes"
         ) from None
+    _weigh(model, item)
+    return model
+
+
+def _weigh(model: Any, item: RealObject) -> None:
+    """Give each vertex the mass of its share of the object: flexcomp gives all of them the same."""
+    mujoco = load_mujoco()
+    # Their inertia moves nothing: they slide and do not turn.
+    model.body_mass[model.flex_vertbodyid] = item.vertex_masses
+    mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:

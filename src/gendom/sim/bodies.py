@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.errors import ParameterError
 
 
-CELLS_ACROSS = (0.9, 8.0)
+CELLS_ACROSS = (0.9, 6.0)
 """Numbers of grid cells across a rope with which its section is known to bend and twist right."""
 
 BULGE = 0.75
@@ -121,7 +121,7 @@ def rope(
         centre_line: [K, 3] points from one end to the other [m].
         start: [3] first end of a straight rope [m].
         direction: [3] direction of a straight rope; need not be a unit vector.
-        cells_across: Grid cells across the diameter, 1 to 8; particles are twice as dense.
+        cells_across: Grid cells across the diameter, 1 to 6; particles are twice as dense.
 
     Raises:
         ParameterError: If sizes are not positive, the centre line is degenerate, or there are fewer

@@ -55,6 +55,7 @@ class Rollout:
         self._times = self.simulator.checked(times)
         frames = self._tape.forward(self._times)
         self.simulator.time = float(self._times[-1])
+        frames += self.simulator.worlds.origin.astype(self.simulator.dtype)
         return frames
 
     def backward(self, positions_bar: ArrayLike) -> Gradients:

@@ -147,7 +147,7 @@ class Simulator:
 
     def positions(self) -> NDArray[Any]:
         """[W, N, 3] particle positions now [m]."""
-        return np.array(self.worlds.state.x.numpy())
+        return self.worlds.state.x.numpy() + self.worlds.origin.astype(self.dtype)
 
     def velocities(self) -> NDArray[Any]:
         """[W, N, 3] particle velocities now [m/s]."""
@@ -192,6 +192,8 @@ class Simulator:
         """
         kept = self.worlds.last_good if last_good else self.worlds.state
         state = {name: getattr(kept, name).numpy() for name in self.worlds.carried}
+        F = self.worlds.deformation_at(state["x"])
+        state["x"] = state["x"] + self.worlds.origin.astype(self.dtype)
         with atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(
                 file,
@@ -200,7 +202,7 @@ class Simulator:
                 nu=[m.nu for m in self.materials],
                 density=[m.density for m in self.materials],
                 substep=self.substep,
-                F=self.worlds.deformation_at(state["x"]).astype(self.dtype),
+                F=F.astype(self.dtype),
                 **state,  # pyright: ignore[reportArgumentType]
             )
 
@@ -245,6 +247,7 @@ class Simulator:
                 self._runner = self._make_runner()
         self._runner.run(Frames(self.time, t, picked, x, on_frame, keep_going))
         self.time = float(t[-1])
+        x += self.worlds.origin.astype(self.dtype)
         return x
 
     def _make_runner(self) -> Any:

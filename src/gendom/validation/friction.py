@@ -90,7 +90,7 @@ def resting_block(settings: Settings, friction: ArrayLike, gravity: ArrayLike) -
         gravity: [W, 3] [m/s^2].
     """
     dx = SIDE / (2 if settings.quick else 3)
-    body = block((2.0 * SIDE, SIDE, SIDE), dx, centre=(0.003, 0.001, SIDE / 2.0 + dx / 4.0))
+    body = block((2.0 * SIDE, SIDE, SIDE), dx, centre=(0.003, 0.001, SIDE / 2.0 - dx / 4.0))
     mu = np.asarray(friction, dtype=float)
     pull = np.asarray(gravity, dtype=float)
     omega = math.pi * MATERIAL.wave_speed / (2.0 * SIDE)

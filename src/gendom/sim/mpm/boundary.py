@@ -41,7 +41,7 @@ import warp as wp
 from gendom.sim.mpm.particles import Particles
 from gendom.sim.mpm.types import make_types
 
-SPRING = 0.5
+SPRING = 0.1
 """Of table and walls, for the mass of a section and the square of a substep."""
 
 BEYOND = 1.3
@@ -52,7 +52,7 @@ held bends a little. Free lengths then are those of beams, see ``gendom validate
 FOLLOWS = 0.5
 """Share of its distance from where it belongs that held material makes good in a substep."""
 
-DASHPOT = 0.5
+DASHPOT = 0.85
 """Share of the velocity into table or walls that they take in a substep."""
 
 
@@ -263,7 +263,7 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         would move at u with all other impulses of the substep."""
         change = vec3()
         if scene.table == 1:
-            given = push(x[2] - scene.z0 - radius, u[2], dt)
+            given = push(x[2] - radius, u[2], dt)
             if given > real(0.0):
                 slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])
                 lost = real(1.0)
@@ -281,7 +281,7 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         """Whether a particle's section may touch table or walls before the grid is rebuilt."""
         return scene.walls == 1 or (
             scene.table == 1
-            and x[2] < scene.z0 + real(2.0) * matter.contact_radius + real(2.0) * scene.dx
+            and x[2] < real(2.0) * matter.contact_radius + real(2.0) * scene.dx
         )
 
     @wp.func

@@ -146,9 +146,9 @@ def make_rebuild(real: Any) -> SimpleNamespace:
         grid.bounds[layout, 3] = -EMPTY_BELOW
 
     @wp.func
-    def reach(x: vec3, inv_dx: real, z0: real):
+    def reach(x: vec3, inv_dx: real):
         """Lowest and highest node [cells] of a particle that may yet travel by the margin."""
-        y = vec3(x[0], x[1], x[2] - z0) * inv_dx
+        y = x * inv_dx
         below = real(-MARGIN) - real(0.5)
         above = real(MARGIN) - real(0.5)
         lower = wp.vec3i(
@@ -223,16 +223,16 @@ def make_rebuild_world(real: Any, particles: Any) -> Any:
 
     @wp.func
     def rebuild(
-        row: int, lane: int, lanes: int, N: int, layout: int, room: int, inv_dx: real, z0: real,
+        row: int, lane: int, lanes: int, N: int, layout: int, room: int, inv_dx: real,
         particles: Particles, grid: SparseGrid,
     ):  # fmt: skip
         """Returns whether the layout has room for the particles of a row, with so many nodes."""
         if lane == 0:
             reset(layout, grid)
         meet()
-        lower, upper = reach(position(particles, row, lane % N), inv_dx, z0)
+        lower, upper = reach(position(particles, row, lane % N), inv_dx)
         for i in range(lane, N, lanes):
-            low, high = reach(position(particles, row, i), inv_dx, z0)
+            low, high = reach(position(particles, row, i), inv_dx)
             lower = wp.min(lower, low)
             upper = wp.max(upper, high)
         widen(layout, lower, upper, grid)
@@ -246,9 +246,9 @@ def make_rebuild_world(real: Any, particles: Any) -> Any:
             meet()
             # particles that follow each other mostly stand in one column
             begin = lane * N // lanes
-            lower, upper = reach(position(particles, row, begin % N), inv_dx, z0)
+            lower, upper = reach(position(particles, row, begin % N), inv_dx)
             for i in range(begin, (lane + 1) * N // lanes):
-                low, high = reach(position(particles, row, i), inv_dx, z0)
+                low, high = reach(position(particles, row, i), inv_dx)
                 if wp.abs(low[0] - lower[0]) + wp.abs(low[1] - lower[1]) > 1:
                     mark(layout, lower, upper, grid)
                     lower = low

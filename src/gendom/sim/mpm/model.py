@@ -92,7 +92,11 @@ class Worlds:
         W, N = len(s.materials), s.body.num_particles
         self.num_worlds, self.num_particles = W, N
         self.stiffness = spread(s.stiffness, (W, N), "stiffness")
-        x = spread(s.positions, (W, N, 3), "positions")
+        # heights are counted from the table: near 0 float32 resolves what presses on it
+        self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
+        x = spread(
+            np.asarray(s.positions, dtype=float) - self.origin, (W, N, 3), "positions"
+        )
         self.room = room_for(_distinct(x), s.body.dx)
         self.matter = self._matter()
         self.scene = self._scene()
@@ -141,7 +145,6 @@ class Worlds:
         friction = s.table.friction if s.table is not None else 0.0
         scene = k.Scene()
         scene.dx = s.body.dx
-        scene.z0 = s.table.height if s.table is not None else 0.0
         scene.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), k.vec3)
         scene.velocity_damping = self.array(
             spread(s.velocity_damping, (W,), "velocity_damping")
@@ -150,15 +153,15 @@ class Worlds:
         scene.table = int(s.table is not None)
         scene.walls = int(s.box is not None)
         if s.box is not None:
-            scene.box_lower = k.vec3(*s.box.lower)
-            scene.box_upper = k.vec3(*s.box.upper)
+            scene.box_lower = k.vec3(*(s.box.lower - self.origin))
+            scene.box_upper = k.vec3(*(s.box.upper - self.origin))
         return scene
 
     def _paths(self) -> Any:
         stacked = stack_paths(self.setting.grippers)
         paths = self.types.Paths()
         paths.time = self.array(stacked["time"], wp.float64)
-        paths.position = self.array(stacked["position"], wp.vec3d)
+        paths.position = self.array(stacked["position"] - self.origin, wp.vec3d)
         paths.orientation = self.array(stacked["orientation"], wp.quatd)
         paths.turn = self.array(stacked["turn"], wp.vec3d)
         paths.turns = self.array(stacked["turns"], wp.int32)

@@ -195,7 +195,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
                     q += matter.mass[w] * touched[w, p // matter.section]
             node, f, c = given_by(
                 state.x[row, p], q, state.C[row, p], matter.mass[w], layout,
-                real(1.0) / scene.dx, scene.z0, grid,
+                real(1.0) / scene.dx, grid,
             )  # fmt: skip
             add_to_nodes(momentum, slot, grid.start, layout, node, f, c)
 
@@ -223,7 +223,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
                     q += mass * touched[w, p // matter.section]
             x_bar, q_bar, C_bar, mass_bar = p2g_adjoint(
                 state.x[row, p], q, state.C[row, p], mass, layout, slot,
-                real(1.0) / scene.dx, scene.z0, grid, nodes_bar,
+                real(1.0) / scene.dx, grid, nodes_bar,
             )  # fmt: skip
             if free < real(1.0):
                 mass_bar += wp.dot(q_bar, grips.guided[w, p])
@@ -258,7 +258,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         v = vec3()
         C = types.mat33()
         if grips.free[w, p] > real(0.0):
-            v, C = g2p(layout, slot, x, real(1.0) / scene.dx, scene.z0, grid, velocity)
+            v, C = g2p(layout, slot, x, real(1.0) / scene.dx, grid, velocity)
         if compensates == 1:
             there, low = compensated_sum(x, dt * v, state.low[w, p])
             state_out.x[row_out, p] = there
@@ -282,10 +282,10 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             x_bar = bars.x[w, p]
             v_bar = bars.v[w, p] + dt * x_bar
             C_bar = bars.C[w, p]
-            node, f, c = taken_by(x, v_bar, C_bar, layout, inv_dx, scene.z0, grid)
+            node, f, c = taken_by(x, v_bar, C_bar, layout, inv_dx, grid)
             add_to_nodes(nodes_bar, slot, grid.start, layout, node, f, c)
             bars.x[w, p] = x_bar + g2p_adjoint(
-                x, v_bar, C_bar, layout, slot, inv_dx, scene.z0, grid, velocity
+                x, v_bar, C_bar, layout, slot, inv_dx, grid, velocity
             )
 
     return SimpleNamespace(

@@ -126,9 +126,9 @@ def make_transfer(real: Any) -> SimpleNamespace:
     sums, gather, gather_with_slope = bspline.sums, bspline.gather, bspline.gather_with_slope
 
     @wp.func
-    def locate(layout: int, x: vec3, inv_dx: real, z0: real, grid: SparseGrid):
+    def locate(layout: int, x: vec3, inv_dx: real, grid: SparseGrid):
         """Lowest of a particle's 27 nodes in a layout, and the place f above it in cells."""
-        y = vec3(x[0], x[1], x[2] - z0) * inv_dx
+        y = x * inv_dx
         i = int(wp.floor(y[0] - real(0.5)))
         j = int(wp.floor(y[1] - real(0.5)))
         k = int(wp.floor(y[2] - real(0.5)))
@@ -162,20 +162,20 @@ def make_transfer(real: Any) -> SimpleNamespace:
 
     @wp.func
     def given_by(
-        x: vec3, q: vec3, C: mat33, mass: real, layout: int, inv_dx: real, z0: real,
+        x: vec3, q: vec3, C: mat33, mass: real, layout: int, inv_dx: real,
         grid: SparseGrid,
     ):  # fmt: skip
         """What a particle gives to the grid: its lowest node, its place above, its coefficients."""
-        node, f = locate(layout, x, inv_dx, z0, grid)
+        node, f = locate(layout, x, inv_dx, grid)
         return node, f, coefficients(f, q, mass, (mass / inv_dx) * C)
 
     @wp.func
     def p2g_adjoint(
-        x: vec3, q: vec3, C: mat33, mass: real, layout: int, slot: int, inv_dx: real, z0: real,
+        x: vec3, q: vec3, C: mat33, mass: real, layout: int, slot: int, inv_dx: real,
         grid: SparseGrid, nodes_bar: wp.array2d(dtype=vec4),
     ):  # fmt: skip
         """Derivatives by x, q, C and mass from those by the nodes."""
-        node, f, c = given_by(x, q, C, mass, layout, inv_dx, z0, grid)
+        node, f, c = given_by(x, q, C, mass, layout, inv_dx, grid)
         R = gather_with_slope(nodes_bar, slot, grid.start, layout, node, f, c)
         u = vec3(R[0, 0], R[0, 1], R[0, 2])
         A_bar = affine_of(f, R)
@@ -186,29 +186,29 @@ def make_transfer(real: Any) -> SimpleNamespace:
 
     @wp.func
     def g2p(
-        layout: int, slot: int, x: vec3, inv_dx: real, z0: real, grid: SparseGrid,
+        layout: int, slot: int, x: vec3, inv_dx: real, grid: SparseGrid,
         nodes: wp.array2d(dtype=vec4),
     ):  # fmt: skip
         """Velocity v [m/s] and affine velocity C [1/s] of a particle from those of the nodes."""
-        node, f = locate(layout, x, inv_dx, z0, grid)
+        node, f = locate(layout, x, inv_dx, grid)
         R = gather(nodes, slot, grid.start, layout, node, f)
         return vec3(R[0, 0], R[0, 1], R[0, 2]), (real(4.0) * inv_dx) * affine_of(f, R)
 
     @wp.func
     def taken_by(
-        x: vec3, v_bar: vec3, C_bar: mat33, layout: int, inv_dx: real, z0: real, grid: SparseGrid
+        x: vec3, v_bar: vec3, C_bar: mat33, layout: int, inv_dx: real, grid: SparseGrid
     ):
         """What a particle's derivatives give to the grid's, as ``given_by``."""
-        node, f = locate(layout, x, inv_dx, z0, grid)
+        node, f = locate(layout, x, inv_dx, grid)
         return node, f, coefficients(f, v_bar, real(0.0), (real(4.0) * inv_dx) * C_bar)
 
     @wp.func
     def g2p_adjoint(
-        x: vec3, v_bar: vec3, C_bar: mat33, layout: int, slot: int, inv_dx: real, z0: real,
+        x: vec3, v_bar: vec3, C_bar: mat33, layout: int, slot: int, inv_dx: real,
         grid: SparseGrid, nodes: wp.array2d(dtype=vec4),
     ):  # fmt: skip
         """Derivative by the x at which the grid was read; that by the nodes is ``taken_by``."""
-        node, f, c = taken_by(x, v_bar, C_bar, layout, inv_dx, z0, grid)
+        node, f, c = taken_by(x, v_bar, C_bar, layout, inv_dx, grid)
         R = gather_with_slope(nodes, slot, grid.start, layout, node, f, c)
         v = vec3(R[0, 0], R[0, 1], R[0, 2])
         return inv_dx * (place_of(R) - (real(4.0) * inv_dx) * (wp.transpose(C_bar) * v))

@@ -67,10 +67,9 @@ def make_types(real: Any) -> Types:
         """What surrounds W bodies."""
 
         dx: real
-        z0: real  # height of node level 0, and of the table [m]
         gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
         velocity_damping: wp.array(dtype=real)  # [W] [1/s]
-        table: int
+        table: int  # at height 0
         friction: wp.array(dtype=real)  # [W]
         walls: int
         box_lower: vec3

@@ -232,7 +232,6 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
         W = clock.dt.shape[0]
         N = bars.x.shape[1]
         grippers = grips.closed.shape[1]
-        z0 = scene.z0
         inv_dx = real(1.0) / scene.dx
         dt = clock.dt[w]
         h = real(dt)
@@ -322,7 +321,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     x_bar = bar_vector(of, w, X, i)
                     node, f, taken = taken_by(
                         vector(tape.of, slot, 0, i), bar_vector(of, w, V, i) + h * x_bar,
-                        bar_matrix(of, w, C, i), layout, inv_dx, z0, grid,
+                        bar_matrix(of, w, C, i), layout, inv_dx, grid,
                     )  # fmt: skip
                     window = hand_over(window, held, node, nodes_bar, w, grid.start, layout)
                     window = collect(window, f, taken)
@@ -337,7 +336,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     x_bar = bar_vector(of, w, X, i)
                     x_bar += g2p_adjoint(
                         vector(tape.of, slot, 0, i), bar_vector(of, w, V, i) + h * x_bar,
-                        bar_matrix(of, w, C, i), layout, w, inv_dx, z0, grid, velocity,
+                        bar_matrix(of, w, C, i), layout, w, inv_dx, grid, velocity,
                     )  # fmt: skip
                     put_vector(of, w, X, i, x_bar)
             factor_sum = wp.float64(0.0)
@@ -367,7 +366,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                         given = mass * grips.guided[w, p]
                     x_bar, q_bar, C_bar, mass_bar = p2g_adjoint(
                         vector(tape.of, slot, 0, i), given, matrix(tape.of, slot, 6, i), mass, layout, w,
-                        inv_dx, z0, grid, nodes_bar,
+                        inv_dx, grid, nodes_bar,
                     )  # fmt: skip
                     if free < real(1.0):
                         mass_bar += wp.dot(q_bar, grips.guided[w, p])

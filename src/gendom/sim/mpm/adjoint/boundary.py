@@ -124,7 +124,7 @@ def make_boundary_adjoint(
                     x_bar[a] = x_bar[a] + stiff * b
                     u_bar[a] = u_bar[a] + loss * b
         if scene.table == 1:
-            given = push(x[2] - scene.z0 - radius, u[2], dt)
+            given = push(x[2] - radius, u[2], dt)
             if given > real(0.0):
                 given_bar = change_bar[2]
                 slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])

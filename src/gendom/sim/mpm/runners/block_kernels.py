@@ -238,7 +238,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
 
     @wp.func
     def put_in_order(
-        w: int, lane: int, lanes: int, layout: int, inv_dx: real, z0: real, matter: Matter,
+        w: int, lane: int, lanes: int, layout: int, inv_dx: real, matter: Matter,
         grid: SparseGrid, records: Records,
     ):  # fmt: skip
         """Order a world's records by their lowest nodes."""
@@ -251,7 +251,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
             records.tally[w, n] = 0
         meet()
         for i in range(lane, N, lanes):
-            node, _f = locate(layout, vector(of, w, X, i), inv_dx, z0, grid)
+            node, _f = locate(layout, vector(of, w, X, i), inv_dx, grid)
             n = grid.start[layout, node[0], node[1]] + node[2]
             wp.atomic_add(records.tally, w, n, 1)
         meet()
@@ -265,7 +265,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
             first += here
         meet()
         for i in range(lane, N, lanes):
-            node, _f = locate(layout, vector(of, w, X, i), inv_dx, z0, grid)
+            node, _f = locate(layout, vector(of, w, X, i), inv_dx, grid)
             n = grid.start[layout, node[0], node[1]] + node[2]
             j = wp.atomic_add(records.tally, w, n, 1)
             p = records.order[w, i]
@@ -388,7 +388,6 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         if t >= pause:
             return
         dx = scene.dx
-        z0 = scene.z0
         inv_dx = real(1.0) / dx
         mass = matter.mass[w]
         drag = matter.drag[w]
@@ -431,7 +430,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                         made += W
                 if left > 0:
                     fits = rebuild(
-                        w, lane, lanes, N, layout, momentum.shape[1], inv_dx, z0, records, grid
+                        w, lane, lanes, N, layout, momentum.shape[1], inv_dx, records, grid
                     )
                     status = GRID_FULL
                     if fits:
@@ -446,7 +445,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                         if strayed >= real(ORDERLY) * dx:
                             strayed = real(0.0)
                             put_in_order(
-                                w, lane, lanes, layout, inv_dx, z0, matter, grid, records
+                                w, lane, lanes, layout, inv_dx, matter, grid, records
                             )
                         if keeps == 1:
                             for i in range(lane, N, lanes):
@@ -549,7 +548,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                         q = mass * grips.guided[w, records.order[w, i]]
                     if free > real(0.0):
                         node, f, given = given_by(
-                            vector(of, w, X, i), q, matrix(of, w, C, i), mass, layout, inv_dx, z0,
+                            vector(of, w, X, i), q, matrix(of, w, C, i), mass, layout, inv_dx,
                             grid,
                         )  # fmt: skip
                         window = hand_over(
@@ -582,7 +581,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     affine = mat33()
                     x = vector(of, w, X, i)
                     if free > real(0.0):
-                        v, affine = g2p(layout, w, x, inv_dx, z0, grid, velocity)
+                        v, affine = g2p(layout, w, x, inv_dx, grid, velocity)
                     if compensates == 1:
                         there, low = compensated_sum(x, h * v, vector(of, w, LOW, i))
                         put_vector(of, w, X, i, there)

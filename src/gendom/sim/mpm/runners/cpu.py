@@ -70,7 +70,7 @@ def make_advance(real: Any, law_name: str, *, yields: bool) -> Any:
             if travel >= real(MARGIN) * dx:
                 layout = slot
                 fits = rebuild(
-                    row, 0, 1, N, layout, momentum.shape[1], real(1.0) / dx, scene.z0, state, grid
+                    row, 0, 1, N, layout, momentum.shape[1], real(1.0) / dx, state, grid
                 )
                 near = int(0)
                 for p in range(N):

@@ -129,7 +129,7 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
         w, p = wp.tid()
         if lap.stale[w] == 1:
             x = state.x[w, p]
-            lower, upper = reach(x, real(1.0) / scene.dx, scene.z0)
+            lower, upper = reach(x, real(1.0) / scene.dx)
             widen(w, lower, upper, grid)
             if near_table(x, matter, scene):
                 clock.near_table[w] = 1
@@ -144,7 +144,7 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
     def mark(scene: Scene, lap: Lap, state: State, grid: SparseGrid):
         w, p = wp.tid()
         if lap.stale[w] == 1:
-            lower, upper = reach(state.x[w, p], real(1.0) / scene.dx, scene.z0)
+            lower, upper = reach(state.x[w, p], real(1.0) / scene.dx)
             mark_box(w, lower, upper, grid)
 
     @wp.kernel
