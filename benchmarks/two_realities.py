@@ -10,7 +10,9 @@ Both ropes hang straight and at rest at first. A grip holds a length of the rope
 gripper: in MuJoCo up to the last vertex that is pinned, in ours up to where the gripper's sphere
 cuts the centre line, which is chosen to be there. MuJoCo's rods bend at their vertices, each for
 half an edge on either side, the last pinned one too: as a beam, its rope is free from half an edge
-earlier on (as in `gendom.reality.benches`). `--border 0.5` ends our grips there.
+before it on: a cantilever sags by 0.998 of theory if its length is counted from there, by 1.13 or
+0.89 if from the last pinned vertex or from the one before (`gendom.reality.benches`). MuJoCo pins a
+rope's first two vertices here, so our grips end half an edge from its end: `--border 0.5`.
 
     python benchmarks/two_realities.py [--ropes rope-cotton] [--no-damping] [--no-air] [--json]
     python benchmarks/two_realities.py --reality mujoco.json --skip-ours     # MuJoCo's part alone
@@ -41,7 +43,7 @@ from gendom.reality import (
     reaching_task,
 )
 from gendom.reality.objects import GRAVITY
-from gendom.reality.scene import clamped_vertices
+from gendom.reality.scene import ROPE_STEP, clamped_vertices
 from gendom.reality.trials import CAST_AFTER, CAST_PLACE, CAST_SPEED
 from gendom.sim import Body, Gripper, Simulator, rope
 
@@ -65,10 +67,11 @@ def main() -> None:
     names = [name for name, item in OBJECTS.items() if isinstance(item, RealRope)]
     parser.add_argument("--ropes", nargs="+", choices=names, default=names, metavar="NAME")
     parser.add_argument("--cells-across", type=float, default=1.5, help="of our grid")
-    parser.add_argument("--border", type=float, default=1.0, help="of our grips [MuJoCo's edges]")
+    parser.add_argument("--border", type=float, default=0.5, help="of our grips [MuJoCo's edges]")
     parser.add_argument("--device", default="cpu", help="of our simulator")
     parser.add_argument("--no-damping", action="store_true", help="in ours")
     parser.add_argument("--no-air", action="store_true", help="in whatever is simulated now")
+    parser.add_argument("--step", type=float, help="MuJoCo's [s]; by default that of its ropes")
     parser.add_argument("--reality", type=Path, help="MuJoCo's results: written here")
     parser.add_argument("--skip-mujoco", action="store_true", help="read --reality instead")
     parser.add_argument("--skip-ours", action="store_true")
@@ -83,7 +86,11 @@ def main() -> None:
         if missing := [item.name for item in ropes if item.name not in found["ropes"]]:
             parser.error(f"{given.reality} lacks {', '.join(missing)}")
     else:
-        found = {"air_density": air, "ropes": {item.name: in_mujoco(item, air) for item in ropes}}
+        found = {
+            "air_density": air,
+            "step": given.step or ROPE_STEP,
+            "ropes": {item.name: in_mujoco(item, air, given.step) for item in ropes},
+        }
         if given.reality:
             write_json(given.reality, found)
     result = {"mujoco": found}
@@ -102,20 +109,20 @@ def main() -> None:
 # ---- MuJoCo --------------------------------------------------------------------------------------
 
 
-def in_mujoco(item: RealRope, air: float) -> dict[str, Any]:
+def in_mujoco(item: RealRope, air: float, step: float | None) -> dict[str, Any]:
     """What the second reality's rope does."""
     began = time.perf_counter()
     edge = item.length / (item.vertices - 1)
     releases, casts, free = [], [], []
     for action in RELEASES:
-        performance = free_hand(reaching(item, action), air)
+        performance = free_hand(reaching(item, action), air, step)
         performance.step_to(performance.closes)
         stand = clamped_vertices(item, performance.trial.layout)
         free.append(item.length - edge * (len(stand) + len(performance.world.held) - 2))
         reached = carry_out_reaching(performance, frame_rate=RATE).reached
         releases.append({"release": list(action), "reached": reached})
     for way in CASTS:
-        performance = free_hand(casting(item, way), air)
+        performance = free_hand(casting(item, way), air, step)
         performance.step_to(performance.closes)
         free.append(item.length - edge * (len(performance.world.held) - 1))
         times, tip, hand = [], [], []
@@ -137,8 +144,8 @@ def in_mujoco(item: RealRope, air: float) -> dict[str, Any]:
     }
 
 
-def free_hand(trial: Trial, air: float) -> Performance:
-    return Performance(trial, robot=False, air_density=air)
+def free_hand(trial: Trial, air: float, step: float | None) -> Performance:
+    return Performance(trial, robot=False, air_density=air, timestep=step)
 
 
 # ---- ours ----------------------------------------------------------------------------------------
@@ -274,7 +281,7 @@ def first_swing(
 def show(result: dict[str, Any], ropes: list[RealRope]) -> None:
     """Both realities' reaches and casts, and what is between them."""
     mujoco, ours = result["mujoco"], result.get("ours")
-    print(f"MuJoCo: air {mujoco['air_density']:g} kg/m^3")
+    print(f"MuJoCo: air {mujoco['air_density']:g} kg/m^3, steps of {1e3 * mujoco['step']:g} ms")
     if ours:
         damped = "as MuJoCo's" if ours["damping"] else "none"
         print(f"ours:   air {ours['air_density']:g} kg/m^3, damping {damped}")

@@ -14,7 +14,9 @@ CLOTHS = [name for name in OBJECTS if name not in ROPES]
 
 @pytest.mark.parametrize("name", ROPES)
 def test_a_rope_sags_as_a_beam(name):
-    assert cantilever(OBJECTS[name]).error == pytest.approx(0.0, abs=0.02)
+    """One that is free from half an edge before its last pinned vertex: counted from that vertex it
+    would sag by 13 % more than theory, from the vertex before by 11 % less."""
+    assert cantilever(OBJECTS[name]).error == pytest.approx(0.0, abs=0.005)
 
 
 @pytest.mark.parametrize("diagonal", [False, True], ids=["side", "diagonal"])

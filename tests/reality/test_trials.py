@@ -84,6 +84,14 @@ def test_the_arm_lifts(name):
         assert abs(stretch(item, performance.world.vertices())) < 0.005
 
 
+def test_a_performance_takes_the_time_step_that_it_is_given():
+    steps = [
+        Performance(reaching(POLYESTER, STRETCHED), robot=False, timestep=step)
+        for step in (None, 2.5e-4)
+    ]
+    assert [p.world.model.opt.timestep for p in steps] == [1e-3, 2.5e-4]
+
+
 def test_a_slowed_arm_finishes_its_lift():
     """A lift at 2 m/s is beyond the arm; what it does instead takes longer, its pauses do not."""
     performance = Performance(lift(POLYESTER, rise=0.06, speed=2.0))

@@ -223,7 +223,7 @@ def test_moved():
         (lambda: rope(diameter=0.01, length=-0.1), "length"),
         (lambda: rope(diameter=0.01, length=math.nan), "length"),
         (lambda: rope(diameter=0.01, length=0.1, cells_across=0.0), "cells_across"),
-        (lambda: rope(diameter=0.01, length=0.1, cells_across=0.5), "cells_across must lie"),
+        (lambda: rope(diameter=0.01, length=0.1, cells_across=0.3), "cells_across must lie"),
         (lambda: rope(diameter=0.01, length=0.1, cells_across=20.0), "cells_across must lie"),
         (lambda: rope(diameter=0.01), "needs its length"),
         (lambda: rope(diameter=0.01, length=0.1, direction=(0, 0, 0)), "zero vector"),

@@ -13,7 +13,9 @@ from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
 from gendom.sim.mpm.runners.block_per_world import Blocks
 from gendom.sim.mpm.runners.graph import Batch
 
-_SPEC = importlib.util.spec_from_file_location("numpy_mpm", Path(__file__).with_name("numpy_mpm.py"))
+_SPEC = importlib.util.spec_from_file_location(
+    "numpy_mpm", Path(__file__).with_name("numpy_mpm.py")
+)
 assert _SPEC is not None and _SPEC.loader is not None
 numpy_mpm = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(numpy_mpm)

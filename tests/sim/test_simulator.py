@@ -406,7 +406,9 @@ def test_block_rests_at_table_height():
 
 def test_dropped_block_rests_on_the_table():
     """It neither bounces nor sinks: its lowest layer lies a quarter of a cell above the table."""
-    s = on_table(velocity_damping=20.0, positions=block(size=(0.06, 0.04, 0.04), corner=(0, 0, 0.54)).x)
+    s = on_table(
+        velocity_damping=20.0, positions=block(size=(0.06, 0.04, 0.04), corner=(0, 0, 0.54)).x
+    )
     x = s.run([0.6])[0, 0]
     assert np.abs(s.velocities()).max() < 2e-3
     assert x[:, 2].min() == pytest.approx(0.5 + DX / 4, abs=0.1 * DX)

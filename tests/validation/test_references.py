@@ -13,7 +13,15 @@ from gendom.sim import Simulator, cloth, rope
 from gendom.validation.beams import heavy_elastica
 from gendom.validation.chain import lowest_frequency
 from gendom.validation.check import Check
+from gendom.validation.damping import (
+    ROOT,
+    damped_frequency,
+    elastic_frequency,
+    first_mode,
+    gravity_for,
+)
 from gendom.validation.energy import growth
+from gendom.validation.layers import share_when_stuck, stacked
 from gendom.validation.specimens import block, end, energies, momenta, sections, stations, swing
 
 
@@ -71,6 +79,67 @@ def test_stretch_slows_a_rope():
     slow = lowest_frequency(soft, 1e-5, 0.5, 9.81)
     fast = lowest_frequency(stiff, 1e-5 * math.sqrt(soft / stiff), 0.5, 9.81)
     assert 0.990 < slow / fast < 0.9975
+
+
+@pytest.mark.parametrize("tau", [1e-5, 0.003, 0.1])
+def test_linear_solid_solves_its_equation(tau):
+    """s^2 + omega^2 (1 + s tau / (1 + s tau)) = 0, an oscillation that decays."""
+    omega = 30.0
+    frequency, rate = damped_frequency(omega, tau)
+    s = complex(-rate, frequency)
+    assert abs(s**2 + omega**2 * (1.0 + s * tau / (1.0 + s * tau))) < 1e-6 * omega**2
+    assert frequency > 0.0 and rate > 0.0
+
+
+def test_linear_solid_is_viscous_when_slow_and_twice_as_stiff_when_fast():
+    assert damped_frequency(30.0, 1e-5) == pytest.approx((30.0, 900.0 * 1e-5 / 2.0), rel=1e-3)
+    assert damped_frequency(30.0, 100.0)[0] == pytest.approx(30.0 * math.sqrt(2.0), rel=1e-3)
+
+
+def test_first_mode_of_a_cantilever():
+    """Clamped at 0, 1 at the tip and free there; an eigenfunction of the fourth derivative."""
+    L, h = 0.3, 1e-3
+    x = np.arange(0.0, L + h / 2, h)
+    y, slope, bend = first_mode(x, L)
+    assert abs(math.cos(ROOT) * math.cosh(ROOT) + 1.0) < 1e-9
+    assert (y[0], slope[0], y[-1], bend[-1]) == pytest.approx((0.0, 0.0, 1.0, 0.0), abs=1e-7)
+    assert np.allclose(np.gradient(y, h)[1:-1], slope[1:-1], atol=1e-3)
+    assert np.allclose(np.gradient(slope, h)[1:-1], bend[1:-1], atol=1e-2)
+    fourth = np.gradient(np.gradient(bend, h), h)[5:-5]
+    assert np.allclose(fourth, (ROOT / L) ** 4 * y[5:-5], atol=1e-3 * (ROOT / L) ** 4)
+    assert np.all(first_mode(np.array([-0.1]), L)[0] == 0.0)
+
+
+def test_slender_rods_need_no_shear():
+    """Frequency and sag tend to Euler and Bernoulli's as rods get slender, from the soft side."""
+    material, L = Material(E=2.0e6, nu=0.3, density=500.0), 0.4
+    for share, shear in ((2000.0, 0.0), (20.0, 0.01)):
+        k = L / share
+        euler = ROOT**2 * math.sqrt(4000.0) * k / L**2
+        weight = 8.0 * 4000.0 * k**2 / L**4 * 0.01
+        softer = elastic_frequency(material, k, L) / euler
+        lighter = gravity_for(0.01, material, k, L) / weight
+        if shear:
+            assert 0.9 < softer < 1.0 - shear and 0.9 < lighter < 1.0 - shear
+        else:
+            assert (softer, lighter) == pytest.approx((1.0, 1.0), rel=1e-5)
+
+
+def test_stacked_sheets_are_not_joined():
+    """Two sheets, twice the particles, none with a neighbour in the other."""
+    sheet = cloth(width=0.04, height=0.03, thickness=0.001, dx=0.01)
+    body = stacked(sheet, 0.02)
+    half = sheet.num_particles
+    assert body.num_particles == 2 * half
+    assert (body.lattice[:half] < half).all() and (body.lattice[half:] >= half).all()
+    assert np.allclose(body.x[half:] - body.x[:half], [0.0, 0.0, 0.02])
+    assert np.allclose(body.rest_frames[half:], body.rest_frames[:half])
+
+
+def test_stuck_sheets_turn_as_one():
+    """Two sheets 1 apart: v / 4 of angular momentum over 1 + 1 / 4 of inertia, times 1."""
+    assert share_when_stuck(1.0, 1.0, 0.0) == pytest.approx(0.25 / 1.25)
+    assert share_when_stuck(1.0, 1.0, math.sqrt(2.0)) == pytest.approx(0.25 / 2.25)
 
 
 def test_swing_reads_frequency_and_decay():

@@ -136,7 +136,8 @@ class RealCloth:
         """[V] a third of the triangles that meet there [kg]."""
         triangles = self.sheet[1]
         # All triangles are halves of squares.
-        return np.bincount(triangles.ravel()) * (self.mass / (3.0 * len(triangles)))
+        meeting = np.bincount(triangles.ravel()).astype(np.float64)
+        return meeting * (self.mass / (3.0 * len(triangles)))
 
     @property
     def rigidity(self) -> float:

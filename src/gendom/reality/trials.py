@@ -99,6 +99,7 @@ class Performance:
         robot: True: the xArm 7 does it; False: a free hand.
         cameras: Fixed cameras.
         air_density: Of the still air [kg/m^3]; 0: none.
+        timestep: MuJoCo's [s]; None for the default of the object's kind.
 
     Raises:
         RobotError: The arm cannot follow the path within its limits, or would touch itself, the
@@ -114,6 +115,7 @@ class Performance:
         robot: bool = True,
         cameras: Sequence[Camera] = (),
         air_density: float = AIR_DENSITY,
+        timestep: float | None = None,
     ):
         self.trial = trial
         thick = trial.item.diameter if isinstance(trial.item, RealRope) else trial.item.thickness
@@ -128,7 +130,12 @@ class Performance:
             )
         arm = None if self.motion is None else RobotArm(XARM7, self.motion, opening=thick)
         self.world = Reality(
-            trial.item, trial.layout, robot=arm, cameras=cameras, air_density=air_density
+            trial.item,
+            trial.layout,
+            robot=arm,
+            cameras=cameras,
+            timestep=timestep,
+            air_density=air_density,
         )
         if arm is None:
             self.world.follow(trial.path.position_at)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.errors import ParameterError
 
 
-CELLS_ACROSS = (0.9, 6.0)
+CELLS_ACROSS = (0.5, 6.0)
 """Numbers of grid cells across a rope with which its section is known to bend and twist right."""
 
 BULGE = 0.75
@@ -121,7 +121,7 @@ def rope(
         centre_line: [K, 3] points from one end to the other [m].
         start: [3] first end of a straight rope [m].
         direction: [3] direction of a straight rope; need not be a unit vector.
-        cells_across: Grid cells across the diameter, 1 to 6; particles are twice as dense.
+        cells_across: Grid cells across the diameter, 0.5 to 6; particles are twice as dense.
 
     Raises:
         ParameterError: If sizes are not positive, the centre line is degenerate, or there are fewer
@@ -239,9 +239,7 @@ def cloth(
     )
 
 
-def round_section(
-    across: int, diameter: float
-) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
+def round_section(across: int, diameter: float) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
     """Particles of a round section, and the cells of the lattice that they form.
 
     A square of particles is bulged until its outer ones stand nearly on a circle: a section cut out

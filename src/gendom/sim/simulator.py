@@ -268,9 +268,7 @@ class Simulator:
         return t
 
 
-def _check_clear(
-    body: Body, x: NDArray[np.floating], table: Table | None, box: Box | None
-) -> None:
+def _check_clear(body: Body, x: NDArray[np.floating], table: Table | None, box: Box | None) -> None:
     """Refuse positions [..., N, 3] that lie in the table or in a wall.
 
     Raises:

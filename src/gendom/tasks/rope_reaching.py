@@ -114,7 +114,8 @@ class RopeReaching:
     simulator from rounding; `ReachingOutcome.sideways` shows it.
 
     Raises:
-        ParameterError: If a setting is not positive and finite, or damping is negative.
+        ParameterError: If a setting is not positive and finite, or damping or the air's density is
+            negative.
     """
 
     name: ClassVar[str] = "rope-reaching"
@@ -131,14 +132,18 @@ class RopeReaching:
     """Grid cells across the diameter."""
     damping: float = 0.0
     """Rate at which velocities decay [1/s]."""
+    air_density: float = 1.2
+    """Of the air that drags on the rope [kg/m^3]."""
 
     def __post_init__(self) -> None:
         for name in ("length", "diameter", "gravity", "cells_across"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ParameterError(f"{name} must be positive and finite, got {value}")
-        if not (math.isfinite(self.damping) and self.damping >= 0.0):
-            raise ParameterError(f"damping must be finite and not negative, got {self.damping}")
+        for name in ("damping", "air_density"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise ParameterError(f"{name} must be finite and not negative, got {value}")
         if self.diameter > 0.2 * self.length:
             raise ParameterError(
                 f"a rope {self.diameter} m thick and {self.length} m long is no rope",
@@ -325,7 +330,8 @@ class RopeReaching:
     def scaled_to(self, length: float, diameter: float | None = None) -> RopeReaching:
         """The same task for a rope of another size: actions, goals and paths scale with L.
 
-        Times and the rate of damping follow the rope's own clock sqrt(L / g).
+        Times and the rate of damping follow the rope's own clock sqrt(L / g). What the air does to
+        the rope is only similar where diameter and density keep their product.
 
         Args:
             length: [m].
@@ -397,6 +403,7 @@ class RopeReaching:
                 grippers=grippers,
                 gravity=(0.0, 0.0, -self.gravity),
                 velocity_damping=self.damping,
+                air_density=self.air_density,
                 dtype=dtype,
                 device=device,
                 threads=threads,

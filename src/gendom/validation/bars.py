@@ -28,7 +28,7 @@ def axial_vibration(settings: Settings) -> list[Check]:
         omega = math.pi * c / (2.0 * L)
         s = clamped_bar(settings, cells, L, material, pull=0.0, damping=0.0)
         body = s.body
-        ahead = np.clip(body.x[:, 0] + body.dx / 2.0, 0.0, None)
+        ahead = np.clip(body.x[:, 0], 0.0, None)
         v = np.zeros_like(body.x)
         v[:, 0] = 1e-3 * c * np.sin(math.pi * ahead / (2.0 * L))
         s.set_velocities(v)
@@ -96,11 +96,11 @@ def tension(settings: Settings) -> list[Check]:
 def clamped_bar(
     settings: Settings, cells: int, L: float, material: Material, *, pull: float, damping: float
 ) -> Simulator:
-    """A bar whose free part reaches from x = -dx / 2 over L; gravity ``pull`` along x [m/s^2]."""
+    """A bar whose free part reaches from x = 0 over L; gravity ``pull`` along x [m/s^2]."""
     dx = SIDE / cells
     back = 3.0 * dx
-    body = block((L + back, SIDE, SIDE), dx, centre=((L - back - dx) / 2.0, 0.0, 0.0))
-    clamp = clamp_beyond((-dx / 2.0, 0.0, 0.0), (-1.0, 0.0, 0.0), SIDE)
+    body = block((L + back, SIDE, SIDE), dx, centre=((L - back) / 2.0, 0.0, 0.0))
+    clamp = clamp_beyond((0.0, 0.0, 0.0), (-1.0, 0.0, 0.0), SIDE)
     return settings.simulator(
         body, [material], grippers=[clamp], gravity=(pull, 0.0, 0.0), velocity_damping=damping
     )

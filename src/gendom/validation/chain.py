@@ -37,7 +37,7 @@ def hanging_chain(settings: Settings) -> list[Check]:
     body = rope(
         diameter=d,
         length=L + back,
-        start=(0.0, 0.0, dx / 2.0 + back),
+        start=(0.0, 0.0, back),
         direction=(0.0, 0.0, -1.0),
         cells_across=cells,
     )
@@ -48,9 +48,9 @@ def hanging_chain(settings: Settings) -> list[Check]:
     x[:, 2] -= g * (L**2 - below**2) / (2.0 * specific)
     x[:, :2] *= 1.0 - nu * strain[:, None]
     x[:, 0] += 0.02 * L * j0(jn_zeros(0, 1)[0] * np.sqrt(below / L))
-    clamp = clamp_beyond((0.0, 0.0, dx / 2.0), (0.0, 0.0, 1.0), d)
+    clamp = clamp_beyond((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), d)
     material = Material(E=1000.0 * specific, nu=nu, density=1000.0)
-    s = settings.simulator(body, [material], grippers=[clamp], positions=x)
+    s = settings.simulator(body, [material], grippers=[clamp], positions=x, air_density=0.0)
     t = np.linspace(0.0, 1.5 * 2.0 * math.pi / omega, 91)
     found, _ = swing(t, end(s.run(t)[:, 0], body)[:, 0], omega)
     stiff = lowest_frequency(specific, k, L, g)

@@ -136,7 +136,9 @@ def objectivity(settings: Settings) -> list[Check]:
     def answer(Q: NDArray[np.floating]) -> NDArray[np.floating]:
         grip = Gripper(time=[0.0, 0.2], position=path @ Q.T, radius=0.04)
         turned = replace(body, x=body.x @ Q.T)
-        s = settings.simulator(turned, [Material(E=3.0e5)], grippers=[grip], gravity=Q @ pull)
+        s = settings.simulator(
+            turned, [Material(E=3.0e5)], grippers=[grip], gravity=Q @ pull, air_density=0.0
+        )
         return s.run([0.2])[0, 0].astype(float) @ Q
 
     plain = answer(np.eye(3))

@@ -45,8 +45,7 @@ def block(size: ArrayLike, dx: float, *, centre: ArrayLike = (0.0, 0.0, 0.0)) ->
 def clamp_beyond(point: ArrayLike, outwards: ArrayLike, reach: float) -> Gripper:
     """A gripper that holds all material beyond a plane: a sphere so wide that it looks flat.
 
-    Held nodes lie up to one cell before the plane, and material is rigid to half a cell before
-    the last of them. Where a node plane lies half a cell before ``point`` both planes agree.
+    The free length of a rod or strip begins at the plane, whatever the phase of the grid.
 
     Args:
         point: [3] a point of the plane, on the object's axis [m].

@@ -19,6 +19,9 @@ SPECIFIC_MODULUS = (500.0, 10500.0)
 NU = (0.2, 0.4)
 """Range of Poisson's ratio in the paper."""
 
+DAMPING = (0.001, 0.02)
+"""Range of the materials' damping in half of the worlds [s]."""
+
 LONGER = (1.5, 2.0, 2.5)
 """Substeps tried besides the default, as multiples of it."""
 
@@ -30,7 +33,7 @@ Scene = Callable[[np.random.Generator], list[Gripper]]
 
 def stability(settings: Settings) -> list[Check]:
     """Ropes that are carried, held and released; ropes pulled away sideways; cloths lifted by
-    their centre and dropped faster and faster: random E, nu and motions, none may diverge.
+    their centre and dropped faster and faster: random E, nu, damping and motions, none may diverge.
 
     3,334 worlds of each kind on a GPU, 12 on a CPU, 3 where quick. Longer substeps are run with
     fewer, to show where the limit is.
@@ -95,7 +98,13 @@ def _diverged(
 
 
 def _material(rng: np.random.Generator) -> Material:
-    return Material(E=1000.0 * rng.uniform(*SPECIFIC_MODULUS), nu=rng.uniform(*NU), density=1000.0)
+    """Every other material, on average, has damping."""
+    return Material(
+        E=1000.0 * rng.uniform(*SPECIFIC_MODULUS),
+        nu=rng.uniform(*NU),
+        density=1000.0,
+        damping=rng.choice([0.0, 1.0]) * rng.uniform(*DAMPING),
+    )
 
 
 def _carry(task: RopeReaching, rng: np.random.Generator) -> list[Gripper]:

@@ -8,15 +8,21 @@ from dataclasses import dataclass
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.validation import (
+    air,
     bars,
     beams,
     chain,
     consistency,
     convergence,
+    damping,
     energy,
     free_motion,
     friction,
+    grip,
+    layers,
+    resting,
     stability,
+    torsion,
 )
 from gendom.validation.check import Case, Check, Settings
 
@@ -28,11 +34,18 @@ CASES = {
         Case(name="objectivity", title="a turned problem", run=free_motion.objectivity),
         Case(name="cantilever", title="a strip's small sag", run=beams.cantilever),
         Case(name="elastica", title="a strip's large sag", run=beams.elastica),
+        Case(name="grip", title="a rope held by a sphere", run=grip.grip),
+        Case(name="torsion", title="a twisted rope", run=torsion.torsion),
         Case(name="axial-vibration", title="a clamped bar", run=bars.axial_vibration),
         Case(name="tension", title="a bar under its own weight", run=bars.tension),
         Case(name="hanging-chain", title="a soft rope's swing", run=chain.hanging_chain),
+        Case(name="ring-down", title="a rope with material damping", run=damping.ring_down),
+        Case(name="damped-sag", title="a sag with and without damping", run=damping.damped_sag),
+        Case(name="terminal-speed", title="falls through air", run=air.terminal_speed),
+        Case(name="resting", title="what lies on the table", run=resting.resting),
         Case(name="sliding", title="a block pushed along the table", run=friction.sliding),
-        Case(name="sticking", title="a block on a slope", run=friction.sticking),
+        Case(name="sticking", title="what lies on a slope", run=friction.sticking),
+        Case(name="layers", title="sheets that slide without touching", run=layers.sliding_layers),
         Case(name="order", title="orders of convergence", run=convergence.order),
         Case(name="energy", title="energy without work", run=energy.energy),
         Case(name="batch", title="worlds together and alone", run=consistency.batch),

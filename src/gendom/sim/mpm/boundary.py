@@ -165,9 +165,7 @@ def make_paths(real: Any) -> SimpleNamespace:
     ):  # fmt: skip
         """Transpose of ``pose``; derivatives by R are by a rotation of it, in world axes."""
         knot, u = knot_before(w, g, t, paths)
-        bars.position[w, g, knot] = (
-            bars.position[w, g, knot] + (wp.float64(1.0) - u) * centre_bar
-        )
+        bars.position[w, g, knot] = bars.position[w, g, knot] + (wp.float64(1.0) - u) * centre_bar
         bars.position[w, g, knot + 1] = bars.position[w, g, knot + 1] + u * centre_bar
         if paths.turns[w, g] == 1:
             turn_adjoint(w, g, knot, u, R_bar, wp.vec3d(), paths, bars)
@@ -280,8 +278,7 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
     def near_table(x: vec3, matter: Matter, scene: Scene):
         """Whether a particle's section may touch table or walls before the grid is rebuilt."""
         return scene.walls == 1 or (
-            scene.table == 1
-            and x[2] < real(2.0) * matter.contact_radius + real(2.0) * scene.dx
+            scene.table == 1 and x[2] < real(2.0) * matter.contact_radius + real(2.0) * scene.dx
         )
 
     @wp.func

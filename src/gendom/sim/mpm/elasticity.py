@@ -48,13 +48,16 @@ FILLS = 1.0e-30
 
 
 @functools.cache
-def make_elasticity(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
+def make_elasticity(
+    real: Any, law_name: str, *, yields: bool, damped: bool = True
+) -> SimpleNamespace:
     """Build the forces of one particle, for one scalar type and one material.
 
     Args:
         real: ``wp.float32`` or ``wp.float64``.
         law_name: Elastic law, see ``gendom.materials.laws``.
         yields: Whether particles yield.
+        damped: Whether any material has damping.
 
     Returns:
         Namespace with ``branch`` (a and g of a substep), ``pull`` and ``air``, and the transpose of
@@ -66,6 +69,7 @@ def make_elasticity(real: Any, law_name: str, *, yields: bool) -> SimpleNamespac
     stress, stress_adjoint = law.stress, law.stress_back
     return_map, return_map_adjoint = law.return_map, law.return_map_back
     plastic = wp.constant(int(yields))
+    maxwell = wp.constant(int(damped))
 
     @wp.func
     def branch(damping: real, dt: real, age: int):
@@ -124,7 +128,7 @@ def make_elasticity(real: Any, law_name: str, *, yields: bool) -> SimpleNamespac
         elastic, G_after = elastic_part(F, G, mu, yield_stress)
         P = stress(elastic, mu, lam)
         Z_after = Z
-        if share > real(0.0):
+        if maxwell == 1 and share > real(0.0):
             S = wp.inverse(elastic) * P
             P = (real(1.0) + share) * P - share * (elastic * Z)
             Z_after = Z + (real(1.0) - keep) * (S - Z)
@@ -156,10 +160,11 @@ def make_elasticity(real: Any, law_name: str, *, yields: bool) -> SimpleNamespac
         keep_bar = real(0.0)
         share_bar = real(0.0)
         P = mat33()
-        if share > real(0.0) or plastic == 1:
+        damps = maxwell == 1 and share > real(0.0)
+        if damps or plastic == 1:
             P = stress(elastic, mu, lam)
         total = P
-        if share > real(0.0):
+        if damps:
             inverse = wp.inverse(elastic)
             S = inverse * P
             keep_bar = -sum_of(Z_bar, S - Z)
@@ -313,8 +318,8 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
 
     @wp.func_native(
         cpu.format(
-            "return gendom::internal_forces(w, first, fresh, x, row, row_out, lattice, frame, mu,"
-            " lam, impulse, keep, share, Z, Z_out, pulls);"
+            "return gendom::internal_forces(w, first, fresh, x, v, row, row_out, lattice, per_span,"
+            " sheet, strength, frame, mu, lam, impulse, keep, share, Z, Z_out, pulls);"
         )
     )
     def side_by_side(
@@ -322,9 +327,13 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         first: int,
         fresh: int,  # the first whose forces are asked for
         x: wp.array2d(dtype=vec3),
+        v: wp.array2d(dtype=vec3),
         row: int,
         row_out: int,
         lattice: wp.array3d(dtype=wp.int32),
+        per_span: wp.array2d(dtype=real),
+        sheet: int,
+        strength: real,  # of the air: its drag times -dt
         frame: wp.array2d(dtype=real),
         mu: wp.array2d(dtype=real),
         lam: wp.array2d(dtype=real),
@@ -477,23 +486,12 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         while p < N:
             # the last ones together with some that are done already
             found = side_by_side(
-                w, wp.min(p, N - width), p, state.x, row, row_out, matter.lattice, matter.frame,
-                matter.mu, matter.lam, dt * matter.volume, keep, share, state.Z, state_out.Z, pulls,
+                w, wp.min(p, N - width), p, state.x, state.v, row, row_out, matter.lattice,
+                matter.per_span, matter.sheet, -dt * matter.drag[w], matter.frame, matter.mu,
+                matter.lam, dt * matter.volume, keep, share, state.Z, state_out.Z, pulls,
             )  # fmt: skip
             failed = wp.max(failed, found)
             p += width
-        drag = matter.drag[w]
-        if drag > real(0.0):
-            p = int(0)
-            while p < N:
-                D = differences(p, row, matter, state.x)
-                spans = spans_of(near_of(p, matter), p)
-                wind = air(D, state.v[row, p], spans, matter.sheet, drag, dt)
-                own = pulls[w, p]
-                for n in range(3):
-                    own[n, 3] = wind[n]
-                pulls[w, p] = own
-                p += 1
         return failed
 
     @wp.func
@@ -580,9 +578,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     ):  # fmt: skip
         N = state.x.shape[1]
         if N < width:
-            one_by_one_adjoint(
-                w, row, dt, keep, share, matter, state, bars, scene_bars, stretches
-            )
+            one_by_one_adjoint(w, row, dt, keep, share, matter, state, bars, scene_bars, stretches)
         else:
             p = int(0)
             while p < N:

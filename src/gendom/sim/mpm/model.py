@@ -94,16 +94,20 @@ class Worlds:
         self.stiffness = spread(s.stiffness, (W, N), "stiffness")
         # heights are counted from the table: near 0 float32 resolves what presses on it
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
-        x = spread(
-            np.asarray(s.positions, dtype=float) - self.origin, (W, N, 3), "positions"
-        )
+        x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, N, 3), "positions")
         self.room = room_for(_distinct(x), s.body.dx)
         self.matter = self._matter()
         self.scene = self._scene()
         self.paths = self._paths()
         self.grips = self._grips()
         self.clock = self._clock()
-        self.carried = ("x", "v", "C", *(("Z",) if self.damped else ()), *(("G",) if self.yields.any() else ()))
+        self.carried = (
+            "x",
+            "v",
+            "C",
+            *(("Z",) if self.damped else ()),
+            *(("G",) if self.yields.any() else ()),
+        )
         self.low = self.zeros((W, N) if s.dtype == "float32" else (0, 0), self.types.vec3)
         self.state = self.make_state(W, wp.zeros)
         wp.copy(self.state.x, self.array(x, self.types.vec3))
@@ -138,6 +142,8 @@ class Worlds:
         matter.lattice = self.array(s.body.lattice, wp.int32)
         matter.rest_frame = self.array(s.body.rest_frames, self.types.mat33)
         matter.frame = self.array(_triangles(s.body.rest_frames))
+        alone = (s.body.lattice == np.arange(len(s.body.x))[:, None, None]).any(axis=2)
+        matter.per_span = self.array(np.where(alone, 1.0, 0.5).T[:2])
         return matter
 
     def _scene(self) -> Any:
@@ -146,9 +152,7 @@ class Worlds:
         scene = k.Scene()
         scene.dx = s.body.dx
         scene.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), k.vec3)
-        scene.velocity_damping = self.array(
-            spread(s.velocity_damping, (W,), "velocity_damping")
-        )
+        scene.velocity_damping = self.array(spread(s.velocity_damping, (W,), "velocity_damping"))
         scene.friction = self.array(spread(friction, (W,), "friction"))
         scene.table = int(s.table is not None)
         scene.walls = int(s.box is not None)
@@ -218,7 +222,11 @@ class Worlds:
     def state_bytes(self) -> int:
         """Of one world's state."""
         numbers = {"x": 3, "v": 3, "C": 9, "Z": 6, "G": 9}
-        return sum(map(numbers.__getitem__, self.carried)) * self.num_particles * self.numpy_type.itemsize
+        return (
+            sum(map(numbers.__getitem__, self.carried))
+            * self.num_particles
+            * self.numpy_type.itemsize
+        )
 
     def deformation_at(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
         """[..., N, 3, 3] deformation gradients F of particles at [..., N, 3] [-]."""

@@ -372,9 +372,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         for g in range(G):
             if grips.closed[w, g] == 1:
                 for n in range(grips.count[w, g]):
-                    guide(
-                        w, g, n, row, w, h, near, matter, scene, grips, state, pulls, touched
-                    )
+                    guide(w, g, n, row, w, h, near, matter, scene, grips, state, pulls, touched)
         nodes = grid.count[layout]
         clear(momentum, slot, nodes)
         p = int(0)
@@ -435,9 +433,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         for g in range(G):
             if grips.closed[w, g] == 1:
                 for n in range(grips.count[w, g]):
-                    guide(
-                        w, g, n, row, w, h, near, matter, scene, grips, state, pulls, touched
-                    )
+                    guide(w, g, n, row, w, h, near, matter, scene, grips, state, pulls, touched)
         normalise(momentum, slot, velocity, 0, nodes, damping_factor)
         clear(nodes_bar, 0, nodes)
         # 8, 7
@@ -482,9 +478,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
                     )  # fmt: skip
         if near == 1:
             for s in range(N // matter.section):
-                touch_adjoint(
-                    w, s, row, h, matter, scene, state, pulls, touched, bars, scene_bars
-                )
+                touch_adjoint(w, s, row, h, matter, scene, state, pulls, touched, bars, scene_bars)
         body_forces_adjoint(w, row, h, keep, share, matter, state, bars, scene_bars, pulls)
         by_gravity = vec3()
         p = int(0)

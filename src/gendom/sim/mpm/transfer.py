@@ -195,9 +195,7 @@ def make_transfer(real: Any) -> SimpleNamespace:
         return vec3(R[0, 0], R[0, 1], R[0, 2]), (real(4.0) * inv_dx) * affine_of(f, R)
 
     @wp.func
-    def taken_by(
-        x: vec3, v_bar: vec3, C_bar: mat33, layout: int, inv_dx: real, grid: SparseGrid
-    ):
+    def taken_by(x: vec3, v_bar: vec3, C_bar: mat33, layout: int, inv_dx: real, grid: SparseGrid):
         """What a particle's derivatives give to the grid's, as ``given_by``."""
         node, f = locate(layout, x, inv_dx, grid)
         return node, f, coefficients(f, v_bar, real(0.0), (real(4.0) * inv_dx) * C_bar)

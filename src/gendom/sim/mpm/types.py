@@ -61,6 +61,7 @@ def make_types(real: Any) -> Types:
         lattice: wp.array3d(dtype=wp.int32)  # [N, 3, 2]
         rest_frame: wp.array(dtype=mat33)  # [N] [1/m]
         frame: wp.array2d(dtype=real)  # [6, N] its upper triangle but for a rotation
+        per_span: wp.array2d(dtype=real)  # [2, N] 1 / spacings between neighbours along two axes
 
     @wp.struct
     class Scene:

@@ -124,7 +124,9 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
     vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
     Clock, Matter, MatterBars = types.Clock, types.Matter, types.MatterBars
     Scene, Paths, Grips, SceneBars = types.Scene, types.Paths, types.Grips, types.SceneBars
-    elasticity = make_elasticity(real, variant.law, yields=variant.yields)
+    elasticity = make_elasticity(
+        real, variant.law, yields=variant.yields, damped=variant.damped
+    )
     branch, pull_adjoint, air_adjoint = (
         elasticity.branch,
         elasticity.pull_adjoint,
@@ -394,9 +396,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                             inertial = u
                             if touches == 1:
                                 u += touched[w, p // matter.section]
-                            by_u = guide_adjoint(
-                                w, g, n, w, x, u, h, grips, records, scene_bars
-                            )
+                            by_u = guide_adjoint(w, g, n, w, x, u, h, grips, records, scene_bars)
                             # u is momentum over mass
                             sums[w, _MASS, i] = sums[w, _MASS, i] - wp.dot(by_u, inertial) / mass
             if grippers > 0:

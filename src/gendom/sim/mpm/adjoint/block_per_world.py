@@ -85,8 +85,7 @@ class BlockTape(BatchTape):
         N, real = worlds.num_particles, worlds.numpy_type.itemsize
         layout = 4 * (3 * X * Y + 2 * N + 7)
         return worlds.num_worlds * (
-            real * (_taped(self._blocks) * N + 4 * M)
-            + layout / substeps_a_layout
+            real * (_taped(self._blocks) * N + 4 * M) + layout / substeps_a_layout
         )
 
     def _segment(self) -> int:
@@ -149,9 +148,7 @@ class BlockTape(BatchTape):
                 recording = _Recording(blocks, substeps, layouts)
                 self._recording = recording
             self._return_to(segment)
-            blocks.launch_advance(
-                substeps, np.inf, segment.plan, recording.grid, recording.tape
-            )
+            blocks.launch_advance(substeps, np.inf, segment.plan, recording.grid, recording.tape)
             if not (s.clock.status.numpy() == GRID_FULL).any():
                 return recording
             # made where the segment begins, grids may need a little more than they did

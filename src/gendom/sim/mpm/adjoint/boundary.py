@@ -1,5 +1,4 @@
-"""Transposes of what acts on particles besides each other; see ``gendom.sim.mpm.boundary``.
-"""
+"""Transposes of what acts on particles besides each other; see ``gendom.sim.mpm.boundary``."""
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false

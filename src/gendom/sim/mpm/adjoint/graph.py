@@ -221,9 +221,7 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     ):  # fmt: skip
         w, p = wp.tid()
         if r < done[w]:
-            g = momentum_adjoint(
-                w, p, w, real(clock.dt[w]), matter, scene, state, bars, stretches
-            )
+            g = momentum_adjoint(w, p, w, real(clock.dt[w]), matter, scene, state, bars, stretches)
             wp.atomic_add(
                 scene_bars.gravity, w,
                 wp.vec3d(wp.float64(g[0]), wp.float64(g[1]), wp.float64(g[2])),

@@ -13,6 +13,13 @@
 // Warp's own vectors neither become SIMD registers on the CPU nor one vector atomic on CUDA.
 #pragma once
 
+// What is handed around by value must stay in registers.
+#if defined(__CUDA_ARCH__)
+#define GENDOM_INLINE __device__ __forceinline__
+#else
+#define GENDOM_INLINE inline
+#endif
+
 namespace gendom {
 
 template <typename real> using vec3 = wp::vec_t<3, real>;
@@ -218,38 +225,38 @@ template <typename real> inline void clear(const nodes_of<real>& grid, int row, 
 // ---- CUDA: node by node ---------------------------------------------------------------------------
 
 // whole values, whose alignment the compiler does not see
-__device__ inline vec4<float> load(const vec4<float>* node) {
+GENDOM_INLINE vec4<float> load(const vec4<float>* node) {
     const float4 h = *(const float4*)node;
     return vec4<float>(h.x, h.y, h.z, h.w);
 }
-__device__ inline vec4<double> load(const vec4<double>* node) {
+GENDOM_INLINE vec4<double> load(const vec4<double>* node) {
     const double2 a = *(const double2*)node, b = *((const double2*)node + 1);
     return vec4<double>(a.x, a.y, b.x, b.y);
 }
-__device__ inline void store(vec4<float>* node, const vec4<float>& h) {
+GENDOM_INLINE void store(vec4<float>* node, const vec4<float>& h) {
     *(float4*)node = make_float4(h[0], h[1], h[2], h[3]);
 }
-__device__ inline void store(vec4<double>* node, const vec4<double>& h) {
+GENDOM_INLINE void store(vec4<double>* node, const vec4<double>& h) {
     *(double2*)node = make_double2(h[0], h[1]);
     *((double2*)node + 1) = make_double2(h[2], h[3]);
 }
-__device__ inline void add(vec4<float>* node, const vec4<float>& h) {
+GENDOM_INLINE void add(vec4<float>* node, const vec4<float>& h) {
 #if __CUDA_ARCH__ >= 900
     atomicAdd((float4*)node, make_float4(h[0], h[1], h[2], h[3]));
 #else
     wp::atomic_add(node, h);
 #endif
 }
-__device__ inline void add(vec4<double>* node, const vec4<double>& h) { wp::atomic_add(node, h); }
+GENDOM_INLINE void add(vec4<double>* node, const vec4<double>& h) { wp::atomic_add(node, h); }
 
-template <typename real> __device__ inline vec4<real> row_of(const real* a) {
+template <typename real> GENDOM_INLINE vec4<real> row_of(const real* a) {
     return vec4<real>(a[0], a[1], a[2], a[3]);
 }
 
 template <typename real> struct stencil {
     real wx[3], wy[3], wz[3], sx[3], sy[3], sz[3];
 
-    __device__ explicit stencil(const vec3<real>& f) {
+    GENDOM_INLINE explicit stencil(const vec3<real>& f) {
         const auto set = [](real f, real* w, real* s) {
             const real half = real(0.5);
             w[0] = half * (real(1.5) - f) * (real(1.5) - f);
@@ -264,10 +271,10 @@ template <typename real> struct stencil {
         set(f[2], wz, sz);
     }
     // not a[i]: where i is not known beforehand that array would not be in registers
-    __device__ static real pick(const real* a, int i) { return i == 0 ? a[0] : i == 1 ? a[1] : a[2]; }
+    static GENDOM_INLINE real pick(const real* a, int i) { return i == 0 ? a[0] : i == 1 ? a[1] : a[2]; }
 
     // Call add(9 i + 3 j + k, value) for every node.
-    template <typename adder> __device__ void spread(const sums<4, real>& c, adder add) const {
+    template <typename adder> GENDOM_INLINE void spread(const sums<4, real>& c, adder add) const {
         const vec4<real> Q = row_of(c.data[0]), A0 = row_of(c.data[1]), A1 = row_of(c.data[2]);
         const vec4<real> A2 = row_of(c.data[3]);
         #pragma unroll
@@ -289,7 +296,7 @@ template <typename real> struct stencil {
 // to the grid, which would keep the compiler from reading them together.
 struct nine_columns {
     int n[9];
-    __device__ nine_columns(const wp::array_t<int>& start, int layout, const lowest_node& node) {
+    GENDOM_INLINE nine_columns(const wp::array_t<int>& start, int layout, const lowest_node& node) {
         #pragma unroll
         for (int c = 0; c < 9; ++c)
             n[c] = wp::index(start, layout, node[0] + c / 3, node[1] + c % 3) + node[2];
@@ -297,7 +304,7 @@ struct nine_columns {
 };
 
 template <typename real>
-__device__ inline void scatter(const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
+GENDOM_INLINE void scatter(const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
                                int layout, const lowest_node& node, const vec3<real>& f,
                                const sums<4, real>& c) {
     const nine_columns columns(start, layout, node);
@@ -308,7 +315,7 @@ __device__ inline void scatter(const nodes_of<real>& grid, int row, const wp::ar
 
 // Sums over all nodes; with the coefficients c also the derivative of P by the place, as last row.
 template <int rows, typename real>
-__device__ inline sums<rows, real> gathered(const nodes_of<real>& grid, int row,
+GENDOM_INLINE sums<rows, real> gathered(const nodes_of<real>& grid, int row,
                                             const wp::array_t<int>& start, int layout,
                                             const lowest_node& node, const vec3<real>& f,
                                             const sums<4, real>& c) {
@@ -398,14 +405,14 @@ __device__ inline sums<rows, real> gathered(const nodes_of<real>& grid, int row,
 }
 
 template <typename real>
-__device__ inline sums<4, real> gather(const nodes_of<real>& grid, int row,
+GENDOM_INLINE sums<4, real> gather(const nodes_of<real>& grid, int row,
                                        const wp::array_t<int>& start, int layout,
                                        const lowest_node& node, const vec3<real>& f) {
     return gathered<4>(grid, row, start, layout, node, f, sums<4, real>());
 }
 
 template <typename real>
-__device__ inline sums<5, real> gather_with_slope(const nodes_of<real>& grid, int row,
+GENDOM_INLINE sums<5, real> gather_with_slope(const nodes_of<real>& grid, int row,
                                                   const wp::array_t<int>& start, int layout,
                                                   const lowest_node& node, const vec3<real>& f,
                                                   const sums<4, real>& c) {
@@ -420,7 +427,7 @@ template <typename real> using window_of = wp::mat_t<27, 4, real>;
 
 // Add a particle's contribution to a window at its lowest node.
 template <typename real>
-CUDA_CALLABLE inline window_of<real> collect(window_of<real> window, const vec3<real>& f,
+GENDOM_INLINE window_of<real> collect(window_of<real> window, const vec3<real>& f,
                                              const sums<4, real>& c) {
 #if defined(__CUDA_ARCH__)
     stencil<real>(f).spread(c, [&](int n, const vec4<real>& h) {
@@ -446,7 +453,7 @@ CUDA_CALLABLE inline window_of<real> collect(window_of<real> window, const vec3<
 
 // Give to the grid what a window at `held` holds beyond one at `node`, and move it there.
 template <typename real>
-CUDA_CALLABLE inline window_of<real> hand_over(window_of<real> window, const lowest_node& held,
+GENDOM_INLINE window_of<real> hand_over(window_of<real> window, const lowest_node& held,
                                                const lowest_node& node, const nodes_of<real>& grid,
                                                int row, const wp::array_t<int>& start, int layout) {
     const int up = node[2] - held[2];
@@ -487,7 +494,7 @@ CUDA_CALLABLE inline window_of<real> hand_over(window_of<real> window, const low
 }
 
 template <typename real>
-CUDA_CALLABLE inline vec4<real> get_node(const nodes_of<real>& grid, int row, int n) {
+GENDOM_INLINE vec4<real> get_node(const nodes_of<real>& grid, int row, int n) {
 #if defined(__CUDA_ARCH__)
     return load(&wp::index(grid, row, 0) + n);
 #else
@@ -496,7 +503,7 @@ CUDA_CALLABLE inline vec4<real> get_node(const nodes_of<real>& grid, int row, in
 }
 
 template <typename real>
-CUDA_CALLABLE inline void put_node(const nodes_of<real>& grid, int row, int n, const vec4<real>& h) {
+GENDOM_INLINE void put_node(const nodes_of<real>& grid, int row, int n, const vec4<real>& h) {
 #if defined(__CUDA_ARCH__)
     store(&wp::index(grid, row, 0) + n, h);
 #else

@@ -84,7 +84,8 @@ template <typename real> struct side_by_side {
         return F;
     }
     // Only of particles from `fresh` on: others have been done before.
-    void put_unframed(const columns& P, const wp::array_t<pull_of<real>>& pulls, int fresh) const {
+    void put_unframed(const columns& P, const wide (&padding)[3],
+                      const wp::array_t<pull_of<real>>& pulls, int fresh) const {
         const int begin = fresh > first ? fresh - first : 0;
         #pragma unroll
         for (int axis = 0; axis < 3; ++axis) {
@@ -95,11 +96,51 @@ template <typename real> struct side_by_side {
                      : axis == 1 ? P.of[1][n] * U11 + P.of[2][n] * U12 : P.of[2][n] * U22;
             for (int l = begin; l < width; ++l)
                 *(four*)wp::index(pulls, w, first + l).data[axis] =
-                    four{h[0][l], h[1][l], h[2][l], real(0)};
+                    four{h[0][l], h[1][l], h[2][l], padding[axis][l]};
         }
     }
     static wide dot(const wide (&a)[3], const wide (&b)[3]) {
         return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    }
+    static wide square_root(wide a) {
+        #pragma unroll
+        for (int l = 0; l < width; ++l) a[l] = wp::sqrt(a[l]);
+        return a;
+    }
+    // Impulses of the air, see gendom.sim.mpm.elasticity.air; `strength` is its drag times -dt.
+    void air(const columns& D, const wp::array_t<vec3<real>>& v, int row,
+             const wp::array_t<real>& per_span, int sheet, real strength, wide (&wind)[3]) const {
+        wide u[3], a[3], b[3];
+        #pragma unroll
+        for (int l = 0; l < width; ++l) {
+            const auto& own = wp::index(v, row, first + l);
+            #pragma unroll
+            for (int n = 0; n < 3; ++n) u[n][l] = own[n];
+        }
+        const wide s0 = numbers(wp::index(per_span, 0, first));
+        #pragma unroll
+        for (int n = 0; n < 3; ++n) a[n] = D.of[0][n] * s0;
+        if (sheet) {
+            const wide s1 = numbers(wp::index(per_span, 1, first));
+            #pragma unroll
+            for (int n = 0; n < 3; ++n) b[n] = D.of[1][n] * s1;
+            const wide area[3] = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                                  a[0] * b[1] - a[1] * b[0]};
+            const wide along = dot(u, area), squared = dot(area, area);
+            wide pressure = along / squared;
+            #pragma unroll
+            for (int l = 0; l < width; ++l) pressure[l] *= wp::abs(along[l]) * strength;
+            #pragma unroll
+            for (int n = 0; n < 3; ++n) wind[n] = area[n] * pressure;
+        } else {
+            const wide squared = dot(a, a);
+            const wide share = dot(u, a) / squared;
+            #pragma unroll
+            for (int n = 0; n < 3; ++n) wind[n] = u[n] - share * a[n];
+            const wide by = strength * square_root(squared * dot(wind, wind));
+            #pragma unroll
+            for (int n = 0; n < 3; ++n) wind[n] *= by;
+        }
     }
     static columns cofactors(const columns& F) {
         columns C;
@@ -153,12 +194,14 @@ template <typename real> struct side_by_side {
     }
 };
 
-// Set the pulls of several particles on their neighbours and the filtered stress after the substep;
-// returns one whose J <= 0, or -1. `keep` is what Z keeps in a substep and `share` is g; both 0
-// without damping.
+// Set the pulls of several particles on their neighbours, the impulses of the air on them, and the
+// filtered stress after the substep; returns one whose J <= 0, or -1. `keep` is what Z keeps in a
+// substep and `share` is g; both 0 without damping. `strength` is the air's; 0 without.
 template <typename real>
-inline int internal_forces(int w, int first, int fresh, const wp::array_t<vec3<real>>& x, int row,
-                           int row_out, const wp::array_t<int>& lattice,
+inline int internal_forces(int w, int first, int fresh, const wp::array_t<vec3<real>>& x,
+                           const wp::array_t<vec3<real>>& v, int row, int row_out,
+                           const wp::array_t<int>& lattice, const wp::array_t<real>& per_span,
+                           int sheet, real strength,
                            const wp::array_t<real>& frame, const wp::array_t<real>& mu,
                            const wp::array_t<real>& lam, real impulse, real keep, real share,
                            const wp::array_t<real>& Z, const wp::array_t<real>& Z_out,
@@ -166,7 +209,10 @@ inline int internal_forces(int w, int first, int fresh, const wp::array_t<vec3<r
     typedef side_by_side<real> S;
     typedef typename S::wide wide;
     const S at(w, first, frame);
-    const auto F = at.framed(at.differences(x, row, lattice));
+    const auto D = at.differences(x, row, lattice);
+    const auto F = at.framed(D);
+    wide wind[3] = {wide(real(0)), wide(real(0)), wide(real(0))};
+    if (strength != real(0)) at.air(D, v, row, per_span, sheet, strength, wind);
     auto C = S::cofactors(F);
     const wide J = S::dot(F.of[0], C.of[0]);
     const wide mus = S::numbers(wp::index(mu, w, first)), lams = S::numbers(wp::index(lam, w, first));
@@ -201,7 +247,7 @@ inline int internal_forces(int w, int first, int fresh, const wp::array_t<vec3<r
         for (int c = 0; c < 6; ++c) old[c] += (real(1) - keep) * (now[c] - old[c]);
         at.put(filtered, Z_out, row_out, fresh);
     }
-    at.put_unframed(P, pulls, fresh);
+    at.put_unframed(P, wind, pulls, fresh);
     int inverted = -1;
     for (int l = 0; l < S::width; ++l)
         if (!(J[l] > real(0))) inverted = first + l;
@@ -311,7 +357,8 @@ inline wp::vec_t<2, real> internal_forces_adjoint(
             sums[1] += by_keep[l];
         }
     }
-    at.put_unframed(back, stretches, fresh);
+    const wide none[3] = {wide(real(0)), wide(real(0)), wide(real(0))};
+    at.put_unframed(back, none, stretches, fresh);
     for (int l = fresh > first ? fresh - first : 0; l < S::width; ++l) {
         wp::index(mu_bar, w, first + l) += by_mu[l];
         wp::index(lam_bar, w, first + l) += by_lam[l];

@@ -106,6 +106,7 @@ def make_records(real: Any, *, resident: bool) -> Particles:
         order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
         place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
         near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
+        free: wp.array2d(dtype=real)  # [W, N] what ``Grips.free`` says of it
         strayed: wp.array(dtype=real)  # [W] distance travelled since they were put in order [m]
         # scratch
         spare: wp.array3d(dtype=real)  # [W, components + 2, N]
@@ -181,7 +182,9 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
     Clock, Plan, Matter, State = types.Clock, types.Plan, types.Matter, types.State
     Scene, Paths, Grips = types.Scene, types.Paths, types.Grips
-    elasticity = make_elasticity(real, variant.law, yields=variant.yields)
+    elasticity = make_elasticity(
+        real, variant.law, yields=variant.yields, damped=variant.damped
+    )
     branch, pull_of, air = elasticity.branch, elasticity.pull, elasticity.air
     bspline, transfer = make_bspline(real), make_transfer(real)
     window_type, collect, hand_over = bspline.window, bspline.collect, bspline.hand_over
@@ -289,6 +292,11 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     near[2 * axis + side] = records.place[w, matter.lattice[p, axis, side]]
             put_near(records.near, w, i, near)
         meet()
+
+    @wp.func
+    def take_free(w: int, lane: int, lanes: int, grips: Grips, records: Records):
+        for i in range(lane, records.free.shape[1], lanes):
+            records.free[w, i] = grips.free[w, records.order[w, i]]
 
     @wp.func
     def load(w: int, i: int, p: int, matter: Matter, state: State, records: Records):
@@ -444,9 +452,8 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                         near_by = any_of(mine)
                         if strayed >= real(ORDERLY) * dx:
                             strayed = real(0.0)
-                            put_in_order(
-                                w, lane, lanes, layout, inv_dx, matter, grid, records
-                            )
+                            put_in_order(w, lane, lanes, layout, inv_dx, matter, grid, records)
+                            take_free(w, lane, lanes, grips, records)
                         if keeps == 1:
                             for i in range(lane, N, lanes):
                                 tape.order[layout, i] = records.order[w, i]
@@ -466,6 +473,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                 if any_of(int(empty >= 0)) == 1:
                     status = NOTHING_HELD
                     substep = False
+                take_free(w, lane, lanes, grips, records)
             if substep:
                 for g in range(lane, grippers, lanes):
                     pose_gripper(w, w, g, t, dt, paths, grips)
@@ -538,7 +546,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                 for i in range(lane * N // lanes, (lane + 1) * N // lanes):
                     free = real(1.0)
                     if grippers > 0:
-                        free = grips.free[w, records.order[w, i]]
+                        free = records.free[w, i]
                     q = momentum_of(w, i, h, mass, gravity, records)
                     if keeps == 1:
                         tape_vector(tape.of, slot, 15, i, q)
@@ -551,9 +559,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                             vector(of, w, X, i), q, matrix(of, w, C, i), mass, layout, inv_dx,
                             grid,
                         )  # fmt: skip
-                        window = hand_over(
-                            window, held, node, momentum, slot, grid.start, layout
-                        )
+                        window = hand_over(window, held, node, momentum, slot, grid.start, layout)
                         window = collect(window, f, given)
                         held = node
                 hand_over(window, held, wp.vec3i(-1, -1, -1), momentum, slot, grid.start, layout)
@@ -576,7 +582,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                 for i in range(lane, N, lanes):
                     free = real(1.0)
                     if grippers > 0:
-                        free = grips.free[w, records.order[w, i]]
+                        free = records.free[w, i]
                     v = vec3()
                     affine = mat33()
                     x = vector(of, w, X, i)

@@ -14,7 +14,7 @@ from gendom.sim.mpm.runners.paced import Paced
 MOST_PARTICLES = 10_240
 """Of a body that one block simulates; indices in ``near`` have 15 bits."""
 
-PARTICLES_A_WORLD = 1024
+PARTICLES_A_WORLD = 4096
 """There must be so many worlds that each block has the time to be the slower one; with fewer, the
 stages of ``Batch`` make more use of a GPU."""
 
@@ -83,6 +83,7 @@ class Blocks(Paced):
         self.records.near = worlds.zeros((W, 3, N), wp.int32)
         self.records.spare = worlds.zeros((W, every.components + 2, N), worlds.real)
         self.records.strayed = worlds.zeros(W, worlds.real)
+        self.records.free = worlds.zeros((W, N), worlds.real)
         for name in ("order", "place", "spare_order"):
             setattr(self.records, name, worlds.zeros((W, N), wp.int32))
         self._streams: list[Any] = [None]

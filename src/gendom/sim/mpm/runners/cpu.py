@@ -69,9 +69,7 @@ def make_advance(real: Any, law_name: str, *, yields: bool) -> Any:
             row = first + slot
             if travel >= real(MARGIN) * dx:
                 layout = slot
-                fits = rebuild(
-                    row, 0, 1, N, layout, momentum.shape[1], real(1.0) / dx, state, grid
-                )
+                fits = rebuild(row, 0, 1, N, layout, momentum.shape[1], real(1.0) / dx, state, grid)
                 near = int(0)
                 for p in range(N):
                     if near_table(state.x[row, p], matter, scene):

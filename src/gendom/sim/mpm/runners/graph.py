@@ -125,7 +125,9 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
             pose_gripper(r * clock.dt.shape[0] + w, w, g, t, dt, paths, grips)
 
     @wp.kernel
-    def locate(clock: Clock, matter: Matter, scene: Scene, lap: Lap, state: State, grid: SparseGrid):
+    def locate(
+        clock: Clock, matter: Matter, scene: Scene, lap: Lap, state: State, grid: SparseGrid
+    ):
         w, p = wp.tid()
         if lap.stale[w] == 1:
             x = state.x[w, p]
@@ -156,9 +158,7 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
             if i >= X or j >= Y:
                 return
             number_column(w, i, j, grid)
-            if (
-                grid.count[w] > room or X > grid.low.shape[1] or Y > grid.low.shape[2]
-            ):
+            if grid.count[w] > room or X > grid.low.shape[1] or Y > grid.low.shape[2]:
                 clock.status[w] = GRID_FULL
 
     @wp.kernel
@@ -192,9 +192,7 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
         if runs(w, r, scene.dx, clock, lap):
             h = real(clock.dt[w])
             keep, share = branch(matter.damping[w], h, clock.age[w] + r)
-            upright = particle_forces(
-                w, p, w, w, h, keep, share, matter, state, state_out, pulls
-            )
+            upright = particle_forces(w, p, w, w, h, keep, share, matter, state, state_out, pulls)
             if not upright:
                 wp.atomic_max(lap.trouble, w, INVERTED)
                 clock.failed_particle[w] = p
