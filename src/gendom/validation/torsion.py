@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
@@ -46,7 +47,7 @@ def torsion(settings: Settings) -> list[Check]:
         turns = [0.0, 40.0 / omega]
         hand = Gripper(
             time=turns,
-            position=[far.position[0]] * 2,
+            position=np.repeat(far.position_at([0.0]), 2, axis=0),
             quat_xyzw=Rotation.from_rotvec([(0.0, 0.0, 0.0), (ANGLE, 0.0, 0.0)]).as_quat(),
             radius=far.radius,
         )

@@ -234,7 +234,7 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
 
     Returns:
         Namespace with ``contact`` (of a section's mean position and velocity), ``near_table``,
-        ``guide`` and ``grip`` (a held particle), ``grasp`` (grippers that open and close) and
+        ``guided`` and ``carried`` (a held particle), ``grasp`` (grippers that open and close) and
         ``hold_as_at``.
     """
     types = make_types(real)
@@ -282,34 +282,22 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         )
 
     @wp.func
-    def carried(g: int, grip_row: int, x: vec3, arm: vec3, dt: real, grips: Grips):
-        """Velocity that a gripper gives to what is at x and belongs to its centre + arm."""
-        V = grips.velocity[grip_row, g] + wp.cross(grips.spin[grip_row, g], arm)
+    def carried(w: int, p: int, grip_row: int, x: vec3, dt: real, grips: Grips):
+        """Velocity that a gripper gives to a particle of its that is at x, and its spin."""
+        N = grips.held_by.shape[1]
+        g = grips.held_by[w, p] // N
+        spin = grips.spin[grip_row, g]
+        arm = grips.orientation[grip_row, g] * grips.place[w, g, grips.held_by[w, p] % N]
+        V = grips.velocity[grip_row, g] + wp.cross(spin, arm)
         # X is known where the substep ends
         behind = grips.centre[grip_row, g] + arm - dt * V - x
-        return V + (real(FOLLOWS) / dt) * behind
+        return V + (real(FOLLOWS) / dt) * behind, spin
 
     @wp.func
-    def guide(w: int, g: int, n: int, grip_row: int, x: vec3, u: vec3, dt: real, grips: Grips):
-        """Velocity w of the n-th particle that gripper g holds, from its place and its own u."""
-        arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
-        return u + grips.weight[w, g, n] * (carried(g, grip_row, x, arm, dt, grips) - u)
-
-    @wp.func
-    def grip(
-        w: int, g: int, n: int, row: int, grip_row: int, dt: real, grips: Grips, particles: Stored
-    ):
-        """Carry the n-th particle that gripper g holds, if firmly; returns its squared speed."""
-        speed = real(0.0)
-        if grips.weight[w, g, n] == real(1.0):
-            p = grips.particle[w, g, n]
-            arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
-            v = carried(g, grip_row, x_of(particles, row, p), arm, dt, grips)
-            move(particles, row, w, p, dt * v)
-            put_v(particles, row, p, v)
-            put_C(particles, row, p, wp.skew(grips.spin[grip_row, g]))
-            speed = wp.length_sq(v)
-        return speed
+    def guided(w: int, p: int, grip_row: int, x: vec3, u: vec3, dt: real, grips: Grips):
+        """Velocity w of a particle that is held in part, from its place and its own u."""
+        v, _spin = carried(w, p, grip_row, x, dt, grips)
+        return u + (real(1.0) - grips.free[w, p]) * (v - u)
 
     @wp.func
     def section_centre(row: int, p: int, matter: Matter, particles: Stored):
@@ -345,6 +333,7 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
                 grips.weight[w, g, count] = f
                 grips.place[w, g, count] = wp.transpose(R) * (x_of(particles, row, p) - c)
                 grips.free[w, p] = real(1.0) - f
+                grips.held_by[w, p] = g * N + count
                 count += 1
         grips.count[w, g] = count
         grips.since[w, g] = age
@@ -354,7 +343,9 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
     def hold_on(w: int, g: int, share: real, grips: Grips):
         """Let gripper g hold its particles again (share 1) or not (0)."""
         for n in range(grips.count[w, g]):
-            grips.free[w, grips.particle[w, g, n]] = real(1.0) - share * grips.weight[w, g, n]
+            p = grips.particle[w, g, n]
+            grips.free[w, p] = real(1.0) - share * grips.weight[w, g, n]
+            grips.held_by[w, p] = g * grips.held_by.shape[1] + n
 
     @wp.func
     def hold_as_at(w: int, age: int, grips: Grips):
@@ -395,8 +386,7 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         contact=contact,
         near_table=near_table,
         carried=carried,
-        guide=guide,
-        grip=grip,
+        guided=guided,
         section_centre=section_centre,
         hold_on=hold_on,
         hold_as_at=hold_as_at,

@@ -186,7 +186,7 @@ class Worlds:
         grips.weight = self.zeros((W, G, N), self.real)
         grips.place = self.zeros((W, G, N), self.types.vec3)
         grips.free = wp.full((W, N), 1.0, dtype=self.real, device=self.device)
-        grips.guided = self.zeros((W, N), self.types.vec3)
+        grips.held_by = self.zeros((W, N), wp.int32)
         return grips
 
     def place_grippers(self, grips: Any, rows: int) -> None:

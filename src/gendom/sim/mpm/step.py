@@ -3,11 +3,9 @@
     1. grasp             grippers open and close                          (boundary)
     2. internal forces   pulls between particles, damping, air            (elasticity)
     3. touch             table and walls change momenta                   (boundary)
-    4. guide             grippers change momenta of what they hold        (boundary)
-    5. p2g               mass and momentum to the grid                    (transfer)
-    6. nodes             velocity = momentum / mass                       (transfer)
-    7. g2p               velocity and affine velocity back, x += dt v     (transfer)
-    8. grip              what grippers hold goes where they go            (boundary)
+    4. p2g               mass and momentum, as grippers let them, to the grid
+    5. nodes             velocity = momentum / mass                       (transfer)
+    6. g2p               velocity and affine velocity back, or what a gripper gives; x += dt v
 
 ``make_stages`` has each as a function of one particle, section or node in rows of particles
 (``types.State``); ``make_step`` puts them together for one thread and one world, as the CPU runs it.
@@ -57,7 +55,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         yields: Whether the worlds that run it yield.
 
     Returns:
-        Namespace with ``touch``, ``guide``, ``scatter``, ``move`` and their transposes, and with what it has them from:
+        Namespace with ``touch``, ``scatter``, ``move`` and their transposes, and with what it has them from:
         ``types``, ``transfer``, ``forces``, ``boundary`` and ``boundary_adjoint``.
     """
     types = make_types(real)
@@ -75,7 +73,12 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     boundary_adjoint = make_boundary_adjoint(real, rows, row_bars)
     contact, near_table = boundary.contact, boundary.near_table
     contact_adjoint = boundary_adjoint.contact_adjoint
-    guided_velocity, guided_adjoint = boundary.guide, boundary_adjoint.guide_adjoint
+    guided, carried = boundary.guided, boundary.carried
+    guided_adjoint = boundary_adjoint.guided_adjoint
+    carried_adjoint, turned_adjoint = (
+        boundary_adjoint.carried_adjoint,
+        boundary_adjoint.turned_adjoint,
+    )
     compensates = wp.constant(int(types.compensates))
     compensated_sum = make_compensated_sum(real)
 
@@ -140,100 +143,69 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             bars.mass[w, first] = bars.mass[w, first] - wp.dot(u_bar, u) / matter.mass[w]
 
     @wp.func
-    def own_velocity(
-        w: int, p: int, row: int, dt: real, near: int, matter: Matter, scene: Scene, state: State,
-        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3),
-    ):  # fmt: skip
-        """Velocity of a particle with all impulses of the substep, but for what grippers do."""
-        u = momentum_of(w, p, row, dt, matter, scene, state, pulls) / matter.mass[w]
-        if near == 1:
-            u += touched[w, p // matter.section]
-        return u
-
-    @wp.func
-    def guide(
-        w: int, g: int, n: int, row: int, grip_row: int, dt: real, near: int, matter: Matter,
-        scene: Scene, grips: Grips, state: State, pulls: wp.array2d(dtype=types.pull),
-        touched: wp.array2d(dtype=vec3),
-    ):  # fmt: skip
-        """Set the velocity of a particle that is held in part."""
-        if grips.weight[w, g, n] < real(1.0):
-            p = grips.particle[w, g, n]
-            u = own_velocity(w, p, row, dt, near, matter, scene, state, pulls, touched)
-            grips.guided[w, p] = guided_velocity(w, g, n, grip_row, state.x[row, p], u, dt, grips)
-
-    @wp.func
-    def guide_adjoint(
-        w: int, g: int, n: int, row: int, grip_row: int, dt: real, near: int, matter: Matter,
-        scene: Scene, grips: Grips, state: State, pulls: wp.array2d(dtype=types.pull),
-        touched: wp.array2d(dtype=vec3), bars: MatterBars, scene_bars: SceneBars,
-    ):  # fmt: skip
-        if grips.weight[w, g, n] < real(1.0):
-            p = grips.particle[w, g, n]
-            u = own_velocity(w, p, row, dt, near, matter, scene, state, pulls, touched)
-            u_bar = guided_adjoint(
-                w, g, n, grip_row, state.x[row, p], u, dt, grips, bars, scene_bars
-            )
-            # u is momentum over mass
-            if near == 1:
-                u -= touched[w, p // matter.section]
-            bars.mass[w, p] = bars.mass[w, p] - wp.dot(u_bar, u) / matter.mass[w]
-
-    @wp.func
     def scatter(
-        w: int, p: int, row: int, layout: int, slot: int, dt: real, near: int, matter: Matter,
-        scene: Scene, grips: Grips, state: State, pulls: wp.array2d(dtype=types.pull),
-        touched: wp.array2d(dtype=vec3), grid: SparseGrid, momentum: wp.array2d(dtype=vec4),
+        w: int, p: int, row: int, grip_row: int, layout: int, slot: int, dt: real, near: int,
+        matter: Matter, scene: Scene, grips: Grips, state: State,
+        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), grid: SparseGrid,
+        momentum: wp.array2d(dtype=vec4),
     ):  # fmt: skip
         """Give a particle's mass and momentum, if it is not carried, to its 27 nodes."""
         free = grips.free[w, p]
         if free > real(0.0):
-            q = matter.mass[w] * grips.guided[w, p]
-            if free == real(1.0):
-                q = momentum_of(w, p, row, dt, matter, scene, state, pulls)
-                if near == 1:
-                    q += matter.mass[w] * touched[w, p // matter.section]
-            node, f, c = given_by(
-                state.x[row, p], q, state.C[row, p], matter.mass[w], layout,
-                real(1.0) / scene.dx, grid,
-            )  # fmt: skip
+            mass = matter.mass[w]
+            x = state.x[row, p]
+            q = momentum_of(w, p, row, dt, matter, scene, state, pulls)
+            if near == 1:
+                q += mass * touched[w, p // matter.section]
+            if free < real(1.0):
+                q = mass * guided(w, p, grip_row, x, q / mass, dt, grips)
+            inv_dx = real(1.0) / scene.dx
+            node, f, c = given_by(x, q, state.C[row, p], mass, layout, inv_dx, grid)
             add_to_nodes(momentum, slot, grid.start, layout, node, f, c)
 
     @wp.func
     def scatter_adjoint(
-        w: int, p: int, row: int, layout: int, slot: int, dt: real, near: int, matter: Matter,
-        scene: Scene, grips: Grips, state: State, pulls: wp.array2d(dtype=types.pull),
-        touched: wp.array2d(dtype=vec3), grid: SparseGrid, nodes_bar: wp.array2d(dtype=vec4),
-        bars: MatterBars,
+        w: int, p: int, row: int, grip_row: int, layout: int, slot: int, dt: real, near: int,
+        matter: Matter, scene: Scene, grips: Grips, state: State,
+        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), grid: SparseGrid,
+        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
         """Transpose of ``scatter``: sets the derivatives by v (as found in those by momentum)
-        and C, adds to those by x and mass. Returns the square
-        of what it found."""
+        and C, adds to those by x and mass. Returns the square of what it found."""
         free = grips.free[w, p]
         mass = matter.mass[w]
         x_bar = vec3()
-        q_bar = vec3()
+        u_bar = vec3()
         C_bar = types.mat33()
         mass_bar = real(0.0)
         if free > real(0.0):
-            q = mass * grips.guided[w, p]
-            if free == real(1.0):
-                q = momentum_of(w, p, row, dt, matter, scene, state, pulls)
-                if near == 1:
-                    q += mass * touched[w, p // matter.section]
-            x_bar, q_bar, C_bar, mass_bar = p2g_adjoint(
-                state.x[row, p], q, state.C[row, p], mass, layout, slot,
-                real(1.0) / scene.dx, grid, nodes_bar,
-            )  # fmt: skip
+            x = state.x[row, p]
+            own = momentum_of(w, p, row, dt, matter, scene, state, pulls) / mass
+            u = own
+            if near == 1:
+                u += touched[w, p // matter.section]
+            v = u
             if free < real(1.0):
-                mass_bar += wp.dot(q_bar, grips.guided[w, p])
-            elif near == 1:
-                mass_bar += wp.dot(q_bar, touched[w, p // matter.section])
+                v = guided(w, p, grip_row, x, u, dt, grips)
+            x_bar, q_bar, C_bar, mass_bar = p2g_adjoint(
+                x, mass * v, state.C[row, p], mass, layout, slot, real(1.0) / scene.dx, grid,
+                nodes_bar,
+            )  # fmt: skip
+            u_bar = mass * q_bar
+            mass_bar += wp.dot(q_bar, v)
+            if free < real(1.0):
+                by_x, u_bar_own = guided_adjoint(
+                    w, p, grip_row, x, u, dt, u_bar, grips, scene_bars
+                )
+                x_bar += by_x
+                u_bar = u_bar_own
+            # its own velocity is momentum over mass
+            mass_bar -= wp.dot(u_bar, own) / mass
         bars.x[w, p] = bars.x[w, p] + x_bar
-        bars.v[w, p] = mass * q_bar
+        bars.v[w, p] = u_bar
         bars.C[w, p] = C_bar
         bars.mass[w, p] = bars.mass[w, p] + mass_bar
-        return wp.length_sq(x_bar) + wp.length_sq(mass * q_bar)
+        return wp.length_sq(x_bar) + wp.length_sq(u_bar)
 
     @wp.func
     def momentum_adjoint(
@@ -249,7 +221,8 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
 
     @wp.func
     def move(
-        w: int, p: int, row: int, row_out: int, layout: int, slot: int, dt: real, scene: Scene,
+        w: int, p: int, row: int, row_out: int, grip_row: int, layout: int, slot: int, dt: real,
+        scene: Scene,
         grips: Grips, grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
         state_out: State,
     ):  # fmt: skip
@@ -259,6 +232,9 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         C = types.mat33()
         if grips.free[w, p] > real(0.0):
             v, C = g2p(layout, slot, x, real(1.0) / scene.dx, grid, velocity)
+        else:
+            v, spin = carried(w, p, grip_row, x, dt, grips)
+            C = wp.skew(spin)
         if compensates == 1:
             there, low = compensated_sum(x, dt * v, state.low[w, p])
             state_out.x[row_out, p] = there
@@ -271,22 +247,25 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
 
     @wp.func
     def move_adjoint(
-        w: int, p: int, row: int, layout: int, slot: int, dt: real, scene: Scene, grips: Grips,
-        grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
-        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars,
+        w: int, p: int, row: int, grip_row: int, layout: int, slot: int, dt: real, scene: Scene,
+        grips: Grips, grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
+        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
         """Transpose of ``move``; those by v and C have then served their turn."""
+        x = state.x[row, p]
+        x_bar = bars.x[w, p]
+        v_bar = bars.v[w, p] + dt * x_bar
+        C_bar = bars.C[w, p]
         if grips.free[w, p] > real(0.0):
-            x = state.x[row, p]
             inv_dx = real(1.0) / scene.dx
-            x_bar = bars.x[w, p]
-            v_bar = bars.v[w, p] + dt * x_bar
-            C_bar = bars.C[w, p]
             node, f, c = taken_by(x, v_bar, C_bar, layout, inv_dx, grid)
             add_to_nodes(nodes_bar, slot, grid.start, layout, node, f, c)
-            bars.x[w, p] = x_bar + g2p_adjoint(
-                x, v_bar, C_bar, layout, slot, inv_dx, grid, velocity
+            x_bar += g2p_adjoint(x, v_bar, C_bar, layout, slot, inv_dx, grid, velocity)
+        else:
+            x_bar += carried_adjoint(
+                w, p, grip_row, dt, v_bar, turned_adjoint(C_bar), grips, scene_bars
             )
+        bars.x[w, p] = x_bar
 
     return SimpleNamespace(
         types=types,
@@ -298,8 +277,6 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         paths=make_paths(real),
         touch=touch,
         touch_adjoint=touch_adjoint,
-        guide=guide,
-        guide_adjoint=guide_adjoint,
         scatter=scatter,
         scatter_adjoint=scatter_adjoint,
         momentum_adjoint=momentum_adjoint,
@@ -321,8 +298,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     forces, boundary, boundary_adjoint = k.forces, k.boundary, k.boundary_adjoint
     branch, body_forces = forces.branch, forces.body_forces
     body_forces_adjoint = forces.body_forces_adjoint
-    touch, guide, scatter, move = k.touch, k.guide, k.scatter, k.move
-    guide_adjoint = k.guide_adjoint
+    touch, scatter, move = k.touch, k.scatter, k.move
     touch_adjoint, scatter_adjoint, move_adjoint = (
         k.touch_adjoint,
         k.scatter_adjoint,
@@ -331,8 +307,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     momentum_adjoint = k.momentum_adjoint
     clear, normalise = k.bspline.clear, k.bspline.normalise
     node_velocity_adjoint = k.transfer.node_velocity_adjoint
-    grasp, grip, grip_adjoint = boundary.grasp, boundary.grip, boundary_adjoint.grip_adjoint
-    grasp_adjoint = boundary_adjoint.grasp_adjoint
+    grasp, grasp_adjoint = boundary.grasp, boundary_adjoint.grasp_adjoint
     pose_gripper, pose_gripper_adjoint = k.paths.pose_gripper, k.paths.pose_gripper_adjoint
     close_substep = make_close_substep(real)
     largest = k.largest
@@ -369,17 +344,13 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         if near == 1:
             for s in range(N // matter.section):
                 touch(w, s, row, h, matter, scene, state, pulls, touched)
-        for g in range(G):
-            if grips.closed[w, g] == 1:
-                for n in range(grips.count[w, g]):
-                    guide(w, g, n, row, w, h, near, matter, scene, grips, state, pulls, touched)
         nodes = grid.count[layout]
         clear(momentum, slot, nodes)
         p = int(0)
         while p < N:
             scatter(
-                w, p, row, layout, slot, h, near, matter, scene, grips, state, pulls, touched, grid,
-                momentum,
+                w, p, row, w, layout, slot, h, near, matter, scene, grips, state, pulls, touched,
+                grid, momentum,
             )  # fmt: skip
             p += 1
         normalise(momentum, slot, velocity, 0, nodes, wp.exp(-scene.velocity_damping[w] * h))
@@ -388,16 +359,11 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         p = int(0)
         while p < N:
             speed = move(
-                w, p, row, row_out, layout, 0, h, scene, grips, grid, velocity, state, state
+                w, p, row, row_out, w, layout, 0, h, scene, grips, grid, velocity, state, state
             )
             fastest = wp.max(fastest, speed)
             total += speed
             p += 1
-        for g in range(G):
-            if grips.closed[w, g] == 1:
-                for n in range(grips.count[w, g]):
-                    speed = grip(w, g, n, row_out, w, h, grips, state)
-                    fastest = wp.max(fastest, speed)
         # a sum keeps a NaN, a maximum may drop it
         if status == OK and (not (total < real(1.0e30)) or h * wp.sqrt(fastest) > scene.dx):
             status = DIVERGED
@@ -430,24 +396,17 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             near = 1
             for s in range(N // matter.section):
                 touch(w, s, row, h, matter, scene, state, pulls, touched)
-        for g in range(G):
-            if grips.closed[w, g] == 1:
-                for n in range(grips.count[w, g]):
-                    guide(w, g, n, row, w, h, near, matter, scene, grips, state, pulls, touched)
         normalise(momentum, slot, velocity, 0, nodes, damping_factor)
         clear(nodes_bar, 0, nodes)
-        # 8, 7
-        for g in range(G):
-            if grips.closed[w, g] == 1:
-                for n in range(grips.count[w, g]):
-                    grip_adjoint(w, g, n, w, h, grips, bars, scene_bars)
+        # 6
         p = int(0)
         while p < N:
             move_adjoint(
-                w, p, row, layout, 0, h, scene, grips, grid, velocity, state, nodes_bar, bars
-            )
+                w, p, row, w, layout, 0, h, scene, grips, grid, velocity, state, nodes_bar, bars,
+                scene_bars,
+            )  # fmt: skip
             p += 1
-        # 6
+        # 5
         by_factor = wp.float64(0.0)
         n = int(0)
         while n < nodes:
@@ -458,24 +417,18 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             by_factor += wp.float64(factor_bar)
             n += 1
         scene_bars.damping_factor[w] = scene_bars.damping_factor[w] + by_factor
-        # 5, 4, 3, 2
+        # 4, 3, 2
         failed = int(-1)
         p = int(0)
         while p < N:
             size = scatter_adjoint(
-                w, p, row, layout, 0, h, near, matter, scene, grips, state, pulls, touched, grid,
-                nodes_bar, bars,
+                w, p, row, w, layout, 0, h, near, matter, scene, grips, state, pulls, touched, grid,
+                nodes_bar, bars, scene_bars,
             )  # fmt: skip
             if not (size < real(largest)) and failed < 0:
                 failed = p
             p += 1
-        for g in range(G):
-            if grips.closed[w, g] == 1:
-                for n in range(grips.count[w, g]):
-                    guide_adjoint(
-                        w, g, n, row, w, h, near, matter, scene, grips, state, pulls, touched, bars,
-                        scene_bars,
-                    )  # fmt: skip
+
         if near == 1:
             for s in range(N // matter.section):
                 touch_adjoint(w, s, row, h, matter, scene, state, pulls, touched, bars, scene_bars)

@@ -107,7 +107,7 @@ def make_types(real: Any) -> Types:
         weight: wp.array3d(dtype=real)  # [W, G, N] how firmly, above 0, at most 1
         place: wp.array3d(dtype=vec3)  # [W, G, N] where in the gripper's frame [m]
         free: wp.array2d(dtype=real)  # [W, N] share of a particle that no gripper holds
-        guided: wp.array2d(dtype=vec3)  # [W, N] velocity of what is held in part [m/s]
+        held_by: wp.array2d(dtype=wp.int32)  # [W, N] gripper times N, and place in its list
 
     @wp.struct
     class State:

@@ -145,9 +145,9 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
     bar_records = make_bar_records(real, resident=variant.room > 0)
     Tape, BarRecords = recorded.Struct, bar_records.Struct
     boundary = make_boundary_adjoint(real, recorded, bar_records)
-    contact_adjoint, grip_adjoint = boundary.contact_adjoint, boundary.grip_adjoint
-    guide_adjoint = boundary.guide_adjoint
-    contact, guide = make_boundary(real, recorded).contact, make_boundary(real, recorded).guide
+    contact_adjoint, guided_adjoint = boundary.contact_adjoint, boundary.guided_adjoint
+    carried_adjoint, turned_adjoint = boundary.carried_adjoint, boundary.turned_adjoint
+    contact, guided = make_boundary(real, recorded).contact, make_boundary(real, recorded).guided
     grasp_adjoint = boundary.grasp_adjoint
     pose_gripper = make_paths(real).pose_gripper
     close_substep = make_close_substep(real)
@@ -192,12 +192,6 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
             q += vector(tape.of, row, 15, i)
         share = real(1.0) / real(size)
         return share * x, (share / mass) * q
-
-    @wp.func
-    def own_motion(p: int, row: int, mass: real, tape: Tape):
-        """Position of a particle, and its velocity but for what table and grippers do."""
-        i = tape.place[tape.layout_of[row], p]
-        return vector(tape.of, row, 0, i), vector(tape.of, row, 15, i) / mass
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds(variant.lanes))
     def reverse(
@@ -287,15 +281,6 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     x, u = section_motion(s, slot, mass, matter, tape)
                     touched[w, s] = contact(w, x, u, h, matter.contact_radius, scene)
             meet()
-            for g in range(grippers):
-                if grips.closed[w, g] == 1:
-                    for n in range(lane, grips.count[w, g], lanes):
-                        if grips.weight[w, g, n] < real(1.0):
-                            p = grips.particle[w, g, n]
-                            x, u = own_motion(p, slot, mass, tape)
-                            if touches == 1:
-                                u += touched[w, p // matter.section]
-                            grips.guided[w, p] = guide(w, g, n, w, x, u, h, grips)
             following = vec4()
             if lane < nodes:
                 following = get_node(momentum, slot, lane)
@@ -307,12 +292,6 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                 put_node(nodes_bar, w, n, vec4())
                 put_node(velocity, w, n, node_velocity(q, factor))
             meet()
-            if grippers > 0:
-                for g in range(grippers):
-                    if grips.closed[w, g] == 1:
-                        for n in range(lane, grips.count[w, g], lanes):
-                            grip_adjoint(w, g, n, w, h, grips, records, scene_bars)
-                meet()
             window = window_type()
             held = wp.vec3i(-1, -1, -1)
             for i in range(lane * N // lanes, (lane + 1) * N // lanes):
@@ -331,16 +310,19 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
             hand_over(window, held, wp.vec3i(-1, -1, -1), nodes_bar, w, grid.start, layout)
             meet()
             for i in range(lane, N, lanes):
-                free = real(1.0)
-                if grippers > 0:
-                    free = grips.free[w, tape.order[layout, i]]
-                if free > real(0.0):
-                    x_bar = bar_vector(of, w, X, i)
+                p = tape.order[layout, i]
+                x_bar = bar_vector(of, w, X, i)
+                v_bar = bar_vector(of, w, V, i) + h * x_bar
+                C_bar = bar_matrix(of, w, C, i)
+                if grippers == 0 or grips.free[w, p] > real(0.0):
                     x_bar += g2p_adjoint(
-                        vector(tape.of, slot, 0, i), bar_vector(of, w, V, i) + h * x_bar,
-                        bar_matrix(of, w, C, i), layout, w, inv_dx, grid, velocity,
-                    )  # fmt: skip
-                    put_vector(of, w, X, i, x_bar)
+                        vector(tape.of, slot, 0, i), v_bar, C_bar, layout, w, inv_dx, grid, velocity
+                    )
+                else:
+                    x_bar += carried_adjoint(
+                        w, p, w, h, v_bar, turned_adjoint(C_bar), grips, scene_bars
+                    )
+                put_vector(of, w, X, i, x_bar)
             factor_sum = wp.float64(0.0)
             for n in range(lane, nodes, lanes):
                 node_bar, factor_bar = node_velocity_adjoint(
@@ -360,47 +342,40 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                 q_bar = vec3()
                 C_bar = mat33()
                 mass_bar = real(0.0)
+                u_bar = vec3()
                 if free > real(0.0):
-                    given = vector(tape.of, slot, 15, i)
+                    x = vector(tape.of, slot, 0, i)
+                    own = vector(tape.of, slot, 15, i) / mass
+                    u = own
                     if touches == 1:
-                        given += mass * touched[w, p // matter.section]
+                        u += touched[w, p // matter.section]
+                    v = u
                     if free < real(1.0):
-                        given = mass * grips.guided[w, p]
+                        v = guided(w, p, w, x, u, h, grips)
                     x_bar, q_bar, C_bar, mass_bar = p2g_adjoint(
-                        vector(tape.of, slot, 0, i), given, matrix(tape.of, slot, 6, i), mass, layout, w,
-                        inv_dx, grid, nodes_bar,
+                        x, mass * v, matrix(tape.of, slot, 6, i), mass, layout, w, inv_dx, grid,
+                        nodes_bar,
                     )  # fmt: skip
+                    u_bar = mass * q_bar
+                    mass_bar += wp.dot(q_bar, v)
                     if free < real(1.0):
-                        mass_bar += wp.dot(q_bar, grips.guided[w, p])
-                    elif touches == 1:
-                        mass_bar += wp.dot(q_bar, touched[w, p // matter.section])
+                        by_x, by_u = guided_adjoint(w, p, w, x, u, h, u_bar, grips, scene_bars)
+                        x_bar += by_x
+                        u_bar = by_u
+                    # its own velocity is momentum over mass
+                    mass_bar -= wp.dot(u_bar, own) / mass
                 put_vector(of, w, X, i, bar_vector(of, w, X, i) + x_bar)
-                put_vector(of, w, V, i, mass * q_bar)
+                put_vector(of, w, V, i, u_bar)
                 put_matrix(of, w, C, i, C_bar)
                 sums[w, _MASS, i] = sums[w, _MASS, i] + mass_bar
                 # the first one found is named; a NaN is not below anything
-                size = wp.length_sq(x_bar) + wp.length_sq(mass * q_bar)
+                size = wp.length_sq(x_bar) + wp.length_sq(u_bar)
                 if not (size < real(largest)) and (
                     wp.atomic_max(trouble.status, w, NOT_FINITE) == OK
                 ):
                     trouble.failed_particle[w] = p
                     trouble.slot[w] = gone
             meet()
-            for g in range(grippers):
-                if grips.closed[w, g] == 1:
-                    for n in range(lane, grips.count[w, g], lanes):
-                        if grips.weight[w, g, n] < real(1.0):
-                            p = grips.particle[w, g, n]
-                            i = records.place[w, p]
-                            x, u = own_motion(p, slot, mass, tape)
-                            inertial = u
-                            if touches == 1:
-                                u += touched[w, p // matter.section]
-                            by_u = guide_adjoint(w, g, n, w, x, u, h, grips, records, scene_bars)
-                            # u is momentum over mass
-                            sums[w, _MASS, i] = sums[w, _MASS, i] - wp.dot(by_u, inertial) / mass
-            if grippers > 0:
-                meet()
             if touches == 1:
                 for s in range(lane, N // matter.section, lanes):
                     if wp.length_sq(touched[w, s]) > real(0.0):

@@ -77,8 +77,8 @@ def make_boundary_adjoint(
         particle_bars: How the derivatives by them are.
 
     Returns:
-        Namespace with ``contact_adjoint`` (of a section's mean motion), ``grip_adjoint`` and ``guide_adjoint`` (a held particle)
-        and ``grasp_adjoint``.
+        Namespace with ``contact_adjoint`` (of a section's mean motion), ``carried_adjoint``,
+        ``turned_adjoint`` and ``guided_adjoint`` (of a held particle) and ``grasp_adjoint``.
     """
     types = make_types(real)
     vec3, mat33 = types.vec3, types.mat33
@@ -144,17 +144,20 @@ def make_boundary_adjoint(
 
     @wp.func
     def carried_adjoint(
-        w: int, g: int, n: int, grip_row: int, dt: real, v_bar: vec3, grips: Grips,
+        w: int, p: int, grip_row: int, dt: real, v_bar: vec3, spin_bar: vec3, grips: Grips,
         scene_bars: SceneBars,
     ):  # fmt: skip
         """Transpose of ``carried``; returns the derivative by x."""
+        N = grips.held_by.shape[1]
+        g = grips.held_by[w, p] // N
+        n = grips.held_by[w, p] % N
         arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
         place_bar = (real(FOLLOWS) / dt) * v_bar
         V_bar = (real(1.0) - real(FOLLOWS)) * v_bar
         arm_bar = place_bar + wp.cross(V_bar, grips.spin[grip_row, g])
         wp.atomic_add(scene_bars.centre, w, g, wide(place_bar))
         wp.atomic_add(scene_bars.velocity, w, g, wide(V_bar))
-        wp.atomic_add(scene_bars.spin, w, g, wide(wp.cross(arm, V_bar)))
+        wp.atomic_add(scene_bars.spin, w, g, wide(spin_bar + wp.cross(arm, V_bar)))
         wp.atomic_add(scene_bars.rotation, w, g, wide(wp.cross(arm, arm_bar)))
         scene_bars.place[w, g, n] = (
             scene_bars.place[w, g, n] + wp.transpose(grips.orientation[grip_row, g]) * arm_bar
@@ -162,43 +165,26 @@ def make_boundary_adjoint(
         return -place_bar
 
     @wp.func
-    def grip_adjoint(
-        w: int, g: int, n: int, grip_row: int, dt: real, grips: Grips, bars: Bars,
-        scene_bars: SceneBars,
-    ):  # fmt: skip
-        """Transpose of ``grip``."""
-        if grips.weight[w, g, n] == real(1.0):
-            p = grips.particle[w, g, n]
-            x_bar = x_bar_of(bars, w, p)
-            C_bar = C_bar_of(bars, w, p)
-            vee = vec3(
-                C_bar[2, 1] - C_bar[1, 2], C_bar[0, 2] - C_bar[2, 0], C_bar[1, 0] - C_bar[0, 1]
-            )
-            wp.atomic_add(scene_bars.spin, w, g, wide(vee))
-            v_bar = v_bar_of(bars, w, p) + dt * x_bar
-            by_x = carried_adjoint(w, g, n, grip_row, dt, v_bar, grips, scene_bars)
-            put_x_bar(bars, w, p, x_bar + by_x)
-            put_v_bar(bars, w, p, vec3())
-            put_C_bar(bars, w, p, mat33())
+    def turned_adjoint(C_bar: mat33):
+        """Derivative by a spin from that by its matrix."""
+        return vec3(
+            C_bar[2, 1] - C_bar[1, 2], C_bar[0, 2] - C_bar[2, 0], C_bar[1, 0] - C_bar[0, 1]
+        )
 
     @wp.func
-    def guide_adjoint(
-        w: int, g: int, n: int, grip_row: int, x: vec3, u: vec3, dt: real, grips: Grips,
-        bars: Bars, scene_bars: SceneBars,
+    def guided_adjoint(
+        w: int, p: int, grip_row: int, x: vec3, u: vec3, dt: real, w_bar: vec3, grips: Grips,
+        scene_bars: SceneBars,
     ):  # fmt: skip
-        """Transpose of ``guide``, from the derivative by w, which stands for that by v; returns
-        that by u, which takes its place."""
-        p = grips.particle[w, g, n]
-        f = grips.weight[w, g, n]
-        w_bar = v_bar_of(bars, w, p)
-        arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
-        f_bar = wp.dot(w_bar, carried(g, grip_row, x, arm, dt, grips) - u)
-        scene_bars.weight[w, g, n] = scene_bars.weight[w, g, n] + f_bar
-        by_x = carried_adjoint(w, g, n, grip_row, dt, f * w_bar, grips, scene_bars)
-        put_x_bar(bars, w, p, x_bar_of(bars, w, p) + by_x)
-        u_bar = (real(1.0) - f) * w_bar
-        put_v_bar(bars, w, p, u_bar)
-        return u_bar
+        """Transpose of ``guided``; returns the derivatives by x and u."""
+        N = grips.held_by.shape[1]
+        g = grips.held_by[w, p] // N
+        n = grips.held_by[w, p] % N
+        f = real(1.0) - grips.free[w, p]
+        v, _spin = carried(w, p, grip_row, x, dt, grips)
+        scene_bars.weight[w, g, n] = scene_bars.weight[w, g, n] + wp.dot(w_bar, v - u)
+        x_bar = carried_adjoint(w, p, grip_row, dt, f * w_bar, vec3(), grips, scene_bars)
+        return x_bar, (real(1.0) - f) * w_bar
 
     @wp.func
     def attach_adjoint(
@@ -249,7 +235,8 @@ def make_boundary_adjoint(
 
     return SimpleNamespace(
         contact_adjoint=contact_adjoint,
-        grip_adjoint=grip_adjoint,
-        guide_adjoint=guide_adjoint,
+        carried_adjoint=carried_adjoint,
+        turned_adjoint=turned_adjoint,
+        guided_adjoint=guided_adjoint,
         grasp_adjoint=grasp_adjoint,
     )

@@ -33,8 +33,8 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     """Build the stages of one substep backwards as kernels over all worlds.
 
     Returns:
-        Namespace with ``forces``, ``touch``, ``guide``, ``nodes``, which make again what the recording lacks,
-        and with ``grip_back``, ``g2p_back``, ``nodes_back``, ``p2g_back``, ``guide_back``, ``touch_back``,
+        Namespace with ``forces``, ``touch``, ``nodes``, which make again what the recording lacks,
+        and with ``g2p_back``, ``nodes_back``, ``p2g_back``, ``touch_back``,
         ``forces_back``, ``momenta_back`` and ``world_back``, to be called in this order. Substep r of a graph is
         reversed in the worlds that have done it (``r < done[w]``).
     """
@@ -52,8 +52,6 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     )
     scatter_adjoint, move_adjoint = k.scatter_adjoint, k.move_adjoint
     touch_section, touch_adjoint, momentum_adjoint = k.touch, k.touch_adjoint, k.momentum_adjoint
-    guide_particle, guide_adjoint = k.guide, k.guide_adjoint
-    grip_adjoint = k.boundary_adjoint.grip_adjoint
     grasp_adjoint = k.boundary_adjoint.grasp_adjoint
     close_substep = make_close_substep(real)
     largest = k.largest
@@ -84,21 +82,6 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
             touch_section(w, s, w, real(clock.dt[w]), matter, scene, state, pulls, touched)
 
     @wp.kernel
-    def guide(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
-        state: State, pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=types.vec3),
-        grips: Grips,
-    ):  # fmt: skip
-        """What grippers do once more."""
-        w, g, n = wp.tid()
-        row = r * done.shape[0] + w
-        if r < done[w] and n < grips.count[w, g] and grips.closed[row, g] == 1:
-            guide_particle(
-                w, g, n, w, row, real(clock.dt[w]), wp.max(scene.table, scene.walls), matter, scene,
-                grips, state, pulls, touched,
-            )  # fmt: skip
-
-    @wp.kernel
     def nodes(
         r: int, done: wp.array(dtype=wp.int32), clock: Clock, scene: Scene, grid: SparseGrid,
         momentum: wp.array2d(dtype=vec4), velocity: wp.array2d(dtype=vec4),
@@ -111,30 +94,6 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         factor = wp.exp(-scene.velocity_damping[w] * real(clock.dt[w]))
         velocity[w, n] = node_velocity(momentum[w, n], factor)
         nodes_bar[w, n] = vec4()
-
-    @wp.kernel
-    def grip_back(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, grips: Grips, bars: MatterBars,
-        scene_bars: SceneBars,
-    ):  # fmt: skip
-        w, g, n = wp.tid()
-        row = r * done.shape[0] + w
-        if r < done[w] and n < grips.count[w, g] and grips.closed[row, g] == 1:
-            grip_adjoint(w, g, n, row, real(clock.dt[w]), grips, bars, scene_bars)
-
-    @wp.kernel
-    def guide_back(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
-        state: State, pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=types.vec3),
-        grips: Grips, bars: MatterBars, scene_bars: SceneBars,
-    ):  # fmt: skip
-        w, g, n = wp.tid()
-        row = r * done.shape[0] + w
-        if r < done[w] and n < grips.count[w, g] and grips.closed[row, g] == 1:
-            guide_adjoint(
-                w, g, n, w, row, real(clock.dt[w]), wp.max(scene.table, scene.walls), matter, scene,
-                grips, state, pulls, touched, bars, scene_bars,
-            )  # fmt: skip
 
     @wp.kernel
     def touch_back(
@@ -152,13 +111,13 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     def g2p_back(
         r: int, done: wp.array(dtype=wp.int32), clock: Clock, scene: Scene, grips: Grips,
         grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
-        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars,
+        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
         w, p = wp.tid()
         if r < done[w]:
             move_adjoint(
-                w, p, w, w, w, real(clock.dt[w]), scene, grips, grid, velocity, state, nodes_bar,
-                bars,
+                w, p, w, r * done.shape[0] + w, w, w, real(clock.dt[w]), scene, grips, grid,
+                velocity, state, nodes_bar, bars, scene_bars,
             )  # fmt: skip
 
     @wp.kernel
@@ -180,15 +139,15 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
         grips: Grips, grid: SparseGrid, state: State, pulls: wp.array2d(dtype=types.pull),
         touched: wp.array2d(dtype=types.vec3), nodes_bar: wp.array2d(dtype=vec4),
-        bars: MatterBars, trouble: Trouble,
+        bars: MatterBars, scene_bars: SceneBars, trouble: Trouble,
     ):  # fmt: skip
         w, p = wp.tid()
         if r >= done[w]:
             return
         near = wp.max(scene.table, scene.walls)
         size = scatter_adjoint(
-            w, p, w, w, w, real(clock.dt[w]), near, matter, scene, grips, state, pulls, touched,
-            grid, nodes_bar, bars,
+            w, p, w, r * done.shape[0] + w, w, w, real(clock.dt[w]), near, matter, scene, grips,
+            state, pulls, touched, grid, nodes_bar, bars, scene_bars,
         )  # fmt: skip
         # the first one found is named; a NaN is not below anything
         if not (size < real(largest)) and wp.atomic_max(trouble.status, w, NOT_FINITE) == OK:
@@ -253,10 +212,7 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     return SimpleNamespace(
         forces=forces,
         touch=touch,
-        guide=guide,
         nodes=nodes,
-        grip_back=grip_back,
-        guide_back=guide_back,
         touch_back=touch_back,
         g2p_back=g2p_back,
         nodes_back=nodes_back,
@@ -404,7 +360,7 @@ class BatchTape:
         for name in worlds.carried:
             wp.copy(getattr(rows, name)[:W], getattr(state, name))
         grips = _copy(types.Grips(), batch.grips, _POSES)
-        for name in ("since", "until", "count", "particle", "weight", "place", "free", "guided"):
+        for name in ("since", "until", "count", "particle", "weight", "place", "free", "held_by"):
             setattr(grips, name, getattr(batch.grips, name))
         graph = _Graph(
             clock=_copy(types.Clock(), worlds.clock, CLOCK),
@@ -440,7 +396,7 @@ class BatchTape:
             for yields in sorted({bool(one) for one in s.yields})
         ]
         k = every[0]
-        W, N, G = s.num_worlds, s.num_particles, grips.count.shape[1]
+        W, N = s.num_worlds, s.num_particles
         nodes = graph.momentum.shape[1:]
         velocity = wp.empty(nodes, dtype=s.types.vec4, device=s.device)
         nodes_bar = wp.empty(nodes, dtype=s.types.vec4, device=s.device)
@@ -456,23 +412,17 @@ class BatchTape:
             pushed = [*going, s.matter, s.scene, row, s.pulls, s.touched]
             if touches:
                 launch(k.touch, s.touched.shape, pushed)
-            if G:
-                launch(k.guide, (W, G, N), [*pushed, grips])
             launch(k.nodes, nodes, [*going, s.scene, layouts, momentum, velocity, nodes_bar])
-            if G:
-                launch(k.grip_back, (W, G, N), [*going, grips, bars, scene_bars])
             launch(k.g2p_back, (W, N), [
-                *going, s.scene, grips, layouts, velocity, row, nodes_bar, bars,
+                *going, s.scene, grips, layouts, velocity, row, nodes_bar, bars, scene_bars,
             ])  # fmt: skip
             launch(k.nodes_back, nodes, [
                 *going, s.scene, layouts, momentum, nodes_bar, scene_bars,
             ])  # fmt: skip
             launch(k.p2g_back, (W, N), [
                 *going, s.matter, s.scene, grips, layouts, row, s.pulls, s.touched, nodes_bar,
-                bars, sums.trouble,
+                bars, scene_bars, sums.trouble,
             ])  # fmt: skip
-            if G:
-                launch(k.guide_back, (W, G, N), [*pushed, grips, bars, scene_bars])
             if touches:
                 launch(k.touch_back, s.touched.shape, [*pushed, bars, scene_bars])
             for kind in every:

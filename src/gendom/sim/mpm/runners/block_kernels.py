@@ -195,7 +195,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     Records, Tape = records_of.Struct, make_tape(real)
     rebuild = make_rebuild_world(real, records_of)
     boundary, paths_of = make_boundary(real, records_of), make_paths(real)
-    grasp, guide, grip = boundary.grasp, boundary.guide, boundary.grip
+    grasp, guided, carried = boundary.grasp, boundary.guided, boundary.carried
     contact, near_table = boundary.contact, boundary.near_table
     pose_gripper = paths_of.pose_gripper
     store = make_store(real, resident=variant.room > 0)
@@ -526,20 +526,6 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     for s in range(lane, N // matter.section, lanes):
                         touch(w, s, h, mass, matter, scene, records, touched)
                     meet()
-                for g in range(grippers):
-                    if grips.closed[w, g] == 1:
-                        for n in range(lane, grips.count[w, g], lanes):
-                            if grips.weight[w, g, n] < real(1.0):
-                                p = grips.particle[w, g, n]
-                                i = records.place[w, p]
-                                q = momentum_of(w, i, h, mass, gravity, records)
-                                u = q / mass
-                                if near_by == 1:
-                                    u += touched[w, p // matter.section]
-                                x = vector(of, w, X, i)
-                                grips.guided[w, p] = guide(w, g, n, w, x, u, h, grips)
-                if grippers > 0:
-                    meet()
                 nodes = grid.count[layout]
                 window = window_type()
                 held = wp.vec3i(-1, -1, -1)
@@ -552,8 +538,9 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                         tape_vector(tape.of, slot, 15, i, q)
                     if near_by == 1:
                         q += mass * touched[w, records.order[w, i] // matter.section]
-                    if free < real(1.0):
-                        q = mass * grips.guided[w, records.order[w, i]]
+                    if free < real(1.0) and free > real(0.0):
+                        x = vector(of, w, X, i)
+                        q = mass * guided(w, records.order[w, i], w, x, q / mass, h, grips)
                     if free > real(0.0):
                         node, f, given = given_by(
                             vector(of, w, X, i), q, matrix(of, w, C, i), mass, layout, inv_dx,
@@ -588,6 +575,9 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     x = vector(of, w, X, i)
                     if free > real(0.0):
                         v, affine = g2p(layout, w, x, inv_dx, grid, velocity)
+                    else:
+                        v, spin = carried(w, records.order[w, i], w, x, h, grips)
+                        affine = wp.skew(spin)
                     if compensates == 1:
                         there, low = compensated_sum(x, h * v, vector(of, w, LOW, i))
                         put_vector(of, w, X, i, there)
@@ -601,16 +591,6 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     if not (far <= real(1.0)):
                         far = real(3.0)
                     worst = wp.max(worst, far)
-                if grippers > 0:
-                    meet()
-                    for g in range(grippers):
-                        if grips.closed[w, g] == 1:
-                            for n in range(lane, grips.count[w, g], lanes):
-                                speed = grip(w, g, n, w, w, h, grips, records)
-                                far = speed * h * h / (dx * dx)
-                                if not (far <= real(1.0)):
-                                    far = real(3.0)
-                                worst = wp.max(worst, far)
                 worst = largest(worst)
                 if worst > real(1.5):
                     status = int(DIVERGED)

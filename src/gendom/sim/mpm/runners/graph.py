@@ -45,7 +45,7 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
 
     Returns:
         Namespace with ``Lap``; ``tally``, ``pose``, ``locate``, ``clear``, ``mark``, ``number`` where
-        a graph begins; ``grasp``, ``forces``, ``touch``, ``guide``, ``p2g``, ``nodes``, ``g2p``, ``grip`` of
+        a graph begins; ``grasp``, ``forces``, ``touch``, ``p2g``, ``nodes``, ``g2p`` of
         each of its substeps; ``hold_as_at`` and ``take``.
     """
     k = make_stages(real, law_name, yields=yields)
@@ -59,8 +59,7 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
     branch, particle_forces = k.forces.branch, k.forces.particle_forces
     scatter, move, node_velocity = k.scatter, k.move, k.transfer.node_velocity
     near_table, touch_section = k.boundary.near_table, k.touch
-    guide_particle = k.guide
-    grip_particle, grasp_world = k.boundary.grip, k.boundary.grasp
+    grasp_world = k.boundary.grasp
     hold_world_as_at = k.boundary.hold_as_at
     pose_gripper = k.paths.pose_gripper
     plastic = wp.constant(int(yields))
@@ -207,20 +206,6 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
             touch_section(w, s, w, real(clock.dt[w]), matter, scene, state, pulls, touched)
 
     @wp.kernel
-    def guide(
-        r: int, clock: Clock, lap: Lap, matter: Matter, scene: Scene, grips: Grips, state: State,
-        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=types.vec3),
-    ):  # fmt: skip
-        w, g, n = wp.tid()
-        row = r * clock.dt.shape[0] + w
-        if n < grips.count[w, g] and grips.closed[row, g] == 1:
-            if runs(w, r, scene.dx, clock, lap):
-                guide_particle(
-                    w, g, n, w, row, real(clock.dt[w]), clock.near_table[w], matter, scene, grips,
-                    state, pulls, touched,
-                )  # fmt: skip
-
-    @wp.kernel
     def p2g(
         r: int, clock: Clock, lap: Lap, matter: Matter, scene: Scene, grips: Grips, state: State,
         pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=types.vec3),
@@ -229,8 +214,8 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
         w, p = wp.tid()
         if runs(w, r, scene.dx, clock, lap):
             scatter(
-                w, p, w, w, w, real(clock.dt[w]), clock.near_table[w], matter, scene, grips, state,
-                pulls, touched, grid, momentum,
+                w, p, w, r * clock.dt.shape[0] + w, w, w, real(clock.dt[w]), clock.near_table[w],
+                matter, scene, grips, state, pulls, touched, grid, momentum,
             )  # fmt: skip
 
     @wp.kernel
@@ -261,7 +246,8 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
         dx = scene.dx
         if runs(w, r, dx, clock, lap):
             h = real(clock.dt[w])
-            speed = move(w, p, w, w, w, w, h, scene, grips, grid, velocity, state, state_out)
+            row = r * clock.dt.shape[0] + w
+            speed = move(w, p, w, w, row, w, w, h, scene, grips, grid, velocity, state, state_out)
             if not (speed * h * h <= dx * dx):
                 wp.atomic_max(lap.trouble, w, DIVERGED)
                 speed = real(0.0)
@@ -269,19 +255,6 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
                 lap.done[w] = r + 1
             if speed > lap.fastest[w, r]:
                 wp.atomic_max(lap.fastest, w, r, speed)
-
-    @wp.kernel
-    def grip(r: int, dx: real, clock: Clock, lap: Lap, grips: Grips, state_out: State):
-        w, g, n = wp.tid()
-        if lap.done[w] == r + 1 and n < grips.count[w, g]:
-            row = r * clock.dt.shape[0] + w
-            if grips.closed[row, g] == 1:
-                h = real(clock.dt[w])
-                speed = grip_particle(w, g, n, w, row, h, grips, state_out)
-                if not (speed * h * h <= dx * dx):
-                    wp.atomic_max(lap.trouble, w, DIVERGED)
-                elif speed > lap.fastest[w, r]:
-                    wp.atomic_max(lap.fastest, w, r, speed)
 
     @wp.kernel
     def hold_as_at(age: wp.array(dtype=wp.int32), grips: Grips):
@@ -321,8 +294,6 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
         nodes=nodes,
         g2p=g2p,
         touch=touch,
-        guide=guide,
-        grip=grip,
         hold_as_at=hold_as_at,
         take=take,
     )
@@ -517,11 +488,6 @@ class Batch:
             self.launch(k.touch, s.touched.shape, [
                 *now, s.matter, s.scene, before, s.pulls, s.touched,
             ])  # fmt: skip
-        G = self.grips.count.shape[1]
-        if G:
-            self.launch(k.guide, (W, G, N), [
-                *now, s.matter, s.scene, self.grips, before, s.pulls, s.touched,
-            ])  # fmt: skip
         self.launch(k.p2g, (W, N), [
             *now, s.matter, s.scene, self.grips, before, s.pulls, s.touched, layouts, momentum,
         ])  # fmt: skip
@@ -531,10 +497,6 @@ class Batch:
         self.launch(k.g2p, (W, N), [
             *now, s.matter, s.scene, self.grips, layouts, self.velocity, before, after,
         ])  # fmt: skip
-        if G:
-            self.launch(k.grip, (W, G, N), [
-                r, s.setting.body.dx, s.clock, lap, self.grips, after,
-            ])  # fmt: skip
 
     def hold_as_at(self, age: wp.array) -> None:
         """Hold in each world what was held before substep ``age`` [W] of all."""
