@@ -36,8 +36,10 @@ SPRING, DASHPOT = 0.1, 0.85
 """Of table and walls: what they make good of depth and of velocity inwards in a substep [-]."""
 BEYOND = 1.3
 """Where a gripper's weights fall to 0, in spacings beyond its surface [-]."""
+STIFFNESS = 1.4
+"""Of the spring on what is held in part, for the material's own [-]."""
 FOLLOWS = 0.5
-"""Share of its distance from where it belongs that held material makes good in a substep [-]."""
+"""Share of its distance from where it belongs that held material makes good at most [-]."""
 
 
 @dataclass
@@ -194,7 +196,10 @@ class NumpyMPM:
             behind = c1 + arm - dt * V - x
             mine = grip.weight > 0.0
             held = held + grip.weight
-            v[mine] = (V + FOLLOWS / dt * behind)[mine]
+            modulus = (self.lam + 2.0 * self.mu)[:, :, 0] / self.material.density
+            b = np.minimum(STIFFNESS * dt**2 * modulus / self.body.dx**2, FOLLOWS)
+            b = np.where(grip.weight[:, None] < 1.0, b, FOLLOWS)
+            v[mine] = (V + b / dt * behind)[mine]
             C[mine] = np.cross(np.eye(3), omega)  # C r = omega x r
         return held, v, C
 

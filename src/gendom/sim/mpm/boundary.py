@@ -14,9 +14,10 @@ or is held.
   to the centre of its section. From then on a spring and a dashpot that are stiffer the larger f is make
   of its velocity u with all impulses
 
-      w = (1 - f) u + f (V + b (X - x) / dt),    b = ``FOLLOWS``,
+      w = (1 - f) u + f (V + b (X - x) / dt),    b = ``STIFFNESS`` (dt c / dx)^2,
 
-  X and V the place and velocity that the gripper would give it; w goes to the grid. What is held with
+  X and V the place and velocity that the gripper would give it, c the speed of pressure waves: a spring
+  as stiff as the material, whatever the substep. w goes to the grid. What is held with
   f = 1 has no part in the grid: it goes where the gripper goes, and acts on the rest by its elastic forces
   alone. At rest w = 0 for every particle, whatever the phase of the grid.
 
@@ -49,8 +50,11 @@ BEYOND = 1.3
 spacing for the ramp, and 0.8 because differences between neighbours span two spacings, so that what is
 held bends a little. Free lengths then are those of beams, see ``gendom validate``."""
 
+STIFFNESS = 1.4
+"""Of the spring on what is held in part, for the material's own."""
+
 FOLLOWS = 0.5
-"""Share of its distance from where it belongs that held material makes good in a substep."""
+"""Share of its distance from where it belongs that held material makes good in a substep, at most."""
 
 DASHPOT = 0.85
 """Share of the velocity into table or walls that they take in a substep."""
@@ -282,8 +286,20 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         )
 
     @wp.func
-    def carried(w: int, p: int, grip_row: int, x: vec3, dt: real, grips: Grips):
-        """Velocity that a gripper gives to a particle of its that is at x, and its spin."""
+    def spring(w: int, p: int, dt: real, matter: Matter, dx: real):
+        """b of a particle that is held in part, and its logarithm's slope by mu + lam / 2 [1/Pa]."""
+        modulus = matter.lam[w, p] + real(2.0) * matter.mu[w, p]
+        b = real(STIFFNESS) * dt * dt * modulus * matter.volume / (matter.mass[w] * dx * dx)
+        slope = real(1.0) / modulus
+        if b > real(FOLLOWS):
+            b = real(FOLLOWS)
+            slope = real(0.0)
+        return b, slope
+
+    @wp.func
+    def carried(w: int, p: int, grip_row: int, x: vec3, b: real, dt: real, grips: Grips):
+        """Velocity that a gripper gives to a particle of its that is at x, its spin, and the
+        derivative of that velocity by b."""
         N = grips.held_by.shape[1]
         g = grips.held_by[w, p] // N
         spin = grips.spin[grip_row, g]
@@ -291,12 +307,16 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         V = grips.velocity[grip_row, g] + wp.cross(spin, arm)
         # X is known where the substep ends
         behind = grips.centre[grip_row, g] + arm - dt * V - x
-        return V + (real(FOLLOWS) / dt) * behind, spin
+        return V + (b / dt) * behind, spin, behind / dt
 
     @wp.func
-    def guided(w: int, p: int, grip_row: int, x: vec3, u: vec3, dt: real, grips: Grips):
+    def guided(
+        w: int, p: int, grip_row: int, x: vec3, u: vec3, dt: real, dx: real, matter: Matter,
+        grips: Grips,
+    ):  # fmt: skip
         """Velocity w of a particle that is held in part, from its place and its own u."""
-        v, _spin = carried(w, p, grip_row, x, dt, grips)
+        b, _slope = spring(w, p, dt, matter, dx)
+        v, _spin, _by_b = carried(w, p, grip_row, x, b, dt, grips)
         return u + (real(1.0) - grips.free[w, p]) * (v - u)
 
     @wp.func
@@ -385,6 +405,7 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         push=push,
         contact=contact,
         near_table=near_table,
+        spring=spring,
         carried=carried,
         guided=guided,
         section_centre=section_centre,

@@ -27,7 +27,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.adjoint.boundary import make_boundary_adjoint, make_row_bars
-from gendom.sim.mpm.boundary import make_boundary, make_paths
+from gendom.sim.mpm.boundary import FOLLOWS, make_boundary, make_paths
 from gendom.sim.mpm.compensated_sum import make_compensated_sum
 from gendom.sim.mpm.elasticity import make_internal_forces
 from gendom.sim.mpm.grid import SparseGrid
@@ -158,7 +158,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             if near == 1:
                 q += mass * touched[w, p // matter.section]
             if free < real(1.0):
-                q = mass * guided(w, p, grip_row, x, q / mass, dt, grips)
+                q = mass * guided(w, p, grip_row, x, q / mass, dt, scene.dx, matter, grips)
             inv_dx = real(1.0) / scene.dx
             node, f, c = given_by(x, q, state.C[row, p], mass, layout, inv_dx, grid)
             add_to_nodes(momentum, slot, grid.start, layout, node, f, c)
@@ -186,7 +186,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
                 u += touched[w, p // matter.section]
             v = u
             if free < real(1.0):
-                v = guided(w, p, grip_row, x, u, dt, grips)
+                v = guided(w, p, grip_row, x, u, dt, scene.dx, matter, grips)
             x_bar, q_bar, C_bar, mass_bar = p2g_adjoint(
                 x, mass * v, state.C[row, p], mass, layout, slot, real(1.0) / scene.dx, grid,
                 nodes_bar,
@@ -194,10 +194,13 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             u_bar = mass * q_bar
             mass_bar += wp.dot(q_bar, v)
             if free < real(1.0):
-                by_x, u_bar_own = guided_adjoint(
-                    w, p, grip_row, x, u, dt, u_bar, grips, scene_bars
+                by_x, u_bar_own, lam_bar, by_mass = guided_adjoint(
+                    w, p, grip_row, x, u, dt, scene.dx, matter, u_bar, grips, scene_bars
                 )
                 x_bar += by_x
+                mass_bar += by_mass
+                bars.lam[w, p] = bars.lam[w, p] + lam_bar
+                bars.mu[w, p] = bars.mu[w, p] + real(2.0) * lam_bar
                 u_bar = u_bar_own
             # its own velocity is momentum over mass
             mass_bar -= wp.dot(u_bar, own) / mass
@@ -233,7 +236,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         if grips.free[w, p] > real(0.0):
             v, C = g2p(layout, slot, x, real(1.0) / scene.dx, grid, velocity)
         else:
-            v, spin = carried(w, p, grip_row, x, dt, grips)
+            v, spin, _by_b = carried(w, p, grip_row, x, real(FOLLOWS), dt, grips)
             C = wp.skew(spin)
         if compensates == 1:
             there, low = compensated_sum(x, dt * v, state.low[w, p])
@@ -263,7 +266,8 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             x_bar += g2p_adjoint(x, v_bar, C_bar, layout, slot, inv_dx, grid, velocity)
         else:
             x_bar += carried_adjoint(
-                w, p, grip_row, dt, v_bar, turned_adjoint(C_bar), grips, scene_bars
+                w, p, grip_row, real(FOLLOWS), dt, v_bar, turned_adjoint(C_bar), grips,
+                scene_bars,
             )
         bars.x[w, p] = x_bar
 

@@ -28,12 +28,12 @@ from gendom.sim.mpm.block import (
     put_near,
     spans_of,
 )
-from gendom.sim.mpm.boundary import make_boundary, make_paths
+from gendom.sim.mpm.boundary import FOLLOWS, make_boundary, make_paths
 from gendom.sim.mpm.elasticity import make_elasticity
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import Particles
-from gendom.sim.mpm.runners.block_kernels import C, V, Variant, X, make_tape
+from gendom.sim.mpm.runners.block_kernels import AHEAD, C, V, Variant, X, make_tape
 from gendom.sim.mpm.step import NOT_FINITE, OK, make_close_substep
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
@@ -236,6 +236,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
         drag = matter.drag[w]
         gravity = scene.gravity[w]
         touches = wp.max(scene.table, scene.walls)
+        grip_row = w * AHEAD
         slot = int((slots - 1) * W + w)
         layout = tape.layout_of[slot]
         for i in range(lane, N, lanes):
@@ -275,7 +276,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
             t = time + wp.float64(clock.step[w] + gone) * dt
             age = clock.age[w] + gone
             for g in range(lane, grippers, lanes):
-                pose_gripper(w, w, g, t, dt, paths, grips)
+                pose_gripper(grip_row, w, g, t, dt, paths, grips)
             if touches == 1:
                 for s in range(lane, N // matter.section, lanes):
                     x, u = section_motion(s, slot, mass, matter, tape)
@@ -320,7 +321,8 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     )
                 else:
                     x_bar += carried_adjoint(
-                        w, p, w, h, v_bar, turned_adjoint(C_bar), grips, scene_bars
+                        w, p, grip_row, real(FOLLOWS), h, v_bar, turned_adjoint(C_bar), grips,
+                        scene_bars,
                     )
                 put_vector(of, w, X, i, x_bar)
             factor_sum = wp.float64(0.0)
@@ -351,7 +353,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                         u += touched[w, p // matter.section]
                     v = u
                     if free < real(1.0):
-                        v = guided(w, p, w, x, u, h, grips)
+                        v = guided(w, p, grip_row, x, u, h, scene.dx, matter, grips)
                     x_bar, q_bar, C_bar, mass_bar = p2g_adjoint(
                         x, mass * v, matrix(tape.of, slot, 6, i), mass, layout, w, inv_dx, grid,
                         nodes_bar,
@@ -359,8 +361,13 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     u_bar = mass * q_bar
                     mass_bar += wp.dot(q_bar, v)
                     if free < real(1.0):
-                        by_x, by_u = guided_adjoint(w, p, w, x, u, h, u_bar, grips, scene_bars)
+                        by_x, by_u, lam_bar_grip, by_mass = guided_adjoint(
+                            w, p, grip_row, x, u, h, scene.dx, matter, u_bar, grips, scene_bars
+                        )
                         x_bar += by_x
+                        mass_bar += by_mass
+                        sums[w, _LAM, i] = sums[w, _LAM, i] + lam_bar_grip
+                        sums[w, _MU, i] = sums[w, _MU, i] + real(2.0) * lam_bar_grip
                         u_bar = by_u
                     # its own velocity is momentum over mass
                     mass_bar -= wp.dot(u_bar, own) / mass
@@ -466,7 +473,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
             )  # fmt: skip
             meet()
             if lane == 0:
-                close_substep(w, w, t, dt, age, matter, scene, paths, grips, scene_bars)
+                close_substep(w, grip_row, t, dt, age, matter, scene, paths, grips, scene_bars)
                 if grippers > 0:
                     grasp_adjoint(
                         w, t, age, slot, matter, scene, paths, grips, tape, records, scene_bars

@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.boundary import DASHPOT, FOLLOWS, SPRING, make_boundary, make_paths
+from gendom.sim.mpm.boundary import DASHPOT, SPRING, make_boundary, make_paths
 from gendom.sim.mpm.particles import Particles
 from gendom.sim.mpm.types import make_types
 
@@ -94,7 +94,7 @@ def make_boundary_adjoint(
     )
     boundary = make_boundary(real, particles)
     push, section_centre, hold_on = boundary.push, boundary.section_centre, boundary.hold_on
-    carried = boundary.carried
+    carried, spring = boundary.carried, boundary.spring
     paths_of = make_paths(real)
     pose, pose_adjoint = paths_of.pose, paths_of.pose_adjoint
     narrow, narrow_matrix = paths_of.narrow, paths_of.narrow_matrix
@@ -144,16 +144,16 @@ def make_boundary_adjoint(
 
     @wp.func
     def carried_adjoint(
-        w: int, p: int, grip_row: int, dt: real, v_bar: vec3, spin_bar: vec3, grips: Grips,
-        scene_bars: SceneBars,
+        w: int, p: int, grip_row: int, b: real, dt: real, v_bar: vec3, spin_bar: vec3,
+        grips: Grips, scene_bars: SceneBars,
     ):  # fmt: skip
         """Transpose of ``carried``; returns the derivative by x."""
         N = grips.held_by.shape[1]
         g = grips.held_by[w, p] // N
         n = grips.held_by[w, p] % N
         arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
-        place_bar = (real(FOLLOWS) / dt) * v_bar
-        V_bar = (real(1.0) - real(FOLLOWS)) * v_bar
+        place_bar = (b / dt) * v_bar
+        V_bar = (real(1.0) - b) * v_bar
         arm_bar = place_bar + wp.cross(V_bar, grips.spin[grip_row, g])
         wp.atomic_add(scene_bars.centre, w, g, wide(place_bar))
         wp.atomic_add(scene_bars.velocity, w, g, wide(V_bar))
@@ -173,18 +173,24 @@ def make_boundary_adjoint(
 
     @wp.func
     def guided_adjoint(
-        w: int, p: int, grip_row: int, x: vec3, u: vec3, dt: real, w_bar: vec3, grips: Grips,
-        scene_bars: SceneBars,
+        w: int, p: int, grip_row: int, x: vec3, u: vec3, dt: real, dx: real, matter: Matter,
+        w_bar: vec3, grips: Grips, scene_bars: SceneBars,
     ):  # fmt: skip
-        """Transpose of ``guided``; returns the derivatives by x and u."""
+        """Transpose of ``guided``; returns the derivatives by x and u, by lam (half of that by mu)
+        and by the particle's mass."""
         N = grips.held_by.shape[1]
         g = grips.held_by[w, p] // N
         n = grips.held_by[w, p] % N
         f = real(1.0) - grips.free[w, p]
-        v, _spin = carried(w, p, grip_row, x, dt, grips)
+        b, slope = spring(w, p, dt, matter, dx)
+        v, _spin, by_b = carried(w, p, grip_row, x, b, dt, grips)
+        b_bar = f * wp.dot(w_bar, by_b)
+        mass_bar = real(0.0)
+        if slope > real(0.0):
+            mass_bar = -b_bar * b / matter.mass[w]
         scene_bars.weight[w, g, n] = scene_bars.weight[w, g, n] + wp.dot(w_bar, v - u)
-        x_bar = carried_adjoint(w, p, grip_row, dt, f * w_bar, vec3(), grips, scene_bars)
-        return x_bar, (real(1.0) - f) * w_bar
+        x_bar = carried_adjoint(w, p, grip_row, b, dt, f * w_bar, vec3(), grips, scene_bars)
+        return x_bar, (real(1.0) - f) * w_bar, b_bar * b * slope, mass_bar
 
     @wp.func
     def attach_adjoint(

@@ -29,7 +29,7 @@ from gendom.sim.mpm.block import (
     put_near,
     spans_of,
 )
-from gendom.sim.mpm.boundary import make_boundary, make_paths
+from gendom.sim.mpm.boundary import FOLLOWS, make_boundary, make_paths
 from gendom.sim.mpm.compensated_sum import make_compensated_sum
 from gendom.sim.mpm.elasticity import make_elasticity
 from gendom.sim.mpm.grid import MARGIN, SparseGrid, make_rebuild_world
@@ -42,6 +42,9 @@ from gendom.sim.mpm.types import make_types
 X, V, C, PULLS, LOW = 0, 3, 6, 15, 24
 """First components of a record: position, velocity, affine velocity, pulls on the neighbours, what
 rounding leaves out; then Z and G where bodies have them."""
+
+AHEAD = 32
+"""Substeps for which grippers are posed at once."""
 
 ORDERLY = 1.0
 """How far a particle may travel, in cells, before the records are put in order anew."""
@@ -410,6 +413,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         travel = clock.travel[w]
         near_by = int(clock.near_table[w])
         event = wp.float64(-1.0e30)
+        posed = int(-AHEAD)  # the substep from which on poses are known
         left = int(most)
         made = int(w)
         strayed = records.strayed[w]
@@ -475,8 +479,16 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     substep = False
                 take_free(w, lane, lanes, grips, records)
             if substep:
-                for g in range(lane, grippers, lanes):
-                    pose_gripper(w, w, g, t, dt, paths, grips)
+                # poses of many substeps at once, side by side
+                if grippers > 0 and (step < posed or step >= posed + AHEAD):
+                    posed = step
+                    for n in range(lane, AHEAD * grippers, lanes):
+                        ahead = n // grippers
+                        pose_gripper(
+                            w * AHEAD + ahead, w, n % grippers, t + wp.float64(ahead) * dt, dt, paths,
+                            grips,
+                        )  # fmt: skip
+                grip_row = w * AHEAD + step - posed
                 if keeps == 1:
                     tape.layout_of[slot] = layout
                     for n in range(lane, grid.count[layout], lanes):
@@ -540,7 +552,9 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                         q += mass * touched[w, records.order[w, i] // matter.section]
                     if free < real(1.0) and free > real(0.0):
                         x = vector(of, w, X, i)
-                        q = mass * guided(w, records.order[w, i], w, x, q / mass, h, grips)
+                        q = mass * guided(
+                            w, records.order[w, i], grip_row, x, q / mass, h, dx, matter, grips
+                        )
                     if free > real(0.0):
                         node, f, given = given_by(
                             vector(of, w, X, i), q, matrix(of, w, C, i), mass, layout, inv_dx,
@@ -576,7 +590,8 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     if free > real(0.0):
                         v, affine = g2p(layout, w, x, inv_dx, grid, velocity)
                     else:
-                        v, spin = carried(w, records.order[w, i], w, x, h, grips)
+                        p = records.order[w, i]
+                        v, spin, _by_b = carried(w, p, grip_row, x, real(FOLLOWS), h, grips)
                         affine = wp.skew(spin)
                     if compensates == 1:
                         there, low = compensated_sum(x, h * v, vector(of, w, LOW, i))
@@ -615,6 +630,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     h = real(dt)
                     factor = wp.exp(-scene.velocity_damping[w] * h)
                     step = 0
+                    posed = -AHEAD
             t = plan.time[frame] + wp.float64(step) * dt
         meet()
         for i in range(lane, N, lanes):

@@ -8,7 +8,7 @@ import warp as wp
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
 from gendom.sim.mpm.grid import Grid
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.runners.block_kernels import Variant, make_block_kernels
+from gendom.sim.mpm.runners.block_kernels import AHEAD, Variant, make_block_kernels
 from gendom.sim.mpm.runners.paced import Paced
 
 MOST_PARTICLES = 10_240
@@ -100,7 +100,7 @@ class Blocks(Paced):
 
     @property
     def grip_rows(self) -> int:
-        return self.worlds.num_worlds
+        return AHEAD * self.worlds.num_worlds
 
     def make_grid(self) -> None:
         super().make_grid()
