@@ -34,7 +34,7 @@ DRAG = {"rope": 1.1, "cloth": 1.2}
 """Drag coefficients: of a cylinder, of a plate, across the flow [-]."""
 SPRING, DASHPOT = 0.1, 0.85
 """Of table and walls: what they make good of depth and of velocity inwards in a substep [-]."""
-BEYOND = 1.3
+BEYOND = 1.22
 """Where a gripper's weights fall to 0, in spacings beyond its surface [-]."""
 STIFFNESS = 1.4
 """Of the spring on what is held in part, for the material's own [-]."""

@@ -45,9 +45,9 @@ from gendom.sim.mpm.types import make_types
 SPRING = 0.1
 """Of table and walls, for the mass of a section and the square of a substep."""
 
-BEYOND = 1.3
+BEYOND = 1.22
 """Where the weight of what is held falls to 0, in lattice spacings beyond the gripper's surface: half a
-spacing for the ramp, and 0.8 because differences between neighbours span two spacings, so that what is
+spacing for the ramp, and 0.72 because differences between neighbours span two spacings, so that what is
 held bends a little. Free lengths then are those of beams, see ``gendom validate``."""
 
 STIFFNESS = 1.4
