@@ -309,7 +309,8 @@ def test_rope_is_placed_where_it_is_seen():
 
 
 def test_unknown_mass_assumes_a_density():
-    """Without a mass the density is assumed and said to be; motion depends on it by the air alone."""
+    """Without a mass the density is assumed and said to be; motion depends on it by the air
+    alone."""
     description = ObjectDescription(kind="rope", length=LENGTH, diameter=DIAMETER)
     seen = recording([at_rest()] * 3, object=description)
     lift = Lift(seen, EXACT)

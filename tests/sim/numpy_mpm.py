@@ -151,7 +151,8 @@ class NumpyMPM:
     # ---- table, walls, grippers -----------------------------------------------------------------
 
     def contact(self, x: Array, u: Array, dt: float) -> Array:
-        """[S, 3] change of the velocities u of sections at x by a spring, a dashpot and friction."""
+        """[S, 3] change of the velocities u of sections at x by a spring, a dashpot and
+        friction."""
         radius, change = self.body.contact_radius, np.zeros_like(u)
 
         def push(gap: Array, outwards: Array) -> Array:
@@ -289,7 +290,7 @@ class NumpyMPM:
 
     # ---- grid --------------------------------------------------------------------------------
 
-    def move_with_grid(self, part: Array, q: Array, dt: float) -> tuple[Array, Array]:
+    def move_with_grid(self, part: NDArray[np.bool_], q: Array, dt: float) -> tuple[Array, Array]:
         """p2g of the particles [N] that have part in it and of their momenta [N, 3] [kg m/s]; g2p.
 
         Returns:

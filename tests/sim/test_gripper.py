@@ -32,7 +32,7 @@ def test_turn_carries_one_orientation_into_the_next():
     """exp(turn) times the pose at a knot is the pose at the next, in world axes."""
     poses = Rotation.from_rotvec([[0.3, -0.2, 0.1], [1.0, 0.5, -0.7], [-0.4, 0.9, 0.2]])
     gripper = Gripper(**path(quat_xyzw=poses.as_quat()))
-    for k, interval in enumerate((1.0, 2.0)):
+    for k in range(2):
         turned = Rotation.from_rotvec(gripper.turn[k]) * poses[k]
         assert (turned * poses[k + 1].inv()).magnitude() < 1e-12
     assert np.array_equal(gripper.turn[-1], np.zeros(3))

@@ -36,7 +36,7 @@ def settings(sheet, table_height):
     path = np.array([[0.0, 0.0, 0.008], [0.002, 0.002, 0.014], [0.004, 0.004, 0.02]])
     gripper = Gripper(
         time=[0.0, 0.01, 0.02],
-        position=path + [0.0, 0.0, up],
+        position=path + np.array([0.0, 0.0, up]),
         quat_xyzw=[(0, 0, 0, 1), (0.05, 0.1, 0.0, 1), (0.0, 0.1, 0.1, 1)],
         radius=0.017,
         hold_from=0.0021,

@@ -25,8 +25,8 @@ class Material:
     """Mass density [kg/m^3]."""
     damping: float = 0.0
     """Viscous over elastic stress in slow motion [s]: the time tau of a standard linear solid whose
-    Maxwell branch is as stiff as the elastic law. Free motion at a frequency w well below 1 / tau is
-    damped at the ratio w tau / 2; static shapes are not changed."""
+    Maxwell branch is as stiff as the elastic law. Free motion at a frequency w well below 1 / tau
+    is damped at the ratio w tau / 2; static shapes are not changed."""
     yield_stress: float = math.inf
     """Von Mises yield stress of the deviatoric Hencky stress [Pa]; infinite means elastic."""
 

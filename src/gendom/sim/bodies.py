@@ -8,13 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError
 
-
 CELLS_ACROSS = (0.5, 6.0)
 """Numbers of grid cells across a rope with which its section is known to bend and twist right."""
 
 BULGE = 0.75
-"""How far a square section is bulged to a round one; from 0.65 to 0.75 sections of 3 to 16 particles
-across bend within 2 % and twist within 5 % of theory at nu up to 0.45."""
+"""How far a square section is bulged to a round one; from 0.65 to 0.75 sections of 3 to 16
+particles across bend within 2 % and twist within 5 % of theory at nu up to 0.45."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +38,8 @@ class Body:
     thickness: float
     """Diameter of a rope, thickness of a cloth [m]."""
     section: int
-    """Particles of a cross-section (of a rope) or through the thickness (of a cloth), which touch the
-    table and are gripped together; they follow each other. 1 where a cloth is thick."""
+    """Particles of a cross-section (of a rope) or through the thickness (of a cloth), which touch
+    the table and are gripped together; they follow each other. 1 where a cloth is thick."""
     contact_radius: float
     """Height of a section's centre above the table on which it lies [m]."""
     curvature: NDArray[np.floating] | None = None
@@ -69,7 +68,8 @@ class Body:
 
         A section two particles across, bent, cannot become thinner on one side and thicker on the
         other and would be too stiff. In a sheet plane stress (k = 1) takes its place; with k = 2/3
-        four particles bend and twist as a round rope at every nu (and stretch 4 to 10 % too easily).
+        four particles bend and twist as a round rope at every nu (and stretch 4 to 10 % too
+        easily).
         """
         alone = self.lattice == np.arange(len(self.x))[:, None, None]
         two = alone.any(axis=2).all(axis=0)
@@ -268,7 +268,7 @@ def _check_positive(**values: float) -> None:
             raise ParameterError(f"{name} must be positive and finite, got {value}")
 
 
-def _neighbours(cells: NDArray[np.int64]) -> NDArray[np.int32]:
+def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
     """[N, 3, 2] indices of the particles beside each one, from lattice cells [N, 3]."""
     number = np.full(cells.max(axis=0) + 3, -1)
     number[tuple((cells + 1).T)] = np.arange(len(cells))

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,8 +18,8 @@ class Gripper:
 
     What it holds is decided when it closes, and stays: each particle keeps its place in the
     gripper's frame. Whether a cross-section is held goes by its centre: the free length of a rope
-    begins where the sphere's surface cuts its centre line. Between two knots it moves on a straight line at constant speed and turns at constant rate;
-    outside the path it stands still.
+    begins where the sphere's surface cuts its centre line. Between two knots it moves on a straight
+    line at constant speed and turns at constant rate; outside the path it stands still.
 
     Raises:
         ParameterError: If shapes do not agree, times do not increase or a number is not finite.
@@ -61,7 +62,7 @@ class Gripper:
             object.__setattr__(self, "quat_xyzw", q)
 
     @classmethod
-    def still(cls, position: ArrayLike, *, radius: float, **hold: float) -> "Gripper":
+    def still(cls, position: ArrayLike, *, radius: float, **hold: Any) -> "Gripper":
         """A gripper that stays at ``position`` [3] [m]."""
         return cls(time=[0.0], position=np.atleast_2d(position), radius=radius, **hold)
 

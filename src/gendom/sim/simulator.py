@@ -183,7 +183,8 @@ class Simulator:
         self.worlds.state.C.assign(C.astype(self.dtype))
 
     def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
-        """Write x, v, C, F (and Z and G where there are some), the time and the parameters of all worlds to an ``.npz`` file.
+        """Write x, v, C, F (and Z and G where there are some), the time and the parameters of all
+        worlds to an ``.npz`` file.
 
         Args:
             path: File to write, atomically.

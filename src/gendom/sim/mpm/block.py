@@ -5,7 +5,7 @@ A kernel that gives each world a block reads the same on both devices: its loops
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false
 
 import functools
 from types import SimpleNamespace

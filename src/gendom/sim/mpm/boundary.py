@@ -1,29 +1,29 @@
 """What acts on particles besides each other: the table, walls, grippers.
 
 All of it acts on particles, section by section (the particles of a rope's cross-section, or those
-through a cloth's thickness, ``Body.section``), so that no cell of the grid shows in where a body rests
-or is held.
+through a cloth's thickness, ``Body.section``), so that no cell of the grid shows in where a body
+rests or is held.
 
-- **Table and walls** push a section whose centre is nearer than the body's contact radius: with a spring
-  as stiff as substeps allow (k = m ``SPRING`` / dt^2; what lies at rest is 1e-7 m deep in it) and a dashpot,
-  and never pull. Coulomb friction takes as much of the velocity along the table, with all other impulses
-  of the substep, as that push allows. These impulses go to the grid with the others; at rest every
-  section is then in balance by itself, and the grid has nothing to say.
-- **Grippers**: when one closes, each particle keeps its place in the gripper's frame, with a weight f
-  that falls from 1 to 0 over one lattice spacing about the surface of the gripper's sphere, measured
-  to the centre of its section. From then on a spring and a dashpot that are stiffer the larger f is make
-  of its velocity u with all impulses
+- **Table and walls** push a section whose centre is nearer than the body's contact radius: with a
+  spring as stiff as substeps allow (k = m ``SPRING`` / dt^2; what lies at rest is 1e-7 m deep in
+  it) and a dashpot, and never pull. Coulomb friction takes as much of the velocity along the table,
+  with all other impulses of the substep, as that push allows. These impulses go to the grid with
+  the others; at rest every section is then in balance by itself, and the grid has nothing to say.
+- **Grippers**: when one closes, each particle keeps its place in the gripper's frame, with a weight
+  f that falls from 1 to 0 over one lattice spacing about the surface of the gripper's sphere,
+  measured to the centre of its section. From then on a spring and a dashpot that are stiffer the
+  larger f is make of its velocity u with all impulses
 
       w = (1 - f) u + f (V + b (X - x) / dt),    b = ``STIFFNESS`` (dt c / dx)^2,
 
-  X and V the place and velocity that the gripper would give it, c the speed of pressure waves: a spring
-  as stiff as the material, whatever the substep. w goes to the grid. What is held with
-  f = 1 has no part in the grid: it goes where the gripper goes, and acts on the rest by its elastic forces
-  alone. At rest w = 0 for every particle, whatever the phase of the grid.
+  X and V the place and velocity that the gripper would give it, c the speed of pressure waves: a
+  spring as stiff as the material, whatever the substep. w goes to the grid. What is held with
+  f = 1 has no part in the grid: it goes where the gripper goes, and acts on the rest by its elastic
+  forces alone. At rest w = 0 for every particle, whatever the phase of the grid.
 
-Each function has its transpose beside it, which carries derivatives of a loss back to the particles,
-to friction and to the grippers' paths. Whether a section touches, slides or sticks, and when
-grippers open and close, is not differentiated.
+Each function has its transpose beside it, which carries derivatives of a loss back to the
+particles, to friction and to the grippers' paths. Whether a section touches, slides or sticks, and
+when grippers open and close, is not differentiated.
 
 Shapes: W worlds, N particles, G grippers, K path knots.
 """
@@ -46,15 +46,16 @@ SPRING = 0.1
 """Of table and walls, for the mass of a section and the square of a substep."""
 
 BEYOND = 1.22
-"""Where the weight of what is held falls to 0, in lattice spacings beyond the gripper's surface: half a
-spacing for the ramp, and 0.72 because differences between neighbours span two spacings, so that what is
-held bends a little. Free lengths then are those of beams, see ``gendom validate``."""
+"""Where the weight of what is held falls to 0, in lattice spacings beyond the gripper's surface:
+half a spacing for the ramp, and 0.72 because differences between neighbours span two spacings, so
+that what is held bends a little. Free lengths then are those of beams, see ``gendom validate``."""
 
 STIFFNESS = 1.4
 """Of the spring on what is held in part, for the material's own."""
 
 FOLLOWS = 0.5
-"""Share of its distance from where it belongs that held material makes good in a substep, at most."""
+"""Share of its distance from where it belongs that held material makes good in a substep, at
+most."""
 
 DASHPOT = 0.85
 """Share of the velocity into table or walls that they take in a substep."""
@@ -213,7 +214,8 @@ def make_paths(real: Any) -> SimpleNamespace:
                 inside = wp.max(until - wp.max(t, paths.time[w, g, k]), wp.float64(0.0))
                 if span > wp.float64(0.0):
                     turn_adjoint(
-                        w, g, k, wp.float64(0.0), wp.vec3d(), (inside / span / dt) * bars.spin[w, g],
+                        w, g, k, wp.float64(0.0), wp.vec3d(), (inside / span / dt) * bars.spin[w,
+                        g],
                         paths, bars,
                     )  # fmt: skip
         bars.centre[w, g] = wp.vec3d()
@@ -242,18 +244,18 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         ``hold_as_at``.
     """
     types = make_types(real)
-    vec3, mat33 = types.vec3, types.mat33
+    vec3 = types.vec3
     Matter, Scene, Paths, Grips = types.Matter, types.Scene, types.Paths, types.Grips
     Stored = particles.Struct
     x_of = particles.x
-    put_v, put_C, move = particles.put_v, particles.put_C, particles.move
     paths_of = make_paths(real)
     is_closed, pose = paths_of.is_closed, paths_of.pose
     narrow, narrow_matrix = paths_of.narrow, paths_of.narrow_matrix
 
     @wp.func
     def push(gap: real, outwards: real, dt: real):
-        """Velocity that a plane gives to what is so near to it and would move away at ``outwards``."""
+        """Velocity that a plane gives to what is so near to it and would move away at
+        ``outwards``."""
         given = real(0.0)
         if gap < real(0.0):
             given = wp.max(real(0.0), real(-SPRING) / dt * gap - real(DASHPOT) * outwards)
@@ -287,7 +289,8 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
 
     @wp.func
     def spring(w: int, p: int, dt: real, matter: Matter, dx: real):
-        """b of a particle that is held in part, and its logarithm's slope by mu + lam / 2 [1/Pa]."""
+        """b of a particle that is held in part, and its logarithm's slope by mu + lam / 2
+        [1/Pa]."""
         modulus = matter.lam[w, p] + real(2.0) * matter.mu[w, p]
         b = real(STIFFNESS) * dt * dt * modulus * matter.volume / (matter.mass[w] * dx * dx)
         slope = real(1.0) / modulus

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.materials.laws import LAWS
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper, stack_paths
 from gendom.sim.mpm.grid import Grid, grown_room, make_grid, room_for

@@ -8,9 +8,9 @@
     6. g2p               velocity and affine velocity back, or what a gripper gives; x += dt v
 
 ``make_stages`` has each as a function of one particle, section or node in rows of particles
-(``types.State``); ``make_step`` puts them together for one thread and one world, as the CPU runs it.
-CUDA runs the same stages as kernels over all worlds (``runners.graph``), or the same functions on
-particles in the memory of a block (``runners.block_kernels``). Symplectic Euler.
+(``types.State``); ``make_step`` puts them together for one thread and one world, as the CPU runs
+it. CUDA runs the same stages as kernels over all worlds (``runners.graph``), or the same functions
+on particles in the memory of a block (``runners.block_kernels``). Symplectic Euler.
 
 Shapes: W worlds, N particles, G grippers, L layouts of the grid, M nodes.
 """
@@ -55,8 +55,8 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         yields: Whether the worlds that run it yield.
 
     Returns:
-        Namespace with ``touch``, ``scatter``, ``move`` and their transposes, and with what it has them from:
-        ``types``, ``transfer``, ``forces``, ``boundary`` and ``boundary_adjoint``.
+        Namespace with ``touch``, ``scatter``, ``move`` and their transposes, and with what it has
+        them from: ``types``, ``transfer``, ``forces``, ``boundary`` and ``boundary_adjoint``.
     """
     types = make_types(real)
     vec3, vec4 = types.vec3, types.vec4
@@ -266,7 +266,14 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             x_bar += g2p_adjoint(x, v_bar, C_bar, layout, slot, inv_dx, grid, velocity)
         else:
             x_bar += carried_adjoint(
-                w, p, grip_row, real(FOLLOWS), dt, v_bar, turned_adjoint(C_bar), grips,
+                w,
+                p,
+                grip_row,
+                real(FOLLOWS),
+                dt,
+                v_bar,
+                turned_adjoint(C_bar),
+                grips,
                 scene_bars,
             )
         bars.x[w, p] = x_bar
@@ -312,7 +319,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     clear, normalise = k.bspline.clear, k.bspline.normalise
     node_velocity_adjoint = k.transfer.node_velocity_adjoint
     grasp, grasp_adjoint = boundary.grasp, boundary_adjoint.grasp_adjoint
-    pose_gripper, pose_gripper_adjoint = k.paths.pose_gripper, k.paths.pose_gripper_adjoint
+    pose_gripper = k.paths.pose_gripper
     close_substep = make_close_substep(real)
     largest = k.largest
 

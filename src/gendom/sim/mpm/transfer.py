@@ -6,9 +6,9 @@ velocity C_p, and for nodes at x_i:
     p2g:  m_i = sum_p w_ip m_p            (m u)_i = sum_p w_ip (q_p + m_p C_p (x_i - x_p))
     g2p:  v_p = sum_i w_ip u_i            C_p = 4 / dx^2 sum_i w_ip u_i (x_i - x_p)^T
 
-Source: Jiang et al. (2015), "The affine particle-in-cell method". A NumPy twin of the substep stands
-in ``tests/sim/numpy_mpm.py``. Each function has its transpose beside it (``..._adjoint``), which
-carries derivatives of a loss from results to arguments.
+Source: Jiang et al. (2015), "The affine particle-in-cell method". A NumPy twin of the substep
+stands in ``tests/sim/numpy_mpm.py``. Each function has its transpose beside it (``..._adjoint``),
+which carries derivatives of a loss from results to arguments.
 
 Shapes: W worlds, N particles, L layouts of the grid (see ``grid``), M grid nodes.
 """
@@ -116,9 +116,9 @@ def make_transfer(real: Any) -> SimpleNamespace:
     """Build the transfers for one scalar type.
 
     Returns:
-        Namespace with ``locate``, ``given_by`` (what a particle gives to the grid), ``p2g_adjoint``,
-        ``g2p``, ``taken_by`` (what its derivatives give to the grid's), ``g2p_adjoint``, and for
-        nodes ``node_velocity`` and its transpose.
+        Namespace with ``locate``, ``given_by`` (what a particle gives to the grid),
+        ``p2g_adjoint``, ``g2p``, ``taken_by`` (what its derivatives give to the grid's),
+        ``g2p_adjoint``, and for nodes ``node_velocity`` and its transpose.
     """
     types = make_types(real)
     vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33

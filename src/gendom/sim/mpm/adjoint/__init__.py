@@ -1,1 +1,2 @@
-"""Derivatives of whole simulations by reverse mode: what each runner keeps, and how it goes back."""
+"""Derivatives of whole simulations by reverse mode: what each runner keeps, and how it goes
+back."""

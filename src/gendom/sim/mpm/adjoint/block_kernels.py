@@ -58,22 +58,16 @@ def make_recorded(real: Any) -> Particles:
     def x_of(tape: Tape, row: int, p: int):
         return vector(tape.of, row, X, tape.place[tape.layout_of[row], p])
 
-    return Particles(Tape, x_of, x_of, x_of, x_of, _unused, _unused, _unused)
-
-
-@wp.func
-def _unused():
-    pass
+    return Particles(Tape, x_of, x_of)
 
 
 @functools.cache
 def make_bar_records(real: Any, *, resident: bool) -> ParticleBars:
     """Derivatives in records, as ``adjoint.boundary.make_row_bars``."""
     types = make_types(real)
-    vec3, mat33 = types.vec3, types.mat33
+    vec3 = types.vec3
     store = make_store(real, resident=resident)
     vector, put_vector = store.vector, store.put_vector
-    matrix, put_matrix = store.matrix, store.put_matrix
 
     @wp.struct
     class BarRecords:
@@ -90,26 +84,10 @@ def make_bar_records(real: Any, *, resident: bool) -> ParticleBars:
         return vector(bars.of, w, X, bars.place[w, p])
 
     @wp.func
-    def v_of(bars: BarRecords, w: int, p: int):
-        return vector(bars.of, w, V, bars.place[w, p])
-
-    @wp.func
-    def C_of(bars: BarRecords, w: int, p: int):
-        return matrix(bars.of, w, C, bars.place[w, p])
-
-    @wp.func
     def put_x(bars: BarRecords, w: int, p: int, value: vec3):
         put_vector(bars.of, w, X, bars.place[w, p], value)
 
-    @wp.func
-    def put_v(bars: BarRecords, w: int, p: int, value: vec3):
-        put_vector(bars.of, w, V, bars.place[w, p], value)
-
-    @wp.func
-    def put_C(bars: BarRecords, w: int, p: int, value: mat33):
-        put_matrix(bars.of, w, C, bars.place[w, p], value)
-
-    return ParticleBars(BarRecords, x_of, v_of, C_of, put_x, put_v, put_C)
+    return ParticleBars(BarRecords, x_of, put_x)
 
 
 @functools.cache
@@ -124,9 +102,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
     vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
     Clock, Matter, MatterBars = types.Clock, types.Matter, types.MatterBars
     Scene, Paths, Grips, SceneBars = types.Scene, types.Paths, types.Grips, types.SceneBars
-    elasticity = make_elasticity(
-        real, variant.law, yields=variant.yields, damped=variant.damped
-    )
+    elasticity = make_elasticity(real, variant.law, yields=variant.yields, damped=variant.damped)
     branch, pull_adjoint, air_adjoint = (
         elasticity.branch,
         elasticity.pull_adjoint,
@@ -321,7 +297,14 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     )
                 else:
                     x_bar += carried_adjoint(
-                        w, p, grip_row, real(FOLLOWS), h, v_bar, turned_adjoint(C_bar), grips,
+                        w,
+                        p,
+                        grip_row,
+                        real(FOLLOWS),
+                        h,
+                        v_bar,
+                        turned_adjoint(C_bar),
+                        grips,
                         scene_bars,
                     )
                 put_vector(of, w, X, i, x_bar)

@@ -23,46 +23,26 @@ class ParticleBars:
 
     Struct: Any
     x: Any
-    """(bars, w, p) -> derivative by x; likewise ``v`` and ``C``."""
-    v: Any
-    C: Any
+    """(bars, w, p) -> derivative by x."""
     put_x: Any
-    """(bars, w, p, value); likewise ``put_v`` and ``put_C``."""
-    put_v: Any
-    put_C: Any
+    """(bars, w, p, value)."""
 
 
 @functools.cache
 def make_row_bars(real: Any) -> ParticleBars:
     """Derivatives in rows of vectors, ``MatterBars``."""
     types = make_types(real)
-    vec3, mat33, Bars = types.vec3, types.mat33, types.MatterBars
+    vec3, Bars = types.vec3, types.MatterBars
 
     @wp.func
     def x_of(bars: Bars, w: int, p: int):
         return bars.x[w, p]
 
     @wp.func
-    def v_of(bars: Bars, w: int, p: int):
-        return bars.v[w, p]
-
-    @wp.func
-    def C_of(bars: Bars, w: int, p: int):
-        return bars.C[w, p]
-
-    @wp.func
     def put_x(bars: Bars, w: int, p: int, value: vec3):
         bars.x[w, p] = value
 
-    @wp.func
-    def put_v(bars: Bars, w: int, p: int, value: vec3):
-        bars.v[w, p] = value
-
-    @wp.func
-    def put_C(bars: Bars, w: int, p: int, value: mat33):
-        bars.C[w, p] = value
-
-    return ParticleBars(Bars, x_of, v_of, C_of, put_x, put_v, put_C)
+    return ParticleBars(Bars, x_of, put_x)
 
 
 @functools.cache
@@ -86,12 +66,7 @@ def make_boundary_adjoint(
     SceneBars = types.SceneBars
     Recorded, Bars = particles.Struct, particle_bars.Struct
     x_of = particles.x
-    x_bar_of, v_bar_of, C_bar_of = particle_bars.x, particle_bars.v, particle_bars.C
-    put_x_bar, put_v_bar, put_C_bar = (
-        particle_bars.put_x,
-        particle_bars.put_v,
-        particle_bars.put_C,
-    )
+    x_bar_of, put_x_bar = particle_bars.x, particle_bars.put_x
     boundary = make_boundary(real, particles)
     push, section_centre, hold_on = boundary.push, boundary.section_centre, boundary.hold_on
     carried, spring = boundary.carried, boundary.spring
@@ -167,9 +142,7 @@ def make_boundary_adjoint(
     @wp.func
     def turned_adjoint(C_bar: mat33):
         """Derivative by a spin from that by its matrix."""
-        return vec3(
-            C_bar[2, 1] - C_bar[1, 2], C_bar[0, 2] - C_bar[2, 0], C_bar[1, 0] - C_bar[0, 1]
-        )
+        return vec3(C_bar[2, 1] - C_bar[1, 2], C_bar[0, 2] - C_bar[2, 0], C_bar[1, 0] - C_bar[0, 1])
 
     @wp.func
     def guided_adjoint(

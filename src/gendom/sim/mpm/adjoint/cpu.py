@@ -3,6 +3,7 @@
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
 # pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false
 
 import functools
 import itertools
@@ -65,7 +66,8 @@ def make_reverse(real: Any, law_name: str, *, yields: bool) -> Any:
         slot = int(slots - 1)
         while slot >= 0 and status == OK:
             failed = substep_adjoint(
-                w, time + wp.float64(begun + slot) * dt, dt, age + slot, slot, layout_of[slot], slot,
+                w, time + wp.float64(begun + slot) * dt, dt, age + slot, slot, layout_of[slot],
+                slot,
                 matter, scene, paths, grips, pulls, touched, state, grid, momentum, velocity,
                 nodes_bar, bars, scene_bars,
             )  # fmt: skip

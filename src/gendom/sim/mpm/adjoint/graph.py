@@ -3,6 +3,7 @@
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
 # pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false
 
 import functools
 from collections.abc import Callable
@@ -35,8 +36,8 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     Returns:
         Namespace with ``forces``, ``touch``, ``nodes``, which make again what the recording lacks,
         and with ``g2p_back``, ``nodes_back``, ``p2g_back``, ``touch_back``,
-        ``forces_back``, ``momenta_back`` and ``world_back``, to be called in this order. Substep r of a graph is
-        reversed in the worlds that have done it (``r < done[w]``).
+        ``forces_back``, ``momenta_back`` and ``world_back``, to be called in this order. Substep r
+        of a graph is reversed in the worlds that have done it (``r < done[w]``).
     """
     k = make_stages(real, law_name, yields=yields)
     types = k.types

@@ -1,7 +1,5 @@
 """Derivatives by state and parameters while they are summed up."""
 
-from typing import Any
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray

@@ -1,7 +1,7 @@
 """The substep on CUDA where bodies are small: a block of threads takes one world through many.
 
-The same functions as in ``step``, called by the lanes of a block, which meet between stages. What is
-different is where particles are: each world has them as records, component by component, in the
+The same functions as in ``step``, called by the lanes of a block, which meet between stages. What
+is different is where particles are: each world has them as records, component by component, in the
 order of their lowest nodes. Lanes then read and write neighbouring numbers, and what neighbouring
 particles give to the same nodes is summed before it goes to the grid.
 
@@ -92,13 +92,7 @@ class Variant:
 @functools.cache
 def make_records(real: Any, *, resident: bool) -> Particles:
     """Particles in records, as ``particles.make_rows``."""
-    types = make_types(real)
-    vec3, mat33 = types.vec3, types.mat33
-    store = make_store(real, resident=resident)
-    vector, put_vector = store.vector, store.put_vector
-    matrix, put_matrix = store.matrix, store.put_matrix
-    compensates = wp.constant(int(types.compensates))
-    compensated_sum = make_compensated_sum(real)
+    vector = make_store(real, resident=resident).vector
 
     @wp.struct
     class Records:
@@ -124,34 +118,7 @@ def make_records(real: Any, *, resident: bool) -> Particles:
     def x_of(records: Records, w: int, p: int):
         return vector(records.of, w, X, records.place[w, p])
 
-    @wp.func
-    def v_of(records: Records, w: int, p: int):
-        return vector(records.of, w, V, records.place[w, p])
-
-    @wp.func
-    def C_of(records: Records, w: int, p: int):
-        return matrix(records.of, w, C, records.place[w, p])
-
-    @wp.func
-    def put_v(records: Records, w: int, p: int, v: vec3):
-        put_vector(records.of, w, V, records.place[w, p], v)
-
-    @wp.func
-    def put_C(records: Records, w: int, p: int, C_new: mat33):
-        put_matrix(records.of, w, C, records.place[w, p], C_new)
-
-    @wp.func
-    def move(records: Records, row: int, w: int, p: int, step: vec3):
-        i = records.place[w, p]
-        x = vector(records.of, w, X, i)
-        if compensates == 1:
-            there, low = compensated_sum(x, step, vector(records.of, w, LOW, i))
-            put_vector(records.of, w, X, i, there)
-            put_vector(records.of, w, LOW, i, low)
-        else:
-            put_vector(records.of, w, X, i, x + step)
-
-    return Particles(Records, position, x_of, v_of, C_of, put_v, put_C, move)
+    return Particles(Records, position, x_of)
 
 
 @functools.cache
@@ -185,9 +152,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
     Clock, Plan, Matter, State = types.Clock, types.Plan, types.Matter, types.State
     Scene, Paths, Grips = types.Scene, types.Paths, types.Grips
-    elasticity = make_elasticity(
-        real, variant.law, yields=variant.yields, damped=variant.damped
-    )
+    elasticity = make_elasticity(real, variant.law, yields=variant.yields, damped=variant.damped)
     branch, pull_of, air = elasticity.branch, elasticity.pull, elasticity.air
     bspline, transfer = make_bspline(real), make_transfer(real)
     window_type, collect, hand_over = bspline.window, bspline.collect, bspline.hand_over
@@ -485,7 +450,8 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     for n in range(lane, AHEAD * grippers, lanes):
                         ahead = n // grippers
                         pose_gripper(
-                            w * AHEAD + ahead, w, n % grippers, t + wp.float64(ahead) * dt, dt, paths,
+                            w * AHEAD + ahead, w, n % grippers, t + wp.float64(ahead) * dt, dt,
+                            paths,
                             grips,
                         )  # fmt: skip
                 grip_row = w * AHEAD + step - posed

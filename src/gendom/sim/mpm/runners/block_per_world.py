@@ -27,7 +27,7 @@ LARGE_BODY = 2048
 WIDE = 256
 """Threads of a block that has a multiprocessor to itself."""
 
-NARROW = 192
+NARROW = 128
 """Threads of one of two blocks that share one; more leave too few registers for each."""
 
 NARROW_IN_ARRAYS = 128

@@ -3,6 +3,7 @@
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
 # pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false
 
 import contextlib
 import functools
@@ -240,7 +241,8 @@ class Threads:
             make_advance(s.real, s.setting.law, yields=bool(s.yields[w])),
             dim=1,
             inputs=[
-                w, now, s.clock, s.matter, s.scene, s.paths, s.grips, s.pulls, s.touched, first, stride, rows,
+                w, now, s.clock, s.matter, s.scene, s.paths, s.grips, s.pulls, s.touched, first,
+                stride, rows,
                 grid.layouts, grid.layout_of, grid.momentum, velocity,
             ],
             device=s.device,

@@ -3,6 +3,7 @@
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
 # pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false
 
 import functools
 import math
@@ -44,8 +45,8 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
     speed by whoever asks.
 
     Returns:
-        Namespace with ``Lap``; ``tally``, ``pose``, ``locate``, ``clear``, ``mark``, ``number`` where
-        a graph begins; ``grasp``, ``forces``, ``touch``, ``p2g``, ``nodes``, ``g2p`` of
+        Namespace with ``Lap``; ``tally``, ``pose``, ``locate``, ``clear``, ``mark``, ``number``
+        where a graph begins; ``grasp``, ``forces``, ``touch``, ``p2g``, ``nodes``, ``g2p`` of
         each of its substeps; ``hold_as_at`` and ``take``.
     """
     k = make_stages(real, law_name, yields=yields)
