@@ -12,6 +12,7 @@ from gendom.errors import DeviceError, ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.materials.laws import LAWS
 from gendom.sim import (
+    PAPER,
     Box,
     Gripper,
     Simulator,
@@ -845,3 +846,24 @@ def test_a_spin_that_is_set_with_its_affine_velocities_stays():
         kept[name] = np.cross(out, v)[:, 2].sum() / np.cross(out, np.cross(omega, out))[:, 2].sum()
     assert kept["with"] == pytest.approx(1.0, abs=0.03)
     assert kept["without"] < 0.9
+
+
+@pytest.mark.slow
+def test_the_papers_rope_is_lifted_and_let_go():
+    """The authors' scene over their range of E, with their law and yield stress: it stays whole,
+    follows the gripper, and falls back on the floor."""
+    floor = PAPER.table
+    assert floor is not None and PAPER.dx is not None
+    z = floor.height + 0.014
+    body = rope(diameter=0.028, length=0.5, start=(0.25, 0.5, z), cells_across=0.028 / PAPER.dx)
+    lift = Gripper(
+        time=[0.0, 0.285], position=[(0.745, 0.5, z), (0.745, 0.5, z + 0.45)], radius=0.03,
+        hold_until=0.35,
+    )  # fmt: skip
+    materials = [PAPER.material(E=E, nu=0.3) for E in (500.0, 3000.0, 10500.0)]
+    s = Simulator(body, materials, grippers=[lift], **PAPER.settings())
+    x = s.run([0.285, 0.8])[:, :, :, 2]
+    assert x[0].max(axis=1) == pytest.approx(z + 0.45, abs=0.03)
+    assert np.all(x[1].min(axis=1) > floor.height)
+    assert np.all(x[1].max(axis=1) < z + 0.15)
+    assert np.linalg.det(s.deformation_gradients()).min() > 0.9
