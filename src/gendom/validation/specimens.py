@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 
 from gendom.errors import SimulationError
 from gendom.sim import Body, Gripper, Simulator
+from gendom.sim.mpm.boundary import FOLLOWS, STIFFNESS
 
 
 def block(size: ArrayLike, dx: float, *, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
@@ -122,6 +123,28 @@ def momenta(simulator: Simulator) -> tuple[NDArray[np.floating], NDArray[np.floa
     B = simulator.affine_velocities()[0].astype(float).sum(axis=0) * body.dx**2 / 4.0
     own = np.array([B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]])
     return m * v.sum(axis=0), m * (np.cross(x, v).sum(axis=0) + own)
+
+
+def spring_energy(simulator: Simulator) -> float:
+    """Energy of the springs by which still grippers of world 0 hold material in part [J].
+
+    With weight f they pull with k = f / (1 - f) b m / dt^2, b as in ``gendom.sim.mpm.boundary``.
+    """
+    grips, material = simulator.worlds.grips, simulator.materials[0]
+    mu, lam = material.lame_of(simulator.body.lateral_constraint)
+    dt = float(simulator.worlds.clock.dt.numpy()[0])
+    b = min(STIFFNESS * dt**2 * (lam + 2.0 * mu) / material.density / simulator.body.dx**2, FOLLOWS)
+    x = simulator.worlds.state.x.numpy()[0].astype(float)
+    total = 0.0
+    for g, gripper in enumerate(simulator.worlds.setting.grippers[0]):
+        n = int(grips.count.numpy()[0, g])
+        f = grips.weight.numpy()[0, g, :n].astype(float)
+        centre = np.asarray(gripper.position)[0] - simulator.worlds.origin
+        away = x[grips.particle.numpy()[0, g, :n]] - centre - grips.place.numpy()[0, g, :n]
+        part = f < 1.0
+        stiffness = f[part] / (1.0 - f[part]) * b / dt**2
+        total += 0.5 * float(np.sum(stiffness * np.sum(away[part] ** 2, axis=1)))
+    return total * material.density * simulator.body.volume
 
 
 def energies(simulator: Simulator, gravity: ArrayLike) -> tuple[float, float, float]:
