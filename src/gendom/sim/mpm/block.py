@@ -73,7 +73,7 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
         Namespace with ``get`` and ``put`` of component c of particle i in a row of the array ``of``
         [rows, components, N]; with ``vector``, ``put_vector``, ``matrix``, ``put_matrix`` and
         ``symmetric``, ``put_symmetric`` of the components from c on; and with ``differences`` and
-        ``pulled``, those of ``elasticity`` between the particles of a row.
+        ``pulled``, those of ``internal_forces`` between the particles of a row.
     """
     get, put = _numbers(real, resident=resident)
     types = make_types(real)

@@ -1,7 +1,7 @@
 """How particles are stored, for functions that do not care.
 
 The CPU and the graph of stages have a row of vectors for each world (``State``); a block of threads
-has records by components, in the order of their nodes (``runners.block_kernels``). Both offer the
+has records by components, in the order of their nodes (``runners.records``). Both offer the
 same functions on a particle p in a row.
 """
 

@@ -1,7 +1,7 @@
 """The substep of the material point method, forward and transposed: the algorithm at a glance.
 
     1. grasp             grippers open and close                          (boundary)
-    2. internal forces   pulls between particles, damping, air            (elasticity)
+    2. internal forces   pulls between particles, damping, air            (internal_forces)
     3. touch             table and walls change momenta                   (boundary)
     4. p2g               mass and momentum, as grippers let them, to the grid
     5. nodes             velocity = momentum / mass                       (transfer)
@@ -27,11 +27,13 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.adjoint.boundary import make_boundary_adjoint, make_row_bars
-from gendom.sim.mpm.boundary import FOLLOWS, make_boundary, make_paths
+from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
 from gendom.sim.mpm.compensated_sum import make_compensated_sum
-from gendom.sim.mpm.elasticity import make_internal_forces
+from gendom.sim.mpm.elasticity import make_maxwell_branch
 from gendom.sim.mpm.grid import SparseGrid
+from gendom.sim.mpm.internal_forces import make_internal_forces
 from gendom.sim.mpm.particles import make_rows
+from gendom.sim.mpm.paths import make_paths
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
 
@@ -56,7 +58,8 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
 
     Returns:
         Namespace with ``touch``, ``scatter``, ``move`` and their transposes, and with what it has
-        them from: ``types``, ``transfer``, ``forces``, ``boundary`` and ``boundary_adjoint``.
+        them from: ``types``, ``transfer``, ``branch``, ``forces``, ``boundary`` and
+        ``boundary_adjoint``.
     """
     types = make_types(real)
     vec3, vec4 = types.vec3, types.vec4
@@ -75,10 +78,8 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     contact_adjoint = boundary_adjoint.contact_adjoint
     guided, carried = boundary.guided, boundary.carried
     guided_adjoint = boundary_adjoint.guided_adjoint
-    carried_adjoint, turned_adjoint = (
-        boundary_adjoint.carried_adjoint,
-        boundary_adjoint.turned_adjoint,
-    )
+    carried_adjoint = boundary_adjoint.carried_adjoint
+    turned_adjoint = boundary_adjoint.turned_adjoint
     compensates = wp.constant(int(types.compensates))
     compensated_sum = make_compensated_sum(real)
 
@@ -225,9 +226,8 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     @wp.func
     def move(
         w: int, p: int, row: int, row_out: int, grip_row: int, layout: int, slot: int, dt: real,
-        scene: Scene,
-        grips: Grips, grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
-        state_out: State,
+        scene: Scene, grips: Grips, grid: SparseGrid, velocity: wp.array2d(dtype=vec4),
+        state: State, state_out: State,
     ):  # fmt: skip
         """Take a particle into the next state; returns its squared speed."""
         x = state.x[row, p]
@@ -266,15 +266,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             x_bar += g2p_adjoint(x, v_bar, C_bar, layout, slot, inv_dx, grid, velocity)
         else:
             x_bar += carried_adjoint(
-                w,
-                p,
-                grip_row,
-                real(FOLLOWS),
-                dt,
-                v_bar,
-                turned_adjoint(C_bar),
-                grips,
-                scene_bars,
+                w, p, grip_row, real(FOLLOWS), dt, v_bar, turned_adjoint(C_bar), grips, scene_bars
             )
         bars.x[w, p] = x_bar
 
@@ -282,6 +274,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         types=types,
         bspline=bspline,
         transfer=transfer,
+        branch=make_maxwell_branch(real).branch,
         forces=forces,
         boundary=boundary,
         boundary_adjoint=boundary_adjoint,
@@ -307,7 +300,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     Paths, Grips, Clock = types.Paths, types.Grips, types.Clock
     MatterBars, SceneBars = types.MatterBars, types.SceneBars
     forces, boundary, boundary_adjoint = k.forces, k.boundary, k.boundary_adjoint
-    branch, body_forces = forces.branch, forces.body_forces
+    branch, body_forces = k.branch, forces.body_forces
     body_forces_adjoint = forces.body_forces_adjoint
     touch, scatter, move = k.touch, k.scatter, k.move
     touch_adjoint, scatter_adjoint, move_adjoint = (
@@ -468,7 +461,7 @@ def make_close_substep(real: Any) -> Any:
     Matter, Scene, Paths, Grips = types.Matter, types.Scene, types.Paths, types.Grips
     SceneBars = types.SceneBars
     pose_gripper_adjoint = make_paths(real).pose_gripper_adjoint
-    branch_adjoint = make_internal_forces(real, "neo-hookean", yields=False).branch_adjoint
+    branch_adjoint = make_maxwell_branch(real).branch_adjoint
 
     @wp.func
     def close_substep(

@@ -28,12 +28,14 @@ from gendom.sim.mpm.block import (
     put_near,
     spans_of,
 )
-from gendom.sim.mpm.boundary import FOLLOWS, make_boundary, make_paths
-from gendom.sim.mpm.elasticity import make_elasticity
+from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
+from gendom.sim.mpm.elasticity import make_elasticity, make_maxwell_branch
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import Particles
-from gendom.sim.mpm.runners.block_kernels import AHEAD, C, V, Variant, X, make_tape
+from gendom.sim.mpm.paths import make_paths
+from gendom.sim.mpm.runners.block_kernels import AHEAD
+from gendom.sim.mpm.runners.records import C, V, Variant, X, make_tape
 from gendom.sim.mpm.step import NOT_FINITE, OK, make_close_substep
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
@@ -103,11 +105,8 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
     Clock, Matter, MatterBars = types.Clock, types.Matter, types.MatterBars
     Scene, Paths, Grips, SceneBars = types.Scene, types.Paths, types.Grips, types.SceneBars
     elasticity = make_elasticity(real, variant.law, yields=variant.yields, damped=variant.damped)
-    branch, pull_adjoint, air_adjoint = (
-        elasticity.branch,
-        elasticity.pull_adjoint,
-        elasticity.air_adjoint,
-    )
+    pull_adjoint, air_adjoint = elasticity.pull_adjoint, elasticity.air_adjoint
+    branch = make_maxwell_branch(real).branch
     bspline, transfer = make_bspline(real), make_transfer(real)
     window_type, collect, hand_over = bspline.window, bspline.collect, bspline.hand_over
     get_node, put_node = bspline.get_node, bspline.put_node
@@ -297,16 +296,9 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     )
                 else:
                     x_bar += carried_adjoint(
-                        w,
-                        p,
-                        grip_row,
-                        real(FOLLOWS),
-                        h,
-                        v_bar,
-                        turned_adjoint(C_bar),
-                        grips,
+                        w, p, grip_row, real(FOLLOWS), h, v_bar, turned_adjoint(C_bar), grips,
                         scene_bars,
-                    )
+                    )  # fmt: skip
                 put_vector(of, w, X, i, x_bar)
             factor_sum = wp.float64(0.0)
             for n in range(lane, nodes, lanes):

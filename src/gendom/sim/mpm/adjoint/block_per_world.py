@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from gendom.sim.mpm.adjoint.block_kernels import SUMS, make_block_reverse
 from gendom.sim.mpm.adjoint.graph import BatchTape, Segment, raise_trouble
 from gendom.sim.mpm.adjoint.sums import Sums
-from gendom.sim.mpm.runners.block_kernels import make_tape
 from gendom.sim.mpm.runners.block_per_world import Blocks
+from gendom.sim.mpm.runners.records import make_tape
 from gendom.sim.mpm.step import GRID_FULL
 
 SHORTEST, LONGEST = 8, 256

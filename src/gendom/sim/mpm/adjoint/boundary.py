@@ -12,8 +12,9 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.boundary import DASHPOT, SPRING, make_boundary, make_paths
+from gendom.sim.mpm.boundary import DASHPOT, SPRING, make_boundary
 from gendom.sim.mpm.particles import Particles
+from gendom.sim.mpm.paths import make_paths
 from gendom.sim.mpm.types import make_types
 
 

@@ -45,7 +45,7 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     Clock, Matter, Scene, State = types.Clock, types.Matter, types.Scene, types.State
     Paths, Grips = types.Paths, types.Grips
     MatterBars, SceneBars = types.MatterBars, types.SceneBars
-    branch, particle_forces = k.forces.branch, k.forces.particle_forces
+    branch, particle_forces = k.branch, k.forces.particle_forces
     particle_forces_adjoint = k.forces.particle_forces_adjoint
     node_velocity, node_velocity_adjoint = (
         k.transfer.node_velocity,

@@ -254,8 +254,8 @@ inline int internal_forces(int w, int first, int fresh, const wp::array_t<vec3<r
     return inverted;
 }
 
-// Transpose of internal_forces; see gendom.sim.mpm.elasticity.internal_forces_adjoint. Sums up only
-// what particles from `fresh` on add; returns their derivative by the share g and by `keep`.
+// Transpose of internal_forces. Sums up only what particles from `fresh` on add; returns their
+// derivative by the share g and by `keep`.
 template <typename real>
 inline wp::vec_t<2, real> internal_forces_adjoint(
     int w, int first, int fresh, const wp::array_t<vec3<real>>& x, int row,

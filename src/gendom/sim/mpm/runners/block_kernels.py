@@ -14,130 +14,41 @@ Shapes: W worlds, N particles, L layouts of the grid, M nodes.
 # pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
 
 import functools
-from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
 
 import warp as wp
 
 from gendom.sim.mpm.block import (
-    Near,
     bounds,
     get_near,
     make_block,
     make_store,
-    put_near,
     spans_of,
 )
-from gendom.sim.mpm.boundary import FOLLOWS, make_boundary, make_paths
+from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
 from gendom.sim.mpm.compensated_sum import make_compensated_sum
-from gendom.sim.mpm.elasticity import make_elasticity
+from gendom.sim.mpm.elasticity import make_elasticity, make_maxwell_branch
 from gendom.sim.mpm.grid import MARGIN, SparseGrid, make_rebuild_world
 from gendom.sim.mpm.native import MODULE_OPTIONS
-from gendom.sim.mpm.particles import Particles
+from gendom.sim.mpm.paths import make_paths
+from gendom.sim.mpm.runners.records import (
+    LOW,
+    ORDERLY,
+    PULLS,
+    C,
+    V,
+    Variant,
+    X,
+    make_record_access,
+    make_records,
+    make_tape,
+)
 from gendom.sim.mpm.step import DIVERGED, GRID_FULL, INVERTED, NOTHING_HELD, OK
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
 
-X, V, C, PULLS, LOW = 0, 3, 6, 15, 24
-"""First components of a record: position, velocity, affine velocity, pulls on the neighbours, what
-rounding leaves out; then Z and G where bodies have them."""
-
 AHEAD = 32
 """Substeps for which grippers are posed at once."""
-
-ORDERLY = 1.0
-"""How far a particle may travel, in cells, before the records are put in order anew."""
-
-
-@dataclass(frozen=True)
-class Variant:
-    """What a kernel is compiled for."""
-
-    real: Any
-    law: str
-    yields: bool
-    damped: bool
-    room: int
-    """Shared memory in which a block's particles stay [bytes]; 0: in arrays."""
-    lanes: int
-    """Threads of a block on CUDA."""
-
-    @property
-    def components(self) -> int:
-        """Of a record."""
-        return 27 + 6 * self.damped + 9 * self.yields
-
-    @property
-    def Z(self) -> int:
-        """First component of Z."""
-        return 27
-
-    @property
-    def G(self) -> int:
-        """First component of G."""
-        return 27 + 6 * self.damped
-
-    @property
-    def numbers(self) -> int:
-        """That the room holds."""
-        return max(1, self.room // (4 if self.real == wp.float32 else 8))
-
-    @property
-    def taped(self) -> int:
-        """Components of a record on a tape: x, v, C, its momentum but for the table's, Z, G."""
-        return 18 + 6 * self.damped + 9 * self.yields
-
-
-@functools.cache
-def make_records(real: Any, *, resident: bool) -> Particles:
-    """Particles in records, as ``particles.make_rows``."""
-    vector = make_store(real, resident=resident).vector
-
-    @wp.struct
-    class Records:
-        """Particles of W worlds in order."""
-
-        of: wp.array3d(dtype=real)  # [W, components, N], or [1, ...] if they are resident
-        moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
-        order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
-        place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
-        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
-        free: wp.array2d(dtype=real)  # [W, N] what ``Grips.free`` says of it
-        strayed: wp.array(dtype=real)  # [W] distance travelled since they were put in order [m]
-        # scratch
-        spare: wp.array3d(dtype=real)  # [W, components + 2, N]
-        spare_order: wp.array2d(dtype=wp.int32)  # [W, N]
-        tally: wp.array2d(dtype=wp.int32)  # [W, M]
-
-    @wp.func
-    def position(records: Records, w: int, i: int):
-        return vector(records.of, w, X, i)
-
-    @wp.func
-    def x_of(records: Records, w: int, p: int):
-        return vector(records.of, w, X, records.place[w, p])
-
-    return Particles(Records, position, x_of)
-
-
-@functools.cache
-def make_tape(real: Any) -> Any:
-    """The struct of recorded substeps."""
-
-    @wp.struct
-    class Tape:
-        """S substeps of W worlds: substep n of world w has row n * W + w.
-
-        Layout n of world w is number n * W + w; there may be fewer of them than substeps.
-        """
-
-        of: wp.array3d(dtype=real)  # [S * W, taped, N] records before the substep
-        order: wp.array2d(dtype=wp.int32)  # [L, N] of each layout
-        place: wp.array2d(dtype=wp.int32)  # [L, N]
-        layout_of: wp.array(dtype=wp.int32)  # [S * W] row of each substep's layout
-
-    return Tape
 
 
 @functools.cache
@@ -153,21 +64,23 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     Clock, Plan, Matter, State = types.Clock, types.Plan, types.Matter, types.State
     Scene, Paths, Grips = types.Scene, types.Paths, types.Grips
     elasticity = make_elasticity(real, variant.law, yields=variant.yields, damped=variant.damped)
-    branch, pull_of, air = elasticity.branch, elasticity.pull, elasticity.air
+    pull_of, air = elasticity.pull, elasticity.air
+    branch = make_maxwell_branch(real).branch
     bspline, transfer = make_bspline(real), make_transfer(real)
     window_type, collect, hand_over = bspline.window, bspline.collect, bspline.hand_over
     get_node, put_node = bspline.get_node, bspline.put_node
-    locate, given_by, g2p = transfer.locate, transfer.given_by, transfer.g2p
+    given_by, g2p = transfer.given_by, transfer.g2p
     node_velocity = transfer.node_velocity
     records_of = make_records(real, resident=variant.room > 0)
     Records, Tape = records_of.Struct, make_tape(real)
+    access = make_record_access(variant)
+    load, unload, put_in_order = access.load, access.unload, access.put_in_order
     rebuild = make_rebuild_world(real, records_of)
     boundary, paths_of = make_boundary(real, records_of), make_paths(real)
     grasp, guided, carried = boundary.grasp, boundary.guided, boundary.carried
     contact, near_table = boundary.contact, boundary.near_table
     pose_gripper = paths_of.pose_gripper
     store = make_store(real, resident=variant.room > 0)
-    get, put = store.get, store.put
     vector, put_vector = store.vector, store.put_vector
     matrix, put_matrix = store.matrix, store.put_matrix
     symmetric, put_symmetric = store.symmetric, store.put_symmetric
@@ -181,8 +94,8 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     compensates = wp.constant(int(types.compensates))
     compensated_sum = make_compensated_sum(real)
     block = make_block(real)
-    meet, any_of, largest, before = block.meet, block.any, block.largest, block.before
-    COMPONENTS, Z, G = map(wp.constant, (variant.components, variant.Z, variant.G))
+    meet, any_of, largest = block.meet, block.any, block.largest
+    Z, G = map(wp.constant, (variant.Z, variant.G))
     TAPED_Z, TAPED_G = wp.constant(18), wp.constant(18 + 6 * variant.damped)
     damped, plastic = wp.constant(int(variant.damped)), wp.constant(int(variant.yields))
     keeps = wp.constant(int(taped))
@@ -208,93 +121,9 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         return soon
 
     @wp.func
-    def put_in_order(
-        w: int, lane: int, lanes: int, layout: int, inv_dx: real, matter: Matter,
-        grid: SparseGrid, records: Records,
-    ):  # fmt: skip
-        """Order a world's records by their lowest nodes."""
-        of = records.of
-        N = of.shape[2]
-        nodes = grid.count[layout]
-        begin = lane * nodes // lanes
-        end = (lane + 1) * nodes // lanes
-        for n in range(begin, end):
-            records.tally[w, n] = 0
-        meet()
-        for i in range(lane, N, lanes):
-            node, _f = locate(layout, vector(of, w, X, i), inv_dx, grid)
-            n = grid.start[layout, node[0], node[1]] + node[2]
-            wp.atomic_add(records.tally, w, n, 1)
-        meet()
-        total = int(0)
-        for n in range(begin, end):
-            total += records.tally[w, n]
-        first = before(total)
-        for n in range(begin, end):
-            here = records.tally[w, n]
-            records.tally[w, n] = first
-            first += here
-        meet()
-        for i in range(lane, N, lanes):
-            node, _f = locate(layout, vector(of, w, X, i), inv_dx, grid)
-            n = grid.start[layout, node[0], node[1]] + node[2]
-            j = wp.atomic_add(records.tally, w, n, 1)
-            p = records.order[w, i]
-            records.spare_order[w, j] = p
-            records.place[w, p] = j
-            for c in range(COMPONENTS):
-                records.spare[w, c, j] = get(of, w, c, i)
-            for c in range(2):
-                records.spare[w, COMPONENTS + c, j] = records.moduli[w, c, i]
-        meet()
-        for i in range(lane, N, lanes):
-            p = records.spare_order[w, i]
-            records.order[w, i] = p
-            for c in range(COMPONENTS):
-                put(of, w, c, i, records.spare[w, c, i])
-            for c in range(2):
-                records.moduli[w, c, i] = records.spare[w, COMPONENTS + c, i]
-            near = Near()
-            for axis in range(3):
-                for side in range(2):
-                    near[2 * axis + side] = records.place[w, matter.lattice[p, axis, side]]
-            put_near(records.near, w, i, near)
-        meet()
-
-    @wp.func
     def take_free(w: int, lane: int, lanes: int, grips: Grips, records: Records):
         for i in range(lane, records.free.shape[1], lanes):
             records.free[w, i] = grips.free[w, records.order[w, i]]
-
-    @wp.func
-    def load(w: int, i: int, p: int, matter: Matter, state: State, records: Records):
-        """Make record i of particle p."""
-        of = records.of
-        put_vector(of, w, X, i, state.x[w, p])
-        put_vector(of, w, V, i, state.v[w, p])
-        put_matrix(of, w, C, i, state.C[w, p])
-        if compensates == 1:
-            put_vector(of, w, LOW, i, state.low[w, p])
-        if damped == 1:
-            for c in range(6):
-                put(of, w, Z + c, i, state.Z[w, c, p])
-        if plastic == 1:
-            put_matrix(of, w, G, i, state.G[w, p])
-        records.moduli[w, 0, i] = matter.mu[w, p]
-        records.moduli[w, 1, i] = matter.lam[w, p]
-
-    @wp.func
-    def unload(w: int, i: int, p: int, records: Records, state: State):
-        """Write record i to particle p."""
-        of = records.of
-        state.x[w, p] = vector(of, w, X, i)
-        state.v[w, p] = vector(of, w, V, i)
-        state.C[w, p] = matrix(of, w, C, i)
-        if damped == 1:
-            for c in range(6):
-                state.Z[w, c, p] = get(of, w, Z + c, i)
-        if plastic == 1:
-            state.G[w, p] = matrix(of, w, G, i)
 
     @wp.func
     def momentum_of(w: int, i: int, h: real, mass: real, gravity: vec3, records: Records):

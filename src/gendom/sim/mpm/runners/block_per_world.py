@@ -8,8 +8,9 @@ import warp as wp
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
 from gendom.sim.mpm.grid import Grid
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.runners.block_kernels import AHEAD, Variant, make_block_kernels
+from gendom.sim.mpm.runners.block_kernels import AHEAD, make_block_kernels
 from gendom.sim.mpm.runners.paced import Paced
+from gendom.sim.mpm.runners.records import Variant
 
 MOST_PARTICLES = 10_240
 """Of a body that one block simulates; indices in ``near`` have 15 bits."""

@@ -57,7 +57,7 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
     rebuild = make_rebuild(real)
     reset, reach, widen, mark_box = rebuild.reset, rebuild.reach, rebuild.widen, rebuild.mark
     clear_column, number_column = rebuild.clear_column, rebuild.number_column
-    branch, particle_forces = k.forces.branch, k.forces.particle_forces
+    branch, particle_forces = k.branch, k.forces.particle_forces
     scatter, move, node_velocity = k.scatter, k.move, k.transfer.node_velocity
     near_table, touch_section = k.boundary.near_table, k.touch
     grasp_world = k.boundary.grasp

@@ -1,0 +1,192 @@
+"""Grippers' paths: where a gripper is at a time, and its transpose.
+
+Between two knots a gripper moves on a straight line and turns about one axis, at constant rates.
+All in float64: a substep moves a gripper by less than float32 resolves far from the origin.
+
+Shapes: W worlds, G grippers, K path knots.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from gendom.sim.mpm.types import make_types
+
+
+@functools.cache
+def make_paths(real: Any) -> SimpleNamespace:
+    """Build what grippers' paths say, for one scalar type.
+
+    Returns:
+        Namespace with ``is_closed``, ``pose`` (of a gripper at a time), ``pose_gripper`` (of a
+        substep) and the transposes of both in the path's positions and orientations.
+    """
+    types = make_types(real)
+    vec3, mat33 = types.vec3, types.mat33
+    Paths, Grips, SceneBars = types.Paths, types.Grips, types.SceneBars
+
+    @wp.func
+    def narrow(a: wp.vec3d):
+        return vec3(real(a[0]), real(a[1]), real(a[2]))
+
+    @wp.func
+    def narrow_matrix(A: wp.mat33d):
+        return mat33(
+            real(A[0, 0]), real(A[0, 1]), real(A[0, 2]),
+            real(A[1, 0]), real(A[1, 1]), real(A[1, 2]),
+            real(A[2, 0]), real(A[2, 1]), real(A[2, 2]),
+        )  # fmt: skip
+
+    @wp.func
+    def is_closed(w: int, g: int, t: wp.float64, paths: Paths):
+        return t >= paths.hold_from[w, g] and t < paths.hold_until[w, g]
+
+    @wp.func
+    def knot_before(w: int, g: int, t: wp.float64, paths: Paths):
+        """The knot that starts the segment of time t, and the share of the segment gone by."""
+        last = paths.time.shape[2] - 1
+        lo = int(0)
+        hi = int(last)
+        while hi - lo > 1:
+            mid = (lo + hi) // 2
+            if paths.time[w, g, mid] <= t:
+                lo = mid
+            else:
+                hi = mid
+        span = paths.time[w, g, hi] - paths.time[w, g, lo]
+        u = wp.float64(0.0)
+        if span > wp.float64(0.0):
+            u = wp.clamp((t - paths.time[w, g, lo]) / span, wp.float64(0.0), wp.float64(1.0))
+        return lo, u
+
+    @wp.func
+    def rotation(turn: wp.vec3d):
+        """exp of a rotation vector [rad], as a quaternion."""
+        angle = wp.length(turn)
+        q = wp.quatd(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(1.0))
+        if angle > wp.float64(0.0):
+            q = wp.quat_from_axis_angle(turn / angle, angle)
+        return q
+
+    @wp.func
+    def pose(w: int, g: int, t: wp.float64, paths: Paths):
+        """Centre [m] and orientation of a gripper at time t [s]: between two knots on a straight
+        line, at constant rates. The knot before, too."""
+        knot, u = knot_before(w, g, t, paths)
+        a = paths.position[w, g, knot]
+        centre = a + u * (paths.position[w, g, knot + 1] - a)
+        R = wp.identity(n=3, dtype=wp.float64)
+        if paths.turns[w, g] == 1:
+            R = wp.quat_to_matrix(
+                rotation(u * paths.turn[w, g, knot]) * paths.orientation[w, g, knot]
+            )
+        return centre, R, knot
+
+    @wp.func
+    def left_jacobian(turn: wp.vec3d, sign: wp.float64):
+        """Of exp: exp(turn + d) = exp(J d) exp(turn); with sign -1 that from the right.
+
+        Source: Sola, Deray and Atchuthan (2018), "A micro Lie theory", equation 145.
+        """
+        angle = wp.length(turn)
+        K = wp.skew(turn)
+        a = wp.float64(0.5)
+        b = wp.float64(1.0) / wp.float64(6.0)
+        if angle > wp.float64(1.0e-4):
+            a = (wp.float64(1.0) - wp.cos(angle)) / (angle * angle)
+            b = (angle - wp.sin(angle)) / (angle * angle * angle)
+        return wp.identity(n=3, dtype=wp.float64) + (sign * a) * K + b * (K * K)
+
+    @wp.func
+    def turn_adjoint(
+        w: int, g: int, knot: int, u: wp.float64, R_bar: wp.vec3d, by_turn: wp.vec3d,
+        paths: Paths, bars: SceneBars,
+    ):  # fmt: skip
+        """To the knots' rotations, from that by a rotation at the share u of a segment, and from
+        that by the segment's rotation vector."""
+        turn = paths.turn[w, g, knot]
+        gone = wp.quat_to_matrix(rotation(u * turn))
+        turn_bar = by_turn + u * (wp.transpose(left_jacobian(u * turn, wp.float64(1.0))) * R_bar)
+        # the vector turn = log(R_next R^T)
+        one = wp.float64(1.0)
+        next_bar = wp.transpose(wp.inverse(left_jacobian(turn, one))) * turn_bar
+        this_bar = wp.transpose(gone) * R_bar
+        this_bar -= wp.transpose(wp.inverse(left_jacobian(turn, -one))) * turn_bar
+        bars.turn[w, g, knot] = bars.turn[w, g, knot] + this_bar
+        bars.turn[w, g, knot + 1] = bars.turn[w, g, knot + 1] + next_bar
+
+    @wp.func
+    def pose_adjoint(
+        w: int, g: int, t: wp.float64, centre_bar: wp.vec3d, R_bar: wp.vec3d, paths: Paths,
+        bars: SceneBars,
+    ):  # fmt: skip
+        """Transpose of ``pose``; derivatives by R are by a rotation of it, in world axes."""
+        knot, u = knot_before(w, g, t, paths)
+        bars.position[w, g, knot] = bars.position[w, g, knot] + (wp.float64(1.0) - u) * centre_bar
+        bars.position[w, g, knot + 1] = bars.position[w, g, knot + 1] + u * centre_bar
+        if paths.turns[w, g] == 1:
+            turn_adjoint(w, g, knot, u, R_bar, wp.vec3d(), paths, bars)
+
+    @wp.func
+    def share_of(w: int, g: int, k: int, t: wp.float64, dt: wp.float64, paths: Paths):
+        """Share of the segment after knot k that goes by from t to t + dt."""
+        share = wp.float64(0.0)
+        span = paths.time[w, g, k + 1] - paths.time[w, g, k]
+        if span > wp.float64(0.0):
+            until = wp.min(t + dt, paths.time[w, g, k + 1])
+            share = wp.max(until - wp.max(t, paths.time[w, g, k]), wp.float64(0.0)) / span
+        return share
+
+    @wp.func
+    def pose_gripper(
+        row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, grips: Grips
+    ):
+        """Gripper g of world w in the substep from t to t + dt [s]."""
+        grips.closed[row, g] = int(is_closed(w, g, t, paths))
+        here, _R, knot = pose(w, g, t, paths)
+        there, R, end = pose(w, g, t + dt, paths)
+        grips.centre[row, g] = narrow(there)
+        grips.orientation[row, g] = narrow_matrix(R)
+        grips.velocity[row, g] = narrow((there - here) / dt)
+        # each segment turns it for as long as the substep has part in it
+        turned = wp.vec3d()
+        if paths.turns[w, g] == 1:
+            for k in range(knot, end + 1):
+                turned += share_of(w, g, k, t, dt, paths) * paths.turn[w, g, k]
+        grips.spin[row, g] = narrow(turned / dt)
+
+    @wp.func
+    def pose_gripper_adjoint(
+        w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, bars: SceneBars
+    ):
+        """Transpose of ``pose_gripper``; the substep's sums begin anew."""
+        moved = bars.velocity[w, g] / dt
+        _here, _R, knot = pose(w, g, t, paths)
+        _there, _R_end, end = pose(w, g, t + dt, paths)
+        pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, bars)
+        pose_adjoint(w, g, t + dt, bars.centre[w, g] + moved, bars.rotation[w, g], paths, bars)
+        if paths.turns[w, g] == 1:
+            for k in range(knot, end + 1):
+                by_turn = (share_of(w, g, k, t, dt, paths) / dt) * bars.spin[w, g]
+                turn_adjoint(w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, bars)
+        bars.centre[w, g] = wp.vec3d()
+        bars.rotation[w, g] = wp.vec3d()
+        bars.velocity[w, g] = wp.vec3d()
+        bars.spin[w, g] = wp.vec3d()
+
+    return SimpleNamespace(
+        is_closed=is_closed,
+        pose=pose,
+        pose_adjoint=pose_adjoint,
+        pose_gripper=pose_gripper,
+        pose_gripper_adjoint=pose_gripper_adjoint,
+        narrow=narrow,
+        narrow_matrix=narrow_matrix,
+    )
