@@ -45,7 +45,7 @@ from gendom.reality import (
 from gendom.reality.objects import GRAVITY
 from gendom.reality.scene import ROPE_STEP, clamped_vertices
 from gendom.reality.trials import CAST_AFTER, CAST_PLACE, CAST_SPEED
-from gendom.sim import Body, Gripper, Simulator, rope
+from gendom.sim import ENGINES, Body, Gripper, Simulator, rope
 
 RELEASES = ((0.196, 0.097), (0.153, 0.125), (0.109, 0.147), (0.22, 0.14), (0.25, 0.1))
 """Release points (x, z) of rope reaching, in its own frame [m]."""
@@ -66,7 +66,9 @@ def main() -> None:
     )
     names = [name for name, item in OBJECTS.items() if isinstance(item, RealRope)]
     parser.add_argument("--ropes", nargs="+", choices=names, default=names, metavar="NAME")
-    parser.add_argument("--cells-across", type=float, default=1.5, help="of our grid")
+    parser.add_argument("--engine", choices=ENGINES, default="mpm", help="of our simulator")
+    parser.add_argument("--cells-across", type=float, default=1.5, help="of the MPM's grid")
+    parser.add_argument("--points", type=int, help="of the rod")
     parser.add_argument("--border", type=float, default=0.5, help="of our grips [MuJoCo's edges]")
     parser.add_argument("--device", default="cpu", help="of our simulator")
     parser.add_argument("--no-damping", action="store_true", help="in ours")
@@ -180,14 +182,18 @@ def in_ours(item: RealRope, air: float, given: argparse.Namespace) -> dict[str, 
             start=top,
             direction=(0.0, 0.0, -1.0),
             cells_across=given.cells_across,
+            points=given.points,
         )
+        thin = given.engine == "thin"
+        along = top[2] - body.line[:, 2] if thin else body.material_coordinates[:, 0]
         simulator = Simulator(
             body,
             [material] * len(grippers),
+            engine=given.engine,
             grippers=grippers,
             table=None,
             gravity=(0.0, 0.0, -GRAVITY),
-            positions=body.x - np.outer(sag(body.material_coordinates[:, 0]), UP),
+            positions=(body.line if thin else body.x) - np.outer(sag(along), UP),
             air_density=air,
             device=given.device,
         )
@@ -229,7 +235,8 @@ def in_ours(item: RealRope, air: float, given: argparse.Namespace) -> dict[str, 
         casts.append({"way": way, **first_swing(times[seen] > stop, x, z, hand[seen])})
     return {
         "cells_across": given.cells_across,
-        "particles": body.num_particles,
+        "points": len(body.line) if given.engine == "thin" else body.num_particles,
+        "engine": given.engine,
         "free_lengths": [item.length - 2.0 * border, item.length - border],
         "releases": releases,
         "casts": casts,
@@ -240,7 +247,10 @@ def in_ours(item: RealRope, air: float, given: argparse.Namespace) -> dict[str, 
 def tip_of(
     body: Body, length: float, simulator: Simulator, times: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """[T, W, 3] the rope's very end [m], half a spacing beyond its last section."""
+    """[T, W, 3] the rope's very end [m]: of a rod its last point, of particles half a spacing beyond
+    the last section."""
+    if simulator.num_points == len(body.line):
+        return simulator.run(times, particles=[-1])[:, :, 0].astype(float)
     along = body.material_coordinates[:, 0]
     before, last = np.unique(along)[-2:]
     ends = [np.flatnonzero(along == s) for s in (before, last)]
@@ -297,7 +307,7 @@ def show(result: dict[str, Any], ropes: list[RealRope]) -> None:
         )
         if here:
             print(
-                f"  ours   {here['particles']} particles, {here['cells_across']:.2f} cells across, "
+                f"  ours   {here['engine']}, {here['points']} points, "
                 f"free length {lengths(here)}, {here['seconds']:.0f} s"
             )
         print("  released at (x, z) [m]   reached [m]: MuJoCo     ours  difference [mm]")

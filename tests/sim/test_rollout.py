@@ -271,7 +271,7 @@ def test_misuse_is_refused():
 
 
 def test_a_long_rollout_stays_within_its_memory():
-    tape = WorldTape(scene(), memory=0.0)
+    tape = WorldTape(scene().engine, memory=0.0)
     x = tape.forward(np.array([0.4]))  # 2,000 substeps
     kept = tape._stretches[0]
     states = sum(view.nbytes for stretch in kept for view in (stretch.begin or {}).values())
@@ -292,15 +292,15 @@ KINDS = pytest.mark.parametrize(
 @pytest.mark.parametrize("together", [BatchTape, BlockTape])
 def test_all_worlds_together_give_the_derivatives_of_each_alone(together, options, memory):
     """What a GPU does, stages or blocks, which run on the CPU too, against the CPU's own kernel."""
-    alone = WorldTape(scene(worlds=2, **options), memory=1e9)
-    check_derivatives(alone, together(scene(worlds=2, **options), memory=memory))
+    alone = WorldTape(scene(worlds=2, **options).engine, memory=1e9)
+    check_derivatives(alone, together(scene(worlds=2, **options).engine, memory=memory))
 
 
 def test_a_recording_may_run_out_of_layouts(monkeypatch):
     """It then ends, and another one begins."""
     monkeypatch.setattr(block_tape, "SUBSTEPS_A_LAYOUT", 1000)
-    alone = WorldTape(scene(worlds=2), memory=1e9)
-    tape = BlockTape(scene(worlds=2), memory=1e9)
+    alone = WorldTape(scene(worlds=2).engine, memory=1e9)
+    tape = BlockTape(scene(worlds=2).engine, memory=1e9)
     check_derivatives(alone, tape)
     assert max(map(len, tape._frames)) > 1
 
@@ -312,8 +312,10 @@ def test_a_recording_may_run_out_of_layouts(monkeypatch):
 def test_cuda_gives_the_derivatives_of_the_cpu(together, options, memory):
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
-    alone = WorldTape(scene(worlds=2, **options), memory=1e9)
-    check_derivatives(alone, together(scene(worlds=2, device="cuda", **options), memory=memory))
+    alone = WorldTape(scene(worlds=2, **options).engine, memory=1e9)
+    check_derivatives(
+        alone, together(scene(worlds=2, device="cuda", **options).engine, memory=memory)
+    )
 
 
 def check_derivatives(*tapes):

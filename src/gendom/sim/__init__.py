@@ -4,14 +4,16 @@ from gendom.sim.bodies import Body, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper
+from gendom.sim.mpm.engine import CFL, stable_substep
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
 from gendom.sim.scene import AIR_DENSITY, GRAVITY, Box, Table, check_numbers
-from gendom.sim.simulator import CFL, Simulator, stable_substep
+from gendom.sim.simulator import ENGINES, Simulator
 
 __all__ = [
     "AIR_DENSITY",
     "CFL",
+    "ENGINES",
     "GRAVITY",
     "METRIC",
     "PAPER",

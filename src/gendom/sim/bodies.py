@@ -1,7 +1,7 @@
 """Ropes and cloths as particles: sizes and a resolution in, rest positions out."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +10,9 @@ from gendom.errors import ParameterError
 
 CELLS_ACROSS = (0.5, 6.0)
 """Numbers of grid cells across a rope with which its section is known to bend and twist right."""
+
+EDGES = (24, 48)
+"""Fewest and most edges that a rope's centre line has by itself."""
 
 BULGE = 0.75
 """How far a square section is bulged to a round one; from 0.65 to 0.75 sections of 3 to 16
@@ -42,6 +45,10 @@ class Body:
     the table and are gripped together; they follow each other. 1 where a cloth is thick."""
     contact_radius: float
     """Height of a section's centre above the table on which it lies [m]."""
+    line: NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3)))
+    """[n, 3] points of a rope's centre line, from one end to the other [m]."""
+    width: float | None = None
+    """Of a flat rope, level and across it [m]; None: round."""
     curvature: NDArray[np.floating] | None = None
     """[N, 2, 2] how a cloth curves that is free of stress, in its own first two axes, positive
     where it arches towards the third [1/m]; None: its first shape ``x`` is free of stress."""
@@ -98,7 +105,8 @@ class Body:
 
     def moved(self, offset: ArrayLike) -> "Body":
         """The same body shifted by ``offset`` [3] [m]."""
-        return replace(self, x=self.x + np.asarray(offset, dtype=float))
+        by = np.asarray(offset, dtype=float)
+        return replace(self, x=self.x + by, line=self.line + by)
 
 
 def rope(
@@ -109,6 +117,8 @@ def rope(
     start: ArrayLike = (0.0, 0.0, 0.0),
     direction: ArrayLike = (1.0, 0.0, 0.0),
     cells_across: float = 2.0,
+    points: int | None = None,
+    width: float | None = None,
 ) -> Body:
     """A rope of round section, straight or along a centre line.
 
@@ -121,11 +131,15 @@ def rope(
         centre_line: [K, 3] points from one end to the other [m].
         start: [3] first end of a straight rope [m].
         direction: [3] direction of a straight rope; need not be a unit vector.
-        cells_across: Grid cells across the diameter, 0.5 to 6; particles are twice as dense.
+        cells_across: Grid cells across the diameter, 0.5 to 6; particles are twice as dense. For
+            the MPM.
+        points: Of the centre line, for rods; by default a diameter apart, but 25 to 49.
+        width: Of a flat rope (a ribbon) whose thickness is ``diameter``: level and across it [m].
+            For rods.
 
     Raises:
-        ParameterError: If sizes are not positive, the centre line is degenerate, or there are fewer
-            or more cells than a section is known to be right with.
+        ParameterError: If sizes are not positive, the centre line is degenerate, there are fewer
+            or more cells than a section is known to be right with, or fewer than three points.
     """
     _check_positive(diameter=diameter, cells_across=cells_across)
     if not CELLS_ACROSS[0] <= cells_across <= CELLS_ACROSS[1]:
@@ -151,6 +165,12 @@ def rope(
     dx = diameter / cells_across
     spacing = dx / 2.0
     total = length if length is not None else float(_arc_length(line)[-1])
+    if width is not None:
+        _check_positive(width=width)
+    if points is None:
+        points = 1 + min(max(round(total / diameter), EDGES[0]), EDGES[1])
+    if points < 3:
+        raise ParameterError(f"a rope needs at least three points, got {points}")
     count = max(2, round(total / spacing))
     along = (np.arange(count) + 0.5) * (total / count)
     centre, tangent = _along_line(line, along)
@@ -185,6 +205,8 @@ def rope(
         thickness=diameter,
         section=per_section,
         contact_radius=diameter / 2.0,
+        line=_along_line(line, np.linspace(0.0, total, points))[0],
+        width=width,
     )
 
 

@@ -23,7 +23,7 @@ class Gradients:
     yield_stress: NDArray[np.float64]
     """[W] by yield stress [1/Pa]; 0 where nothing yields."""
     stiffness: NDArray[np.float64]
-    """[W, N] by each particle's share of E."""
+    """[W, N] by each particle's or point's share of E."""
     damping: NDArray[np.float64]
     """[W] by the material's damping [1/s]."""
     velocity_damping: NDArray[np.float64]
@@ -46,3 +46,6 @@ class Gradients:
     grippers without orientations."""
     gripper_radius: NDArray[np.float64]
     """[W, G] by the radius of the grippers [1/m]."""
+    rest_strains: NDArray[np.float64] | None = None
+    """[W, n, 6] of rods, by the strains that are free of stress: of edges two shears and stretch,
+    of joints two angles of bending and that of twist [rad]."""

@@ -1,14 +1,10 @@
 """Derivatives through whole simulations, by reverse mode with recorded or repeated substeps."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError
 from gendom.sim.gradients import Gradients
-from gendom.sim.mpm.adjoint.cpu import WorldTape
-from gendom.sim.mpm.adjoint.sums import Sums
 from gendom.sim.simulator import Simulator
 
 MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}
@@ -31,13 +27,13 @@ class Rollout:
     """
 
     def __init__(self, simulator: Simulator, *, memory: float | None = None):
-        if simulator.substeps_done().any():
+        if simulator.engine.used:
             raise ParameterError("a rollout starts from a simulator that has not been run")
         self.simulator = simulator
         cuda = simulator.device.is_cuda
         if memory is None:
             memory = MEMORY["cuda" if cuda else "cpu"]
-        self._tape = _make_tape(simulator, memory)
+        self._tape = simulator.engine.tape(memory)
         self._times: NDArray[np.float64] | None = None
 
     def forward(self, times: ArrayLike) -> NDArray[np.floating]:
@@ -53,9 +49,8 @@ class Rollout:
         if self._times is not None:
             raise ParameterError("a rollout runs forward once; make another one")
         self._times = self.simulator.checked(times)
-        frames = self._tape.forward(self._times)
+        frames = self._tape.forward(self._times, self.simulator.time)
         self.simulator.time = float(self._times[-1])
-        frames += self.simulator.worlds.origin.astype(self.simulator.dtype)
         return frames
 
     def backward(self, positions_bar: ArrayLike) -> Gradients:
@@ -71,7 +66,7 @@ class Rollout:
         if self._times is None:
             raise ParameterError("call forward before backward")
         s = self.simulator
-        W, N = s.num_worlds, s.body.num_particles
+        W, N = s.num_worlds, s.num_points
         bar = np.asarray(positions_bar, dtype=float)
         if bar.shape != (len(self._times), W, N, 3):
             raise ParameterError(
@@ -79,16 +74,4 @@ class Rollout:
             )
         if not np.isfinite(bar).all():
             raise ParameterError("positions_bar holds numbers that are not finite")
-        sums = Sums(s)
-        self._tape.backward(bar, sums)
-        return sums.gradients(s)
-
-
-def _make_tape(simulator: Simulator, memory: float) -> Any:
-    if not simulator.device.is_cuda:
-        return WorldTape(simulator, memory)
-    from gendom.sim.mpm.adjoint.block_per_world import BlockTape
-    from gendom.sim.mpm.adjoint.graph import BatchTape
-    from gendom.sim.mpm.runners.block_per_world import suits_blocks
-
-    return (BlockTape if suits_blocks(simulator.worlds) else BatchTape)(simulator, memory)
+        return self._tape.backward(bar)

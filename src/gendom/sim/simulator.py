@@ -1,7 +1,7 @@
 """Batched simulation of one body in many worlds."""
 
-import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,17 @@ from gendom.materials.laws import LAWS
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper
-from gendom.sim.mpm.model import Frames, Setting, Worlds, spread
-from gendom.sim.mpm.runners.cpu import Threads
+from gendom.sim.mpm.engine import MpmEngine
+from gendom.sim.mpm.model import Worlds
 from gendom.sim.scene import AIR_DENSITY, GRAVITY, Box, Table, check_numbers
+from gendom.sim.setting import Frames, Setting, spread
+from gendom.sim.thin.engine import ThinEngine
 
-CFL = 0.6
-"""Default share of the time in which a pressure wave crosses one cell."""
+ENGINES = ("mpm", "thin")
+"""``mpm``: particles on a grid; ``thin``: ropes as rods."""
 
 START_INSIDE = 0.1
-"""How deep a body may begin inside a table or wall [cells]; it is put on it at once."""
+"""How deep a body may begin in a table or wall [cells, diameters of a rod]; it is put on it."""
 
 
 class Simulator:
@@ -62,6 +64,7 @@ class Simulator:
         body: Body,
         materials: Sequence[Material],
         *,
+        engine: str = "mpm",
         grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
         table: Table | None = None,
         gravity: ArrayLike = GRAVITY,
@@ -70,50 +73,49 @@ class Simulator:
         box: Box | None = None,
         law: str = "neo-hookean",
         substep: float | None = None,
-        cfl: float = CFL,
+        cfl: float | None = None,
         stiffness: ArrayLike = 1.0,
         positions: ArrayLike | None = None,
         start_time: float = 0.0,
-        dtype: str = "float32",
+        dtype: str | None = None,
         device: str = "cpu",
         threads: int | None = None,
     ):
         if not materials:
             raise ParameterError("a simulation needs at least one material (one a world)")
+        if engine not in ENGINES:
+            raise ParameterError(
+                f"unknown engine {engine!r}", fix=f"choose one of {', '.join(ENGINES)}"
+            )
+        thin = engine == "thin"
+        dtype = dtype or ("float64" if thin else "float32")
         if dtype not in ("float32", "float64"):
             raise ParameterError(f"dtype must be float32 or float64, got {dtype!r}")
         check_numbers("velocity_damping", velocity_damping, least=0.0)
         check_numbers("air_density", air_density, least=0.0)
         check_numbers("gravity", gravity)
         check_numbers("start_time", start_time)
-        check_numbers("cfl", cfl, above=0.0)
         check_numbers("stiffness", stiffness, above=0.0)
-        if substep is not None:
-            check_numbers("substep", substep, above=0.0)
+        for name, value in (("substep", substep), ("cfl", cfl)):
+            if value is not None:
+                check_numbers(name, value, above=0.0)
         if threads is not None and threads < 1:
             raise ParameterError(f"threads must be at least 1, got {threads}")
-        x = np.asarray(body.x if positions is None else positions, dtype=float)
-        if not np.isfinite(x).all():
-            raise ParameterError("positions hold numbers that are not finite")
         W = len(materials)
         if law not in LAWS:
             raise ParameterError(
                 f"unknown elastic law {law!r}", fix=f"choose one of {', '.join(LAWS)}"
             )
-        _check_clear(body, x, table, box)
+        rest = body.line if thin else body.x
+        x = np.asarray(rest if positions is None else positions, dtype=float)
+        if not np.isfinite(x).all():
+            raise ParameterError("positions hold numbers that are not finite")
+        unit = body.thickness if thin else body.dx
+        _check_clear(body, x, 1 if thin else body.section, START_INSIDE * unit, table, box)
         self.body = body
         self.materials = tuple(materials)
         self.time = start_time
         self.dtype = dtype
-        self.threads = threads or cores()
-        self.stiffness = spread(stiffness, (W, body.num_particles), "stiffness")
-        stiffest = np.sqrt(self.stiffness.max(axis=1))
-        self.substep = np.array(
-            [
-                substep or stable_substep(m, body.dx, cfl=cfl) / s
-                for m, s in zip(materials, stiffest, strict=True)
-            ]
-        )
         self.device = open_device(device)
         setting = Setting(
             body=body,
@@ -125,16 +127,17 @@ class Simulator:
             velocity_damping=velocity_damping,
             air_density=air_density,
             law=law,
-            stiffness=self.stiffness,
+            stiffness=stiffness,
             positions=x,
-            substep=self.substep,
             start_time=start_time,
             dtype=dtype,
             device=self.device,
+            threads=threads or cores(),
         )
+        kind = ThinEngine if thin else MpmEngine
+        limits = np.full(W, substep) if substep else kind.substeps(setting, cfl)
         with making:
-            self.worlds = Worlds(setting)
-        self._runner: Any = None
+            self.engine = kind(replace(setting, substep=limits))
 
     @property
     def num_worlds(self) -> int:
@@ -143,15 +146,43 @@ class Simulator:
     @property
     def failures(self) -> dict[int, SimulationError]:
         """Errors of the worlds that diverged."""
-        return self.worlds.failures
+        return self.engine.failures
+
+    @property
+    def num_points(self) -> int:
+        """Particles, or points of a rod."""
+        return self.engine.num_points
+
+    @property
+    def substep(self) -> NDArray[np.float64]:
+        """[W] longest substep of each world [s]."""
+        return self.engine.setting.substep
+
+    @property
+    def stiffness(self) -> NDArray[np.floating]:
+        """[W, N] share of its material's E that each particle has."""
+        return spread(
+            self.engine.setting.stiffness, (self.num_worlds, self.num_points), "stiffness"
+        )
+
+    @property
+    def worlds(self) -> Worlds:
+        """The MPM's own arrays.
+
+        Raises:
+            ParameterError: Of another engine.
+        """
+        if not isinstance(self.engine, MpmEngine):
+            raise ParameterError("only the MPM has particles with C and F", fix="engine='mpm'")
+        return self.engine.worlds
 
     def positions(self) -> NDArray[Any]:
-        """[W, N, 3] particle positions now [m]."""
-        return self.worlds.state.x.numpy() + self.worlds.origin.astype(self.dtype)
+        """[W, N, 3] positions of particles or points now [m]."""
+        return self.engine.positions()
 
     def velocities(self) -> NDArray[Any]:
-        """[W, N, 3] particle velocities now [m/s]."""
-        return np.array(self.worlds.state.v.numpy())
+        """[W, N, 3] velocities of particles or points now [m/s]."""
+        return self.engine.velocities()
 
     def affine_velocities(self) -> NDArray[Any]:
         """[W, N, 3, 3] affine velocities C now: what APIC carries of a particle's surroundings,
@@ -177,10 +208,7 @@ class Simulator:
         Raises:
             ParameterError: If shapes do not fit.
         """
-        shape = (self.num_worlds, self.body.num_particles, 3)
-        C = spread(affine, (*shape, 3), "affine velocities")
-        self.worlds.state.v.assign(spread(v, shape, "velocities").astype(self.dtype))
-        self.worlds.state.C.assign(C.astype(self.dtype))
+        self.engine.set_velocities(v, affine)
 
     def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
         """Write x, v, C, F (and Z and G where there are some), the time and the parameters of all
@@ -191,19 +219,14 @@ class Simulator:
             last_good: The state at the start of the last frame, each world's own (``time`` is then
                 [W]); after a failure the last that means anything.
         """
-        kept = self.worlds.last_good if last_good else self.worlds.state
-        state = {name: getattr(kept, name).numpy() for name in self.worlds.carried}
-        F = self.worlds.deformation_at(state["x"])
-        state["x"] = state["x"] + self.worlds.origin.astype(self.dtype)
+        state = {"time": self.time} | self.engine.kept(last_good=last_good)
         with atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(
                 file,
-                time=self.worlds.last_good_time if last_good else self.time,
                 E=[m.E for m in self.materials],
                 nu=[m.nu for m in self.materials],
                 density=[m.density for m in self.materials],
                 substep=self.substep,
-                F=F.astype(self.dtype),
                 **state,  # pyright: ignore[reportArgumentType]
             )
 
@@ -237,27 +260,13 @@ class Simulator:
         t = self.checked(times)
         chosen = slice(None) if particles is None else np.asarray(particles, dtype=int)
         try:
-            picked = np.arange(self.body.num_particles)[chosen]
+            picked = np.arange(self.num_points)[chosen]
         except IndexError:
-            raise ParameterError(
-                f"particles must be indices below {self.body.num_particles}"
-            ) from None
+            raise ParameterError(f"particles must be indices below {self.num_points}") from None
         x = np.empty((len(t), self.num_worlds, len(picked), 3), dtype=self.dtype)
-        if self._runner is None:
-            with making:
-                self._runner = self._make_runner()
-        self._runner.run(Frames(self.time, t, picked, x, on_frame, keep_going))
+        self.engine.run(Frames(self.time, t, picked, x, on_frame, keep_going))
         self.time = float(t[-1])
-        x += self.worlds.origin.astype(self.dtype)
         return x
-
-    def _make_runner(self) -> Any:
-        if not self.device.is_cuda:
-            return Threads(self.worlds, self.threads)
-        from gendom.sim.mpm.runners.block_per_world import Blocks, suits_blocks
-        from gendom.sim.mpm.runners.graph import Batch
-
-        return (Blocks if suits_blocks(self.worlds) else Batch)(self.worlds)
 
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:
         """[T] times that the simulator can be run to."""
@@ -269,20 +278,28 @@ class Simulator:
         return t
 
 
-def _check_clear(body: Body, x: NDArray[np.floating], table: Table | None, box: Box | None) -> None:
-    """Refuse positions [..., N, 3] that lie in the table or in a wall.
+def _check_clear(
+    body: Body,
+    x: NDArray[np.floating],
+    section: int,
+    least: float,
+    table: Table | None,
+    box: Box | None,
+) -> None:
+    """Refuse positions [..., N, 3], ``section`` of them a cross-section, that lie in the table or
+    in a wall deeper than ``least`` [m].
 
     Raises:
         ParameterError: With how deep they lie.
     """
-    centres = x.reshape(*x.shape[:-2], -1, body.section, 3).mean(axis=-2).reshape(-1, 3)
+    centres = x.reshape(*x.shape[:-2], -1, section, 3).mean(axis=-2).reshape(-1, 3)
     lowest, highest = centres.min(axis=0), centres.max(axis=0)
     planes = [] if table is None else [("the table", table.height - lowest[2])]
     if box is not None:
         planes += [("a wall", d) for d in (*(box.lower - lowest), *(highest - box.upper))]
     for name, beyond in planes:
         depth = beyond + body.contact_radius
-        if depth > START_INSIDE * body.dx:
+        if depth > least:
             raise ParameterError(
                 f"the object begins {1e3 * depth:.3g} mm inside {name}",
                 where=f"centres of its cross-sections lie between {lowest.round(4).tolist()} and "
@@ -308,14 +325,3 @@ def _grippers_of_worlds(
     if len(count) != 1:
         raise ParameterError(f"every world needs the same number of grippers, got {count}")
     return every
-
-
-def stable_substep(material: Material, dx: float, *, cfl: float = CFL) -> float:
-    """Longest substep [s] at a share ``cfl`` of the Courant limit dx / wave speed.
-
-    The wave speed is that of small strains; ``CFL`` leaves room for stiffening under compression.
-    What yields is given a quarter: a substep must not strain it by much more than it yields at.
-    Source: Courant, Friedrichs and Lewy (1928).
-    """
-    share = 0.25 if math.isfinite(material.yield_stress) else 1.0
-    return share * cfl * dx / material.wave_speed

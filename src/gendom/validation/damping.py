@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.materials import Material
-from gendom.sim import Simulator, rope
-from gendom.sim.simulator import stable_substep
+from gendom.sim import Simulator, rope, stable_substep
 from gendom.validation.check import Check, Settings
 from gendom.validation.specimens import across, clamp_beyond, end, swing
 

@@ -1,22 +1,18 @@
 """W worlds on a device: their parameters, their state and where they stand in time."""
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from gendom.errors import ParameterError, SimulationError
-from gendom.materials import Material
-from gendom.sim.bodies import Body
-from gendom.sim.gripper import Gripper, stack_paths
+from gendom.errors import SimulationError
+from gendom.sim.gripper import stack_paths
 from gendom.sim.mpm.grid import Grid, grown_room, make_grid, room_for
 from gendom.sim.mpm.step import INVERTED, NOTHING_HELD
 from gendom.sim.mpm.types import make_types
-from gendom.sim.scene import Box, Table
+from gendom.sim.setting import DRAG, Setting, spread
 
 CLOCK = (
     "dt", "steps", "step", "age", "travel", "near_table", "status", "failed_particle", "frame"
@@ -25,49 +21,6 @@ CLOCK = (
 
 REBUILD = 1e30
 """Distance travelled [m] after which any world makes its grid anew."""
-
-DRAG = {"rope": 1.1, "cloth": 1.2}
-"""Drag coefficients of a cylinder across the flow at Reynolds numbers of 1e3 to 1e5 and of a plate
-that faces it. Source: Hoerner (1965), "Fluid-Dynamic Drag", chapter 3."""
-
-
-@dataclass(frozen=True)
-class Frames:
-    """What a run is to record."""
-
-    began: float
-    """Time of the state before [s]."""
-    times: NDArray[np.float64]
-    """[T] [s]."""
-    particles: NDArray[np.integer]
-    """[P] indices."""
-    x: NDArray[np.floating]
-    """[T, W, P, 3] positions, to be filled [m]."""
-    on_frame: Callable[[int], None] | None
-    keep_going: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class Setting:
-    """What worlds are made of, as ``Simulator`` was given it and checked it."""
-
-    body: Body
-    materials: Sequence[Material]
-    grippers: Sequence[Sequence[Gripper]]
-    """One sequence a world, all of one length."""
-    table: Table | None
-    box: Box | None
-    gravity: ArrayLike
-    velocity_damping: ArrayLike
-    air_density: ArrayLike
-    law: str
-    stiffness: ArrayLike
-    positions: ArrayLike
-    substep: NDArray[np.float64]
-    """[W] longest substep of each world [s]."""
-    start_time: float
-    dtype: str
-    device: Any
 
 
 class Worlds:
@@ -340,17 +293,3 @@ def _distinct(values: NDArray[Any], axes: int | None = None) -> NDArray[Any]:
         return values
     steps = values.strides[:axes]
     return values[tuple(slice(0, 1) if step == 0 else slice(None) for step in steps)]
-
-
-def spread(values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.floating]:
-    """Values as an array of that shape.
-
-    Raises:
-        ParameterError: If they do not fit, with their name.
-    """
-    try:
-        return np.broadcast_to(np.asarray(values, dtype=float), shape)
-    except ValueError:
-        raise ParameterError(
-            f"{name} has shape {np.shape(values)}, which does not fit {shape}"
-        ) from None

@@ -16,13 +16,13 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.mpm.adjoint.sums import Sums, Trouble, overflow
+from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.model import REBUILD, Worlds
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.runners.cpu import Threads
 from gendom.sim.mpm.step import GRID_FULL, NOT_FINITE, OK, make_step
 from gendom.sim.mpm.types import make_types
-from gendom.sim.simulator import Simulator
 
 STRETCH = 64
 """Substeps that are recorded, and reversed, at a time."""
@@ -89,7 +89,7 @@ class WorldTape:
         memory: Bound on what is kept [bytes].
     """
 
-    def __init__(self, simulator: Simulator, memory: float):
+    def __init__(self, simulator: MpmEngine, memory: float):
         self.simulator = simulator
         self.memory = memory
         self._threads = Threads(simulator.worlds, simulator.threads)

@@ -16,12 +16,12 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.mpm.adjoint.sums import Sums, Trouble, overflow
+from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.model import CLOCK
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.runners.graph import SUBSTEPS_A_GRAPH, YIELDS, Batch
 from gendom.sim.mpm.step import NOT_FINITE, OK, make_close_substep, make_stages
-from gendom.sim.simulator import Simulator
 
 _LAYOUT = ("bounds", "low", "high", "start", "count")
 _POSES = ("closed", "centre", "orientation", "velocity", "spin")
@@ -256,7 +256,7 @@ class BatchTape:
         memory: Bound on what one segment records [bytes]; at least one graph is.
     """
 
-    def __init__(self, simulator: Simulator, memory: float):
+    def __init__(self, simulator: MpmEngine, memory: float):
         self.simulator = simulator
         self.memory = memory
         self._batch = self._make_batch()
@@ -444,7 +444,7 @@ class BatchTape:
 
 
 def raise_trouble(
-    s: Simulator,
+    s: MpmEngine,
     time: float,
     clock: Any,
     sums: Sums,

@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
 from gendom.sim.gradients import Gradients
-from gendom.sim.simulator import Simulator
+from gendom.sim.mpm.engine import MpmEngine
 
 
 def overflow(
-    s: Simulator, w: int, *, substep: int, time: float, particle: int, F: NDArray[np.floating]
+    s: MpmEngine, w: int, *, substep: int, time: float, particle: int, F: NDArray[np.floating]
 ) -> SimulationError:
     """The error of a derivative by a particle's state [its F: 3, 3] that is not finite."""
     J = float(np.linalg.det(np.asarray(F, dtype=float)))
@@ -41,7 +41,7 @@ class Trouble:
 class Sums:
     """Derivatives by state and parameters while they are summed up."""
 
-    def __init__(self, s: Simulator):
+    def __init__(self, s: MpmEngine):
         worlds, types = s.worlds, s.worlds.types
         self.device_is_cuda = s.device.is_cuda
         W, N = worlds.num_worlds, worlds.num_particles
@@ -77,7 +77,7 @@ class Sums:
         if self.device_is_cuda:
             self.matter.x.assign(now)
 
-    def gradients(self, s: Simulator) -> Gradients:
+    def gradients(self, s: MpmEngine) -> Gradients:
         """What the sums mean for the numbers that a user gave."""
         matter, scene = self.matter, self.scene
         E = np.array([m.E for m in s.materials])[:, None]

@@ -17,11 +17,12 @@ import warp as wp
 from gendom.errors import SimulationError
 from gendom.sim.mpm.boundary import make_boundary
 from gendom.sim.mpm.grid import MARGIN, Grid, GridExhausted, SparseGrid, make_rebuild_world
-from gendom.sim.mpm.model import CLOCK, REBUILD, Frames, Worlds
+from gendom.sim.mpm.model import CLOCK, REBUILD, Worlds
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import make_rows
 from gendom.sim.mpm.step import DIVERGED, GRID_FULL, OK, make_stages, make_step
 from gendom.sim.mpm.types import make_types
+from gendom.sim.setting import Frames
 
 
 @functools.cache

@@ -15,7 +15,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.mpm.grid import MARGIN, Grid, SparseGrid, make_rebuild
-from gendom.sim.mpm.model import REBUILD, Frames, Worlds
+from gendom.sim.mpm.model import REBUILD, Worlds
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.step import (
     DIVERGED,
@@ -25,6 +25,7 @@ from gendom.sim.mpm.step import (
     OK,
     make_stages,
 )
+from gendom.sim.setting import Frames
 
 SUBSTEPS_A_GRAPH = 8
 """Substeps recorded in one CUDA graph."""

@@ -6,8 +6,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.sim.mpm.model import Frames, Worlds
+from gendom.sim.mpm.model import Worlds
 from gendom.sim.mpm.runners.graph import Batch
+from gendom.sim.setting import Frames
 
 SLICES = 16
 """Launches between two looks at how the worlds do."""

@@ -1,0 +1,154 @@
+"""The material point method behind ``Simulator``."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Material
+from gendom.sim.device import making
+from gendom.sim.gradients import Gradients
+from gendom.sim.mpm.model import Worlds
+from gendom.sim.mpm.runners.cpu import Threads
+from gendom.sim.setting import Frames, Setting, spread
+
+CFL = 0.6
+"""Default share of the time in which a pressure wave crosses one cell."""
+
+
+class MpmEngine:
+    """W worlds of material points.
+
+    Raises:
+        ParameterError: If arguments do not fit together.
+    """
+
+    def __init__(self, setting: Setting):
+        if setting.body.width is not None:
+            raise ParameterError(
+                "the MPM knows round ropes only, this one is flat", fix="engine='thin'"
+            )
+        self.setting = setting
+        self.worlds = Worlds(setting)
+        self.threads, self.dtype, self.device = setting.threads, setting.dtype, setting.device
+        self.body, self.materials, self.time = setting.body, setting.materials, setting.start_time
+        self._runner: Any = None
+
+    @staticmethod
+    def substeps(setting: Setting, cfl: float | None) -> NDArray[np.float64]:
+        """[W] longest substeps [s]."""
+        N, W = setting.body.num_particles, len(setting.materials)
+        share = np.sqrt(spread(setting.stiffness, (W, N), "stiffness").max(axis=1))
+        dx, cfl = setting.body.dx, cfl or CFL
+        limits = [stable_substep(m, dx, cfl=cfl) for m in setting.materials]
+        return np.array(limits) / share
+
+    @property
+    def num_points(self) -> int:
+        return self.worlds.num_particles
+
+    @property
+    def num_worlds(self) -> int:
+        return self.worlds.num_worlds
+
+    @property
+    def stiffness(self) -> NDArray[np.floating]:
+        return self.worlds.stiffness
+
+    @property
+    def used(self) -> bool:
+        """Whether any world has moved."""
+        return bool(self.worlds.clock.age.numpy().any())
+
+    @property
+    def failures(self) -> dict[int, SimulationError]:
+        return self.worlds.failures
+
+    def positions(self) -> NDArray[Any]:
+        return self.worlds.state.x.numpy() + self.worlds.origin.astype(self.dtype)
+
+    def velocities(self) -> NDArray[Any]:
+        return np.array(self.worlds.state.v.numpy())
+
+    def set_velocities(self, v: ArrayLike, affine: ArrayLike) -> None:
+        shape, dtype = (self.worlds.num_worlds, self.num_points, 3), self.dtype
+        C = spread(affine, (*shape, 3), "affine velocities")
+        self.worlds.state.v.assign(spread(v, shape, "velocities").astype(dtype))
+        self.worlds.state.C.assign(C.astype(dtype))
+
+    def kept(self, *, last_good: bool) -> dict[str, NDArray[Any]]:
+        """x, v, C, F and, where there are some, Z and G; of the last good state with its time."""
+        worlds, dtype = self.worlds, self.dtype
+        state = worlds.last_good if last_good else worlds.state
+        kept = {name: getattr(state, name).numpy() for name in worlds.carried}
+        kept["F"] = worlds.deformation_at(kept["x"]).astype(dtype)
+        kept["x"] = kept["x"] + worlds.origin.astype(dtype)
+        if last_good:
+            kept["time"] = worlds.last_good_time
+        return kept
+
+    def run(self, frames: Frames) -> None:
+        if self._runner is None:
+            with making:
+                self._runner = self._make_runner()
+        self._runner.run(frames)
+        frames.x[...] += self.worlds.origin.astype(self.dtype)
+
+    def tape(self, memory: float) -> "Tape":
+        """What remembers a run for its reverse."""
+        return Tape(self, memory)
+
+    def _make_runner(self) -> Any:
+        if not self.worlds.device.is_cuda:
+            return Threads(self.worlds, self.threads)
+        from gendom.sim.mpm.runners.block_per_world import Blocks, suits_blocks
+        from gendom.sim.mpm.runners.graph import Batch
+
+        return (Blocks if suits_blocks(self.worlds) else Batch)(self.worlds)
+
+
+class Tape:
+    """A run of the MPM that can be differentiated."""
+
+    def __init__(self, engine: MpmEngine, memory: float):
+        self.engine = engine
+        self.tape = _tape_of(engine)(engine, memory)
+
+    def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
+        """[T, W, N, 3] particles at the given times [m], from the time ``began`` [s]."""
+        self.engine.time = began
+        x = self.tape.forward(times)
+        return x + self.engine.worlds.origin.astype(self.engine.dtype)
+
+    def backward(self, bar: NDArray[np.floating]) -> Gradients:
+        """Derivatives from those by the particles of ``forward``."""
+        from gendom.sim.mpm.adjoint.sums import Sums
+
+        sums = Sums(self.engine)
+        self.tape.backward(bar, sums)
+        return sums.gradients(self.engine)
+
+
+def _tape_of(engine: MpmEngine) -> Any:
+    if not engine.device.is_cuda:
+        from gendom.sim.mpm.adjoint.cpu import WorldTape
+
+        return WorldTape
+    from gendom.sim.mpm.adjoint.block_per_world import BlockTape
+    from gendom.sim.mpm.adjoint.graph import BatchTape
+    from gendom.sim.mpm.runners.block_per_world import suits_blocks
+
+    return BlockTape if suits_blocks(engine.worlds) else BatchTape
+
+
+def stable_substep(material: Material, dx: float, *, cfl: float = CFL) -> float:
+    """Longest substep [s] at a share ``cfl`` of the Courant limit dx / wave speed.
+
+    The wave speed is that of small strains; ``CFL`` leaves room for stiffening under compression.
+    What yields is given a quarter: a substep must not strain it by much more than it yields at.
+    Source: Courant, Friedrichs and Lewy (1928).
+    """
+    share = 0.25 if math.isfinite(material.yield_stress) else 1.0
+    return share * cfl * dx / material.wave_speed

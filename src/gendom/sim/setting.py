@@ -1,0 +1,72 @@
+"""What an engine is given: checked arguments of a simulator, and what a run is to record."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import ParameterError
+from gendom.materials import Material
+from gendom.sim.bodies import Body
+from gendom.sim.gripper import Gripper
+from gendom.sim.scene import Box, Table
+
+DRAG = {"rope": 1.1, "cloth": 1.2}
+"""Drag coefficients of a cylinder across the flow at Reynolds numbers of 1e3 to 1e5 and of a plate
+that faces it. Source: Hoerner (1965), "Fluid-Dynamic Drag", chapter 3."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What a run is to record."""
+
+    began: float
+    """Time of the state before [s]."""
+    times: NDArray[np.float64]
+    """[T] [s]."""
+    particles: NDArray[np.integer]
+    """[P] indices."""
+    x: NDArray[np.floating]
+    """[T, W, P, 3] positions, to be filled [m]."""
+    on_frame: Callable[[int], None] | None
+    keep_going: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What worlds are made of, as ``Simulator`` was given it and checked it."""
+
+    body: Body
+    materials: Sequence[Material]
+    grippers: Sequence[Sequence[Gripper]]
+    """One sequence a world, all of one length."""
+    table: Table | None
+    box: Box | None
+    gravity: ArrayLike
+    velocity_damping: ArrayLike
+    air_density: ArrayLike
+    law: str
+    stiffness: ArrayLike
+    positions: ArrayLike
+    start_time: float
+    dtype: str
+    device: Any
+    threads: int
+    substep: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    """[W] longest substep of each world [s]."""
+
+
+def spread(values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.floating]:
+    """Values as an array of that shape.
+
+    Raises:
+        ParameterError: If they do not fit, with their name.
+    """
+    try:
+        return np.broadcast_to(np.asarray(values, dtype=float), shape)
+    except ValueError:
+        raise ParameterError(
+            f"{name} has shape {np.shape(values)}, which does not fit {shape}"
+        ) from None

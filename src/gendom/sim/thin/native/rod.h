@@ -1,0 +1,215 @@
+// A rod: points x_i and between them edges with directions q_i (unit quaternions).
+//
+// Strains of an edge are its stretch and shear, those of a joint between two edges its bending and
+// twist, both seen from the body:
+//
+//     e = R^T (x_(i+1) - x_i) / l - e_0                     (shear, shear, stretch)
+//     u = 4 tan(phi / 4) axis - u_0,  of conj(q_(i-1)) q_i  (bending, bending, twist)
+//
+// The energies are l / 2 e.C e and 1 / (2 l) u.B u, a staggered Timoshenko rod; without shear it is
+// the discrete elastic rod of Bergou et al. (2008). phi (1 + phi^2 / 48) takes the place of the
+// angle phi: rational, smooth beyond half a turn. Turns are by rotation vectors in the world's axes.
+#pragma once
+
+namespace gendom {
+
+// ---- the two elements; with a standard linear solid stress = stiffness ((1 + c) strain - c lagged)
+
+template <typename T> struct rod_edge {
+    typedef typename number_of<T>::type real;
+    directors<T> R;
+    vec<T> d, e;
+    T per_length;
+
+    CUDA_CALLABLE inline rod_edge(const vec<T>& d, const quat<T>& q, T per_length, const vec<T>& rest)
+        : R(q), d(d), e(per_length * R.to_body(d) - rest), per_length(per_length) {}
+
+    // Force that pulls its first point along, its second one back.
+    CUDA_CALLABLE inline vec<T> force(const vec<T>& stress) const { return R.to_world(stress); }
+
+    // Derivative of the energy by a turn of q.
+    CUDA_CALLABLE inline vec<T> turn_gradient(const vec<T>& N) const { return cross(N, d); }
+};
+
+template <typename T> struct rod_joint {
+    typedef typename number_of<T>::type real;
+    quat<T> p;
+    T f;
+    vec<T> u;
+
+    CUDA_CALLABLE inline rod_joint(const quat<T>& before, const quat<T>& after, const vec<T>& rest)
+        : p(between(before, after)) {
+        f = T(real(4)) / larger(T(real(1)) + p.w, T(real(1e-3)));
+        u = f * p.v - rest;
+    }
+
+    // du for a turn eta of `after`, in the axes of `before`, and its transpose.
+    CUDA_CALLABLE inline vec<T> strain_of(const vec<T>& eta) const {
+        return T(real(0.5)) * f * (p.w * eta + cross(eta, p.v)) +
+               T(real(0.125)) * f * f * dot(eta, p.v) * p.v;
+    }
+    CUDA_CALLABLE inline vec<T> turn_gradient(const vec<T>& m) const {
+        return T(real(0.5)) * f * (p.w * m + cross(p.v, m)) +
+               T(real(0.125)) * f * f * dot(p.v, m) * p.v;
+    }
+    // Second derivative of m.u by eta, along geodesics, times eta.
+    CUDA_CALLABLE inline vec<T> curving(const vec<T>& m, const vec<T>& eta) const {
+        const T half = T(real(0.5)), slope = T(real(-0.25)) * f * f;
+        const T by_v = dot(m, p.v);
+        const vec<T> dw = -half * p.v, dv = half * (p.w * m + cross(p.v, m));
+        const T along = dot(dw, eta);
+        return T(real(-0.25)) * (f + slope * p.w) * by_v * eta +
+               slope * (dot(dv, eta) * dw + along * dv) +
+               T(real(0.125)) * f * f * f * by_v * along * dw;
+    }
+};
+
+// ---- explicit steps ------------------------------------------------------------------------------
+
+// Rows of a state, of the model and of what a step leaves for its second half.
+enum { X = 0, V = 3, Q = 6, W = 10, LAG_E = 13, LAG_U = 16 };
+enum { SHEAR = 0, BENDING = 3 };
+enum { PER_LENGTH = 0, REST_E = 1, REST_U = 4 };
+enum { PER_MASS = 0, PER_TURN = 1, DRAG = 2, STIFFER = 3 };
+enum { ALONG = 0, PULL = 3, TURN = 6, MOMENT = 9 };
+
+// What a step's length and a world's material make of the standard linear solid.
+template <typename real> struct viscosity {
+    real follows, share;  // a of the lagged strain in a step; c, the viscous stiffness over the elastic
+    real follows_slope, share_slope;  // derivatives by the damping
+    CUDA_CALLABLE inline viscosity(real damping, real dt)
+        : follows(real(1)), share(real(0)), follows_slope(real(0)), share_slope(real(1) / dt) {
+        if (damping > real(0)) {
+            const real left = wp::exp(-dt / damping);
+            follows = real(1) - left;
+            share = follows * damping / dt;
+            follows_slope = -left * dt / (damping * damping);
+            share_slope = (follows + damping * follows_slope) / dt;
+        }
+    }
+};
+
+// Forces and torques in the scratch; the lagged strains go on. Returns the largest squared stretch,
+// not a number if any is not.
+template <typename Rod, typename real>
+CUDA_CALLABLE inline real rod_forces(const Rod& rod, int w, const wp::array_t<real>& state, int row,
+                                     int next, real dt) {
+    typedef typename several<real>::lanes T;
+    const int n = rod.points;
+    const rows_of<real> s(state, row), to(state, next), rest(rod.rest, 0), k(rod.stiffness, w),
+        m(rod.inertia, w), out(rod.scratch, w);
+    const viscosity<real> visc(wp::index(rod.damping, w), dt);
+    const T c = T(visc.share), a = T(visc.follows);
+    T worst = T(real(0)), sum = T(real(0));
+    for (EACH(i, n)) {
+        const quat<T> q = s.template get4<T>(Q, i);
+        const rod_edge<T> edge(s.template get3<T>(X, i + 1) - s.template get3<T>(X, i), q,
+                               rest.template get<T>(PER_LENGTH, i), rest.template get3<T>(REST_E, i));
+        const vec<T> lag_e = s.template get3<T>(LAG_E, i), late_e = edge.e - lag_e;
+        const vec<T> N = edge.force(k.template get3<T>(SHEAR, i) * (edge.e + c * late_e));
+        to.put3(LAG_E, i, lag_e + a * late_e);
+        out.put3(ALONG, i, edge.per_length * edge.d);
+        out.put3(PULL, i, N);
+        out.put3(TURN, i, edge.turn_gradient(N));
+
+        const quat<T> before = s.template get4<T>(Q, i - 1);
+        const rod_joint<T> joint(before, q, rest.template get3<T>(REST_U, i));
+        const vec<T> lag_u = s.template get3<T>(LAG_U, i), late_u = joint.u - lag_u;
+        const vec<T> stress = m.template get<T>(STIFFER, i) * k.template get3<T>(BENDING, i) *
+                              (joint.u + c * late_u);
+        to.put3(LAG_U, i, lag_u + a * late_u);
+        out.put3(MOMENT, i, directors<T>(before).to_world(joint.turn_gradient(stress)));
+
+        const T stretch = edge.e.z * edge.e.z * is_above(edge.per_length, T(real(0)));
+        worst = larger(worst, stretch);
+        sum += stretch;
+    }
+    real most = real(0), all = real(0);
+    for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l) {
+        const real one = ((const real*)&worst)[l];
+        most = one > most ? one : most;
+        all += ((const real*)&sum)[l];
+    }
+    return all == all ? most : all;
+}
+
+// The part of a velocity that is across the rod.
+template <typename T> CUDA_CALLABLE inline vec<T> across(const vec<T>& v, const vec<T>& along) {
+    typedef typename number_of<T>::type real;
+    const T per = T(real(1)) / larger(dot(along, along), T(real(1e-12)));
+    return v - dot(v, along) * per * along;
+}
+
+// Velocities, positions and directions at the end of a step, of what nobody holds.
+template <typename Rod, typename real>
+CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real>& state, int row,
+                                   int next, real dt) {
+    typedef typename several<real>::lanes T;
+    const int n = rod.points;
+    const rows_of<real> s(state, row), to(state, next), m(rod.inertia, w), in(rod.scratch, w);
+    const T h = T(dt), zero = T(real(0)), one = T(real(1)), half = T(real(0.5));
+    const T keep = T(wp::exp(-dt * wp::index(rod.velocity_damping, w)));
+    const T mu = T(wp::index(rod.friction, w));
+    const vec<real> gravity = {wp::index(rod.gravity, w)[0], wp::index(rod.gravity, w)[1],
+                               wp::index(rod.gravity, w)[2]};
+    const vec<T> g = {T(gravity.x), T(gravity.y), T(gravity.z)};
+    for (EACH(i, n)) {
+        const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
+        const vec<T> along = in.template get3<T>(ALONG, i - 1) + in.template get3<T>(ALONG, i);
+        const vec<T> vn = across(v0, along);
+        const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
+                         m.template get<T>(DRAG, i) * root(dot(vn, vn)) * vn;
+        vec<T> v = keep * (v0 + h * (m.template get<T>(PER_MASS, i) * f + g));
+        if (rod.table) {
+            const T push = larger(zero, (T(rod.radius) - x.z) / h - v.z);
+            const T speed = root(v.x * v.x + v.y * v.y);
+            const T slides = larger(zero, one - mu * push / larger(speed, T(real(1e-12))));
+            v = {slides * v.x, slides * v.y, v.z + push};
+        }
+        if (rod.walls) {
+            const T lo = T(rod.radius), hi = -T(rod.radius);
+            v.x += larger(zero, (T(rod.box_lower[0]) + lo - x.x) / h - v.x);
+            v.y += larger(zero, (T(rod.box_lower[1]) + lo - x.y) / h - v.y);
+            v.z += larger(zero, (T(rod.box_lower[2]) + lo - x.z) / h - v.z);
+            v.x -= larger(zero, v.x - (T(rod.box_upper[0]) + hi - x.x) / h);
+            v.y -= larger(zero, v.y - (T(rod.box_upper[1]) + hi - x.y) / h);
+            v.z -= larger(zero, v.z - (T(rod.box_upper[2]) + hi - x.z) / h);
+        }
+        to.put3(V, i, v);
+        to.put3(X, i, x + h * v);
+
+        const vec<T> torque = in.template get3<T>(MOMENT, i + 1) - in.template get3<T>(MOMENT, i) -
+                              in.template get3<T>(TURN, i);
+        const vec<T> spin =
+            keep * (s.template get3<T>(W, i) + h * m.template get<T>(PER_TURN, i) * torque);
+        quat<T> q = quat<T>{half * h * spin, one} * s.template get4<T>(Q, i);
+        const T per = one / root(dot(q.v, q.v) + q.w * q.w);
+        to.put3(W, i, spin);
+        to.put4(Q, i, quat<T>{per * q.v, per * q.w});
+    }
+}
+
+// What a gripper holds goes with it: its pose at the end of the step, q_place as seen from it.
+template <typename Rod, typename real>
+CUDA_CALLABLE inline void rod_hold(const Rod& rod, int w, int g, const wp::vec_t<3, real>& centre,
+                                   const wp::quat_t<real>& turned,
+                                   const wp::array_t<real>& state, int next) {
+    const int n = rod.points, W_G = w * rod.holds.shape[1] + g;
+    const rows_of<real> to(state, next), place(rod.place, W_G);
+    const quat<real> by = {{turned.x, turned.y, turned.z}, turned.w};
+    const directors<real> R(by);
+    const vec<real> c = {centre[0], centre[1], centre[2]}, still = {real(0), real(0), real(0)};
+    for (EACH_ONE(i, n)) {
+        const int holds = wp::index(rod.holds, w, g, i);
+        if (holds & 1) {
+            to.put3(X, i, c + R.to_world(place.template get3<real>(0, i)));
+            to.put3(V, i, still);
+        }
+        if (holds & 2) {
+            to.put4(Q, i, by * place.template get4<real>(3, i));
+            to.put3(W, i, still);
+        }
+    }
+}
+
+}  // namespace gendom

@@ -1,0 +1,197 @@
+// The transpose of a rod's step: derivatives of a loss by what a step leaves become those by what it
+// began with. A bar marks them; those by directions are by turns in the world's axes.
+#pragma once
+
+namespace gendom {
+
+// Rows of the derivatives by a state, by the model, and of what is handed from half to half.
+enum { X_BAR = 0, V_BAR = 3, Q_BAR = 6, W_BAR = 9, LAG_E_BAR = 12, LAG_U_BAR = 15 };
+enum {
+    SHEAR_BAR = 0, BENDING_BAR = 3, REST_E_BAR = 6, REST_U_BAR = 9, PER_MASS_BAR = 12,
+    PER_TURN_BAR = 13, DRAG_BAR = 14, GRAVITY_BAR = 15, DAMPING_BAR = 18,
+    FRICTION_BAR = 19, VELOCITY_DAMPING_BAR = 20
+};
+enum { PULL_BAR = 0, TORQUE_BAR = 3, ALONG_BAR = 6, D_BAR = 9, JOINT_H = 12, JOINT_G = 15 };
+
+// Of `rod_hold`: to the gripper's pose (six numbers) and to where things stand in it. One thread.
+template <typename Rod, typename Bars, typename real>
+CUDA_CALLABLE inline void rod_hold_adjoint(const Rod& rod, const Bars& bars, int w, int g,
+                                           const wp::quat_t<real>& turned) {
+    const int n = rod.points, W_G = w * rod.holds.shape[1] + g;
+    const rows_of<real> b(bars.state, w), place(rod.place, W_G), place_bar(bars.place, W_G);
+    const directors<real> R(quat<real>{{turned.x, turned.y, turned.z}, turned.w});
+    const vec<real> none = {real(0), real(0), real(0)};
+    vec<real> centre = none, turn = none;
+    for (int i = 0; i < n; ++i) {
+        const int holds = wp::index(rod.holds, w, g, i);
+        if (holds & 1) {
+            const vec<real> x_bar = b.template get3<real>(X_BAR, i);
+            centre = centre + x_bar;
+            turn = turn + cross(R.to_world(place.template get3<real>(0, i)), x_bar);
+            place_bar.add3(0, i, R.to_body(x_bar));
+            b.put3(X_BAR, i, none);
+            b.put3(V_BAR, i, none);
+        }
+        if (holds & 2) {
+            const vec<real> q_bar = b.template get3<real>(Q_BAR, i);
+            turn = turn + q_bar;
+            place_bar.add3(3, i, R.to_body(q_bar));
+            b.put3(Q_BAR, i, none);
+            b.put3(W_BAR, i, none);
+        }
+    }
+    wp::index(bars.centre, w, g) = wp::vec_t<3, real>(centre.x, centre.y, centre.z);
+    wp::index(bars.turn, w, g) = wp::vec_t<3, real>(turn.x, turn.y, turn.z);
+}
+
+// Of `rod_move`; the scratch is as `rod_forces` left it, `next` the state that the step led to.
+template <typename Rod, typename Bars, typename real>
+CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int w,
+                                           const wp::array_t<real>& state, int row, int next,
+                                           real dt) {
+    typedef typename several<real>::lanes T;
+    const int n = rod.points;
+    const rows_of<real> s(state, row), to(state, next), m(rod.inertia, w), in(rod.scratch, w),
+        b(bars.state, w), by(bars.model, w), out(bars.scratch, w);
+    const T h = T(dt), zero = T(real(0)), one = T(real(1)), half = T(real(0.5));
+    const T tiny = T(real(1e-12));
+    const T keep = T(wp::exp(-dt * wp::index(rod.velocity_damping, w)));
+    const T mu = T(wp::index(rod.friction, w));
+    const vec<T> g = {T(wp::index(rod.gravity, w)[0]), T(wp::index(rod.gravity, w)[1]),
+                      T(wp::index(rod.gravity, w)[2])};
+    for (EACH(i, n)) {
+        // as in the step
+        const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
+        const vec<T> along = in.template get3<T>(ALONG, i - 1) + in.template get3<T>(ALONG, i);
+        const vec<T> vn = across(v0, along);
+        const T speed_n = root(dot(vn, vn)), drag = m.template get<T>(DRAG, i);
+        const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
+                         drag * speed_n * vn;
+        const T per_mass = m.template get<T>(PER_MASS, i);
+        const vec<T> v1 = keep * (v0 + h * (per_mass * f + g));
+
+        vec<T> x_bar = b.template get3<T>(X_BAR, i);
+        vec<T> v_bar = b.template get3<T>(V_BAR, i) + h * x_bar;
+        T push = zero, slides = one;
+        const T speed = larger(root(v1.x * v1.x + v1.y * v1.y), tiny);
+        if (rod.table) {
+            push = larger(zero, (T(rod.radius) - x.z) / h - v1.z);
+            slides = larger(zero, one - mu * push / speed);
+        }
+        if (rod.walls) {  // where a wall stops a point, its velocity follows from its place
+            const vec<T> v = to.template get3<T>(V, i);
+            const vec<T> turned = v - vec<T>{slides * v1.x, slides * v1.y, v1.z + push};
+            const vec<T> stopped = {is_above(turned.x * turned.x, zero),
+                                    is_above(turned.y * turned.y, zero),
+                                    is_above(turned.z * turned.z, zero)};
+            x_bar = x_bar - (one / h) * (stopped * v_bar);
+            v_bar = v_bar - stopped * v_bar;
+        }
+        if (rod.table) {
+            const T touches = is_above(push, zero), moves = is_above(slides, zero);
+            const T slides_bar = moves * (v_bar.x * v1.x + v_bar.y * v1.y);
+            const T push_bar = touches * (v_bar.z - mu / speed * slides_bar);
+            const T speed_bar = mu * push / (speed * speed) * slides_bar;
+            by.add(FRICTION_BAR, i, -push / speed * slides_bar);
+            x_bar.z -= push_bar / h;
+            v_bar = {slides * v_bar.x + speed_bar * v1.x / speed,
+                     slides * v_bar.y + speed_bar * v1.y / speed, v_bar.z - push_bar};
+        }
+        by.add(VELOCITY_DAMPING_BAR, i, -h * dot(v1, v_bar));
+        v_bar = keep * v_bar;
+        by.add3(GRAVITY_BAR, i, h * v_bar);
+        by.add(PER_MASS_BAR, i, h * dot(f, v_bar));
+        const vec<T> f_bar = h * per_mass * v_bar;
+        const T f_vn = dot(f_bar, vn);
+        by.add(DRAG_BAR, i, -speed_n * f_vn);
+        const vec<T> vn_bar = -drag * (speed_n * f_bar + f_vn / larger(speed_n, tiny) * vn);
+        const T per = one / larger(dot(along, along), tiny);
+        const T v_t = dot(v0, along), t_bar = dot(along, vn_bar);
+        out.put3(ALONG_BAR, i, T(real(2)) * per * per * v_t * t_bar * along -
+                                   per * (t_bar * v0 + v_t * vn_bar));
+        out.put3(PULL_BAR, i, f_bar);
+        b.put3(X_BAR, i, x_bar);
+        b.put3(V_BAR, i, v_bar + across(vn_bar, along));
+
+        const vec<T> torque = in.template get3<T>(MOMENT, i + 1) - in.template get3<T>(MOMENT, i) -
+                              in.template get3<T>(TURN, i);
+        const T per_turn = m.template get<T>(PER_TURN, i);
+        const vec<T> spin = keep * (s.template get3<T>(W, i) + h * per_turn * torque);
+        const vec<T> a = half * h * spin, q_bar = b.template get3<T>(Q_BAR, i);
+        const T squared = one + dot(a, a), unit = one / root(squared);
+        vec<T> spin_bar = b.template get3<T>(W_BAR, i) + h / squared * (q_bar - cross(a, q_bar));
+        by.add(VELOCITY_DAMPING_BAR, i, -h * dot(spin, spin_bar));
+        spin_bar = keep * spin_bar;
+        by.add(PER_TURN_BAR, i, h * dot(torque, spin_bar));
+        out.put3(TORQUE_BAR, i, h * per_turn * spin_bar);
+        b.put3(Q_BAR, i, directors<T>(quat<T>{unit * a, unit}).to_body(q_bar));
+        b.put3(W_BAR, i, spin_bar);
+    }
+}
+
+// Of `rod_forces`, first half: every edge and joint for itself.
+template <typename Rod, typename Bars, typename real>
+CUDA_CALLABLE inline void rod_forces_adjoint(const Rod& rod, const Bars& bars, int w,
+                                             const wp::array_t<real>& state, int row, real dt) {
+    typedef typename several<real>::lanes T;
+    const int n = rod.points;
+    const rows_of<real> s(state, row), rest(rod.rest, 0), k(rod.stiffness, w), m(rod.inertia, w),
+        b(bars.state, w), by(bars.model, w), at(bars.scratch, w);
+    const viscosity<real> visc(wp::index(rod.damping, w), dt);
+    const T c = T(visc.share), a = T(visc.follows), whole = T(real(1)) + c, left = T(real(1)) - a;
+    for (EACH(i, n)) {
+        const quat<T> q = s.template get4<T>(Q, i);
+        const rod_edge<T> edge(s.template get3<T>(X, i + 1) - s.template get3<T>(X, i), q,
+                               rest.template get<T>(PER_LENGTH, i), rest.template get3<T>(REST_E, i));
+        const vec<T> late_e = edge.e - s.template get3<T>(LAG_E, i), C = k.template get3<T>(SHEAR, i);
+        const vec<T> stress_e = edge.e + c * late_e, N = edge.force(C * stress_e);
+        const vec<T> torque_bar = at.template get3<T>(TORQUE_BAR, i), g_bar = -torque_bar;
+        const vec<T> A = at.template get3<T>(PULL_BAR, i) - at.template get3<T>(PULL_BAR, i + 1) +
+                         cross(edge.d, g_bar);
+        const vec<T> A_body = edge.R.to_body(A), lag_e_bar = b.template get3<T>(LAG_E_BAR, i);
+        const vec<T> e_bar = whole * (C * A_body) + a * lag_e_bar;
+        const vec<T> y = edge.per_length * edge.R.to_world(e_bar);
+        at.put3(D_BAR, i, y + cross(g_bar, N) +
+                              edge.per_length * (at.template get3<T>(ALONG_BAR, i) +
+                                                 at.template get3<T>(ALONG_BAR, i + 1)));
+        b.add3(Q_BAR, i, cross(N, A) + cross(y, edge.d));
+        b.put3(LAG_E_BAR, i, left * lag_e_bar - c * (C * A_body));
+        by.add3(SHEAR_BAR, i, A_body * stress_e);
+        by.add3(REST_E_BAR, i, -e_bar);
+
+        const quat<T> before = s.template get4<T>(Q, i - 1);
+        const directors<T> R(before);
+        const rod_joint<T> joint(before, q, rest.template get3<T>(REST_U, i));
+        const vec<T> late_u = joint.u - s.template get3<T>(LAG_U, i);
+        const vec<T> B = m.template get<T>(STIFFER, i) * k.template get3<T>(BENDING, i);
+        const vec<T> stress_u = joint.u + c * late_u, moment = B * stress_u;
+        const vec<T> L = at.template get3<T>(TORQUE_BAR, i - 1) - torque_bar, eta = R.to_body(L);
+        const vec<T> su = joint.strain_of(eta), lag_u_bar = b.template get3<T>(LAG_U_BAR, i);
+        const vec<T> u_bar = whole * (B * su) + a * lag_u_bar;
+        at.put3(JOINT_H, i, R.to_world(joint.turn_gradient(u_bar) + joint.curving(moment, eta)));
+        at.put3(JOINT_G, i, T(real(0.5)) * cross(R.to_world(joint.turn_gradient(moment)), L));
+        b.put3(LAG_U_BAR, i, left * lag_u_bar - c * (B * su));
+        by.add3(BENDING_BAR, i, su * stress_u);
+        by.add3(REST_U_BAR, i, -u_bar);
+
+        by.add(DAMPING_BAR, i,
+               T(visc.share_slope) * (dot(A_body, C * late_e) + dot(su, B * late_u)) +
+                   T(visc.follows_slope) * (dot(lag_e_bar, late_e) + dot(lag_u_bar, late_u)));
+    }
+}
+
+// Second half: points and edges gather what edges and joints have for them.
+template <typename Rod, typename Bars>
+CUDA_CALLABLE inline void rod_gather_adjoint(const Rod& rod, const Bars& bars, int w) {
+    typedef decltype(Rod::radius) real;
+    typedef typename several<real>::lanes T;
+    const rows_of<real> b(bars.state, w), at(bars.scratch, w);
+    const int n = rod.points;
+    for (EACH(i, n)) {
+        b.add3(X_BAR, i, at.template get3<T>(D_BAR, i - 1) - at.template get3<T>(D_BAR, i));
+        b.add3(Q_BAR, i, at.template get3<T>(JOINT_H, i) + at.template get3<T>(JOINT_G, i) -
+                             at.template get3<T>(JOINT_H, i + 1) + at.template get3<T>(JOINT_G, i + 1));
+    }
+}
+
+}  // namespace gendom

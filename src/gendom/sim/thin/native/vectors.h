@@ -1,0 +1,157 @@
+// Vectors and unit quaternions of numbers, or of lanes: several neighbours side by side.
+//
+// A loop over the points of a body reads `for (EACH(i, n))`: on the CPU it takes as many points at
+// a time as a SIMD register holds, on CUDA every thread of a block takes one at a time.
+#pragma once
+
+namespace gendom {
+
+template <typename T> struct number_of { typedef T type; };
+
+#if defined(__CUDA_ARCH__)
+
+template <typename real> struct several { typedef real lanes; };
+#define EACH(i, n) int i = threadIdx.x; i < (n); i += blockDim.x
+#define EACH_ONE EACH
+
+#else
+
+template <typename real> struct several;
+template <> struct several<float> {
+    typedef float lanes __attribute__((ext_vector_type(8)));
+};
+template <> struct several<double> {
+    typedef double lanes __attribute__((ext_vector_type(4)));
+};
+template <> struct number_of<several<float>::lanes> { typedef float type; };
+template <> struct number_of<several<double>::lanes> { typedef double type; };
+#define EACH(i, n) int i = 0; i < (n); i += int(sizeof(typename several<real>::lanes) / sizeof(real))
+#define EACH_ONE(i, n) int i = 0; i < (n); ++i
+
+#endif
+
+template <typename T> CUDA_CALLABLE inline T larger(T a, T b) {
+#if defined(__CUDA_ARCH__)
+    return a > b ? a : b;
+#else
+    return __builtin_elementwise_max(a, b);
+#endif
+}
+
+template <typename T> CUDA_CALLABLE inline T root(T a) {
+#if defined(__CUDA_ARCH__)
+    return wp::sqrt(a);
+#else
+    return __builtin_elementwise_sqrt(a);
+#endif
+}
+
+// 1 where a > b, else 0.
+template <typename T> CUDA_CALLABLE inline T is_above(T a, T b) {
+#if defined(__CUDA_ARCH__)
+    return a > b ? T(1) : T(0);
+#else
+    typedef typename number_of<T>::type real;
+    if constexpr (sizeof(T) == sizeof(real)) {
+        return a > b ? T(1) : T(0);
+    } else {
+        return -__builtin_convertvector(a > b, T);  // lanes compare to -1 or 0
+    }
+#endif
+}
+
+template <typename T> struct vec { T x, y, z; };
+
+template <typename T> CUDA_CALLABLE inline vec<T> operator+(const vec<T>& a, const vec<T>& b) {
+    return {a.x + b.x, a.y + b.y, a.z + b.z};
+}
+template <typename T> CUDA_CALLABLE inline vec<T> operator-(const vec<T>& a, const vec<T>& b) {
+    return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+template <typename T> CUDA_CALLABLE inline vec<T> operator-(const vec<T>& a) {
+    return {-a.x, -a.y, -a.z};
+}
+template <typename T> CUDA_CALLABLE inline vec<T> operator*(const T& s, const vec<T>& a) {
+    return {s * a.x, s * a.y, s * a.z};
+}
+// Component by component: a diagonal matrix times a vector.
+template <typename T> CUDA_CALLABLE inline vec<T> operator*(const vec<T>& a, const vec<T>& b) {
+    return {a.x * b.x, a.y * b.y, a.z * b.z};
+}
+template <typename T> CUDA_CALLABLE inline T dot(const vec<T>& a, const vec<T>& b) {
+    return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+template <typename T> CUDA_CALLABLE inline vec<T> cross(const vec<T>& a, const vec<T>& b) {
+    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+// A unit quaternion, vector part first; it turns a body's axes into the world's.
+template <typename T> struct quat { vec<T> v; T w; };
+
+// Of conj(a) b: what turns b's axes into a's, seen from the body.
+template <typename T> CUDA_CALLABLE inline quat<T> between(const quat<T>& a, const quat<T>& b) {
+    return {a.w * b.v - b.w * a.v - cross(a.v, b.v), a.w * b.w + dot(a.v, b.v)};
+}
+template <typename T> CUDA_CALLABLE inline quat<T> operator*(const quat<T>& a, const quat<T>& b) {
+    return {a.w * b.v + b.w * a.v + cross(a.v, b.v), a.w * b.w - dot(a.v, b.v)};
+}
+
+// A rotation matrix by its columns, the directors.
+template <typename T> struct directors {
+    vec<T> d1, d2, d3;
+
+    CUDA_CALLABLE inline explicit directors(const quat<T>& q) {
+        typedef typename number_of<T>::type real;
+        const T one = T(real(1)), two = T(real(2));
+        const T x = q.v.x, y = q.v.y, z = q.v.z, w = q.w;
+        d1 = {one - two * (y * y + z * z), two * (x * y + z * w), two * (x * z - y * w)};
+        d2 = {two * (x * y - z * w), one - two * (x * x + z * z), two * (y * z + x * w)};
+        d3 = {two * (x * z + y * w), two * (y * z - x * w), one - two * (x * x + y * y)};
+    }
+    CUDA_CALLABLE inline vec<T> to_world(const vec<T>& a) const {
+        return a.x * d1 + a.y * d2 + a.z * d3;
+    }
+    CUDA_CALLABLE inline vec<T> to_body(const vec<T>& a) const {
+        return {dot(d1, a), dot(d2, a), dot(d3, a)};
+    }
+};
+
+// The rows of an array [rows, components, points] from point 0 on; points stand after a margin.
+constexpr int margin = 8;
+
+template <typename real> struct rows_of {
+    real* first;
+    int pitch;
+
+    CUDA_CALLABLE inline rows_of(const wp::array_t<real>& a, int row)
+        : first(&wp::index(a, row, 0, 0) + margin), pitch(a.shape[2]) {}
+
+    template <typename T> CUDA_CALLABLE inline T get(int c, int i) const {
+        T a;
+        __builtin_memcpy(&a, first + c * pitch + i, sizeof(T));  // lanes begin at any number
+        return a;
+    }
+    template <typename T> CUDA_CALLABLE inline void put(int c, int i, const T& a) const {
+        __builtin_memcpy(first + c * pitch + i, &a, sizeof(T));
+    }
+    template <typename T> CUDA_CALLABLE inline void add(int c, int i, const T& a) const {
+        put(c, i, get<T>(c, i) + a);
+    }
+    template <typename T> CUDA_CALLABLE inline vec<T> get3(int c, int i) const {
+        return {get<T>(c, i), get<T>(c + 1, i), get<T>(c + 2, i)};
+    }
+    template <typename T> CUDA_CALLABLE inline void put3(int c, int i, const vec<T>& a) const {
+        put(c, i, a.x), put(c + 1, i, a.y), put(c + 2, i, a.z);
+    }
+    template <typename T> CUDA_CALLABLE inline void add3(int c, int i, const vec<T>& a) const {
+        add(c, i, a.x), add(c + 1, i, a.y), add(c + 2, i, a.z);
+    }
+    template <typename T> CUDA_CALLABLE inline quat<T> get4(int c, int i) const {
+        return {get3<T>(c, i), get<T>(c + 3, i)};
+    }
+    template <typename T> CUDA_CALLABLE inline void put4(int c, int i, const quat<T>& q) const {
+        put3(c, i, q.v), put(c + 3, i, q.w);
+    }
+};
+
+}  // namespace gendom

@@ -1,0 +1,193 @@
+"""A rod's model: from a rope's centre line and materials to what its elements need, and back.
+
+Edges e = 0 .. n - 2 lie between points e and e + 1; joint i, between edges i - 1 and i, stands at
+point i. Rows of edges and joints have n numbers like those of points; what does not exist is 0.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.materials import Material
+from gendom.sim.bodies import Body
+from gendom.sim.thin import rotation
+
+
+@dataclass(frozen=True)
+class Section:
+    """Geometry of a rod's cross-section; axes 1 and 2 lie in it, 3 along the rod.
+
+    Source: Gere and Timoshenko, Mechanics of Materials (torsion of rectangles); Cowper (1966), "The
+    shear coefficient in Timoshenko's beam theory".
+    """
+
+    area: float
+    """[m^2]."""
+    bending: tuple[float, float]
+    """Second moments of area about both axes [m^4]."""
+    torsion: float
+    """Torsion constant [m^4]."""
+    breadth: float
+    """That the air meets [m]."""
+    flat: bool
+
+    @classmethod
+    def of(cls, body: Body) -> "Section":
+        """Round with the body's thickness, or a rectangle of that thickness and the body's width
+        (along axis 1)."""
+        h, b = body.thickness, body.width
+        if b is None:
+            A = math.pi / 4.0 * h**2
+            inertia = A * h**2 / 16.0
+            return cls(A, (inertia, inertia), 2.0 * inertia, h, False)
+        long, short = max(b, h), min(b, h)
+        ratio = short / long
+        torsion = long * short**3 * (1.0 / 3.0 - 0.21 * ratio * (1.0 - ratio**4 / 12.0))
+        return cls(b * h, (b * h**3 / 12.0, h * b**3 / 12.0), torsion, b, True)
+
+    def shear_coefficient(self, nu: float) -> float:
+        """kappa of the shear stiffness kappa G A."""
+        return (
+            10.0 * (1.0 + nu) / (12.0 + 11.0 * nu)
+            if self.flat
+            else (6.0 * (1.0 + nu) / (7.0 + 6.0 * nu))
+        )
+
+    def shear_coefficient_slope(self, nu: float) -> float:
+        """d kappa / d nu."""
+        return 10.0 / (12.0 + 11.0 * nu) ** 2 if self.flat else 6.0 / (7.0 + 6.0 * nu) ** 2
+
+    @property
+    def gyration(self) -> float:
+        """Largest radius of gyration [m]."""
+        return math.sqrt(max(self.bending) / self.area)
+
+
+@dataclass(frozen=True)
+class RodModel:
+    """The elements of W rods of one shape."""
+
+    section: Section
+    length: NDArray[np.float64]
+    """[n - 1] of edges at rest [m]."""
+    rest_q: NDArray[np.float64]
+    """[n - 1, 4] directions at rest, without twist."""
+    rest: NDArray[np.float64]
+    """[7, n] 1 / length, strains of edges and joints that are free of stress."""
+    stiffness: NDArray[np.float64]
+    """[W, 6, n] of shear, shear, stretch [N] and, over length, bending, bending, twist [N m]."""
+    mass: NDArray[np.float64]
+    """[W, n] [kg]."""
+    inertia: NDArray[np.float64]
+    """[W, n] of turning an edge [kg m^2]."""
+    tributary: NDArray[np.float64]
+    """[n] length of rod that a point stands for [m]."""
+
+    @classmethod
+    def of(
+        cls, body: Body, materials: Sequence[Material], share: NDArray[np.floating]
+    ) -> "RodModel":
+        """Of a rope's centre line; ``share`` [W, n] of E at each point."""
+        section = Section.of(body)
+        step = np.diff(body.line, axis=0)
+        length = np.linalg.norm(step, axis=1)
+        rest_q = rotation.transported(rotation.first_frame(step[0]), step)
+        n = len(body.line)
+        rest = np.zeros((7, n))
+        rest[0, :-1] = 1.0 / length
+        rest[3, :-1] = 1.0
+        rest[4:, 1:-1] = joint_strains(rest_q).T
+        tributary = np.zeros(n)
+        tributary[:-1] += 0.5 * length
+        tributary[1:] += 0.5 * length
+        density = np.array([m.density for m in materials])[:, None]
+        r2 = section.gyration**2 + length**2 / 12.0
+        inertia = np.zeros((len(materials), n))
+        inertia[:, :-1] = density * section.area * length * r2
+        moduli, _ = _moduli(section, materials)
+        return cls(
+            section=section,
+            length=length,
+            rest_q=rest_q,
+            rest=rest,
+            stiffness=moduli[:, :, None] * _shares(share, length),
+            mass=density * section.area * tributary,
+            inertia=inertia,
+            tributary=tributary,
+        )
+
+    def substep(self, damped: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """[W] longest stable step [s] of small vibrations, 2 / omega of the fastest one.
+
+        Of a straight rod with edges as short as the shortest: deflection and turning with the
+        wave number that the points resolve at most, stretching, and twisting. A Maxwell branch
+        doubles all stiffness. Source: von Neumann's analysis of the elements in ``native/rod.h``.
+        """
+        l = self.length.min()
+        mass = (self.mass[:, :-1] / self.tributary[:-1]).min(axis=1)
+        r2 = (self.inertia[:, :-1] / self.length).min(axis=1) / mass
+        k = self.stiffness.max(axis=2)
+        shear, stretch = k[:, :2].max(axis=1), k[:, 2]
+        bending, twist = l * k[:, 3:5].max(axis=1), l * k[:, 5]
+        a, b, c = 4.0 * shear / l**2, 2.0 * shear / l, shear + 4.0 * bending / l**2
+        # eigenvalues of [[a, b], [b, c]] with masses 1 and r2
+        c, b = c / r2, b / np.sqrt(r2)
+        fastest = 0.5 * (a + c) + np.sqrt(0.25 * (a - c) ** 2 + b**2)
+        fastest = np.maximum(fastest, np.maximum(4.0 * stretch, 4.0 * twist / r2) / l**2) / mass
+        return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
+
+
+def joint_strains(q: NDArray[np.floating]) -> NDArray[np.float64]:
+    """[..., n - 2, 3] bending and twist between directions [..., n - 1, 4] [rad], see rod.h."""
+    p = rotation.between(q[..., :-1, :], q[..., 1:, :])
+    return 4.0 * p[..., :3] / (1.0 + p[..., 3:])
+
+
+def _shares(share: NDArray[np.floating], length: NDArray[np.floating]) -> NDArray[np.float64]:
+    """[W, 6, n] each element's share of E; of joints over their length, half of both edges."""
+    W, n = share.shape
+    rows = np.zeros((W, 6, n))
+    rows[:, :3, :-1] = 0.5 * (share[:, :-1] + share[:, 1:])[:, None]
+    rows[:, 3:, 1:-1] = (share[:, 1:-1] / (0.5 * (length[:-1] + length[1:])))[:, None]
+    return rows
+
+
+def _moduli(
+    section: Section, materials: Sequence[Material]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """[W, 6] stiffness for shear, shear, stretch [N], bending, bending, twist [N m^2], and its
+    derivative by nu."""
+    E = np.array([m.E for m in materials])
+    nu = np.array([m.nu for m in materials])
+    G, G_slope = E / (2.0 * (1.0 + nu)), -E / (2.0 * (1.0 + nu) ** 2)
+    kappa = np.array([section.shear_coefficient(m.nu) for m in materials])
+    kappa_slope = np.array([section.shear_coefficient_slope(m.nu) for m in materials])
+    A, (I1, I2), J = section.area, section.bending, section.torsion
+    none = np.zeros_like(E)
+    values = [kappa * G * A, kappa * G * A, E * A, E * I1, E * I2, G * J]
+    shear = (kappa_slope * G + kappa * G_slope) * A
+    slopes = [shear, shear, none, none, none, G_slope * J]
+    return np.stack(values, axis=1), np.stack(slopes, axis=1)
+
+
+def material_gradients(
+    section: Section,
+    materials: Sequence[Material],
+    share: NDArray[np.floating],
+    length: NDArray[np.floating],
+    stiffness_bar: NDArray[np.floating],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Derivatives by E [W], nu [W] and share [W, n], from those by stiffness [W, 6, n]."""
+    moduli, slopes = _moduli(section, materials)
+    E = np.array([m.E for m in materials])
+    by_modulus = np.sum(stiffness_bar * _shares(share, length), axis=2)
+    bar = stiffness_bar * moduli[:, :, None]
+    edges, joints = bar[:, :3, :-1].sum(axis=1), bar[:, 3:, 1:-1].sum(axis=1)
+    share_bar = np.zeros_like(share, dtype=float)
+    share_bar[:, :-1] += 0.5 * edges
+    share_bar[:, 1:] += 0.5 * edges
+    share_bar[:, 1:-1] += joints / (0.5 * (length[:-1] + length[1:]))
+    return (by_modulus * moduli).sum(axis=1) / E, (by_modulus * slopes).sum(axis=1), share_bar

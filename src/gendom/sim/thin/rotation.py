@@ -1,0 +1,110 @@
+"""Unit quaternions (scalar last) that turn a rod's directions, and frames without twist."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+def product(a: Array, b: Array) -> Array:
+    """[..., 4] the turn b, then a."""
+    v = a[..., 3:] * b[..., :3] + b[..., 3:] * a[..., :3] + np.cross(a[..., :3], b[..., :3])
+    w = a[..., 3:] * b[..., 3:] - np.sum(a[..., :3] * b[..., :3], axis=-1, keepdims=True)
+    return np.concatenate([v, w], axis=-1)
+
+
+def conjugate(q: Array) -> Array:
+    """[..., 4] the inverse turn."""
+    return q * np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def between(a: Array, b: Array) -> Array:
+    """[..., 4] conj(a) b, with a scalar part that is not negative."""
+    p = product(conjugate(a), b)
+    return np.where(p[..., 3:] < 0.0, -p, p)
+
+
+def turned(q: Array, v: Array) -> Array:
+    """[..., 3] vectors v turned by q."""
+    twice = 2.0 * np.cross(q[..., :3], v)
+    return v + q[..., 3:] * twice + np.cross(q[..., :3], twice)
+
+
+def shortest(a: Array, b: Array) -> Array:
+    """[..., 4] the smallest turn that takes direction a [..., 3] to direction b."""
+    a = a / np.linalg.norm(a, axis=-1, keepdims=True)
+    b = b / np.linalg.norm(b, axis=-1, keepdims=True)
+    q = np.concatenate([np.cross(a, b), 1.0 + np.sum(a * b, axis=-1, keepdims=True)], axis=-1)
+    opposite = q[..., 3] < 1e-9
+    if opposite.any():  # half a turn about any axis across a
+        axis = np.cross(a, np.eye(3)[np.argmin(np.abs(a), axis=-1)])
+        q[opposite] = np.concatenate([axis, np.zeros_like(axis[..., :1])], axis=-1)[opposite]
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def first_frame(direction: Array) -> Array:
+    """[4] a frame whose third axis has the direction [3] and whose first is level."""
+    z = direction / np.linalg.norm(direction)
+    up = np.array([0.0, 0.0, 1.0])
+    if abs(z @ up) > 1.0 - 1e-9:
+        return shortest(up, z)
+    x = np.cross(up, z)
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z], axis=1)
+    w = 0.5 * np.sqrt(max(0.0, 1.0 + np.trace(R)))
+    if w > 1e-3:
+        v = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4.0 * w)
+        return np.append(v, w)
+    # half a turn: its axis is the column of R + 1 that is longest
+    column = (R + np.eye(3))[:, np.argmax(np.diag(R))]
+    return np.append(column / np.linalg.norm(column), 0.0)
+
+
+def transported(first: Array, step: Array) -> Array:
+    """[..., n - 1, 4] frames along edges [..., n - 1, 3], without twist, from the first [..., 4].
+
+    The first is turned by the shortest way to the first edge, each other one from the edge before.
+    Neighbours have scalar products that are not negative. Source: Bishop (1975), "There is more
+    than one way to frame a curve".
+    """
+    q = np.empty((*step.shape[:-1], 4))
+    third = np.broadcast_to([0.0, 0.0, 1.0], (*step.shape[:-2], 3))
+    q[..., 0, :] = product(shortest(turned(first, third), step[..., 0, :]), first)
+    for e in range(1, step.shape[-2]):
+        q[..., e, :] = product(shortest(step[..., e - 1, :], step[..., e, :]), q[..., e - 1, :])
+    return q
+
+
+def transported_adjoint(first: Array, step: Array, turn_bar: Array) -> Array:
+    """[..., n - 1, 3] derivatives by edges, from those by turns [..., n - 1, 3] of their frames.
+
+    An edge's frame turns by t x dt, and about t by as much as keeps the twist 0:
+    d tau_e = d tau_(e-1) - (t_(e-1) x t_e) . (dt_(e-1) + dt_e) / (1 + t_(e-1) . t_e).
+    """
+    length = np.linalg.norm(step, axis=-1, keepdims=True)
+    t = step / length
+    third = np.broadcast_to([0.0, 0.0, 1.0], (*step.shape[:-2], 3))
+    before = np.concatenate([turned(first, third)[..., None, :], t[..., :-1, :]], axis=-2)
+    by_tau = np.sum(turn_bar * t, axis=-1)
+    by_tau = np.flip(np.cumsum(np.flip(by_tau, -1), axis=-1), -1)[..., None]
+    bend = np.cross(before, t) / (1.0 + np.sum(before * t, axis=-1, keepdims=True))
+    t_bar = np.cross(turn_bar, t) - by_tau * bend
+    t_bar[..., :-1, :] -= (by_tau * bend)[..., 1:, :]
+    return (t_bar - np.sum(t_bar * t, axis=-1, keepdims=True) * t) / length
+
+
+def left_jacobian_inverse(turn: Array) -> Array:
+    """[..., 3, 3] of log: log(exp(d) exp(turn)) = turn + J d. Its transpose is that from the right.
+
+    Source: Sola, Deray and Atchuthan (2018), "A micro Lie theory", equation 146.
+    """
+    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
+    K = np.zeros((*turn.shape[:-1], 3, 3))
+    K[..., 2, 1], K[..., 0, 2], K[..., 1, 0] = turn[..., 0], turn[..., 1], turn[..., 2]
+    K = K - np.swapaxes(K, -1, -2)
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    b = np.where(small, 1.0 / 12.0, 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe)))
+    return np.eye(3) - 0.5 * K + b * (K @ K)

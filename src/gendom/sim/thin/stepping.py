@@ -1,0 +1,227 @@
+"""Kernels that take rods through pieces of equal steps, forward and transposed.
+
+A step is symplectic Euler: forces at its begin, then velocities, then positions and directions;
+contact with the table and walls changes velocities so that no point ends beyond them, with Coulomb
+friction (Moreau 1988); what a gripper holds is put where it is. Every world has a block of threads
+on CUDA, and a thread with SIMD lanes on the CPU.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from gendom.sim.mpm.paths import make_paths
+from gendom.sim.mpm.types import make_types as make_path_types
+from gendom.sim.thin.native import MODULE_OPTIONS
+from gendom.sim.thin.types import MARGIN, make_types
+
+FIRST = wp.constant(MARGIN)
+
+
+@functools.cache
+def make_stepping(real: Any) -> SimpleNamespace:
+    """Build the kernels for one scalar type.
+
+    Returns:
+        Namespace with ``begin`` (lagged strains from the first state), ``advance`` and ``reverse``.
+    """
+    types = make_types(real)
+    paths_of = make_paths(real)
+    pose, pose_adjoint, narrow = paths_of.pose, paths_of.pose_adjoint, paths_of.narrow
+    is_closed = paths_of.is_closed
+    Paths, SceneBars = make_path_types(real).Paths, make_path_types(real).SceneBars
+    Rod, Bars, Plan, vec3, quat = types.Rod, types.Bars, types.Plan, types.vec3, types.quat
+
+    @wp.func_native("gendom::meet();")
+    def meet(): ...
+
+    @wp.func_native("return gendom::any_of(value);")
+    def any_of(value: int) -> int: ...
+
+    @wp.func_native("return gendom::rod_forces(rod, w, state, row, next, dt);")
+    def rod_forces(
+        rod: Rod, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real
+    ) -> real: ...
+
+    @wp.func_native("gendom::rod_move(rod, w, state, row, next, dt);")
+    def rod_move(
+        rod: Rod, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real
+    ): ...
+
+    @wp.func_native("gendom::rod_hold(rod, w, g, centre, turned, state, next);")
+    def rod_hold(
+        rod: Rod, w: int, g: int, centre: vec3, turned: quat, state: wp.array3d(dtype=real),
+        next: int,
+    ): ...  # fmt: skip
+
+    @wp.func_native("gendom::rod_hold_adjoint(rod, bars, w, g, turned);")
+    def rod_hold_adjoint(rod: Rod, bars: Bars, w: int, g: int, turned: quat): ...
+
+    @wp.func_native("gendom::rod_move_adjoint(rod, bars, w, state, row, next, dt);")
+    def rod_move_adjoint(
+        rod: Rod, bars: Bars, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real
+    ): ...
+
+    @wp.func_native("gendom::rod_forces_adjoint(rod, bars, w, state, row, dt);")
+    def rod_forces_adjoint(
+        rod: Rod, bars: Bars, w: int, state: wp.array3d(dtype=real), row: int, dt: real
+    ): ...
+
+    @wp.func_native("gendom::rod_gather_adjoint(rod, bars, w);")
+    def rod_gather_adjoint(rod: Rod, bars: Bars, w: int): ...
+
+    @wp.func
+    def quat_of(R: wp.mat33d):
+        q = wp.quat_from_matrix(R)
+        return quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))
+
+    @wp.func
+    def wide(a: vec3):
+        return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
+
+    @wp.func
+    def strains_begin(rod: Rod, w: int, state: wp.array3d(dtype=real), row: int):
+        """The lagged strains are those of the state: a step that is longer than any damping."""
+        rod_forces(rod, w, state, row, row, real(1.0e30))
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def begin(first: int, lanes: int, rod: Rod, state: wp.array3d(dtype=real)):
+        w = first + wp.tid() // lanes
+        strains_begin(rod, w, state, w)
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def advance(
+        first: int,  # world
+        lanes: int,  # threads of a world
+        rod: Rod,
+        paths: Paths,
+        plan: Plan,
+        piece: wp.array2d(dtype=wp.int32),  # [W, 2] the first, and the one after the last
+        # step s of the call goes from row w + s stride - offset to the next; stride 0: in place
+        offset: int,
+        stride: int,
+        state: wp.array3d(dtype=real),
+        kept: wp.array3d(dtype=real),  # [W + pieces * every] the states that pieces begin with
+        every: int,  # -1: none are kept
+        limit: real,  # of the squared stretch
+        stopped: wp.array(dtype=wp.int32),  # [W] the piece in which a world came beyond it, or -1
+        frames: wp.array3d(dtype=vec3),  # [T, W, K]
+        points: wp.array(dtype=wp.int32),  # [K] recorded
+    ):
+        w = first + wp.tid() // lanes
+        lane = wp.tid() % lanes
+        row = w - offset
+        for s in range(piece[w, 0], piece[w, 1]):
+            if stopped[w] < 0:
+                if every >= 0:
+                    for c in range(state.shape[1]):
+                        for i in range(lane, state.shape[2], lanes):
+                            kept[w + s * every, c, i] = state[row, c, i]
+                t0 = plan.begins[w, s]
+                dt = plan.dt[w, s]
+                h = real(dt)
+                bad = int(0)
+                for k in range(plan.steps[w, s]):
+                    if not rod_forces(rod, w, state, row, row + stride, h) <= limit:
+                        bad = 1
+                    meet()
+                    rod_move(rod, w, state, row, row + stride, h)
+                    row += stride
+                    meet()
+                    t = t0 + wp.float64(k + 1) * dt
+                    for g in range(rod.holds.shape[1]):
+                        if is_closed(w, g, t0, paths):
+                            centre, R, _knot = pose(w, g, t, paths)
+                            rod_hold(rod, w, g, narrow(centre), quat_of(R), state, row)
+                            meet()
+                if any_of(bad) != 0:
+                    stopped[w] = s
+                else:
+                    f = plan.frame[w, s]
+                    if f >= 0:
+                        for k in range(lane, points.shape[0], lanes):
+                            i = FIRST + points[k]
+                            frames[f, w, k] = vec3(
+                                state[row, 0, i], state[row, 1, i], state[row, 2, i]
+                            )
+                meet()
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def reverse(
+        first: int,
+        lanes: int,
+        rod: Rod,
+        paths: Paths,
+        plan: Plan,
+        s: wp.array(dtype=wp.int32),  # [W] the piece, recorded in rows as by ``advance``; -1: none
+        offset: int,
+        stride: int,
+        state: wp.array3d(dtype=real),
+        frames_bar: wp.array3d(dtype=vec3),  # [T, W, n]
+        bars: Bars,
+        scene_bars: SceneBars,
+    ):
+        w = first + wp.tid() // lanes
+        lane = wp.tid() % lanes
+        p = s[w]
+        if p < 0:
+            return
+        f = plan.frame[w, p]
+        if f >= 0:
+            for k in range(lane, rod.points, lanes):
+                for c in range(3):
+                    i = FIRST + k
+                    bars.state[w, c, i] = bars.state[w, c, i] + frames_bar[f, w, k][c]
+        meet()
+        dt = plan.dt[w, p]
+        h = real(dt)
+        t0 = plan.begins[w, p]
+        steps = plan.steps[w, p]
+        for back in range(steps):
+            k = steps - 1 - back
+            row = w - offset + k * stride
+            t = t0 + wp.float64(k + 1) * dt
+            for before in range(rod.holds.shape[1]):
+                g = rod.holds.shape[1] - 1 - before
+                if lane == 0 and is_closed(w, g, t0, paths):
+                    _centre, R, _knot = pose(w, g, t, paths)
+                    rod_hold_adjoint(rod, bars, w, g, quat_of(R))
+                    by_centre = bars.centre[w, g]
+                    by_turn = bars.turn[w, g]
+                    pose_adjoint(
+                        w, g, t,
+                        wide(by_centre),
+                        wide(by_turn),
+                        paths, scene_bars,
+                    )  # fmt: skip
+            meet()
+            # the scratch as in the step; the lagged strains of the next row are written once more
+            rod_forces(rod, w, state, row, row + stride, h)
+            meet()
+            rod_move_adjoint(rod, bars, w, state, row, row + stride, h)
+            meet()
+            rod_forces_adjoint(rod, bars, w, state, row, h)
+            meet()
+            rod_gather_adjoint(rod, bars, w)
+            meet()
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def begin_adjoint(
+        first: int, lanes: int, rod: Rod, state: wp.array3d(dtype=real), offset: int, bars: Bars
+    ):
+        """Of ``begin``; the scratch of the derivatives is 0."""
+        w = first + wp.tid() // lanes
+        rod_forces_adjoint(rod, bars, w, state, w - offset, real(1.0e30))
+        meet()
+        rod_gather_adjoint(rod, bars, w)
+
+    return SimpleNamespace(
+        begin=begin, advance=advance, reverse=reverse, begin_adjoint=begin_adjoint
+    )
