@@ -185,7 +185,7 @@ def in_ours(item: RealRope, air: float, given: argparse.Namespace) -> dict[str, 
             points=given.points,
         )
         thin = given.engine == "thin"
-        along = top[2] - body.line[:, 2] if thin else body.material_coordinates[:, 0]
+        along = top[2] - body.points[:, 2] if thin else body.material_coordinates[:, 0]
         simulator = Simulator(
             body,
             [material] * len(grippers),
@@ -193,7 +193,7 @@ def in_ours(item: RealRope, air: float, given: argparse.Namespace) -> dict[str, 
             grippers=grippers,
             table=None,
             gravity=(0.0, 0.0, -GRAVITY),
-            positions=(body.line if thin else body.x) - np.outer(sag(along), UP),
+            positions=(body.points if thin else body.x) - np.outer(sag(along), UP),
             air_density=air,
             device=given.device,
         )
@@ -235,7 +235,7 @@ def in_ours(item: RealRope, air: float, given: argparse.Namespace) -> dict[str, 
         casts.append({"way": way, **first_swing(times[seen] > stop, x, z, hand[seen])})
     return {
         "cells_across": given.cells_across,
-        "points": len(body.line) if given.engine == "thin" else body.num_particles,
+        "points": len(body.points) if given.engine == "thin" else body.num_particles,
         "engine": given.engine,
         "free_lengths": [item.length - 2.0 * border, item.length - border],
         "releases": releases,
@@ -249,7 +249,7 @@ def tip_of(
 ) -> NDArray[np.float64]:
     """[T, W, 3] the rope's very end [m]: of a rod its last point, of particles half a spacing beyond
     the last section."""
-    if simulator.num_points == len(body.line):
+    if simulator.num_points == len(body.points):
         return simulator.run(times, particles=[-1])[:, :, 0].astype(float)
     along = body.material_coordinates[:, 0]
     before, last = np.unique(along)[-2:]

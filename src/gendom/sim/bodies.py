@@ -14,6 +14,9 @@ CELLS_ACROSS = (0.5, 6.0)
 EDGES = (24, 48)
 """Fewest and most edges that a rope's centre line has by itself."""
 
+POINTS = 28
+"""Points that a cloth's longer side has by itself."""
+
 BULGE = 0.75
 """How far a square section is bulged to a round one; from 0.65 to 0.75 sections of 3 to 16
 particles across bend within 2 % and twist within 5 % of theory at nu up to 0.45."""
@@ -45,8 +48,11 @@ class Body:
     the table and are gripped together; they follow each other. 1 where a cloth is thick."""
     contact_radius: float
     """Height of a section's centre above the table on which it lies [m]."""
-    line: NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3)))
-    """[n, 3] points of a rope's centre line, from one end to the other [m]."""
+    points: NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3)))
+    """[n, 3] rest positions of the thin engine's points [m]: a rope's centre line from one end to
+    the other, a cloth's middle surface row by row, along its first axis first."""
+    shape: tuple[int, ...] = (0,)
+    """Numbers of points along a rope, or of rows and in a row of a cloth."""
     width: float | None = None
     """Of a flat rope, level and across it [m]; None: round."""
     curvature: NDArray[np.floating] | None = None
@@ -106,7 +112,7 @@ class Body:
     def moved(self, offset: ArrayLike) -> "Body":
         """The same body shifted by ``offset`` [3] [m]."""
         by = np.asarray(offset, dtype=float)
-        return replace(self, x=self.x + by, line=self.line + by)
+        return replace(self, x=self.x + by, points=self.points + by)
 
 
 def rope(
@@ -205,7 +211,8 @@ def rope(
         thickness=diameter,
         section=per_section,
         contact_radius=diameter / 2.0,
-        line=_along_line(line, np.linspace(0.0, total, points))[0],
+        points=_along_line(line, np.linspace(0.0, total, points))[0],
+        shape=(points,),
         width=width,
     )
 
@@ -218,6 +225,7 @@ def cloth(
     dx: float,
     corner: ArrayLike = (0.0, 0.0, 0.0),
     yaw: float = 0.0,
+    points: tuple[int, int] | None = None,
 ) -> Body:
     """A flat rectangular cloth in a horizontal plane.
 
@@ -229,14 +237,21 @@ def cloth(
     Args:
         width, height: Sizes along the cloth's own first and second axis [m].
         thickness: [m].
-        dx: Size of a grid cell [m].
+        dx: Size of a grid cell [m]. For the MPM.
+        points: Numbers along its first and second axis, for shells; by default 28 along the longer
+            side, as far apart along the other.
         corner: [3] where one corner of the mid-plane lies [m].
         yaw: Angle of the first axis about z [rad].
 
     Raises:
-        ParameterError: If a size is not positive.
+        ParameterError: If a size is not positive, or there are fewer than two points along a side.
     """
     _check_positive(width=width, height=height, thickness=thickness, dx=dx)
+    if points is None:
+        spacing = max(width, height) / (POINTS - 1)
+        points = (max(2, 1 + round(width / spacing)), max(2, 1 + round(height / spacing)))
+    if min(points) < 2:
+        raise ParameterError(f"a cloth needs at least two points along each side, got {points}")
     shape = [max(2, round(size / (dx / 2.0))) for size in (width, height, thickness)]
     ticks = [
         (np.arange(n) + 0.5) * (size / n)
@@ -247,7 +262,12 @@ def cloth(
     local = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
     thick = thickness > dx
     c, s = math.cos(yaw), math.sin(yaw)
-    x = np.asarray(corner, dtype=float) + local @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
+    to_world = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
+    x = np.asarray(corner, dtype=float) + local @ to_world
+    along, across = (
+        np.linspace(0.0, size, n) for size, n in zip((width, height), points, strict=True)
+    )
+    middle = np.stack([*np.meshgrid(along, across), np.zeros(points[::-1])], axis=-1).reshape(-1, 3)
     return Body(
         kind="cloth",
         x=x,
@@ -258,6 +278,8 @@ def cloth(
         thickness=thickness,
         section=1 if thick else shape[2],
         contact_radius=thickness / shape[2] / 2.0 if thick else thickness / 2.0,
+        points=np.asarray(corner, dtype=float) + middle @ to_world,
+        shape=points[::-1],
     )
 
 

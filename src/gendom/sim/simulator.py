@@ -19,7 +19,7 @@ from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.scene import AIR_DENSITY, GRAVITY, Box, Table, check_numbers
 from gendom.sim.setting import Frames, Setting, spread
-from gendom.sim.thin.engine import ThinEngine
+from gendom.sim.thin import thin_engine
 
 ENGINES = ("mpm", "thin")
 """``mpm``: particles on a grid; ``thin``: ropes as rods."""
@@ -106,7 +106,7 @@ class Simulator:
             raise ParameterError(
                 f"unknown elastic law {law!r}", fix=f"choose one of {', '.join(LAWS)}"
             )
-        rest = body.line if thin else body.x
+        rest = body.points if thin else body.x
         x = np.asarray(rest if positions is None else positions, dtype=float)
         if not np.isfinite(x).all():
             raise ParameterError("positions hold numbers that are not finite")
@@ -134,7 +134,7 @@ class Simulator:
             device=self.device,
             threads=threads or cores(),
         )
-        kind = ThinEngine if thin else MpmEngine
+        kind = thin_engine(body) if thin else MpmEngine
         limits = np.full(W, substep) if substep else kind.substeps(setting, cfl)
         with making:
             self.engine = kind(replace(setting, substep=limits))

@@ -1,9 +1,9 @@
-"""What grippers hold of rods: decided when they close, given back when they open; and transposes.
+"""What grippers hold: decided when they close, given back when they open; and transposes.
 
 A gripper holds the edges whose middles lie inside its sphere, with both their points, and of a rod
 that it touches at least one edge. Between a held edge and a free one the rod is free from where the
 sphere's surface cuts its centre line: the joint between them stands for the length from there to
-the free edge's middle, which makes it stiffer or softer.
+the free edge's middle, which makes it stiffer or softer. Lines of a shell's lattice are cut alike.
 
 Shapes: W worlds, G grippers, K knots, n points.
 """
@@ -19,7 +19,10 @@ from gendom.sim.thin import rotation
 Array = NDArray[Any]
 
 SHORTEST = 0.02
-"""Shortest length that a joint at a gripper's border stands for, of its own."""
+"""Shortest length that a rod's joint at a gripper's border stands for, of its own."""
+
+SHORTEST_OF_SHELL = 0.125
+"""The same of a shell's, which no inertia slows down."""
 
 
 @dataclass
@@ -83,12 +86,12 @@ class Paths:
         )
 
     def pose_adjoint(self, g: int, w: Array, t: Array, bars: PoseBars) -> None:
-        """Transpose of ``pose``."""
+        """Transpose of ``pose``; every world at most once."""
         k, share, rate = self._segment(g, w, t)
         share, rate = share[:, None], rate[:, None]
         moved = rate * bars.velocity
-        np.add.at(self.position_bar, (w, g, k), (1.0 - share) * bars.centre - moved)
-        np.add.at(self.position_bar, (w, g, k + 1), share * bars.centre + moved)
+        self.position_bar[w, g, k] += (1.0 - share) * bars.centre - moved
+        self.position_bar[w, g, k + 1] += share * bars.centre + moved
         turns = self.stacked["turns"][w, g, None] == 1
         turn = self.stacked["turn"][w, g, k]
         gone = _exp(share * turn)
@@ -99,8 +102,22 @@ class Paths:
         after = np.einsum("wab,wa->wb", inverse, by_turn)
         before = rotation.turned(rotation.conjugate(gone), bars.q)
         before -= np.einsum("wab,wb->wa", inverse, by_turn)
-        np.add.at(self.turn_bar, (w, g, k), np.where(turns, before, 0.0))
-        np.add.at(self.turn_bar, (w, g, k + 1), np.where(turns, after, 0.0))
+        self.turn_bar[w, g, k] += np.where(turns, before, 0.0)
+        self.turn_bar[w, g, k + 1] += np.where(turns, after, 0.0)
+
+
+@dataclass
+class Cut:
+    """Where spheres cut lines of points between held and free edges."""
+
+    stiffer: Array
+    """[L, n] how much stiffer than usual joints are."""
+    between: Array
+    """[L, n, 2] the points that a cut is between, -1 where there is none."""
+    share: Array
+    """[L, n] how far it is from the first to the second of them."""
+    free: Array
+    """[L, n] how the length that the joint stands for changes with ``share`` [m]."""
 
 
 @dataclass
@@ -110,16 +127,11 @@ class Grip:
     holds: NDArray[np.int32]
     """[W, n] 1: a point, + 2: the direction of the edge that begins there."""
     place: Array
-    """[W, 7, n] points [m] and directions as seen from the gripper."""
+    """[W, ., n] points [m], and directions of rods, as seen from the gripper."""
     stiffer: Array
-    """[W, n] how much stiffer than usual joints are at its border."""
-    cut: NDArray[np.int64]
-    """[W, n, 2] where the centre line leaves the sphere near a joint at the border: the points
-    that it is between, -1 elsewhere."""
-    share: Array
-    """[W, n] how far it is from the first to the second of them."""
-    free: Array
-    """[W, n] how the length that the joint stands for changes with ``share`` [m]."""
+    """[W, M, n] how much stiffer than usual joints are at its border: a rod's, or a shell's along
+    rows and along columns."""
+    cuts: tuple[Cut, ...]
 
     @property
     def misses(self) -> NDArray[np.bool_]:
@@ -127,10 +139,10 @@ class Grip:
         return np.logical_not(np.any(self.holds, axis=1))
 
 
-def close(
+def close_rod(
     x: Array, q: Array, pose: Pose, radius: Array, length: Array, taken: NDArray[np.bool_]
 ) -> Grip:
-    """What grippers of W worlds hold that close now.
+    """What grippers of W worlds hold of rods that close now.
 
     Args:
         x: [W, n, 3] points [m].
@@ -149,16 +161,75 @@ def close(
     back = rotation.conjugate(pose.q)[:, None]
     place[:, :3] = np.swapaxes(rotation.turned(back, x - pose.centre[:, None]), 1, 2)
     place[:, 3:, :-1] = np.swapaxes(rotation.product(np.broadcast_to(back, q.shape), q), 1, 2)
-    grip = Grip(
-        holds=holds,
-        place=place,
-        stiffer=np.ones((W, n)),
-        cut=np.full((W, n, 2), -1),
-        share=np.zeros((W, n)),
-        free=np.zeros((W, n)),
-    )
-    _cut(grip, x, pose.centre, radius, length, inside)
-    return grip
+    cut = _cut(x, pose.centre, radius, length, inside, SHORTEST)
+    return Grip(holds, place, cut.stiffer[:, None], (cut,))
+
+
+def close_shell(
+    x: Array, shape: tuple[int, int], pose: Pose, radius: Array,
+    spacing: tuple[float, float], taken: NDArray[np.bool_],
+) -> Grip:  # fmt: skip
+    """What grippers of W worlds hold of shells that close now: points inside the sphere and those
+    whose lattice edge to one of them has its middle inside; or else, where it touches the sheet,
+    the point that is nearest.
+
+    Args:
+        x: [W, n, 3] points [m].
+        shape: Rows, and points of a row.
+        pose: Of the grippers.
+        radius: [W] [m].
+        spacing: Along rows and along columns [m].
+        taken: [W, n] points that other grippers hold.
+    """
+    W, n = x.shape[:2]
+    at = x.reshape(W, *shape, 3)
+    distance = np.linalg.norm(at - pose.centre[:, None, None], axis=3)
+    held = distance < radius[:, None, None]
+    for axis in (1, 2):
+        first, second = (np.take(at, k, axis) for k in _ends(at.shape[axis]))
+        middle = np.linalg.norm(0.5 * (first + second) - pose.centre[:, None, None], axis=3)
+        near = middle < radius[:, None, None]
+        ends = np.moveaxis(held, axis, 0)
+        near = np.moveaxis(near, axis, 0)
+        ends[:-1] |= near
+        ends[1:] |= near
+    flat = distance.reshape(W, n)
+    touched = (flat.min(axis=1) < np.maximum(radius, 0.75 * max(spacing))) & ~held.any(axis=(1, 2))
+    held = held.reshape(W, n)
+    held[np.flatnonzero(touched), flat.argmin(axis=1)[touched]] = True
+    held &= ~taken
+    place = np.zeros((W, 7, n))
+    back = rotation.conjugate(pose.q)[:, None]
+    place[:, :3] = np.swapaxes(rotation.turned(back, x - pose.centre[:, None]), 1, 2)
+    grid = held.reshape(W, *shape)
+    cuts, stiffer = [], []
+    for axis, step in ((1, spacing[0]), (0, spacing[1])):
+        lines = _lines(at, axis)
+        edges = np.logical_and(*(_lines(grid, axis)[:, k] for k in _ends(lines.shape[1])))
+        many = shape[0] if axis == 1 else shape[1]
+        centre, radii = np.repeat(pose.centre, many, axis=0), np.repeat(radius, many)
+        length = np.full(lines.shape[1] - 1, step)
+        cuts.append(_cut(lines, centre, radii, length, edges, SHORTEST_OF_SHELL))
+        stiffer.append(_unlines(cuts[-1].stiffer, W, shape, axis).reshape(W, n))
+    return Grip(held.astype(np.int32), place, np.stack(stiffer, axis=1), tuple(cuts))
+
+
+def _ends(count: int) -> tuple[Array, Array]:
+    """First and second points of a line's edges."""
+    return np.arange(count - 1), np.arange(1, count)
+
+
+def _lines(values: Array, axis: int) -> Array:
+    """[W many, count, ...] of [W, rows, columns, ...]: its rows (axis 1) or its columns (0)."""
+    ordered = values if axis == 1 else np.swapaxes(values, 1, 2)
+    return ordered.reshape(-1, *ordered.shape[2:])
+
+
+def _unlines(lines: Array, W: int, shape: tuple[int, int], axis: int) -> Array:
+    """Inverse of ``_lines``."""
+    if axis == 1:
+        return lines.reshape(W, *shape, *lines.shape[2:])
+    return np.swapaxes(lines.reshape(W, *shape[::-1], *lines.shape[2:]), 1, 2)
 
 
 def _held_edges(x: Array, centre: Array, radius: Array) -> NDArray[np.bool_]:
@@ -177,10 +248,11 @@ def _held_edges(x: Array, centre: Array, radius: Array) -> NDArray[np.bool_]:
 
 
 def _cut(
-    grip: Grip, x: Array, centre: Array, radius: Array, length: Array, inside: NDArray[np.bool_]
-) -> None:
-    """Where spheres cut the centre line between a held and a free edge, and what the joints between
-    them then stand for."""
+    x: Array, centre: Array, radius: Array, length: Array, inside: NDArray[np.bool_], least: float
+) -> Cut:
+    """Where spheres [L] cut lines of points [L, n, 3] between held and free edges, and what the
+    joints between them then stand for, at least the share ``least`` of their own length."""
+    L, n = x.shape[:2]
     w, i = np.nonzero(inside[:, :-1] != inside[:, 1:])
     i = i + 1
     before = inside[w, i - 1]
@@ -196,13 +268,15 @@ def _cut(
     )
     own = 0.5 * (length[i - 1] + length[i])
     cuts = np.isfinite(share)
-    follows = cuts & (stands_for > SHORTEST * own)
-    stands_for = np.where(cuts, np.maximum(stands_for, SHORTEST * own), own)
-    grip.stiffer[w, i] = own / stands_for
-    first, second = np.where(far, i, inner), np.where(far, outer, i)
-    grip.cut[w, i] = np.where(follows[:, None], np.stack([first, second], axis=1), -1)
-    grip.share[w, i] = share
-    grip.free[w, i] = -np.where(far, length[free], length[held])
+    follows = cuts & (stands_for > least * own)
+    stands_for = np.where(cuts, np.maximum(stands_for, least * own), own)
+    cut = Cut(np.ones((L, n)), np.full((L, n, 2), -1), np.zeros((L, n)), np.zeros((L, n)))
+    cut.stiffer[w, i] = own / stands_for
+    ends = np.stack([np.where(far, i, inner), np.where(far, outer, i)], axis=1)
+    cut.between[w, i] = np.where(follows[:, None], ends, -1)
+    cut.share[w, i] = share
+    cut.free[w, i] = -np.where(far, length[free], length[held])
+    return cut
 
 
 def _leaves(offset: Array, step: Array, radius: Array) -> Array:
@@ -214,40 +288,75 @@ def _leaves(offset: Array, step: Array, radius: Array) -> Array:
     return np.where((square >= 0.0) & (t >= 0.0) & (t <= 1.0), t, np.nan)
 
 
+def _cut_adjoint(
+    cut: Cut, x: Array, centre: Array, length: Array, stiffer_bar: Array
+) -> tuple[Array, Array, Array]:
+    """Transpose of ``_cut``: derivatives by points [L, n, 3], centres [L, 3] and radii [L]."""
+    w, i = np.nonzero(cut.between[..., 0] >= 0)
+    (first, second), share = cut.between[w, i].T, cut.share[w, i, None]
+    step = x[w, second] - x[w, first]
+    out = x[w, first] + share * step - centre[w]
+    own = 0.5 * (length[i - 1] + length[i])
+    by_share = -(cut.stiffer[w, i] ** 2) / own * cut.free[w, i] * stiffer_bar[w, i]
+    moved = (by_share / np.sum(out * step, axis=1))[:, None] * out
+    x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros_like(centre), np.zeros(len(x))
+    np.add.at(x_bar, (w, first), -(1.0 - share) * moved)
+    np.add.at(x_bar, (w, second), -share * moved)
+    np.add.at(centre_bar, w, moved)
+    np.add.at(radius_bar, w, np.sum(moved * out, axis=1) / np.linalg.norm(out, axis=1))
+    return x_bar, centre_bar, radius_bar
+
+
 def close_adjoint(
-    grip: Grip, x: Array, pose: Pose, length: Array, place_bar: Array, stiffer_bar: Array
-) -> tuple[Array, Array, PoseBars, Array]:
-    """Transpose of ``close``.
+    grip: Grip, x: Array, pose: Pose, place_bar: Array
+) -> tuple[Array, Array, PoseBars]:
+    """Transpose of the places of what a gripper closes on.
 
     Args:
-        grip, x, pose, length: As there.
+        grip, x, pose: As there.
         place_bar: [W, 6, n] by places and, as turns in the gripper's axes, by directions.
-        stiffer_bar: [W, n].
 
     Returns:
-        Derivatives by x [W, n, 3], by turns of q [W, n - 1, 3], by the pose and by the radius [W].
+        Derivatives by x [W, n, 3], by turns of q [W, n, 3], and by the pose.
     """
-    W = len(x)
     by_place = rotation.turned(pose.q[:, None], np.swapaxes(place_bar[:, :3], 1, 2))
     by_place = np.where((grip.holds & 1)[..., None] > 0, by_place, 0.0)
     q_bar = rotation.turned(pose.q[:, None], np.swapaxes(place_bar[:, 3:], 1, 2))
     q_bar = np.where((grip.holds & 2)[..., None] > 0, q_bar, 0.0)
     # places are R^T (x - c): a turn of R by d changes them by R^T ((x - c) x d)
     turned = -np.cross(x - pose.centre[:, None], by_place).sum(axis=1) - q_bar.sum(axis=1)
-    x_bar, centre_bar, radius_bar = by_place.copy(), -by_place.sum(axis=1), np.zeros(W)
-    w, i = np.nonzero(grip.cut[..., 0] >= 0)
-    (first, second), share = grip.cut[w, i].T, grip.share[w, i, None]
-    step = x[w, second] - x[w, first]
-    out = x[w, first] + share * step - pose.centre[w]
-    own = 0.5 * (length[i - 1] + length[i])
-    by_share = -(grip.stiffer[w, i] ** 2) / own * grip.free[w, i] * stiffer_bar[w, i]
-    moved = (by_share / np.sum(out * step, axis=1))[:, None] * out
-    np.add.at(x_bar, (w, first), -(1.0 - share) * moved)
-    np.add.at(x_bar, (w, second), -share * moved)
-    np.add.at(centre_bar, w, moved)
-    np.add.at(radius_bar, w, np.sum(moved * out, axis=1) / np.linalg.norm(out, axis=1))
-    none = np.zeros((W, 3))
-    return x_bar, q_bar[:, :-1], PoseBars(centre_bar, turned, none, none), radius_bar
+    none = np.zeros_like(pose.centre)
+    return by_place, q_bar, PoseBars(-by_place.sum(axis=1), turned, none, none)
+
+
+def border_of_rod_adjoint(
+    grip: Grip, x: Array, pose: Pose, length: Array, stiffer_bar: Array
+) -> tuple[Array, Array, Array]:
+    """From derivatives by ``grip.stiffer`` [W, 1, n] those by x [W, n, 3], by the centre [W, 3] and
+    by the radius [W]."""
+    return _cut_adjoint(grip.cuts[0], x, pose.centre, length, stiffer_bar[:, 0])
+
+
+def border_of_shell_adjoint(
+    grip: Grip, x: Array, pose: Pose, shape: tuple[int, int], spacing: tuple[float, float],
+    stiffer_bar: Array,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """As ``border_of_rod_adjoint``, of a shell's rows and columns."""
+    W, n = x.shape[:2]
+    at = x.reshape(W, *shape, 3)
+    x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros((W, 3)), np.zeros(W)
+    for k, (axis, step) in enumerate(((1, spacing[0]), (0, spacing[1]))):
+        lines = _lines(at, axis)
+        many = shape[0] if axis == 1 else shape[1]
+        bars = _lines(stiffer_bar[:, k].reshape(W, *shape), axis)
+        by_x, by_centre, by_radius = _cut_adjoint(
+            grip.cuts[k], lines, np.repeat(pose.centre, many, axis=0),
+            np.full(lines.shape[1] - 1, step), bars,
+        )  # fmt: skip
+        x_bar += _unlines(by_x, W, shape, axis).reshape(W, n, 3)
+        centre_bar += by_centre.reshape(W, many, 3).sum(axis=1)
+        radius_bar += by_radius.reshape(W, many).sum(axis=1)
+    return x_bar, centre_bar, radius_bar
 
 
 def released(x: Array, pose: Pose, grip: Grip) -> tuple[Array, Array]:

@@ -92,10 +92,10 @@ class RodModel:
     ) -> "RodModel":
         """Of a rope's centre line; ``share`` [W, n] of E at each point."""
         section = Section.of(body)
-        step = np.diff(body.line, axis=0)
+        step = np.diff(body.points, axis=0)
         length = np.linalg.norm(step, axis=1)
         rest_q = rotation.transported(rotation.first_frame(step[0]), step)
-        n = len(body.line)
+        n = len(body.points)
         rest = np.zeros((7, n))
         rest[0, :-1] = 1.0 / length
         rest[3, :-1] = 1.0
@@ -119,7 +119,7 @@ class RodModel:
             tributary=tributary,
         )
 
-    def substep(self, damped: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def longest_step(self, damped: NDArray[np.bool_]) -> NDArray[np.float64]:
         """[W] longest stable step [s] of small vibrations, 2 / omega of the fastest one.
 
         Of a straight rod with edges as short as the shortest: deflection and turning with the

@@ -1,4 +1,4 @@
-"""Kernels that take rods through pieces of equal steps, forward and transposed.
+"""Kernels that take rods and shells through pieces of equal steps, forward and transposed.
 
 A step is symplectic Euler: forces at its begin, then velocities, then positions and directions;
 contact with the table and walls changes velocities so that no point ends beyond them, with Coulomb
@@ -20,14 +20,12 @@ import warp as wp
 from gendom.sim.mpm.paths import make_paths
 from gendom.sim.mpm.types import make_types as make_path_types
 from gendom.sim.thin.native import MODULE_OPTIONS
-from gendom.sim.thin.types import MARGIN, make_types
-
-FIRST = wp.constant(MARGIN)
+from gendom.sim.thin.types import make_types
 
 
 @functools.cache
-def make_stepping(real: Any) -> SimpleNamespace:
-    """Build the kernels for one scalar type.
+def make_stepping(real: Any, kind: str) -> SimpleNamespace:
+    """Build the kernels for one scalar type and one kind of body, ``rod`` or ``shell``.
 
     Returns:
         Namespace with ``begin`` (lagged strains from the first state), ``advance`` and ``reverse``.
@@ -37,7 +35,7 @@ def make_stepping(real: Any) -> SimpleNamespace:
     pose, pose_adjoint, narrow = paths_of.pose, paths_of.pose_adjoint, paths_of.narrow
     is_closed = paths_of.is_closed
     Paths, SceneBars = make_path_types(real).Paths, make_path_types(real).SceneBars
-    Rod, Bars, Plan, vec3, quat = types.Rod, types.Bars, types.Plan, types.vec3, types.quat
+    Body, Bars, Plan, vec3, quat = types.Body, types.Bars, types.Plan, types.vec3, types.quat
 
     @wp.func_native("gendom::meet();")
     def meet(): ...
@@ -45,37 +43,35 @@ def make_stepping(real: Any) -> SimpleNamespace:
     @wp.func_native("return gendom::any_of(value);")
     def any_of(value: int) -> int: ...
 
-    @wp.func_native("return gendom::rod_forces(rod, w, state, row, next, dt);")
-    def rod_forces(
-        rod: Rod, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real
+    @wp.func_native(f"return gendom::{kind}_forces(body, w, state, row, next, dt);")
+    def forces(
+        body: Body, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real
     ) -> real: ...
 
-    @wp.func_native("gendom::rod_move(rod, w, state, row, next, dt);")
-    def rod_move(
-        rod: Rod, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real
-    ): ...
+    @wp.func_native(f"gendom::{kind}_move(body, w, state, row, next, dt);")
+    def move(body: Body, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real): ...
 
-    @wp.func_native("gendom::rod_hold(rod, w, g, centre, turned, state, next);")
-    def rod_hold(
-        rod: Rod, w: int, g: int, centre: vec3, turned: quat, state: wp.array3d(dtype=real),
+    @wp.func_native(f"gendom::{kind}_hold(body, w, g, centre, turned, state, next);")
+    def hold(
+        body: Body, w: int, g: int, centre: vec3, turned: quat, state: wp.array3d(dtype=real),
         next: int,
     ): ...  # fmt: skip
 
-    @wp.func_native("gendom::rod_hold_adjoint(rod, bars, w, g, turned);")
-    def rod_hold_adjoint(rod: Rod, bars: Bars, w: int, g: int, turned: quat): ...
+    @wp.func_native(f"gendom::{kind}_hold_adjoint(body, bars, w, g, turned);")
+    def hold_adjoint(body: Body, bars: Bars, w: int, g: int, turned: quat): ...
 
-    @wp.func_native("gendom::rod_move_adjoint(rod, bars, w, state, row, next, dt);")
-    def rod_move_adjoint(
-        rod: Rod, bars: Bars, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real
+    @wp.func_native(f"gendom::{kind}_move_adjoint(body, bars, w, state, row, dt);")
+    def move_adjoint(
+        body: Body, bars: Bars, w: int, state: wp.array3d(dtype=real), row: int, dt: real
     ): ...
 
-    @wp.func_native("gendom::rod_forces_adjoint(rod, bars, w, state, row, dt);")
-    def rod_forces_adjoint(
-        rod: Rod, bars: Bars, w: int, state: wp.array3d(dtype=real), row: int, dt: real
+    @wp.func_native(f"gendom::{kind}_forces_adjoint(body, bars, w, state, row, dt);")
+    def forces_adjoint(
+        body: Body, bars: Bars, w: int, state: wp.array3d(dtype=real), row: int, dt: real
     ): ...
 
-    @wp.func_native("gendom::rod_gather_adjoint(rod, bars, w);")
-    def rod_gather_adjoint(rod: Rod, bars: Bars, w: int): ...
+    @wp.func_native(f"gendom::{kind}_gather_adjoint(body, bars, w);")
+    def gather_adjoint(body: Body, bars: Bars, w: int): ...
 
     @wp.func
     def quat_of(R: wp.mat33d):
@@ -87,20 +83,20 @@ def make_stepping(real: Any) -> SimpleNamespace:
         return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
 
     @wp.func
-    def strains_begin(rod: Rod, w: int, state: wp.array3d(dtype=real), row: int):
+    def strains_begin(body: Body, w: int, state: wp.array3d(dtype=real), row: int):
         """The lagged strains are those of the state: a step that is longer than any damping."""
-        rod_forces(rod, w, state, row, row, real(1.0e30))
+        forces(body, w, state, row, row, real(1.0e30))
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
-    def begin(first: int, lanes: int, rod: Rod, state: wp.array3d(dtype=real)):
+    def begin(first: int, lanes: int, body: Body, state: wp.array3d(dtype=real)):
         w = first + wp.tid() // lanes
-        strains_begin(rod, w, state, w)
+        strains_begin(body, w, state, w)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def advance(
         first: int,  # world
         lanes: int,  # threads of a world
-        rod: Rod,
+        body: Body,
         paths: Paths,
         plan: Plan,
         piece: wp.array2d(dtype=wp.int32),  # [W, 2] the first, and the one after the last
@@ -129,17 +125,17 @@ def make_stepping(real: Any) -> SimpleNamespace:
                 h = real(dt)
                 bad = int(0)
                 for k in range(plan.steps[w, s]):
-                    if not rod_forces(rod, w, state, row, row + stride, h) <= limit:
+                    if not forces(body, w, state, row, row + stride, h) <= limit:
                         bad = 1
                     meet()
-                    rod_move(rod, w, state, row, row + stride, h)
+                    move(body, w, state, row, row + stride, h)
                     row += stride
                     meet()
                     t = t0 + wp.float64(k + 1) * dt
-                    for g in range(rod.holds.shape[1]):
+                    for g in range(body.holds.shape[1]):
                         if is_closed(w, g, t0, paths):
                             centre, R, _knot = pose(w, g, t, paths)
-                            rod_hold(rod, w, g, narrow(centre), quat_of(R), state, row)
+                            hold(body, w, g, narrow(centre), quat_of(R), state, row)
                             meet()
                 if any_of(bad) != 0:
                     stopped[w] = s
@@ -147,7 +143,7 @@ def make_stepping(real: Any) -> SimpleNamespace:
                     f = plan.frame[w, s]
                     if f >= 0:
                         for k in range(lane, points.shape[0], lanes):
-                            i = FIRST + points[k]
+                            i = body.slot[points[k]]
                             frames[f, w, k] = vec3(
                                 state[row, 0, i], state[row, 1, i], state[row, 2, i]
                             )
@@ -157,7 +153,7 @@ def make_stepping(real: Any) -> SimpleNamespace:
     def reverse(
         first: int,
         lanes: int,
-        rod: Rod,
+        body: Body,
         paths: Paths,
         plan: Plan,
         s: wp.array(dtype=wp.int32),  # [W] the piece, recorded in rows as by ``advance``; -1: none
@@ -175,9 +171,9 @@ def make_stepping(real: Any) -> SimpleNamespace:
             return
         f = plan.frame[w, p]
         if f >= 0:
-            for k in range(lane, rod.points, lanes):
+            for k in range(lane, body.points, lanes):
+                i = body.slot[k]
                 for c in range(3):
-                    i = FIRST + k
                     bars.state[w, c, i] = bars.state[w, c, i] + frames_bar[f, w, k][c]
         meet()
         dt = plan.dt[w, p]
@@ -188,11 +184,11 @@ def make_stepping(real: Any) -> SimpleNamespace:
             k = steps - 1 - back
             row = w - offset + k * stride
             t = t0 + wp.float64(k + 1) * dt
-            for before in range(rod.holds.shape[1]):
-                g = rod.holds.shape[1] - 1 - before
+            for before in range(body.holds.shape[1]):
+                g = body.holds.shape[1] - 1 - before
                 if lane == 0 and is_closed(w, g, t0, paths):
                     _centre, R, _knot = pose(w, g, t, paths)
-                    rod_hold_adjoint(rod, bars, w, g, quat_of(R))
+                    hold_adjoint(body, bars, w, g, quat_of(R))
                     by_centre = bars.centre[w, g]
                     by_turn = bars.turn[w, g]
                     pose_adjoint(
@@ -203,24 +199,24 @@ def make_stepping(real: Any) -> SimpleNamespace:
                     )  # fmt: skip
             meet()
             # the scratch as in the step; the lagged strains of the next row are written once more
-            rod_forces(rod, w, state, row, row + stride, h)
+            forces(body, w, state, row, row + stride, h)
             meet()
-            rod_move_adjoint(rod, bars, w, state, row, row + stride, h)
+            move_adjoint(body, bars, w, state, row, h)
             meet()
-            rod_forces_adjoint(rod, bars, w, state, row, h)
+            forces_adjoint(body, bars, w, state, row, h)
             meet()
-            rod_gather_adjoint(rod, bars, w)
+            gather_adjoint(body, bars, w)
             meet()
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def begin_adjoint(
-        first: int, lanes: int, rod: Rod, state: wp.array3d(dtype=real), offset: int, bars: Bars
+        first: int, lanes: int, body: Body, state: wp.array3d(dtype=real), offset: int, bars: Bars
     ):
         """Of ``begin``; the scratch of the derivatives is 0."""
         w = first + wp.tid() // lanes
-        rod_forces_adjoint(rod, bars, w, state, w - offset, real(1.0e30))
+        forces_adjoint(body, bars, w, state, w - offset, real(1.0e30))
         meet()
-        rod_gather_adjoint(rod, bars, w)
+        gather_adjoint(body, bars, w)
 
     return SimpleNamespace(
         begin=begin, advance=advance, reverse=reverse, begin_adjoint=begin_adjoint

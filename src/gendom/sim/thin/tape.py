@@ -1,53 +1,63 @@
-"""The reverse mode of rods: pieces of steps are run again from kept states, then transposed."""
+"""The reverse mode of thin bodies: pieces run again from kept states, then transposed."""
 
 import math
+import threading
+from abc import ABC, abstractmethod
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.errors import SimulationError
 from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.types import make_types as make_path_types
 from gendom.sim.setting import Frames, spread
 from gendom.sim.thin import rotation
-from gendom.sim.thin.engine import Event, Round, ThinEngine, device_plan, put
-from gendom.sim.thin.grips import Paths, close_adjoint, released_adjoint
+from gendom.sim.thin.engine import Event, Round, device_plan, put
+from gendom.sim.thin.grips import (
+    Grip,
+    Paths,
+    border_of_rod_adjoint,
+    border_of_shell_adjoint,
+    close_adjoint,
+    released_adjoint,
+)
 from gendom.sim.thin.rod import material_gradients
+from gendom.sim.thin.rods import Rods, slower
+from gendom.sim.thin.shells import Shells
 from gendom.sim.thin.types import (
-    MARGIN,
+    DAMPING,
+    DRAG,
+    FRICTION,
+    GRAVITY,
     MODEL_BARS,
-    Q_BAR,
-    SCRATCH_BARS,
-    SPIN_BAR,
-    STATE,
-    STATE_BARS,
-    V_BAR,
-    X_BAR,
+    PER_MASS,
+    VELOCITY_DAMPING,
+    V,
     X,
-    in_rows,
-    row_length,
 )
 
-BENDING, PER_MASS, PER_TURN, DRAG = slice(3, 6), 12, 13, 14
-REST_STRAINS, GRAVITY, DAMPING, FRICTION, VELOCITY_DAMPING = slice(6, 12), slice(15, 18), 18, 19, 20
-"""Components of derivatives by the model, see ``native/rod_adjoint.h``."""
+PER_TURN = 14
+"""Component of derivatives by a rod's model."""
+
+TURN, SPIN_BAR = slice(6, 9), slice(9, 12)
+"""Components of derivatives by a rod's state: by turns of directions, and by spins."""
 
 
-class RodTape:
-    """A run of rods that can be differentiated.
+class ThinTape(ABC):
+    """A run of thin bodies that can be differentiated.
 
     Args:
         engine: Not run before.
         memory: Bound on what is kept [bytes]; half of it for kept states, half for recorded steps.
     """
 
-    def __init__(self, engine: ThinEngine, memory: float):
+    def __init__(self, engine: Any, memory: float):
         self.engine = engine
         self.memory = memory
         self.rounds: list[tuple[slice, Round]] = []
+        self._alone = threading.Lock()
 
     def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
         """[T, W, n, 3] points at the given times [m]."""
@@ -56,12 +66,12 @@ class RodTape:
         x = np.empty((T, W, n, 3), dtype=e.setting.dtype)
         frames = Frames(began, times, np.arange(n), x, None, False)
         steps = math.ceil((times[-1] - began) / e.setting.substep.min()) + 1
-        room = self.memory / (W * STATE * row_length(n) * np.dtype(e.setting.dtype).itemsize)
+        room = self.memory / (W * e.state_rows * e.row_length * np.dtype(e.setting.dtype).itemsize)
         self.most = int(max(2, min(math.ceil(math.sqrt(steps)), room)))
-        self.first_x, self.first_v = e.component(X), e.component(slice(3, 6))
+        self.first_x, self.first_v = e.component(X), e.component(V)
         self.first = wp.clone(e.state)
         pieces = e.schedule(frames, self.most).steps.shape[1]
-        self.kept = e.zeros((pieces * W, STATE, row_length(n)))
+        self.kept = e.zeros((pieces * W, e.state_rows, e.row_length))
         self.plan = e.run_rounds(
             frames,
             lambda group, round: self.rounds.append((group, self._with_held(group, round))),
@@ -77,19 +87,19 @@ class RodTape:
         return round
 
     def _places(self, group: slice) -> NDArray[Any]:
-        G = len(self.engine.grips)
-        return self.engine.rod.place.numpy()[group.start * G : group.stop * G].copy()
+        G = self.engine.closed.shape[1]
+        return self.engine.body.place.numpy()[group.start * G : group.stop * G].copy()
 
     def backward(self, bar: NDArray[np.floating]) -> Gradients:
         """Derivatives from those by the points of ``forward``."""
         e = self.engine
-        W, n, G = e.num_worlds, e.num_points, len(e.grips)
+        W, n, G = e.num_worlds, e.num_points, e.closed.shape[1]
         k = e.types
         self.bars = k.Bars()
-        self.bars.state = e.zeros((W, STATE_BARS, row_length(n)))
-        self.bars.model = e.zeros((W, MODEL_BARS, row_length(n)))
-        self.bars.scratch = e.zeros((W, SCRATCH_BARS, row_length(n)))
-        self.bars.place = e.zeros((W * G, 6, row_length(n)))
+        self.bars.state = e.zeros((W, e.state_bars, e.row_length))
+        self.bars.model = e.zeros((W, MODEL_BARS, e.row_length))
+        self.bars.scratch = e.zeros((W, e.scratch_bars, e.row_length))
+        self.bars.place = e.zeros((W * G, 6, e.row_length))
         self.bars.centre = e.zeros((W, G), k.vec3)
         self.bars.turn = e.zeros((W, G), k.vec3)
         self.scene_bars = make_path_types(e.real).SceneBars()
@@ -102,7 +112,7 @@ class RodTape:
         self.host = Paths(e.stacked)
         self.model_bar = np.zeros((W, MODEL_BARS, n))
         self.radius_bar = np.zeros((W, G))
-        self.stiffer_bar = np.zeros((W, G, n))
+        self.stiffer_bar = np.zeros((W, G, len(e.stiffened), n))
         groups = list(e.groups())
 
         def one(group: slice) -> None:
@@ -123,18 +133,18 @@ class RodTape:
         holds, stiffer, places = round.held
         W, count = e.num_worlds, group.stop - group.start
         e.holds[group], e.stiffer[group] = holds, stiffer
-        G = len(e.grips)
-        put(e.rod.place, slice(group.start * G, group.stop * G), places)
+        G = e.closed.shape[1]
+        put(e.body.place, slice(group.start * G, group.stop * G), places)
         worlds = np.arange(group.start, group.stop)
         self._hold(group)
         length = round.pieces[:, 1] - round.pieces[:, 0]
-        P = row_length(e.num_points)
-        rows = e.zeros((count * (self.most + 1), STATE, P))
+        P = e.row_length
+        rows = e.zeros((count * (self.most + 1), e.state_rows, P))
         for back in range(int(length.max(initial=0))):
             s = np.where(back < length, round.pieces[:, 1] - 1 - back, -1).astype(np.int32)
             alive = s >= 0
             kept = np.arange(count)
-            size = STATE * P
+            size = e.state_rows * P
             for k in kept[alive]:
                 begins = int(worlds[k] + s[k] * W) * size
                 wp.copy(rows, self.kept, dest_offset=int(k) * size, src_offset=begins, count=size)
@@ -149,12 +159,12 @@ class RodTape:
             nobody = wp.zeros(0, dtype=wp.int32, device=e.setting.device)
             e.launch(
                 e.kernels.advance, group,
-                [e.rod, e.paths, self.silent, e.array(whole, wp.int32), group.start, count, rows,
+                [e.body, e.paths, self.silent, e.array(whole, wp.int32), group.start, count, rows,
                  rows, -1, 1e30, none, dummy, nobody],
             )  # fmt: skip
             e.launch(
                 e.kernels.reverse, group,
-                [e.rod, e.paths, self.plan_on_device, e.array(every, wp.int32), group.start, count,
+                [e.body, e.paths, self.plan_on_device, e.array(every, wp.int32), group.start, count,
                  rows, self.frames_bar, self.bars, self.scene_bars],
             )  # fmt: skip
         self._take_model(group)
@@ -163,112 +173,73 @@ class RodTape:
 
     def _hold(self, group: slice) -> None:
         e = self.engine
-        n = e.num_points
-        put(e.rod.holds, group, e.holds[group])
-        stiffer = e.stiffer[group].prod(axis=1)
-        inertia = e.rod.inertia.numpy()[group].copy()
-        inertia[:, 3, MARGIN : MARGIN + n] = stiffer
-        inertia[:, 1, MARGIN : MARGIN + n] = e.per_turn[group] / e.slower(stiffer)
-        put(e.rod.inertia, group, inertia)
+        put(e.body.holds, group, e.holds[group])
+        with self._alone:
+            e.stiffen(e.body)
 
     def _take_model(self, group: slice) -> None:
-        """Move derivatives by the model to where those by unheld joints are, and those by the
-        border's stiffness to the grippers."""
-        e, n = self.engine, self.engine.num_points
-        found = self.bars.model.numpy()[group][..., MARGIN : MARGIN + n].astype(float)
-        put(self.bars.model, group, np.zeros((len(found), MODEL_BARS, row_length(n))))
+        """Add up derivatives by the model as it is without grippers, and by their borders."""
+        e = self.engine
+        found = self.bars.model.numpy()[group][..., e.slots].astype(float)
+        put(self.bars.model, group, np.zeros((len(found), MODEL_BARS, e.row_length)))
         own = e.stiffer[group]
         stiffer = own.prod(axis=1)
-        B = e.model.stiffness[group, 3:]
-        stiffer_bar = np.sum(found[:, BENDING] * B, axis=1)
-        found[:, BENDING] *= stiffer[:, None]
-        # edges beside stiffer joints turn by more inertia, that of the stiffer one
-        slower = e.slower(stiffer)
-        slower_bar = -found[:, PER_TURN] * e.per_turn[group] / slower**2
-        found[:, PER_TURN] /= slower
-        at = (stiffer == slower) & (slower > 1.0)
-        stiffer_bar += np.where(at, slower_bar, 0.0)
-        after = (stiffer[:, 1:] == slower[:, :-1]) & (slower[:, :-1] > 1.0) & ~at[:, :-1]
-        stiffer_bar[:, 1:] += np.where(after, slower_bar[:, :-1], 0.0)
+        bars = self.unstiffened(group, stiffer, found)
         self.model_bar[group] += found
-        closed = e.holds[group].any(axis=2, keepdims=True)
-        self.stiffer_bar[group] += np.where(closed, (stiffer_bar * stiffer)[:, None] / own, 0.0)
+        closed = e.holds[group].any(axis=2)[:, :, None, None]
+        self.stiffer_bar[group] += np.where(closed, (bars * stiffer)[:, None] / own, 0.0)
 
     def _reverse_event(self, group: slice, event: Event) -> None:
-        e, n, g, w = self.engine, self.engine.num_points, event.g, event.worlds
-        G = len(e.grips)
+        e, g, w = self.engine, event.g, event.worlds
+        G = e.closed.shape[1]
         local = w - group.start
         state = self.bars.state.numpy()[group].copy()
 
         def part(which: slice) -> NDArray[np.float64]:
-            return np.swapaxes(state[local, which, MARGIN : MARGIN + n], 1, 2).astype(float)
+            return np.swapaxes(state[local, which][..., e.slots], 1, 2).astype(float)
 
         def take(which: slice, values: NDArray[np.floating]) -> None:
-            state[local, which] = in_rows(np.swapaxes(values, 1, 2), n)
+            state[local, which] = e.rows(np.swapaxes(values, 1, 2))
 
         if event.closes:
-            rows = w * G + g
-            places = self.bars.place.numpy()[rows][..., MARGIN : MARGIN + n].astype(float)
-            x_bar, q_bar, pose_bar, radius_bar = close_adjoint(
-                event.grip, event.x, event.pose, e.model.length, places, self.stiffer_bar[w, g]
-            )
-            take(X_BAR, part(X_BAR) + x_bar)
-            turns = part(Q_BAR)
-            turns[:, :-1] += q_bar
-            take(Q_BAR, turns)
-            self.radius_bar[w, g] += radius_bar
+            places = self.bars.place.numpy()[w * G + g][..., e.slots].astype(float)
+            x_bar, q_bar, pose_bar = close_adjoint(event.grip, event.x, event.pose, places)
+            by_x, by_centre, by_radius = self.border_adjoint(event, self.stiffer_bar[w, g])
+            pose_bar.centre += by_centre
+            self.radius_bar[w, g] += by_radius
+            take(X, part(X) + x_bar + by_x)
+            self.take_turns(part, take, q_bar)
             self.host.pose_adjoint(g, w, event.time, pose_bar)
         else:
-            v_bar, spin_bar = part(V_BAR), part(SPIN_BAR)
+            v_bar, spin_bar = part(V), self.spins(part)
             x_bar, pose_bar = released_adjoint(event.x, event.pose, event.grip, v_bar, spin_bar)
-            take(X_BAR, part(X_BAR) + x_bar)
-            take(V_BAR, np.where((event.grip.holds & 1)[..., None] > 0, 0.0, v_bar))
-            take(SPIN_BAR, np.where((event.grip.holds & 2)[..., None] > 0, 0.0, spin_bar))
+            take(X, part(X) + x_bar)
+            take(V, np.where((event.grip.holds & 1)[..., None] > 0, 0.0, v_bar))
+            self.stop_spins(part, take, event.grip)
             self.host.pose_adjoint(g, w, event.time, pose_bar)
         put(self.bars.state, group, state)
 
     def _reverse_begin(self, group: slice) -> None:
         e = self.engine
-        P = row_length(e.num_points)
-        put(self.bars.scratch, group, np.zeros((group.stop - group.start, SCRATCH_BARS, P)))
-        e.launch(e.kernels.begin_adjoint, group, [e.rod, self.first, 0, self.bars])
-        # joints' lagged strains were taken with no gripper closed
-        n = e.num_points
-        found = self.bars.model.numpy()[group][..., MARGIN : MARGIN + n].astype(float)
-        self.model_bar[group, REST_STRAINS] += found[:, REST_STRAINS]
+        P = e.row_length
+        put(self.bars.scratch, group, np.zeros((group.stop - group.start, e.scratch_bars, P)))
+        e.launch(e.kernels.begin_adjoint, group, [e.body, self.first, 0, self.bars])
+        found = self.bars.model.numpy()[group][..., e.slots].astype(float)
+        self.model_bar[group, self.rest_rows] += found[:, self.rest_rows]
 
     # ---- sums ------------------------------------------------------------------------------------
 
     def _gradients(self) -> Gradients:
         e, s, m = self.engine, self.engine.setting, self.model_bar
-        W, n = e.num_worlds, e.num_points
-        state = self.bars.state.numpy()[..., MARGIN : MARGIN + n].astype(float)
-        x_bar, v_bar, q_bar, spin_bar = (
-            np.swapaxes(state[:, c], 1, 2) for c in (X_BAR, V_BAR, Q_BAR, SPIN_BAR)
-        )
-        x_bar, v_bar = x_bar.copy(), v_bar.copy()
-        # spins are those of edges that turn with their points
-        d, dv = np.diff(self.first_x, axis=1), np.diff(self.first_v, axis=1)
-        square = np.sum(d**2, axis=2, keepdims=True)
-        spin, bar = np.cross(d, dv) / square, spin_bar[:, :-1]
-        _to_ends(v_bar, np.cross(bar, d) / square)
-        turned = np.cross(dv, bar) - 2.0 * np.sum(spin * bar, axis=2, keepdims=True) * d
-        _to_ends(x_bar, turned / square)
-        first = np.broadcast_to(e.model.rest_q[0], (W, 4))
-        _to_ends(x_bar, rotation.transported_adjoint(first, d, q_bar[:, :-1]))
-        share = spread(s.stiffness, (W, n), "stiffness")
-        E, nu, stiffness = material_gradients(
-            e.model.section, s.materials, share, e.model.length, m[:, :6]
-        )
-        density = np.array([material.density for material in s.materials])
-        by_inertia = m[:, PER_MASS] / e.model.mass + m[:, PER_TURN] * e.per_turn
-        position = self.scene_bars.position.numpy() + self.host.position_bar
-        rotations = self.scene_bars.turn.numpy() + self.host.turn_bar
+        bars = self.bars.state.numpy()
+        state = np.swapaxes(bars[..., e.slots].astype(float), 1, 2)
+        E, nu, stiffness, mass_by_density = self.by_materials()
+        x_bar, v_bar = self.by_start(state)
         found = Gradients(
             E=E,
             nu=nu,
-            density=-by_inertia.sum(axis=1) / density,
-            yield_stress=np.zeros(W),
+            density=mass_by_density,
+            yield_stress=np.zeros(e.num_worlds),
             stiffness=stiffness,
             damping=m[:, DAMPING].sum(axis=1),
             velocity_damping=m[:, VELOCITY_DAMPING].sum(axis=1),
@@ -277,21 +248,161 @@ class RodTape:
             gravity=m[:, GRAVITY].sum(axis=2),
             positions=x_bar,
             velocities=v_bar,
-            gripper_positions=position,
-            gripper_rotations=rotations,
+            gripper_positions=self.scene_bars.position.numpy() + self.host.position_bar,
+            gripper_rotations=self.scene_bars.turn.numpy() + self.host.turn_bar,
             gripper_radius=self.radius_bar,
-            rest_strains=np.swapaxes(m[:, REST_STRAINS], 1, 2),
+            rest_strains=np.swapaxes(m[:, self.rest_rows], 1, 2),
         )
         for name, values in vars(found).items():
             if values is not None and not np.isfinite(values).all():
                 w = int(np.argwhere(~np.isfinite(values))[0][0])
-                raise SimulationError(
+                raise e.error(
+                    w,
+                    float(self.plan.begins[w].max()),
                     f"the derivative by {name} is not finite",
-                    where=f"world {w}",
-                    fix="a smaller substep, or a loss that is finite",
-                    world=w,
+                    where=f"{s.dtype}",
+                    fix="use float64, a shorter rollout, or more damping",
                 )
         return found
+
+    # ---- of each kind of body --------------------------------------------------------------------
+
+    rest_rows: ClassVar[slice]
+    """Components of derivatives by strains that are free of stress."""
+
+    @abstractmethod
+    def unstiffened(
+        self, group: slice, stiffer: NDArray[np.floating], found: NDArray[np.floating]
+    ) -> NDArray[np.floating]:
+        """Turn derivatives ``found`` by a stiffness with borders into such without; returns those
+        by ``stiffer`` [k, M, n]."""
+
+    @abstractmethod
+    def border_adjoint(
+        self, event: Event, stiffer_bar: NDArray[np.floating]
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """See ``border_of_rod_adjoint``."""
+
+    @abstractmethod
+    def by_materials(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Derivatives by E, nu [W], stiffness [W, n] and density [W]."""
+
+    def by_start(self, state: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Derivatives by first positions and velocities [W, n, 3], from those by the state."""
+        return state[..., X].copy(), state[..., V].copy()
+
+    def take_turns(self, part: Any, take: Any, q_bar: NDArray[np.floating]) -> None:
+        """Add derivatives by turns of directions [k, n, 3]."""
+
+    def spins(self, part: Any) -> NDArray[np.floating]:
+        """[k, n, 3] derivatives by spins."""
+        return np.zeros_like(part(V))
+
+    def stop_spins(self, part: Any, take: Any, grip: Grip) -> None:
+        """What is held has no spin of its own."""
+
+
+class RodTape(ThinTape):
+    """Of rods."""
+
+    engine: Rods
+    rest_rows = slice(6, 12)
+
+    def unstiffened(
+        self, group: slice, stiffer: NDArray[np.floating], found: NDArray[np.floating]
+    ) -> NDArray[np.floating]:
+        e, one = self.engine, stiffer[:, 0]
+        bar = np.sum(found[:, 3:6] * e.model.stiffness[group, 3:], axis=1)
+        found[:, 3:6] *= stiffer
+        # edges beside stiffer joints turn by more inertia, that of the stiffer one
+        slow = slower(one)
+        by_slow = -found[:, PER_TURN] * e.per_turn[group] / slow**2
+        found[:, PER_TURN] /= slow
+        at = (one == slow) & (slow > 1.0)
+        bar += np.where(at, by_slow, 0.0)
+        after = (one[:, 1:] == slow[:, :-1]) & (slow[:, :-1] > 1.0) & ~at[:, :-1]
+        bar[:, 1:] += np.where(after, by_slow[:, :-1], 0.0)
+        return bar[:, None]
+
+    def border_adjoint(
+        self, event: Event, stiffer_bar: NDArray[np.floating]
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        length = self.engine.model.length
+        return border_of_rod_adjoint(event.grip, event.x, event.pose, length, stiffer_bar)
+
+    def by_materials(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+        e, s, m = self.engine, self.engine.setting, self.model_bar
+        share = spread(s.stiffness, (e.num_worlds, e.num_points), "stiffness")
+        E, nu, stiffness = material_gradients(
+            e.model.section, s.materials, share, e.model.length, m[:, :6]
+        )
+        density = np.array([material.density for material in s.materials])
+        by_inertia = m[:, PER_MASS] / e.model.mass + m[:, PER_TURN] * e.per_turn
+        return E, nu, stiffness, -by_inertia.sum(axis=1) / density
+
+    def by_start(self, state: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
+        x_bar, v_bar = super().by_start(state)
+        q_bar, spin_bar = state[:, :-1, TURN], state[:, :-1, SPIN_BAR]
+        # spins are those of edges that turn with their points
+        d, dv = np.diff(self.first_x, axis=1), np.diff(self.first_v, axis=1)
+        square = np.sum(d**2, axis=2, keepdims=True)
+        spin = np.cross(d, dv) / square
+        _to_ends(v_bar, np.cross(spin_bar, d) / square)
+        turned = np.cross(dv, spin_bar) - 2.0 * np.sum(spin * spin_bar, 2, keepdims=True) * d
+        _to_ends(x_bar, turned / square)
+        first = np.broadcast_to(self.engine.model.rest_q[0], (len(x_bar), 4))
+        _to_ends(x_bar, rotation.transported_adjoint(first, d, q_bar))
+        return x_bar, v_bar
+
+    def take_turns(self, part: Any, take: Any, q_bar: NDArray[np.floating]) -> None:
+        take(TURN, part(TURN) + q_bar)
+
+    def spins(self, part: Any) -> NDArray[np.floating]:
+        return part(SPIN_BAR)
+
+    def stop_spins(self, part: Any, take: Any, grip: Grip) -> None:
+        take(SPIN_BAR, np.where((grip.holds & 2)[..., None] > 0, 0.0, part(SPIN_BAR)))
+
+
+class ShellTape(ThinTape):
+    """Of shells."""
+
+    engine: Shells
+    rest_rows = slice(8, 11)
+
+    def unstiffened(
+        self, group: slice, stiffer: NDArray[np.floating], found: NDArray[np.floating]
+    ) -> NDArray[np.floating]:
+        e = self.engine
+        modulus = (e.modulus * e.share[:, None])[group, 4:6]
+        bar = found[:, 4:6] * modulus
+        found[:, 4:6] *= stiffer
+        return bar
+
+    def border_adjoint(
+        self, event: Event, stiffer_bar: NDArray[np.floating]
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        m = self.engine.model
+        return border_of_shell_adjoint(
+            event.grip, event.x, event.pose, m.shape, m.spacing, stiffer_bar
+        )
+
+    def by_materials(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+        e, s, m = self.engine, self.engine.setting, self.model_bar
+        E = np.array([material.E for material in s.materials])
+        nu = np.array([material.nu for material in s.materials])
+        density = np.array([material.density for material in s.materials])
+        by_stiffness = m[:, :8] * e.share[:, None]
+        _, slopes = e.model.factors(nu)
+        by_nu = by_stiffness * slopes * e.model.scales(s.materials) * e.model.shares
+        share_bar = np.sum(m[:, :8] * e.modulus, axis=1)
+        by_mass = m[:, PER_MASS] / e.mass
+        return (
+            np.sum(share_bar * e.share, axis=1) / E,
+            by_nu.sum(axis=(1, 2)),
+            share_bar,
+            -by_mass.sum(axis=1) / density,
+        )
 
 
 def _to_ends(points: NDArray[np.floating], edges: NDArray[np.floating]) -> None:

@@ -1,8 +1,8 @@
 """What the thin engine's kernels take: structs of arrays, made for one scalar type.
 
-Shapes: W worlds, G grippers, n points, P numbers of a row: the points between two margins, so that
-kernels may read beyond both ends and several points at once. Names of rows are in ``native/rod.h``
-and ``native/rod_adjoint.h``.
+Shapes: W worlds, G grippers, n points, P numbers of a row: points stand in slots between margins,
+so that kernels may read beyond all ends and several points at once. Components of rows are named
+in ``native/rod.h``, ``native/shell.h`` and their adjoints.
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -12,34 +12,19 @@ import functools
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 MARGIN = 8
-"""Numbers of a row before its first point."""
+"""Numbers of a row before the first that kernels work on."""
 
-X, V, Q, SPIN, LAG = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13), slice(13, 19)
-"""Components of a state: positions [m], velocities [m/s], directions (quaternions, scalar last),
-spins [rad/s], and the lagged strains of edges and joints."""
+X, V = slice(0, 3), slice(3, 6)
+"""Components of every state and of derivatives by it: positions [m] and velocities [m/s]."""
 
-STATE, STATE_BARS, MODEL_BARS, SCRATCH, SCRATCH_BARS = 19, 18, 21, 12, 18
-"""Components of states, of derivatives by them and by the model, and of both scratches."""
+PER_MASS, DRAG, GRAVITY, DAMPING, FRICTION, VELOCITY_DAMPING = 12, 13, slice(15, 18), 18, 19, 20
+"""Components of derivatives by the model that rods and shells have in common."""
 
-X_BAR, V_BAR, Q_BAR, SPIN_BAR = (slice(3 * k, 3 * k + 3) for k in range(4))
-"""Components of derivatives by a state; those by directions are by turns in the world's axes."""
-
-
-def row_length(points: int) -> int:
-    """P for so many points."""
-    return MARGIN + -(-points // 8) * 8 + MARGIN
-
-
-def in_rows(values: NDArray[np.floating], points: int, fill: float = 0.0) -> NDArray[np.floating]:
-    """[..., P] rows of values [..., n] (or fewer than n)."""
-    rows = np.full((*values.shape[:-1], row_length(points)), fill)
-    rows[..., MARGIN : MARGIN + values.shape[-1]] = values
-    return rows
+MODEL_BARS = 21
+"""Components of derivatives by the model."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +34,7 @@ class Types:
     real: Any
     vec3: Any
     quat: Any
-    Rod: Any
+    Body: Any
     Bars: Any
     Plan: Any
 
@@ -61,14 +46,21 @@ def make_types(real: Any) -> Types:
     quat = wp.quatf if real == wp.float32 else wp.quatd
 
     @wp.struct
-    class Rod:
-        """W rods, and what surrounds them."""
+    class Body:
+        """W rods or shells, and what surrounds them."""
 
         points: int
-        rest: wp.array3d(dtype=real)  # [1, 7, P] 1 / length of edges [1/m], strains free of stress
-        stiffness: wp.array3d(dtype=real)  # [W, 6, P] of edges [N], of joints over length [N m]
-        inertia: wp.array3d(dtype=real)  # [W, 4, P] see ``native/rod.h``
-        scratch: wp.array3d(dtype=real)  # [W, 12, P]
+        slot: wp.array(dtype=wp.int32)  # [n] of each point in a row
+        # of shells: numbers from row to row, the first of the first row, the end of the last one
+        pitch: int
+        first: int
+        end: int
+        per_x: real  # 1 / spacing along rows [1/m]
+        per_y: real
+        rest: wp.array3d(dtype=real)  # [1, ., P] shape, and strains free of stress
+        stiffness: wp.array3d(dtype=real)  # [W, ., P]
+        inertia: wp.array3d(dtype=real)  # [W, ., P]
+        scratch: wp.array3d(dtype=real)  # [W, ., P]
         damping: wp.array(dtype=real)  # [W] [s]
         velocity_damping: wp.array(dtype=real)  # [W] [1/s]
         friction: wp.array(dtype=real)  # [W]
@@ -85,9 +77,9 @@ def make_types(real: Any) -> Types:
     class Bars:
         """Derivatives of a loss; those by the model are by each point's share of it."""
 
-        state: wp.array3d(dtype=real)  # [W, 18, P]
+        state: wp.array3d(dtype=real)  # [W, ., P]
         model: wp.array3d(dtype=real)  # [W, 21, P]
-        scratch: wp.array3d(dtype=real)  # [W, 18, P]
+        scratch: wp.array3d(dtype=real)  # [W, ., P]
         place: wp.array3d(dtype=real)  # [W G, 6, P]
         centre: wp.array2d(dtype=vec3)  # [W, G] of one step
         turn: wp.array2d(dtype=vec3)  # [W, G] of one step
@@ -101,4 +93,4 @@ def make_types(real: Any) -> Types:
         dt: wp.array2d(dtype=wp.float64)  # [W, S] [s]
         frame: wp.array2d(dtype=wp.int32)  # [W, S] recorded at its end; -1: none
 
-    return Types(real=real, vec3=vec3, quat=quat, Rod=Rod, Bars=Bars, Plan=Plan)
+    return Types(real=real, vec3=vec3, quat=quat, Body=Body, Bars=Bars, Plan=Plan)

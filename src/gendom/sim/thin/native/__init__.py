@@ -4,7 +4,15 @@ from importlib.resources import files
 
 import warp as wp
 
-HEADERS = ("meet.h", "vectors.h", "rod.h", "rod_adjoint.h")
+HEADERS = (
+    "meet.h",
+    "vectors.h",
+    "ground.h",
+    "rod.h",
+    "rod_adjoint.h",
+    "shell.h",
+    "shell_adjoint.h",
+)
 
 _TEXT = "".join(files(__name__).joinpath(name).read_text() for name in HEADERS).replace(
     "#pragma once\n", ""

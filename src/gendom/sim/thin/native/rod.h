@@ -147,12 +147,9 @@ CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real
     typedef typename several<real>::lanes T;
     const int n = rod.points;
     const rows_of<real> s(state, row), to(state, next), m(rod.inertia, w), in(rod.scratch, w);
-    const T h = T(dt), zero = T(real(0)), one = T(real(1)), half = T(real(0.5));
+    const T h = T(dt), one = T(real(1)), half = T(real(0.5));
     const T keep = T(wp::exp(-dt * wp::index(rod.velocity_damping, w)));
-    const T mu = T(wp::index(rod.friction, w));
-    const vec<real> gravity = {wp::index(rod.gravity, w)[0], wp::index(rod.gravity, w)[1],
-                               wp::index(rod.gravity, w)[2]};
-    const vec<T> g = {T(gravity.x), T(gravity.y), T(gravity.z)};
+    const vec<T> g = gravity_of<T>(rod, w);
     for (EACH(i, n)) {
         const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
         const vec<T> along = in.template get3<T>(ALONG, i - 1) + in.template get3<T>(ALONG, i);
@@ -160,21 +157,7 @@ CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real
         const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
                          m.template get<T>(DRAG, i) * root(dot(vn, vn)) * vn;
         vec<T> v = keep * (v0 + h * (m.template get<T>(PER_MASS, i) * f + g));
-        if (rod.table) {
-            const T push = larger(zero, (T(rod.radius) - x.z) / h - v.z);
-            const T speed = root(v.x * v.x + v.y * v.y);
-            const T slides = larger(zero, one - mu * push / larger(speed, T(real(1e-12))));
-            v = {slides * v.x, slides * v.y, v.z + push};
-        }
-        if (rod.walls) {
-            const T lo = T(rod.radius), hi = -T(rod.radius);
-            v.x += larger(zero, (T(rod.box_lower[0]) + lo - x.x) / h - v.x);
-            v.y += larger(zero, (T(rod.box_lower[1]) + lo - x.y) / h - v.y);
-            v.z += larger(zero, (T(rod.box_lower[2]) + lo - x.z) / h - v.z);
-            v.x -= larger(zero, v.x - (T(rod.box_upper[0]) + hi - x.x) / h);
-            v.y -= larger(zero, v.y - (T(rod.box_upper[1]) + hi - x.y) / h);
-            v.z -= larger(zero, v.z - (T(rod.box_upper[2]) + hi - x.z) / h);
-        }
+        v = ground<T>(rod, w, dt).stopped(x, v);
         to.put3(V, i, v);
         to.put3(X, i, x + h * v);
 

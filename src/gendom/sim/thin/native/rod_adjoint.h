@@ -8,7 +8,7 @@ namespace gendom {
 enum { X_BAR = 0, V_BAR = 3, Q_BAR = 6, W_BAR = 9, LAG_E_BAR = 12, LAG_U_BAR = 15 };
 enum {
     SHEAR_BAR = 0, BENDING_BAR = 3, REST_E_BAR = 6, REST_U_BAR = 9, PER_MASS_BAR = 12,
-    PER_TURN_BAR = 13, DRAG_BAR = 14, GRAVITY_BAR = 15, DAMPING_BAR = 18,
+    DRAG_BAR = 13, PER_TURN_BAR = 14, GRAVITY_BAR = 15, DAMPING_BAR = 18,
     FRICTION_BAR = 19, VELOCITY_DAMPING_BAR = 20
 };
 enum { PULL_BAR = 0, TORQUE_BAR = 3, ALONG_BAR = 6, D_BAR = 9, JOINT_H = 12, JOINT_G = 15 };
@@ -44,21 +44,17 @@ CUDA_CALLABLE inline void rod_hold_adjoint(const Rod& rod, const Bars& bars, int
     wp::index(bars.turn, w, g) = wp::vec_t<3, real>(turn.x, turn.y, turn.z);
 }
 
-// Of `rod_move`; the scratch is as `rod_forces` left it, `next` the state that the step led to.
+// Of `rod_move`; the scratch is as `rod_forces` left it.
 template <typename Rod, typename Bars, typename real>
 CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int w,
-                                           const wp::array_t<real>& state, int row, int next,
-                                           real dt) {
+                                           const wp::array_t<real>& state, int row, real dt) {
     typedef typename several<real>::lanes T;
     const int n = rod.points;
-    const rows_of<real> s(state, row), to(state, next), m(rod.inertia, w), in(rod.scratch, w),
-        b(bars.state, w), by(bars.model, w), out(bars.scratch, w);
-    const T h = T(dt), zero = T(real(0)), one = T(real(1)), half = T(real(0.5));
+    const rows_of<real> s(state, row), m(rod.inertia, w), in(rod.scratch, w), b(bars.state, w), by(bars.model, w), out(bars.scratch, w);
+    const T h = T(dt), one = T(real(1)), half = T(real(0.5));
     const T tiny = T(real(1e-12));
     const T keep = T(wp::exp(-dt * wp::index(rod.velocity_damping, w)));
-    const T mu = T(wp::index(rod.friction, w));
-    const vec<T> g = {T(wp::index(rod.gravity, w)[0]), T(wp::index(rod.gravity, w)[1]),
-                      T(wp::index(rod.gravity, w)[2])};
+    const vec<T> g = gravity_of<T>(rod, w);
     for (EACH(i, n)) {
         // as in the step
         const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
@@ -72,31 +68,7 @@ CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int
 
         vec<T> x_bar = b.template get3<T>(X_BAR, i);
         vec<T> v_bar = b.template get3<T>(V_BAR, i) + h * x_bar;
-        T push = zero, slides = one;
-        const T speed = larger(root(v1.x * v1.x + v1.y * v1.y), tiny);
-        if (rod.table) {
-            push = larger(zero, (T(rod.radius) - x.z) / h - v1.z);
-            slides = larger(zero, one - mu * push / speed);
-        }
-        if (rod.walls) {  // where a wall stops a point, its velocity follows from its place
-            const vec<T> v = to.template get3<T>(V, i);
-            const vec<T> turned = v - vec<T>{slides * v1.x, slides * v1.y, v1.z + push};
-            const vec<T> stopped = {is_above(turned.x * turned.x, zero),
-                                    is_above(turned.y * turned.y, zero),
-                                    is_above(turned.z * turned.z, zero)};
-            x_bar = x_bar - (one / h) * (stopped * v_bar);
-            v_bar = v_bar - stopped * v_bar;
-        }
-        if (rod.table) {
-            const T touches = is_above(push, zero), moves = is_above(slides, zero);
-            const T slides_bar = moves * (v_bar.x * v1.x + v_bar.y * v1.y);
-            const T push_bar = touches * (v_bar.z - mu / speed * slides_bar);
-            const T speed_bar = mu * push / (speed * speed) * slides_bar;
-            by.add(FRICTION_BAR, i, -push / speed * slides_bar);
-            x_bar.z -= push_bar / h;
-            v_bar = {slides * v_bar.x + speed_bar * v1.x / speed,
-                     slides * v_bar.y + speed_bar * v1.y / speed, v_bar.z - push_bar};
-        }
+        by.add(FRICTION_BAR, i, ground<T>(rod, w, dt).stopped_adjoint(x, v1, x_bar, v_bar));
         by.add(VELOCITY_DAMPING_BAR, i, -h * dot(v1, v_bar));
         v_bar = keep * v_bar;
         by.add3(GRAVITY_BAR, i, h * v_bar);

@@ -1,6 +1,6 @@
 // Vectors and unit quaternions of numbers, or of lanes: several neighbours side by side.
 //
-// A loop over the points of a body reads `for (EACH(i, n))`: on the CPU it takes as many points at
+// A loop over the points of a body reads `for (EACH(i, n))` or `for (EACH_IN(i, first, end))`: on the CPU it takes as many points at
 // a time as a SIMD register holds, on CUDA every thread of a block takes one at a time.
 #pragma once
 
@@ -11,8 +11,8 @@ template <typename T> struct number_of { typedef T type; };
 #if defined(__CUDA_ARCH__)
 
 template <typename real> struct several { typedef real lanes; };
-#define EACH(i, n) int i = threadIdx.x; i < (n); i += blockDim.x
-#define EACH_ONE EACH
+#define EACH_IN(i, a, b) int i = (a) + threadIdx.x; i < (b); i += blockDim.x
+#define EACH_ONE(i, n) EACH_IN(i, 0, n)
 
 #else
 
@@ -25,10 +25,13 @@ template <> struct several<double> {
 };
 template <> struct number_of<several<float>::lanes> { typedef float type; };
 template <> struct number_of<several<double>::lanes> { typedef double type; };
-#define EACH(i, n) int i = 0; i < (n); i += int(sizeof(typename several<real>::lanes) / sizeof(real))
+#define EACH_IN(i, a, b) \
+    int i = (a); i < (b); i += int(sizeof(typename several<real>::lanes) / sizeof(real))
 #define EACH_ONE(i, n) int i = 0; i < (n); ++i
 
 #endif
+
+#define EACH(i, n) EACH_IN(i, 0, n)
 
 template <typename T> CUDA_CALLABLE inline T larger(T a, T b) {
 #if defined(__CUDA_ARCH__)

@@ -1,0 +1,74 @@
+// What surrounds thin bodies: gravity, a table with Coulomb friction, walls.
+#pragma once
+
+namespace gendom {
+
+template <typename T, typename Body> CUDA_CALLABLE inline vec<T> gravity_of(const Body& body, int w) {
+    const auto& g = wp::index(body.gravity, w);
+    return {T(g[0]), T(g[1]), T(g[2])};
+}
+
+// Velocities are changed so that no point ends the step beyond the table or a wall; what the table
+// takes of a fall, times its friction, it takes of sliding at most (Moreau 1988).
+template <typename T> struct ground {
+    typedef typename number_of<T>::type real;
+    T h, mu, radius;
+    vec<T> lower, upper;
+    bool table, walls;
+
+    template <typename Body>
+    CUDA_CALLABLE inline ground(const Body& body, int w, real dt)
+        : h(T(dt)), mu(T(wp::index(body.friction, w))), radius(T(body.radius)),
+          lower{T(body.box_lower[0]) + radius, T(body.box_lower[1]) + radius,
+                T(body.box_lower[2]) + radius},
+          upper{T(body.box_upper[0]) - radius, T(body.box_upper[1]) - radius,
+                T(body.box_upper[2]) - radius},
+          table(body.table), walls(body.walls) {}
+
+    CUDA_CALLABLE inline T push(const vec<T>& x, const vec<T>& v) const {
+        return larger(T(real(0)), (radius - x.z) / h - v.z);
+    }
+    CUDA_CALLABLE inline T speed(const vec<T>& v) const {
+        return larger(root(v.x * v.x + v.y * v.y), T(real(1e-12)));
+    }
+    CUDA_CALLABLE inline vec<T> on_table(const vec<T>& x, const vec<T>& v) const {
+        if (!table) return v;
+        const T p = push(x, v), slides = larger(T(real(0)), T(real(1)) - mu * p / speed(v));
+        return {slides * v.x, slides * v.y, v.z + p};
+    }
+    CUDA_CALLABLE inline vec<T> stopped(const vec<T>& x, const vec<T>& free) const {
+        const vec<T> v = on_table(x, free);
+        if (!walls) return v;
+        const T by = T(real(1)) / h;
+        const vec<T> least = by * (lower - x), most = by * (upper - x);
+        const vec<T> up = {larger(v.x, least.x), larger(v.y, least.y), larger(v.z, least.z)};
+        return {-larger(-up.x, -most.x), -larger(-up.y, -most.y), -larger(-up.z, -most.z)};
+    }
+
+    // Transpose of `stopped`: derivatives by x are added, those by v replaced; returns that by mu.
+    CUDA_CALLABLE inline T stopped_adjoint(const vec<T>& x, const vec<T>& free, vec<T>& x_bar,
+                                           vec<T>& v_bar) const {
+        const T zero = T(real(0)), one = T(real(1));
+        if (walls) {  // where a wall stops a point, its velocity follows from its place
+            const vec<T> turned = stopped(x, free) - on_table(x, free);
+            const vec<T> by = {is_above(turned.x * turned.x, zero),
+                               is_above(turned.y * turned.y, zero),
+                               is_above(turned.z * turned.z, zero)};
+            x_bar = x_bar - (one / h) * (by * v_bar);
+            v_bar = v_bar - by * v_bar;
+        }
+        if (!table) return zero;
+        const T p = push(x, free), s = speed(free);
+        const T slides = larger(zero, one - mu * p / s);
+        const T touches = is_above(p, zero), moves = is_above(slides, zero);
+        const T slides_bar = moves * (v_bar.x * free.x + v_bar.y * free.y);
+        const T push_bar = touches * (v_bar.z - mu / s * slides_bar);
+        const T speed_bar = mu * p / (s * s) * slides_bar;
+        x_bar.z -= push_bar / h;
+        v_bar = {slides * v_bar.x + speed_bar * free.x / s,
+                 slides * v_bar.y + speed_bar * free.y / s, v_bar.z - push_bar};
+        return -p / s * slides_bar;
+    }
+};
+
+}  // namespace gendom

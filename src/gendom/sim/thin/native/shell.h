@@ -1,0 +1,234 @@
+// A shell: points x_p on a lattice of rows and columns, `pitch` numbers apart from row to row, with
+// a row of numbers that are no points before and after.
+//
+// A cell between four points a b / c d has the strains of its four corners,
+//
+//     E11 = (u.u / lx^2 - 1) / 2 of edges u along a row, E22 of edges v along a column,
+//     E12 = u.v / (2 lx ly) where they meet,
+//
+// each for a quarter of its area. Bending is quadratic in second differences, as of a thin plate that
+// hardly stretches (Bergou et al. 2006, "A quadratic bending model for inextensible surfaces"):
+//
+//     D / 2 (|x_xx|^2 + 2 nu x_xx.x_yy + |x_yy|^2) of points, D (1 - nu) |x_xy|^2 of cells.
+//
+// Where an edge of the sheet is free, so is the curvature across it. Curvatures free of stress and
+// those that lag behind (a standard linear solid) go along the normal n: kappa = n.x_xx.
+#pragma once
+
+namespace gendom {
+
+// Rows of a state, of what all worlds share, of stiffness, of inertia, of the scratch.
+enum { SHELL_X = 0, SHELL_V = 3, LAG_ROW = 6, LAG_COLUMN = 8, LAG_CORNER = 10, LAG_BEND = 14 };
+enum { NEXT = 0, BELOW = 1, CELL = 2, REST_BEND = 3 };
+enum { C11 = 0, C22 = 1, C12 = 2, G12 = 3, BXX = 4, BYY = 5, BXY = 6, TWIST = 7 };
+enum { POINT_PER_MASS = 0, POINT_DRAG = 1, STIFFER_X = 2, STIFFER_Y = 3 };
+enum { F_BOTTOM = 0, F_TOP = 3, F_LEFT = 6, F_RIGHT = 9, M_XX = 12, M_YY = 15, M_XY = 18, NORMAL = 21 };
+
+// Strains of a cell, and what stress makes of them.
+template <typename T> struct shell_cell {
+    typedef typename number_of<T>::type real;
+    vec<T> u[2], v[2];  // bottom and top, left and right
+    T lx2, ly2, lxy;    // 1 / lx^2, 1 / ly^2, 1 / (lx ly)
+    T row[2], column[2], corner[4];  // corners a b c d
+
+    template <typename Rows>
+    CUDA_CALLABLE inline shell_cell(const Rows& s, int p, int pitch, real per_x, real per_y)
+        : lx2(T(per_x * per_x)), ly2(T(per_y * per_y)), lxy(T(per_x * per_y)) {
+        const vec<T> a = s.template get3<T>(SHELL_X, p), b = s.template get3<T>(SHELL_X, p + 1);
+        const vec<T> c = s.template get3<T>(SHELL_X, p + pitch);
+        const vec<T> d = s.template get3<T>(SHELL_X, p + pitch + 1);
+        u[0] = b - a, u[1] = d - c, v[0] = c - a, v[1] = d - b;
+        const T half = T(real(0.5)), one = T(real(1));
+        for (int k = 0; k < 2; ++k) {
+            row[k] = half * (lx2 * dot(u[k], u[k]) - one);
+            column[k] = half * (ly2 * dot(v[k], v[k]) - one);
+        }
+        for (int k = 0; k < 4; ++k) corner[k] = half * lxy * dot(u[k / 2], v[k % 2]);
+    }
+
+    // Derivatives of sum(strain * of) by the four edges.
+    CUDA_CALLABLE inline void edges(const T of_row[2], const T of_column[2], const T of_corner[4],
+                                    vec<T> by_u[2], vec<T> by_v[2]) const {
+        const T half = T(real(0.5));
+        for (int k = 0; k < 2; ++k) {
+            const T* row_corners = of_corner + 2 * k;
+            by_u[k] = of_row[k] * lx2 * u[k] +
+                      half * lxy * (row_corners[0] * v[0] + row_corners[1] * v[1]);
+            by_v[k] = of_column[k] * ly2 * v[k] +
+                      half * lxy * (of_corner[k] * u[0] + of_corner[2 + k] * u[1]);
+        }
+    }
+};
+
+// Stress times a quarter of the area, for strains (or any combination of them).
+template <typename T> struct shell_stiffness {
+    T c11, c22, c12, g12;
+
+    CUDA_CALLABLE inline void stress(const T row[2], const T column[2], const T corner[4],
+                                     T of_row[2], T of_column[2], T of_corner[4]) const {
+        const T rows = row[0] + row[1], columns = column[0] + column[1];
+        for (int k = 0; k < 2; ++k) {
+            of_row[k] = (c11 + c11) * row[k] + c12 * columns;
+            of_column[k] = (c22 + c22) * column[k] + c12 * rows;
+        }
+        for (int k = 0; k < 4; ++k) of_corner[k] = g12 * corner[k];
+    }
+};
+
+// Differences at a point: second ones, and along both axes those that the sheet has.
+template <typename T> struct shell_bend {
+    vec<T> xx, yy, xy, tx, ty, n;
+    T length;
+
+    template <typename Rows, typename Shape>
+    CUDA_CALLABLE inline shell_bend(const Rows& s, const Shape& shape, int p, int pitch) {
+        typedef typename number_of<T>::type real;
+        const vec<T> x = s.template get3<T>(SHELL_X, p);
+        const T after = shape.template get<T>(NEXT, p), before = shape.template get<T>(NEXT, p - 1);
+        const T below = shape.template get<T>(BELOW, p), above = shape.template get<T>(BELOW, p - pitch);
+        const vec<T> to_next = after * (s.template get3<T>(SHELL_X, p + 1) - x);
+        const vec<T> from_last = before * (x - s.template get3<T>(SHELL_X, p - 1));
+        const vec<T> to_below = below * (s.template get3<T>(SHELL_X, p + pitch) - x);
+        const vec<T> from_above = above * (x - s.template get3<T>(SHELL_X, p - pitch));
+        xx = after * before * (to_next - from_last);
+        yy = below * above * (to_below - from_above);
+        xy = shape.template get<T>(CELL, p) *
+             (s.template get3<T>(SHELL_X, p + pitch + 1) - s.template get3<T>(SHELL_X, p + pitch) -
+              s.template get3<T>(SHELL_X, p + 1) + x);
+        tx = to_next + from_last;
+        ty = to_below + from_above;
+        const vec<T> N = cross(tx, ty);
+        length = larger(root(dot(N, N)), T(real(1e-12)));
+        n = (T(real(1)) / length) * N;
+    }
+    CUDA_CALLABLE inline vec<T> curvatures() const { return {dot(n, xx), dot(n, yy), dot(n, xy)}; }
+};
+
+// Moments over squared spacings: of vectors xx, yy, xy, or of their parts along the normal.
+template <typename T> struct bend_stiffness {
+    T xx, yy, both, twist;
+
+    template <typename Rows>
+    CUDA_CALLABLE inline bend_stiffness(const Rows& k, const Rows& m, int p)
+        : xx(m.template get<T>(STIFFER_X, p) * k.template get<T>(BXX, p)),
+          yy(m.template get<T>(STIFFER_Y, p) * k.template get<T>(BYY, p)),
+          both(k.template get<T>(BXY, p)), twist(k.template get<T>(TWIST, p)) {}
+
+    CUDA_CALLABLE inline vec<T> operator()(const vec<T>& a) const {
+        return {xx * a.x + both * a.y, yy * a.y + both * a.x, twist * a.z};
+    }
+};
+
+// Forces of edges and moments of points in the scratch; the lagged strains go on. Returns the largest
+// squared stretch, not a number if any is not.
+template <typename Body, typename real>
+CUDA_CALLABLE inline real shell_forces(const Body& body, int w, const wp::array_t<real>& state,
+                                       int row, int next, real dt) {
+    typedef typename several<real>::lanes T;
+    const int pitch = body.pitch;
+    const rows_of<real> s(state, row), to(state, next), shape(body.rest, 0), k(body.stiffness, w),
+        m(body.inertia, w), out(body.scratch, w);
+    const viscosity<real> visc(wp::index(body.damping, w), dt);
+    const T c = T(visc.share), a = T(visc.follows);
+    T worst = T(real(0)), sum = T(real(0));
+    for (EACH_IN(p, body.first, body.end)) {
+        const shell_cell<T> cell(s, p, pitch, body.per_x, body.per_y);
+        const T exists = shape.template get<T>(CELL, p);
+        T row_e[2], column_e[2], corner_e[4];
+        const auto stressed = [&](const T& strain, int lag) {
+            const T late = strain - s.template get<T>(lag, p);
+            to.put(lag, p, s.template get<T>(lag, p) + a * late);
+            return strain + c * late;
+        };
+        for (int e = 0; e < 2; ++e) {
+            row_e[e] = stressed(cell.row[e], LAG_ROW + e);
+            column_e[e] = stressed(cell.column[e], LAG_COLUMN + e);
+            const T both = exists * (cell.row[e] * cell.row[e] + cell.column[e] * cell.column[e]);
+            worst = larger(worst, both);
+            sum += both;
+        }
+        for (int e = 0; e < 4; ++e) corner_e[e] = stressed(cell.corner[e], LAG_CORNER + e);
+        const shell_stiffness<T> C = {k.template get<T>(C11, p), k.template get<T>(C22, p),
+                                      k.template get<T>(C12, p), k.template get<T>(G12, p)};
+        T of_row[2], of_column[2], of_corner[4];
+        C.stress(row_e, column_e, corner_e, of_row, of_column, of_corner);
+        vec<T> by_u[2], by_v[2];
+        cell.edges(of_row, of_column, of_corner, by_u, by_v);
+        out.put3(F_BOTTOM, p, by_u[0]), out.put3(F_TOP, p, by_u[1]);
+        out.put3(F_LEFT, p, by_v[0]), out.put3(F_RIGHT, p, by_v[1]);
+
+        const shell_bend<T> bend(s, shape, p, pitch);
+        const bend_stiffness<T> B(k, m, p);
+        const vec<T> kappa = bend.curvatures(), lag = s.template get3<T>(LAG_BEND, p);
+        const vec<T> along = B(c * (kappa - lag) - shape.template get3<T>(REST_BEND, p));
+        to.put3(LAG_BEND, p, lag + a * (kappa - lag));
+        out.put3(M_XX, p, B.xx * bend.xx + B.both * bend.yy + along.x * bend.n);
+        out.put3(M_YY, p, B.yy * bend.yy + B.both * bend.xx + along.y * bend.n);
+        out.put3(M_XY, p, B.twist * bend.xy + along.z * bend.n);
+        out.put3(NORMAL, p, bend.n);
+    }
+    real most = real(0), all = real(0);
+    for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l) {
+        const real one = ((const real*)&worst)[l];
+        most = one > most ? one : most;
+        all += ((const real*)&sum)[l];
+    }
+    return all == all ? most : all;
+}
+
+// What edges and moments of the scratch add up to at a point: minus the derivative of the energy.
+template <typename T, typename Rows>
+CUDA_CALLABLE inline vec<T> shell_pull(const Rows& in, const Rows& shape, int p, int pitch) {
+    typedef typename number_of<T>::type real;
+    const int last = p - 1, above = p - pitch, corner = p - pitch - 1;
+    const auto at = [&](int c, int q) { return in.template get3<T>(c, q); };
+    // a point is a of its own cell, b of the one before, c of the one above, d of that before above
+    const vec<T> pull = at(F_BOTTOM, p) + at(F_LEFT, p) - at(F_BOTTOM, last) + at(F_RIGHT, last) +
+                        at(F_TOP, above) - at(F_LEFT, above) - at(F_TOP, corner) - at(F_RIGHT, corner);
+    const vec<T> xx = at(M_XX, p), yy = at(M_YY, p), two_xx = xx + xx, two_yy = yy + yy;
+    const vec<T> bent = at(M_XX, last) - two_xx + at(M_XX, p + 1) + at(M_YY, above) - two_yy +
+                        at(M_YY, p + pitch) + at(M_XY, p) - at(M_XY, last) - at(M_XY, above) +
+                        at(M_XY, corner);
+    return pull - bent;
+}
+
+template <typename Body, typename real>
+CUDA_CALLABLE inline void shell_move(const Body& body, int w, const wp::array_t<real>& state, int row,
+                                     int next, real dt) {
+    typedef typename several<real>::lanes T;
+    const rows_of<real> s(state, row), to(state, next), shape(body.rest, 0), m(body.inertia, w),
+        in(body.scratch, w);
+    const T h = T(dt), keep = T(wp::exp(-dt * wp::index(body.velocity_damping, w)));
+    const vec<T> g = gravity_of<T>(body, w);
+    const ground<T> around(body, w, dt);
+    for (EACH_IN(p, body.first, body.end)) {
+        const vec<T> x = s.template get3<T>(SHELL_X, p), v0 = s.template get3<T>(SHELL_V, p);
+        const vec<T> normal = in.template get3<T>(NORMAL, p);
+        const T vn = dot(v0, normal);
+        const vec<T> f = shell_pull<T>(in, shape, p, body.pitch) -
+                         m.template get<T>(POINT_DRAG, p) * root(vn * vn) * vn * normal;
+        const vec<T> v = around.stopped(x, keep * (v0 + h * (m.template get<T>(POINT_PER_MASS, p) * f + g)));
+        to.put3(SHELL_V, p, v);
+        to.put3(SHELL_X, p, x + h * v);
+    }
+}
+
+// What a gripper holds goes with it: its pose at the end of the step.
+template <typename Body, typename real>
+CUDA_CALLABLE inline void shell_hold(const Body& body, int w, int g, const wp::vec_t<3, real>& centre,
+                                     const wp::quat_t<real>& turned, const wp::array_t<real>& state,
+                                     int next) {
+    const int W_G = w * body.holds.shape[1] + g;
+    const rows_of<real> to(state, next), place(body.place, W_G);
+    const directors<real> R(quat<real>{{turned.x, turned.y, turned.z}, turned.w});
+    const vec<real> c = {centre[0], centre[1], centre[2]}, still = {real(0), real(0), real(0)};
+    for (EACH_ONE(i, body.points)) {
+        if (wp::index(body.holds, w, g, i) & 1) {
+            const int p = wp::index(body.slot, i) - margin;
+            to.put3(SHELL_X, p, c + R.to_world(place.template get3<real>(0, p)));
+            to.put3(SHELL_V, p, still);
+        }
+    }
+}
+
+}  // namespace gendom

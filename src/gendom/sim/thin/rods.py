@@ -1,0 +1,118 @@
+"""Rods behind ``Simulator``."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import ParameterError
+from gendom.sim.setting import DRAG, Setting, spread
+from gendom.sim.thin import rotation
+from gendom.sim.thin.engine import STRETCH, ThinEngine
+from gendom.sim.thin.grips import Grip, Pose, close_rod
+from gendom.sim.thin.rod import RodModel
+from gendom.sim.thin.types import MARGIN, V, X
+
+Q, SPIN = slice(6, 10), slice(10, 13)
+"""Components of a state: directions (quaternions, scalar last) and spins [rad/s]."""
+
+
+class Rods(ThinEngine):
+    """W rods of one shape."""
+
+    kind = "rod"
+    state_rows, state_bars, scratch_rows, scratch_bars = 19, 18, 12, 18
+    lanes_on_cuda = 32
+    stiffened = (slice(3, 6),)
+
+    @staticmethod
+    def check_suits(setting: Setting) -> None:
+        if any(np.isfinite(m.yield_stress) for m in setting.materials):
+            raise ParameterError("rods do not yield", fix="engine='mpm', or no yield_stress")
+
+    @classmethod
+    def longest_steps(cls, setting: Setting) -> NDArray[np.float64]:
+        damped = np.array([m.damping > 0.0 for m in setting.materials])
+        return _model(setting).longest_step(damped)
+
+    def layout(self) -> tuple[NDArray[np.int64], int]:
+        n = self.num_points
+        return MARGIN + np.arange(n), MARGIN + -(-n // 8) * 8 + MARGIN
+
+    def fill(self, body: Any) -> None:
+        self.model = m = _model(self.setting)
+        self.drag_by_air = 0.5 * DRAG["rope"] * m.section.breadth * m.tributary
+        self.per_turn = np.zeros_like(m.inertia)
+        self.per_turn[:, :-1] = 1.0 / m.inertia[:, :-1]
+        drag = self.air_density[:, None] * self.drag_by_air
+        inertia = np.stack([1.0 / m.mass, self.per_turn, drag, np.ones_like(drag)], axis=1)
+        body.rest = self.array(self.rows(m.rest)[None])
+        body.stiffness = self.array(self.rows(m.stiffness))
+        body.inertia = self.array(self.rows(inertia))
+
+    def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Directions without more twist than at rest."""
+        first = np.broadcast_to(self.model.rest_q[0], (self.num_worlds, 4))
+        step = np.diff(x, axis=1)
+        q = rotation.transported(first, step)
+        stretch = np.linalg.norm(step, axis=2) / self.model.length - 1.0
+        w, e = np.unravel_index(np.abs(stretch).argmax(), stretch.shape)
+        if abs(stretch[w, e]) > STRETCH:
+            raise ParameterError(
+                f"the rope begins stretched by {100 * stretch[w, e]:.0f} %",
+                where=f"edge {e} of world {w}",
+                fix=f"positions must keep the lengths of its {self.num_points - 1} edges",
+            )
+        state = np.zeros(self.state.shape)
+        state[:, Q.stop - 1] = 1.0
+        state[:, X, self.slots] = np.swapaxes(x, 1, 2)
+        state[:, Q, self.slots[:-1]] = np.swapaxes(q, 1, 2)
+        return state
+
+    def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
+        """Set points' velocities [W, n, 3] [m/s]; edges turn with them, without twist."""
+        if np.any(np.asarray(affine)):
+            raise ParameterError("rods have no affine velocities", fix="engine='mpm'")
+        v = spread(v, (self.num_worlds, self.num_points, 3), "velocities")
+        d, dv = np.diff(self.component(X), axis=1), np.diff(v, axis=1)
+        spin = np.cross(d, dv) / np.sum(d**2, axis=2, keepdims=True)
+        rows = self.state.numpy()
+        rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
+        rows[:, SPIN, self.slots[:-1]] = np.swapaxes(spin, 1, 2)
+        self.state.assign(rows)
+
+    def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:
+        x, q = self.component(X)[worlds], self.component(Q)[worlds][:, :-1]
+        taken = np.any(self.holds[worlds][:, :, :-1] & 2, axis=1)
+        return close_rod(x, q, pose, self.stacked["radius"][worlds, g], self.model.length, taken)
+
+    def let_go(
+        self, v: NDArray[np.floating], spin: NDArray[np.floating]
+    ) -> list[tuple[slice, NDArray[np.floating]]]:
+        return [(V, v), (SPIN, spin)]
+
+    def stiffen(self, body: Any) -> None:
+        stiffer = self.stiffer[:, :, 0].prod(axis=1)
+        inertia = body.inertia.numpy()
+        inertia[:, 1, self.slots] = self.per_turn / slower(stiffer)
+        inertia[:, 3, self.slots] = stiffer
+        body.inertia.assign(inertia)
+
+    def tape(self, memory: float) -> Any:
+        from gendom.sim.thin.tape import RodTape
+
+        return RodTape(self, memory)
+
+
+def slower(stiffer: NDArray[np.floating]) -> NDArray[np.floating]:
+    """[W, n] by how much more inertia edges turn beside joints that a border makes stiffer: the
+    substep stays stable."""
+    after = np.concatenate([stiffer[:, 1:], np.ones_like(stiffer[:, :1])], axis=1)
+    return np.maximum(1.0, np.maximum(stiffer, after))
+
+
+def _model(setting: Setting) -> RodModel:
+    shape = (len(setting.materials), len(setting.body.points))
+    return RodModel.of(
+        setting.body, setting.materials, spread(setting.stiffness, shape, "stiffness")
+    )

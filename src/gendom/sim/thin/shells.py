@@ -1,0 +1,203 @@
+"""Shells behind ``Simulator``: a rectangular cloth as a lattice of points."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import ParameterError
+from gendom.materials import Material
+from gendom.sim.bodies import Body
+from gendom.sim.setting import DRAG, Setting, spread
+from gendom.sim.thin.engine import STRETCH, ThinEngine
+from gendom.sim.thin.grips import Grip, Pose, close_shell
+from gendom.sim.thin.types import MARGIN, V, X
+
+
+@dataclass(frozen=True)
+class ShellModel:
+    """The elements of W shells of one shape; rows of numbers are those of ``native/shell.h``."""
+
+    shape: tuple[int, int]
+    """Rows, and points of a row."""
+    spacing: tuple[float, float]
+    """Along rows and along columns [m]."""
+    thickness: float
+    area: NDArray[np.float64]
+    """[n] that a point stands for [m^2]."""
+    exists: NDArray[np.float64]
+    """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
+    shares: NDArray[np.float64]
+    """[8, n] of the moduli in each stiffness: areas over spacings."""
+    alone: NDArray[np.float64]
+    """[2, n] where curvature across is free, along rows and along columns."""
+
+    @classmethod
+    def of(cls, body: Body) -> "ShellModel":
+        ny, nx = body.shape
+        grid = body.points.reshape(ny, nx, 3)
+        lx = float(np.linalg.norm(grid[0, 1] - grid[0, 0]))
+        ly = float(np.linalg.norm(grid[1, 0] - grid[0, 0]))
+        one = np.ones((ny, nx))
+        after, below = one.copy(), one.copy()
+        after[:, -1] = below[-1] = 0.0
+        cell = after * below
+        wide, high = one.copy(), one.copy()
+        wide[:, [0, -1]] *= 0.5
+        high[[0, -1]] *= 0.5
+        area = lx * ly * wide * high
+        inner_x, inner_y = 0.0 * one, 0.0 * one
+        inner_x[:, 1:-1] = inner_y[1:-1] = 1.0
+        both = inner_x * inner_y
+        quarter = 0.25 * lx * ly * cell
+        shares = np.stack(
+            [
+                quarter,
+                quarter,
+                quarter,
+                4.0 * quarter,
+                area * inner_x / lx**4,
+                area * inner_y / ly**4,
+                area * both / (lx * ly) ** 2,
+                2.0 * lx * ly * cell / (lx * ly) ** 2,
+            ]
+        )
+        return cls(
+            shape=(ny, nx),
+            spacing=(lx, ly),
+            thickness=body.thickness,
+            area=area.reshape(-1),
+            exists=np.stack([after, below, cell]).reshape(3, -1),
+            shares=shares.reshape(8, -1),
+            alone=np.stack([inner_x * (1.0 - inner_y), inner_y * (1.0 - inner_x)]).reshape(2, -1),
+        )
+
+    def factors(self, nu: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """[W, 8, n] stiffness over E h (of the membrane) or E h^3 / 12 (of bending), but for
+        ``shares``, and its derivative by nu. Plane stress; where curvature across is free, a beam's
+        modulus."""
+        plane, plane_nu = 1.0 / (1.0 - nu**2), 2.0 * nu / (1.0 - nu**2) ** 2
+        both, both_nu = nu * plane, plane + nu * plane_nu
+        shear, shear_nu = 0.5 / (1.0 + nu), -0.5 / (1.0 + nu) ** 2
+        twist, twist_nu = 2.0 * shear, 2.0 * shear_nu  # D (1 - nu) = E h^3 / 12 / (1 + nu)
+        values = np.stack([plane, plane, both, shear, plane, plane, both, twist], axis=1)
+        slopes = np.stack(
+            [plane_nu, plane_nu, both_nu, shear_nu, plane_nu, plane_nu, both_nu, twist_nu], axis=1
+        )
+        free = np.zeros((8, len(self.area)), dtype=bool)
+        free[4:6] = self.alone > 0.0
+        return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, slopes[:, :, None])
+
+    def scales(self, materials: Sequence[Material]) -> NDArray[np.float64]:
+        """[W, 8, 1] E h, E h^3 / 12."""
+        E, h = np.array([m.E for m in materials]), self.thickness
+        scale = np.concatenate([np.full(4, h), np.full(4, h**3 / 12.0)])
+        return (E[:, None] * scale)[:, :, None]
+
+    def longest_step(
+        self, materials: Sequence[Material], share: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """[W] 2 / omega of the fastest small vibration [s], in the plane or across it.
+
+        Source: von Neumann's analysis of the elements in ``native/shell.h``.
+        """
+        lx, ly = self.spacing
+        k2 = 4.0 / lx**2 + 4.0 / ly**2
+        E = np.array([m.E for m in materials]) * share.max(axis=1)
+        nu = np.array([m.nu for m in materials])
+        density = np.array([m.density for m in materials])
+        # a border's joints may be eight times as stiff
+        across = 8.0 * self.thickness**2 / 12.0 * k2**2
+        fastest = E / (1.0 - nu**2) / density * np.maximum(k2, across)
+        damped = np.array([m.damping > 0.0 for m in materials])
+        return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
+
+
+class Shells(ThinEngine):
+    """W shells of one shape."""
+
+    kind = "shell"
+    state_rows, state_bars, scratch_rows, scratch_bars = 17, 17, 24, 33
+    lanes_on_cuda = 256
+    stiffened = (slice(4, 5), slice(5, 6))
+
+    @staticmethod
+    def check_suits(setting: Setting) -> None:
+        if any(np.isfinite(m.yield_stress) for m in setting.materials):
+            raise ParameterError("shells do not yield", fix="engine='mpm', or no yield_stress")
+
+    @classmethod
+    def longest_steps(cls, setting: Setting) -> NDArray[np.float64]:
+        shape = (len(setting.materials), len(setting.body.points))
+        share = spread(setting.stiffness, shape, "stiffness")
+        return ShellModel.of(setting.body).longest_step(setting.materials, share)
+
+    def layout(self) -> tuple[NDArray[np.int64], int]:
+        ny, nx = self.setting.body.shape
+        pitch = -(-(nx + 1) // 8) * 8
+        slots = MARGIN + pitch * (1 + np.arange(ny))[:, None] + np.arange(nx)
+        return slots.reshape(-1), MARGIN + (ny + 2) * pitch + MARGIN
+
+    def fill(self, body: Any) -> None:
+        s, W, n = self.setting, self.num_worlds, self.num_points
+        self.model = m = ShellModel.of(s.body)
+        self.share = spread(s.stiffness, (W, n), "stiffness")
+        nu = np.array([material.nu for material in s.materials])
+        density = np.array([material.density for material in s.materials])[:, None]
+        self.drag_by_air = 0.5 * DRAG["cloth"] * m.area
+        self.mass = density * m.thickness * m.area
+        self.modulus = m.factors(nu)[0] * m.scales(s.materials) * m.shares
+        stiffness = self.modulus * self.share[:, None]
+        drag = self.air_density[:, None] * self.drag_by_air
+        inertia = np.stack([1.0 / self.mass, drag, np.ones((W, n)), np.ones((W, n))], axis=1)
+        rest = np.concatenate([m.exists, np.zeros((3, n))])
+        ny, nx = m.shape
+        body.pitch = -(-(nx + 1) // 8) * 8
+        body.first, body.end = body.pitch, body.pitch * (ny + 1)
+        body.per_x, body.per_y = 1.0 / m.spacing[0], 1.0 / m.spacing[1]
+        body.rest = self.array(self.rows(rest)[None])
+        body.stiffness = self.array(self.rows(stiffness))
+        body.inertia = self.array(self.rows(inertia))
+
+    def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
+        W, (ny, nx) = self.num_worlds, self.model.shape
+        grid = x.reshape(W, ny, nx, 3)
+        for axis, length in ((2, self.model.spacing[0]), (1, self.model.spacing[1])):
+            stretch = np.linalg.norm(np.diff(grid, axis=axis), axis=3) / length - 1.0
+            if np.abs(stretch).max() > STRETCH:
+                w, j, i = np.unravel_index(np.abs(stretch).argmax(), stretch.shape)
+                raise ParameterError(
+                    f"the cloth begins stretched by {100 * stretch[w, j, i]:.0f} %",
+                    where=f"row {j}, column {i} of world {w}",
+                    fix=f"positions must keep the spacing of its {ny} rows of {nx} points",
+                )
+        state = np.zeros(self.state.shape)
+        state[:, X, self.slots] = np.swapaxes(x, 1, 2)
+        return state
+
+    def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
+        """Set points' velocities [W, n, 3] [m/s]."""
+        if np.any(np.asarray(affine)):
+            raise ParameterError("shells have no affine velocities", fix="engine='mpm'")
+        v = spread(v, (self.num_worlds, self.num_points, 3), "velocities")
+        rows = self.state.numpy()
+        rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
+        self.state.assign(rows)
+
+    def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:
+        x, m = self.component(X)[worlds], self.model
+        taken = np.any(self.holds[worlds] & 1, axis=1)
+        radius = self.stacked["radius"][worlds, g]
+        return close_shell(x, m.shape, pose, radius, m.spacing, taken)
+
+    def stiffen(self, body: Any) -> None:
+        inertia = body.inertia.numpy()
+        inertia[:, 2:4, self.slots] = self.stiffer.prod(axis=1)
+        body.inertia.assign(inertia)
+
+    def tape(self, memory: float) -> Any:
+        from gendom.sim.thin.tape import ShellTape
+
+        return ShellTape(self, memory)
