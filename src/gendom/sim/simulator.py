@@ -1,7 +1,6 @@
 """Batched simulation of one body in many worlds."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -135,9 +134,8 @@ class Simulator:
             threads=threads or cores(),
         )
         kind = thin_engine(body) if thin else MpmEngine
-        limits = np.full(W, substep) if substep else kind.substeps(setting, cfl)
         with making:
-            self.engine = kind(replace(setting, substep=limits))
+            self.engine = kind(setting, substep=substep, cfl=cfl)
 
     @property
     def num_worlds(self) -> int:

@@ -134,6 +134,8 @@ class RopeReaching:
     """Rate at which velocities decay [1/s]."""
     air_density: float = 1.2
     """Of the air that drags on the rope [kg/m^3]."""
+    engine: str = "mpm"
+    """Of the simulator: ``mpm`` or ``thin``, a rod."""
 
     def __post_init__(self) -> None:
         for name in ("length", "diameter", "gravity", "cells_across"):
@@ -358,7 +360,7 @@ class RopeReaching:
         materials: Sequence[Material],
         *,
         device: str = "cpu",
-        dtype: str = "float32",
+        dtype: str | None = None,
         threads: int | None = None,
         on_frame: Callable[[int], None] | None = None,
         record_particles: bool = False,
@@ -370,10 +372,10 @@ class RopeReaching:
             actions: [W, 2] release points [m].
             materials: W materials.
             device: ``cpu``, ``cuda`` or ``cuda:0`` and so on.
-            dtype: ``float32`` or ``float64``.
+            dtype: ``float32`` or ``float64``; by default the engine's.
             threads: Worlds simulated side by side on the CPU (default: one a core).
             on_frame: Called with the number of recorded frames that are done in all worlds.
-            record_particles: Also return all particles, and begin at time 0 instead of at the
+            record_particles: Also return all particles or points, and begin at time 0 instead of at the
                 release, T being twice as large.
             keep_going: Let a world that diverges end with NaN while the others go on.
 
@@ -392,6 +394,8 @@ class RopeReaching:
         grippers = [self.grippers(point) for point in points]
         along = body.material_coordinates[:, 0]
         tip = np.flatnonzero(along == along.max())
+        if self.engine == "thin":
+            tip = np.array([len(body.points) - 1])
         times = np.linspace(self.release_time, self.end_time, FRAMES + 1)
         if record_particles:
             before = np.linspace(0.0, self.release_time, FRAMES, endpoint=False)
@@ -400,6 +404,7 @@ class RopeReaching:
             simulator = Simulator(
                 body,
                 materials,
+                engine=self.engine,
                 grippers=grippers,
                 gravity=(0.0, 0.0, -self.gravity),
                 velocity_damping=self.damping,

@@ -1,6 +1,7 @@
 """The material point method behind ``Simulator``."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,25 +26,20 @@ class MpmEngine:
         ParameterError: If arguments do not fit together.
     """
 
-    def __init__(self, setting: Setting):
+    def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         if setting.body.width is not None:
             raise ParameterError(
                 "the MPM knows round ropes only, this one is flat", fix="engine='thin'"
             )
-        self.setting = setting
+        N, W = setting.body.num_particles, len(setting.materials)
+        share = np.sqrt(spread(setting.stiffness, (W, N), "stiffness").max(axis=1))
+        limits = [stable_substep(m, setting.body.dx, cfl=cfl or CFL) for m in setting.materials]
+        limits = np.full(W, substep) if substep else np.array(limits) / share
+        self.setting = setting = replace(setting, substep=limits)
         self.worlds = Worlds(setting)
         self.threads, self.dtype, self.device = setting.threads, setting.dtype, setting.device
         self.body, self.materials, self.time = setting.body, setting.materials, setting.start_time
         self._runner: Any = None
-
-    @staticmethod
-    def substeps(setting: Setting, cfl: float | None) -> NDArray[np.float64]:
-        """[W] longest substeps [s]."""
-        N, W = setting.body.num_particles, len(setting.materials)
-        share = np.sqrt(spread(setting.stiffness, (W, N), "stiffness").max(axis=1))
-        dx, cfl = setting.body.dx, cfl or CFL
-        limits = [stable_substep(m, dx, cfl=cfl) for m in setting.materials]
-        return np.array(limits) / share
 
     @property
     def num_points(self) -> int:

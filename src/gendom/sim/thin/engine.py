@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -74,14 +74,17 @@ class ThinEngine(ABC):
     stiffened: ClassVar[tuple[slice, ...]]
     """Components of the stiffness that a gripper's border changes, as ``Grip.stiffer``."""
 
-    def __init__(self, setting: Setting):
+    def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         self.check_suits(setting)
-        self.setting = s = setting
+        s = setting
+        W, n, G = len(s.materials), len(s.body.points), len(s.grippers[0])
+        self.share = spread(s.stiffness, (W, n), "stiffness")
+        limits = substep or (cfl or CFL) * self.prepare(setting)
+        self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
         self.real = wp.float32 if s.dtype == "float32" else wp.float64
         self.types = make_types(self.real)
         self.kernels = make_stepping(self.real, self.kind)
         self.lanes = self.lanes_on_cuda if s.device.is_cuda else 1
-        W, n, G = len(s.materials), len(s.body.points), len(s.grippers[0])
         self.num_worlds, self.num_points = W, n
         self.slots, self.row_length = self.layout()
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
@@ -111,10 +114,9 @@ class ThinEngine(ABC):
         ParameterError: If this is not a model of what is to be simulated.
         """
 
-    @classmethod
     @abstractmethod
-    def longest_steps(cls, setting: Setting) -> NDArray[np.float64]:
-        """[W] stable for small vibrations [s]."""
+    def prepare(self, setting: Setting) -> NDArray[np.float64]:
+        """Make the model; returns [W] steps that are stable for small vibrations [s]."""
 
     @abstractmethod
     def layout(self) -> tuple[NDArray[np.int64], int]:
@@ -144,12 +146,6 @@ class ThinEngine(ABC):
         """What remembers a run for its reverse."""
 
     # ---- state -----------------------------------------------------------------------------------
-
-    @classmethod
-    def substeps(cls, setting: Setting, cfl: float | None) -> NDArray[np.float64]:
-        """[W] longest substeps [s]."""
-        cls.check_suits(setting)
-        return (cfl or CFL) * cls.longest_steps(setting)
 
     def rows(self, values: NDArray[Any], fill: float = 0.0) -> NDArray[np.float64]:
         """[..., P] rows of values [..., n]."""

@@ -30,17 +30,16 @@ class Rods(ThinEngine):
         if any(np.isfinite(m.yield_stress) for m in setting.materials):
             raise ParameterError("rods do not yield", fix="engine='mpm', or no yield_stress")
 
-    @classmethod
-    def longest_steps(cls, setting: Setting) -> NDArray[np.float64]:
-        damped = np.array([m.damping > 0.0 for m in setting.materials])
-        return _model(setting).longest_step(damped)
+    def prepare(self, setting: Setting) -> NDArray[np.float64]:
+        self.model = RodModel.of(setting.body, setting.materials, self.share)
+        return self.model.longest_step(np.array([m.damping > 0.0 for m in setting.materials]))
 
     def layout(self) -> tuple[NDArray[np.int64], int]:
         n = self.num_points
         return MARGIN + np.arange(n), MARGIN + -(-n // 8) * 8 + MARGIN
 
     def fill(self, body: Any) -> None:
-        self.model = m = _model(self.setting)
+        m = self.model
         self.drag_by_air = 0.5 * DRAG["rope"] * m.section.breadth * m.tributary
         self.per_turn = np.zeros_like(m.inertia)
         self.per_turn[:, :-1] = 1.0 / m.inertia[:, :-1]
@@ -109,10 +108,3 @@ def slower(stiffer: NDArray[np.floating]) -> NDArray[np.floating]:
     substep stays stable."""
     after = np.concatenate([stiffer[:, 1:], np.ones_like(stiffer[:, :1])], axis=1)
     return np.maximum(1.0, np.maximum(stiffer, after))
-
-
-def _model(setting: Setting) -> RodModel:
-    shape = (len(setting.materials), len(setting.body.points))
-    return RodModel.of(
-        setting.body, setting.materials, spread(setting.stiffness, shape, "stiffness")
-    )

@@ -10,9 +10,17 @@ Array = NDArray[Any]
 
 def product(a: Array, b: Array) -> Array:
     """[..., 4] the turn b, then a."""
-    v = a[..., 3:] * b[..., :3] + b[..., 3:] * a[..., :3] + np.cross(a[..., :3], b[..., :3])
-    w = a[..., 3:] * b[..., 3:] - np.sum(a[..., :3] * b[..., :3], axis=-1, keepdims=True)
-    return np.concatenate([v, w], axis=-1)
+    a0, a1, a2, a3 = np.moveaxis(a, -1, 0)
+    b0, b1, b2, b3 = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            a3 * b0 + b3 * a0 + a1 * b2 - a2 * b1,
+            a3 * b1 + b3 * a1 + a2 * b0 - a0 * b2,
+            a3 * b2 + b3 * a2 + a0 * b1 - a1 * b0,
+            a3 * b3 - a0 * b0 - a1 * b1 - a2 * b2,
+        ],
+        axis=-1,
+    )
 
 
 def conjugate(q: Array) -> Array:
@@ -72,8 +80,9 @@ def transported(first: Array, step: Array) -> Array:
     q = np.empty((*step.shape[:-1], 4))
     third = np.broadcast_to([0.0, 0.0, 1.0], (*step.shape[:-2], 3))
     q[..., 0, :] = product(shortest(turned(first, third), step[..., 0, :]), first)
+    turns = shortest(step[..., :-1, :], step[..., 1:, :])
     for e in range(1, step.shape[-2]):
-        q[..., e, :] = product(shortest(step[..., e - 1, :], step[..., e, :]), q[..., e - 1, :])
+        q[..., e, :] = product(turns[..., e - 1, :], q[..., e - 1, :])
     return q
 
 

@@ -128,11 +128,9 @@ class Shells(ThinEngine):
         if any(np.isfinite(m.yield_stress) for m in setting.materials):
             raise ParameterError("shells do not yield", fix="engine='mpm', or no yield_stress")
 
-    @classmethod
-    def longest_steps(cls, setting: Setting) -> NDArray[np.float64]:
-        shape = (len(setting.materials), len(setting.body.points))
-        share = spread(setting.stiffness, shape, "stiffness")
-        return ShellModel.of(setting.body).longest_step(setting.materials, share)
+    def prepare(self, setting: Setting) -> NDArray[np.float64]:
+        self.model = ShellModel.of(setting.body)
+        return self.model.longest_step(setting.materials, self.share)
 
     def layout(self) -> tuple[NDArray[np.int64], int]:
         ny, nx = self.setting.body.shape
@@ -142,8 +140,7 @@ class Shells(ThinEngine):
 
     def fill(self, body: Any) -> None:
         s, W, n = self.setting, self.num_worlds, self.num_points
-        self.model = m = ShellModel.of(s.body)
-        self.share = spread(s.stiffness, (W, n), "stiffness")
+        m = self.model
         nu = np.array([material.nu for material in s.materials])
         density = np.array([material.density for material in s.materials])[:, None]
         self.drag_by_air = 0.5 * DRAG["cloth"] * m.area

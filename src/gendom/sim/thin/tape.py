@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.types import make_types as make_path_types
-from gendom.sim.setting import Frames, spread
+from gendom.sim.setting import Frames
 from gendom.sim.thin import rotation
 from gendom.sim.thin.engine import Event, Round, device_plan, put
 from gendom.sim.thin.grips import (
@@ -332,9 +332,8 @@ class RodTape(ThinTape):
 
     def by_materials(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
         e, s, m = self.engine, self.engine.setting, self.model_bar
-        share = spread(s.stiffness, (e.num_worlds, e.num_points), "stiffness")
         E, nu, stiffness = material_gradients(
-            e.model.section, s.materials, share, e.model.length, m[:, :6]
+            e.model.section, s.materials, e.share, e.model.length, m[:, :6]
         )
         density = np.array([material.density for material in s.materials])
         by_inertia = m[:, PER_MASS] / e.model.mass + m[:, PER_TURN] * e.per_turn

@@ -1,0 +1,178 @@
+"""How long rods and shells take for the jobs that they are made for, beside the MPM's particles.
+
+    python benchmarks/thin.py                          # one or two cores
+    python benchmarks/thin.py --device cuda --worlds 40000 --sheets 9600
+
+Times are medians of ``--runs`` after a first run that compiles; making the scene is counted, too.
+Derivatives are those of Gauss-Newton's method: a world for the parameters as they are and one beside
+it for each parameter, a little further on.
+"""
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from gendom.materials import Material
+from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.tasks import RopeReaching
+
+ROPE = Material(E=1.0e6, nu=0.3, density=1000.0, damping=0.004)
+CLOTH = Material(E=6.0e5, nu=0.3, density=400.0, damping=0.005)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--dtype", choices=("float32", "float64"), help="of the thin engine")
+    parser.add_argument("--worlds", type=int, default=200, help="ropes that are released")
+    parser.add_argument("--sheets", type=int, default=4, help="cloths that are spread")
+    parser.add_argument("--threads", type=int, help="of the CPU, for many worlds (default: all)")
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--mpm", action="store_true", help="also time the MPM, one world each")
+    parser.add_argument("--jobs", nargs="+", choices=list(JOBS), default=list(JOBS))
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args()
+    found = {}
+    for name in given.jobs:
+        seconds, note = JOBS[name](given)
+        found[name] = {"seconds": seconds, "what": note}
+        if not given.json:
+            print(f"{name:<18} {seconds:9.4f} s   {note}", flush=True)
+    if given.json:
+        print(json.dumps(found, indent=2))
+
+
+def timed(given: argparse.Namespace, job: Callable[[], object]) -> float:
+    times = []
+    for _ in range(given.runs + 1):
+        began = time.perf_counter()
+        job()
+        times.append(time.perf_counter() - began)
+    return statistics.median(times[1:])
+
+
+def release(given: argparse.Namespace, worlds: int, threads: int | None, engine: str) -> float:
+    """Rope reaching with random releases and materials."""
+    task = replace(RopeReaching(), engine=engine)
+    rng = np.random.default_rng(0)
+    actions = task.sample_actions(rng, worlds)
+    materials = [
+        Material(
+            E=1000.0 * np.exp(rng.uniform(*np.log(task.parameter_ranges["specific_modulus"]))),
+            nu=rng.uniform(0.2, 0.4),
+            density=1000.0,
+            damping=rng.uniform(0.001, 0.012),
+        )
+        for _ in range(worlds)
+    ]
+    dtype = given.dtype if engine == "thin" else "float32"
+    return timed(
+        given,
+        lambda: task.simulate(
+            actions, materials, device=given.device, dtype=dtype, threads=threads, keep_going=True
+        ),
+    )
+
+
+def one_release(given: argparse.Namespace) -> tuple[float, str]:
+    thin = release(given, 1, 1, "thin")
+    beside = f", MPM {release(given, 1, 1, 'mpm'):.3f} s" if given.mpm else ""
+    return thin, "one rope-reaching rollout, 25 points, one core" + beside
+
+
+def releases(given: argparse.Namespace) -> tuple[float, str]:
+    seconds = release(given, given.worlds, given.threads, "thin")
+    return seconds, (
+        f"{given.worlds} rope-reaching rollouts: 40,000 in {seconds * 4e4 / given.worlds:.1f} s"
+    )
+
+
+def rope_lift(given: argparse.Namespace) -> tuple[float, str]:
+    """A rope lies on a table and is lifted by 0.3 m in 2.5 s; nine worlds."""
+    body = rope(diameter=0.01, length=0.3, start=(0.0, 0.0, 0.005))
+    hand = Gripper(time=[0.0, 2.5], position=[(0, 0, 0.005), (0, 0, 0.305)], radius=0.0075)
+    materials = [replace(ROPE, E=ROPE.E * (1.0 + 1e-4 * k)) for k in range(9)]
+
+    def lift() -> None:
+        Simulator(
+            body, materials, engine="thin", grippers=[hand], table=Table(height=0.0),
+            device=given.device, dtype=given.dtype, threads=1,
+        ).run(np.linspace(0.1, 2.5, 25))  # fmt: skip
+
+    return timed(given, lift), "a rope's lift of 2.5 s with derivatives by 8 parameters, one core"
+
+
+def rope_gradient(given: argparse.Namespace) -> tuple[float, str]:
+    """The same lift once, and the derivative of one loss by everything."""
+    body = rope(diameter=0.01, length=0.3, start=(0.0, 0.0, 0.005))
+    hand = Gripper(time=[0.0, 2.5], position=[(0, 0, 0.005), (0, 0, 0.305)], radius=0.0075)
+
+    def lift() -> None:
+        rollout = Rollout(
+            Simulator(
+                body, [ROPE], engine="thin", grippers=[hand], table=Table(height=0.0),
+                device=given.device, dtype=given.dtype, threads=1,
+            )
+        )  # fmt: skip
+        rollout.backward(np.ones_like(rollout.forward(np.linspace(0.1, 2.5, 25))))
+
+    return timed(given, lift), "a rope's lift of 2.5 s and its reverse, one core"
+
+
+def sheet_lift(given: argparse.Namespace) -> tuple[float, str]:
+    """A cloth lies on a table and is lifted by a corner by 0.4 m in 2.5 s; thirteen worlds."""
+    body = cloth(width=0.3, height=0.3, thickness=0.001, dx=0.02, corner=(0.0, 0.0, 0.0005))
+    hand = Gripper(time=[0.0, 2.5], position=[(0, 0, 0.0005), (0, 0, 0.4)], radius=0.015)
+    materials = [replace(CLOTH, E=CLOTH.E * (1.0 + 1e-4 * k)) for k in range(13)]
+
+    def lift() -> None:
+        Simulator(
+            body, materials, engine="thin", grippers=[hand], table=Table(height=0.0),
+            device=given.device, dtype=given.dtype, threads=given.threads,
+        ).run(np.linspace(0.1, 2.5, 25))  # fmt: skip
+
+    return timed(given, lift), "a cloth's lift of 2.5 s, 28 x 28 points, derivatives by 12"
+
+
+def spreading(given: argparse.Namespace) -> tuple[float, str]:
+    """Cloths held at their centre are lowered and dragged by 16 cm in 1.6 s; without contact of a
+    cloth with itself."""
+    body = cloth(width=0.2, height=0.2, thickness=0.001, dx=0.02, corner=(-0.1, -0.1, 0.2))
+    hand = Gripper(
+        time=[0.0, 0.5, 1.0, 2.6],
+        position=[(0, 0, 0.2), (0, 0, 0.2), (0, 0, 0.05), (0.16, 0, 0.05)],
+        radius=0.01,
+    )
+    rng = np.random.default_rng(0)
+    materials = [replace(CLOTH, E=float(np.exp(rng.uniform(11, 14)))) for _ in range(given.sheets)]
+
+    def spread() -> None:
+        Simulator(
+            body, materials, engine="thin", grippers=[hand], table=Table(height=0.0),
+            device=given.device, dtype=given.dtype, threads=given.threads,
+        ).run([2.6], keep_going=True)  # fmt: skip
+
+    seconds = timed(given, spread)
+    return seconds, (
+        f"{given.sheets} cloth spreadings of 2.6 s: 9,600 in {seconds * 9600 / given.sheets:.0f} s"
+    )
+
+
+JOBS = {
+    "release": one_release,
+    "releases": releases,
+    "rope-lift": rope_lift,
+    "rope-gradient": rope_gradient,
+    "sheet-lift": sheet_lift,
+    "spreading": spreading,
+}
+
+if __name__ == "__main__":
+    main()
