@@ -247,8 +247,8 @@ def in_ours(item: RealRope, air: float, given: argparse.Namespace) -> dict[str, 
 def tip_of(
     body: Body, length: float, simulator: Simulator, times: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """[T, W, 3] the rope's very end [m]: of a rod its last point, of particles half a spacing beyond
-    the last section."""
+    """[T, W, 3] the rope's very end [m]: of a rod its last point, of particles half a spacing
+    beyond the last section."""
     if simulator.num_points == len(body.points):
         return simulator.run(times, particles=[-1])[:, :, 0].astype(float)
     along = body.material_coordinates[:, 0]

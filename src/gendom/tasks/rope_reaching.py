@@ -375,8 +375,8 @@ class RopeReaching:
             dtype: ``float32`` or ``float64``; by default the engine's.
             threads: Worlds simulated side by side on the CPU (default: one a core).
             on_frame: Called with the number of recorded frames that are done in all worlds.
-            record_particles: Also return all particles or points, and begin at time 0 instead of at the
-                release, T being twice as large.
+            record_particles: Also return all particles (or points), and begin at time 0 instead of
+                at the release, T being twice as large.
             keep_going: Let a world that diverges end with NaN while the others go on.
 
         Raises:

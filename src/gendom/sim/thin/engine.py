@@ -79,7 +79,8 @@ class ThinEngine(ABC):
         s = setting
         W, n, G = len(s.materials), len(s.body.points), len(s.grippers[0])
         self.share = spread(s.stiffness, (W, n), "stiffness")
-        limits = substep or (cfl or CFL) * self.prepare(setting)
+        longest = self.prepare(setting)
+        limits = substep or (cfl or CFL) * longest
         self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
         self.real = wp.float32 if s.dtype == "float32" else wp.float64
         self.types = make_types(self.real)

@@ -293,6 +293,7 @@ class ThinTape(ABC):
 
     def take_turns(self, part: Any, take: Any, q_bar: NDArray[np.floating]) -> None:
         """Add derivatives by turns of directions [k, n, 3]."""
+        del part, take, q_bar  # a shell has none
 
     def spins(self, part: Any) -> NDArray[np.floating]:
         """[k, n, 3] derivatives by spins."""
@@ -300,6 +301,7 @@ class ThinTape(ABC):
 
     def stop_spins(self, part: Any, take: Any, grip: Grip) -> None:
         """What is held has no spin of its own."""
+        del part, take, grip  # nor has a shell any
 
 
 class RodTape(ThinTape):
