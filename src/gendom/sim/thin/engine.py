@@ -102,6 +102,8 @@ class ThinEngine(ABC):
         self.kept_time = np.full(W, s.start_time)
         self.failures: dict[int, SimulationError] = {}
         self.used = False
+        self.last_dt = np.zeros(W)
+        """[W] length of the last step, 0 where velocities are those of this moment [s]."""
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, n, 3), "positions")
         self.state.assign(self.first_state(x))
         self.launch(self.kernels.begin, slice(0, W), [self.body, self.state])
@@ -219,6 +221,8 @@ class ThinEngine(ABC):
             for done in [pool.submit(one, group) for group in groups]:
                 done.result()
         job.finish()
+        taken = plan.steps[:, -1] > 0
+        self.last_dt = np.where(taken, plan.dt[:, -1], plan.before[:, -1])
         if frames.on_frame is not None:
             frames.on_frame(len(frames.times))
         if self.failures and not frames.keep_going:
@@ -236,7 +240,7 @@ class ThinEngine(ABC):
         """What worlds do one after the other until the last frame."""
         switches = [self.stacked["hold_from"], self.stacked["hold_until"]]
         switches = np.concatenate(switches, axis=1)
-        return make_schedule(frames, switches, self.setting.substep, most_steps)
+        return make_schedule(frames, switches, self.setting.substep, most_steps, self.last_dt)
 
     def _rounds(self, group: slice, plan: Schedule) -> Iterator[Round]:
         worlds = np.arange(group.start, group.stop)
@@ -244,7 +248,7 @@ class ThinEngine(ABC):
         count = plan.count[worlds].copy()
         while (at < count).any():
             going = at < count
-            now = plan.begins[worlds, np.minimum(at, count - 1)]
+            now = plan.time(worlds, np.minimum(at, np.maximum(count - 1, 0)))
             events = self._switch(worlds[going], now[going])
             until = np.where(going, plan.until(group, at), at)
             pieces = np.stack([at, until], axis=1).astype(np.int32)
@@ -422,7 +426,7 @@ class _Job:
             if w in e.failures:
                 continue
             s = int(stopped[w])
-            begin = plan.begins[w, s]
+            begin = plan.time(w, s)
             e.kept_time[w] = begin
             e.failures[w] = e.error(
                 w,
@@ -437,15 +441,17 @@ class _Job:
         x = self.x.numpy().reshape(self.frames.x.shape)
         self.frames.x[...] = x + e.origin.astype(e.setting.dtype)
         alive = [w for w in range(e.num_worlds) if w not in e.failures]
-        e.kept_time[alive] = self.plan.begins[alive, self.plan.count[alive] - 1]
+        e.kept_time[alive] = self.plan.time(alive, self.plan.count[alive] - 1)
 
 
 def device_plan(engine: ThinEngine, plan: Schedule, *, record: bool = True) -> Any:
     """The schedule as kernels take it."""
     on_device = engine.types.Plan()
     on_device.begins = engine.array(plan.begins, wp.float64)
+    on_device.done = engine.array(plan.done, wp.int32)
     on_device.steps = engine.array(plan.steps, wp.int32)
     on_device.dt = engine.array(plan.dt, wp.float64)
+    on_device.before = engine.array(plan.before, wp.float64)
     on_device.frame = engine.array(plan.frame if record else 0 * plan.frame - 1, wp.int32)
     return on_device
 

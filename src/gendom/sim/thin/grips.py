@@ -261,7 +261,7 @@ def _cut(
     # beyond the joint, as far as the free edge's middle, or else along the held edge
     beyond = _leaves(x[w, i] - centre[w], x[w, outer] - x[w, i], radius[w])
     along = _leaves(x[w, inner] - centre[w], x[w, i] - x[w, inner], radius[w])
-    far = beyond <= 0.5
+    far = beyond <= 0.5 + 1e-9
     share = np.where(far, beyond, along)
     stands_for = np.where(
         far, (0.5 - share) * length[free], 0.5 * length[free] + (1.0 - share) * length[held]
@@ -285,7 +285,9 @@ def _leaves(offset: Array, step: Array, radius: Array) -> Array:
     a, b = np.sum(step**2, axis=1), np.sum(offset * step, axis=1)
     square = b**2 - a * (np.sum(offset**2, axis=1) - radius**2)
     t = (-b + np.sqrt(np.maximum(square, 0.0))) / a
-    return np.where((square >= 0.0) & (t >= 0.0) & (t <= 1.0), t, np.nan)
+    # a sphere that ends at a point does so on one side of it or the other
+    found = (square >= 0.0) & (np.abs(t - 0.5) <= 0.5 + 1e-9)
+    return np.where(found, np.clip(t, 0.0, 1.0), np.nan)
 
 
 def _cut_adjoint(

@@ -79,6 +79,7 @@ class Rods(ThinEngine):
         rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
         rows[:, SPIN, self.slots[:-1]] = np.swapaxes(spin, 1, 2)
         self.state.assign(rows)
+        self.last_dt[:] = 0.0
 
     def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:
         x, q = self.component(X)[worlds], self.component(Q)[worlds][:, :-1]

@@ -14,17 +14,25 @@ class Schedule:
     """Pieces of equal steps of W worlds, S at most."""
 
     begins: NDArray[np.float64]
-    """[W, S] [s]."""
+    """[W, S] when the interval that it is a part of begins [s]."""
+    done: NDArray[np.int32]
+    """[W, S] steps of that interval before it."""
     steps: NDArray[np.int32]
     """[W, S]."""
     dt: NDArray[np.float64]
     """[W, S] [s]."""
+    before: NDArray[np.float64]
+    """[W, S] length of the step before a piece, 0 where velocities are those of its begin [s]."""
     frame: NDArray[np.int32]
     """[W, S] which is recorded at a piece's end; -1: none."""
     due: NDArray[np.bool_]
     """[W, S + 1] whether a piece begins when a gripper closes or opens."""
     count: NDArray[np.int64]
     """[W] pieces."""
+
+    def time(self, w: Any, s: Any) -> NDArray[np.float64]:
+        """When pieces s of worlds w begin [s]."""
+        return self.begins[w, s] + self.done[w, s] * self.dt[w, s]
 
     def until(self, worlds: slice, at: NDArray[np.int64]) -> NDArray[np.int64]:
         """[k] the next pieces after ``at`` [k] that begin with grippers, or the end."""
@@ -38,6 +46,7 @@ def make_schedule(
     switches: NDArray[np.floating],
     substep: NDArray[np.floating],
     most_steps: int | None,
+    before: NDArray[np.floating],
 ) -> Schedule:
     """What worlds do until the last frame.
 
@@ -46,6 +55,7 @@ def make_schedule(
         switches: [W, M] times at which grippers close and open [s].
         substep: [W] longest steps [s].
         most_steps: Of a piece, or None.
+        before: [W] length of the step that was the last one, 0 at a start [s].
     """
     W, T, last = len(substep), len(frames.times), frames.times[-1]
     # worlds whose grippers switch alike have the same pieces, but for their steps
@@ -67,8 +77,10 @@ def make_schedule(
     S = max(of["steps"].shape[1] for _, of in blocks)
     plan = Schedule(
         begins=np.zeros((W, S)),
+        done=np.zeros((W, S), dtype=np.int32),
         steps=np.zeros((W, S), dtype=np.int32),
         dt=np.ones((W, S)),
+        before=np.zeros((W, S)),
         frame=np.full((W, S), -1, dtype=np.int32),
         due=np.zeros((W, S + 1), dtype=bool),
         count=np.zeros(W, dtype=int),
@@ -76,9 +88,13 @@ def make_schedule(
     for worlds, of in blocks:
         count = of["steps"].shape[1]
         plan.count[worlds] = count
-        for name in ("begins", "steps", "dt", "frame"):
+        for name in ("begins", "done", "steps", "dt", "frame"):
             getattr(plan, name)[worlds, :count] = of[name]
         plan.due[worlds, 1 : count + 1] = of["due"]
+    last_dt = before.astype(float).copy()
+    for k in range(S):
+        plan.before[:, k] = last_dt
+        last_dt = np.where(plan.steps[:, k] > 0, plan.dt[:, k], last_dt)
     return plan
 
 
@@ -93,7 +109,14 @@ def _pieces(
     n = np.ceil(span / substep[:, None] - 1e-9)
     n = np.where(span > 0.0, np.maximum(1, n), 0).astype(int)
     dt = np.where(n > 0, span / np.maximum(n, 1), 1.0)
-    return {"begins": times[:-1], "steps": n, "dt": dt, "frame": frame[1:], "due": due[1:]}
+    return {
+        "begins": times[:-1],
+        "done": np.zeros_like(n),
+        "steps": n,
+        "dt": dt,
+        "frame": frame[1:],
+        "due": due[1:],
+    }
 
 
 def _short(pieces: dict[str, NDArray[Any]], most_steps: int) -> dict[str, NDArray[Any]]:
@@ -104,7 +127,8 @@ def _short(pieces: dict[str, NDArray[Any]], most_steps: int) -> dict[str, NDArra
     part = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
     last = part == parts[of] - 1
     return {
-        "begins": pieces["begins"][of] + part * most_steps * dt[of],
+        "begins": pieces["begins"][of],
+        "done": part * most_steps,
         "steps": np.where(last, n[of] - part * most_steps, most_steps)[None],
         "dt": dt[of],
         "frame": np.where(last, pieces["frame"][of], -1),

@@ -182,6 +182,7 @@ class Shells(ThinEngine):
         rows = self.state.numpy()
         rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
         self.state.assign(rows)
+        self.last_dt[:] = 0.0
 
     def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:
         x, m = self.component(X)[worlds], self.model

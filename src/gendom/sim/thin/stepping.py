@@ -1,6 +1,7 @@
 """Kernels that take rods and shells through pieces of equal steps, forward and transposed.
 
-A step is symplectic Euler: forces at its begin, then velocities, then positions and directions;
+Steps are leapfrogs (Stoermer-Verlet): forces where a step begins take velocities from the middle of
+the step before to that of this one, and velocities take positions and directions to its end;
 contact with the table and walls changes velocities so that no point ends beyond them, with Coulomb
 friction (Moreau 1988); what a gripper holds is put where it is. Every world has a block of threads
 on CUDA, and a thread with SIMD lanes on the CPU.
@@ -48,8 +49,11 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         body: Body, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real
     ) -> real: ...
 
-    @wp.func_native(f"gendom::{kind}_move(body, w, state, row, next, dt);")
-    def move(body: Body, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real): ...
+    @wp.func_native(f"gendom::{kind}_move(body, w, state, row, next, dt, kick);")
+    def move(
+        body: Body, w: int, state: wp.array3d(dtype=real), row: int, next: int, dt: real,
+        kick: real,
+    ): ...  # fmt: skip
 
     @wp.func_native(f"gendom::{kind}_hold(body, w, g, centre, turned, state, next);")
     def hold(
@@ -60,10 +64,11 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     @wp.func_native(f"gendom::{kind}_hold_adjoint(body, bars, w, g, turned);")
     def hold_adjoint(body: Body, bars: Bars, w: int, g: int, turned: quat): ...
 
-    @wp.func_native(f"gendom::{kind}_move_adjoint(body, bars, w, state, row, dt);")
+    @wp.func_native(f"gendom::{kind}_move_adjoint(body, bars, w, state, row, dt, kick);")
     def move_adjoint(
-        body: Body, bars: Bars, w: int, state: wp.array3d(dtype=real), row: int, dt: real
-    ): ...
+        body: Body, bars: Bars, w: int, state: wp.array3d(dtype=real), row: int, dt: real,
+        kick: real,
+    ): ...  # fmt: skip
 
     @wp.func_native(f"gendom::{kind}_forces_adjoint(body, bars, w, state, row, dt);")
     def forces_adjoint(
@@ -83,6 +88,14 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
 
     @wp.func
+    def kick_of(plan: Plan, w: int, p: int, k: int):
+        """From the middle of the step before to the middle of step k of a piece [s]."""
+        kick = plan.dt[w, p]
+        if k == 0:
+            kick = wp.float64(0.5) * (plan.before[w, p] + kick)
+        return real(kick)
+
+    @wp.func
     def strains_begin(body: Body, w: int, state: wp.array3d(dtype=real), row: int):
         """The lagged strains are those of the state: a step that is longer than any damping."""
         forces(body, w, state, row, row, real(1.0e30))
@@ -100,7 +113,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         paths: Paths,
         plan: Plan,
         piece: wp.array2d(dtype=wp.int32),  # [W, 2] the first, and the one after the last
-        # step s of the call goes from row w + s stride - offset to the next; stride 0: in place
+        # step k of the call goes from row w + k stride - offset to the next; stride 0: in place
         offset: int,
         stride: int,
         state: wp.array3d(dtype=real),
@@ -114,33 +127,33 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         w = first + wp.tid() // lanes
         lane = wp.tid() % lanes
         row = w - offset
-        for s in range(piece[w, 0], piece[w, 1]):
+        for p in range(piece[w, 0], piece[w, 1]):
             if stopped[w] < 0:
                 if every >= 0:
                     for c in range(state.shape[1]):
                         for i in range(lane, state.shape[2], lanes):
-                            kept[w + s * every, c, i] = state[row, c, i]
-                t0 = plan.begins[w, s]
-                dt = plan.dt[w, s]
+                            kept[w + p * every, c, i] = state[row, c, i]
+                t0 = plan.begins[w, p]
+                dt = plan.dt[w, p]
                 h = real(dt)
                 bad = int(0)
-                for k in range(plan.steps[w, s]):
+                for k in range(plan.steps[w, p]):
                     if not forces(body, w, state, row, row + stride, h) <= limit:
                         bad = 1
                     meet()
-                    move(body, w, state, row, row + stride, h)
+                    move(body, w, state, row, row + stride, h, kick_of(plan, w, p, k))
                     row += stride
                     meet()
-                    t = t0 + wp.float64(k + 1) * dt
+                    t = t0 + wp.float64(plan.done[w, p] + k + 1) * dt
                     for g in range(body.holds.shape[1]):
                         if is_closed(w, g, t0, paths):
                             centre, R, _knot = pose(w, g, t, paths)
                             hold(body, w, g, narrow(centre), quat_of(R), state, row)
                             meet()
                 if any_of(bad) != 0:
-                    stopped[w] = s
+                    stopped[w] = p
                 else:
-                    f = plan.frame[w, s]
+                    f = plan.frame[w, p]
                     if f >= 0:
                         for k in range(lane, points.shape[0], lanes):
                             i = body.slot[points[k]]
@@ -183,7 +196,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         for back in range(steps):
             k = steps - 1 - back
             row = w - offset + k * stride
-            t = t0 + wp.float64(k + 1) * dt
+            t = t0 + wp.float64(plan.done[w, p] + k + 1) * dt
             for before in range(body.holds.shape[1]):
                 g = body.holds.shape[1] - 1 - before
                 if lane == 0 and is_closed(w, g, t0, paths):
@@ -201,7 +214,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
             # the scratch as in the step; the lagged strains of the next row are written once more
             forces(body, w, state, row, row + stride, h)
             meet()
-            move_adjoint(body, bars, w, state, row, h)
+            move_adjoint(body, bars, w, state, row, h, kick_of(plan, w, p, k))
             meet()
             forces_adjoint(body, bars, w, state, row, h)
             meet()

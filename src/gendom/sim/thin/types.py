@@ -88,9 +88,11 @@ def make_types(real: Any) -> Types:
     class Plan:
         """What W worlds do one after the other: pieces of equal steps."""
 
-        begins: wp.array2d(dtype=wp.float64)  # [W, S] [s]
+        begins: wp.array2d(dtype=wp.float64)  # [W, S] of the interval that it is a part of [s]
+        done: wp.array2d(dtype=wp.int32)  # [W, S] steps of that interval before it
         steps: wp.array2d(dtype=wp.int32)  # [W, S]
         dt: wp.array2d(dtype=wp.float64)  # [W, S] [s]
+        before: wp.array2d(dtype=wp.float64)  # [W, S] length of the step before; 0 at a start [s]
         frame: wp.array2d(dtype=wp.int32)  # [W, S] recorded at its end; -1: none
 
     return Types(real=real, vec3=vec3, quat=quat, Body=Body, Bars=Bars, Plan=Plan)

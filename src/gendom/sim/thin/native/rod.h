@@ -143,12 +143,12 @@ template <typename T> CUDA_CALLABLE inline vec<T> across(const vec<T>& v, const 
 // Velocities, positions and directions at the end of a step, of what nobody holds.
 template <typename Rod, typename real>
 CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real>& state, int row,
-                                   int next, real dt) {
+                                   int next, real dt, real kick) {
     typedef typename several<real>::lanes T;
     const int n = rod.points;
     const rows_of<real> s(state, row), to(state, next), m(rod.inertia, w), in(rod.scratch, w);
     const T h = T(dt), one = T(real(1)), half = T(real(0.5));
-    const T keep = T(wp::exp(-dt * wp::index(rod.velocity_damping, w)));
+    const T keep = T(wp::exp(-kick * wp::index(rod.velocity_damping, w)));
     const vec<T> g = gravity_of<T>(rod, w);
     for (EACH(i, n)) {
         const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
@@ -156,7 +156,7 @@ CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real
         const vec<T> vn = across(v0, along);
         const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
                          m.template get<T>(DRAG, i) * root(dot(vn, vn)) * vn;
-        vec<T> v = keep * (v0 + h * (m.template get<T>(PER_MASS, i) * f + g));
+        vec<T> v = keep * (v0 + T(kick) * (m.template get<T>(PER_MASS, i) * f + g));
         v = ground<T>(rod, w, dt).stopped(x, v);
         to.put3(V, i, v);
         to.put3(X, i, x + h * v);
@@ -164,7 +164,7 @@ CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real
         const vec<T> torque = in.template get3<T>(MOMENT, i + 1) - in.template get3<T>(MOMENT, i) -
                               in.template get3<T>(TURN, i);
         const vec<T> spin =
-            keep * (s.template get3<T>(W, i) + h * m.template get<T>(PER_TURN, i) * torque);
+            keep * (s.template get3<T>(W, i) + T(kick) * m.template get<T>(PER_TURN, i) * torque);
         quat<T> q = quat<T>{half * h * spin, one} * s.template get4<T>(Q, i);
         const T per = one / root(dot(q.v, q.v) + q.w * q.w);
         to.put3(W, i, spin);
@@ -189,7 +189,10 @@ CUDA_CALLABLE inline void rod_hold(const Rod& rod, int w, int g, const wp::vec_t
             to.put3(V, i, still);
         }
         if (holds & 2) {
-            to.put4(Q, i, by * place.template get4<real>(3, i));
+            // q and -q are one direction, but not to the joints: it stays on the side where it is
+            const quat<real> q = by * place.template get4<real>(3, i), was = to.template get4<real>(Q, i);
+            const real side = dot(q.v, was.v) + q.w * was.w < real(0) ? real(-1) : real(1);
+            to.put4(Q, i, quat<real>{side * q.v, side * q.w});
             to.put3(W, i, still);
         }
     }

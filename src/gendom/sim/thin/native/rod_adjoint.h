@@ -47,13 +47,14 @@ CUDA_CALLABLE inline void rod_hold_adjoint(const Rod& rod, const Bars& bars, int
 // Of `rod_move`; the scratch is as `rod_forces` left it.
 template <typename Rod, typename Bars, typename real>
 CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int w,
-                                           const wp::array_t<real>& state, int row, real dt) {
+                                           const wp::array_t<real>& state, int row, real dt,
+                                           real kick) {
     typedef typename several<real>::lanes T;
     const int n = rod.points;
     const rows_of<real> s(state, row), m(rod.inertia, w), in(rod.scratch, w), b(bars.state, w), by(bars.model, w), out(bars.scratch, w);
-    const T h = T(dt), one = T(real(1)), half = T(real(0.5));
+    const T h = T(dt), by_kick = T(kick), one = T(real(1)), half = T(real(0.5));
     const T tiny = T(real(1e-12));
-    const T keep = T(wp::exp(-dt * wp::index(rod.velocity_damping, w)));
+    const T keep = T(wp::exp(-kick * wp::index(rod.velocity_damping, w)));
     const vec<T> g = gravity_of<T>(rod, w);
     for (EACH(i, n)) {
         // as in the step
@@ -64,16 +65,16 @@ CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int
         const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
                          drag * speed_n * vn;
         const T per_mass = m.template get<T>(PER_MASS, i);
-        const vec<T> v1 = keep * (v0 + h * (per_mass * f + g));
+        const vec<T> v1 = keep * (v0 + by_kick * (per_mass * f + g));
 
         vec<T> x_bar = b.template get3<T>(X_BAR, i);
         vec<T> v_bar = b.template get3<T>(V_BAR, i) + h * x_bar;
         by.add(FRICTION_BAR, i, ground<T>(rod, w, dt).stopped_adjoint(x, v1, x_bar, v_bar));
-        by.add(VELOCITY_DAMPING_BAR, i, -h * dot(v1, v_bar));
+        by.add(VELOCITY_DAMPING_BAR, i, -by_kick * dot(v1, v_bar));
         v_bar = keep * v_bar;
-        by.add3(GRAVITY_BAR, i, h * v_bar);
-        by.add(PER_MASS_BAR, i, h * dot(f, v_bar));
-        const vec<T> f_bar = h * per_mass * v_bar;
+        by.add3(GRAVITY_BAR, i, by_kick * v_bar);
+        by.add(PER_MASS_BAR, i, by_kick * dot(f, v_bar));
+        const vec<T> f_bar = by_kick * per_mass * v_bar;
         const T f_vn = dot(f_bar, vn);
         by.add(DRAG_BAR, i, -speed_n * f_vn);
         const vec<T> vn_bar = -drag * (speed_n * f_bar + f_vn / larger(speed_n, tiny) * vn);
@@ -88,14 +89,14 @@ CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int
         const vec<T> torque = in.template get3<T>(MOMENT, i + 1) - in.template get3<T>(MOMENT, i) -
                               in.template get3<T>(TURN, i);
         const T per_turn = m.template get<T>(PER_TURN, i);
-        const vec<T> spin = keep * (s.template get3<T>(W, i) + h * per_turn * torque);
+        const vec<T> spin = keep * (s.template get3<T>(W, i) + by_kick * per_turn * torque);
         const vec<T> a = half * h * spin, q_bar = b.template get3<T>(Q_BAR, i);
         const T squared = one + dot(a, a), unit = one / root(squared);
         vec<T> spin_bar = b.template get3<T>(W_BAR, i) + h / squared * (q_bar - cross(a, q_bar));
-        by.add(VELOCITY_DAMPING_BAR, i, -h * dot(spin, spin_bar));
+        by.add(VELOCITY_DAMPING_BAR, i, -by_kick * dot(spin, spin_bar));
         spin_bar = keep * spin_bar;
-        by.add(PER_TURN_BAR, i, h * dot(torque, spin_bar));
-        out.put3(TORQUE_BAR, i, h * per_turn * spin_bar);
+        by.add(PER_TURN_BAR, i, by_kick * dot(torque, spin_bar));
+        out.put3(TORQUE_BAR, i, by_kick * per_turn * spin_bar);
         b.put3(Q_BAR, i, directors<T>(quat<T>{unit * a, unit}).to_body(q_bar));
         b.put3(W_BAR, i, spin_bar);
     }

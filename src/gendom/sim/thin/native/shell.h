@@ -194,11 +194,11 @@ CUDA_CALLABLE inline vec<T> shell_pull(const Rows& in, const Rows& shape, int p,
 
 template <typename Body, typename real>
 CUDA_CALLABLE inline void shell_move(const Body& body, int w, const wp::array_t<real>& state, int row,
-                                     int next, real dt) {
+                                     int next, real dt, real kick) {
     typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), to(state, next), shape(body.rest, 0), m(body.inertia, w),
         in(body.scratch, w);
-    const T h = T(dt), keep = T(wp::exp(-dt * wp::index(body.velocity_damping, w)));
+    const T h = T(dt), keep = T(wp::exp(-kick * wp::index(body.velocity_damping, w)));
     const vec<T> g = gravity_of<T>(body, w);
     const ground<T> around(body, w, dt);
     for (EACH_IN(p, body.first, body.end)) {
@@ -207,7 +207,7 @@ CUDA_CALLABLE inline void shell_move(const Body& body, int w, const wp::array_t<
         const T vn = dot(v0, normal);
         const vec<T> f = shell_pull<T>(in, shape, p, body.pitch) -
                          m.template get<T>(POINT_DRAG, p) * root(vn * vn) * vn * normal;
-        const vec<T> v = around.stopped(x, keep * (v0 + h * (m.template get<T>(POINT_PER_MASS, p) * f + g)));
+        const vec<T> v = around.stopped(x, keep * (v0 + T(kick) * (m.template get<T>(POINT_PER_MASS, p) * f + g)));
         to.put3(SHELL_V, p, v);
         to.put3(SHELL_X, p, x + h * v);
     }

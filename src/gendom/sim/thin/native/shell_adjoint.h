@@ -36,11 +36,12 @@ CUDA_CALLABLE inline void shell_hold_adjoint(const Body& body, const Bars& bars,
 
 template <typename Body, typename Bars, typename real>
 CUDA_CALLABLE inline void shell_move_adjoint(const Body& body, const Bars& bars, int w,
-                                             const wp::array_t<real>& state, int row, real dt) {
+                                             const wp::array_t<real>& state, int row, real dt,
+                                             real kick) {
     typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), shape(body.rest, 0), m(body.inertia, w), in(body.scratch, w),
         b(bars.state, w), by(bars.model, w), out(bars.scratch, w);
-    const T h = T(dt), keep = T(wp::exp(-dt * wp::index(body.velocity_damping, w)));
+    const T h = T(dt), by_kick = T(kick), keep = T(wp::exp(-kick * wp::index(body.velocity_damping, w)));
     const vec<T> g = gravity_of<T>(body, w);
     const ground<T> around(body, w, dt);
     for (EACH_IN(p, body.first, body.end)) {
@@ -49,15 +50,15 @@ CUDA_CALLABLE inline void shell_move_adjoint(const Body& body, const Bars& bars,
         const T vn = dot(v0, normal), size = root(vn * vn), drag = m.template get<T>(POINT_DRAG, p);
         const vec<T> f = shell_pull<T>(in, shape, p, body.pitch) - drag * size * vn * normal;
         const T per_mass = m.template get<T>(POINT_PER_MASS, p);
-        const vec<T> v1 = keep * (v0 + h * (per_mass * f + g));
+        const vec<T> v1 = keep * (v0 + by_kick * (per_mass * f + g));
         vec<T> x_bar = b.template get3<T>(SHELL_X_BAR, p);
         vec<T> v_bar = b.template get3<T>(SHELL_V_BAR, p) + h * x_bar;
         by.add(SHELL_FRICTION_BAR, p, around.stopped_adjoint(x, v1, x_bar, v_bar));
-        by.add(SHELL_VELOCITY_DAMPING_BAR, p, -h * dot(v1, v_bar));
+        by.add(SHELL_VELOCITY_DAMPING_BAR, p, -by_kick * dot(v1, v_bar));
         v_bar = keep * v_bar;
-        by.add3(SHELL_GRAVITY_BAR, p, h * v_bar);
-        by.add(POINT_PER_MASS_BAR, p, h * dot(f, v_bar));
-        const vec<T> f_bar = h * per_mass * v_bar;
+        by.add3(SHELL_GRAVITY_BAR, p, by_kick * v_bar);
+        by.add(POINT_PER_MASS_BAR, p, by_kick * dot(f, v_bar));
+        const vec<T> f_bar = by_kick * per_mass * v_bar;
         const T by_drag = -dot(f_bar, normal), vn_bar = (size + size) * drag * by_drag;
         by.add(POINT_DRAG_BAR, p, size * vn * by_drag);
         out.put3(F_BAR, p, f_bar);

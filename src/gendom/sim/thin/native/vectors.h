@@ -130,12 +130,20 @@ template <typename real> struct rows_of {
         : first(&wp::index(a, row, 0, 0) + margin), pitch(a.shape[2]) {}
 
     template <typename T> CUDA_CALLABLE inline T get(int c, int i) const {
+#if defined(__CUDA_ARCH__)
+        return first[c * pitch + i];
+#else
         T a;
         __builtin_memcpy(&a, first + c * pitch + i, sizeof(T));  // lanes begin at any number
         return a;
+#endif
     }
     template <typename T> CUDA_CALLABLE inline void put(int c, int i, const T& a) const {
+#if defined(__CUDA_ARCH__)
+        first[c * pitch + i] = a;
+#else
         __builtin_memcpy(first + c * pitch + i, &a, sizeof(T));
+#endif
     }
     template <typename T> CUDA_CALLABLE inline void add(int c, int i, const T& a) const {
         put(c, i, get<T>(c, i) + a);

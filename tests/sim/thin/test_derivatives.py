@@ -1,0 +1,282 @@
+"""Derivatives through whole runs of rods and shells against central differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Material
+from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
+
+TIMES = [0.01, 0.03, 0.05, 0.06]
+
+ROPE = rope(diameter=0.012, length=0.2, start=(0, 0, 0.1), direction=(1, 0.1, 0), points=12)
+RIBBON = rope(diameter=0.004, length=0.2, start=(0, 0, 0.1), points=12, width=0.012)
+CLOTH = cloth(
+    width=0.12, height=0.1, thickness=0.004, dx=0.02, corner=(0, 0, 0.1), points=(7, 6), yaw=0.1
+)
+BODIES = pytest.mark.parametrize("body", [ROPE, RIBBON, CLOTH], ids=["rope", "ribbon", "cloth"])
+
+
+def given(body, seed=0):
+    """Everything that a scene depends on; two grippers, the second one closes later and turns."""
+    rng = np.random.default_rng(seed)
+    n, sheet = len(body.points), body.kind == "cloth"
+    wave = np.linspace(0, 6, n) if not sheet else 40 * body.points[:, 0] + 20 * body.points[:, 1]
+    bump = np.outer(0.006 * np.sin(wave), (0.0, 0.3, 1.0))
+    first, last = body.points[0], body.points[-1]
+    return {
+        "E": 2e5 if sheet else 1e6,
+        "nu": 0.3,
+        "density": 900.0,
+        "damping": 0.003,
+        "friction": 0.3,
+        "gravity": np.array([0.3, 0.2, -30.0]),
+        "velocity_damping": 2.0,
+        "air_density": 40.0,
+        "stiffness": 1.0 + 0.2 * rng.normal(size=n) ** 2,
+        "positions": body.points + bump + 3e-4 * rng.normal(size=(n, 3)),
+        "velocities": 0.2 * rng.normal(size=(n, 3)),
+        "gripper_positions": np.array(
+            [
+                [first, first + [0.01, 0.01, 0.02], first + [0.0, 0.02, 0.03]],
+                [last, last + [0.0, 0.01, 0.01], last + [-0.02, 0.02, 0.0]],
+            ]
+        ),
+        "gripper_rotations": np.zeros((3, 3)),
+        "gripper_radius": np.array([0.031, 0.035] if sheet else [0.021, 0.025]),
+    }
+
+
+def table_height(body):
+    """Just below the scene's first state."""
+    return given(body)["positions"][:, 2].min() - body.thickness / 2.0 - 0.0005
+
+
+def simulator(body, p, **options):
+    turns = Rotation.from_rotvec([[0, 0, 0], [0.3, 0.5, 0.1], [0.5, 0.6, -0.3]])
+    turned = Rotation.from_rotvec(p["gripper_rotations"]) * turns
+    first, second = p["gripper_positions"]
+    radius = p["gripper_radius"]
+    knots = [0, 0.02, 0.05]
+    s = Simulator(
+        body,
+        [Material(**{name: float(p[name]) for name in ("E", "nu", "density", "damping")})],
+        engine="thin",
+        grippers=[
+            Gripper(time=knots, position=first, radius=radius[0], hold_until=0.045),
+            Gripper(
+                time=knots,
+                position=second,
+                quat_xyzw=turned.as_quat(),
+                radius=radius[1],
+                hold_from=0.011,
+            ),
+        ],
+        table=Table(height=table_height(body), friction=p["friction"]),
+        gravity=p["gravity"],
+        velocity_damping=p["velocity_damping"],
+        air_density=p["air_density"],
+        stiffness=p["stiffness"],
+        positions=p["positions"],
+        substep=2e-4,
+        **options,
+    )
+    s.set_velocities(p["velocities"])
+    return s
+
+
+def gradients(body, p, weights, **options):
+    rollout = Rollout(simulator(body, p), **options)
+    x = rollout.forward(TIMES)
+    return x, rollout.backward(weights)
+
+
+@BODIES
+def test_every_derivative_is_that_of_central_differences(body):
+    p, rng = given(body), np.random.default_rng(1)
+    weights = rng.normal(size=(len(TIMES), 1, len(body.points), 3))
+    _, found = gradients(body, p, weights)
+    watched = simulator(body, p).run(np.linspace(0.001, 0.06, 60))
+    lowest = table_height(body) + body.thickness / 2.0
+    assert np.abs(watched[..., 2] - lowest).min() < 1e-9  # something touches the table
+
+    def loss(name, direction, step):
+        return float(
+            np.sum(simulator(body, p | {name: p[name] + step * direction}).run(TIMES) * weights)
+        )
+
+    for name in p:
+        direction = rng.normal(size=np.shape(p[name]))
+        if name == "density":  # a table begins to be touched at another step otherwise
+            direction = np.array(1.0)
+        # lengths by 20 nm: nothing may begin to touch or to slide in another step
+        length = name in ("positions", "gripper_positions", "gripper_radius")
+        h = 2e-8 if length else 2e-6 * max(np.abs(p[name]).max(), 1e-2)
+        near, far = (
+            loss(name, direction, k * h) - loss(name, direction, -k * h) for k in (1.0, 2.0)
+        )
+        differences = (8.0 * near - far) / (12.0 * h)
+        by = getattr(found, name)[0]
+        by = by[1] if name == "gripper_rotations" else by
+        assert np.sum(by * direction) == pytest.approx(differences, rel=2e-5), name
+
+
+@BODIES
+def test_rest_strains_are_differentiated(body):
+    """Of a rod by natural curvature, of a shell by its curvatures free of stress."""
+    p, rng = given(body), np.random.default_rng(2)
+    weights = rng.normal(size=(len(TIMES), 1, len(body.points), 3))
+    _, found = gradients(body, p, weights)
+    rows = slice(1, 7) if body.kind == "rope" else slice(3, 6)
+    direction = rng.normal(size=(rows.stop - rows.start, len(body.points)))
+
+    def loss(step):
+        s = simulator(body, p)
+        rest = s.engine.body.rest.numpy()
+        # an edge or joint that is not there has no stiffness: its number changes nothing
+        rest[0, rows, s.engine.slots] += step * direction.T
+        s.engine.body.rest.assign(rest)
+        s.engine.state.assign(s.engine.first_state(s.engine.component(slice(0, 3))))
+        s.set_velocities(p["velocities"])
+        s.engine.launch(s.engine.kernels.begin, slice(0, 1), [s.engine.body, s.engine.state])
+        return float(np.sum(s.run(TIMES) * weights))
+
+    h = 1e-8 if body.kind == "cloth" else 1e-6
+    differences = (loss(h) - loss(-h)) / (2.0 * h)
+    assert np.sum(found.rest_strains[0] * direction.T) == pytest.approx(differences, rel=1e-5)
+
+
+@BODIES
+@pytest.mark.parametrize("memory", [0.0, 1e9])
+def test_memory_does_not_change_derivatives(body, memory):
+    """Pieces of two steps, or of as many as the square root of all."""
+    p = given(body)
+    weights = np.random.default_rng(1).normal(size=(len(TIMES), 1, len(body.points), 3))
+    x, found = gradients(body, p, weights, memory=memory)
+    np.testing.assert_array_equal(x, simulator(body, p).run(TIMES))
+    _, expected = gradients(body, p, weights, memory=1e6)
+    for name, values in vars(expected).items():
+        scale = np.abs(values).max()
+        np.testing.assert_allclose(getattr(found, name), values, rtol=1e-9, atol=1e-11 * scale)
+
+
+@BODIES
+def test_worlds_of_a_batch_do_not_see_each_other(body):
+    """Positions bit for bit; grippers switch at different times."""
+    worlds = [given(body, seed) for seed in range(3)]
+    for k, p in enumerate(worlds):
+        p["E"] *= 1.0 + 0.3 * k
+    weights = np.random.default_rng(1).normal(size=(len(TIMES), 1, len(body.points), 3))
+
+    def hands(k, p):
+        return [
+            Gripper(time=[0, 0.03], position=path[:2], radius=radius, hold_from=0.004 * k * g)
+            for g, (path, radius) in enumerate(
+                zip(p["gripper_positions"], p["gripper_radius"], strict=True)
+            )
+        ]
+
+    def run(chosen):
+        s = Simulator(
+            body,
+            [Material(E=worlds[k]["E"], damping=0.002) for k in chosen],
+            engine="thin",
+            grippers=[hands(k, worlds[k]) for k in chosen],
+            positions=[worlds[k]["positions"] for k in chosen],
+        )
+        rollout = Rollout(s)
+        x = rollout.forward(TIMES)
+        return x, rollout.backward(np.repeat(weights, len(chosen), axis=1))
+
+    together = run([0, 1, 2])
+    for k in range(3):
+        x, found = run([k])
+        np.testing.assert_array_equal(together[0][:, k], x[:, 0])
+        for name, values in vars(found).items():
+            np.testing.assert_allclose(
+                getattr(together[1], name)[k], values[0], rtol=1e-12, atol=1e-20, err_msg=name
+            )
+
+
+def test_a_rope_pulled_apart_ends_with_an_error_and_its_last_state():
+    body = rope(diameter=0.01, length=0.2)
+    hands = [
+        Gripper.still((0, 0, 0), radius=0.01),
+        Gripper(time=[0, 1], position=[(0.2, 0, 0), (0.4, 0, 0)], radius=0.01),
+    ]
+    s = Simulator(body, [Material(), Material(E=2e6)], engine="thin", grippers=hands)
+    with pytest.raises(SimulationError, match=r"stretched or compressed by more than 20 %") as e:
+        s.run(np.linspace(0.1, 1.0, 10))
+    assert e.value.parameters["E"] in (1e6, 2e6)
+    assert 0.1 < e.value.time < 0.4
+    assert s.engine.kept_time[0] == pytest.approx(e.value.time - 0.1)
+    kept = s.engine.kept(last_good=True)["x"][0]
+    assert np.isfinite(kept).all() and kept[-1, 0] < 0.25
+
+
+def test_worlds_that_fail_do_not_stop_others():
+    body = rope(diameter=0.01, length=0.2)
+    still = Gripper.still((0, 0, 0), radius=0.01)
+    away = Gripper(time=[0, 1], position=[(0.2, 0, 0), (0.4, 0, 0)], radius=0.01)
+    stay = Gripper.still((0.2, 0, 0), radius=0.01)
+    s = Simulator(
+        body, [Material()] * 2, engine="thin", grippers=[[still, away], [still, stay]]
+    )
+    x = s.run([0.1, 1.0], keep_going=True)
+    assert set(s.failures) == {0}
+    assert np.isfinite(x[0]).all()
+    assert np.isnan(x[1, 0]).all() and np.isfinite(x[1, 1]).all()
+
+
+@pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])
+def test_a_gripper_that_closes_on_nothing_is_an_error(body):
+    away = Gripper.still((0, 0, 5), radius=0.01)
+    with pytest.raises(SimulationError, match="gripper 0 closed on nothing"):
+        Simulator(body, [Material()], engine="thin", grippers=[away]).run([0.01])
+    may = replace(away, may_miss=True)
+    Simulator(body, [Material()], engine="thin", grippers=[may]).run([0.01])
+
+
+@pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])
+def test_bad_input_is_named(body):
+    def make(**options):
+        Simulator(body, [Material()], engine="thin", **options)
+
+    with pytest.raises(ParameterError, match="begins stretched by"):
+        make(positions=1.5 * body.points)
+    with pytest.raises(ParameterError, match="mm inside the table"):
+        make(table=Table(height=0.1))
+    with pytest.raises(ParameterError, match="do not yield"):
+        Simulator(body, [Material(yield_stress=1e3)], engine="thin")
+    with pytest.raises(ParameterError, match="unknown engine 'fem'"):
+        Simulator(body, [Material()], engine="fem")
+    with pytest.raises(ParameterError, match="only the MPM has particles"):
+        Simulator(body, [Material()], engine="thin").deformation_gradients()
+
+
+def test_the_mpm_refuses_a_flat_rope():
+    with pytest.raises(ParameterError, match="round ropes only"):
+        Simulator(RIBBON, [Material()])
+
+
+@pytest.mark.gpu
+@BODIES
+def test_cuda_runs_and_differentiates_as_the_cpu_does(body):
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    p = given(body)
+    weights = np.random.default_rng(1).normal(size=(len(TIMES), 1, len(body.points), 3))
+    found = []
+    for device in ("cpu", "cuda"):
+        rollout = Rollout(simulator(body, p, device=device))
+        found.append((rollout.forward(TIMES), rollout.backward(weights)))
+    np.testing.assert_allclose(found[1][0], found[0][0], rtol=0.0, atol=1e-12)
+    for name, values in vars(found[0][1]).items():
+        scale = np.abs(values).max()
+        np.testing.assert_allclose(
+            getattr(found[1][1], name), values, rtol=1e-8, atol=1e-10 * scale, err_msg=name
+        )
