@@ -4,8 +4,8 @@
     python benchmarks/thin.py --device cuda --worlds 40000 --sheets 9600
 
 Times are medians of ``--runs`` after a first run that compiles; making the scene is counted, too.
-Derivatives are those of Gauss-Newton's method: a world for the parameters as they are, and one beside
-it for each parameter.
+Derivatives are those of Gauss-Newton's method: a world for the parameters as they are, and one
+beside it for each parameter.
 """
 
 import argparse

@@ -1,6 +1,7 @@
 """Ropes and cloths at rest: volume, second moments, spacing, lattice."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -125,7 +126,7 @@ def test_upright_rope_has_a_section():
 
 def test_cloth_turns_about_its_corner():
     """``yaw`` turns the sheet counter-clockwise about ``corner``; its own coordinates stay."""
-    sizes = {"width": 0.3, "height": 0.1, "thickness": 0.002, "dx": 0.02}
+    sizes: dict[str, Any] = {"width": 0.3, "height": 0.1, "thickness": 0.002, "dx": 0.02}
     flat = cloth(**sizes, corner=(1.0, 2.0, 3.0))
     turned = cloth(**sizes, corner=(1.0, 2.0, 3.0), yaw=math.pi / 2)
     d = flat.x - [1.0, 2.0, 3.0]

@@ -80,7 +80,7 @@ def test_every_runner_does_what_the_twin_does(runner, sheet, material, law, devi
     s.set_velocities(v)
     twin.state.v[:] = v
     if runner is not None:
-        s.engine._runner = runner(s.worlds)
+        setattr(s.engine, "_runner", runner(s.worlds))  # noqa: B010
     x, expected = s.run(TIMES)[:, 0], twin.run(TIMES, SUBSTEP)
     assert np.abs(x - expected).max() < 1e-12
     assert np.abs(s.velocities()[0] - twin.state.v).max() < 1e-9

@@ -15,6 +15,7 @@ from gendom.sim.mpm.adjoint.block_per_world import BlockTape
 from gendom.sim.mpm.adjoint.cpu import WorldTape
 from gendom.sim.mpm.adjoint.graph import BatchTape
 from gendom.sim.mpm.adjoint.sums import Sums
+from gendom.sim.mpm.engine import MpmEngine
 
 TIMES = [0.015, 0.03]
 NOTHING = {
@@ -271,13 +272,19 @@ def test_misuse_is_refused():
 
 
 def test_a_long_rollout_stays_within_its_memory():
-    tape = WorldTape(scene().engine, memory=0.0)
+    tape = WorldTape(engine_of(scene()), memory=0.0)
     x = tape.forward(np.array([0.4]))  # 2,000 substeps
     kept = tape._stretches[0]
     states = sum(view.nbytes for stretch in kept for view in (stretch.begin or {}).values())
     row = x[0].size // 3 * 15 * 8  # x, v, C
     assert states == math.ceil(2000 / 64) * row
     assert all(stretch.recording is None for stretch in kept)
+
+
+def engine_of(simulator):
+    """The MPM behind a simulator."""
+    assert isinstance(simulator.engine, MpmEngine)
+    return simulator.engine
 
 
 KINDS = pytest.mark.parametrize(
@@ -292,15 +299,15 @@ KINDS = pytest.mark.parametrize(
 @pytest.mark.parametrize("together", [BatchTape, BlockTape])
 def test_all_worlds_together_give_the_derivatives_of_each_alone(together, options, memory):
     """What a GPU does, stages or blocks, which run on the CPU too, against the CPU's own kernel."""
-    alone = WorldTape(scene(worlds=2, **options).engine, memory=1e9)
-    check_derivatives(alone, together(scene(worlds=2, **options).engine, memory=memory))
+    alone = WorldTape(engine_of(scene(worlds=2, **options)), memory=1e9)
+    check_derivatives(alone, together(engine_of(scene(worlds=2, **options)), memory=memory))
 
 
 def test_a_recording_may_run_out_of_layouts(monkeypatch):
     """It then ends, and another one begins."""
     monkeypatch.setattr(block_tape, "SUBSTEPS_A_LAYOUT", 1000)
-    alone = WorldTape(scene(worlds=2).engine, memory=1e9)
-    tape = BlockTape(scene(worlds=2).engine, memory=1e9)
+    alone = WorldTape(engine_of(scene(worlds=2)), memory=1e9)
+    tape = BlockTape(engine_of(scene(worlds=2)), memory=1e9)
     check_derivatives(alone, tape)
     assert max(map(len, tape._frames)) > 1
 
@@ -312,9 +319,9 @@ def test_a_recording_may_run_out_of_layouts(monkeypatch):
 def test_cuda_gives_the_derivatives_of_the_cpu(together, options, memory):
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
-    alone = WorldTape(scene(worlds=2, **options).engine, memory=1e9)
+    alone = WorldTape(engine_of(scene(worlds=2, **options)), memory=1e9)
     check_derivatives(
-        alone, together(scene(worlds=2, device="cuda", **options).engine, memory=memory)
+        alone, together(engine_of(scene(worlds=2, device="cuda", **options)), memory=memory)
     )
 
 

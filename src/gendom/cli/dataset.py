@@ -36,6 +36,8 @@ class Command:
     """Seed of all random draws."""
     device: str = "cpu"
     """cpu, cuda, cuda:0 and so on; several (cuda:0,cuda:1) or all GPUs share the work."""
+    engine: Literal["mpm", "thin"] | None = None
+    """Of the simulator; by default the task's."""
     cells_across: float | None = None
     """Grid cells across the rope's diameter (default: the task's own)."""
     shard_size: int | None = None
@@ -58,7 +60,8 @@ class Command:
                     known = True
                 bar.update(done - bar.n)
 
-            chosen = {} if self.cells_across is None else {"cells_across": self.cells_across}
+            given = {"cells_across": self.cells_across, "engine": self.engine}
+            chosen: dict[str, Any] = {k: v for k, v in given.items() if v is not None}
             table = generate(
                 TASKS[self.task](**chosen),
                 self.size,

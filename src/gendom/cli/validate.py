@@ -25,6 +25,8 @@ class Command:
 
     only: tuple[str, ...] = ()
     """Names of the cases to run; by default all."""
+    engine: Literal["mpm", "thin"] | None = None
+    """Only cases of this engine."""
     list: bool = False
     """List the cases and stop."""
     quick: bool = False
@@ -42,9 +44,11 @@ class Command:
         from gendom.sim import open_device
         from gendom.validation import Settings, choose, run_cases
 
-        cases = choose(self.only)
+        cases = choose(self.only, self.engine)
         if self.list:
-            entries = [{"name": case.name, "title": case.title} for case in cases]
+            entries = [
+                {"name": case.name, "title": case.title, "engine": case.engine} for case in cases
+            ]
             width = max(len(case.name) for case in cases)
             lines = [f"{case.name:<{width}}  {case.title}" for case in cases]
             print(to_json({"cases": entries}) if self.json else "\n".join(lines))

@@ -147,6 +147,11 @@ class Simulator:
         return self.engine.failures
 
     @property
+    def threads(self) -> int:
+        """Worlds simulated side by side on the CPU."""
+        return self.engine.setting.threads
+
+    @property
     def num_points(self) -> int:
         """Particles, or points of a rod."""
         return self.engine.num_points

@@ -119,3 +119,5 @@ class Case:
     title: str
     run: Callable[[Settings], list[Check]]
     """Simulates and measures; what it simulates is in its docstring."""
+    engine: str = "mpm"
+    """Of the simulator."""

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
 from gendom.sim import GRAVITY, Gripper, Simulator, Table, rope
-from gendom.sim.thin.rods import Q, Rods
 from gendom.sim.thin.rod import joint_strains
+from gendom.sim.thin.rods import Q, Rods
 from gendom.sim.thin.rotation import conjugate, turned
 from gendom.validation.beams import ELASTICA, heavy_elastica
 from gendom.validation.chain import STIFF, lowest_frequency
@@ -119,9 +119,14 @@ def ring_down(settings: Settings) -> list[Check]:
             own = 1e3 * 2.0 * rate / frequency**2
             checks.append(
                 Check.within(
-                    "what the integrator itself damps", "ms", 0.0, own, 0.002, "a leapfrog has no damping"
+                    "what the integrator itself damps",
+                    "ms",
+                    0.0,
+                    own,
+                    0.002,
+                    "a leapfrog has no damping",
                 )
-            )
+            )  # fmt: skip
             continue
         expected, decay = damped_frequency(omega, tau)
         checks += [
@@ -318,7 +323,8 @@ def precision(settings: Settings) -> list[Check]:
     return [
         Check.within(
             "largest difference of float32 from float64, over a lift by 0.3 m", "-", 0.0,
-            float(np.abs(single - double).max() / 0.3), 1e-3, "round-off: 2^-24 a number (IEEE 754)",
+            float(np.abs(single - double).max() / 0.3), 1e-3,
+            "round-off: 2^-24 a number (IEEE 754)",
         )
     ]  # fmt: skip
 

@@ -21,6 +21,8 @@ from gendom.validation import (
     grip,
     layers,
     resting,
+    rods,
+    shells,
     stability,
     torsion,
 )
@@ -51,6 +53,32 @@ CASES = {
         Case(name="batch", title="worlds together and alone", run=consistency.batch),
         Case(name="precision", title="single and double precision", run=consistency.precision),
         Case(name="stability", title="random worlds", run=stability.stability),
+        *(
+            Case(name=f"rod-{name}", title=title, run=run, engine="thin")
+            for name, title, run in (
+                ("held", "ropes in grippers", rods.held),
+                ("elastica", "a rope's large sag", rods.elastica),
+                ("ring-down", "a rope with material damping", rods.ring_down),
+                ("hanging", "a soft rope's swing", rods.hanging),
+                ("twist", "a twisted rope", rods.twist),
+                ("buckling", "ropes pushed and twisted", rods.buckling),
+                ("catenary", "a rope between two hands", rods.catenary),
+                ("table", "ropes on the table", rods.on_the_table),
+                ("free-flight", "a rope in space", rods.free_flight),
+                ("precision", "single and double precision", rods.precision),
+            )
+        ),
+        *(
+            Case(name=f"shell-{name}", title=title, run=run, engine="thin")
+            for name, title, run in (
+                ("strips", "strips' sags", shells.strips),
+                ("cylinders", "rolled sheets", shells.cylinders),
+                ("stretched", "stretched and sheared sheets", shells.stretched),
+                ("ring-down", "a strip with material damping", shells.ring_down),
+                ("falls", "sheets in air and on the table", shells.falls),
+                ("free-flight", "a sheet in space", shells.free_flight),
+            )
+        ),
     )
 }
 """Every case by its name, in the order in which they run."""
@@ -71,8 +99,8 @@ class Result:
         return self.failure is None and all(check.passed for check in self.checks)
 
 
-def choose(names: Sequence[str]) -> list[Case]:
-    """The cases of these names, in the suite's order; all for no names.
+def choose(names: Sequence[str], engine: str | None = None) -> list[Case]:
+    """The cases of these names, in the suite's order; all for no names, or all of an engine.
 
     Raises:
         ParameterError: If there is no case of a name.
@@ -82,7 +110,11 @@ def choose(names: Sequence[str]) -> list[Case]:
             raise ParameterError(
                 f"there is no case {name!r}", where="--only", fix=f"choose from {', '.join(CASES)}"
             )
-    return [case for name, case in CASES.items() if not names or name in names]
+    return [
+        case
+        for name, case in CASES.items()
+        if (name in names or not names) and engine in (None, case.engine)
+    ]
 
 
 def run_cases(cases: Sequence[Case], settings: Settings) -> Iterator[Result]:
