@@ -47,6 +47,8 @@ class Setting:
     gravity: ArrayLike
     velocity_damping: ArrayLike
     air_density: ArrayLike
+    self_contact: bool
+    self_friction: ArrayLike
     law: str
     stiffness: ArrayLike
     positions: ArrayLike

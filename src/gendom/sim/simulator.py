@@ -21,14 +21,14 @@ from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin import thin_engine
 
 ENGINES = ("mpm", "thin")
-"""``mpm``: particles on a grid; ``thin``: ropes as rods."""
+"""``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
 
 START_INSIDE = 0.1
 """How deep a body may begin in a table or wall [cells, diameters of a rod]; it is put on it."""
 
 
 class Simulator:
-    """W worlds of material points that differ in material, friction, gravity, damping and paths.
+    """W worlds of one body that differ in material, friction, gravity, damping and paths.
 
     All worlds share the body's geometry. State arrays are [W, N]; nothing is stored for space
     that the body does not occupy.
@@ -36,6 +36,7 @@ class Simulator:
     Args:
         body: What is simulated, at rest.
         materials: One a world.
+        engine: ``mpm`` (particles on a grid) or ``thin`` (a rope as a rod, a cloth as a shell).
         grippers: Grippers shared by all worlds, or one sequence of them for each world.
         table: Table, or None for open space.
         gravity: [3] or [W, 3] [m/s^2].
@@ -43,7 +44,10 @@ class Simulator:
             materials lose see ``Material.damping``.
         air_density: Of the air that drags on ropes and cloths, one number or [W] [kg/m^3].
         box: Walls, or None.
-        law: Elastic law, see ``gendom.materials.laws.LAWS``.
+        self_contact: Whether rods and shells keep their thickness where they meet themselves; the
+            MPM's layers share their grid's velocities.
+        self_friction: Coefficient of friction there, one number or [W].
+        law: Elastic law of the MPM, see ``gendom.materials.laws.LAWS``.
         substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
         cfl: Share of the limit dx / wave speed (see ``stable_substep``).
         stiffness: Share of its material's E that each particle has, [N] or [W, N] [-].
@@ -70,6 +74,8 @@ class Simulator:
         velocity_damping: float | ArrayLike = 0.0,
         air_density: float | ArrayLike = AIR_DENSITY,
         box: Box | None = None,
+        self_contact: bool = False,
+        self_friction: float | ArrayLike = 0.3,
         law: str = "neo-hookean",
         substep: float | None = None,
         cfl: float | None = None,
@@ -93,6 +99,7 @@ class Simulator:
         check_numbers("velocity_damping", velocity_damping, least=0.0)
         check_numbers("air_density", air_density, least=0.0)
         check_numbers("gravity", gravity)
+        check_numbers("self_friction", self_friction, least=0.0)
         check_numbers("start_time", start_time)
         check_numbers("stiffness", stiffness, above=0.0)
         for name, value in (("substep", substep), ("cfl", cfl)):
@@ -122,6 +129,8 @@ class Simulator:
             grippers=_grippers_of_worlds(grippers, W),
             table=table,
             box=box,
+            self_contact=self_contact,
+            self_friction=self_friction,
             gravity=gravity,
             velocity_damping=velocity_damping,
             air_density=air_density,

@@ -25,6 +25,12 @@ CFL = 0.8
 STRETCH = 0.2
 """Most that a body may be stretched or compressed."""
 
+MARGIN_OF_LISTS = 0.3
+"""Margin with which pairs that may meet are listed [spacings]."""
+
+PAIRS = 40
+"""Most such pairs a point."""
+
 GROUP = 16
 """Most worlds that a thread of the CPU takes at a time."""
 
@@ -132,6 +138,13 @@ class ThinEngine(ABC):
     @abstractmethod
     def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
         """[W, ., P] at rest at points [W, n, 3]."""
+
+    spacing: float
+    """Longest between neighbouring points [m]."""
+    apart: int
+    """Points along the body from where on it may meet itself."""
+    per_mass: NDArray[np.float64]
+    """[W, n] [1/kg]."""
 
     @abstractmethod
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None: ...
@@ -319,6 +332,8 @@ class ThinEngine(ABC):
         """Hand what is held to the kernels."""
         self.body.holds.assign(self.holds)
         self.stiffen(self.body)
+        if self.setting.self_contact:
+            self._let_loose(self.body)
 
     def error(self, w: int, time: float, what: str, *, where: str, fix: str) -> SimulationError:
         """An error that names world, time [s] and parameters."""
@@ -386,7 +401,32 @@ class ThinEngine(ABC):
         body.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
         self.air_density = spread(s.air_density, (W,), "air_density")
         self.fill(body)
+        self._contact(body)
         return body
+
+    def _contact(self, body: Any) -> None:
+        s, W, n, P = self.setting, self.num_worlds, self.num_points, self.row_length
+        on = int(s.self_contact)
+        thickness, spacing = s.body.thickness, self.spacing
+        body.contact = on
+        body.contact_distance = thickness
+        body.contact_margin = MARGIN_OF_LISTS * spacing
+        body.contact_reach = 2.0 * (1.0 + STRETCH) * spacing + thickness + body.contact_margin
+        body.contact_apart = self.apart
+        body.contact_turns = 4 if s.device.is_cuda else 2
+        body.self_friction = self.array(spread(s.self_friction, (W,), "self_friction"))
+        body.loose = self.zeros((W * on, 1, P))
+        body.push = self.zeros((W * on, 7, P))
+        body.listed = self.zeros((W * on, 3, P))
+        body.listed.fill_(1e6)
+        body.near = self.zeros((W * on, PAIRS * n, 2), wp.int32)
+        body.near_count = self.zeros(W * on, wp.int32)
+        if on:
+            self._let_loose(body)
+
+    def _let_loose(self, body: Any) -> None:
+        free = 1.0 - np.any(self.holds & 1, axis=1)
+        body.loose.assign(self.rows(self.per_mass * free)[:, None])
 
 
 class _Job:
@@ -428,6 +468,15 @@ class _Job:
             s = int(stopped[w])
             begin = plan.time(w, s)
             e.kept_time[w] = begin
+            if e.setting.self_contact and e.body.near_count.numpy()[w] > e.body.near.shape[1]:
+                e.failures[w] = e.error(
+                    w,
+                    float(begin),
+                    f"more than {PAIRS} pairs a point are about to meet",
+                    where="contact of the body with itself",
+                    fix="fewer points, or a thinner body",
+                )
+                continue
             e.failures[w] = e.error(
                 w,
                 float(begin + plan.steps[w, s] * plan.dt[w, s]),

@@ -44,7 +44,11 @@ class Rods(ThinEngine):
         self.per_turn = np.zeros_like(m.inertia)
         self.per_turn[:, :-1] = 1.0 / m.inertia[:, :-1]
         drag = self.air_density[:, None] * self.drag_by_air
-        inertia = np.stack([1.0 / m.mass, self.per_turn, drag, np.ones_like(drag)], axis=1)
+        self.per_mass = 1.0 / m.mass
+        self.spacing = float(m.length.max())
+        self.apart = 2 + int(np.ceil(self.setting.body.thickness / m.length.min()))
+        body.pitch, body.first, body.end = 0, 0, self.num_points
+        inertia = np.stack([self.per_mass, self.per_turn, drag, np.ones_like(drag)], axis=1)
         body.rest = self.array(self.rows(m.rest)[None])
         body.stiffness = self.array(self.rows(m.stiffness))
         body.inertia = self.array(self.rows(inertia))

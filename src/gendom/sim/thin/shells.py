@@ -127,6 +127,13 @@ class Shells(ThinEngine):
     def check_suits(setting: Setting) -> None:
         if any(np.isfinite(m.yield_stress) for m in setting.materials):
             raise ParameterError("shells do not yield", fix="engine='mpm', or no yield_stress")
+        spacing = min(ShellModel.of(setting.body).spacing)
+        if setting.self_contact and setting.body.thickness > 0.5 * spacing:
+            raise ParameterError(
+                f"a cloth {1e3 * setting.body.thickness:.3g} mm thick whose points are "
+                f"{1e3 * spacing:.3g} mm apart cannot be folded",
+                fix="fewer points",
+            )
 
     def prepare(self, setting: Setting) -> NDArray[np.float64]:
         self.model = ShellModel.of(setting.body)
@@ -148,7 +155,9 @@ class Shells(ThinEngine):
         self.modulus = m.factors(nu)[0] * m.scales(s.materials) * m.shares
         stiffness = self.modulus * self.share[:, None]
         drag = self.air_density[:, None] * self.drag_by_air
-        inertia = np.stack([1.0 / self.mass, drag, np.ones((W, n)), np.ones((W, n))], axis=1)
+        self.per_mass = 1.0 / self.mass
+        self.spacing, self.apart = max(m.spacing), 2
+        inertia = np.stack([self.per_mass, drag, np.ones((W, n)), np.ones((W, n))], axis=1)
         rest = np.concatenate([m.exists, np.zeros((3, n))])
         ny, nx = m.shape
         body.pitch = -(-(nx + 1) // 8) * 8

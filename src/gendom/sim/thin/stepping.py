@@ -95,6 +95,43 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
             kick = wp.float64(0.5) * (plan.before[w, p] + kick)
         return real(kick)
 
+    @wp.func_native("return gendom::moved_on(body, w, state, row);")
+    def moved_on(body: Body, w: int, state: wp.array3d(dtype=real), row: int) -> int: ...
+
+    @wp.func_native("gendom::begin_list(body, w, state, row);")
+    def begin_list(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
+
+    @wp.func_native("gendom::list_pairs(body, w, state, row);")
+    def list_pairs(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
+
+    @wp.func_native("gendom::count_contacts(body, w, state, row);")
+    def count_contacts(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
+
+    @wp.func_native("gendom::push_apart(body, w, state, row, dt, turn);")
+    def push_apart(
+        body: Body, w: int, state: wp.array3d(dtype=real), row: int, dt: real, turn: int
+    ): ...
+
+    @wp.func_native("gendom::take_push(body, w, state, row);")
+    def take_push(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
+
+    @wp.func
+    def meet_itself(body: Body, w: int, state: wp.array3d(dtype=real), row: int, dt: real):
+        """Contact of a body with itself, at the end of a step."""
+        if any_of(moved_on(body, w, state, row)) != 0:
+            begin_list(body, w, state, row)
+            meet()
+            list_pairs(body, w, state, row)
+            meet()
+        if body.near_count[w] > 0:
+            for turn in range(body.contact_turns):
+                count_contacts(body, w, state, row)
+                meet()
+                push_apart(body, w, state, row, dt, turn)
+                meet()
+                take_push(body, w, state, row)
+                meet()
+
     @wp.func
     def strains_begin(body: Body, w: int, state: wp.array3d(dtype=real), row: int):
         """The lagged strains are those of the state: a step that is longer than any damping."""
@@ -150,6 +187,11 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                             centre, R, _knot = pose(w, g, t, paths)
                             hold(body, w, g, narrow(centre), quat_of(R), state, row)
                             meet()
+                    if body.contact == 1:
+                        meet_itself(body, w, state, row, h)
+                if body.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
+                    if body.near_count[w] > body.near.shape[1]:
+                        bad = 1
                 if any_of(bad) != 0:
                     stopped[w] = p
                 else:

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gendom.errors import ParameterError
 from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.types import make_types as make_path_types
 from gendom.sim.setting import Frames
@@ -54,6 +55,10 @@ class ThinTape(ABC):
     """
 
     def __init__(self, engine: Any, memory: float):
+        if engine.setting.self_contact:
+            raise ParameterError(
+                "contact of a body with itself is not differentiated", fix="self_contact=False"
+            )
         self.engine = engine
         self.memory = memory
         self.rounds: list[tuple[slice, Round]] = []

@@ -51,7 +51,7 @@ def make_types(real: Any) -> Types:
 
         points: int
         slot: wp.array(dtype=wp.int32)  # [n] of each point in a row
-        # of shells: numbers from row to row, the first of the first row, the end of the last one
+        # of shells: numbers from row to row, 0 of rods; the first point's, and after the last one's
         pitch: int
         first: int
         end: int
@@ -72,6 +72,19 @@ def make_types(real: Any) -> Types:
         box_upper: vec3
         holds: wp.array3d(dtype=wp.int32)  # [W, G, n] 1: a point is held, 2: an edge's direction is
         place: wp.array3d(dtype=real)  # [W G, 7, P] of those, as seen from the gripper
+        # contact with itself
+        contact: int
+        contact_distance: real  # between middles [m]
+        contact_margin: real  # of the list of pairs [m]
+        contact_reach: real  # between points whose features may meet [m]
+        contact_apart: int  # points along the body from where on they may
+        contact_turns: int  # of the contacts of a step
+        self_friction: wp.array(dtype=real)  # [W]
+        loose: wp.array3d(dtype=real)  # [W, 1, P] 1 / mass of what nobody holds [1/kg]
+        push: wp.array3d(dtype=real)  # [W, 7, P] of one step's contacts, see ``native/contact.h``
+        listed: wp.array3d(dtype=real)  # [W, 3, P] where points were when pairs were listed [m]
+        near: wp.array3d(dtype=wp.int32)  # [W, M, 2] pairs
+        near_count: wp.array(dtype=wp.int32)  # [W]
 
     @wp.struct
     class Bars:

@@ -8,6 +8,7 @@ HEADERS = (
     "meet.h",
     "vectors.h",
     "ground.h",
+    "contact.h",
     "rod.h",
     "rod_adjoint.h",
     "shell.h",

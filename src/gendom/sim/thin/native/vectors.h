@@ -12,7 +12,7 @@ template <typename T> struct number_of { typedef T type; };
 
 template <typename real> struct several { typedef real lanes; };
 #define EACH_IN(i, a, b) int i = (a) + threadIdx.x; i < (b); i += blockDim.x
-#define EACH_ONE(i, n) EACH_IN(i, 0, n)
+#define EACH_ONE_IN EACH_IN
 
 #else
 
@@ -27,11 +27,12 @@ template <> struct number_of<several<float>::lanes> { typedef float type; };
 template <> struct number_of<several<double>::lanes> { typedef double type; };
 #define EACH_IN(i, a, b) \
     int i = (a); i < (b); i += int(sizeof(typename several<real>::lanes) / sizeof(real))
-#define EACH_ONE(i, n) int i = 0; i < (n); ++i
+#define EACH_ONE_IN(i, a, b) int i = (a); i < (b); ++i
 
 #endif
 
 #define EACH(i, n) EACH_IN(i, 0, n)
+#define EACH_ONE(i, n) EACH_ONE_IN(i, 0, n)
 
 template <typename T> CUDA_CALLABLE inline T larger(T a, T b) {
 #if defined(__CUDA_ARCH__)

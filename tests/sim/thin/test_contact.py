@@ -1,0 +1,171 @@
+"""Rods and shells that meet themselves: they keep their thickness and never cross."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from gendom.errors import ParameterError
+from gendom.materials import Material
+from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
+
+
+def nearest(x, apart):
+    """Least distance [m] between edges of a rope [n, 3] that are so many points apart."""
+    share = np.linspace(0.0, 1.0, 9)[:, None, None]
+    along = x[:-1] + share * (x[1:] - x[:-1])
+    d = np.linalg.norm(along[:, None, :, None] - along[None, :, None], axis=-1).min(axis=(0, 1))
+    i = np.arange(len(x) - 1)
+    return d[np.abs(i[:, None] - i) >= apart].min()
+
+
+def crossings(x, shape):
+    """Pairs of an edge and a triangle of a cloth that cross; both are cells' sides or diagonals."""
+    ny, nx = shape
+    g = np.arange(nx * ny).reshape(ny, nx)
+    a, b, c, d = (of.ravel() for of in (g[:-1, :-1], g[:-1, 1:], g[1:, :-1], g[1:, 1:]))
+    edges = [(g[:, :-1], g[:, 1:]), (g[:-1], g[1:]), (b, c)]
+    E = np.concatenate([np.stack([p.ravel(), q.ravel()], axis=1) for p, q in edges])
+    T = np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, b, c], axis=1)])
+    P, D = x[E[:, 0]], x[E[:, 1]] - x[E[:, 0]]
+    count = 0
+    for t in T:
+        corner, u, v = x[t[0]], x[t[1]] - x[t[0]], x[t[2]] - x[t[0]]
+        n = np.cross(u, v)
+        apart = ~np.isin(E, t).any(axis=1)
+        level = D @ n
+        apart &= level != 0.0
+        s = (corner - P) @ n / np.where(level == 0.0, 1.0, level)
+        h = P + s[:, None] * D - corner
+        alpha = np.cross(h, v) @ n / (n @ n)
+        beta = np.cross(u, h) @ n / (n @ n)
+        inside = (alpha > 0) & (beta > 0) & (alpha + beta < 1) & (s > 0) & (s < 1)
+        count += int(np.sum(inside & apart))
+    return count
+
+
+def test_the_counter_sees_crossings():
+    body = cloth(width=0.1, height=0.1, thickness=0.001, dx=0.02, points=(6, 6))
+    x = body.points.copy()
+    assert crossings(x, body.shape) == 0
+    x[14, 2] = 0.03
+    x[14, :2] = x[21, :2] + 0.004
+    x[15] = x[14] + [0.0, 0.0, -0.05]
+    assert crossings(x, body.shape) > 0
+
+
+def coiling_rope(**options):
+    body = rope(
+        diameter=0.01, length=0.4, start=(0, 0, 0.42), direction=(0.02, 0.01, -1), points=41
+    )
+    s = Simulator(
+        body, [Material(E=2e5, damping=0.01)], engine="thin", table=Table(height=0.0), **options
+    )
+    return s.run(np.linspace(0.1, 1.0, 37))[:, 0]
+
+
+def test_a_rope_that_falls_on_itself_keeps_its_thickness():
+    assert min(nearest(x, 4) for x in coiling_rope(self_contact=True)) > 0.95 * 0.01
+    assert min(nearest(x, 4) for x in coiling_rope()) < 0.5 * 0.01
+
+
+def test_a_loop_of_rope_is_drawn_tight_without_crossing():
+    """One turn of a helix, whose ends are pulled apart past each other."""
+    turn = np.linspace(-0.5, 2.5, 200) * np.pi
+    line = np.stack([0.02 * turn, 0.04 * np.sin(turn), -0.04 * np.cos(turn)], axis=1)
+    body = rope(diameter=0.008, centre_line=line, points=61)
+    ends = body.points[[0, -1]]
+    hands = [
+        Gripper(
+            time=[0, 1.0],
+            position=[at, at + np.array([side * 0.05, 0, 0])],
+            quat_xyzw=[(0, 0, 0, 1)] * 2,
+            radius=0.008,
+        )
+        for at, side in zip(ends, (-1, 1), strict=True)
+    ]
+    s = Simulator(
+        body, [Material(E=3e5, damping=0.01)], engine="thin", grippers=hands, gravity=(0, 0, 0),
+        self_contact=True,
+    )  # fmt: skip
+    x = s.run(np.linspace(0.05, 1.0, 20))[:, 0]
+    assert min(nearest(f, 4) for f in x) > 0.95 * 0.008
+
+
+def test_contact_keeps_momentum():
+    """The ends of an open ring in space fly into each other."""
+    turn = np.linspace(-0.85, 0.85, 200) * np.pi
+    ring = 0.05 * np.stack([np.sin(turn), 0.0 * turn, np.cos(turn)], axis=1)
+    body = rope(diameter=0.01, centre_line=ring, points=31)
+    s = Simulator(
+        body, [Material(E=1e5)], engine="thin", gravity=(0, 0, 0), air_density=0.0,
+        self_contact=True,
+    )  # fmt: skip
+    u = np.linspace(-1.0, 1.0, 31)
+    s.set_velocities(np.stack([-1.5 * u**5, 0.1 * u, 0.2 * u**2], axis=1))
+    mass = s.engine.model.mass[0]
+    before = mass @ s.velocities()[0]
+    x = s.run(np.linspace(0.005, 0.1, 20))[:, 0]
+    assert 0.0098 < min(nearest(f, 20) for f in x) < 0.0104  # they do meet
+    np.testing.assert_allclose(mass @ s.velocities()[0], before, rtol=0, atol=1e-12)
+
+
+def crumpled(n, **options):
+    """A cloth that hangs by its middle, is let down to the table, dropped, and then pulled apart by
+    two corners: [T, n n, 3] and its shape."""
+    size = 0.011 * (n - 1)
+    body = cloth(
+        width=size, height=size, thickness=0.001, dx=0.02, points=(n, n),
+        corner=(-size / 2, -size / 2, 0.8 * size),
+    )  # fmt: skip
+    top = np.array([0.001, 0.002, 0.8 * size])
+    let_down = Gripper(
+        time=[0, 0.4, 0.9], position=[top, top, top * [1, 1, 0.1]], radius=0.012, hold_until=0.95
+    )
+    s = Simulator(
+        body, [Material(E=4e5, density=400.0, damping=0.01)], engine="thin", grippers=[let_down],
+        table=Table(height=0.0, friction=0.4), self_contact=True, **options,
+    )  # fmt: skip
+    heap = s.run(np.linspace(0.02, 1.5, 75))[:, 0]
+    corners = heap[-1][[0, -1]]
+    up, apart = np.array([0, 0, 1.2 * size]), np.array([[-0.48, -0.48, 0], [0.48, 0.48, 0]]) * size
+    pulled = Simulator(
+        body, [Material(E=4e5, density=400.0, damping=0.01)], engine="thin",
+        grippers=[
+            Gripper(time=[0, 1.0, 2.0], position=[at, at + up, to + up], radius=0.0004)
+            for at, to in zip(corners, apart, strict=True)
+        ],
+        table=Table(height=0.0, friction=0.4), self_contact=True, positions=heap[-1], **options,
+    )  # fmt: skip
+    return np.concatenate([heap, pulled.run(np.linspace(0.02, 2.2, 110))[:, 0]]), body.shape
+
+
+def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart():
+    x, shape = crumpled(16)
+    assert max(crossings(f, shape) for f in x) == 0
+    heap, end = x[74], x[-1]
+    diagonal = 0.011 * 15 * np.sqrt(2.0)
+    assert np.ptp(heap, axis=0)[:2].prod() < 0.7 * (0.011 * 15) ** 2
+    assert np.linalg.norm(end[-1] - end[0]) > 0.94 * diagonal
+
+
+@pytest.mark.slow
+def test_a_larger_cloth_never_crosses():
+    x, shape = crumpled(28)
+    assert max(crossings(f, shape) for f in x) == 0
+
+
+@pytest.mark.gpu
+def test_cuda_keeps_a_cloth_from_crossing():
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    x, shape = crumpled(16, device="cuda")
+    assert max(crossings(f, shape) for f in x) == 0
+
+
+def test_what_cannot_be_is_said():
+    thick = cloth(width=0.1, height=0.1, thickness=0.008, dx=0.02, points=(10, 10))
+    with pytest.raises(ParameterError, match="cannot be folded"):
+        Simulator(thick, [Material()], engine="thin", self_contact=True)
+    body = rope(diameter=0.01, length=0.3)
+    with pytest.raises(ParameterError, match="is not differentiated"):
+        Rollout(Simulator(body, [Material()], engine="thin", self_contact=True))
