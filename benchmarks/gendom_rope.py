@@ -85,6 +85,7 @@ class GendomRope:
         return Simulator(
             self.body,
             [Material(E=E, nu=s.nu, density=s.density)],
+            engine="mpm",
             grippers=[gripper],
             gravity=s.gravity,
             substep=s.substep,

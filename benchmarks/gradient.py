@@ -55,7 +55,12 @@ def simulator(dtype: str) -> Simulator:
     action = task.sample_actions(np.random.default_rng(0), 1)[0]
     material = Material(E=1.0e6, nu=0.3, density=1000.0)
     return Simulator(
-        task.body(), [material], grippers=task.grippers(action), dtype=dtype, threads=1
+        task.body(),
+        [material],
+        engine="mpm",
+        grippers=task.grippers(action),
+        dtype=dtype,
+        threads=1,
     )
 
 

@@ -59,7 +59,7 @@ def by_particles(device: str, most: int, substeps: int) -> list[dict[str, Any]]:
         body = block(round(10.0**exponent))
         before = memory(wp.get_device(device))
         table = Table(height=0.0)
-        simulator = Simulator(body, [MATERIAL], table=table, device=device, threads=1)
+        simulator = Simulator(body, [MATERIAL], engine="mpm", table=table, device=device, threads=1)
         rows.append(measure(simulator, substeps, before))
         del simulator
     return rows
@@ -74,6 +74,7 @@ def by_worlds(device: str, most: int, substeps: int) -> list[dict[str, Any]]:
         simulator = Simulator(
             task.body(),
             [MATERIAL] * int(worlds),
+            engine="mpm",
             grippers=[task.grippers(a) for a in actions],
             device=device,
         )

@@ -73,7 +73,15 @@ def test_every_runner_does_what_the_twin_does(runner, sheet, material, law, devi
     body, scene = settings(sheet, 0.25)
     made = Material(**{"E": 2.0e5, "nu": 0.3, "density": 900.0, **material})
     s = Simulator(
-        body, [made], law=law, substep=SUBSTEP, dtype="float64", threads=1, device=device, **scene
+        body,
+        [made],
+        engine="mpm",
+        law=law,
+        substep=SUBSTEP,
+        dtype="float64",
+        threads=1,
+        device=device,
+        **scene,
     )
     twin = numpy_mpm.NumpyMPM(body, made, law=law, **scene)
     v = np.array([0.6, 0.1, -0.2])

@@ -77,6 +77,7 @@ def scene(
     simulator = Simulator(
         body,
         [material] * worlds,
+        engine="mpm",
         grippers=[gripper],
         table=Table(height=0.0, friction=0.3 + d["friction"]) if rubs else None,
         velocity_damping=2.0 + d["velocity_damping"],
@@ -232,7 +233,11 @@ def test_a_path_shorter_than_others_keeps_its_derivatives_at_its_own_knots():
     short = Gripper(time=[0.0, 0.005], position=[[0.0, 0, 0.1], [0.0, 0, 0.101]], radius=0.01)
     long = Gripper(time=[0.0, 0.01, 0.02, 0.03], position=[[0.05, 0, 0.1]] * 4, radius=0.005)
     simulator = Simulator(
-        body, [Material(E=2e5, nu=0.3, density=1000.0)], grippers=[short, long], dtype="float64"
+        body,
+        [Material(E=2e5, nu=0.3, density=1000.0)],
+        engine="mpm",
+        grippers=[short, long],
+        dtype="float64",
     )
     rollout = Rollout(simulator)
     x = rollout.forward([0.02])
@@ -353,6 +358,7 @@ def test_float32_points_where_float64_does_after_a_whole_lift():
         return Simulator(
             body,
             [Material(E=E, nu=nu, density=1000.0)],
+            engine="mpm",
             grippers=[Gripper(time=t, position=path, radius=0.009)],
             table=Table(height=0.0),
             velocity_damping=4.0,

@@ -15,7 +15,9 @@ TOGETHER = pytest.mark.parametrize("together", [Batch, Blocks])
 
 
 def simulator(body, materials, **options):
-    return Simulator(body, materials, **{"dtype": "float64", "threads": 1, **options})
+    return Simulator(
+        body, materials, **{"engine": "mpm", "dtype": "float64", "threads": 1, **options}
+    )
 
 
 def run_together(s, together, times, **options):

@@ -35,7 +35,7 @@ def block(size=(0.04, 0.04, 0.04), corner=(0.003, 0.001, 0.022)):
 
 def simulator(body, materials=(SOFT,), **options):
     """A simulator in float64 on one thread and without air, unless told otherwise."""
-    defaults = {"dtype": "float64", "threads": 1, "air_density": 0.0}
+    defaults = {"dtype": "float64", "threads": 1, "air_density": 0.0, "engine": "mpm"}
     return Simulator(body, materials, **{**defaults, **options})
 
 
@@ -613,10 +613,10 @@ def test_substep_is_a_share_of_the_courant_limit():
     """cfl * dx / sqrt((lam + 2 mu) / density), for every world; a given substep overrides it."""
     stiff = Material(E=9.0e4, nu=0.0, density=900.0)  # 10 m/s
     assert stable_substep(stiff, 0.02, cfl=0.3) == pytest.approx(0.3 * 0.02 / 10.0)
-    s = Simulator(block(), [stiff, SOFT], cfl=0.2)
+    s = Simulator(block(), [stiff, SOFT], engine="mpm", cfl=0.2)
     assert s.substep[0] == pytest.approx(0.2 * DX / 10.0)
     assert s.substep[1] == pytest.approx(0.2 * DX / SOFT.wave_speed)
-    assert Simulator(block(), [stiff], substep=1e-5).substep == pytest.approx([1e-5])
+    assert Simulator(block(), [stiff], engine="mpm", substep=1e-5).substep == pytest.approx([1e-5])
 
 
 def failing(E=1.0e6, substep=1e-3):

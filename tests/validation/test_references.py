@@ -182,7 +182,9 @@ def test_sections_and_end(body):
 
 
 def free(body, material, **options):
-    return Simulator(body, [material], gravity=(0, 0, 0), dtype="float64", threads=1, **options)
+    return Simulator(
+        body, [material], engine="mpm", gravity=(0, 0, 0), dtype="float64", threads=1, **options
+    )
 
 
 def test_momenta_of_a_moving_block():

@@ -39,6 +39,8 @@ class Command:
     """Seed of the starts."""
     level: float = 0.9
     """Probability that the intervals claim."""
+    engine: Literal["mpm", "thin"] = "mpm"
+    """Of the simulator; thin: a rope as a rod, a hundred times cheaper."""
     cells_across: float = 1.5
     """Grid cells across a rope's diameter (cloths alike): finer is slower."""
     clock: float | None = None
@@ -71,7 +73,10 @@ class Command:
             seed=self.seed,
             level=self.level,
             replay=ReplaySettings(
-                cells_across=self.cells_across, clock=self.clock, device=self.device
+                engine=self.engine,
+                cells_across=self.cells_across,
+                clock=self.clock,
+                device=self.device,
             ),
         )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from tqdm import tqdm
@@ -34,6 +34,8 @@ class Command:
     """Print JSON."""
     gif: Path | None = None
     """Animation of recorded and simulated clouds."""
+    engine: Literal["mpm", "thin"] | None = None
+    """Of the simulator; by default the one that the parameters were estimated with."""
     device: str = "cpu"
     """cpu, cuda or cuda:0 and so on."""
 
@@ -43,7 +45,9 @@ class Command:
 
         open_device(self.device)
         recording = Recording.read(self.recording)
-        lift, theta = replay_setup(recording, read_json(self.params), str(self.params), self.device)
+        lift, theta = replay_setup(
+            recording, read_json(self.params), str(self.params), self.device, self.engine
+        )
         with tqdm(total=len(lift.frames), desc="replaying", unit="frame", leave=False) as bar:
 
             def show(done: int) -> None:
@@ -94,7 +98,11 @@ class Command:
 
 
 def replay_setup(
-    recording: Recording, params: dict[str, Any], where: str, device: str
+    recording: Recording,
+    params: dict[str, Any],
+    where: str,
+    device: str,
+    engine: str | None = None,
 ) -> tuple[Lift, Theta]:
     """The lift and the parameters that an estimate's JSON stands for.
 
@@ -122,6 +130,7 @@ def replay_setup(
         kind = params["object"]["kind"]
         simulation = params.get("simulation", {})
         settings = ReplaySettings(
+            engine=engine or str(simulation.get("engine", "mpm")),
             cells_across=float(simulation.get("cells_across", 1.5)),
             law=str(simulation.get("law", "neo-hookean")),
             device=device,

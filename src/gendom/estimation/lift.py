@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
-from gendom.errors import RecordingError, SimulationError
+from gendom.errors import ParameterError, RecordingError, SimulationError
 from gendom.estimation.hold import Held, Hold, fit_hold
 from gendom.estimation.lying import Lying
 from gendom.estimation.placing import place
@@ -26,7 +26,7 @@ from gendom.estimation.shapes import Sheet, held_height
 from gendom.materials import Material
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import visible
-from gendom.sim import CFL, GRAVITY, Body, Gripper, Simulator, Table, check_numbers
+from gendom.sim import CFL, ENGINES, GRAVITY, Body, Gripper, Simulator, Table, check_numbers
 from gendom.sim.device import cores
 
 _log = logging.getLogger(__name__)
@@ -82,8 +82,10 @@ that hangs by its edge is stretched by less than 1 % for each 0.3 m below."""
 class ReplaySettings:
     """How a recording is simulated; written into every result."""
 
+    engine: str = "mpm"
+    """Of the simulator: ``mpm``, or ``thin`` (ropes as rods)."""
     cells_across: float = 1.5
-    """Grid cells across a rope's diameter; cloths scale with it."""
+    """Grid cells across a rope's diameter; cloths scale with it. Of the MPM."""
     clock: float | None = None
     """Recorded seconds for one simulated second, or None to choose (1 unless quasi-static)."""
     damping: float | None = None
@@ -96,6 +98,10 @@ class ReplaySettings:
 
     def __post_init__(self) -> None:
         check_numbers("cells_across", self.cells_across, above=0.0)
+        if self.engine not in ENGINES:
+            raise ParameterError(
+                f"unknown engine {self.engine!r}", fix=f"choose one of {', '.join(ENGINES)}"
+            )
         if self.clock is not None:
             check_numbers("clock", self.clock, above=0.0)
         if self.damping is not None:
@@ -158,6 +164,13 @@ class Lift:
         if not self.frames:
             raise RecordingError("no frame holds a point", where="points", fix="record again")
         self.body, self.grip = place(recording, self.settings.cells_across, self.notes)
+        self.thin = self.settings.engine == "thin"
+        if self.thin and self.body.kind == "cloth":
+            raise ParameterError(
+                "cloths are estimated with particles only: how one lies and is held is found so",
+                where="engine",
+                fix="engine 'mpm'",
+            )
         self.clock = self._choose_clock()
         quasi = recording.quasi_static
         damping = self.settings.damping
@@ -194,7 +207,8 @@ class Lift:
         holds: Sequence[Hold] | None = None,
         on_frame: Callable[[int], None] | None = None,
     ) -> NDArray[np.floating]:
-        """Particle positions [T, W, N, 3] at recorded frames (default: all with points) [m].
+        """Positions [T, W, N, 3] of particles, or of a rod's points, at recorded frames (default:
+        all with points) [m].
 
         Args:
             thetas: W sets of parameters.
@@ -218,7 +232,7 @@ class Lift:
         if len(batches) > 1 and self.settings.device == "cpu":
             # a world keeps a core busy by itself
             batches, threads, at_once = [[w] for w in range(len(thetas))], 1, threads
-        x = np.empty((len(chosen), len(thetas), self.body.num_particles, 3), self.settings.dtype)
+        x = np.empty((len(chosen), len(thetas), len(self.rest_points), 3), self.settings.dtype)
 
         def run(worlds: list[int]) -> None:
             x[:, worlds] = self._simulate_alike(
@@ -256,18 +270,24 @@ class Lift:
         simulator = Simulator(
             bodies[0] if bodies[0].curvature is not None else self._lying.flat,
             [self.material(theta) for theta in thetas],
+            engine=self.settings.engine,
             grippers=grippers,
             table=table,
             velocity_damping=self.damping,
             law=self.settings.law,
-            cfl=CFL,
-            positions=[body.x for body in bodies],
+            cfl=None if self.thin else CFL,
+            positions=[body.points if self.thin else body.x for body in bodies],
             start_time=begin,
             dtype=self.settings.dtype,
             device=self.settings.device,
             threads=threads,
         )
         return simulator.run(times, on_frame=on_frame)
+
+    @property
+    def rest_points(self) -> NDArray[np.floating]:
+        """[N, 3] the object's particles, or a rod's points, at rest [m]."""
+        return self.body.points if self.thin else self.body.x
 
     def inside(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
         """[n] which points [n, 3] lie in the recorded space: all, or all above ``floor``."""

@@ -86,6 +86,7 @@ def measure_speed(
         return Simulator(
             body,
             [material] * worlds,
+            engine="mpm",
             grippers=[task.grippers(a) for a in actions],
             dtype=dtype,
             device=device,

@@ -1,6 +1,6 @@
 """Simulation of ropes and cloths by the material point method, batched over worlds."""
 
-from gendom.sim.bodies import Body, cloth, rope
+from gendom.sim.bodies import Body, Weave, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper
@@ -25,6 +25,7 @@ __all__ = [
     "Rollout",
     "Simulator",
     "Table",
+    "Weave",
     "check_numbers",
     "claimed",
     "cloth",

@@ -142,7 +142,11 @@ class _Simulation(torch.autograd.Function):
             table = replace(table, friction=v["friction"])
         more = {n: v[n] for n in ("stiffness", "damping", "gravity", "positions") if n in v}
         simulator = Simulator(
-            body, materials, grippers=every, table=table, **{"dtype": "float64", **more, **options}
+            body,
+            materials,
+            grippers=every,
+            table=table,
+            **{"dtype": "float64", "engine": "mpm", **more, **options},
         )
         if "velocities" in v:
             simulator.set_velocities(v["velocities"])

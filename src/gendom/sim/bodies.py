@@ -23,6 +23,27 @@ particles across bend within 2 % and twist within 5 % of theory at nu up to 0.45
 
 
 @dataclass(frozen=True, kw_only=True)
+class Weave:
+    """Stiffness of a cloth over that of an isotropic sheet of its E, nu and thickness.
+
+    Raises:
+        ParameterError: If a number is not positive and finite.
+    """
+
+    warp: float = 1.0
+    """Along its first axis."""
+    weft: float = 1.0
+    """Along its second axis."""
+    shear: float = 1.0
+    """In its plane."""
+    bending: float = 1.0
+    """In all directions."""
+
+    def __post_init__(self) -> None:
+        _check_positive(warp=self.warp, weft=self.weft, shear=self.shear, bending=self.bending)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Body:
     """An object at rest.
 
@@ -55,6 +76,10 @@ class Body:
     """Numbers of points along a rope, or of rows and in a row of a cloth."""
     width: float | None = None
     """Of a flat rope, level and across it [m]; None: round."""
+    weave: "Weave" = field(default_factory=lambda: Weave())
+    """How a cloth's threads differ from an isotropic sheet; of shells."""
+    natural_curvature: NDArray[np.floating] | None = None
+    """[2, 2] of a shell, as ``curvature`` [1/m]; None: flat."""
     curvature: NDArray[np.floating] | None = None
     """[N, 2, 2] how a cloth curves that is free of stress, in its own first two axes, positive
     where it arches towards the third [1/m]; None: its first shape ``x`` is free of stress."""
@@ -91,7 +116,8 @@ class Body:
         return 2.0 / 3.0 if self.kind == "rope" else 1.0
 
     def surface(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
-        """[..., M, 3] points on the object's skin for particle positions [..., N, 3] [m].
+        """[..., M, 3] points on the object's skin [m] for positions [..., N, 3] of particles, or of
+        the thin engine's points.
 
         Particles stand for the material around them; what a camera sees of a rope lies further
         out. Its outer particles are moved away from the middle of their section, to half a
@@ -100,6 +126,8 @@ class Body:
         x = np.asarray(x, dtype=float)
         if self.kind != "rope":
             return x
+        if x.shape[-2] == len(self.points) != self.num_particles:
+            return self._around(x)
         per_section = self.section
         radius = np.linalg.norm(self.material_coordinates[:per_section, 1:], axis=1)
         sections = x.reshape(*x.shape[:-2], -1, per_section, 3)
@@ -107,6 +135,25 @@ class Body:
         out = out[..., radius > 0.6 * radius.max(), :]
         length = np.linalg.norm(out, axis=-1, keepdims=True)
         skin = sections.mean(axis=-2, keepdims=True) + out * (self.thickness / 2.0 / length)
+        return skin.reshape(*x.shape[:-2], -1, 3)
+
+    def _around(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Rings of eight points around a centre line [..., n, 3], a third of a diameter apart."""
+        spacing = np.linalg.norm(self.points[1] - self.points[0])
+        parts = max(1, round(3.0 * float(spacing) / self.thickness))
+        share = (np.arange(parts) + 0.5)[:, None] / parts
+        step = np.diff(x, axis=-2)[..., :, None, :]
+        centres = x[..., :-1, None, :] + share * step
+        tangent = step / np.linalg.norm(step, axis=-1, keepdims=True)
+        # any two normals that change smoothly: those of the smallest turn from a fixed direction
+        first = _fixed_frame(self.points[1] - self.points[0])
+        along = tangent + first[2]
+        scale = np.maximum(1.0 + tangent @ first[2], 1e-9)[..., None]
+        normals = [d - (tangent @ d)[..., None] / scale * along for d in first[:2]]
+        angle = 2.0 * math.pi * np.arange(8) / 8.0
+        ring = np.cos(angle)[:, None] * normals[0][..., None, :]
+        ring = ring + np.sin(angle)[:, None] * normals[1][..., None, :]
+        skin = centres[..., None, :] + 0.5 * self.thickness * ring
         return skin.reshape(*x.shape[:-2], -1, 3)
 
     def moved(self, offset: ArrayLike) -> "Body":
@@ -226,6 +273,8 @@ def cloth(
     corner: ArrayLike = (0.0, 0.0, 0.0),
     yaw: float = 0.0,
     points: tuple[int, int] | None = None,
+    weave: Weave | None = None,
+    natural_curvature: ArrayLike | None = None,
 ) -> Body:
     """A flat rectangular cloth in a horizontal plane.
 
@@ -240,6 +289,9 @@ def cloth(
         dx: Size of a grid cell [m]. For the MPM.
         points: Numbers along its first and second axis, for shells; by default 28 along the longer
             side, as far apart along the other.
+        weave: Stiffness along threads, in shear and in bending; for shells (default: isotropic).
+        natural_curvature: [2, 2] of what is free of stress, in its own axes, positive where it
+            arches towards the third [1/m]; for shells (default: flat).
         corner: [3] where one corner of the mid-plane lies [m].
         yaw: Angle of the first axis about z [rad].
 
@@ -280,6 +332,8 @@ def cloth(
         contact_radius=thickness / shape[2] / 2.0 if thick else thickness / 2.0,
         points=np.asarray(corner, dtype=float) + middle @ to_world,
         shape=points[::-1],
+        weave=weave or Weave(),
+        natural_curvature=None if natural_curvature is None else _curvature(natural_curvature),
     )
 
 
@@ -306,6 +360,20 @@ def round_section(across: int, diameter: float) -> tuple[NDArray[np.floating], N
     return points * ((diameter / 4.0) / math.sqrt(np.mean(points[:, 0] ** 2))), cells
 
 
+def _curvature(values: ArrayLike) -> NDArray[np.floating]:
+    """[2, 2] symmetric numbers.
+
+    Raises:
+        ParameterError: If they are not.
+    """
+    a = np.asarray(values, dtype=float)
+    if a.shape != (2, 2) or not np.isfinite(a).all() or a[0, 1] != a[1, 0]:
+        raise ParameterError(
+            f"natural_curvature must be [2, 2], finite and symmetric, got {values}"
+        )
+    return a
+
+
 def _check_positive(**values: float) -> None:
     for name, value in values.items():
         if not (math.isfinite(value) and value > 0.0):
@@ -324,6 +392,13 @@ def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
             n = number[tuple(beside.T)]
             found[:, axis, side] = np.where(n >= 0, n, np.arange(len(cells)))
     return found
+
+
+def _fixed_frame(direction: NDArray[np.floating]) -> NDArray[np.floating]:
+    """[3, 3] rows: two normals of a direction [3], and its unit vector."""
+    unit = direction / np.linalg.norm(direction)
+    side, up = _frames(unit[None])
+    return np.stack([side[0], up[0], unit])
 
 
 def _arc_length(line: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -36,7 +36,8 @@ class Simulator:
     Args:
         body: What is simulated, at rest.
         materials: One a world.
-        engine: ``mpm`` (particles on a grid) or ``thin`` (a rope as a rod, a cloth as a shell).
+        engine: ``thin`` (a rope as a rod, a cloth as a shell), the default of both, or ``mpm``
+            (particles on a grid), that of other bodies and of what yields.
         grippers: Grippers shared by all worlds, or one sequence of them for each world.
         table: Table, or None for open space.
         gravity: [3] or [W, 3] [m/s^2].
@@ -67,7 +68,7 @@ class Simulator:
         body: Body,
         materials: Sequence[Material],
         *,
-        engine: str = "mpm",
+        engine: str | None = None,
         grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
         table: Table | None = None,
         gravity: ArrayLike = GRAVITY,
@@ -88,6 +89,9 @@ class Simulator:
     ):
         if not materials:
             raise ParameterError("a simulation needs at least one material (one a world)")
+        if engine is None:
+            yields = any(np.isfinite(m.yield_stress) for m in materials)
+            engine = "mpm" if yields or body.kind not in ("rope", "cloth") else "thin"
         if engine not in ENGINES:
             raise ParameterError(
                 f"unknown engine {engine!r}", fix=f"choose one of {', '.join(ENGINES)}"

@@ -26,12 +26,13 @@ class Settings:
     """Worlds side by side on the CPU (default: all cores)."""
 
     def simulator(self, body: Body, materials: Sequence[Material], **options: Any) -> Simulator:
-        """A simulator on this device and in this precision; ``options`` as ``Simulator``'s.
+        """A simulator, by default the MPM; ``options`` are those of ``Simulator``.
 
         Raises:
             ParameterError, DeviceError: As ``Simulator``.
         """
-        given = {"device": self.device, "dtype": self.dtype, "threads": self.threads}
+        given: dict[str, Any] = {"device": self.device, "dtype": self.dtype}
+        given |= {"threads": self.threads, "engine": "mpm"}
         return Simulator(body, materials, **(given | options))
 
     def round_off(self, double: float, single: float) -> float:

@@ -1,5 +1,7 @@
 """Rods and shells that meet themselves: they keep their thickness and never cross."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
@@ -102,7 +104,8 @@ def test_contact_keeps_momentum():
     )  # fmt: skip
     u = np.linspace(-1.0, 1.0, 31)
     s.set_velocities(np.stack([-1.5 * u**5, 0.1 * u, 0.2 * u**2], axis=1))
-    mass = s.engine.model.mass[0]
+    engine: Any = s.engine
+    mass = engine.model.mass[0]
     before = mass @ s.velocities()[0]
     x = s.run(np.linspace(0.005, 0.1, 20))[:, 0]
     assert 0.0098 < min(nearest(f, 20) for f in x) < 0.0104  # they do meet

@@ -262,7 +262,7 @@ def test_bad_input_is_named(body):
 
 def test_the_mpm_refuses_a_flat_rope():
     with pytest.raises(ParameterError, match="round ropes only"):
-        Simulator(RIBBON, [Material()])
+        Simulator(RIBBON, [Material()], engine="mpm")
 
 
 @pytest.mark.gpu

@@ -1,5 +1,6 @@
 """Shells behind ``Simulator``: a rectangular cloth as a lattice of points."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,12 @@ class ShellModel:
     """[n] that a point stands for [m^2]."""
     exists: NDArray[np.float64]
     """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
+    rest_bend: NDArray[np.float64]
+    """[3, n] second differences along the normal that are free of stress [m]."""
+    stiffest: float
+    """Most that the weave adds to the membrane's stiffness."""
+    bending: float
+    """And to that of bending."""
     shares: NDArray[np.float64]
     """[8, n] of the moduli in each stiffness: areas over spacings."""
     alone: NDArray[np.float64]
@@ -64,12 +71,21 @@ class ShellModel:
                 2.0 * lx * ly * cell / (lx * ly) ** 2,
             ]
         )
+        weave = body.weave
+        coupled = math.sqrt(weave.warp * weave.weft)
+        membrane = [weave.warp, weave.weft, coupled, weave.shear]
+        shares *= np.array(membrane + 4 * [weave.bending])[:, None, None]
+        k = np.zeros((2, 2)) if body.natural_curvature is None else -body.natural_curvature
+        rest = [k[0, 0] * lx**2, k[1, 1] * ly**2, k[0, 1] * lx * ly]
         return cls(
             shape=(ny, nx),
             spacing=(lx, ly),
             thickness=body.thickness,
             area=area.reshape(-1),
             exists=np.stack([after, below, cell]).reshape(3, -1),
+            rest_bend=np.array(rest)[:, None] * np.ones((1, nx * ny)),
+            stiffest=max(weave.warp, weave.weft, weave.shear),
+            bending=weave.bending,
             shares=shares.reshape(8, -1),
             alone=np.stack([inner_x * (1.0 - inner_y), inner_y * (1.0 - inner_x)]).reshape(2, -1),
         )
@@ -110,7 +126,8 @@ class ShellModel:
         density = np.array([m.density for m in materials])
         # a border's joints may be eight times as stiff
         across = 8.0 * self.thickness**2 / 12.0 * k2**2
-        fastest = E / (1.0 - nu**2) / density * np.maximum(k2, across)
+        fastest = E / (1.0 - nu**2) / density
+        fastest = fastest * np.maximum(self.stiffest * k2, self.bending * across)
         damped = np.array([m.damping > 0.0 for m in materials])
         return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
 
@@ -158,7 +175,7 @@ class Shells(ThinEngine):
         self.per_mass = 1.0 / self.mass
         self.spacing, self.apart = max(m.spacing), 2
         inertia = np.stack([self.per_mass, drag, np.ones((W, n)), np.ones((W, n))], axis=1)
-        rest = np.concatenate([m.exists, np.zeros((3, n))])
+        rest = np.concatenate([m.exists, m.rest_bend])
         ny, nx = m.shape
         body.pitch = -(-(nx + 1) // 8) * 8
         body.first, body.end = body.pitch, body.pitch * (ny + 1)

@@ -1,0 +1,78 @@
+"""What cloths are made of: threads, natural curvature, free edges."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError
+from gendom.materials import Material
+from gendom.sim import Simulator, Weave, cloth
+from gendom.validation.shells import bending_energy, membrane_energy
+
+MATERIAL = Material(E=1.0e6, nu=0.0)
+SIZES: dict[str, Any] = {"width": 0.2, "height": 0.15, "thickness": 0.002, "dx": 0.02}
+
+
+def stretched(weave, gradient):
+    """Membrane energy of a plane deformation [J]."""
+    body = cloth(**SIZES, points=(9, 7), weave=weave)
+    x = body.points.copy()
+    x[:, :2] += body.points[:, :2] @ np.asarray(gradient).T
+    return membrane_energy(Simulator(body, [MATERIAL], positions=x))
+
+
+@pytest.mark.parametrize(
+    ("name", "gradient"),
+    [
+        ("warp", [[1e-4, 0.0], [0.0, 0.0]]),
+        ("weft", [[0.0, 0.0], [0.0, 1e-4]]),
+        ("shear", [[0.0, 1e-4], [0.0, 0.0]]),
+    ],
+)
+def test_threads_have_their_own_stiffness(name, gradient):
+    plain, stiffer = stretched(Weave(), gradient), stretched(Weave(**{name: 3.0}), gradient)
+    assert stiffer == pytest.approx(3.0 * plain, rel=1e-3)
+    for other in {"warp", "weft", "shear"} - {name}:
+        assert stretched(Weave(**{other: 3.0}), gradient) == pytest.approx(plain, rel=1e-3)
+
+
+def test_bending_is_independent_of_the_plane():
+    R = 0.4
+
+    def energies(weave):
+        body = cloth(**SIZES, points=(15, 12), weave=weave)
+        u = body.points[:, 0] / R
+        x = np.stack([R * np.sin(u), body.points[:, 1], R * (1.0 - np.cos(u))], axis=1)
+        s = Simulator(body, [MATERIAL], positions=x)
+        return membrane_energy(s), bending_energy(s)
+
+    plain, pliant = energies(Weave()), energies(Weave(bending=0.1))
+    assert pliant[0] == plain[0]
+    assert pliant[1] == pytest.approx(0.1 * plain[1])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_cloth_takes_the_curvature_that_it_has_by_nature(axis):
+    """In space a strip rolls up until it is free of stress: arched towards the third axis."""
+    kappa = np.zeros((2, 2))
+    kappa[axis, axis] = 4.0
+    size: dict[str, Any] = {"width": 0.02, "height": 0.02, "thickness": 0.002, "dx": 0.02}
+    size["height" if axis else "width"] = 0.2
+    points = (3, 21) if axis else (21, 3)
+    body = cloth(**size, points=points, natural_curvature=kappa)
+    s = Simulator(body, [MATERIAL], gravity=(0, 0, 0), air_density=0.0, velocity_damping=20.0)
+    x = s.run([3.0])[0, 0].reshape(*body.shape, 3)
+    line = x[:, 1] if axis else x[1]
+    second = np.diff(line, 2, axis=0) / 0.01**2
+    assert np.linalg.norm(second, axis=1) == pytest.approx(4.0, rel=0.02)
+    assert second[len(second) // 2, 2] < 0.0  # its middle stands highest
+
+
+def test_bad_input_is_named():
+    with pytest.raises(ParameterError, match="warp must be positive"):
+        Weave(warp=0.0)
+    with pytest.raises(ParameterError, match="natural_curvature must be"):
+        cloth(**SIZES, natural_curvature=[[1.0, 2.0], [0.0, 1.0]])
+    with pytest.raises(ParameterError, match="at least two points"):
+        cloth(**SIZES, points=(1, 5))
