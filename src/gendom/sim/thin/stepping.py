@@ -95,6 +95,9 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
             kick = wp.float64(0.5) * (plan.before[w, p] + kick)
         return real(kick)
 
+    @wp.func_native(f"return gendom::{kind}_stretch(body, state, row);")
+    def mean_stretch(body: Body, state: wp.array3d(dtype=real), row: int) -> real: ...
+
     @wp.func_native("return gendom::moved_on(body, w, state, row);")
     def moved_on(body: Body, w: int, state: wp.array3d(dtype=real), row: int) -> int: ...
 
@@ -156,7 +159,8 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         state: wp.array3d(dtype=real),
         kept: wp.array3d(dtype=real),  # [W + pieces * every] the states that pieces begin with
         every: int,  # -1: none are kept
-        limit: real,  # of the squared stretch
+        limit: real,  # of the squared stretch of an edge
+        mean_limit: real,  # of the mean stretch, where pieces end
         stopped: wp.array(dtype=wp.int32),  # [W] the piece in which a world came beyond it, or -1
         frames: wp.array3d(dtype=vec3),  # [T, W, K]
         points: wp.array(dtype=wp.int32),  # [K] recorded
@@ -189,6 +193,8 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                             meet()
                     if body.contact == 1:
                         meet_itself(body, w, state, row, h)
+                if not mean_stretch(body, state, row) <= mean_limit:
+                    bad = 1
                 if body.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
                     if body.near_count[w] > body.near.shape[1]:
                         bad = 1

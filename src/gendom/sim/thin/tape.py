@@ -165,7 +165,7 @@ class ThinTape(ABC):
             e.launch(
                 e.kernels.advance, group,
                 [e.body, e.paths, self.silent, e.array(whole, wp.int32), group.start, count, rows,
-                 rows, -1, 1e30, none, dummy, nobody],
+                 rows, -1, 1e30, 1e30, none, dummy, nobody],
             )  # fmt: skip
             e.launch(
                 e.kernels.reverse, group,

@@ -140,6 +140,19 @@ template <typename T> CUDA_CALLABLE inline vec<T> across(const vec<T>& v, const 
     return v - dot(v, along) * per * along;
 }
 
+// Mean of how much edges are stretched or compressed; every thread finds it.
+template <typename Body, typename real>
+CUDA_CALLABLE inline real rod_stretch(const Body& rod, const wp::array_t<real>& state, int row) {
+    const rows_of<real> s(state, row), rest(rod.rest, 0);
+    real sum = real(0);
+    for (int i = 0; i + 1 < rod.points; ++i) {
+        const vec<real> d = s.template get3<real>(X, i + 1) - s.template get3<real>(X, i);
+        const real stretch = wp::sqrt(dot(d, d)) * rest.template get<real>(PER_LENGTH, i) - real(1);
+        sum += stretch < real(0) ? -stretch : stretch;
+    }
+    return sum / real(rod.points - 1);
+}
+
 // Velocities, positions and directions at the end of a step, of what nobody holds.
 template <typename Rod, typename real>
 CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real>& state, int row,

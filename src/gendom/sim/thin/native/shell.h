@@ -176,6 +176,26 @@ CUDA_CALLABLE inline real shell_forces(const Body& body, int w, const wp::array_
     return all == all ? most : all;
 }
 
+// Mean of how much edges along rows, or along columns, are stretched or compressed, the larger one;
+// every thread finds it.
+template <typename Body, typename real>
+CUDA_CALLABLE inline real shell_stretch(const Body& body, const wp::array_t<real>& state, int row) {
+    const rows_of<real> s(state, row), shape(body.rest, 0);
+    real sum[2] = {real(0), real(0)}, count[2] = {real(0), real(0)};
+    for (int p = body.first; p < body.end; ++p) {
+        for (int k = 0; k < 2; ++k) {
+            const real exists = shape.template get<real>(k == 0 ? NEXT : BELOW, p);
+            if (exists == real(0)) continue;
+            const vec<real> d = s.template get3<real>(SHELL_X, p + (k == 0 ? 1 : body.pitch)) -
+                                s.template get3<real>(SHELL_X, p);
+            const real stretch = wp::sqrt(dot(d, d)) * (k == 0 ? body.per_x : body.per_y) - real(1);
+            sum[k] += stretch < real(0) ? -stretch : stretch;
+            count[k] += real(1);
+        }
+    }
+    return larger(sum[0] / count[0], sum[1] / count[1]);
+}
+
 // What edges and moments of the scratch add up to at a point: minus the derivative of the energy.
 template <typename T, typename Rows>
 CUDA_CALLABLE inline vec<T> shell_pull(const Rows& in, const Rows& shape, int p, int pitch) {
