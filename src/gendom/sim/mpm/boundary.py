@@ -40,8 +40,8 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.particles import Particles
-from gendom.sim.mpm.paths import make_paths
 from gendom.sim.mpm.types import make_types
+from gendom.sim.paths import make_paths
 
 SPRING = 0.1
 """Of table and walls, for the mass of a section and the square of a substep."""

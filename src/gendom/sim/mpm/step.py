@@ -33,7 +33,7 @@ from gendom.sim.mpm.elasticity import make_maxwell_branch
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.internal_forces import make_internal_forces
 from gendom.sim.mpm.particles import make_rows
-from gendom.sim.mpm.paths import make_paths
+from gendom.sim.mpm.poses import make_poses
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
 
@@ -278,7 +278,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         forces=forces,
         boundary=boundary,
         boundary_adjoint=boundary_adjoint,
-        paths=make_paths(real),
+        paths=make_poses(real),
         touch=touch,
         touch_adjoint=touch_adjoint,
         scatter=scatter,
@@ -460,7 +460,7 @@ def make_close_substep(real: Any) -> Any:
     types = make_types(real)
     Matter, Scene, Paths, Grips = types.Matter, types.Scene, types.Paths, types.Grips
     SceneBars = types.SceneBars
-    pose_gripper_adjoint = make_paths(real).pose_gripper_adjoint
+    pose_gripper_adjoint = make_poses(real).pose_gripper_adjoint
     branch_adjoint = make_maxwell_branch(real).branch_adjoint
 
     @wp.func

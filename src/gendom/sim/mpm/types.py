@@ -13,6 +13,8 @@ from typing import Any
 
 import warp as wp
 
+from gendom.sim.paths import make_path_type
+
 
 @dataclass(frozen=True)
 class Types:
@@ -75,20 +77,6 @@ def make_types(real: Any) -> Types:
         walls: int
         box_lower: vec3
         box_upper: vec3
-
-    @wp.struct
-    class Paths:
-        """Grippers as a user gave them."""
-
-        time: wp.array3d(dtype=wp.float64)  # [W, G, K] [s]
-        position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] [m]
-        orientation: wp.array3d(dtype=wp.quatd)  # [W, G, K]
-        turn: wp.array3d(dtype=wp.vec3d)  # [W, G, K] rotation vector to the next knot [rad]
-        turns: wp.array2d(dtype=wp.int32)  # [W, G] whether orientations were given
-        hold_from: wp.array2d(dtype=wp.float64)  # [W, G] [s]
-        hold_until: wp.array2d(dtype=wp.float64)  # [W, G] [s]
-        radius: wp.array2d(dtype=real)  # [W, G] [m]
-        may_miss: wp.array2d(dtype=wp.int32)  # [W, G]
 
     @wp.struct
     class Grips:
@@ -190,7 +178,7 @@ def make_types(real: Any) -> Types:
         compensates=real == wp.float32,
         Matter=Matter,
         Scene=Scene,
-        Paths=Paths,
+        Paths=make_path_type(real),
         Grips=Grips,
         State=State,
         Clock=Clock,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import SimulationError
 from gendom.sim.gripper import stack_paths
-from gendom.sim.mpm.types import make_types as make_path_types
+from gendom.sim.paths import make_path_type
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.grips import Grip, Paths, Pose, released
 from gendom.sim.thin.schedule import Schedule, make_schedule
@@ -26,7 +26,7 @@ STRETCH = 0.2
 """Most that a body may be stretched or compressed in the mean."""
 
 LOCAL_STRETCH = 1.0
-"""Most that one edge may be, in passing: the end of a soft rope that cracks is stretched by 0.25."""
+"""Most that one edge may be, in passing: where a soft rope cracks it is stretched by a quarter."""
 
 MARGIN_OF_LISTS = 0.3
 """Margin with which pairs that may meet are listed [spacings]."""
@@ -373,7 +373,7 @@ class ThinEngine(ABC):
 
     def _paths(self) -> Any:
         stacked = self.stacked
-        paths = make_path_types(self.real).Paths()
+        paths = make_path_type(self.real)()
         kinds = {
             "time": wp.float64, "position": wp.vec3d, "orientation": wp.quatd, "turn": wp.vec3d,
             "turns": wp.int32, "hold_from": wp.float64, "hold_until": wp.float64,

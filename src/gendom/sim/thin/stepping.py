@@ -18,8 +18,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.paths import make_paths
-from gendom.sim.mpm.types import make_types as make_path_types
+from gendom.sim.paths import make_path_type, make_paths
 from gendom.sim.thin.native import MODULE_OPTIONS
 from gendom.sim.thin.types import make_types
 
@@ -35,7 +34,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     paths_of = make_paths(real)
     pose, pose_adjoint, narrow = paths_of.pose, paths_of.pose_adjoint, paths_of.narrow
     is_closed = paths_of.is_closed
-    Paths, SceneBars = make_path_types(real).Paths, make_path_types(real).SceneBars
+    Paths = make_path_type(real)
     Body, Bars, Plan, vec3, quat = types.Body, types.Bars, types.Plan, types.vec3, types.quat
 
     @wp.func_native("gendom::meet();")
@@ -223,7 +222,6 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         state: wp.array3d(dtype=real),
         frames_bar: wp.array3d(dtype=vec3),  # [T, W, n]
         bars: Bars,
-        scene_bars: SceneBars,
     ):
         w = first + wp.tid() // lanes
         lane = wp.tid() % lanes
@@ -256,7 +254,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                         w, g, t,
                         wide(by_centre),
                         wide(by_turn),
-                        paths, scene_bars,
+                        paths, bars.position, bars.path_turn,
                     )  # fmt: skip
             meet()
             # the scratch as in the step; the lagged strains of the next row are written once more

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from gendom.errors import ParameterError
 from gendom.sim.gradients import Gradients
-from gendom.sim.mpm.types import make_types as make_path_types
 from gendom.sim.setting import Frames
 from gendom.sim.thin import rotation
 from gendom.sim.thin.engine import Event, Round, device_plan, put
@@ -107,10 +106,9 @@ class ThinTape(ABC):
         self.bars.place = e.zeros((W * G, 6, e.row_length))
         self.bars.centre = e.zeros((W, G), k.vec3)
         self.bars.turn = e.zeros((W, G), k.vec3)
-        self.scene_bars = make_path_types(e.real).SceneBars()
         shape = e.stacked["time"].shape
-        self.scene_bars.position = e.zeros(shape, wp.vec3d)
-        self.scene_bars.turn = e.zeros(shape, wp.vec3d)
+        self.bars.position = e.zeros(shape, wp.vec3d)
+        self.bars.path_turn = e.zeros(shape, wp.vec3d)
         self.frames_bar = e.array(bar, k.vec3)
         self.plan_on_device = device_plan(e, self.plan)
         self.silent = device_plan(e, self.plan, record=False)
@@ -170,7 +168,7 @@ class ThinTape(ABC):
             e.launch(
                 e.kernels.reverse, group,
                 [e.body, e.paths, self.plan_on_device, e.array(every, wp.int32), group.start, count,
-                 rows, self.frames_bar, self.bars, self.scene_bars],
+                 rows, self.frames_bar, self.bars],
             )  # fmt: skip
         self._take_model(group)
         for event in reversed(round.events):
@@ -253,8 +251,8 @@ class ThinTape(ABC):
             gravity=m[:, GRAVITY].sum(axis=2),
             positions=x_bar,
             velocities=v_bar,
-            gripper_positions=self.scene_bars.position.numpy() + self.host.position_bar,
-            gripper_rotations=self.scene_bars.turn.numpy() + self.host.turn_bar,
+            gripper_positions=self.bars.position.numpy() + self.host.position_bar,
+            gripper_rotations=self.bars.path_turn.numpy() + self.host.turn_bar,
             gripper_radius=self.radius_bar,
             rest_strains=np.swapaxes(m[:, self.rest_rows], 1, 2),
         )

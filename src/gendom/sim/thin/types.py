@@ -94,6 +94,8 @@ def make_types(real: Any) -> Types:
         model: wp.array3d(dtype=real)  # [W, 21, P]
         scratch: wp.array3d(dtype=real)  # [W, ., P]
         place: wp.array3d(dtype=real)  # [W G, 6, P]
+        position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by grippers' knots
+        path_turn: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by a turn of them, in the world's axes
         centre: wp.array2d(dtype=vec3)  # [W, G] of one step
         turn: wp.array2d(dtype=vec3)  # [W, G] of one step
 

@@ -33,7 +33,7 @@ from gendom.sim.mpm.elasticity import make_elasticity, make_maxwell_branch
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import Particles
-from gendom.sim.mpm.paths import make_paths
+from gendom.sim.mpm.poses import make_poses
 from gendom.sim.mpm.runners.block_kernels import AHEAD
 from gendom.sim.mpm.runners.records import C, V, Variant, X, make_tape
 from gendom.sim.mpm.step import NOT_FINITE, OK, make_close_substep
@@ -124,7 +124,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
     carried_adjoint, turned_adjoint = boundary.carried_adjoint, boundary.turned_adjoint
     contact, guided = make_boundary(real, recorded).contact, make_boundary(real, recorded).guided
     grasp_adjoint = boundary.grasp_adjoint
-    pose_gripper = make_paths(real).pose_gripper
+    pose_gripper = make_poses(real).pose_gripper
     close_substep = make_close_substep(real)
     kept = make_store(real, resident=False)
     bar = make_store(real, resident=variant.room > 0)

@@ -14,8 +14,8 @@ import warp as wp
 
 from gendom.sim.mpm.boundary import DASHPOT, SPRING, make_boundary
 from gendom.sim.mpm.particles import Particles
-from gendom.sim.mpm.paths import make_paths
 from gendom.sim.mpm.types import make_types
+from gendom.sim.paths import make_paths
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def make_boundary_adjoint(
                     put_x_bar(bars, w, q, x_bar_of(bars, w, q) + share)
             scene_bars.weight[w, g, n] = real(0.0)
             scene_bars.place[w, g, n] = vec3()
-        pose_adjoint(w, g, t, centre_bar, R_bar, paths, scene_bars)
+        pose_adjoint(w, g, t, centre_bar, R_bar, paths, scene_bars.position, scene_bars.turn)
 
     @wp.func
     def grasp_adjoint(

@@ -1,22 +1,7 @@
-// What the threads of a CUDA block do together; on the CPU a block is one thread.
+// What else the threads of a CUDA block do together, see meet.h; on the CPU a block is one thread.
 #pragma once
 
 namespace gendom {
-
-CUDA_CALLABLE inline void meet() {
-#if defined(__CUDA_ARCH__)
-    __syncthreads();
-#endif
-}
-
-// Whether a thread's value is not 0.
-CUDA_CALLABLE inline int any_of(int value) {
-#if defined(__CUDA_ARCH__)
-    return __syncthreads_or(value) ? 1 : 0;
-#else
-    return value;
-#endif
-}
 
 // The largest of all threads' values (no NaN); wants another meeting before it is called again.
 template <typename real> CUDA_CALLABLE inline real largest(real value) {

@@ -30,7 +30,7 @@ from gendom.sim.mpm.compensated_sum import make_compensated_sum
 from gendom.sim.mpm.elasticity import make_elasticity, make_maxwell_branch
 from gendom.sim.mpm.grid import MARGIN, SparseGrid, make_rebuild_world
 from gendom.sim.mpm.native import MODULE_OPTIONS
-from gendom.sim.mpm.paths import make_paths
+from gendom.sim.mpm.poses import make_poses
 from gendom.sim.mpm.runners.records import (
     LOW,
     ORDERLY,
@@ -76,7 +76,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     access = make_record_access(variant)
     load, unload, put_in_order = access.load, access.unload, access.put_in_order
     rebuild = make_rebuild_world(real, records_of)
-    boundary, paths_of = make_boundary(real, records_of), make_paths(real)
+    boundary, paths_of = make_boundary(real, records_of), make_poses(real)
     grasp, guided, carried = boundary.grasp, boundary.guided, boundary.carried
     contact, near_table = boundary.contact, boundary.near_table
     pose_gripper = paths_of.pose_gripper

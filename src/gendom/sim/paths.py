@@ -17,7 +17,26 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.types import make_types
+
+@functools.cache
+def make_path_type(real: Any) -> Any:
+    """The struct of paths for ``wp.float32`` or ``wp.float64``."""
+
+    @wp.struct
+    class Paths:
+        """Grippers as a user gave them, see ``gripper.stack_paths``."""
+
+        time: wp.array3d(dtype=wp.float64)  # [W, G, K] [s]
+        position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] [m]
+        orientation: wp.array3d(dtype=wp.quatd)  # [W, G, K]
+        turn: wp.array3d(dtype=wp.vec3d)  # [W, G, K] rotation vector to the next knot [rad]
+        turns: wp.array2d(dtype=wp.int32)  # [W, G] whether orientations were given
+        hold_from: wp.array2d(dtype=wp.float64)  # [W, G] [s]
+        hold_until: wp.array2d(dtype=wp.float64)  # [W, G] [s]
+        radius: wp.array2d(dtype=real)  # [W, G] [m]
+        may_miss: wp.array2d(dtype=wp.int32)  # [W, G]
+
+    return Paths
 
 
 @functools.cache
@@ -25,12 +44,11 @@ def make_paths(real: Any) -> SimpleNamespace:
     """Build what grippers' paths say, for one scalar type.
 
     Returns:
-        Namespace with ``is_closed``, ``pose`` (of a gripper at a time), ``pose_gripper`` (of a
-        substep) and the transposes of both in the path's positions and orientations.
+        Namespace with ``is_closed``, ``pose`` (of a gripper at a time), its transpose in the path's
+        positions and orientations, and their parts.
     """
-    types = make_types(real)
-    vec3, mat33 = types.vec3, types.mat33
-    Paths, Grips, SceneBars = types.Paths, types.Grips, types.SceneBars
+    vec3, mat33 = wp.types.vector(3, real), wp.types.matrix((3, 3), real)
+    Paths = make_path_type(real)
 
     @wp.func
     def narrow(a: wp.vec3d):
@@ -107,7 +125,7 @@ def make_paths(real: Any) -> SimpleNamespace:
     @wp.func
     def turn_adjoint(
         w: int, g: int, knot: int, u: wp.float64, R_bar: wp.vec3d, by_turn: wp.vec3d,
-        paths: Paths, bars: SceneBars,
+        paths: Paths, turn_bars: wp.array3d(dtype=wp.vec3d),
     ):  # fmt: skip
         """To the knots' rotations, from that by a rotation at the share u of a segment, and from
         that by the segment's rotation vector."""
@@ -119,20 +137,21 @@ def make_paths(real: Any) -> SimpleNamespace:
         next_bar = wp.transpose(wp.inverse(left_jacobian(turn, one))) * turn_bar
         this_bar = wp.transpose(gone) * R_bar
         this_bar -= wp.transpose(wp.inverse(left_jacobian(turn, -one))) * turn_bar
-        bars.turn[w, g, knot] = bars.turn[w, g, knot] + this_bar
-        bars.turn[w, g, knot + 1] = bars.turn[w, g, knot + 1] + next_bar
+        turn_bars[w, g, knot] = turn_bars[w, g, knot] + this_bar
+        turn_bars[w, g, knot + 1] = turn_bars[w, g, knot + 1] + next_bar
 
     @wp.func
     def pose_adjoint(
         w: int, g: int, t: wp.float64, centre_bar: wp.vec3d, R_bar: wp.vec3d, paths: Paths,
-        bars: SceneBars,
+        position_bars: wp.array3d(dtype=wp.vec3d), turn_bars: wp.array3d(dtype=wp.vec3d),
     ):  # fmt: skip
         """Transpose of ``pose``; derivatives by R are by a rotation of it, in world axes."""
         knot, u = knot_before(w, g, t, paths)
-        bars.position[w, g, knot] = bars.position[w, g, knot] + (wp.float64(1.0) - u) * centre_bar
-        bars.position[w, g, knot + 1] = bars.position[w, g, knot + 1] + u * centre_bar
+        left = wp.float64(1.0) - u
+        position_bars[w, g, knot] = position_bars[w, g, knot] + left * centre_bar
+        position_bars[w, g, knot + 1] = position_bars[w, g, knot + 1] + u * centre_bar
         if paths.turns[w, g] == 1:
-            turn_adjoint(w, g, knot, u, R_bar, wp.vec3d(), paths, bars)
+            turn_adjoint(w, g, knot, u, R_bar, wp.vec3d(), paths, turn_bars)
 
     @wp.func
     def share_of(w: int, g: int, k: int, t: wp.float64, dt: wp.float64, paths: Paths):
@@ -144,49 +163,12 @@ def make_paths(real: Any) -> SimpleNamespace:
             share = wp.max(until - wp.max(t, paths.time[w, g, k]), wp.float64(0.0)) / span
         return share
 
-    @wp.func
-    def pose_gripper(
-        row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, grips: Grips
-    ):
-        """Gripper g of world w in the substep from t to t + dt [s]."""
-        grips.closed[row, g] = int(is_closed(w, g, t, paths))
-        here, _R, knot = pose(w, g, t, paths)
-        there, R, end = pose(w, g, t + dt, paths)
-        grips.centre[row, g] = narrow(there)
-        grips.orientation[row, g] = narrow_matrix(R)
-        grips.velocity[row, g] = narrow((there - here) / dt)
-        # each segment turns it for as long as the substep has part in it
-        turned = wp.vec3d()
-        if paths.turns[w, g] == 1:
-            for k in range(knot, end + 1):
-                turned += share_of(w, g, k, t, dt, paths) * paths.turn[w, g, k]
-        grips.spin[row, g] = narrow(turned / dt)
-
-    @wp.func
-    def pose_gripper_adjoint(
-        w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, bars: SceneBars
-    ):
-        """Transpose of ``pose_gripper``; the substep's sums begin anew."""
-        moved = bars.velocity[w, g] / dt
-        _here, _R, knot = pose(w, g, t, paths)
-        _there, _R_end, end = pose(w, g, t + dt, paths)
-        pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, bars)
-        pose_adjoint(w, g, t + dt, bars.centre[w, g] + moved, bars.rotation[w, g], paths, bars)
-        if paths.turns[w, g] == 1:
-            for k in range(knot, end + 1):
-                by_turn = (share_of(w, g, k, t, dt, paths) / dt) * bars.spin[w, g]
-                turn_adjoint(w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, bars)
-        bars.centre[w, g] = wp.vec3d()
-        bars.rotation[w, g] = wp.vec3d()
-        bars.velocity[w, g] = wp.vec3d()
-        bars.spin[w, g] = wp.vec3d()
-
     return SimpleNamespace(
         is_closed=is_closed,
         pose=pose,
         pose_adjoint=pose_adjoint,
-        pose_gripper=pose_gripper,
-        pose_gripper_adjoint=pose_gripper_adjoint,
+        turn_adjoint=turn_adjoint,
+        share_of=share_of,
         narrow=narrow,
         narrow_matrix=narrow_matrix,
     )

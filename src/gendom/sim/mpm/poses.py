@@ -1,0 +1,68 @@
+"""Grippers in a substep: where they are at its end, how fast they go and turn; transposed, too."""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from gendom.sim.mpm.types import make_types
+from gendom.sim.paths import make_paths
+
+
+@functools.cache
+def make_poses(real: Any) -> SimpleNamespace:
+    """Build ``pose_gripper`` and ``pose_gripper_adjoint`` for one scalar type."""
+    types = make_types(real)
+    Paths, Grips, SceneBars = types.Paths, types.Grips, types.SceneBars
+    paths_of = make_paths(real)
+    is_closed, pose, pose_adjoint = paths_of.is_closed, paths_of.pose, paths_of.pose_adjoint
+    share_of, turn_adjoint = paths_of.share_of, paths_of.turn_adjoint
+    narrow, narrow_matrix = paths_of.narrow, paths_of.narrow_matrix
+
+    @wp.func
+    def pose_gripper(
+        row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, grips: Grips
+    ):
+        """Gripper g of world w in the substep from t to t + dt [s]."""
+        grips.closed[row, g] = int(is_closed(w, g, t, paths))
+        here, _R, knot = pose(w, g, t, paths)
+        there, R, end = pose(w, g, t + dt, paths)
+        grips.centre[row, g] = narrow(there)
+        grips.orientation[row, g] = narrow_matrix(R)
+        grips.velocity[row, g] = narrow((there - here) / dt)
+        # each segment turns it for as long as the substep has part in it
+        turned = wp.vec3d()
+        if paths.turns[w, g] == 1:
+            for k in range(knot, end + 1):
+                turned += share_of(w, g, k, t, dt, paths) * paths.turn[w, g, k]
+        grips.spin[row, g] = narrow(turned / dt)
+
+    @wp.func
+    def pose_gripper_adjoint(
+        w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, bars: SceneBars
+    ):
+        """Transpose of ``pose_gripper``; the substep's sums begin anew."""
+        moved = bars.velocity[w, g] / dt
+        _here, _R, knot = pose(w, g, t, paths)
+        _there, _R_end, end = pose(w, g, t + dt, paths)
+        pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, bars.position, bars.turn)
+        pose_adjoint(
+            w, g, t + dt, bars.centre[w, g] + moved, bars.rotation[w, g], paths, bars.position,
+            bars.turn,
+        )  # fmt: skip
+        if paths.turns[w, g] == 1:
+            for k in range(knot, end + 1):
+                by_turn = (share_of(w, g, k, t, dt, paths) / dt) * bars.spin[w, g]
+                turn_adjoint(w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, bars.turn)
+        bars.centre[w, g] = wp.vec3d()
+        bars.rotation[w, g] = wp.vec3d()
+        bars.velocity[w, g] = wp.vec3d()
+        bars.spin[w, g] = wp.vec3d()
+
+    return SimpleNamespace(pose_gripper=pose_gripper, pose_gripper_adjoint=pose_gripper_adjoint)
