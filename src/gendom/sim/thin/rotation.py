@@ -77,13 +77,14 @@ def transported(first: Array, step: Array) -> Array:
     Neighbours have scalar products that are not negative. Source: Bishop (1975), "There is more
     than one way to frame a curve".
     """
-    q = np.empty((*step.shape[:-1], 4))
     third = np.broadcast_to([0.0, 0.0, 1.0], (*step.shape[:-2], 3))
-    q[..., 0, :] = product(shortest(turned(first, third), step[..., 0, :]), first)
+    start = product(shortest(turned(first, third), step[..., 0, :]), first)[..., None, :]
     turns = shortest(step[..., :-1, :], step[..., 1:, :])
-    for e in range(1, step.shape[-2]):
-        q[..., e, :] = product(turns[..., e - 1, :], q[..., e - 1, :])
-    return q
+    by = 1
+    while by < turns.shape[-2]:  # products of all turns up to each, in pairs, fours, eights...
+        turns[..., by:, :] = product(turns[..., by:, :], turns[..., :-by, :])
+        by *= 2
+    return np.concatenate([start, product(turns, np.broadcast_to(start, turns.shape))], axis=-2)
 
 
 def transported_adjoint(first: Array, step: Array, turn_bar: Array) -> Array:
