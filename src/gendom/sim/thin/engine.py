@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import SimulationError
+from gendom.sim.device import making
 from gendom.sim.gripper import stack_paths
 from gendom.sim.paths import make_path_type
 from gendom.sim.setting import Frames, Setting, spread
@@ -115,6 +116,7 @@ class ThinEngine(ABC):
         """[W] length of the last step, 0 where velocities are those of this moment [s]."""
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, n, 3), "positions")
         self.state.assign(self.first_state(x))
+        self.load("begin", "advance")
         self.launch(self.kernels.begin, slice(0, W), [self.body, self.state])
 
     # ---- of each kind of body --------------------------------------------------------------------
@@ -361,6 +363,18 @@ class ThinEngine(ABC):
     def zeros(self, shape: Any, dtype: Any = None) -> wp.array:
         return wp.zeros(shape, dtype=dtype or self.real, device=self.setting.device)
 
+    def load(self, *names: str) -> None:
+        """Compile kernels, or find them in Warp's cache, before threads call them."""
+        with making:
+            for name in names:
+                module = getattr(self.kernels, name).module
+                wp.load_module(module, device=self.setting.device, block_dim=self.block)
+
+    @property
+    def block(self) -> int:
+        """Threads of a CUDA block."""
+        return self.lanes if self.lanes > 1 else 256
+
     def launch(self, kernel: Any, group: slice, inputs: list[Any]) -> None:
         """A block of threads for each world of the group."""
         wp.launch(
@@ -368,7 +382,7 @@ class ThinEngine(ABC):
             dim=(group.stop - group.start) * self.lanes,
             inputs=[group.start, self.lanes, *inputs],
             device=self.setting.device,
-            block_dim=self.lanes if self.lanes > 1 else 256,
+            block_dim=self.block,
         )
 
     def _paths(self) -> Any:

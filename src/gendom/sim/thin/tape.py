@@ -62,6 +62,7 @@ class ThinTape(ABC):
         self.memory = memory
         self.rounds: list[tuple[slice, Round]] = []
         self._alone = threading.Lock()
+        engine.load("reverse", "begin_adjoint")
 
     def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
         """[T, W, n, 3] points at the given times [m]."""

@@ -20,7 +20,7 @@ from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.model import REBUILD, Worlds
 from gendom.sim.mpm.native import MODULE_OPTIONS
-from gendom.sim.mpm.runners.cpu import Threads
+from gendom.sim.mpm.runners.cpu import Threads, load
 from gendom.sim.mpm.step import GRID_FULL, NOT_FINITE, OK, make_step
 from gendom.sim.mpm.types import make_types
 
@@ -94,6 +94,10 @@ class WorldTape:
         self.memory = memory
         self._threads = Threads(simulator.worlds, simulator.threads)
         self._stretches: list[list[_Stretch]] = []
+        worlds = simulator.worlds
+        for yields in np.unique(worlds.yields):
+            reverse = make_reverse(worlds.real, worlds.setting.law, yields=bool(yields))
+            load(reverse, worlds.device)
 
     def forward(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
         """Positions [T, W, N, 3] at the times [m].

@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from gendom.errors import SimulationError
+from gendom.sim.device import making
 from gendom.sim.mpm.boundary import make_boundary
 from gendom.sim.mpm.grid import MARGIN, Grid, GridExhausted, SparseGrid, make_rebuild_world
 from gendom.sim.mpm.model import CLOCK, REBUILD, Worlds
@@ -130,6 +131,12 @@ class Threads:
         self.clock = {name: getattr(worlds.clock, name).numpy() for name in CLOCK}
         self.state = {name: getattr(worlds.state, name).numpy() for name in worlds.carried}
         self.low = worlds.low.numpy()
+        # threads do not make kernels side by side: Python's parser fails at that
+        real, law = worlds.real, worlds.setting.law
+        for yields in np.unique(worlds.yields):
+            load(make_advance(real, law, yields=bool(yields)), worlds.device)
+        if worlds.grips.count.shape[1]:
+            load(make_hold_as_at(real), worlds.device)
 
     def run(self, frames: Frames) -> None:
         """Simulate all worlds to all times.
@@ -248,6 +255,12 @@ class Threads:
             ],
             device=s.device,
         )  # fmt: skip
+
+
+def load(kernel: Any, device: Any) -> None:
+    """Compile a kernel, or find it in Warp's cache, before threads call it."""
+    with making:
+        wp.load_module(kernel.module, device=device)
 
 
 def _wait(job: Future[None]) -> None:
