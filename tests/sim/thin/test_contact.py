@@ -165,6 +165,24 @@ def test_cuda_keeps_a_cloth_from_crossing():
     assert max(crossings(f, shape) for f in x) == 0
 
 
+def test_a_body_that_begins_in_itself_is_an_error():
+    line = rope(diameter=0.01, length=0.3, points=31)
+    turn = np.linspace(0.0, 2.2 * np.pi, 31)
+    ring = 0.3 / (2.2 * np.pi) * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    with pytest.raises(ParameterError, match="the rope begins in itself"):
+        Simulator(line, [Material()], self_contact=True, positions=ring)
+    Simulator(line, [Material()], positions=ring)
+    sheet = cloth(width=0.1, height=0.1, thickness=0.001, dx=0.02, points=(11, 11))
+    folded = sheet.points.copy()
+    over = folded[:, 0] > 0.05
+    folded[over, 0] = 0.1 - folded[over, 0] + 0.001
+    folded[over, 2] = 0.004
+    Simulator(sheet, [Material()], self_contact=True, positions=folded)
+    folded[over, 2] -= 0.08 * (folded[over, 1] - 0.024)
+    with pytest.raises(ParameterError, match="the cloth begins crossing itself"):
+        Simulator(sheet, [Material()], self_contact=True, positions=folded)
+
+
 def test_what_cannot_be_is_said():
     thick = cloth(width=0.1, height=0.1, thickness=0.008, dx=0.02, points=(10, 10))
     with pytest.raises(ParameterError, match="cannot be folded"):

@@ -116,6 +116,10 @@ class ThinEngine(ABC):
         """[W] length of the last step, 0 where velocities are those of this moment [s]."""
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, n, 3), "positions")
         self.state.assign(self.first_state(x))
+        if s.self_contact:
+            # worlds that begin alike are looked at once
+            for one in x[: 1 if x.strides[0] == 0 else W]:
+                self.check_apart(one)
         self.load("begin", "advance")
         self.launch(self.kernels.begin, slice(0, W), [self.body, self.state])
 
@@ -153,6 +157,12 @@ class ThinEngine(ABC):
 
     @abstractmethod
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None: ...
+
+    @abstractmethod
+    def check_apart(self, x: NDArray[np.floating]) -> None:
+        """Raises:
+        ParameterError: If points [n, 3] put the body into itself.
+        """
 
     @abstractmethod
     def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.errors import ParameterError
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
+from gendom.sim.thin.crossing import check_rope
 from gendom.sim.thin.engine import STRETCH, ThinEngine
 from gendom.sim.thin.grips import Grip, Pose, close_rod
 from gendom.sim.thin.rod import RodModel
@@ -84,6 +85,9 @@ class Rods(ThinEngine):
         rows[:, SPIN, self.slots[:-1]] = np.swapaxes(spin, 1, 2)
         self.state.assign(rows)
         self.last_dt[:] = 0.0
+
+    def check_apart(self, x: NDArray[np.floating]) -> None:
+        check_rope(x, self.setting.body.thickness, self.apart)
 
     def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:
         x, q = self.component(X)[worlds], self.component(Q)[worlds][:, :-1]

@@ -12,6 +12,7 @@ from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim.bodies import Body
 from gendom.sim.setting import DRAG, Setting, spread
+from gendom.sim.thin.crossing import check_cloth
 from gendom.sim.thin.engine import STRETCH, ThinEngine
 from gendom.sim.thin.grips import Grip, Pose, close_shell
 from gendom.sim.thin.types import MARGIN, V, X
@@ -209,6 +210,9 @@ class Shells(ThinEngine):
         rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
         self.state.assign(rows)
         self.last_dt[:] = 0.0
+
+    def check_apart(self, x: NDArray[np.floating]) -> None:
+        check_cloth(x, self.model.shape)
 
     def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:
         x, m = self.component(X)[worlds], self.model

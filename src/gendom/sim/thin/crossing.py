@@ -1,0 +1,93 @@
+"""Whether a body begins where it crosses itself."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from gendom.errors import ParameterError
+
+LEAST = 0.5
+"""Least distance between the middles of a rope's parts at the start, of its diameter."""
+
+
+def check_rope(x: NDArray[np.floating], diameter: float, apart: int) -> None:
+    """Refuse a rope [n, 3] [m] whose edges, so many points apart, lie in each other.
+
+    Raises:
+        ParameterError: With where.
+    """
+    i, j = np.triu_indices(len(x) - 1, apart)
+    distance = edge_distance(x[i], x[i + 1] - x[i], x[j], x[j + 1] - x[j])
+    if len(i) and distance.min() < LEAST * diameter:
+        k = int(distance.argmin())
+        raise ParameterError(
+            f"the rope begins in itself: two parts of it are {1e3 * distance[k]:.3g} mm apart",
+            where=f"edges {i[k]} and {j[k]}, {1e3 * diameter:.3g} mm thick",
+            fix="give other positions, or no self_contact",
+        )
+
+
+def check_cloth(x: NDArray[np.floating], shape: tuple[int, int]) -> None:
+    """Refuse a cloth of rows and columns of points [n, 3] [m] that crosses itself.
+
+    Raises:
+        ParameterError: With where.
+    """
+    ny, nx = shape
+    g = np.arange(ny * nx).reshape(shape)
+    a, b, c, d = (of.ravel() for of in (g[:-1, :-1], g[:-1, 1:], g[1:, :-1], g[1:, 1:]))
+    edges = np.concatenate(
+        [
+            np.stack([p.ravel(), q.ravel()], axis=1)
+            for p, q in ((g[:, :-1], g[:, 1:]), (g[:-1], g[1:]), (b, c))
+        ]
+    )
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, b, c], axis=1)])
+    middles, centres = x[edges].mean(axis=1), x[triangles].mean(axis=1)
+    reach = np.linalg.norm(x[edges] - middles[:, None], axis=2).max()
+    reach += np.linalg.norm(x[triangles] - centres[:, None], axis=2).max()
+    near = KDTree(middles).sparse_distance_matrix(KDTree(centres), reach, output_type="ndarray")
+    e, t = edges[near["i"]], triangles[near["j"]]
+    apart = ~(e[:, :, None] == t[:, None]).any(axis=(1, 2))
+    e, t = e[apart], t[apart]
+    start, way = x[e[:, 0]], x[e[:, 1]] - x[e[:, 0]]
+    corner, u, v = x[t[:, 0]], x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]
+    normal = np.cross(u, v)
+    level = np.sum(way * normal, axis=1)
+    s = np.sum((corner - start) * normal, axis=1) / np.where(level == 0.0, 1.0, level)
+    at = start + s[:, None] * way - corner
+    square = np.sum(normal**2, axis=1)
+    along = np.sum(np.cross(at, v) * normal, axis=1) / square
+    across = np.sum(np.cross(u, at) * normal, axis=1) / square
+    crosses = (level != 0.0) & (s > 0.0) & (s < 1.0)
+    crosses &= (along > 0.0) & (across > 0.0) & (along + across < 1.0)
+    if crosses.any():
+        k = int(np.argmax(crosses))
+        p, q = (tuple(int(i) for i in np.unravel_index(of[k, 0], shape)) for of in (e, t))
+        raise ParameterError(
+            "the cloth begins crossing itself",
+            where=f"at its points (row, column) {p} and {q}",
+            fix="give other positions, or no self_contact",
+        )
+
+
+def edge_distance(
+    p: NDArray[np.floating],
+    u: NDArray[np.floating],
+    q: NDArray[np.floating],
+    v: NDArray[np.floating],
+) -> NDArray[np.float64]:
+    """[k] least distances between edges from points p along u and from q along v [k, 3].
+
+    Source: Ericson (2005), "Real-Time Collision Detection", section 5.1.9.
+    """
+    r = p - q
+    uu, vv, uv = np.sum(u * u, axis=1), np.sum(v * v, axis=1), np.sum(u * v, axis=1)
+    ur, vr = np.sum(u * r, axis=1), np.sum(v * r, axis=1)
+    square = uu * vv - uv**2
+    level = square <= 1e-12 * uu * vv
+    f = np.clip((uv * vr - ur * vv) / np.where(level, 1.0, square), 0.0, 1.0)
+    g = (uv * np.where(level, 0.0, f) + vr) / vv
+    f = np.where(g < 0.0, -ur / uu, np.where(g > 1.0, (uv - ur) / uu, np.where(level, 0.0, f)))
+    f, g = np.clip(f, 0.0, 1.0)[:, None], np.clip(g, 0.0, 1.0)[:, None]
+    return np.linalg.norm(r + f * u - g * v, axis=1)
