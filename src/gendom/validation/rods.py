@@ -39,7 +39,6 @@ MATERIAL = Material(E=1.0e6, nu=0.3, density=1000.0)
 
 EULER = "P = 4 pi^2 E I / L^2 of a column clamped at both ends (Euler 1744)"
 GREENHILL = "M = 8.987 E I / L, tan(u) = u, of a rod clamped at both ends (Greenhill 1883)"
-MICHELL = "twist 2 pi sqrt(3) E I / (G J) of a closed ring (Michell 1889)"
 CATENARY = "z = a cosh(x / a) (J. Bernoulli, Huygens, Leibniz 1691)"
 
 
