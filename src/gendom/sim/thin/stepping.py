@@ -54,13 +54,13 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         kick: real,
     ): ...  # fmt: skip
 
-    @wp.func_native(f"gendom::{kind}_hold(body, w, g, centre, turned, state, next);")
+    @wp.func_native("gendom::hold(body, w, g, centre, turned, state, next);")
     def hold(
         body: Body, w: int, g: int, centre: vec3, turned: quat, state: wp.array3d(dtype=real),
         next: int,
     ): ...  # fmt: skip
 
-    @wp.func_native(f"gendom::{kind}_hold_adjoint(body, bars, w, g, turned);")
+    @wp.func_native("gendom::hold_adjoint(body, bars, w, g, turned);")
     def hold_adjoint(body: Body, bars: Bars, w: int, g: int, turned: quat): ...
 
     @wp.func_native(f"gendom::{kind}_move_adjoint(body, bars, w, state, row, dt, kick);")

@@ -4,6 +4,7 @@ from gendom.sim.native import module_options
 
 MODULE_OPTIONS = module_options(
     __name__,
-    "vectors.h", "ground.h", "contact.h", "rod.h", "rod_adjoint.h", "shell.h", "shell_adjoint.h",
+    "vectors.h", "ground.h", "hold.h", "contact.h",
+    "rod.h", "rod_adjoint.h", "shell.h", "shell_adjoint.h",
 )  # fmt: skip
 """Options of every Warp module of the engine."""

@@ -107,12 +107,7 @@ CUDA_CALLABLE inline int moved_on(const Body& body, int w, const wp::array_t<rea
         const vec<T> d = s.template get3<T>(0, p) - then.template get3<T>(0, p);
         most = larger(most, dot(d, d) * is_above(m.template get<T>(0, p), T(real(0))));
     }
-    real worst = real(0);
-    for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l) {
-        const real one = ((const real*)&most)[l];
-        worst = one > worst ? one : worst;
-    }
-    const real half = real(0.5) * body.contact_margin;
+    const real worst = largest_of(most), half = real(0.5) * body.contact_margin;
     return worst <= half * half ? 0 : 1;
 }
 

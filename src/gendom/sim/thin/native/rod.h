@@ -124,13 +124,8 @@ CUDA_CALLABLE inline real rod_forces(const Rod& rod, int w, const wp::array_t<re
         worst = larger(worst, stretch);
         sum += stretch;
     }
-    real most = real(0), all = real(0);
-    for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l) {
-        const real one = ((const real*)&worst)[l];
-        most = one > most ? one : most;
-        all += ((const real*)&sum)[l];
-    }
-    return all == all ? most : all;
+    const real all = sum_of(sum);
+    return all == all ? largest_of(worst) : all;
 }
 
 // The part of a velocity that is across the rod.
@@ -182,32 +177,6 @@ CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real
         const T per = one / root(dot(q.v, q.v) + q.w * q.w);
         to.put3(W, i, spin);
         to.put4(Q, i, quat<T>{per * q.v, per * q.w});
-    }
-}
-
-// What a gripper holds goes with it: its pose at the end of the step, q_place as seen from it.
-template <typename Rod, typename real>
-CUDA_CALLABLE inline void rod_hold(const Rod& rod, int w, int g, const wp::vec_t<3, real>& centre,
-                                   const wp::quat_t<real>& turned,
-                                   const wp::array_t<real>& state, int next) {
-    const int n = rod.points, W_G = w * rod.holds.shape[1] + g;
-    const rows_of<real> to(state, next), place(rod.place, W_G);
-    const quat<real> by = {{turned.x, turned.y, turned.z}, turned.w};
-    const directors<real> R(by);
-    const vec<real> c = {centre[0], centre[1], centre[2]}, still = {real(0), real(0), real(0)};
-    for (EACH_ONE(i, n)) {
-        const int holds = wp::index(rod.holds, w, g, i);
-        if (holds & 1) {
-            to.put3(X, i, c + R.to_world(place.template get3<real>(0, i)));
-            to.put3(V, i, still);
-        }
-        if (holds & 2) {
-            // q and -q are one direction, but not to the joints: it stays on the side where it is
-            const quat<real> q = by * place.template get4<real>(3, i), was = to.template get4<real>(Q, i);
-            const real side = dot(q.v, was.v) + q.w * was.w < real(0) ? real(-1) : real(1);
-            to.put4(Q, i, quat<real>{side * q.v, side * q.w});
-            to.put3(W, i, still);
-        }
     }
 }
 

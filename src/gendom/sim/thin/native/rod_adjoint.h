@@ -13,37 +13,6 @@ enum {
 };
 enum { PULL_BAR = 0, TORQUE_BAR = 3, ALONG_BAR = 6, D_BAR = 9, JOINT_H = 12, JOINT_G = 15 };
 
-// Of `rod_hold`: to the gripper's pose (six numbers) and to where things stand in it. One thread.
-template <typename Rod, typename Bars, typename real>
-CUDA_CALLABLE inline void rod_hold_adjoint(const Rod& rod, const Bars& bars, int w, int g,
-                                           const wp::quat_t<real>& turned) {
-    const int n = rod.points, W_G = w * rod.holds.shape[1] + g;
-    const rows_of<real> b(bars.state, w), place(rod.place, W_G), place_bar(bars.place, W_G);
-    const directors<real> R(quat<real>{{turned.x, turned.y, turned.z}, turned.w});
-    const vec<real> none = {real(0), real(0), real(0)};
-    vec<real> centre = none, turn = none;
-    for (int i = 0; i < n; ++i) {
-        const int holds = wp::index(rod.holds, w, g, i);
-        if (holds & 1) {
-            const vec<real> x_bar = b.template get3<real>(X_BAR, i);
-            centre = centre + x_bar;
-            turn = turn + cross(R.to_world(place.template get3<real>(0, i)), x_bar);
-            place_bar.add3(0, i, R.to_body(x_bar));
-            b.put3(X_BAR, i, none);
-            b.put3(V_BAR, i, none);
-        }
-        if (holds & 2) {
-            const vec<real> q_bar = b.template get3<real>(Q_BAR, i);
-            turn = turn + q_bar;
-            place_bar.add3(3, i, R.to_body(q_bar));
-            b.put3(Q_BAR, i, none);
-            b.put3(W_BAR, i, none);
-        }
-    }
-    wp::index(bars.centre, w, g) = wp::vec_t<3, real>(centre.x, centre.y, centre.z);
-    wp::index(bars.turn, w, g) = wp::vec_t<3, real>(turn.x, turn.y, turn.z);
-}
-
 // Of `rod_move`; the scratch is as `rod_forces` left it.
 template <typename Rod, typename Bars, typename real>
 CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int w,

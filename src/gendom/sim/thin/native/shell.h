@@ -167,13 +167,8 @@ CUDA_CALLABLE inline real shell_forces(const Body& body, int w, const wp::array_
         out.put3(M_XY, p, B.twist * bend.xy + along.z * bend.n);
         out.put3(NORMAL, p, bend.n);
     }
-    real most = real(0), all = real(0);
-    for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l) {
-        const real one = ((const real*)&worst)[l];
-        most = one > most ? one : most;
-        all += ((const real*)&sum)[l];
-    }
-    return all == all ? most : all;
+    const real all = sum_of(sum);
+    return all == all ? largest_of(worst) : all;
 }
 
 // Mean of how much edges along rows, or along columns, are stretched or compressed, the larger one;
@@ -230,24 +225,6 @@ CUDA_CALLABLE inline void shell_move(const Body& body, int w, const wp::array_t<
         const vec<T> v = around.stopped(x, keep * (v0 + T(kick) * (m.template get<T>(POINT_PER_MASS, p) * f + g)));
         to.put3(SHELL_V, p, v);
         to.put3(SHELL_X, p, x + h * v);
-    }
-}
-
-// What a gripper holds goes with it: its pose at the end of the step.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void shell_hold(const Body& body, int w, int g, const wp::vec_t<3, real>& centre,
-                                     const wp::quat_t<real>& turned, const wp::array_t<real>& state,
-                                     int next) {
-    const int W_G = w * body.holds.shape[1] + g;
-    const rows_of<real> to(state, next), place(body.place, W_G);
-    const directors<real> R(quat<real>{{turned.x, turned.y, turned.z}, turned.w});
-    const vec<real> c = {centre[0], centre[1], centre[2]}, still = {real(0), real(0), real(0)};
-    for (EACH_ONE(i, body.points)) {
-        if (wp::index(body.holds, w, g, i) & 1) {
-            const int p = wp::index(body.slot, i) - margin;
-            to.put3(SHELL_X, p, c + R.to_world(place.template get3<real>(0, p)));
-            to.put3(SHELL_V, p, still);
-        }
     }
 }
 

@@ -12,29 +12,6 @@ enum {
 enum { F_BAR = 0, N_BAR = 3, U_BAR = 6, V_EDGE_BAR = 12, XX_BAR = 18, YY_BAR = 21, XY_BAR = 24, TX_BAR = 27, TY_BAR = 30 };
 
 template <typename Body, typename Bars, typename real>
-CUDA_CALLABLE inline void shell_hold_adjoint(const Body& body, const Bars& bars, int w, int g,
-                                             const wp::quat_t<real>& turned) {
-    const int W_G = w * body.holds.shape[1] + g;
-    const rows_of<real> b(bars.state, w), place(body.place, W_G), place_bar(bars.place, W_G);
-    const directors<real> R(quat<real>{{turned.x, turned.y, turned.z}, turned.w});
-    const vec<real> none = {real(0), real(0), real(0)};
-    vec<real> centre = none, turn = none;
-    for (int i = 0; i < body.points; ++i) {
-        if (wp::index(body.holds, w, g, i) & 1) {
-            const int p = wp::index(body.slot, i) - margin;
-            const vec<real> x_bar = b.template get3<real>(SHELL_X_BAR, p);
-            centre = centre + x_bar;
-            turn = turn + cross(R.to_world(place.template get3<real>(0, p)), x_bar);
-            place_bar.add3(0, p, R.to_body(x_bar));
-            b.put3(SHELL_X_BAR, p, none);
-            b.put3(SHELL_V_BAR, p, none);
-        }
-    }
-    wp::index(bars.centre, w, g) = wp::vec_t<3, real>(centre.x, centre.y, centre.z);
-    wp::index(bars.turn, w, g) = wp::vec_t<3, real>(turn.x, turn.y, turn.z);
-}
-
-template <typename Body, typename Bars, typename real>
 CUDA_CALLABLE inline void shell_move_adjoint(const Body& body, const Bars& bars, int w,
                                              const wp::array_t<real>& state, int row, real dt,
                                              real kick) {

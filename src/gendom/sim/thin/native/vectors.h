@@ -64,6 +64,20 @@ template <typename T> CUDA_CALLABLE inline T is_above(T a, T b) {
 #endif
 }
 
+// Over lanes.
+template <typename T> CUDA_CALLABLE inline typename number_of<T>::type largest_of(const T& a) {
+    typedef typename number_of<T>::type real;
+    real most = ((const real*)&a)[0];
+    for (unsigned l = 1; l < sizeof(T) / sizeof(real); ++l) most = larger(most, ((const real*)&a)[l]);
+    return most;
+}
+template <typename T> CUDA_CALLABLE inline typename number_of<T>::type sum_of(const T& a) {
+    typedef typename number_of<T>::type real;
+    real sum = real(0);
+    for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l) sum += ((const real*)&a)[l];
+    return sum;
+}
+
 template <typename T> struct vec { T x, y, z; };
 
 template <typename T> CUDA_CALLABLE inline vec<T> operator+(const vec<T>& a, const vec<T>& b) {

@@ -1,0 +1,67 @@
+// What grippers hold goes with them: points, and directions of a rod's edges, which shells have not.
+#pragma once
+
+namespace gendom {
+
+// Rows of every state and of derivatives by it; those by directions are by turns, in world axes.
+enum { HELD_X = 0, HELD_V = 3, HELD_Q = 6, HELD_W = 10, HELD_Q_BAR = 6, HELD_W_BAR = 9 };
+
+// At the end of a step, by a gripper's pose.
+template <typename Body, typename real>
+CUDA_CALLABLE inline void hold(const Body& body, int w, int g, const wp::vec_t<3, real>& centre,
+                               const wp::quat_t<real>& turned, const wp::array_t<real>& state,
+                               int next) {
+    const int W_G = w * body.holds.shape[1] + g;
+    const rows_of<real> to(state, next), place(body.place, W_G);
+    const quat<real> by = {{turned.x, turned.y, turned.z}, turned.w};
+    const directors<real> R(by);
+    const vec<real> c = {centre[0], centre[1], centre[2]}, still = {real(0), real(0), real(0)};
+    for (EACH_ONE(i, body.points)) {
+        const int holds = wp::index(body.holds, w, g, i), p = wp::index(body.slot, i) - margin;
+        if (holds & 1) {
+            to.put3(HELD_X, p, c + R.to_world(place.template get3<real>(0, p)));
+            to.put3(HELD_V, p, still);
+        }
+        if (holds & 2) {
+            // q and -q are one direction, but not to the joints: it stays on the side where it is
+            const quat<real> q = by * place.template get4<real>(3, p);
+            const quat<real> was = to.template get4<real>(HELD_Q, p);
+            const real side = dot(q.v, was.v) + q.w * was.w < real(0) ? real(-1) : real(1);
+            to.put4(HELD_Q, p, quat<real>{side * q.v, side * q.w});
+            to.put3(HELD_W, p, still);
+        }
+    }
+}
+
+// Its transpose: to the gripper's pose (six numbers) and to where things stand in it. One thread.
+template <typename Body, typename Bars, typename real>
+CUDA_CALLABLE inline void hold_adjoint(const Body& body, const Bars& bars, int w, int g,
+                                       const wp::quat_t<real>& turned) {
+    const int W_G = w * body.holds.shape[1] + g;
+    const rows_of<real> b(bars.state, w), place(body.place, W_G), place_bar(bars.place, W_G);
+    const directors<real> R(quat<real>{{turned.x, turned.y, turned.z}, turned.w});
+    const vec<real> none = {real(0), real(0), real(0)};
+    vec<real> centre = none, turn = none;
+    for (int i = 0; i < body.points; ++i) {
+        const int holds = wp::index(body.holds, w, g, i), p = wp::index(body.slot, i) - margin;
+        if (holds & 1) {
+            const vec<real> x_bar = b.template get3<real>(HELD_X, p);
+            centre = centre + x_bar;
+            turn = turn + cross(R.to_world(place.template get3<real>(0, p)), x_bar);
+            place_bar.add3(0, p, R.to_body(x_bar));
+            b.put3(HELD_X, p, none);
+            b.put3(HELD_V, p, none);
+        }
+        if (holds & 2) {
+            const vec<real> q_bar = b.template get3<real>(HELD_Q_BAR, p);
+            turn = turn + q_bar;
+            place_bar.add3(3, p, R.to_body(q_bar));
+            b.put3(HELD_Q_BAR, p, none);
+            b.put3(HELD_W_BAR, p, none);
+        }
+    }
+    wp::index(bars.centre, w, g) = wp::vec_t<3, real>(centre.x, centre.y, centre.z);
+    wp::index(bars.turn, w, g) = wp::vec_t<3, real>(turn.x, turn.y, turn.z);
+}
+
+}  // namespace gendom
