@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.errors import ParameterError
+from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper
@@ -58,6 +58,29 @@ class Setting:
     threads: int
     substep: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     """[W] longest substep of each world [s]."""
+
+    def error(
+        self,
+        w: int,
+        time: float,
+        what: str,
+        *,
+        where: str,
+        fix: str,
+        particle: int | None = None,
+    ) -> SimulationError:
+        """An error that names world, time [s], parameters and perhaps a particle."""
+        m = self.materials[w]
+        return SimulationError(
+            what,
+            where=f"world {w} at {time:.4f} s (E {m.E:.6g} Pa, nu {m.nu:.4g}, density "
+            f"{m.density:.6g} kg/m^3, {where})",
+            fix=fix,
+            world=w,
+            time=time,
+            parameters={"E": m.E, "nu": m.nu, "density": m.density},
+            particle=particle,
+        )
 
 
 def spread(values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.floating]:

@@ -50,11 +50,12 @@ class Simulator:
         self_friction: Coefficient of friction there, one number or [W].
         law: Elastic law of the MPM, see ``gendom.materials.laws.LAWS``.
         substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
-        cfl: Share of the limit dx / wave speed (see ``stable_substep``).
-        stiffness: Share of its material's E that each particle has, [N] or [W, N] [-].
-        positions: [N, 3] or [W, N, 3] initial positions, if not the body's own [m].
+        cfl: Share of that limit (default: the engine's ``CFL``).
+        stiffness: Share of its material's E that each particle or point has, [N] or [W, N] [-].
+        positions: [N, 3] or [W, N, 3] initial positions of particles (``body.x``) or points
+            (``body.points``), if not the body's own [m].
         start_time: Time of the initial state [s].
-        dtype: ``float32`` or ``float64``.
+        dtype: ``float32``, the MPM's default, or ``float64``, that of rods and shells.
         device: ``cpu``, ``cuda`` or ``cuda:0`` and so on.
         threads: Worlds simulated side by side on the CPU (default: all cores given to us).
 
@@ -166,7 +167,7 @@ class Simulator:
 
     @property
     def num_points(self) -> int:
-        """Particles, or points of a rod."""
+        """Particles, or points of a rod or shell."""
         return self.engine.num_points
 
     @property
@@ -197,7 +198,7 @@ class Simulator:
         return self.engine.positions()
 
     def velocities(self) -> NDArray[Any]:
-        """[W, N, 3] velocities of particles or points now [m/s]."""
+        """[W, N, 3] velocities of particles now, or of points half a step ago [m/s]."""
         return self.engine.velocities()
 
     def affine_velocities(self) -> NDArray[Any]:
@@ -214,7 +215,7 @@ class Simulator:
         return np.array(self.worlds.clock.age.numpy())
 
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
-        """Set particle velocities.
+        """Set velocities of particles or points.
 
         Args:
             v: [3], [N, 3] or [W, N, 3] [m/s].
@@ -227,8 +228,8 @@ class Simulator:
         self.engine.set_velocities(v, affine)
 
     def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
-        """Write x, v, C, F (and Z and G where there are some), the time and the parameters of all
-        worlds to an ``.npz`` file.
+        """Write x, v and, of the MPM, C, F (and Z and G where there are some), of rods and shells
+        all components of the state, the time and the parameters of all worlds to an ``.npz`` file.
 
         Args:
             path: File to write, atomically.

@@ -83,6 +83,27 @@ def sticking(settings: Settings) -> list[Check]:
     return checks
 
 
+def thin_on_slopes(settings: Settings, body: Body, material: Material) -> list[Check]:
+    """A rod or shell that lies on the table under tilted gravity, below and above the angle of
+    friction."""
+    mu, g, shares, time = 0.3, -GRAVITY[2], np.array([0.95, 1.05]), 0.5
+    angle = shares * math.atan(mu)
+    pull = g * np.stack([np.sin(angle), 0.0 * angle, -np.cos(angle)], axis=1)
+    s = settings.simulator(
+        body, [material] * 2, engine="thin", table=Table(height=0.0, friction=mu), gravity=pull,
+        air_density=0.0,
+    )  # fmt: skip
+    x = s.run([0.0, time]).mean(axis=2)[..., 0]
+    slides = g * (math.sin(angle[1]) - mu * math.cos(angle[1]))
+    return [
+        Check.within(
+            f"acceleration at {share:g} atan(mu)", "m/s^2", expected,
+            float(2.0 * (x[1, w] - x[0, w]) / time**2), 2e-3, "g (sin a - mu cos a), " + COULOMB,
+        )
+        for w, (share, expected) in enumerate(zip(shares, (0.0, slides), strict=True))
+    ]  # fmt: skip
+
+
 def standing_block() -> Body:
     """A block of three cells whose lowest particles are on a table at height 0.
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
 from gendom.sim import GRAVITY, Gripper, Simulator, Table, rope
-from gendom.sim.thin.rod import joint_strains
+from gendom.sim.thin.rod_model import joint_strains
 from gendom.sim.thin.rods import Q, Rods
 from gendom.sim.thin.rotation import conjugate, turned
 from gendom.validation.beams import ELASTICA, heavy_elastica
@@ -25,6 +25,7 @@ from gendom.validation.damping import (
     first_mode,
     gravity_for,
 )
+from gendom.validation.friction import thin_on_slopes
 from gendom.validation.grip import BEAM
 from gendom.validation.specimens import swing
 from gendom.validation.torsion import SAINT_VENANT
@@ -254,22 +255,7 @@ def on_the_table(settings: Settings) -> list[Check]:
             "a body at rest touches the table with its surface",
         )
     ]  # fmt: skip
-    mu, g = 0.3, -GRAVITY[2]
-    angle = np.array([0.95, 1.05]) * math.atan(mu)
-    pull = g * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1)
-    s = settings.simulator(
-        body.moved((0, 0, DIAMETER / 2 - 0.02)), [MATERIAL] * 2, engine="thin",
-        table=Table(height=0.0, friction=mu), gravity=pull, air_density=0.0,
-    )  # fmt: skip
-    x = s.run([0.0, 0.5]).mean(axis=2)[..., 0]
-    for w, expected in enumerate((0.0, g * (math.sin(angle[1]) - mu * math.cos(angle[1])))):
-        checks.append(
-            Check.within(
-                f"acceleration at {(0.95, 1.05)[w]:g} atan(mu)", "m/s^2", expected,
-                float(8.0 * (x[1, w] - x[0, w])), 2e-3, "Coulomb friction (Coulomb 1785)",
-            )
-        )  # fmt: skip
-    return checks
+    return checks + thin_on_slopes(settings, body.moved((0, 0, DIAMETER / 2 - 0.02)), MATERIAL)
 
 
 def free_flight(settings: Settings) -> list[Check]:

@@ -14,6 +14,7 @@ from gendom.validation.air import HOERNER
 from gendom.validation.beams import BEAM
 from gendom.validation.check import Check, Settings
 from gendom.validation.damping import LINEAR_SOLID, damped_frequency, first_mode
+from gendom.validation.friction import thin_on_slopes
 from gendom.validation.specimens import swing
 
 THICKNESS = 0.002
@@ -174,22 +175,7 @@ def falls(settings: Settings) -> list[Check]:
             "a body at rest touches the table with its surface",
         )
     )  # fmt: skip
-    mu, g = 0.3, -GRAVITY[2]
-    angle = np.array([0.95, 1.05]) * math.atan(mu)
-    pull = g * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1)
-    s = settings.simulator(
-        body.moved((0, 0, 0.0005)), [light] * 2, engine="thin", air_density=0.0,
-        table=Table(height=0.0, friction=mu), gravity=pull,
-    )  # fmt: skip
-    x = s.run([0.0, 0.5]).mean(axis=2)[..., 0]
-    for w, expected in enumerate((0.0, g * (math.sin(angle[1]) - mu * math.cos(angle[1])))):
-        checks.append(
-            Check.within(
-                f"acceleration at {(0.95, 1.05)[w]:g} atan(mu)", "m/s^2", expected,
-                float(8.0 * (x[1, w] - x[0, w])), 2e-3, "Coulomb friction (Coulomb 1785)",
-            )
-        )  # fmt: skip
-    return checks
+    return checks + thin_on_slopes(settings, body.moved((0, 0, 0.0005)), light)
 
 
 def free_flight(settings: Settings) -> list[Check]:

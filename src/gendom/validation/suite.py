@@ -54,29 +54,24 @@ CASES = {
         Case(name="precision", title="single and double precision", run=consistency.precision),
         Case(name="stability", title="random worlds", run=stability.stability),
         *(
-            Case(name=f"rod-{name}", title=title, run=run, engine="thin")
+            Case(name=name, title=title, run=run, engine="thin")
             for name, title, run in (
-                ("held", "ropes in grippers", rods.held),
-                ("elastica", "a rope's large sag", rods.elastica),
-                ("ring-down", "a rope with material damping", rods.ring_down),
-                ("hanging", "a soft rope's swing", rods.hanging),
-                ("twist", "a twisted rope", rods.twist),
-                ("buckling", "ropes pushed and twisted", rods.buckling),
-                ("catenary", "a rope between two hands", rods.catenary),
-                ("table", "ropes on the table", rods.on_the_table),
-                ("free-flight", "a rope in space", rods.free_flight),
-                ("precision", "single and double precision", rods.precision),
-            )
-        ),
-        *(
-            Case(name=f"shell-{name}", title=title, run=run, engine="thin")
-            for name, title, run in (
-                ("strips", "strips' sags", shells.strips),
-                ("cylinders", "rolled sheets", shells.cylinders),
-                ("stretched", "stretched and sheared sheets", shells.stretched),
-                ("ring-down", "a strip with material damping", shells.ring_down),
-                ("falls", "sheets in air and on the table", shells.falls),
-                ("free-flight", "a sheet in space", shells.free_flight),
+                ("rod-held", "ropes in grippers", rods.held),
+                ("rod-elastica", "a rope's large sag", rods.elastica),
+                ("rod-ring-down", "a rope with material damping", rods.ring_down),
+                ("rod-hanging", "a soft rope's swing", rods.hanging),
+                ("rod-twist", "a twisted rope", rods.twist),
+                ("rod-buckling", "ropes pushed and twisted", rods.buckling),
+                ("rod-catenary", "a rope between two hands", rods.catenary),
+                ("rod-table", "ropes on the table", rods.on_the_table),
+                ("rod-free-flight", "a rope in space", rods.free_flight),
+                ("rod-precision", "single and double precision", rods.precision),
+                ("shell-strips", "strips' sags", shells.strips),
+                ("shell-cylinders", "rolled sheets", shells.cylinders),
+                ("shell-stretched", "stretched and sheared sheets", shells.stretched),
+                ("shell-ring-down", "a strip with material damping", shells.ring_down),
+                ("shell-falls", "sheets in air and on the table", shells.falls),
+                ("shell-free-flight", "a sheet in space", shells.free_flight),
             )
         ),
     )

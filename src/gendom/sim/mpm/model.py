@@ -214,7 +214,7 @@ class Worlds:
         time = frame_start + float(clock.step.numpy()[w]) * float(clock.dt.numpy()[w])
         found = int(clock.failed_particle.numpy()[w])
         if status == NOTHING_HELD:
-            return self.error(
+            return self.setting.error(
                 w,
                 time,
                 f"gripper {found} closed on nothing",
@@ -223,7 +223,7 @@ class Worlds:
                 particle=None,
             )
         inverted = status == INVERTED
-        return self.error(
+        return self.setting.error(
             w,
             time,
             "a particle turned inside out"
@@ -232,22 +232,6 @@ class Worlds:
             where=f"substep {clock.dt.numpy()[w]:.3g} s",
             fix="use a smaller substep or cfl, or slower gripper motion",
             particle=found if inverted else None,
-        )
-
-    def error(
-        self, w: int, time: float, what: str, *, where: str, fix: str, particle: int | None
-    ) -> SimulationError:
-        """An error that names world, time [s], parameters and perhaps a particle."""
-        m = self.setting.materials[w]
-        return SimulationError(
-            what,
-            where=f"world {w} at {time:.4f} s (E {m.E:.6g} Pa, nu {m.nu:.4g}, density "
-            f"{m.density:.6g} kg/m^3, {where})",
-            fix=fix,
-            world=w,
-            time=time,
-            parameters={"E": m.E, "nu": m.nu, "density": m.density},
-            particle=particle,
         )
 
     def array(self, values: Any, dtype: Any = None) -> wp.array:

@@ -178,9 +178,9 @@ class ThinEngine(ABC):
 
     # ---- state -----------------------------------------------------------------------------------
 
-    def rows(self, values: NDArray[Any], fill: float = 0.0) -> NDArray[np.float64]:
+    def rows(self, values: NDArray[Any]) -> NDArray[np.float64]:
         """[..., P] rows of values [..., n]."""
-        rows = np.full((*values.shape[:-1], self.row_length), fill)
+        rows = np.zeros((*values.shape[:-1], self.row_length))
         rows[..., self.slots] = values
         return rows
 
@@ -308,7 +308,7 @@ class ThinEngine(ABC):
         self.closed[worlds, g] = 1
         missed = grip.misses & (self.stacked["may_miss"][worlds, g] == 0)
         for w in worlds[missed]:
-            self.failures[int(w)] = self.error(
+            self.failures[int(w)] = self.setting.error(
                 int(w),
                 float(now[worlds == w][0]),
                 f"gripper {g} closed on nothing",
@@ -349,19 +349,6 @@ class ThinEngine(ABC):
         self.stiffen(self.body)
         if self.setting.self_contact:
             self._let_loose(self.body)
-
-    def error(self, w: int, time: float, what: str, *, where: str, fix: str) -> SimulationError:
-        """An error that names world, time [s] and parameters."""
-        m = self.setting.materials[w]
-        return SimulationError(
-            what,
-            where=f"world {w} at {time:.4f} s (E {m.E:.6g} Pa, nu {m.nu:.4g}, density "
-            f"{m.density:.6g} kg/m^3, {where})",
-            fix=fix,
-            world=w,
-            time=time,
-            parameters={"E": m.E, "nu": m.nu, "density": m.density},
-        )
 
     # ---- arrays ----------------------------------------------------------------------------------
 
@@ -461,7 +448,6 @@ class _Job:
 
     def __init__(self, engine: ThinEngine, plan: Schedule, frames: Frames, kept: Any):
         self.engine, self.plan, self.frames = engine, plan, frames
-        self.began = frames.began
         e, t = engine, engine.types
         self.on_device = device_plan(e, plan)
         self.pieces = e.zeros((e.num_worlds, 2), wp.int32)
@@ -496,7 +482,7 @@ class _Job:
             begin = plan.time(w, s)
             e.kept_time[w] = begin
             if e.setting.self_contact and e.body.near_count.numpy()[w] > e.body.near.shape[1]:
-                e.failures[w] = e.error(
+                e.failures[w] = e.setting.error(
                     w,
                     float(begin),
                     f"more than {PAIRS} pairs a point are about to meet",
@@ -504,7 +490,7 @@ class _Job:
                     fix="fewer points, or a thinner body",
                 )
                 continue
-            e.failures[w] = e.error(
+            e.failures[w] = e.setting.error(
                 w,
                 float(begin + plan.steps[w, s] * plan.dt[w, s]),
                 f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "

@@ -11,7 +11,7 @@ from gendom.sim.thin import rotation
 from gendom.sim.thin.crossing import check_rope
 from gendom.sim.thin.engine import STRETCH, ThinEngine
 from gendom.sim.thin.grips import Grip, Pose, close_rod
-from gendom.sim.thin.rod import RodModel
+from gendom.sim.thin.rod_model import RodModel
 from gendom.sim.thin.types import MARGIN, V, X
 
 Q, SPIN = slice(6, 10), slice(10, 13)
@@ -109,7 +109,7 @@ class Rods(ThinEngine):
     def tape(self, memory: float) -> Any:
         from gendom.sim.thin.tape import RodTape
 
-        return RodTape(self, memory)
+        return RodTape(self)
 
 
 def slower(stiffer: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -23,7 +23,7 @@ from gendom.sim.thin.grips import (
     close_adjoint,
     released_adjoint,
 )
-from gendom.sim.thin.rod import material_gradients
+from gendom.sim.thin.rod_model import material_gradients
 from gendom.sim.thin.rods import Rods, slower
 from gendom.sim.thin.shells import Shells
 from gendom.sim.thin.types import (
@@ -50,16 +50,17 @@ class ThinTape(ABC):
 
     Args:
         engine: Not run before.
-        memory: Bound on what is kept [bytes]; half of it for kept states, half for recorded steps.
+
+    Kept are as many states as a piece has steps, the square root of all: less is not possible
+    without running pieces several times.
     """
 
-    def __init__(self, engine: Any, memory: float):
+    def __init__(self, engine: Any):
         if engine.setting.self_contact:
             raise ParameterError(
                 "contact of a body with itself is not differentiated", fix="self_contact=False"
             )
         self.engine = engine
-        self.memory = memory
         self.rounds: list[tuple[slice, Round]] = []
         self._alone = threading.Lock()
         engine.load("reverse", "begin_adjoint")
@@ -71,8 +72,7 @@ class ThinTape(ABC):
         x = np.empty((T, W, n, 3), dtype=e.setting.dtype)
         frames = Frames(began, times, np.arange(n), x, None, False)
         steps = math.ceil((times[-1] - began) / e.setting.substep.min()) + 1
-        room = self.memory / (W * e.state_rows * e.row_length * np.dtype(e.setting.dtype).itemsize)
-        self.most = int(max(2, min(math.ceil(math.sqrt(steps)), room)))
+        self.most = max(2, math.ceil(math.sqrt(steps)))
         self.first_x, self.first_v = e.component(X), e.component(V)
         self.first = wp.clone(e.state)
         pieces = e.schedule(frames, self.most).steps.shape[1]
@@ -237,12 +237,12 @@ class ThinTape(ABC):
         e, s, m = self.engine, self.engine.setting, self.model_bar
         bars = self.bars.state.numpy()
         state = np.swapaxes(bars[..., e.slots].astype(float), 1, 2)
-        E, nu, stiffness, mass_by_density = self.by_materials()
+        E, nu, stiffness, density = self.by_materials()
         x_bar, v_bar = self.by_start(state)
         found = Gradients(
             E=E,
             nu=nu,
-            density=mass_by_density,
+            density=density,
             yield_stress=np.zeros(e.num_worlds),
             stiffness=stiffness,
             damping=m[:, DAMPING].sum(axis=1),
@@ -260,7 +260,7 @@ class ThinTape(ABC):
         for name, values in vars(found).items():
             if values is not None and not np.isfinite(values).all():
                 w = int(np.argwhere(~np.isfinite(values))[0][0])
-                raise e.error(
+                raise s.error(
                     w,
                     float(self.plan.begins[w].max()),
                     f"the derivative by {name} is not finite",

@@ -19,7 +19,7 @@ def overflow(
         if J < 0.1
         else f"derivatives grew beyond {s.dtype} over the substeps after it"
     )
-    return s.worlds.error(
+    return s.worlds.setting.error(
         w,
         time,
         f"the derivative by the state of particle {particle} is not finite: {cause}",

@@ -1,0 +1,127 @@
+"""A shell's model: from a cloth's lattice and materials to what its elements need."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.materials import Material
+from gendom.sim.bodies import Body
+
+
+@dataclass(frozen=True)
+class ShellModel:
+    """The elements of W shells of one shape; rows of numbers are those of ``native/shell.h``."""
+
+    shape: tuple[int, int]
+    """Rows, and points of a row."""
+    spacing: tuple[float, float]
+    """Along rows and along columns [m]."""
+    thickness: float
+    area: NDArray[np.float64]
+    """[n] that a point stands for [m^2]."""
+    exists: NDArray[np.float64]
+    """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
+    rest_bend: NDArray[np.float64]
+    """[3, n] second differences along the normal that are free of stress [m]."""
+    stiffest: float
+    """Most that the weave adds to the membrane's stiffness."""
+    bending: float
+    """And to that of bending."""
+    shares: NDArray[np.float64]
+    """[8, n] of the moduli in each stiffness: areas over spacings."""
+    alone: NDArray[np.float64]
+    """[2, n] where curvature across is free, along rows and along columns."""
+
+    @classmethod
+    def of(cls, body: Body) -> "ShellModel":
+        ny, nx = body.shape
+        grid = body.points.reshape(ny, nx, 3)
+        lx = float(np.linalg.norm(grid[0, 1] - grid[0, 0]))
+        ly = float(np.linalg.norm(grid[1, 0] - grid[0, 0]))
+        one = np.ones((ny, nx))
+        after, below = one.copy(), one.copy()
+        after[:, -1] = below[-1] = 0.0
+        cell = after * below
+        wide, high = one.copy(), one.copy()
+        wide[:, [0, -1]] *= 0.5
+        high[[0, -1]] *= 0.5
+        area = lx * ly * wide * high
+        inner_x, inner_y = 0.0 * one, 0.0 * one
+        inner_x[:, 1:-1] = inner_y[1:-1] = 1.0
+        both = inner_x * inner_y
+        quarter = 0.25 * lx * ly * cell
+        shares = np.stack(
+            [
+                quarter,
+                quarter,
+                quarter,
+                4.0 * quarter,
+                area * inner_x / lx**4,
+                area * inner_y / ly**4,
+                area * both / (lx * ly) ** 2,
+                2.0 * lx * ly * cell / (lx * ly) ** 2,
+            ]
+        )
+        weave = body.weave
+        coupled = math.sqrt(weave.warp * weave.weft)
+        membrane = [weave.warp, weave.weft, coupled, weave.shear]
+        shares *= np.array(membrane + 4 * [weave.bending])[:, None, None]
+        k = np.zeros((2, 2)) if body.natural_curvature is None else -body.natural_curvature
+        rest = [k[0, 0] * lx**2, k[1, 1] * ly**2, k[0, 1] * lx * ly]
+        return cls(
+            shape=(ny, nx),
+            spacing=(lx, ly),
+            thickness=body.thickness,
+            area=area.reshape(-1),
+            exists=np.stack([after, below, cell]).reshape(3, -1),
+            rest_bend=np.array(rest)[:, None] * np.ones((1, nx * ny)),
+            stiffest=max(weave.warp, weave.weft, weave.shear),
+            bending=weave.bending,
+            shares=shares.reshape(8, -1),
+            alone=np.stack([inner_x * (1.0 - inner_y), inner_y * (1.0 - inner_x)]).reshape(2, -1),
+        )
+
+    def factors(self, nu: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """[W, 8, n] stiffness over E h (of the membrane) or E h^3 / 12 (of bending), but for
+        ``shares``, and its derivative by nu. Plane stress; where curvature across is free, a beam's
+        modulus."""
+        plane, plane_nu = 1.0 / (1.0 - nu**2), 2.0 * nu / (1.0 - nu**2) ** 2
+        both, both_nu = nu * plane, plane + nu * plane_nu
+        shear, shear_nu = 0.5 / (1.0 + nu), -0.5 / (1.0 + nu) ** 2
+        twist, twist_nu = 2.0 * shear, 2.0 * shear_nu  # D (1 - nu) = E h^3 / 12 / (1 + nu)
+        values = np.stack([plane, plane, both, shear, plane, plane, both, twist], axis=1)
+        slopes = np.stack(
+            [plane_nu, plane_nu, both_nu, shear_nu, plane_nu, plane_nu, both_nu, twist_nu], axis=1
+        )
+        free = np.zeros((8, len(self.area)), dtype=bool)
+        free[4:6] = self.alone > 0.0
+        return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, slopes[:, :, None])
+
+    def scales(self, materials: Sequence[Material]) -> NDArray[np.float64]:
+        """[W, 8, 1] E h, E h^3 / 12."""
+        E, h = np.array([m.E for m in materials]), self.thickness
+        scale = np.concatenate([np.full(4, h), np.full(4, h**3 / 12.0)])
+        return (E[:, None] * scale)[:, :, None]
+
+    def longest_step(
+        self, materials: Sequence[Material], share: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """[W] 2 / omega of the fastest small vibration [s], in the plane or across it.
+
+        Source: von Neumann's analysis of the elements in ``native/shell.h``.
+        """
+        lx, ly = self.spacing
+        k2 = 4.0 / lx**2 + 4.0 / ly**2
+        E = np.array([m.E for m in materials]) * share.max(axis=1)
+        nu = np.array([m.nu for m in materials])
+        density = np.array([m.density for m in materials])
+        # a border's joints may be eight times as stiff
+        across = 8.0 * self.thickness**2 / 12.0 * k2**2
+        fastest = E / (1.0 - nu**2) / density
+        fastest = fastest * np.maximum(self.stiffest * k2, self.bending * across)
+        damped = np.array([m.damping > 0.0 for m in materials])
+        return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
