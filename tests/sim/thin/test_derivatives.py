@@ -282,3 +282,14 @@ def test_cuda_runs_and_differentiates_as_the_cpu_does(body):
         np.testing.assert_allclose(
             getattr(found[1][1], name), values, rtol=1e-8, atol=1e-10 * scale, err_msg=name
         )
+
+
+@BODIES
+def test_free_fall_is_exact(body):
+    """A leapfrog has no error in a parabola, whatever its steps and however a run is cut."""
+    s = Simulator(body, [Material()], engine="thin", air_density=0.0, gravity=(0.0, 0.0, -10.0))
+    s.set_velocities((0.5, 0.0, 1.0))
+    for t in (0.0501, 0.2):
+        x = s.run([t])[0, 0]
+        fall = np.array([0.5 * t, 0.0, t - 5.0 * t**2])
+        np.testing.assert_allclose(x - body.points, np.broadcast_to(fall, x.shape), atol=1e-12)
