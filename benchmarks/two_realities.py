@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.files import write_json
-from gendom.materials import Material
+from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.reality import (
     AIR_DENSITY,
     OBJECTS,
@@ -42,7 +42,6 @@ from gendom.reality import (
     reaching,
     reaching_task,
 )
-from gendom.reality.objects import GRAVITY
 from gendom.reality.scene import ROPE_STEP, clamped_vertices
 from gendom.reality.trials import CAST_AFTER, CAST_PLACE, CAST_SPEED
 from gendom.sim import ENGINES, Body, Gripper, Simulator, rope
@@ -163,13 +162,13 @@ def in_ours(item: RealRope, air: float, given: argparse.Namespace) -> dict[str, 
         E=item.material.E,
         nu=item.material.nu,
         density=item.material.density,
-        damping=0.0 if given.no_damping else item.damping,
+        damping=0.0 if given.no_damping else item.material.damping,
     )
 
     def sag(along: Any) -> Any:
         """How far a rope that hangs from its first `border` metres is stretched there [m]."""
         s = np.maximum(along, border)
-        weight = GRAVITY * material.density / material.E
+        weight = STANDARD_GRAVITY * material.density / material.E
         return weight * (item.length * (s - border) - 0.5 * (s**2 - border**2))
 
     def tips(
@@ -192,7 +191,7 @@ def in_ours(item: RealRope, air: float, given: argparse.Namespace) -> dict[str, 
             engine=given.engine,
             grippers=grippers,
             table=None,
-            gravity=(0.0, 0.0, -GRAVITY),
+            gravity=(0.0, 0.0, -STANDARD_GRAVITY),
             positions=(body.points if thin else body.x) - np.outer(sag(along), UP),
             air_density=air,
             device=given.device,
@@ -300,7 +299,7 @@ def show(result: dict[str, Any], ropes: list[RealRope]) -> None:
     for item in ropes:
         there = mujoco["ropes"][item.name]
         here = ours["ropes"][item.name] if ours else None
-        print(f"\n{item.name}, damping {1e3 * item.damping:g} ms")
+        print(f"\n{item.name}, damping {1e3 * item.material.damping:g} ms")
         print(
             f"  MuJoCo {item.vertices} vertices, "
             f"free length {lengths(there)}, {there['seconds']:.0f} s"

@@ -104,7 +104,7 @@ def test_a_straight_rod_s_moment_is_that_of_torsion():
         assert still.angle == pytest.approx(angle)
         assert still.moment == pytest.approx([-stiffness * angle, 0.0, 0.0])
         if angle > 0.0:
-            rate = -stiffness * COTTON.damping * 0.5 / 1e-3
+            rate = -stiffness * COTTON.material.damping * 0.5 / 1e-3
             assert moving.moment[0] - still.moment[0] == pytest.approx(rate)
         np.testing.assert_allclose(still.forces, 0.0, atol=1e-15)
 
@@ -132,7 +132,7 @@ def test_a_clamped_rod_buckles_at_greenhill_s_moment(share, buckles):
     Source: Timoshenko and Gere, "Theory of Elastic Stability", section 2.21: tan(x / 2) = x / 2.
     With M = GJ m / L and E I / GJ = 1 + nu that is a twist of 8.987 (1 + nu).
     """
-    rope = replace(COTTON, damping=1e-4)
+    rope = replace(COTTON, material=replace(COTTON.material, damping=1e-4))
     layout = Layout(origin=(0.0, 0.0, 0.5), clamped=1e-6)
     world = Reality(rope, layout, table=False, gravity=(0.0, 0.0, 0.0))
     world.follow(lambda _: (rope.length, 0.0, 0.5))

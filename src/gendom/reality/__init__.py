@@ -4,7 +4,8 @@ Its tasks are Gymnasium environments, where that is installed: `gendom/RopeReach
 `gendom/RopeCasting-v0` and `gendom/ClothSpreading-v0`, see `gendom.reality.envs`.
 """
 
-from gendom.reality.air import AIR_DENSITY, Air
+from gendom.materials import AIR_DENSITY
+from gendom.reality.air import Air
 from gendom.reality.benches import Bench, cantilever, stretch
 from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, find_object
 from gendom.reality.recording import RecordSettings, record

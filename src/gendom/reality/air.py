@@ -21,12 +21,10 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from gendom.errors import ParameterError
+from gendom.materials import AIR_DENSITY
 from gendom.reality.objects import RealObject, RealRope
 
 Array = npt.NDArray[np.float64]
-
-AIR_DENSITY = 1.2
-"""Of dry air at 20 degrees and 101.3 kPa [kg/m^3] (ISO 2533: 1.225 at 15 degrees)."""
 
 SHEET_DRAG = 1.2
 """Drag coefficient of a flat sheet across the flow [-]: a square plate has 1.17 (Hoerner,

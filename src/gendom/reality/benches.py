@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gendom.reality.objects import GRAVITY, RealCloth, RealObject, RealRope
+from gendom.materials import STANDARD_GRAVITY
+from gendom.reality.objects import RealCloth, RealObject, RealRope
 from gendom.reality.scene import Layout
 from gendom.reality.world import Reality
 
@@ -64,13 +65,15 @@ def cantilever(item: RealObject, *, diagonal: bool = False, seconds: float = 1.5
     # Curvature at a vertex stands for half an edge to both sides, at the clamp's last one too: the
     # beam is free from half an edge before it.
     free = length - spacing / 2.0
-    weight = item.mass * GRAVITY / length
+    weight = item.mass * STANDARD_GRAVITY / length
     soft = weight * free**4 / (8.0 * rigidity)
     stiff = replace(
         item,
-        material=replace(item.material, E=item.material.E * soft / (SAG * length)),
-        # A damping that brings the first mode to rest within a second or so.
-        damping=0.02,
+        material=replace(
+            item.material,
+            E=item.material.E * soft / (SAG * length),
+            damping=0.02,  # brings the first mode to rest within a second or so
+        ),
     )
     world = Reality(stiff, Layout(origin=(0.0, 0.0, 0.5), clamped=1e-6), table=False, timestep=STEP)
     # Stiffened, a sheet is beyond conjugate gradients.

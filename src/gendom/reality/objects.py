@@ -24,7 +24,6 @@ polyethylene to 0.7 for rubber, and loss factors of 0.15 to 0.25 where ropes vib
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,38 +31,20 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.errors import ParameterError
-from gendom.materials import Material
+from gendom.materials import STANDARD_GRAVITY, Cloth, Material, Rope
 from gendom.reality.sheet import diagonal_strip, grid
-
-GRAVITY = 9.81
-"""[m/s^2]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealRope:
-    """A round rope."""
+class RealRope(Rope):
+    """A rope of the second reality; its E is that of bending."""
 
     name: str
     """As on the command line."""
-    length: float
-    """[m]."""
-    diameter: float
-    """[m]."""
-    material: Material
-    """Elasticity in bending and density."""
-    damping: float
-    """Viscous stress over elastic stress [s]."""
-    friction: float
-    """Coefficient of friction on the table."""
     colour: tuple[int, int, int]
     """sRGB."""
     vertices: int = 18
     """Points along it; their spacing must exceed the diameter."""
-
-    @property
-    def mass(self) -> float:
-        """[kg]."""
-        return math.pi / 4.0 * self.diameter**2 * self.length * self.material.density
 
     @property
     def vertex_masses(self) -> npt.NDArray[np.float64]:
@@ -83,21 +64,11 @@ class RealRope:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealCloth:
-    """A square cloth."""
+class RealCloth(Cloth):
+    """A cloth of the second reality, or a strip cut from one; its E is that of bending."""
 
     name: str
     """As on the command line."""
-    side: float
-    """[m]."""
-    thickness: float
-    """[m]."""
-    material: Material
-    """Elasticity in bending and density."""
-    damping: float
-    """Viscous stress over elastic stress [s]."""
-    friction: float
-    """Coefficient of friction on the table."""
     colour: tuple[int, int, int]
     """sRGB."""
     vertices: int = 31
@@ -166,13 +137,14 @@ def _rope(
     density: float,
     length: float = 0.3,
     diameter: float = 0.016,
+    damping: float,
     **rest: Any,
 ) -> RealRope:
     """A rope of the paper's; `paper_E` is its estimate in the paper's units."""
-    E = paper_E * GRAVITY * length / (12.0 * 0.5) * density
+    E = paper_E * STANDARD_GRAVITY * length / (12.0 * 0.5) * density
     # The paper's rope is 0.056 lengths thick: equal bending at another thickness.
     E *= (0.028 / 0.5 * length / diameter) ** 2
-    material = Material(E=E, nu=nu, density=density)
+    material = Material(E=E, nu=nu, density=density, damping=damping)
     return RealRope(name=name, length=length, diameter=diameter, material=material, **rest)
 
 
@@ -183,8 +155,7 @@ def _cotton() -> RealCloth:
         name="cloth-cotton",
         side=0.3,
         thickness=thickness,
-        material=Material(E=E, nu=nu, density=400.0),
-        damping=0.01,
+        material=Material(E=E, nu=nu, density=400.0, damping=0.01),
         friction=0.5,
         colour=(40, 70, 150),
     )
@@ -225,8 +196,7 @@ OBJECTS: dict[str, RealObject] = {
             name="cloth-rubber",
             side=0.3,
             thickness=1e-3,
-            material=Material(E=2e6, nu=0.45, density=1100.0),
-            damping=0.004,
+            material=Material(E=2e6, nu=0.45, density=1100.0, damping=0.004),
             friction=0.7,
             colour=(30, 130, 70),
         ),

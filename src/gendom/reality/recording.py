@@ -233,7 +233,7 @@ def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
             "youngs_modulus": item.material.E,
             "poissons_ratio": item.material.nu,
             "density": item.material.density,
-            "damping": item.damping,
+            "damping": item.material.damping,
             "friction": item.friction,
             "air_density": world.air.density,
             # JSON has no infinity: an unlimited range is null.

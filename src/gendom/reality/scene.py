@@ -17,8 +17,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from gendom.errors import DeviceError, ParameterError
+from gendom.materials import STANDARD_GRAVITY
 from gendom.perception.camera import Camera
-from gendom.reality.objects import GRAVITY, RealObject, RealRope
+from gendom.reality.objects import RealObject, RealRope
 
 ROPE_STEP, CLOTH_STEP = 0.001, 0.004
 """Time steps [s]."""
@@ -143,7 +144,7 @@ def build_model(
     cameras: Sequence[Camera] = (),
     table: bool = True,
     timestep: float | None = None,
-    gravity: npt.ArrayLike = (0.0, 0.0, -GRAVITY),
+    gravity: npt.ArrayLike = (0.0, 0.0, -STANDARD_GRAVITY),
 ) -> Any:
     """Compile the scene.
 
@@ -260,6 +261,7 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
         f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1"/>'
     )
     E, nu = item.material.E, item.material.nu
+    damping = item.material.damping
     if isinstance(item, RealRope):
         n, dx = item.vertices, item.length / (item.vertices - 1)
         return (
@@ -267,7 +269,7 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
             f' {place} radius="{item.diameter / 2}" rgba="{colour}">'
             # A rope hardly stretches: its edges are held by constraints, not springs.
             f'<edge equality="true" solref="{2 * step} 1" solimp="0.99 0.999 0.001"/>'
-            f'<elasticity young="{E!r}" poisson="{nu}" damping="{item.damping}" section="circle"/>'
+            f'<elasticity young="{E!r}" poisson="{nu}" damping="{damping}" section="circle"/>'
             f"{contact}</flexcomp>",
             n,
         )
@@ -281,7 +283,7 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
         f'<flexcomp name="object" type="direct" dim="2" point="{_row(points)}"'
         f' element="{" ".join(map(str, item.sheet[1].ravel()))}"'
         f' {place} radius="{CLOTH_RADIUS}" rgba="{colour}">'
-        f'<elasticity young="{E / thicker!r}" poisson="{nu}" damping="{item.damping}"'
+        f'<elasticity young="{E / thicker!r}" poisson="{nu}" damping="{damping}"'
         f' thickness="{item.thickness * thicker!r}" elastic2d="both"/>'
         f"{contact}</flexcomp>",
         len(points),

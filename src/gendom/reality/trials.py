@@ -17,8 +17,8 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from gendom.errors import RobotError
+from gendom.materials import AIR_DENSITY
 from gendom.perception.camera import Camera
-from gendom.reality.air import AIR_DENSITY
 from gendom.reality.arm import RobotArm, surroundings
 from gendom.reality.objects import RealCloth, RealObject, RealRope
 from gendom.reality.scene import Layout, default_cameras, rest_height

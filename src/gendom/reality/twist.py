@@ -129,7 +129,7 @@ class Twist:
         length = np.linalg.norm(edges, axis=1)
         # Half of each clamped edge belongs to its vertex between the clamps.
         self._stiffness = torsion_rigidity(rope) / (length.sum() - 0.5 * (length[0] + length[-1]))
-        self._damping = rope.damping
+        self._damping = rope.material.damping
         t = edges[0] / length[0]
         self._start = np.cross(t, np.eye(3)[np.argmin(np.abs(t))])
         self._end = rotation.T @ transported(edges, self._start)

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.errors import DeviceError, ParameterError, SimulationError
+from gendom.materials import AIR_DENSITY
 from gendom.perception.camera import Camera
-from gendom.reality.air import AIR_DENSITY, Air
+from gendom.reality.air import Air
 from gendom.reality.objects import RealObject, RealRope
 from gendom.reality.scene import (
     GLFault,

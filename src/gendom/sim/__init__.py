@@ -1,5 +1,6 @@
 """Simulation of ropes and cloths by the material point method, batched over worlds."""
 
+from gendom.materials import AIR_DENSITY
 from gendom.sim.bodies import Body, Weave, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device
 from gendom.sim.gradients import Gradients
@@ -7,7 +8,7 @@ from gendom.sim.gripper import Gripper
 from gendom.sim.mpm.engine import CFL, stable_substep
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
-from gendom.sim.scene import AIR_DENSITY, GRAVITY, Box, Table, check_numbers
+from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
 from gendom.sim.simulator import ENGINES, Simulator
 
 __all__ = [

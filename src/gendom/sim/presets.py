@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from gendom.errors import ParameterError
-from gendom.materials import Material
-from gendom.sim.scene import AIR_DENSITY, GRAVITY, Box, Table
+from gendom.materials import AIR_DENSITY, Material
+from gendom.sim.scene import GRAVITY, Box, Table
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,13 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gendom.errors import ParameterError
+from gendom.materials import STANDARD_GRAVITY
 
-GRAVITY = (0.0, 0.0, -9.81)
+GRAVITY = (0.0, 0.0, -STANDARD_GRAVITY)
 """Standard gravity, z up [m/s^2]."""
-
-
-AIR_DENSITY = 1.2
-"""Of air at 20 C and sea level [kg/m^3]."""
 
 
 @dataclass(frozen=True, kw_only=True)

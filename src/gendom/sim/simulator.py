@@ -9,14 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
-from gendom.materials import Material
+from gendom.materials import AIR_DENSITY, Material
 from gendom.materials.laws import LAWS
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.scene import AIR_DENSITY, GRAVITY, Box, Table, check_numbers
+from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin import thin_engine
 

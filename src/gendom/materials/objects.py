@@ -1,0 +1,267 @@
+"""Ropes and cloths: sizes, material, friction; and the numbers by which they are alike.
+
+Similarity. Measured in the object's size L and, in time, in sqrt(L / g), its motion under gravity
+depends only on numbers without a unit. The equation of motion rho x_tt = div P(F; E, nu) + rho g,
+divided by rho g, leaves E / (rho g L), nu and thickness / L. A slender body is hardly stretched by
+its weight, it bends, and then E and thickness count only together, as bending length over size
+(`bending_length`). Damping is a time; the air's drag counts by its density over the object's
+weight. So objects of any size share one task, and one policy, as far as `Alike` is all that counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.errors import ParameterError
+from gendom.materials.parameters import Material, bending_length
+
+STANDARD_GRAVITY = 9.81
+"""[m/s^2]."""
+
+AIR_DENSITY = 1.2
+"""Of air at 20 C and sea level [kg/m^3]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One of the numbers by which objects are alike."""
+
+    name: str
+    column: str
+    """Of a demonstration that holds the quantity it comes from."""
+    unit: str
+    """Of that quantity, SI."""
+    meaning: str
+    """Of the number without a unit."""
+    log: bool
+    """Whether ratios of it count, not differences."""
+
+
+PARAMETERS: dict[str, Parameter] = {
+    p.name: p
+    for p in (
+        Parameter(
+            name="E",
+            column="specific_modulus",
+            unit="m^2/s^2",
+            meaning="bending length over size",
+            log=True,
+        ),
+        Parameter(
+            name="nu", column="poissons_ratio", unit="1", meaning="Poisson's ratio", log=False
+        ),
+        Parameter(
+            name="damping",
+            column="damping",
+            unit="s",
+            meaning="damping time over sqrt(size / g)",
+            log=True,
+        ),
+        Parameter(name="friction", column="friction", unit="1", meaning="as it is", log=False),
+        Parameter(
+            name="density",
+            column="density",
+            unit="kg/m^3",
+            meaning="density of air times size over mass per area",
+            log=True,
+        ),
+    )
+}
+"""What policies can be conditioned on, by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rope:
+    """A round rope.
+
+    Raises:
+        ParameterError: A size is not positive and finite, it is thicker than a fifth of its length,
+            or friction is negative.
+    """
+
+    kind: ClassVar[str] = "rope"
+    sizes: ClassVar[tuple[str, str]] = ("length", "diameter")
+    """Names of its sizes, the larger one first [m]."""
+
+    length: float
+    """[m]."""
+    diameter: float
+    """[m]."""
+    material: Material = field(default_factory=Material)
+    friction: float = 0.3
+    """Coefficient of friction on the table [-]."""
+
+    def __post_init__(self) -> None:
+        _check_sizes(self)
+
+    @property
+    def radius_of_gyration(self) -> float:
+        """Of its section, sqrt(I / A) [m]."""
+        return self.diameter / 4.0
+
+    @property
+    def mass(self) -> float:
+        """[kg]."""
+        return math.pi / 4.0 * self.diameter**2 * self.length * self.material.density
+
+    @property
+    def mass_per_area(self) -> float:
+        """Mass over what faces the air across it [kg/m^2]."""
+        return self.mass / (self.length * self.diameter)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cloth:
+    """A square cloth.
+
+    Raises:
+        ParameterError: A size is not positive and finite, it is thicker than a fifth of its side,
+            or friction is negative.
+    """
+
+    kind: ClassVar[str] = "cloth"
+    sizes: ClassVar[tuple[str, str]] = ("side", "thickness")
+    """Names of its sizes, the larger one first [m]."""
+
+    side: float
+    """[m]."""
+    thickness: float
+    """[m]."""
+    material: Material = field(default_factory=Material)
+    friction: float = 0.3
+    """Coefficient of friction on the table and on itself [-]."""
+
+    def __post_init__(self) -> None:
+        _check_sizes(self)
+
+    @property
+    def radius_of_gyration(self) -> float:
+        """Of its section, sqrt(I / A / (1 - nu^2)): a sheet is kept from widening [m]."""
+        return self.thickness / math.sqrt(12.0 * (1.0 - self.material.nu**2))
+
+    @property
+    def mass(self) -> float:
+        """[kg]."""
+        return self.side**2 * self.mass_per_area
+
+    @property
+    def mass_per_area(self) -> float:
+        """[kg/m^2]."""
+        return self.thickness * self.material.density
+
+
+Item = Rope | Cloth
+
+KINDS: dict[str, type[Rope] | type[Cloth]] = {c.kind: c for c in (Rope, Cloth)}
+"""Classes of objects by kind."""
+
+
+def size_of(item: Item) -> float:
+    """The larger size L [m]."""
+    return getattr(item, item.sizes[0])
+
+
+def thickness_of(item: Item) -> float:
+    """The smaller size [m]."""
+    return getattr(item, item.sizes[1])
+
+
+def unit_of(unit: str, item: Item) -> float:
+    """What a number without a unit is multiplied by to be in SI, for an object of L.
+
+    Args:
+        unit: ``m``, ``s``, ``m/s`` or ``1``.
+        item: The object.
+
+    Raises:
+        ParameterError: There is no such unit.
+    """
+    L, g = size_of(item), STANDARD_GRAVITY
+    scales = {"m": L, "s": math.sqrt(L / g), "m/s": math.sqrt(L * g), "1": 1.0}
+    if unit not in scales:
+        raise ParameterError(f"unknown unit {unit!r}", fix=f"choose one of {', '.join(scales)}")
+    return scales[unit]
+
+
+def likeness(item: Item) -> dict[str, float]:
+    """The numbers without a unit by which an object is like others, by names of `PARAMETERS`."""
+    material = item.material
+    L = size_of(item)
+    bending = bending_length(material.specific_modulus, item.radius_of_gyration, STANDARD_GRAVITY)
+    return {
+        "E": bending / L,
+        "nu": material.nu,
+        "damping": material.damping / unit_of("s", item),
+        "friction": item.friction,
+        "density": AIR_DENSITY * L / item.mass_per_area,
+    }
+
+
+def to_columns(item: Item) -> dict[str, float]:
+    """Numbers of an object in SI units by column name, as demonstrations hold them."""
+    material = item.material
+    return {
+        "youngs_modulus": material.E,
+        "poissons_ratio": material.nu,
+        "density": material.density,
+        "specific_modulus": material.specific_modulus,
+        "damping": material.damping,
+        "friction": item.friction,
+        **{name: getattr(item, name) for name in item.sizes},
+    }
+
+
+def from_columns(kind: str, columns: Mapping[str, float]) -> Item:
+    """The object of a demonstration's columns; inverse of `to_columns`.
+
+    Raises:
+        ParameterError: A number is out of its range.
+        KeyError: One is missing.
+    """
+    made = KINDS[kind]
+    return made(
+        **{name: float(columns[name]) for name in made.sizes},
+        material=Material(
+            E=float(columns["youngs_modulus"]),
+            nu=float(columns["poissons_ratio"]),
+            density=float(columns["density"]),
+            damping=float(columns["damping"]),
+        ),
+        friction=float(columns["friction"]),
+    )
+
+
+def likeness_of_columns(
+    kind: str, columns: Mapping[str, NDArray[np.float64]]
+) -> dict[str, NDArray[np.float64]]:
+    """`likeness` of N objects at once, from columns [N]."""
+    rows = zip(*columns.values(), strict=True)
+    found = [likeness(from_columns(kind, dict(zip(columns, row, strict=True)))) for row in rows]
+    return {name: np.array([row[name] for row in found]) for name in PARAMETERS}
+
+
+def _check_sizes(item: Item) -> None:
+    for name in item.sizes:
+        value = getattr(item, name)
+        if not (math.isfinite(value) and value > 0.0):
+            raise ParameterError(
+                f"{name} must be positive and finite, got {value}", fix="give metres"
+            )
+    large, small = item.sizes
+    if thickness_of(item) > 0.2 * size_of(item):
+        raise ParameterError(
+            f"a {item.kind} with {small} {thickness_of(item)} m and {large} {size_of(item)} m is "
+            f"no {item.kind}",
+            fix=f"give a {small} of at most 0.2 of its {large}",
+        )
+    if not (math.isfinite(item.friction) and item.friction >= 0.0):
+        raise ParameterError(
+            f"friction must be finite and not negative, got {item.friction}",
+            fix="most things have 0.1 to 0.8 on a table",
+        )
