@@ -7,23 +7,13 @@ and the largest joint speed, joint acceleration and tool speed over their limits
 """
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
 from gendom.errors import RobotError
-from gendom.robot import (
-    DOWN,
-    XARM7,
-    JointMotion,
-    TcpPath,
-    cloth_spreading,
-    follow,
-    lift,
-    pointing,
-    rope_casting,
-    rope_reaching,
-)
-from gendom.tasks import RopeReaching
+from gendom.robot import DOWN, XARM7, JointMotion, TcpPath, follow, lift, pointing
+from gendom.tasks import ClothSpreading, RopeReaching
 
 FORWARD = pointing([1, 0, 0], [0, 1, 0])
 
@@ -53,18 +43,36 @@ def line(seconds: float) -> TcpPath:
 def releases(count: int) -> list[TcpPath]:
     """Rope reaching at random release points, the gripper forward, near to the arm's own body."""
     task, rng, paths = RopeReaching(), np.random.default_rng(0), []
-    for action in task.sample_actions(rng, count):
-        grip = task.grippers(action)[1]
-        paths.append(
-            rope_reaching(
-                grip.time,
-                grip.position,
-                release_time=task.release_time,
-                quat_xyzw=FORWARD,
-                origin=[0.3, 0.0, 0.1],
-            )
-        )
+    for action in task.sample_actions(task.item, rng, count):
+        path = task.tool_path(task.item, action)
+        moved = path.position + np.array([0.3, 0.0, 0.1])
+        paths.append(replace(path, position=moved, quat_xyzw=FORWARD))
     return paths
+
+
+def cast() -> TcpPath:
+    """0.25 m sideways in 10 ms, between pauses of 50 ms."""
+    start = np.array([0.45, -0.12, 0.45])
+    end = start + np.array([0.0, 0.25, 0.0])
+    return TcpPath(
+        time=np.array([0.0, 0.05, 0.06, 0.11]),
+        position=np.array([start, start, end, end]),
+        quat_xyzw=np.array(DOWN),
+        max_blend=0.1,
+    )
+
+
+def spreading(seconds: float) -> TcpPath:
+    """Cloth spreading with A = 0.25, in steps of some seconds."""
+    task = ClothSpreading()
+    path = task.tool_path(task.item, np.array([0.25]))
+    steps = path.position[2:-1] + np.array([0.3, 0.0, 0.03])
+    return TcpPath(
+        time=seconds * np.arange(float(len(steps))),
+        position=steps,
+        quat_xyzw=np.array(DOWN),
+        max_blend=0.2,
+    )
 
 
 MOTIONS = {
@@ -73,14 +81,10 @@ MOTIONS = {
     "lift by 225 mm at 10 m/s": lift([0.45, 0, 0.02], height=0.225, speed=10, wait=0.5, after=0.5),
     "line of 212 mm in 90 ms": line(0.09),
     "line of 212 mm in 20 ms": line(0.02),
-    "cast of 0.25 m in 10 ms, pauses of 50 ms": rope_casting(
-        [0.45, -0.12, 0.45], 0.25, duration=0.01, heading=np.pi / 2, wait=0.05, after=0.05
-    ),
+    "cast of 0.25 m in 10 ms, pauses of 50 ms": cast(),
     "square of 0.2 m at 1.5 m/s": square(1.5),
     "square of 0.2 m at 5 m/s": square(5.0),
-    "spreading, A = 0.25, steps of 10 ms": cloth_spreading(
-        [0.4, 0, 0.03], 0.25, step_time=0.01, rise_speed=0.5, settle=0.1, wait=0.1
-    ),
+    "spreading, A = 0.25, steps of 10 ms": spreading(0.01),
 }
 
 

@@ -18,6 +18,7 @@ from gendom.materials import Material
 from gendom.sim import Rollout, Simulator
 from gendom.sim.rollout import MEMORY
 from gendom.tasks import RopeReaching
+from gendom.tasks.world import Simulation, grippers
 
 MODES = {"every substep recorded": 1e9, "stretches repeated": float(MEMORY["cpu"])}
 """Bounds on what a rollout keeps [bytes]."""
@@ -51,14 +52,15 @@ def main() -> None:
 
 
 def simulator(dtype: str) -> Simulator:
-    task = RopeReaching(cells_across=2.0)
-    action = task.sample_actions(np.random.default_rng(0), 1)[0]
+    task = RopeReaching()
+    action = task.sample_actions(task.item, np.random.default_rng(0), 1)[0]
+    body, _ = Simulation(engine="mpm", cells_across=2.0).body(task, task.item)
     material = Material(E=1.0e6, nu=0.3, density=1000.0)
     return Simulator(
-        task.body(),
+        body,
         [material],
         engine="mpm",
-        grippers=task.grippers(action),
+        grippers=grippers(task.scene(task.item), task.tool_path(task.item, action), 0.0),
         dtype=dtype,
         threads=1,
     )

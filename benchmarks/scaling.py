@@ -18,6 +18,7 @@ import warp as wp
 from gendom.materials import Material
 from gendom.sim import Body, Simulator, Table, cloth
 from gendom.tasks import RopeReaching
+from gendom.tasks.world import Simulation, grippers
 
 MATERIAL = Material(E=1.0e6, nu=0.3, density=1000.0)
 DX = 0.005
@@ -66,16 +67,19 @@ def by_particles(device: str, most: int, substeps: int) -> list[dict[str, Any]]:
 
 
 def by_worlds(device: str, most: int, substeps: int) -> list[dict[str, Any]]:
-    task = RopeReaching(cells_across=2.0)
+    task = RopeReaching()
+    body, _ = Simulation(engine="mpm", cells_across=2.0).body(task, task.item)
+    scene = task.scene(task.item)
     rows = []
     for worlds in 4 ** np.arange(0, int(math.log(most, 4)) + 1):
-        actions = task.sample_actions(np.random.default_rng(0), int(worlds))
+        actions = task.sample_actions(task.item, np.random.default_rng(0), int(worlds))
+        hands = [grippers(scene, task.tool_path(task.item, a), 0.0) for a in actions]
         before = memory(wp.get_device(device))
         simulator = Simulator(
-            task.body(),
+            body,
             [MATERIAL] * int(worlds),
             engine="mpm",
-            grippers=[task.grippers(a) for a in actions],
+            grippers=hands,
             device=device,
         )
         rows.append(measure(simulator, substeps, before))

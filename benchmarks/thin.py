@@ -20,6 +20,7 @@ import numpy as np
 from gendom.materials import Material
 from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
 from gendom.tasks import RopeReaching
+from gendom.tasks.world import Simulation
 
 ROPE = Material(E=1.0e6, nu=0.3, density=1000.0, damping=0.004)
 CLOTH = Material(E=6.0e5, nu=0.3, density=400.0, damping=0.005)
@@ -60,25 +61,13 @@ def timed(given: argparse.Namespace, job: Callable[[], object]) -> float:
 
 def release(given: argparse.Namespace, worlds: int, threads: int | None, engine: str) -> float:
     """Rope reaching with random releases and materials."""
-    task = replace(RopeReaching(), engine=engine)
+    task = RopeReaching()
     rng = np.random.default_rng(0)
-    actions = task.sample_actions(rng, worlds)
-    materials = [
-        Material(
-            E=1000.0 * np.exp(rng.uniform(*np.log(task.parameter_ranges["specific_modulus"]))),
-            nu=rng.uniform(0.2, 0.4),
-            density=1000.0,
-            damping=rng.uniform(0.001, 0.012),
-        )
-        for _ in range(worlds)
-    ]
+    items = [task.draw_item(rng) for _ in range(worlds)]
+    actions = task.sample_actions(task.item, rng, worlds)
     dtype = given.dtype if engine == "thin" else "float32"
-    return timed(
-        given,
-        lambda: task.simulate(
-            actions, materials, device=given.device, dtype=dtype, threads=threads, keep_going=True
-        ),
-    )
+    world = Simulation(engine=engine, device=given.device, dtype=dtype, threads=threads)
+    return timed(given, lambda: world.carry_out(task, items, actions))
 
 
 def one_release(given: argparse.Namespace) -> tuple[float, str]:

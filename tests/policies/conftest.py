@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gendom.materials import PARAMETERS
 from gendom.policies import Column, Description, GoalRange, Policy
+from gendom.tasks import RopeReaching
 
 
 class FakeSession:
@@ -17,26 +19,27 @@ class FakeSession:
 
     def run(self, names, feed):
         self.fed = {name: value.copy() for name, value in feed.items()}
-        goal = feed["goal"]
-        stiffness = np.log(feed.get("specific_modulus", np.full_like(goal, 1000.0)) / 1000.0)
+        goal = feed["goal_x"]
+        stiffness = np.log(feed.get("E", np.full_like(goal, 0.4)) / 0.4)
         x = 0.6 - 0.3 * (goal - 1.4) + 0.02 * stiffness + self.offset
-        return [np.concatenate([x, np.full_like(goal, 0.5)], axis=1).astype(np.float32)]
+        return [np.concatenate([x, np.full_like(goal, 0.4)], axis=1).astype(np.float32)]
 
 
-def describe(conditioned_on=("specific_modulus", "poissons_ratio"), **changes) -> Description:
-    """A description of a policy for the standard rope."""
-    goal = Column(name="goal", unit="rope length", mean=1.4, scale=0.1)
+def describe(conditioned_on=("E", "nu"), **changes) -> Description:
+    """A description of a policy for rope reaching."""
+    goal = Column(name="goal_x", mean=1.4, scale=0.1)
     fields = {
-        "task": {"name": "rope-reaching", "length": 0.25, "diameter": 0.014, "gravity": 9.81},
+        "task": {"name": "rope-reaching", **RopeReaching().settings()},
         "method": "distal",
         "conditioned_on": tuple(conditioned_on),
-        "inputs": (goal, *(Column(name=n, unit="", mean=0, scale=1) for n in conditioned_on)),
-        "outputs": tuple(
-            Column(name=n, unit="rope length", mean=0.5, scale=0.2)
-            for n in ("release_x", "release_z")
-        ),
-        "goals": GoalRange(at=(400.0, 1600.0), low=(1.2, 1.1), high=(1.8, 1.6)),
-        "parameters": {"specific_modulus": (200.0, 4000.0), "poissons_ratio": (0.2, 0.4)},
+        "inputs": (goal, *(Column(name=n, mean=0, scale=1) for n in conditioned_on)),
+        "outputs": tuple(Column(name=n, mean=0.5, scale=0.2) for n in ("release_x", "release_z")),
+        "goals": GoalRange(at=(0.3, 0.5), low=((1.2,), (1.1,)), high=((1.8,), (1.6,))),
+        "parameters": {
+            **dict.fromkeys(PARAMETERS, (0.001, 10.0)),
+            "E": (0.25, 0.7),
+            "nu": (0.2, 0.4),
+        },
         "training": {"seed": 3},
     }
     return Description(**(fields | changes))

@@ -8,8 +8,11 @@ import pytest
 from gendom import cli
 from gendom.datasets.demonstrations import generate
 from gendom.files import read_json, write_json
+from gendom.materials import size_of
 from gendom.policies import Policy
-from gendom.tasks import Outcomes, RopeReaching
+from gendom.tasks import RopeReaching
+from gendom.tasks.demonstrator import Demonstrator
+from gendom.tasks.world import Outcome, Simulation
 
 ESTIMATE = {
     "format": "gendom-estimate/1",
@@ -18,6 +21,7 @@ ESTIMATE = {
     "density": 900.0,
     "specific_modulus": 1000.0,
     "bending_length": 0.02,
+    "intervals": {"youngs_modulus": [8.0e5, 1.0e6]},
     "object": {"kind": "rope", "length": 0.25, "diameter": 0.014},
 }
 
@@ -39,45 +43,82 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
     return run
 
 
-def test_act_prints_action_and_motion(act, tmp_path):
+def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     code, out, err = act("--json", "--out", str(tmp_path / "action.json"))
     assert (code, err) == (0, "")
     result = json.loads(out)
     assert result == read_json(tmp_path / "action.json")
-    assert result["format"] == "gendom-action/1"
-    assert result["action"] == pytest.approx({"release_x": 0.15, "release_z": 0.125})
+    assert result["format"] == "gendom-action/2"
+    x, z = result["action"]["release_x"], result["action"]["release_z"]
+    assert (x, z) == pytest.approx((0.15, 0.1), abs=0.005)
     motion = result["trajectory"]
-    assert len(motion["time"]) == len(motion["position"])
-    assert motion["position"][-1] == pytest.approx([0.15, 0.0, 0.125])
+    T = np.array(motion["T_base_task"])
+    assert T[:3, 3] == pytest.approx([0.48, 0.30, 0.12])
+    expected = T @ [x, 0.0, z, 1.0]
+    assert motion["position"][-1] == pytest.approx(expected[:3].tolist())
+    assert [e["closed"] for e in motion["events"]] == [True, False]
     assert result["policy"]["seed"] == 3
+    assert result["assumed"] == {"damping": 0.004, "friction": 0.3}
 
     code, out, _ = act()
-    assert code == 0
-    assert "release_x 0.1500 m, release_z 0.1250 m" in out
+    assert code == 0 and "release_x 0.15" in out
     assert out.count("\n") > len(motion["time"])
+
+
+def test_act_foretells_what_will_be_reached(act):
+    """By the estimate's interval; the release of the same estimate, simulated here."""
+    result = json.loads(act("--json")[1])
+    found = result["foretold"]
+    low, high = found["interval_90"]["x"]
+    assert 0.25 < low < high < 0.5
+    assert low - 0.01 < found["reached"]["x"] < high + 0.01
+    assert json.loads(act("--json")[1])["foretold"] == found
+    assert "foretold" not in json.loads(act("--json", "--no-foretell")[1])
+    assert "90 %" in act()[1]
+
+
+def test_the_arm_accepts_the_motion(act):
+    from gendom.robot import XARM7, TcpPath, follow
+
+    motion = json.loads(act("--json")[1])["trajectory"]
+    path = TcpPath(
+        time=np.array(motion["time"]),
+        position=np.array(motion["position"]),
+        quat_xyzw=np.array(motion["quat_xyzw"]),
+    )
+    follow(XARM7, path).check_limits(XARM7)
+
+
+def test_the_origin_can_be_chosen(act):
+    moved = json.loads(act("--json", "--origin", "0.5", "0.2", "0.1")[1])["trajectory"]
+    plain = json.loads(act("--json")[1])["trajectory"]
+    shift = np.subtract(moved["position"], plain["position"])
+    assert shift == pytest.approx(np.tile([0.02, -0.1, -0.02], (len(shift), 1)))
 
 
 def test_act_takes_flags_instead_of_a_file_and_before_it(act):
     material = ["--E=9e5", "--nu=0.3", "--density=900"]
     sizes = ["--length=0.25", "--diameter=0.014"]
     by_flags = json.loads(act(*material, *sizes, "--json", estimate=None)[1])
-    assert by_flags == json.loads(act("--json")[1])
+    by_file = json.loads(act("--json")[1])
+    del by_file["foretold"]["interval_90"]
+    assert by_flags == by_file
     softer = json.loads(act("--E", "4.5e5", "--json")[1])
     assert softer["object"]["specific_modulus"] == pytest.approx(500.0)
-    assert softer["network_input"]["specific_modulus"] == pytest.approx(500.0)
+    assert "interval_90" not in softer["foretold"]  # that was of another E
 
 
 def test_act_without_parameters_needs_only_sizes(act):
     flags = ["--no-parameters", "--length", "0.25", "--diameter", "0.014", "--json"]
     code, out, _ = act(*flags, estimate=None)
     assert code == 0
-    assert json.loads(out)["network_input"] == {"specific_modulus": None, "poissons_ratio": None}
+    assert json.loads(out)["network_input"] == {} and "foretold" not in json.loads(out)
 
 
 def test_act_warns_on_stderr(act):
     code, out, err = act("--nu", "0.45", "--json")
     assert code == 0
-    assert "poissons_ratio 0.45 is 12.5 % above" in err
+    assert "nu (Poisson's ratio) 0.45 is 12.5 % above" in err
     assert json.loads(out)["warnings"]
 
 
@@ -92,6 +133,7 @@ def test_act_warns_on_stderr(act):
         (("--E", "-1"), ESTIMATE, "0.35", "must be positive"),
         (("--no-parameters", "--policy", "x.onnx"), ESTIMATE, "0.35", "together with --policy"),
         (("--policy", "x.onnx"), ESTIMATE, "0.35", "x.onnx: no such file"),
+        (("--origin", "nan", "0", "0"), ESTIMATE, "0.35", "three finite numbers"),
     ],
 )
 def test_act_tells_faults_in_one_line(act, flags, estimate, goal, text):
@@ -103,30 +145,31 @@ def test_act_tells_faults_in_one_line(act, flags, estimate, goal, text):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """A task without a simulation: whoever releases farther back reaches farther."""
+    """A world without a simulation: whoever releases farther back reaches farther."""
 
-    def demonstrate(self, draws, *, device="cpu", dtype="float32", on_frame=None):
-        goal = np.array([2.0 * self.length - d["release_x"] for d in draws])
-        return Outcomes(columns={"goal_x": goal}, faults=(None,) * len(draws))
+    def carry_out(self, task, items, actions, **_):
+        return [
+            Outcome(values={"x": 2.0 * size_of(item) - action[0], "sideways": 0.0})
+            for item, action in zip(items, np.asarray(actions), strict=True)
+        ]
 
-    monkeypatch.setattr(RopeReaching, "demonstrate", demonstrate)
+    monkeypatch.setattr(Simulation, "carry_out", carry_out)
 
 
 def test_train_then_evaluate(quick, tmp_path, capsys):
     pytest.importorskip("torch", reason="needs the extra `train`")
     pytest.importorskip("onnx", reason="needs the extra `train`")
-    generate(RopeReaching(), 400, tmp_path / "set", seed=0)
+    generate(Demonstrator(task=RopeReaching()), 400, tmp_path / "set", seed=0)
     paths = {}
-    for condition, method in (("both", "distal"), ("none", "inverse")):
+    for condition, method in (("all", "distal"), ("none", "inverse")):
         paths[condition] = str(tmp_path / f"{condition}.onnx")
         words = ["train", "rope-reaching", "--data", str(tmp_path / "set"), "--epochs", "40"]
         words += ["--out", paths[condition], "--condition", condition, "--method", method]
         assert cli.main([*words, "--seed", "5", "--json"]) == 0
-        out, err = capsys.readouterr()
-        summary = json.loads(out)
+        summary = json.loads(capsys.readouterr().out)
         assert summary["training"]["seed"] == 5
         assert summary["training"]["demonstrations"] == 400
-        assert "policy: 100%" in err
+        assert summary["acted"]["cases"] == 200 and summary["acted"]["error"]["mean"] < 0.01
     assert cli.main(words) == 0
     assert "sees no parameters" in capsys.readouterr().out
 
@@ -140,11 +183,18 @@ def test_train_then_evaluate(quick, tmp_path, capsys):
     for entry in result["policies"]:
         assert 0.0 < entry["error"]["mean"] < 0.01
     assert cli.main([*words, "--seed", "7"]) == 0
-    assert "distal, sees specific_modulus, poissons_ratio" in capsys.readouterr().out
+    assert "distal, sees E, nu, damping, density" in capsys.readouterr().out
 
 
-def test_train_refuses_a_missing_set(tmp_path, capsys):
+def test_train_refuses_a_missing_set_and_unknown_parameters(tmp_path, capsys):
     pytest.importorskip("torch", reason="needs the extra `train`")
     words = ["train", "rope-reaching", "--data", str(tmp_path / "x"), "--out", "p.onnx"]
     assert cli.main(words) == 2
     assert "no such folder" in capsys.readouterr().err
+    assert cli.main([*words, "--condition", "colour"]) == 2
+    assert "there is no parameter 'colour'" in capsys.readouterr().err
+
+
+def test_a_task_that_is_none_is_told_with_those_that_there_are(capsys):
+    assert cli.main(["act", "knitting", "--goal", "0.3"]) == 2
+    assert "knitting" in (told := capsys.readouterr().err) and "rope-casting" in told

@@ -1,6 +1,6 @@
 """What is read from a set of demonstrations."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,37 +8,62 @@ import pytest
 from gendom.datasets.demonstrations import generate
 from gendom.errors import DatasetError
 from gendom.files import read_json, write_json
+from gendom.materials import Rope, likeness
 from gendom.policies.demonstrations import Demonstrations
-from gendom.tasks import Outcomes, RopeReaching
+from gendom.tasks import RopeCasting, RopeReaching
+from gendom.tasks.demonstrator import Demonstrator
+from gendom.tasks.world import Outcome, Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quick(RopeReaching):
-    """Reaches as far as the release is away from 2 L; every fifth fails."""
+class Formula(Simulation):
+    """Goals are the action's first number, plus 1, 2...; every fifth fails."""
 
-    def demonstrate(self, draws, *, device="cpu", dtype="float32", on_frame=None):
-        goal = np.array([2.0 * self.length - d["release_x"] for d in draws])
-        goal[::5] = np.nan
-        faults = tuple("it burst" if bad else None for bad in np.isnan(goal))
-        return Outcomes(columns={"goal_x": goal}, faults=faults)
+    def carry_out(self, task, items, actions, **_):
+        outcomes = []
+        for k, (item, action) in enumerate(zip(items, actions, strict=True)):
+            values = {q.name: item.length * (1.0 + g) + action[0] for g, q in enumerate(task.goals)}
+            values["sideways"] = 0.01 * item.length * (k % 7)
+            outcomes.append(Outcome(values=values, fault=None if k % 5 else "it burst"))
+        return outcomes
+
+
+def demonstrator(kind=RopeReaching, **settings):
+    item = Rope(length=0.5, diameter=0.02)
+    return Demonstrator(task=kind(item=item, **settings), simulation=Formula())
 
 
 @pytest.fixture
 def folder(tmp_path):
-    generate(Quick(length=0.5, diameter=0.02), 50, tmp_path / "set", seed=2, shard_size=10)
+    generate(demonstrator(), 50, tmp_path / "set", seed=2, shard_size=10)
     return tmp_path / "set"
 
 
-def test_read_gives_rope_lengths_and_leaves_failures_out(folder):
+def test_read_gives_units_of_similarity_and_leaves_failures_out(folder):
     data = Demonstrations.read(folder)
-    assert len(data) == 40
-    assert data.action.shape == (40, 2)
-    assert data.goal == pytest.approx(2.0 - data.action[:, 0])
-    assert data.action_names == ("release_x", "release_z")
-    assert data.task["length"] == 0.5
+    assert len(data) < 50 and data.action.shape == (len(data), 2)
+    assert data.goal[:, 0] == pytest.approx(1.0 + data.action[:, 0])
+    assert data.action_names == ("release_x", "release_z") and data.goal_names == ("x",)
     assert data.task["name"] == "rope-reaching"
-    low, high = Quick(length=0.5, diameter=0.02).parameter_ranges["specific_modulus"]
-    assert low <= data.specific_modulus.min() < data.specific_modulus.max() <= high
+    assert data.varying == ("E", "nu", "damping", "density")
+    first = demonstrator().task.draw_item(np.random.default_rng([2, 1]))
+    assert data.parameters["E"][0] == pytest.approx(likeness(first)["E"])
+    assert data.risk is not None and set(np.round(data.risk, 9)) <= {0.01 * k for k in range(7)}
+
+
+def test_goals_of_two_numbers(tmp_path):
+    generate(demonstrator(RopeCasting), 40, tmp_path / "set", seed=2)
+    data = Demonstrations.read(tmp_path / "set")
+    assert data.goal_names == ("x", "z") and data.risk is None
+    assert data.goal == pytest.approx(data.action[:, :1] + [[1.0, 2.0]])
+
+
+def test_what_is_there_of_an_unfinished_set_is_taken(folder):
+    whole = Demonstrations.read(folder)
+    (folder / "shard-00004.parquet").unlink()
+    part = Demonstrations.read(folder)
+    assert len(part) == len(whole) - 8
+    np.testing.assert_array_equal(part.goal, whole.first(len(part)).goal)
 
 
 def test_missing_set_is_refused(tmp_path):
@@ -46,9 +71,17 @@ def test_missing_set_is_refused(tmp_path):
         Demonstrations.read(tmp_path / "none")
 
 
-def test_goals_of_two_numbers_are_refused(folder):
+def test_a_set_without_a_column_is_refused(folder):
     path = folder / "dataset.json"
     about = read_json(path)
-    write_json(path, about | {"goal_names": ["x", "z"]})
+    write_json(path, about | {"goal_names": ["x", "z"], "goal_units": ["m", "m"]})
     with pytest.raises(DatasetError):
         Demonstrations.read(folder)
+
+
+def test_too_few_or_broken_demonstrations_are_refused(folder):
+    data = Demonstrations.read(folder)
+    with pytest.raises(DatasetError, match="19 usable demonstrations"):
+        data.first(19)
+    with pytest.raises(DatasetError, match="goal holds numbers that are not finite"):
+        replace(data, goal=np.full(data.goal.shape, np.nan))

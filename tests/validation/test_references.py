@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.integrate import trapezoid
+from scipy.optimize import brentq, minimize, root
+from scipy.spatial.transform import Rotation
 from scipy.special import jn_zeros
 
 from gendom.errors import SimulationError
@@ -22,6 +24,14 @@ from gendom.validation.damping import (
 )
 from gendom.validation.energy import growth
 from gendom.validation.layers import share_when_stuck, stacked
+from gendom.validation.master_curves import (
+    critical_load,
+    hung,
+    lateral_load,
+    leaves_plane,
+    sag,
+    tip_friction,
+)
 from gendom.validation.specimens import block, end, energies, momenta, sections, stations, swing
 
 
@@ -52,6 +62,135 @@ def test_elastica_has_least_energy(ratio):
     ).x
     tip = np.array([np.cos(theta).sum(), np.sin(theta).sum()]) * ds
     assert heavy_elastica(ratio)([1.0])[0] == pytest.approx(tip, abs=2e-3)
+
+
+def test_sags_of_light_and_of_heavy_rods():
+    """Gamma / 8 of a beam; a rod that is mere weight but for its clamp reaches out to
+    sqrt(2 / Gamma), as E I theta'^2 / 2 = w L (1 + sin theta) there."""
+    assert sag([0.01])[0] == pytest.approx(0.01 / 8.0, rel=1e-4)
+    assert 1.0 / sag([3000.0])[0] == pytest.approx(math.sqrt(2.0 / 3000.0), rel=0.05)
+
+
+def test_sag_is_that_of_the_elastica():
+    """The same curve, found along another path."""
+    tips = np.array([heavy_elastica(ratio)([1.0])[0] for ratio in (1.0, 2.0, 3.0)])
+    assert sag([1.0, 8.0, 27.0]) == pytest.approx(-tips[:, 1] / tips[:, 0], rel=1e-5)
+
+
+def test_thin_ribbon_falls_over_as_in_the_book():
+    """12.85 sqrt(E I G J) / L^3 where its deflection before is small; Kirchhoff's equations and
+    the beam's, solved apart."""
+    bending, torsion = 1e-5, 4e-5 / 2.6
+    classical = 12.85 * math.sqrt(bending * torsion)
+    load = critical_load((0.8 * classical, 1.2 * classical), bending=bending, torsion=torsion)
+    assert load == pytest.approx(classical, rel=1e-3)
+    assert lateral_load() == pytest.approx(12.85, rel=1e-3)
+
+
+def test_a_clamp_that_keeps_a_section_from_warping_shortens_it():
+    """By sqrt(E C / (G J)), for small ones: the load goes with the length to the power of -3."""
+    w = 1e-4
+    expected = (1.0 - math.sqrt(w)) ** -3
+    assert lateral_load(w, 800) / lateral_load(0.0, 800) == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("curvature", "angle", "between"), [(5.0, 0.0, (12.0, 20.0)), (6.0, -math.pi / 2, (10.0, 18.0))]
+)
+def test_curl_leaves_its_plane_where_its_energy_is_no_longer_least(curvature, angle, between):
+    """The second variation of a chain of 48 turned rods has a negative value beyond, not before."""
+    n, torsion = 48, 1.0 / 1.3
+    s = (np.arange(n) + 0.5) / n
+    load = critical_load(between, curvature=curvature, angle=angle, torsion=torsion)
+    path = np.linspace(0.0, load, 13)[1:-1]
+    near = hung(path, curvature=curvature, angle=angle)[-1]
+
+    def least(share):
+        shape = hung([share * load], curvature=curvature, angle=angle, first=near)[0]
+        theta = shape(s)[0]
+        # columns: normal to the plane, normal in it, tangent
+        frames = np.zeros((n + 1, 3, 3))
+        for i, a in enumerate(np.append(angle, theta)):
+            frames[i] = np.array([[0, -math.sin(a), math.cos(a)], [1, 0, 0], [0, math.cos(a), 0]])
+            frames[i, 2, 2] = math.sin(a)
+        rods = Rotation.from_matrix(frames)
+        ds = np.full(n, 1.0 / n)
+        ds[0] = 0.5 / n  # from the clamp to the middle of the first rod
+
+        def energy(turns):
+            """[B] of turns [B, n, 2] about the normal in the plane and the tangent."""
+            B = len(turns)
+            local = np.concatenate([np.zeros((B, n, 1)), turns], axis=2)
+            local = np.concatenate([np.zeros((B, 1, 3)), local], axis=1).reshape(-1, 3)
+            tiled = Rotation.from_matrix(np.tile(frames, (B, 1, 1)))
+            q = (tiled * Rotation.from_rotvec(local)).as_quat().reshape(B, n + 1, 4)
+            before, after = (Rotation.from_quat(p.reshape(-1, 4)) for p in (q[:, :-1], q[:, 1:]))
+            u = (before.inv() * after).as_rotvec().reshape(B, n, 3) / ds[:, None]
+            u = u - [-curvature, 0.0, 0.0]
+            stored = 0.5 * ds * (u**2 @ [1.0, 1.0, torsion])
+            up = after.apply([0.0, 0.0, 1.0]).reshape(B, n, 3)[..., 2]
+            return (stored + share * load * (1.0 - s) * up / n).sum(axis=1)
+
+        assert np.allclose(rods.as_matrix(), frames)
+        size, step = 2 * n, 1e-3
+        e = step * np.eye(size)
+        first, second = np.triu_indices(size)
+        close = second // 2 - first // 2 <= 1  # a rod knows its neighbours
+        first, second = first[close], second[close]
+        signs = ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))
+        values = sum(
+            c * energy((a * e[first] + b * e[second]).reshape(-1, n, 2)) for a, b, c in signs
+        )
+        hessian = np.zeros((size, size))
+        hessian[first, second] = hessian[second, first] = values / (4.0 * step**2)
+        return np.linalg.eigvalsh(hessian)[0]
+
+    assert least(0.98) > 0.0 > least(1.02)
+
+
+def test_curl_without_weight_stays_in_its_plane():
+    """Free of stress, it has least energy."""
+    for curvature in (1.0, 4.0, 6.0):
+        shape = hung([0.0], curvature=curvature)[0]
+        assert leaves_plane(shape, 0.0, curvature, 1.0, 0.7) > 0.0
+
+
+def test_tip_of_a_column_that_hardly_bends():
+    """H / V = q a in Euler's mode a (sin(q s) - q cos(q s) + q (1 - s)), tan(q) = q, which is let
+    down by the half of its squared slope."""
+    q = brentq(lambda q: math.tan(q) - q, 4.4, 4.6)
+    assert isinstance(q, float)
+    s = np.linspace(0.0, 1.0, 2001)
+    slope = q * np.cos(q * s) + q**2 * np.sin(q * s) - q
+    lowered = 1e-3
+    a = math.sqrt(2.0 * lowered / trapezoid(slope**2, s))
+    assert tip_friction(0.0, [lowered])[0] == pytest.approx(q * a, rel=2e-3)
+
+
+@pytest.mark.parametrize("load", [0.0, 10.0])
+def test_pressed_tip_holds_a_chain(load):
+    """Of a chain of 200 rods with the least energy, its end fixed, H and V are the multipliers."""
+    n, lowered = 200, 0.2
+    ds, s = 1.0 / n, (np.arange(n) + 0.5) / n
+
+    def slopes(y):
+        theta, (H, V) = y[:-2], y[-2:]
+        bend = np.diff(theta) / ds
+        gradient = np.zeros(n)
+        gradient[1:] += bend
+        gradient[:-1] -= bend
+        gradient[0] += 2.0 * (theta[0] + math.pi / 2.0) / ds
+        # of bending and gravitational energy, less what H and V do
+        gradient += load * (1.0 - s) * np.cos(theta) * ds
+        gradient += ds * (H * np.sin(theta) - V * np.cos(theta))
+        ends = [np.cos(theta).sum() * ds, np.sin(theta).sum() * ds + 1.0 - lowered]
+        return np.append(gradient, ends)
+
+    start = np.append(-math.pi / 2.0 + 1.5 * np.sin(4.5 * s - 0.3), [5.0, 21.0])
+    found = root(slopes, start)
+    assert found.success
+    H, V = found.x[-2:]
+    assert abs(H / V) == pytest.approx(tip_friction(load, [0.05, 0.1, lowered])[-1], rel=2e-3)
 
 
 def test_thin_unstretched_rope_is_a_chain():

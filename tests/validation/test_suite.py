@@ -68,6 +68,11 @@ def more_lateral(_, materials, options):
     return [replace(m, nu=m.nu + 0.05) for m in materials], options
 
 
+def softer_in_torsion(_, materials, options):
+    """G is smaller by a tenth, E the same."""
+    return [replace(m, nu=(1.0 + m.nu) / 0.9 - 1.0) for m in materials], options
+
+
 def heavier(_, materials, options):
     pull = np.asarray(options.get("gravity", (0.0, 0.0, -9.81)))
     return materials, options | {"gravity": 1.1 * pull}
@@ -204,6 +209,13 @@ def stiffer_in_single(settings, materials, options):
         ("energy", lifted, "growth of energy, swinging rope, 1 cell across"),
         ("batch", crowded, "largest difference of a batch of 5 from single worlds"),
         ("precision", stiffer_in_single, "largest difference of float32 from float64"),
+        ("rod-cantilever", heavier, "sag of rods over theory"),
+        ("shell-cantilever", heavier, "sag of strips over theory"),
+        ("rod-lateral", softer_in_torsion, "critical weight of a ribbon 10 times as wide"),
+        ("shell-lateral", heavier, "critical weight of a standing strip"),
+        ("rod-bend-twist", softer_in_torsion, "weight at which a curl of 5 rad"),
+        ("rod-stick-slip", rougher, "H / V where tips slip over mu"),
+        ("rod-ring", softer_in_torsion, "critical twist of a ring"),
     ],
 )
 def test_a_wrong_simulator_fails(name, change, quantity):

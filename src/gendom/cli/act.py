@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import tyro
 
+from gendom.cli.arguments import TaskName
 from gendom.errors import GendomError
 from gendom.files import read_json, to_json, write_json
-from gendom.materials import Material
+from gendom.materials import KINDS, Item, from_columns, to_columns
 
 if TYPE_CHECKING:
-    pass
+    from gendom.policies import Policy
+    from gendom.tasks import Task
 
 _ESTIMATE = "gendom-estimate/1"
-_ACTION = "gendom-action/1"
+_ACTION = "gendom-action/2"
 
-_NEEDED_SIZES = ("length", "diameter")
-_PARAMETERS = ("youngs_modulus", "poissons_ratio", "density", "specific_modulus")
+DRAWS = 64
+"""Objects drawn from an estimate's interval to say what will be reached."""
 
 # What is missing -> the flags that give it.
 _FLAGS = {
-    "specific_modulus": "--E and --density",
-    "poissons_ratio": "--nu",
+    "E": "--E and --density",
+    "nu": "--nu",
+    "density": "--density",
+    "damping": "--damping",
+    "friction": "--friction",
     "length": "--length",
     "diameter": "--diameter",
+    "side": "--side",
+    "thickness": "--thickness",
+}
+
+# What stands in for parameters that a policy does not see and nobody gave; only a simulation of
+# what will be reached takes them.
+_ASSUMED = {
+    "poissons_ratio": 0.35,
+    "density": 1000.0,
+    "damping": 0.004,
+    "friction": 0.3,
 }
 
 
@@ -34,16 +53,18 @@ _FLAGS = {
 class Command:
     """Print the action that reaches a goal with a given object, and the robot's motion.
 
-    The object comes from --params, or from --E, --nu, --density, --length and --diameter; each
-    of these flags also replaces what --params says.
+    The object comes from --params, or from --E, --nu, --density and its sizes; each of these flags
+    also replaces what --params says. With an estimate, the range of what will be reached is
+    printed too.
+
+    For example: gendom act rope-casting --goal 0.35 0.07 --params estimate.json
     """
 
-    task: Annotated[
-        tyro.conf.Positional[Literal["rope-reaching"]], tyro.conf.arg(metavar="rope-reaching")
-    ]
+    task: tyro.conf.Positional[TaskName]
     """What is done."""
-    goal: float
-    """How far from the robot's base the tip shall swing [m]."""
+    goal: tuple[float, ...] = ()
+    """In SI units and the task's frame: rope-reaching x, rope-casting x and z [m]; none for
+    cloth-spreading."""
     params: Path | None = None
     """File written by gendom estimate."""
     E: float | None = None
@@ -52,14 +73,28 @@ class Command:
     """Poisson's ratio [-]."""
     density: float | None = None
     """Mass density [kg/m^3]."""
+    damping: float | None = None
+    """Viscous over elastic stress [s]."""
+    friction: float | None = None
+    """Coefficient of friction [-]."""
     length: float | None = None
-    """The rope's length [m]."""
+    """A rope's length [m]."""
     diameter: float | None = None
-    """The rope's diameter [m]."""
+    """A rope's diameter [m]."""
+    side: float | None = None
+    """A cloth's side [m]."""
+    thickness: float | None = None
+    """A cloth's thickness [m]."""
+    origin: tuple[float, float, float] | None = None
+    """Where the task's frame has its origin in the robot's base frame [m] (default: the task's)."""
     policy: Path | None = None
     """Policy file; by default the one that comes with the package."""
     parameters: bool = True
     """Use the policy of the package that does not see the object's parameters."""
+    foretell: bool = True
+    """Simulate what will be reached."""
+    seed: int = 0
+    """Seed of the objects drawn from an estimate's interval."""
     out: Path | None = None
     """Also write the result, with the robot's motion, to this JSON file."""
     json: bool = False
@@ -78,72 +113,161 @@ class Command:
                 where="--no-parameters",
                 fix="leave one of them out",
             )
-        held = self._object(needed=(*_NEEDED_SIZES, *policy.description.conditioned_on))
-        action = policy.act(
-            self.goal,
-            held.get("specific_modulus"),
-            held.get("poissons_ratio"),
-            length=held["length"],
-            diameter=held["diameter"],
-        )
-        task = policy.task().scaled_to(held["length"], held["diameter"])
+        task = policy.task()
+        if task.name != self.task:
+            raise GendomError(
+                f"is for {task.name}",
+                where=policy.where,
+                fix=f"use a policy for {self.task}, or give {task.name} as the task",
+            )
+        held, interval = self._held(task.kind)
+        item, assumed = self._object(task, policy, held)
+        action = policy.act(self.goal, item)
+        values = np.array(action.values)
         result = {
             "format": _ACTION,
             "task": self.task,
             "goal": action.goal,
-            "action": action.as_dict(),
-            "object": held,
+            "action": action.action,
+            "object": {"kind": item.kind, **to_columns(item)},
+            "assumed": assumed,
             "policy": {
                 "path": policy.where,
                 "method": policy.description.method,
                 "conditioned_on": policy.description.conditioned_on,
                 "seed": policy.description.training.get("seed"),
             },
-            "network_input": {
-                "specific_modulus": action.specific_modulus,
-                "poissons_ratio": action.poissons_ratio,
-            },
+            "network_input": action.saw,
             "warnings": action.warnings,
-            "trajectory": task.trajectory(action.values),
+            "trajectory": trajectory(task, item, values, self.origin),
         }
+        if self.foretell and "specific_modulus" in held:
+            result["foretold"] = foretold(task, item, values, interval, self.seed)
         if self.out is not None:
             write_json(self.out, result)
         print(to_json(result) if self.json else result_text(result, self.out))
         return 0
 
-    def _object(self, needed: tuple[str, ...]) -> dict[str, float]:
-        """What is known of the object, in SI units by name; all that is `needed` is there."""
-        held = {} if self.params is None else read_estimate(self.params)
+    def _held(self, kind: str) -> tuple[dict[str, float], tuple[float, float] | None]:
+        """What is known of the object, in SI units by column name, and E's interval [Pa]."""
+        held, interval = ({}, None) if self.params is None else read_estimate(self.params, kind)
         flags = {
             "youngs_modulus": self.E,
             "poissons_ratio": self.nu,
             "density": self.density,
+            "damping": self.damping,
+            "friction": self.friction,
             "length": self.length,
             "diameter": self.diameter,
+            "side": self.side,
+            "thickness": self.thickness,
         }
         given = {name: value for name, value in flags.items() if value is not None}
         held |= given
         if given.keys() & {"youngs_modulus", "density"}:
             held.pop("specific_modulus", None)  # the file's own, of other numbers
+            interval = None
         if "specific_modulus" not in held and {"youngs_modulus", "density"} <= held.keys():
-            material = Material(E=held["youngs_modulus"], density=held["density"])
-            held["specific_modulus"] = material.specific_modulus
-        missing = [_FLAGS[name] for name in needed if name not in held]
+            held["specific_modulus"] = held["youngs_modulus"] / held["density"]
+        return held, interval
+
+    def _object(
+        self, task: Task, policy: Policy, held: Mapping[str, float]
+    ) -> tuple[Item, dict[str, float]]:
+        """The object, and what had to be assumed of it.
+
+        Raises:
+            GendomError: Something that the policy sees is missing.
+        """
+        columns = {"E": "specific_modulus", "nu": "poissons_ratio"}
+        sees = policy.description.conditioned_on
+        missing = [name for name in KINDS[task.kind].sizes if name not in held]
+        missing += [name for name in sees if columns.get(name, name) not in held]
         if missing:
             raise GendomError(
                 "the object is not fully described",
                 where=None if self.params is None else str(self.params),
-                fix=f"give {', '.join(missing)}"
+                fix=f"give {', '.join(dict.fromkeys(_FLAGS[name] for name in missing))}"
                 + (", or --params with an estimate" if self.params is None else ""),
             )
-        return held
+        assumed = {name: value for name, value in _ASSUMED.items() if name not in held}
+        known = {**assumed, **held}
+        modulus = known.get("specific_modulus", task.item.material.specific_modulus)
+        known["youngs_modulus"] = modulus * known["density"]
+        return from_columns(task.kind, known), assumed
 
 
-def read_estimate(path: Path) -> dict[str, float]:
-    """The numbers of an estimate that a policy needs, as far as it has them.
+def trajectory(
+    task: Task, item: Item, action: np.ndarray, origin: tuple[float, float, float] | None
+) -> dict[str, Any]:
+    """The tool's motion in the robot's base frame, ready for JSON.
+
+    Returns:
+        time [K] [s]; position [K][3] [m] and quat_xyzw [4] or [K][4] of the tool; events, when the
+        hand closes and opens; frame, and T_base_task [4][4], by which the task was placed.
+    """
+    T = task.T_world_task(item)
+    if origin is not None:
+        if not all(map(math.isfinite, origin)):
+            raise GendomError("must be three finite numbers [m]", where="--origin")
+        T[:3, 3] = origin
+    path = task.tool_path(item, action).moved(T)
+    times, position = path.sampled()
+    return {
+        "frame": "robot base, z up",
+        "T_base_task": T.tolist(),
+        "time": times.tolist(),
+        "position": position.tolist(),
+        "quat_xyzw": path.quat_xyzw.tolist(),
+        "events": [{"time": e.time, "closed": e.closed} for e in path.events],
+    }
+
+
+def foretold(
+    task: Task,
+    item: Item,
+    action: np.ndarray,
+    interval: tuple[float, float] | None,
+    seed: int,
+) -> dict[str, Any]:
+    """What the action will reach, simulated: with the object as it is, and over E's 90 % interval.
+
+    Args:
+        task: What is done.
+        item: The object.
+        action: [A].
+        interval: Of Young's modulus, 5 to 95 % [Pa]; None: it is taken as known.
+        seed: Of the draws.
+    """
+    from gendom.tasks.world import Simulation
+
+    items = [item]
+    if interval is not None:
+        rng = np.random.default_rng(seed)
+        low, high = np.log(interval)
+        logs = rng.normal(0.5 * (low + high), (high - low) / 3.29, DRAWS)
+        material = item.material
+        items += [replace(item, material=replace(material, E=float(np.exp(x)))) for x in logs]
+    outcomes = Simulation().carry_out(task, items, np.tile(action, (len(items), 1)))
+    if outcomes[0].fault is not None:
+        return {"fault": outcomes[0].fault}
+    found: dict[str, Any] = {"reached": outcomes[0].values}
+    spread = [o.values for o in outcomes[1:] if o.fault is None]
+    if spread:
+        names = [q.name for q in task.goals] or list(spread[0])
+        found["interval_90"] = {
+            name: np.quantile([s[name] for s in spread], [0.05, 0.95]).tolist() for name in names
+        }
+    return found
+
+
+def read_estimate(path: Path, kind: str) -> tuple[dict[str, float], tuple[float, float] | None]:
+    """The numbers of an estimate that a policy needs, as far as it has them, by column name, and
+    the 90 % interval of E [Pa].
 
     Raises:
-        GendomError: The file is missing, is no estimate, or a number in it is none.
+        GendomError: The file is missing, is no estimate or of another kind of object, or a number
+            in it is none.
     """
     estimate = read_json(path)
     if estimate.get("format") != _ESTIMATE:
@@ -152,16 +276,19 @@ def read_estimate(path: Path) -> dict[str, float]:
             where=str(path),
             fix="give a file written by gendom estimate",
         )
-    found = {name: estimate.get(name) for name in _PARAMETERS}
-    sizes = estimate.get("object")
-    if isinstance(sizes, dict):
-        if sizes.get("kind", "rope") != "rope":
+    names = ("youngs_modulus", "poissons_ratio", "density", "specific_modulus")
+    found = {name: estimate.get(name) for name in names}
+    described = estimate.get("object")
+    if isinstance(described, dict):
+        if described.get("kind", kind) != kind:
             raise GendomError(
-                f"describes a {sizes['kind']}, the task needs a rope",
+                f"describes a {described['kind']}, the task needs a {kind}",
                 where=str(path),
-                fix="give the estimate of a rope",
+                fix=f"give the estimate of a {kind}",
             )
-        found |= {name: sizes.get(name) for name in _NEEDED_SIZES}
+        # a recording's cloth has width and height
+        sizes = {**described, "side": described.get("width")}
+        found |= {name: sizes.get(name) for name in KINDS[kind].sizes}
     for name, value in found.items():
         if not (value is None or (isinstance(value, (int, float)) and value > 0.0)):
             raise GendomError(
@@ -169,33 +296,33 @@ def read_estimate(path: Path) -> dict[str, float]:
                 where=str(path),
                 fix="estimate again, or give the number by a flag",
             )
-    return {name: float(value) for name, value in found.items() if value is not None}
+    ends = estimate.get("intervals", {}).get("youngs_modulus")
+    known = {name: float(value) for name, value in found.items() if value is not None}
+    return known, (float(ends[0]), float(ends[1])) if ends else None
 
 
 def result_text(result: dict[str, Any], out: Path | None) -> str:
     """The same for people."""
-    motion = result["trajectory"]
-    held = result["object"]
-    size = f"{held['length']:.4g} m long, {held['diameter']:.4g} m thick"
-    if "specific_modulus" in held:
-        size += f", E / density {held['specific_modulus']:.4g} m^2/s^2"
-    if "poissons_ratio" in held:
-        size += f", nu {held['poissons_ratio']:.4g}"
-    point = ", ".join(f"{name} {value:.4f} m" for name, value in result["action"].items())
-    first, last = (
-        "(" + ", ".join(f"{c:.4f}" for c in motion["position"][k]) + ")" for k in (0, -1)
-    )
+    motion, held = result["trajectory"], result["object"]
+    large, small = KINDS[held["kind"]].sizes
+    size = f"{large} {held[large]:.4g} m, {small} {held[small]:.4g} m"
+    seen = ", ".join(f"{name} {value:.4g}" for name, value in result["network_input"].items())
     rows = [
-        ("rope", size),
-        ("goal", f"{result['goal']:.4g} m"),
-        ("action", point),
-        ("motion", f"from {first} to {last} m at {motion['speed']:.3g} m/s"),
-        ("release", f"at {motion['release_time']:.4f} s"),
-        ("policy", result["policy"]["path"]),
+        (held["kind"], size),
+        ("sees", seen or "no parameters"),
+        ("goal", ", ".join(f"{n} {v:.4g}" for n, v in result["goal"].items()) or "none"),
+        ("action", ", ".join(f"{n} {v:.4f}" for n, v in result["action"].items())),
     ]
+    for event in motion["events"]:
+        rows.append(
+            ("hand", f"{'closes' if event['closed'] else 'opens'} at {event['time']:.4f} s")
+        )
+    if "foretold" in result:
+        rows.append(("foretold", _foretold_text(result["foretold"])))
+    rows.append(("policy", result["policy"]["path"]))
     lines = [result["task"], *(f"  {name:<8} {text}" for name, text in rows)]
     if out is None:
-        lines += ["  time [s]   position [m]"]
+        lines += [f"  time [s]   position [m] in the frame: {motion['frame']}"]
         lines += [
             f"  {t:<9.4f}  " + "  ".join(f"{c:9.5f}" for c in position)
             for t, position in zip(motion["time"], motion["position"], strict=True)
@@ -203,3 +330,15 @@ def result_text(result: dict[str, Any], out: Path | None) -> str:
     else:
         lines.append(f"  written  {out}")
     return "\n".join(lines)
+
+
+def _foretold_text(foretold: Mapping[str, Any]) -> str:
+    if "fault" in foretold:
+        return f"cannot be simulated: {foretold['fault']}"
+    text = []
+    for name, value in foretold["reached"].items():
+        ends = foretold.get("interval_90", {}).get(name)
+        text.append(
+            f"{name} {value:.4g}" + (f" (90 %: {ends[0]:.4g} to {ends[1]:.4g})" if ends else "")
+        )
+    return ", ".join(text)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import tyro
 from tqdm import tqdm
 
+from gendom.cli.arguments import TaskName
+from gendom.errors import ParameterError
 from gendom.files import to_json
 
 if TYPE_CHECKING:
@@ -24,9 +26,7 @@ class Command:
     Stop it and run it again: it goes on where it stopped. A larger size extends a set.
     """
 
-    task: Annotated[
-        tyro.conf.Positional[Literal["rope-reaching"]], tyro.conf.arg(metavar="rope-reaching")
-    ]
+    task: tyro.conf.Positional[TaskName]
     """What is demonstrated."""
     size: int
     """Number of demonstrations."""
@@ -36,10 +36,17 @@ class Command:
     """Seed of all random draws."""
     device: str = "cpu"
     """cpu, cuda, cuda:0 and so on; several (cuda:0,cuda:1) or all GPUs share the work."""
-    engine: Literal["mpm", "thin"] | None = None
-    """Of the simulator; by default the task's."""
-    cells_across: float | None = None
-    """Grid cells across the rope's diameter (default: the task's own)."""
+    cluster: str | None = None
+    """A Ray cluster that shares the work: local, auto or ray://HOST:PORT (docs/cluster.md)."""
+    engine: Literal["thin", "mpm"] = "thin"
+    """Ropes as rods and cloths as shells, or particles on a grid."""
+    dtype: Literal["float32", "float64"] | None = None
+    """Of the simulator (default: the engine's)."""
+    cells_across: float = 1.5
+    """Grid cells across a rope's diameter, of the MPM."""
+    range: tuple[tuple[str, float, float], ...] = ()
+    """Parameter, lowest and highest value of drawn objects, in SI units (E: E / density), in place
+    of the task's own; for an object of the task's own size. E.g. --range E 200 4300."""
     shard_size: int | None = None
     """Demonstrations in one file (default: 256 on the CPU, 4096 on CUDA)."""
     json: bool = False
@@ -47,10 +54,22 @@ class Command:
 
     def run(self) -> int:
         from gendom.datasets.demonstrations import generate
-        from gendom.tasks import TASKS
+        from gendom.tasks import find_task
+        from gendom.tasks.demonstrator import Demonstrator
+        from gendom.tasks.world import Simulation
 
         began = time.monotonic()
-        with tqdm(total=self.size, unit="demo", desc=self.task, smoothing=0.0) as bar:
+        kind = find_task(self.task)
+        ranges = {**kind().ranges, **{name: (low, high) for name, low, high in self.range}}
+        source = Demonstrator(
+            task=kind(ranges=ranges),
+            simulation=Simulation(
+                engine=self.engine, dtype=self.dtype, cells_across=self.cells_across
+            ),
+        )
+        if self.size < 1:
+            raise ParameterError(f"is {self.size}", where="--size", fix="give 1 or more")
+        with tqdm(total=self.size, unit="demo", desc=self.task, smoothing=0.0, disable=None) as bar:
             known = False
 
             def progress(done: int, total: int) -> None:
@@ -60,14 +79,13 @@ class Command:
                     known = True
                 bar.update(done - bar.n)
 
-            given = {"cells_across": self.cells_across, "engine": self.engine}
-            chosen: dict[str, Any] = {k: v for k, v in given.items() if v is not None}
             table = generate(
-                TASKS[self.task](**chosen),
+                source,
                 self.size,
                 self.out,
                 seed=self.seed,
                 device=self.device,
+                cluster=self.cluster,
                 shard_size=self.shard_size,
                 progress=progress,
             )

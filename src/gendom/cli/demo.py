@@ -20,13 +20,13 @@ from gendom.cli.estimate import estimate_text
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.files import to_json, write_json
-from gendom.materials import Material
+from gendom.materials import Material, Rope
 
 if TYPE_CHECKING:
     from gendom.estimation import Estimate
     from gendom.policies import Policy
     from gendom.reality import RealRope
-    from gendom.tasks import RopeReaching
+    from gendom.tasks import Task
     from gendom.viz import CloudSequence
     from gendom.viz.report import PolicyRun
 
@@ -76,7 +76,7 @@ class Command:
     def run(self) -> int:
         from gendom.estimation import EstimateSettings, ReplaySettings, estimate
         from gendom.policies import Policy
-        from gendom.reality import RealRope, find_object, reaching_task
+        from gendom.reality import RealRope, find_object
         from gendom.reality.chain import record_and_perceive
         from gendom.sim import open_device
         from gendom.viz import CloudSequence, encode_sights, write_gif
@@ -114,7 +114,10 @@ class Command:
             "density": rope.material.density,
         }
         print(f"a recorded lift: {recording.num_frames} frames of {recording.source}\n", flush=True)
-        with _timed(seconds, "estimate"), tqdm(total=100, unit="%", leave=False) as bar:
+        with (
+            _timed(seconds, "estimate"),
+            tqdm(total=100, unit="%", leave=False, disable=None) as bar,
+        ):
             settings = EstimateSettings(
                 starts=self.starts, seed=self.seed, replay=ReplaySettings(device=self.device)
             )
@@ -136,9 +139,9 @@ class Command:
         goals = self.goal or _default_goals(policies[0], found)
         with _timed(seconds, "act and carry out"):
             runs, shown = _carry_out(rope, policies, goals, found)
-        task = reaching_task(rope)
+        task = policies[0].task()
         with _timed(seconds, "predict the motion"):
-            motion = _predicted(task, shown, found, self.device)
+            motion = _predicted(task, shown, known_rope(found), self.device)
         for goal, ours, without in runs:
             print(
                 f"goal {goal:.3f} m: release at ({ours.action[0]:.3f}, {ours.action[1]:.3f}) m, "
@@ -167,7 +170,7 @@ class Command:
 
 def _check_goals(goals: Sequence[float], policy: Policy, rope: RealRope) -> None:
     """Refuse what no rope of this length reaches, before minutes go into the estimate."""
-    low, high = (rope.length * share for share in policy.goal_range())
+    low, high = rope.length * policy.goal_range()[0]
     for goal in goals:
         if not low <= goal <= high:
             raise ParameterError(
@@ -178,16 +181,19 @@ def _check_goals(goals: Sequence[float], policy: Policy, rope: RealRope) -> None
 
 
 def _default_goals(policy: Policy, found: Estimate) -> tuple[float, ...]:
-    described = found.record["object"]
-    task = policy.task()
-    modulus = task.conditioned_on(
-        found.theta.specific_modulus,
+    low, high = policy.goal_range(known_rope(found))[0]
+    return tuple(round(low + share * (high - low), 3) for share in GOAL_SHARES)
+
+
+def known_rope(found: Estimate) -> Rope:
+    """The rope as it was estimated."""
+    described, density = found.record["object"], found.record["density"]
+    return Rope(
         length=described["length"],
         diameter=described["diameter"],
-    )
-    low, high = policy.goal_range(modulus)
-    return tuple(
-        round(described["length"] * (low + share * (high - low)), 3) for share in GOAL_SHARES
+        material=Material(
+            E=found.theta.specific_modulus * density, nu=found.theta.nu, density=density
+        ),
     )
 
 
@@ -198,35 +204,38 @@ def _carry_out(
     found: Estimate,
 ) -> tuple[list[tuple[float, PolicyRun, PolicyRun]], Executed]:
     """Both policies' actions for each goal, done by the arm; and our last one to look at."""
-    from gendom.reality import Performance, carry_out_reaching, reaching
+    from gendom.reality import RealWorld, observe
     from gendom.viz.report import PolicyRun
 
-    size = {"length": rope.length, "diameter": rope.diameter}
+    task, known = policies[0].task(), known_rope(found)
     done: list[PolicyRun] = []
     executed = []
-    for goal in tqdm(np.repeat(goals, len(policies)), desc="the arm acts", leave=False):
+    for goal in tqdm(
+        np.repeat(goals, len(policies)), desc="the arm acts", leave=False, disable=None
+    ):
         policy = policies[len(done) % len(policies)]
-        action = policy.act(goal, found.theta.specific_modulus, found.theta.nu, **size).values
-        performance = Performance(reaching(rope, action))
-        result = carry_out_reaching(performance, frame_rate=MOTION_RATE * _FINER)
-        shape = result.in_task
-        tip = shape[result.released :, -1]
-        farthest = result.released + int(np.argmax(tip[:, 0]))
+        action = policy.act(goal, known).values
+        performance = RealWorld().performance(task, rope, action)
+        seen = observe(task, performance, MOTION_RATE * _FINER)
+        released = int(np.searchsorted(seen.times, seen.opens))
+        tip = seen.tip[released:]
+        farthest = released + int(np.argmax(tip[:, 0]))
+        values = task.outcome(rope, seen)
         done.append(
             PolicyRun(
                 action=np.array(action),
-                reached=np.array(result.reached),
+                reached=np.array([values[q.name] for q in task.goals]),
                 tip_path=tip,
-                shape_at_release=_filled(shape[result.released]),
-                shape_at_farthest=_filled(shape[farthest]),
+                shape_at_release=_filled(seen.points[released]),
+                shape_at_farthest=_filled(seen.points[farthest]),
             )
         )
         executed.append(
             Executed(
                 action=np.array(action),
                 slowed_by=performance.slowed_by,
-                times=result.times[::_FINER] - performance.opens,
-                shapes=[_filled(x) for x in shape[::_FINER]],
+                times=seen.times[::_FINER] - seen.opens,
+                shapes=[_filled(x) for x in seen.points[::_FINER]],
             )
         )
     pairs = zip(goals, done[0::2], done[1::2], strict=True)
@@ -257,25 +266,22 @@ def _filled(vertices: np.ndarray, points: int = 150) -> np.ndarray:
     return np.stack([np.interp(at, knots, vertices[:, axis]) for axis in range(3)], axis=1)
 
 
-def _predicted(
-    task: RopeReaching, executed: Executed, found: Estimate, device: str
-) -> CloudSequence:
+def _predicted(task: Task, executed: Executed, known: Rope, device: str) -> CloudSequence:
     """The executed motion, and beside it what our simulator makes of the same action."""
+    from gendom.tasks.world import Simulation
     from gendom.viz import CloudSequence
 
-    theta, density = found.theta, found.record["density"]
-    material = Material(E=theta.specific_modulus * density, nu=theta.nu, density=density)
-    with tqdm(total=1, desc="predicting", leave=False):
-        outcome = task.simulate([executed.action], [material], device=device, record_particles=True)
-    if outcome.positions is None:
-        raise GendomError("the simulation kept no particles", where="demo")
+    world = Simulation(device=device, everything=True)
+    outcome = world.carry_out(task, [known], [executed.action], keep=True)[0]
+    if outcome.seen is None:
+        raise GendomError(outcome.fault or "the simulation failed", where="demo")
     # Both are at the release at time 0.
-    late = outcome.times - task.release_time
+    late = outcome.seen.times - outcome.seen.opens
     frames = np.flatnonzero((executed.times >= late[0]) & (executed.times <= late[-1]))
     nearest = [int(np.argmin(np.abs(late - executed.times[k]))) for k in frames]
     return CloudSequence(
         recorded=[executed.shapes[k] for k in frames],
-        simulated=[outcome.positions[k, 0] for k in nearest],
+        simulated=[_filled(outcome.seen.points[k]) for k in nearest],
         times=executed.times[frames] - executed.times[frames[0]],
         labels=("carried out", "predicted"),
     )
@@ -283,7 +289,7 @@ def _predicted(
 
 def _error(run: PolicyRun, goal: float) -> float:
     """|reached - goal| [m]."""
-    return abs(run.reached.item() - goal)
+    return float(np.linalg.norm(run.reached - goal))
 
 
 def _outcomes(runs: Sequence[tuple[float, PolicyRun, PolicyRun]]) -> list[dict[str, Any]]:
@@ -310,7 +316,7 @@ def _report(
     clouds: CloudSequence,
     found: Estimate,
     truth: dict[str, float],
-    task: RopeReaching,
+    task: Task,
     runs: Sequence[tuple[float, PolicyRun, PolicyRun]],
     motion: CloudSequence,
     seconds: dict[str, float],
@@ -349,11 +355,11 @@ def _report(
             ),
             action=ActionSummary(
                 outcomes=[
-                    ReachOutcome(goal=np.array(goal), ours=ours, without=without)
+                    ReachOutcome(goal=np.array([goal]), ours=ours, without=without)
                     for goal, ours, without in runs
                 ],
                 motion=motion,
-                action_names=[f"{name.replace('_', ' ')} [m]" for name in task.action_names],
+                action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
             ),
             provenance=Provenance(
                 commands=[_command_line(command)],

@@ -55,7 +55,7 @@ class Command:
         open_device(self.device)
         recording = Recording.read(self.recording)
         settings = self.settings()
-        with tqdm(total=100, desc="estimating", unit="%", leave=False) as bar:
+        with tqdm(total=100, desc="estimating", unit="%", leave=False, disable=None) as bar:
             result = estimate(recording, settings, on_progress=lambda p: _show(bar, p))
         if self.out is not None:
             self.out.mkdir(parents=True, exist_ok=True)

@@ -3,85 +3,128 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import tyro
+from tqdm import tqdm
 
+from gendom.cli.arguments import TaskName
+from gendom.errors import ParameterError
 from gendom.files import to_json
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Let policies act in simulated cases with goals that can be reached, and print the errors.
+    """Let policies act in cases with goals that can be reached, and print the errors.
 
-    All policies meet the same ropes and goals. Each case is simulated once to find a goal, and
-    once for each policy.
+    All policies meet the same objects and goals. Each case is simulated once to find a goal, and
+    once for each policy: in our simulator, or in the second reality (docs/reality.md).
     """
 
-    task: Annotated[
-        tyro.conf.Positional[Literal["rope-reaching"]], tyro.conf.arg(metavar="rope-reaching")
-    ]
+    task: tyro.conf.Positional[TaskName]
     """What is done."""
     policy: tuple[Path, ...] = ()
     """Policy files; by default those that come with the package, with and without parameters."""
+    world: Literal["simulation", "reality"] = "simulation"
+    """Where policies act."""
+    objects: tuple[str, ...] = ()
+    """Objects of the second reality (names or TOML files) to take by turns, in place of drawn
+    ones."""
+    free_hand: bool = False
+    """In the second reality, a free hand acts, not the arm."""
     cases: int = 50
-    """Number of ropes and goals."""
+    """Number of objects and goals."""
     seed: int = 0
     """Seed of the cases."""
     device: str = "cpu"
-    """cpu, cuda or cuda:0 and so on."""
+    """Of our simulator: cpu, cuda or cuda:0 and so on."""
     json: bool = False
     """Print JSON."""
 
     def run(self) -> int:
         from gendom.evaluation import draw_cases, score
         from gendom.policies import Policy
+        from gendom.tasks.world import Simulation
 
         began = time.monotonic()
         if self.policy:
             policies = [Policy.read(path) for path in self.policy]
         else:
-            policies = [Policy.pretrained(self.task, parameters=p) for p in (True, False)]
-        cases = draw_cases(policies[0].task(), self.cases, seed=self.seed, device=self.device)
-        result = {
-            "task": self.task,
-            "cases": self.cases,
-            "seed": self.seed,
-            "device": self.device,
-            "policies": [
+            policies = [
+                Policy.pretrained(self.task, parameters=sees)
+                for sees in (True, False)
+                if sees or Policy.ships(self.task, parameters=sees)
+            ]
+        simulation = Simulation(device=self.device)
+        world, items = simulation, None
+        if self.world == "reality" or self.objects:
+            from gendom.reality import RealWorld, find_object
+
+            items = [find_object(name) for name in self.objects]
+            if self.world == "reality":
+                world = RealWorld(robot=not self.free_hand)
+        if self.free_hand and self.world != "reality":
+            raise ParameterError("needs --world reality", where="--free-hand")
+        cases = draw_cases(
+            policies[0].task(), self.cases, seed=self.seed, simulation=simulation, items=items
+        )
+        entries = []
+        for policy in policies:
+            with tqdm(total=len(cases), unit="case", leave=False, disable=None) as bar:
+                found = score(policy, cases, world=world, on_frame=_shown(bar))
+            entries.append(
                 {
                     "path": policy.where,
                     "method": policy.description.method,
                     "conditioned_on": policy.description.conditioned_on,
                     "training_seed": policy.description.training.get("seed"),
-                    **score(policy, cases).summary(),
+                    **found.summary(),
                 }
-                for policy in policies
-            ],
+            )
+        result = {
+            "task": self.task,
+            "world": self.world,
+            "cases": self.cases,
+            "seed": self.seed,
+            "device": self.device,
+            "policies": entries,
             "seconds": time.monotonic() - began,
         }
         print(to_json(result) if self.json else result_text(result))
         return 0
 
 
+def _shown(bar: tqdm) -> Callable[[int], None]:
+    """Shows how many of its total are done; our simulator counts frames, not cases."""
+
+    def show(done: int) -> None:
+        if bar.n < done <= bar.total:
+            bar.update(done - bar.n)
+
+    return show
+
+
 def result_text(result: dict[str, Any]) -> str:
     """The same for people."""
-    lines = [f"{result['task']}: {result['cases']} cases, seed {result['seed']}, |goal - reached|"]
+    lines = [
+        f"{result['task']} in {result['world']}: {result['cases']} cases, seed {result['seed']}"
+    ]
     for entry in result["policies"]:
         sees = ", ".join(entry["conditioned_on"]) or "no parameters"
         lines.append(f"{entry['path']} ({entry['method']}, sees {sees})")
         if entry["error"]["mean"] is None:
-            lines.append("  all simulations failed")
+            lines.append("  all failed")
             continue
         for name, value in entry["error"].items():
-            percent = 100.0 * entry["error_over_length"][name]
-            lines.append(f"  {name:<7} {value:.5f} m  {percent:6.2f} % of the length")
+            percent = 100.0 * entry["error_over_size"][name]
+            lines.append(f"  {name:<7} {value:.5f}  {percent:6.2f} % of the size")
         lines += [
             f"  {count} {what}"
             for count, what in (
-                (entry["failed"], "simulations failed"),
+                (entry["failed"], "failed"),
                 (entry["outside_range"], "goals outside the policy's range (counted above)"),
             )
             if count

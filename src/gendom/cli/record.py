@@ -21,7 +21,8 @@ class Command:
     """
 
     reality: str
-    """The object: rope-cotton, rope-polyester, rope-polyethylene, cloth-cotton, cloth-rubber."""
+    """The object: rope-cotton, rope-polyester, rope-polyethylene, cloth-cotton, cloth-rubber..., or
+    a TOML file that describes one's own (docs/reality.md)."""
     out: Path
     """DIR to write; must not hold a recording."""
     rise: float | None = None
@@ -58,7 +59,10 @@ class Command:
         performance = Performance(trial, cameras=lift_cameras(item))
         performance.step_to(performance.closes)
         seconds = performance.end - performance.closes
-        with performance.world, tqdm(total=round(seconds, 1), unit="s", leave=False) as bar:
+        with (
+            performance.world,
+            tqdm(total=round(seconds, 1), unit="s", leave=False, disable=None) as bar,
+        ):
 
             def show(moment: float) -> None:
                 bar.n = round(moment, 1)

@@ -48,7 +48,9 @@ class Command:
         lift, theta = replay_setup(
             recording, read_json(self.params), str(self.params), self.device, self.engine
         )
-        with tqdm(total=len(lift.frames), desc="replaying", unit="frame", leave=False) as bar:
+        with tqdm(
+            total=len(lift.frames), desc="replaying", unit="frame", leave=False, disable=None
+        ) as bar:
 
             def show(done: int) -> None:
                 bar.update(done - bar.n)

@@ -4,57 +4,56 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from gendom.errors import DatasetError
+from gendom.cli.arguments import TaskName
+from gendom.errors import DatasetError, ParameterError
 from gendom.files import to_json
+from gendom.materials import PARAMETERS
 
 if TYPE_CHECKING:
     from gendom.policies import Policy
-
-_CONDITIONS = {
-    "both": ("specific_modulus", "poissons_ratio"),
-    "E": ("specific_modulus",),
-    "nu": ("poissons_ratio",),
-    "none": (),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
     """Train a policy on simulated demonstrations. Needs the extra `train`.
 
-    The file appears when the policy is trained and checked; an older one stays until then.
+    The file appears when the policy is trained and checked; an older one stays until then. Then
+    it acts in fresh simulated cases, and its errors there are printed.
     """
 
-    task: Annotated[
-        tyro.conf.Positional[Literal["rope-reaching"]], tyro.conf.arg(metavar="rope-reaching")
-    ]
+    task: tyro.conf.Positional[TaskName]
     """What the policy is for."""
     data: Path
-    """Folder of demonstrations from gendom dataset."""
+    """Folder of demonstrations from gendom dataset; what is there of an unfinished set is taken."""
     out: Path
     """ONNX file to write."""
-    method: Literal["distal", "inverse"] = "distal"
-    """distal: learn what actions do, then teach the policy through that. inverse: regress
-    actions on goals, as in the paper."""
-    condition: Literal["both", "E", "nu", "none"] = "both"
-    """Parameters that the policy sees."""
+    method: Literal["distal", "inverse"] | None = None
+    """distal: learn what actions do, then teach the policy through that (default). inverse: regress
+    actions on goals, as in the paper (default of tasks without goals)."""
+    condition: tuple[str, ...] = ("all",)
+    """Parameters that the policy sees: some of E, nu, damping, friction and density, or all (that
+    vary in the demonstrations) or none."""
     architecture: Literal["smooth", "paper"] = "smooth"
     """smooth: 3 x 192 SiLU. paper: 256, 128, 32 ReLU."""
     epochs: int = 300
     """Passes over the demonstrations, for each network."""
+    cases: int = 200
+    """Fresh cases to act in afterwards; 0: none."""
     seed: int = 0
-    """Seed of the training."""
+    """Seed of the training and of the cases."""
     json: bool = False
     """Print JSON."""
 
     def run(self) -> int:
+        from gendom.evaluation import draw_cases, score
         from gendom.policies.demonstrations import Demonstrations
         from gendom.policies.train import Training, train
 
+        sees = _conditions(self.condition)
         demonstrations = Demonstrations.read(self.data)
         name = demonstrations.task.get("name")
         if name != self.task:
@@ -64,16 +63,33 @@ class Command:
                 fix="name another folder",
             )
         training = Training(
-            method=self.method,
-            conditioned_on=_CONDITIONS[self.condition],
+            method=self.method or ("distal" if demonstrations.goal_names else "inverse"),
+            conditioned_on=sees,
             architecture=self.architecture,
             epochs=self.epochs,
             seed=self.seed,
         )
         policy = train(demonstrations, self.out, training, progress=True)
         summary = summarize(policy)
+        if self.cases:
+            cases = draw_cases(policy.task(), self.cases, seed=self.seed)
+            summary["acted"] = score(policy, cases).summary()
         print(to_json(summary) if self.json else summary_text(summary))
         return 0
+
+
+def _conditions(words: tuple[str, ...]) -> tuple[str, ...] | None:
+    if words == ("all",):
+        return None
+    if words in ((), ("none",)):
+        return ()
+    if unknown := [word for word in words if word not in PARAMETERS]:
+        raise ParameterError(
+            f"there is no parameter {unknown[0]!r}",
+            where="--condition",
+            fix=f"choose from {', '.join(PARAMETERS)}, or give all or none",
+        )
+    return words
 
 
 def summarize(policy: Policy) -> dict[str, Any]:
@@ -93,9 +109,8 @@ def summary_text(summary: dict[str, Any]) -> str:
     """The same for people."""
     training = summary["training"]
     sees = ", ".join(summary["conditioned_on"]) or "no parameters"
-    length = summary["task"]["length"]
     errors = [
-        (name.replace("_", " "), f"{value * length:.3g} m ({100 * value:.2g} % of the length)")
+        (name.replace("_", " "), f"{100 * value:.3g} % of the size")
         for name, value in training["errors"].items()
     ]
     rows = [
@@ -105,6 +120,17 @@ def summary_text(summary: dict[str, Any]) -> str:
         *errors,
         ("took", f"{training['seconds']:.3g} s"),
     ]
+    if acted := summary.get("acted"):
+        figures = acted["error_over_size"]
+        rows.append(
+            (
+                "acted",
+                "no case could be simulated"
+                if figures["mean"] is None
+                else f"in {acted['cases']} new cases: error {100 * figures['mean']:.3g} % of the "
+                f"size in the mean, {100 * figures['p95']:.3g} % at the 95th percentile",
+            )
+        )
     width = max(len(name) for name, _ in rows)
     lines = [f"{summary['path']}: a policy for {summary['task']['name']}"]
     return "\n".join(lines + [f"  {name:<{width}}  {text}" for name, text in rows])

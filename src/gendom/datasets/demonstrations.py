@@ -1,13 +1,14 @@
 """Sets of simulated demonstrations: a folder of Parquet shards.
 
-    dataset.json         format, task with its settings, size, seed, shard_size, dtype, device,
-                         parameter ranges, gendom version
+    dataset.json         format, task with its settings, simulation, size, seed, shard_size,
+                         device, gendom version, and the SHA-256 of every shard
     shard-00000.parquet  demonstrations 0 to shard_size - 1, one row each
     shard-00001.parquet  ...
+    writer.json          who writes to it now, or did so last
 
 Columns are `demonstration` (its number, int64), the numbers that the task drew (actions,
 parameters, sizes) and measured (`goal_x`, ...; null where the simulation failed), `ok`, and
-`fault`, what went wrong (null where nothing did).
+`fault`, what went wrong (null where nothing did). Numbers are in SI units.
 
 Demonstration i is drawn from `numpy.random.default_rng([seed, i])` and depends on nothing else:
 shards can be simulated in any order, on any machine, and a set can be continued or extended.
@@ -16,30 +17,35 @@ shards can be simulated in any order, on any machine, and a set can be continued
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
 import logging
 import os
+import platform
 import queue
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from filelock import FileLock, Timeout
+from numpy.typing import NDArray
 
 from gendom import __version__
-from gendom.errors import DatasetError, ParameterError
+from gendom.datasets.cluster import on_cluster
+from gendom.errors import DatasetError, GendomError, ParameterError
 from gendom.files import atomic_path, read_json, write_json
 
-if TYPE_CHECKING:
-    from gendom.tasks import Task
+FORMAT = "gendom-demonstrations/2"
 
-FORMAT = "gendom-demonstrations/1"
-
-_DESCRIPTION = "dataset.json"
+_DESCRIPTION, _WRITER, _LOCK = "dataset.json", "writer.json", ".lock"
 _METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
 
 _log = logging.getLogger(__name__)
@@ -47,6 +53,42 @@ _log = logging.getLogger(__name__)
 
 SHARD_SIZE = {"cpu": 256, "cuda": 4096}
 """Default numbers of demonstrations in a shard."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcomes:
+    """What came of W demonstrations."""
+
+    columns: Mapping[str, NDArray[np.float64]]
+    """[W] results by column name; NaN where a demonstration failed."""
+    faults: tuple[str | None, ...]
+    """[W] what went wrong, None where nothing did."""
+
+
+class Demonstrator(Protocol):
+    """Where demonstrations come from, see `gendom.tasks.demonstrator`."""
+
+    def about(self) -> dict[str, Any]:
+        """What all demonstrations have in common, ready for JSON; `task` has a `name`."""
+        ...
+
+    def draw(self, rng: np.random.Generator) -> dict[str, float]:
+        """What one demonstration begins with, by column name."""
+        ...
+
+    def demonstrate(
+        self,
+        draws: Sequence[Mapping[str, float]],
+        *,
+        device: str,
+        on_frame: Callable[[int], None] | None = None,
+    ) -> Outcomes:
+        """Carry out draws side by side. Columns of the same name take the place of drawn ones.
+
+        `on_frame` is called now and then; what it raises ends everything.
+        """
+        ...
+
 
 AHEAD = 2
 """Parts of a set that a GPU has at once: one is made ready while the other is simulated."""
@@ -59,13 +101,13 @@ TURNS = 8
 
 
 def generate(
-    task: Task,
+    source: Demonstrator,
     size: int,
     out: str | os.PathLike,
     *,
     seed: int,
     device: str = "cpu",
-    dtype: str = "float32",
+    cluster: str | None = None,
     shard_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pa.Table:
@@ -75,13 +117,14 @@ def generate(
     larger `size` extends a set. A demonstration that diverges is kept with `ok` false.
 
     Args:
-        task: What is demonstrated.
+        source: What is demonstrated.
         size: Number of demonstrations.
         out: Folder of the set; made if it is missing.
         seed: Seed of all draws, 0 or more.
         device: ``cpu``, ``cuda`` or ``cuda:0`` and so on; several with commas between them, or
             ``all`` GPUs. On one GPU a shard is handed to the task at once.
-        dtype: ``float32`` or ``float64``.
+        cluster: A Ray cluster that shares the work, see `gendom.datasets.cluster`; the same rows
+            come of it. ``device`` is then that of each worker.
         shard_size: Demonstrations in a shard (default: ``SHARD_SIZE`` of the device).
         progress: Called with the number of demonstrations done, those already there included,
             and `size`.
@@ -90,7 +133,8 @@ def generate(
         As `load`.
 
     Raises:
-        DatasetError: The folder holds a set with other settings, or a larger one.
+        DatasetError: The folder holds a set with other settings, or a larger one, or somebody else
+            writes to it.
         ParameterError: A number is out of range.
         DeviceError: The device is not there.
     """
@@ -101,15 +145,33 @@ def generate(
         if value < least:
             raise ParameterError(f"is {value}", where=name, fix=f"give {least} or more")
     folder = Path(out)
-    description = _describe(task, size, seed, kind, dtype, shard_size)
+    description = _describe(source, size, seed, kind, shard_size)
     _check_same(folder, description)
+    with _alone(folder):
+        return _complete(source, folder, description, device, kind, cluster, progress)
+
+
+def _complete(
+    source: Demonstrator,
+    folder: Path,
+    description: dict[str, Any],
+    device: str,
+    kind: str,
+    cluster: str | None,
+    progress: Callable[[int, int], None] | None,
+) -> pa.Table:
+    """Simulate what a folder lacks of a set, and load it."""
+    size, seed, shard_size = (description[name] for name in ("size", "seed", "shard_size"))
     identity = _identity(description)
+    hashes: dict[str, str] = {}
+    if (folder / _DESCRIPTION).exists():
+        hashes = dict(read_description(folder)["sha256"])
     report = progress or (lambda done, total: None)
 
     kept: list[pa.Table | None] = []
     for number in range(_count_shards(size, shard_size)):
         try:
-            kept.append(_read_shard(_shard_path(folder, number), number, identity))
+            kept.append(_read_shard(_shard_path(folder, number), number, identity, hashes))
         except FileNotFoundError:
             kept.append(None)
         except DatasetError as error:
@@ -121,7 +183,7 @@ def generate(
     if done == size:
         return load(folder)
     devices = [device]
-    if device == "all" or "," in device:
+    if cluster is None and (device == "all" or "," in device):
         from gendom.sim import list_devices  # Warp: a task that needs it imports it itself
 
         devices = list_devices(device)
@@ -136,21 +198,74 @@ def generate(
             parts[number] = [rows] if rows is not None else []
             jobs += [range(i, min(i + together, end)) for i in range(begin, end, together)]
 
-    simulate = functools.partial(_simulate, task, seed=seed, dtype=dtype)
-    for job, rows in _on_devices(simulate, jobs, devices):
+    simulate = functools.partial(_simulate, source, seed=seed)
+    results = (
+        _on_devices(simulate, jobs, devices)
+        if cluster is None
+        else on_cluster(simulate, jobs, cluster, kind)
+    )
+    for job, rows in results:
         number = job.start // shard_size
         parts[number].append(rows)
         done += len(job)
         report(done, size)
         if sum(map(len, parts[number])) < min(shard_size, size - number * shard_size):
             continue
-        # before the first new shard, not earlier: a run that fails at once leaves no trace
-        write_json(folder / _DESCRIPTION, description)
         table = pa.concat_tables(parts.pop(number)).sort_by("demonstration")
         table = table.replace_schema_metadata({_METADATA: json.dumps(identity)})
-        with atomic_path(_shard_path(folder, number)) as temporary:
+        path = _shard_path(folder, number)
+        with atomic_path(path) as temporary:
             pq.write_table(table, temporary)
+            hashes[path.name] = _sha256(temporary)
+            # before the shard: one without its hash would have to be simulated again
+            write_json(folder / _DESCRIPTION, {**description, "sha256": hashes})
     return load(folder)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Be the only one who writes to a set.
+
+    Raises:
+        DatasetError: Somebody else does; says who.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / _LOCK)
+    try:
+        lock.acquire(timeout=0.0)
+    except Timeout:
+        try:
+            who = read_json(folder / _WRITER)
+            owner = f"process {who['process']} on {who['host']}, since {who['since']}"
+        except (GendomError, KeyError):
+            owner = "another process"
+        raise DatasetError(
+            f"is being written by {owner}",
+            where=str(folder),
+            fix="wait for it to end, or choose a new folder",
+        ) from None
+    try:
+        write_json(
+            folder / _WRITER,
+            {
+                "process": os.getpid(),
+                "host": platform.node(),
+                "since": datetime.now().isoformat(timespec="seconds"),
+            },
+        )
+        yield
+    finally:
+        # what has come to nothing leaves no trace
+        if {path.name for path in folder.iterdir()} <= {_LOCK, _WRITER}:
+            (folder / _WRITER).unlink(missing_ok=True)
+            (folder / _LOCK).unlink(missing_ok=True)
+            folder.rmdir()
+        lock.release()
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def device_kind(device: str) -> str:
@@ -214,8 +329,12 @@ def _on_devices(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def load(folder: str | os.PathLike) -> pa.Table:
+def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
     """All demonstrations of a set, in order, failed ones included (`ok` is false).
+
+    Args:
+        folder: Of the set.
+        part: Whether a set that is not finished is taken as far as it is there.
 
     Raises:
         DatasetError: The folder is missing or holds no set, demonstrations are missing, or a
@@ -228,12 +347,13 @@ def load(folder: str | os.PathLike) -> pa.Table:
     parts = []
     for number in range(_count_shards(size, shard_size)):
         try:
-            rows = _read_shard(_shard_path(folder, number), number, identity)
+            path = _shard_path(folder, number)
+            rows = _read_shard(path, number, identity, description["sha256"])
         except FileNotFoundError:
             continue
         parts.append(rows.slice(0, size - number * shard_size))
     have = sum(map(len, parts))
-    if have < size:
+    if have == 0 or (have < size and not part):
         raise DatasetError(
             f"holds {have} of {size} demonstrations",
             where=str(folder),
@@ -270,35 +390,30 @@ def read_description(folder: str | os.PathLike) -> dict[str, Any]:
         for name in ("size", "shard_size")
         if not (isinstance(description.get(name), int) and description[name] > 0)
     ]
-    if wrong or not isinstance(description.get("task"), dict):
-        raise DatasetError(
-            f"lacks a usable {wrong[0] if wrong else 'task'}", where=str(path), fix=make
-        )
+    wrong += [n for n in ("task", "sha256") if not isinstance(description.get(n), dict)]
+    if wrong:
+        raise DatasetError(f"lacks a usable {wrong[0]}", where=str(path), fix=make)
     return description
 
 
 def _describe(
-    task: Task, size: int, seed: int, device: str, dtype: str, shard_size: int
+    source: Demonstrator, size: int, seed: int, device: str, shard_size: int
 ) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "gendom": __version__,
-        "task": {"name": task.name, **task.settings()},
-        "action_names": list(task.action_names),
-        "goal_names": list(task.goal_names),
-        "parameter_ranges": {name: list(ends) for name, ends in task.parameter_ranges.items()},
+        **source.about(),
         "size": size,
         "seed": seed,
         "shard_size": shard_size,
         # rounding differs between CPU and CUDA, not between two cards
         "device": device.partition(":")[0],
-        "dtype": dtype,
     }
 
 
 def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
     """What all shards of a set have in common."""
-    return {name: value for name, value in description.items() if name != "size"}
+    return {k: value for k, value in description.items() if k not in ("size", "sha256")}
 
 
 def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
@@ -350,7 +465,9 @@ def _shard_path(folder: Path, number: int) -> Path:
     return folder / f"shard-{number:05d}.parquet"
 
 
-def _read_shard(path: Path, number: int, identity: Mapping[str, Any]) -> pa.Table:
+def _read_shard(
+    path: Path, number: int, identity: Mapping[str, Any], hashes: Mapping[str, str]
+) -> pa.Table:
     """A shard's rows.
 
     Raises:
@@ -359,9 +476,14 @@ def _read_shard(path: Path, number: int, identity: Mapping[str, Any]) -> pa.Tabl
     """
     fix = "delete it, and run the gendom dataset command that made the set"
     try:
-        rows = pq.read_table(path)
+        content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != hashes.get(path.name):
+            raise DatasetError(
+                "is damaged (its SHA-256 is not that of dataset.json)", where=str(path), fix=fix
+            )
+        rows = pq.read_table(pa.BufferReader(content))
         about = json.loads((rows.schema.metadata or {}).get(_METADATA, b"null"))
-    except FileNotFoundError:
+    except (FileNotFoundError, DatasetError):
         raise
     except (OSError, ValueError) as error:  # Arrow's own errors are of these two kinds
         reason = (str(error).splitlines() or ["unreadable"])[0]
@@ -378,22 +500,20 @@ def _read_shard(path: Path, number: int, identity: Mapping[str, Any]) -> pa.Tabl
 
 
 def _simulate(
-    task: Task,
+    source: Demonstrator,
     indices: range,
     *,
     seed: int,
     device: str,
-    dtype: str,
     on_frame: Callable[[int], None] | None = None,
 ) -> pa.Table:
     """Draw and carry out the demonstrations of these numbers."""
-    draws = [task.draw(np.random.default_rng([seed, i])) for i in indices]
-    outcomes = task.demonstrate(draws, device=device, dtype=dtype, on_frame=on_frame)
+    draws = [source.draw(np.random.default_rng([seed, i])) for i in indices]
+    outcomes = source.demonstrate(draws, device=device, on_frame=on_frame)
     ok = np.array([fault is None for fault in outcomes.faults])
+    numbers = {name: np.array([draw[name] for draw in draws]) for name in draws[0]}
     columns = {"demonstration": pa.array(indices, pa.int64())}
-    for name in draws[0]:
-        columns[name] = pa.array([draw[name] for draw in draws], pa.float64())
-    for name, values in outcomes.columns.items():
+    for name, values in (numbers | dict(outcomes.columns)).items():
         columns[name] = pa.array(values, pa.float64(), from_pandas=True)  # NaN becomes null
     columns["ok"] = pa.array(ok)
     columns["fault"] = pa.array(outcomes.faults, pa.string())

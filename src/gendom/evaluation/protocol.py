@@ -1,15 +1,15 @@
-"""How well policies reach their goals, measured in the simulator on equal cases.
+"""How well policies reach their goals, measured in a world on equal cases.
 
 A case is an object and a goal that this object can reach: its parameters and an action are
 drawn as for a demonstration and simulated, and what came of it is the goal (hindsight). The
-policy, told the true parameters, chooses its own action; that is simulated with the same object,
-and the error is |goal - reached|.
+policy, told the true parameters, chooses its own action; that is carried out with the same object,
+and what counts is the task's error. Where a task names a risk, actions whose outcome cannot be
+relied on make no goal.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,90 +17,87 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError, PolicyError, SimulationError
+from gendom.materials import Item, likeness, size_of, unit_of
 from gendom.policies import Policy
-from gendom.tasks import RopeReaching
+from gendom.tasks import Task
+from gendom.tasks.world import Simulation, World
 
-_ROUNDS = 5
-"""How often a case whose simulation fails is drawn anew."""
+_ROUNDS = 100
+"""How often a case whose simulation fails, or that is at risk, is drawn anew."""
 
 _STREAM = 1
 """Keeps these draws apart from those of demonstrations with the same seed."""
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cases:
     """W objects, each with a goal that it can reach."""
 
-    task: RopeReaching
-    draws: tuple[Mapping[str, float], ...]
-    """What the task drew for each: parameters, sizes, and the action that reached the goal."""
-    goal: NDArray[np.float64]
-    """[W] [m]."""
+    task: Task
+    items: tuple[Item, ...]
+    goal: Array
+    """[W, G] in SI units."""
     seed: int
-    device: str
-    dtype: str
 
     def __len__(self) -> int:
-        return len(self.draws)
+        return len(self.items)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
     """What a policy did in each of W cases."""
 
-    action: NDArray[np.float64]
-    """[W, A] [m]."""
-    goal: NDArray[np.float64]
-    """[W] [m]."""
-    reached: NDArray[np.float64]
-    """[W] [m]; NaN where the simulation failed."""
-    length: NDArray[np.float64]
-    """[W] the ropes' lengths [m]."""
+    action: Array
+    """[W, A] in SI units."""
+    goal: Array
+    """[W, G]."""
+    reached: Array
+    """[W, G]; NaN where it failed."""
+    error: Array
+    """[W] the task's; NaN where it failed."""
+    size: Array
+    """[W] of the objects [m]."""
     outside: NDArray[np.bool_]
     """[W] whether `Policy.act` would refuse the goal as outside the training range."""
-
-    @property
-    def error(self) -> NDArray[np.float64]:
-        """[W] |goal - reached| [m]; NaN where the simulation failed."""
-        return np.abs(self.goal - self.reached)
+    faults: tuple[str | None, ...]
+    """[W] what went wrong."""
 
     def summary(self) -> dict[str, Any]:
-        """Figures ready for JSON: errors in metres and as shares of the length.
+        """Figures ready for JSON: errors in the goal's unit and as shares of the size.
 
-        Cases whose simulation failed are counted in `failed` and in no other figure; if all
-        failed, the errors are None. Goals outside the policy's range count like all others.
+        Cases that failed are counted in `failed` and in no other figure; if all failed, the errors
+        are None. Goals outside the policy's range count like all others.
         """
-        done = np.isfinite(self.reached)
+        done = np.isfinite(self.error)
         return {
             "cases": len(self.goal),
             "failed": int((~done).sum()),
             "outside_range": int(self.outside.sum()),
             "error": _figures(self.error[done]),
-            "error_over_length": _figures(self.error[done] / self.length[done]),
+            "error_over_size": _figures(self.error[done] / self.size[done]),
         }
 
 
 def draw_cases(
-    task: RopeReaching,
+    task: Task,
     count: int,
     *,
     seed: int,
-    ranges: Mapping[str, tuple[float, float]] | None = None,
-    device: str = "cpu",
-    dtype: str = "float32",
+    simulation: Simulation | None = None,
+    items: Sequence[Item] | None = None,
 ) -> Cases:
     """Draw objects and goals.
 
     Case i depends on the seed and i alone. A draw whose simulation fails is replaced.
 
     Args:
-        task: What is done.
+        task: What is done; its `ranges` are those of the objects.
         count: Number of cases.
         seed: Seed of all draws, 0 or more.
-        ranges: Other ranges than the task's own for `specific_modulus` [m^2/s^2] (drawn
-            log-uniformly) and `poissons_ratio` (uniformly).
-        device: ``cpu``, ``cuda`` or ``cuda:0`` and so on.
-        dtype: ``float32`` or ``float64``.
+        simulation: Where goals are found.
+        items: Objects to take by turns in place of drawn ones.
 
     Raises:
         ParameterError: A number or range is out of bounds.
@@ -110,28 +107,57 @@ def draw_cases(
         raise ParameterError(
             f"{count} cases with seed {seed}", fix="give 1 case or more and a seed of 0 or more"
         )
-    kept: list[dict[str, float]] = [{} for _ in range(count)]
-    goal = np.full(count, np.nan)
-    column = f"goal_{task.goal_names[0]}"
+    simulation = simulation or Simulation()
+    kept: list[Item] = [task.item] * count
+    goal = np.full((count, len(task.goals)), np.nan)
+    waiting = np.arange(count)
     for attempt in range(_ROUNDS):
-        waiting = np.flatnonzero(np.isnan(goal))
+        actions = np.empty((len(waiting), len(task.actions)))
+        for k, i in enumerate(map(int, waiting)):
+            rng = np.random.default_rng([seed, i, attempt, _STREAM])
+            kept[i] = items[i % len(items)] if items else task.draw_item(rng)
+            actions[k] = task.sample_actions(kept[i], rng, 1)[0]
+        if not task.goals:
+            return Cases(task=task, items=tuple(kept), goal=goal, seed=seed)
+        outcomes = simulation.carry_out(task, [kept[i] for i in waiting], actions)
+        again = []
+        for i, outcome in zip(waiting, outcomes, strict=True):
+            if outcome.fault is None and within_risk(task, kept[i], outcome.values):
+                goal[i] = [outcome.values[q.name] for q in task.goals]
+            else:
+                again.append(i)
+        waiting = np.array(again, dtype=int)
         if not len(waiting):
-            break
-        for i in waiting:
-            rng = np.random.default_rng([seed, int(i), attempt, _STREAM])
-            kept[i] = _draw(task, rng, ranges or {})
-        outcomes = task.demonstrate([kept[i] for i in waiting], device=device, dtype=dtype)
-        goal[waiting] = outcomes.columns[column]
-    failed = int(np.isnan(goal).sum())
-    if failed:
-        raise SimulationError(
-            f"{failed} of {count} cases failed {_ROUNDS} times", fix="choose other ranges"
-        )
-    return Cases(task=task, draws=tuple(kept), goal=goal, seed=seed, device=device, dtype=dtype)
+            return Cases(task=task, items=tuple(kept), goal=goal, seed=seed)
+    raise SimulationError(
+        f"{len(waiting)} of {count} cases failed {_ROUNDS} times", fix="choose other ranges"
+    )
 
 
-def score(policy: Policy, cases: Cases) -> Score:
-    """Let a policy act in all cases, and simulate what comes of it.
+def within_risk(task: Task, item: Item, values: dict[str, float]) -> bool:
+    """Whether an outcome can be relied on."""
+    risk = task.risk
+    if risk is None:
+        return True
+    return values[risk.name] <= risk.limit * unit_of(risk.unit, item)
+
+
+def score(
+    policy: Policy,
+    cases: Cases,
+    *,
+    world: World | None = None,
+    known: Sequence[Item] | None = None,
+    on_frame: Callable[[int], None] | None = None,
+) -> Score:
+    """Let a policy act in all cases, and see what comes of it.
+
+    Args:
+        policy: Who acts.
+        cases: Objects and goals.
+        world: Where (default: our simulator).
+        known: W objects as the policy knows them, e.g. estimates (default: as they are).
+        on_frame: As in `World.carry_out`.
 
     Raises:
         PolicyError: The policy is for another task.
@@ -143,64 +169,49 @@ def score(policy: Policy, cases: Cases) -> Score:
             where=policy.where,
             fix=f"use a policy for {task.name}",
         )
-    length = np.array([draw["length"] for draw in cases.draws])
-    # as the policy sees them: its own rope's specific modulus at the same bending
-    modulus = np.array(
+    alike = [likeness(item) for item in (known or cases.items)]
+    given = {name: np.array([a[name] for a in alike]) for name in alike[0]}
+    units = np.array([task.action_units(item) for item in cases.items])
+    goal_units = np.array([task.goal_units(item) for item in cases.items]).reshape(
+        len(cases), len(task.goals)
+    )
+    reach = cases.goal / goal_units
+    asked = policy.actions(reach, given) * units
+    middle = np.array([column.mean for column in policy.description.outputs])
+    action = np.array(
         [
-            own.conditioned_on(
-                draw["specific_modulus"],
-                length=draw["length"],
-                diameter=draw["diameter"],
-                gravity=task.gravity,
-            )
-            for draw in cases.draws
+            task.nearest(item, a, middle * u)
+            for item, a, u in zip(cases.items, asked, units, strict=True)
         ]
     )
-    nu = np.array([draw["poissons_ratio"] for draw in cases.draws])
-    reach = cases.goal / length
-    action = policy.into_limits(policy.actions(reach, modulus, nu)) * length[:, None]
-    ends = np.array([policy.goal_range(s) for s in modulus])
-    acted = [
-        {**draw, **dict(zip(task.action_names, map(float, values), strict=True))}
-        for draw, values in zip(cases.draws, action, strict=True)
-    ]
-    outcomes = task.demonstrate(acted, device=cases.device, dtype=cases.dtype)
+    outcomes = (world or Simulation()).carry_out(task, cases.items, action, on_frame=on_frame)
+    reached = np.full(cases.goal.shape, np.nan)
+    error = np.full(len(cases), np.nan)
+    outside = np.zeros(len(cases), dtype=bool)
+    for w, (item, outcome) in enumerate(zip(cases.items, outcomes, strict=True)):
+        ends = policy.goal_range(item)
+        outside[w] = np.any((cases.goal[w] < ends[:, 0]) | (cases.goal[w] > ends[:, 1]))
+        if outcome.fault is None:
+            reached[w] = [outcome.values[q.name] for q in task.goals]
+            error[w] = task.error(item, cases.goal[w], outcome.values)
     return Score(
         action=action,
         goal=cases.goal,
-        reached=outcomes.columns[f"goal_{task.goal_names[0]}"],
-        length=length,
-        outside=(reach < ends[:, 0]) | (reach > ends[:, 1]),
+        reached=reached,
+        error=error,
+        size=np.array([size_of(item) for item in cases.items]),
+        outside=outside,
+        faults=tuple(o.fault for o in outcomes),
     )
 
 
-def _draw(
-    task: RopeReaching, rng: np.random.Generator, ranges: Mapping[str, tuple[float, float]]
-) -> dict[str, float]:
-    drawn = task.draw(rng)
-    for name, (low, high) in ranges.items():
-        if not 0.0 < low <= high:
-            raise ParameterError(
-                f"is {low} to {high}", where=name, fix="give a positive range, smaller end first"
-            )
-        if name == "specific_modulus":
-            drawn[name] = math.exp(rng.uniform(math.log(low), math.log(high)))
-            drawn["youngs_modulus"] = drawn[name] * drawn["density"]
-        elif name == "poissons_ratio":
-            drawn[name] = rng.uniform(low, high)
-        else:
-            raise ParameterError(
-                f"no range of {name!r} can be set", fix="set specific_modulus or poissons_ratio"
-            )
-    return drawn
-
-
-def _figures(error: NDArray[np.float64]) -> dict[str, float | None]:
+def _figures(error: Array) -> dict[str, float | None]:
     if not len(error):
-        return dict.fromkeys(("mean", "std", "median", "p95"))
+        return dict.fromkeys(("mean", "std", "median", "p95", "max"))
     return {
         "mean": float(error.mean()),
         "std": float(error.std()),
         "median": float(np.median(error)),
         "p95": float(np.quantile(error, 0.95)),
+        "max": float(error.max()),
     }

@@ -15,6 +15,7 @@ import warp as wp
 from gendom.materials import Material
 from gendom.sim import Rollout, Simulator, open_device
 from gendom.tasks import RopeReaching
+from gendom.tasks.world import Simulation, grippers
 
 STATE_REALS = 15
 """Numbers that a particle of an elastic body carries from substep to substep: x, v and C."""
@@ -77,17 +78,19 @@ def measure_speed(
         DeviceError: If the device is not there.
         ParameterError: If numbers do not fit.
     """
-    task = RopeReaching(cells_across=2.0)
-    body = task.body()
+    task, world = RopeReaching(), Simulation(engine="mpm", cells_across=2.0)
+    body, _ = world.body(task, task.item)
+    scene = task.scene(task.item)
     material = Material(E=1.0e6, nu=0.3, density=1000.0)
-    actions = task.sample_actions(np.random.default_rng(seed), worlds)
+    actions = task.sample_actions(task.item, np.random.default_rng(seed), worlds)
+    hands = [grippers(scene, task.tool_path(task.item, a), 0.0) for a in actions]
 
     def simulator() -> Simulator:
         return Simulator(
             body,
             [material] * worlds,
             engine="mpm",
-            grippers=[task.grippers(a) for a in actions],
+            grippers=hands,
             dtype=dtype,
             device=device,
             threads=threads,

@@ -2,6 +2,7 @@
 
 from gendom.materials.objects import (
     AIR_DENSITY,
+    KINDS,
     PARAMETERS,
     STANDARD_GRAVITY,
     Cloth,
@@ -15,11 +16,13 @@ from gendom.materials.objects import (
     thickness_of,
     to_columns,
     unit_of,
+    unit_of_size,
 )
 from gendom.materials.parameters import Material, bending_length, specific_modulus_of
 
 __all__ = [
     "AIR_DENSITY",
+    "KINDS",
     "PARAMETERS",
     "STANDARD_GRAVITY",
     "Cloth",
@@ -36,4 +39,5 @@ __all__ = [
     "thickness_of",
     "to_columns",
     "unit_of",
+    "unit_of_size",
 ]

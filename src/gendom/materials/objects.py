@@ -182,11 +182,16 @@ def unit_of(unit: str, item: Item) -> float:
     Raises:
         ParameterError: There is no such unit.
     """
-    L, g = size_of(item), STANDARD_GRAVITY
-    scales = {"m": L, "s": math.sqrt(L / g), "m/s": math.sqrt(L * g), "1": 1.0}
-    if unit not in scales:
-        raise ParameterError(f"unknown unit {unit!r}", fix=f"choose one of {', '.join(scales)}")
-    return scales[unit]
+    return float(unit_of_size(unit, np.array(size_of(item))))
+
+
+def unit_of_size(unit: str, L: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`unit_of` objects of sizes [...] [m]."""
+    powers = {"m": (1.0, 0.0), "s": (0.5, -0.5), "m/s": (0.5, 0.5), "1": (0.0, 0.0)}
+    if unit not in powers:
+        raise ParameterError(f"unknown unit {unit!r}", fix=f"choose one of {', '.join(powers)}")
+    of_size, of_gravity = powers[unit]
+    return L**of_size * STANDARD_GRAVITY**of_gravity
 
 
 def likeness(item: Item) -> dict[str, float]:

@@ -1,8 +1,9 @@
-"""What a policy learns from, free of the rope's size."""
+"""What a policy learns from, free of the object's size."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,9 +12,14 @@ from numpy.typing import NDArray
 
 from gendom.datasets.demonstrations import load, read_description
 from gendom.errors import DatasetError
+from gendom.materials import KINDS, PARAMETERS, likeness_of_columns, unit_of_size
+from gendom.tasks import find_task
+from gendom.tasks.demonstrator import GOAL
 
 SMALLEST = 20
 """Fewer demonstrations than this cannot be split and standardised sensibly."""
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,16 +31,17 @@ class Demonstrations:
     """
 
     task: dict[str, Any]
-    """`name` and settings of the task, among them length [m], diameter [m], gravity [m/s^2]."""
+    """`name` and settings of the task."""
     action_names: tuple[str, ...]
-    goal: NDArray[np.float64]
-    """[N] what was reached [rope lengths]."""
-    action: NDArray[np.float64]
-    """[N, A] what was done [rope lengths]."""
-    specific_modulus: NDArray[np.float64]
-    """[N] E / density [m^2/s^2]."""
-    poissons_ratio: NDArray[np.float64]
-    """[N] [-]."""
+    goal_names: tuple[str, ...]
+    goal: Array
+    """[N, G] what was reached [units of similarity, see `unit_of`]."""
+    action: Array
+    """[N, A] what was done [the same]."""
+    parameters: Mapping[str, Array]
+    """[N] each of `PARAMETERS` [-], see `likeness`."""
+    risk: Array | None = None
+    """[N] the task's `risk`, if it has one [units of similarity]."""
     where: str | None = None
     """The folder they were read from."""
 
@@ -45,8 +52,12 @@ class Demonstrations:
                 where=self.where,
                 fix="simulate more with gendom dataset",
             )
-        for name in ("goal", "action", "specific_modulus", "poissons_ratio"):
-            if not np.isfinite(getattr(self, name)).all():
+        for name, values in (
+            ("goal", self.goal),
+            ("action", self.action),
+            *self.parameters.items(),
+        ):
+            if not np.isfinite(values).all():
                 raise DatasetError(
                     f"{name} holds numbers that are not finite",
                     where=self.where,
@@ -54,37 +65,46 @@ class Demonstrations:
                 )
 
     def __len__(self) -> int:
-        return len(self.goal)
+        return len(self.action)
+
+    @property
+    def varying(self) -> tuple[str, ...]:
+        """Parameters that differ between demonstrations."""
+        return tuple(n for n in PARAMETERS if np.ptp(self.parameters[n]) > 0.0)
 
     def first(self, count: int) -> Demonstrations:
         """The first `count` of them."""
-        columns = ("goal", "action", "specific_modulus", "poissons_ratio")
-        return replace(self, **{name: getattr(self, name)[:count] for name in columns})
+        return self.chosen(np.arange(min(count, len(self))))
+
+    def chosen(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Demonstrations:
+        """Some of them."""
+        return replace(
+            self,
+            goal=self.goal[rows],
+            action=self.action[rows],
+            parameters={name: values[rows] for name, values in self.parameters.items()},
+            risk=None if self.risk is None else self.risk[rows],
+        )
 
     @classmethod
     def read(cls, folder: str | os.PathLike) -> Demonstrations:
-        """Demonstrations from a folder that `gendom dataset` wrote.
+        """Demonstrations from a folder that `gendom dataset` wrote, as far as it is finished.
 
         Those whose simulation failed are left out.
 
         Raises:
-            DatasetError: The folder holds no whole set, or one that no policy can be trained on.
+            DatasetError: The folder holds no set, or one that no policy can be trained on.
         """
         where = str(folder)
-        description = read_description(folder)
-        table = load(folder)
-        task = description["task"]
-        action_names = tuple(description["action_names"])
-        goal_columns = [f"goal_{name}" for name in description["goal_names"]]
-        if len(goal_columns) != 1:
-            raise DatasetError(
-                f"has goals of {len(goal_columns)} numbers, policies are trained for one",
-                where=where,
-                fix="use a set of another task",
-            )
-        names = (*goal_columns, *action_names, "specific_modulus", "poissons_ratio", "length")
-        missing = [name for name in (*names, "ok") if name not in table.column_names]
-        if missing:
+        about = read_description(folder)
+        table = load(folder, part=True)
+        kind, task = about["kind"], find_task(about["task"]["name"])
+        actions, goals = (tuple(about[f"{what}_names"]) for what in ("action", "goal"))
+        risk = [task.risk.name] if task.risk else []
+        sizes = KINDS[kind].sizes
+        objects = ("youngs_modulus", "poissons_ratio", "density", "damping", "friction", *sizes)
+        names = (*(GOAL + name for name in goals), *actions, *objects, *risk)
+        if missing := [name for name in (*names, "ok") if name not in table.column_names]:
             raise DatasetError(
                 f"lacks the columns {', '.join(missing)}",
                 where=where,
@@ -92,19 +112,19 @@ class Demonstrations:
             )
         kept = table.filter(table["ok"])
         column = {name: kept[name].to_numpy().astype(float) for name in names}
-        length = float(task["length"])
-        if not np.allclose(column["length"], length):
-            raise DatasetError(
-                "mixes ropes of several lengths",
-                where=where,
-                fix="make a set with one rope; policies scale to other lengths by themselves",
-            )
+        size = column[sizes[0]]
+
+        def alike(columns: tuple[str, ...], units: list[str]) -> Array:
+            found = [column[c] / unit_of_size(u, size) for c, u in zip(columns, units, strict=True)]
+            return np.stack(found, axis=1) if found else np.empty((len(size), 0))
+
         return cls(
-            task=dict(task),
-            action_names=action_names,
-            goal=column[goal_columns[0]] / length,
-            action=np.stack([column[name] for name in action_names], axis=1) / length,
-            specific_modulus=column["specific_modulus"],
-            poissons_ratio=column["poissons_ratio"],
+            task=dict(about["task"]),
+            action_names=actions,
+            goal_names=goals,
+            goal=alike(tuple(GOAL + name for name in goals), about["goal_units"]),
+            action=alike(actions, about["action_units"]),
+            parameters=likeness_of_columns(kind, {name: column[name] for name in objects}),
+            risk=alike(tuple(risk), [task.risk.unit])[:, 0] if task.risk else None,
             where=where,
         )

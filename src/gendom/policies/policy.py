@@ -1,15 +1,14 @@
 """A trained policy: one ONNX file that carries its own description.
 
-The graph takes and gives numbers in units that do not depend on the rope's size:
+The graph takes and gives numbers in units of similarity (`gendom.materials.unit_of`), which do not
+depend on the object's size:
 
-    goal              float32 [B, 1]  in units of rope length
-    specific_modulus  float32 [B, 1]  E / density [m^2/s^2] of the training task's rope
-    poissons_ratio    float32 [B, 1]  [-]
-    action            float32 [B, A]  in units of rope length
+    goal_NAME  float32 [B, 1]  one for each number of a goal
+    NAME       float32 [B, 1]  one for each parameter that it sees, of `PARAMETERS`
+    action     float32 [B, A]
 
-The two parameters are inputs only of a policy that is conditioned on them. Standardisation is
-part of the graph. Under the key `gendom-policy` of the file's metadata lies one JSON object, see
-`Description`.
+Standardisation is part of the graph. Under the key `gendom-policy` of the file's metadata lies one
+JSON object, see `Description`.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import json
 import logging
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -27,30 +27,32 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, PolicyError
+from gendom.materials import PARAMETERS, Item, likeness
 
 if TYPE_CHECKING:
-    from gendom.tasks import RopeReaching
+    from gendom.tasks import Task
 
-FORMAT = "gendom-policy/1"
+FORMAT = "gendom-policy/2"
 METADATA_KEY = "gendom-policy"
 METHODS = ("distal", "inverse")
-PARAMETERS = ("specific_modulus", "poissons_ratio")
-"""What a policy can be conditioned on, in the order of its inputs."""
+GOAL = "goal_"
+"""What inputs for goals begin with."""
 
 NOTABLE_MOVE = 0.01
-"""An action moved into the task's limits by more than this is worth a warning [rope lengths]."""
+"""An action moved into the task's limits by more than this is worth a warning [units of
+similarity]."""
 
-_HALVINGS = 20
+Array = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """One input or output of a network, and how it is standardised: (value - mean) / scale."""
+    """One input or output of a network in units of similarity, and how it is standardised:
+    (value - mean) / scale."""
 
     name: str
-    unit: str
     mean: float
     scale: float
     log: bool = False
@@ -59,25 +61,27 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class GoalRange:
-    """Goals that demonstrations reached, as a function of the specific modulus.
+    """Goals that demonstrations reached, by the object's bending length over its size.
 
-    `low` and `high` are outer quantiles of the goals in bins of log specific modulus, `at` the
-    bins' middles. Between middles the range is interpolated in log specific modulus.
+    `low` and `high` are outer quantiles of the goals in bins of that parameter (E), `at` the bins'
+    middles. Between middles the range is interpolated in its logarithm.
     """
 
     at: tuple[float, ...]
-    """Middles of the bins, ascending [m^2/s^2]."""
-    low: tuple[float, ...]
-    """Smallest goals [rope lengths]."""
-    high: tuple[float, ...]
-    """Largest goals [rope lengths]."""
+    """Middles of the K bins, ascending [-]."""
+    low: tuple[tuple[float, ...], ...]
+    """[K][G] smallest goals [units of similarity]."""
+    high: tuple[tuple[float, ...], ...]
+    """[K][G] largest goals."""
 
-    def __call__(self, specific_modulus: float | None) -> tuple[float, float]:
-        """The range [rope lengths] for a specific modulus [m^2/s^2], or of all if None."""
-        if specific_modulus is None:
-            return min(self.low), max(self.high)
-        at, x = np.log(self.at), math.log(specific_modulus)
-        return float(np.interp(x, at, self.low)), float(np.interp(x, at, self.high))
+    def __call__(self, E: float | None) -> Array:
+        """[G, 2] the range for an object, or of all if None [units of similarity]."""
+        low, high = np.array(self.low), np.array(self.high)
+        if E is None:
+            return np.stack([low.min(axis=0), high.max(axis=0)], axis=1)
+        at, x = np.log(self.at), math.log(E)
+        ends = [[np.interp(x, at, end) for end in side.T] for side in (low, high)]
+        return np.array(ends, dtype=float).T.reshape(-1, 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +89,7 @@ class Description:
     """What a policy file says about itself."""
 
     task: dict[str, Any]
-    """`name` and settings of the training task: length [m], diameter [m], gravity [m/s^2]."""
+    """`name` and settings of the task."""
     method: str
     """"distal" or "inverse"."""
     conditioned_on: tuple[str, ...]
@@ -95,9 +99,14 @@ class Description:
     goals: GoalRange
     """Goals seen in training."""
     parameters: dict[str, tuple[float, float]]
-    """Smallest and largest value of each of `PARAMETERS` in training."""
+    """Smallest and largest value of each of `PARAMETERS` in training [-]."""
     training: dict[str, Any] = field(default_factory=dict)
     """Figures of the training run: size, seed, epochs, errors, seconds, versions."""
+
+    @property
+    def goal_names(self) -> tuple[str, ...]:
+        """Names of the numbers of a goal."""
+        return tuple(c.name[len(GOAL) :] for c in self.inputs if c.name.startswith(GOAL))
 
     def to_json(self) -> str:
         """The text that goes into the file."""
@@ -124,18 +133,23 @@ class Description:
                 fix="train it again, or use the version of gendom that wrote it",
             )
         try:
+            goals = value["goals"]
             description = cls(
                 task=dict(value["task"]),
                 method=value["method"],
                 conditioned_on=tuple(value["conditioned_on"]),
                 inputs=tuple(Column(**c) for c in value["inputs"]),
                 outputs=tuple(Column(**c) for c in value["outputs"]),
-                goals=GoalRange(**{k: tuple(v) for k, v in value["goals"].items()}),
+                goals=GoalRange(
+                    at=tuple(goals["at"]),
+                    low=tuple(map(tuple, goals["low"])),
+                    high=tuple(map(tuple, goals["high"])),
+                ),
                 parameters={k: (float(v[0]), float(v[1])) for k, v in value["parameters"].items()},
                 training=dict(value["training"]),
             )
             # what acting needs; a file that lacks it must not fail later
-            for name in ("name", "length", "diameter", "gravity"):
+            for name in ("name", "item", "ranges"):
                 description.task[name]
             for name in PARAMETERS:
                 description.parameters[name]
@@ -150,28 +164,21 @@ class Description:
 
 @dataclass(frozen=True, kw_only=True)
 class Action:
-    """What the robot shall do to reach a goal with one rope."""
+    """What the robot shall do to reach a goal with one object."""
 
-    goal: float
-    """What was asked for [m]."""
-    names: tuple[str, ...]
-    """Names of the values."""
-    values: tuple[float, ...]
-    """The action for this rope [m]."""
-    length: float
-    """The rope's length [m]."""
-    diameter: float
-    """The rope's diameter [m]."""
-    specific_modulus: float | None
-    """E / density [m^2/s^2] that the network saw, of the training task's rope; None: unseen."""
-    poissons_ratio: float | None
-    """Poisson's ratio that the network saw [-]; None: unseen."""
+    goal: dict[str, float]
+    """What was asked for, by name, in SI units."""
+    action: dict[str, float]
+    """By name, in SI units."""
+    saw: dict[str, float]
+    """Parameters that the network saw, by name [-], see `likeness`."""
     warnings: tuple[str, ...] = ()
     """Parameters outside the training range, an action at its limits; one line each."""
 
-    def as_dict(self) -> dict[str, float]:
-        """The values by name [m]."""
-        return dict(zip(self.names, self.values, strict=True))
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Of the action, in SI units."""
+        return tuple(self.action.values())
 
 
 class Policy:
@@ -225,13 +232,19 @@ class Policy:
             )
         description = Description.from_json(text, where=where)
         inputs = {i.name for i in session.get_inputs()}
-        if inputs != {"goal", *description.conditioned_on}:
+        goals = {GOAL + name for name in description.goal_names}
+        if inputs != goals | set(description.conditioned_on):
             raise PolicyError(
                 f"its graph takes {sorted(inputs)}, which its description does not say",
                 where=where,
                 fix="train it again",
             )
         return cls(session, description, where=where)
+
+    @staticmethod
+    def ships(task: str, *, parameters: bool = True) -> bool:
+        """Whether such a policy comes with the package, see `pretrained`."""
+        return (resources.files("gendom") / "assets" / _asset(task, parameters)).is_file()
 
     @classmethod
     def pretrained(cls, task: str = "rope-reaching", *, parameters: bool = True) -> Policy:
@@ -245,7 +258,7 @@ class Policy:
         Raises:
             PolicyError: The package holds no such policy.
         """
-        name = f"{task}.onnx" if parameters else f"{task}-no-parameters.onnx"
+        name = _asset(task, parameters)
         asset = resources.files("gendom") / "assets" / name
         with resources.as_file(asset) as path:
             if not path.is_file():
@@ -255,66 +268,48 @@ class Policy:
                 )
             return cls.read(path)
 
-    @property
-    def length(self) -> float:
-        """Length of the training task's rope [m]."""
-        return float(self.description.task["length"])
-
-    def task(self) -> RopeReaching:
+    def task(self) -> Task:
         """The task that the policy was trained on.
 
         Raises:
             PolicyError: This version of gendom does not know the task or one of its settings.
         """
-        from gendom.tasks import TASKS  # brings the simulator, which the network does not need
+        from gendom.tasks import rebuild
 
-        settings = dict(self.description.task)
-        name = settings.pop("name")
         try:
-            return TASKS[name](**settings)
-        except (KeyError, TypeError, ParameterError) as error:
-            raise PolicyError(
-                f"its task {name!r} with {settings} is unknown here",
-                where=self.where,
-                fix=f"use a policy for {' or '.join(TASKS)} of this version of gendom",
-            ) from error
+            return rebuild(self.description.task)
+        except ParameterError as error:
+            raise PolicyError(error.what, where=self.where, fix=error.fix) from error
 
-    def actions(
-        self,
-        goals: ArrayLike,
-        specific_modulus: ArrayLike | None = None,
-        poissons_ratio: ArrayLike | None = None,
-    ) -> NDArray[np.float64]:
-        """Actions for many goals, in the training task's own units and without range checks.
+    def actions(self, goals: ArrayLike, parameters: Mapping[str, ArrayLike] | None = None) -> Array:
+        """Actions for many goals, in units of similarity and without range checks.
 
-        Parameters beyond the training range are clipped to it; those that the policy does not
-        see may be left out.
+        Parameters beyond the training range are clipped to it.
 
         Args:
-            goals: [B] in units of rope length.
-            specific_modulus: [B] or one number, E / density of the training task's rope
-                [m^2/s^2] (see `RopeReaching.conditioned_on`).
-            poissons_ratio: [B] or one number [-].
+            goals: [B, G], or [B] where a goal is one number.
+            parameters: [B] or one number each, by names of `PARAMETERS` (`likeness`); those that
+                the policy does not see may be left out.
 
         Returns:
-            [B, A] in units of rope length.
+            [B, A].
 
         Raises:
             PolicyError: A parameter that the policy needs is missing, or a number is not finite.
         """
-        goals = np.atleast_1d(np.asarray(goals, dtype=float))
-        given = {"specific_modulus": specific_modulus, "poissons_ratio": poissons_ratio}
-        feed = {"goal": goals}
+        names, given = self.description.goal_names, parameters or {}
+        goals = np.asarray(goals, dtype=float)
+        goals = goals.reshape(-1, len(names)) if names else goals.reshape(len(goals), 0)
+        feed = {GOAL + name: goals[:, k] for k, name in enumerate(names)}
         for name in self.description.conditioned_on:
-            value = given[name]
-            if value is None:
+            if name not in given:
                 raise PolicyError(
                     f"the policy needs {name}",
                     where=self.where,
                     fix="give it, or use a policy without parameters",
                 )
             low, high = self.description.parameters[name]
-            value = np.broadcast_to(np.asarray(value, dtype=float), goals.shape)
+            value = np.broadcast_to(np.asarray(given[name], dtype=float), len(goals))
             feed[name] = np.clip(value, low, high)
         for name, value in feed.items():
             if not np.isfinite(value).all():
@@ -322,141 +317,92 @@ class Policy:
         columns = {name: value.astype(np.float32)[:, None] for name, value in feed.items()}
         return self._session.run(["action"], columns)[0].astype(float)
 
-    def goal_range(self, specific_modulus: float | None = None) -> tuple[float, float]:
-        """Smallest and largest goal [rope lengths] that `act` accepts.
+    def goal_range(self, item: Item | None = None) -> Array:
+        """[G, 2] smallest and largest goals that `act` accepts.
 
         Args:
-            specific_modulus: E / density of the training task's rope [m^2/s^2]. Without it, or
-                for a policy that does not see it, the range of all demonstrations.
+            item: For this object, in SI units. Without it the range of all demonstrations, in units
+                of similarity.
         """
-        if "specific_modulus" not in self.description.conditioned_on:
-            specific_modulus = None
-        return self.description.goals(specific_modulus)
+        if item is None:
+            return self.description.goals(None)
+        sees = "E" in self.description.conditioned_on
+        low, high = self.description.parameters["E"]
+        E = float(np.clip(likeness(item)["E"], low, high)) if sees else None
+        return self.description.goals(E) * self.task().goal_units(item)[:, None]
 
-    def into_limits(self, actions: ArrayLike) -> NDArray[np.float64]:
-        """Actions [B, A] that the task allows [rope lengths]; allowed ones stay as they are.
-
-        Near the ends of the goals a network may point a little beyond the limits. Such an action
-        is moved towards the middle of the demonstrated ones, no farther than needed.
-
-        Raises:
-            PolicyError: The policy's task is unknown here.
-        """
-        task = self.task()
-        middle = np.array([column.mean for column in self.description.outputs])
-
-        def allowed(action: NDArray[np.float64]) -> bool:
-            try:
-                task.check_action(action * self.length)
-            except ParameterError:
-                return False
-            return True
-
-        limited = np.array(actions, dtype=float)
-        for i, action in enumerate(limited):
-            if not allowed(action):
-                kept, refused = 0.0, 1.0  # shares of the way from the middle
-                for _ in range(_HALVINGS):
-                    share = 0.5 * (kept + refused)
-                    if allowed(middle + share * (action - middle)):
-                        kept = share
-                    else:
-                        refused = share
-                limited[i] = middle + kept * (action - middle)
-        return limited
-
-    def act(
-        self,
-        goal: float,
-        specific_modulus: float | None = None,
-        poissons_ratio: float | None = None,
-        *,
-        length: float,
-        diameter: float,
-    ) -> Action:
-        """The action that reaches a goal with a given rope.
-
-        A rope of another size is brought to the size of the training task's rope: lengths are
-        counted in rope lengths, and the specific modulus is replaced by the one that gives the
-        same ratio of bending length to length.
+    def act(self, goal: ArrayLike, item: Item) -> Action:
+        """The action that reaches a goal with a given object, of any size.
 
         Args:
-            goal: How far the tip shall swing [m], in the same frame as `RopeReaching`'s goals.
-            specific_modulus: The rope's E / density [m^2/s^2]; not needed by a policy that does
-                not see it.
-            poissons_ratio: [-]; the same.
-            length: The rope's length [m].
-            diameter: The rope's diameter [m].
+            goal: [G] in SI units and the task's frame.
+            item: The object; parameters that the policy does not see do not matter.
 
         Returns:
-            The action [m], with warnings where parameters lie outside the training range (they
-            are also logged).
+            The action, with warnings where parameters lie outside the training range (they are also
+            logged).
 
         Raises:
-            PolicyError: The goal lies outside what demonstrations reached with such a rope, a
-                number is missing or not positive.
+            PolicyError: The goal is not what the policy's task has, or lies outside what
+                demonstrations reached with such an object.
+            ParameterError: The object is of another kind.
         """
-        for name, value in (
-            ("goal", goal),
-            ("specific_modulus", specific_modulus),
-            ("length", length),
-            ("diameter", diameter),
-        ):
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise PolicyError(f"{name} must be positive and finite, got {value}")
-        sees = self.description.conditioned_on
-        given: dict[str, float | None] = dict.fromkeys(PARAMETERS)
-        if "specific_modulus" in sees and specific_modulus is not None:
-            given["specific_modulus"] = self.task().conditioned_on(
-                specific_modulus, length=length, diameter=diameter
-            )
-        if "poissons_ratio" in sees:
-            given["poissons_ratio"] = poissons_ratio
-        seen, warnings = {}, []
-        for name, value in given.items():
-            seen[name] = value
-            if value is not None:
-                low, high = self.description.parameters[name]
-                seen[name] = min(max(value, low), high)
-                if seen[name] != value:
-                    warnings.append(_outside(name, value, low, high))
-        reach = goal / length
-        low, high = self.goal_range(seen["specific_modulus"])
-        if not low <= reach <= high:
+        task, about = self.task(), self.description
+        if item.kind != task.kind:
+            raise ParameterError(f"{task.name} takes a {task.kind}, not a {item.kind}")
+        wanted = np.atleast_1d(np.asarray(goal, dtype=float))
+        names = about.goal_names
+        if wanted.shape != (len(names),) or not np.isfinite(wanted).all():
             raise PolicyError(
-                f"goal {goal:.4g} m lies outside what the policy was trained to reach with such "
-                "a rope",
-                where=self.where,
-                fix=f"choose one between {low * length:.4g} and {high * length:.4g} m",
+                f"goal is {wanted.tolist()}",
+                where=task.name,
+                fix=f"give {len(names)} finite numbers: {', '.join(names)}"
+                if names
+                else "give no goal",
             )
-        wanted = self.actions([reach], **seen)
-        limited = self.into_limits(wanted)
-        moved = float(np.linalg.norm(limited - wanted))
+        alike, warnings = likeness(item), []
+        saw = {}
+        for name in about.conditioned_on:
+            low, high = about.parameters[name]
+            saw[name] = min(max(alike[name], low), high)
+            if saw[name] != alike[name]:
+                warnings.append(_outside(name, alike[name], low, high))
+        for name, value, (low, high) in zip(names, wanted, self.goal_range(item), strict=True):
+            if not low <= value <= high:
+                raise PolicyError(
+                    f"goal {name} {value:.4g} lies outside what the policy was trained to reach "
+                    f"with such a {task.kind}",
+                    where=self.where,
+                    fix=f"choose one between {low:.4g} and {high:.4g}",
+                )
+        units = task.action_units(item)
+        asked = self.actions((wanted / task.goal_units(item))[None], saw)[0]
+        middle = np.array([column.mean for column in about.outputs])
+        values = task.nearest(item, asked * units, middle * units)
+        moved = float(np.linalg.norm(values / units - asked))
         if moved > NOTABLE_MOVE:
             warnings.append(
-                f"the action was moved by {moved * length:.3g} m into the task's limits; "
-                "the goal may be missed"
+                f"the action was moved by {moved:.3g} of the {task.kind}'s size into the task's "
+                "limits; the goal may be missed"
             )
-        values = limited[0] * length
         for line in warnings:
             _log.warning("%s", line)
         return Action(
-            goal=goal,
-            names=tuple(column.name for column in self.description.outputs),
-            values=tuple(float(v) for v in values),
-            length=length,
-            diameter=diameter,
-            specific_modulus=seen["specific_modulus"],
-            poissons_ratio=seen["poissons_ratio"],
+            goal=dict(zip(names, map(float, wanted), strict=True)),
+            action={q.name: float(v) for q, v in zip(task.actions, values, strict=True)},
+            saw=saw,
             warnings=tuple(warnings),
         )
 
 
+def _asset(task: str, parameters: bool) -> str:
+    return f"{task}.onnx" if parameters else f"{task}-no-parameters.onnx"
+
+
 def _outside(name: str, value: float, low: float, high: float) -> str:
     edge, side = (low, "below") if value < low else (high, "above")
-    percent = 100.0 * abs(value - edge) / edge
-    scaled = " (at the size of the training rope)" if name == "specific_modulus" else ""
+    percent = 100.0 * abs(value - edge) / edge if edge else math.inf
     return (
-        f"{name} {value:.4g}{scaled} is {percent:.3g} % {side} the range {low:.4g} to {high:.4g} "
-        f"that the policy was trained on; it uses {edge:.4g}"
+        f"{name} ({PARAMETERS[name].meaning}) {value:.4g} is {percent:.3g} % {side} the range "
+        f"{low:.4g} to {high:.4g} that the policy was trained on; it uses {edge:.4g}"
     )

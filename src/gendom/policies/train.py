@@ -13,12 +13,15 @@ Two methods, both from goal and parameters to action:
 
 A forward model knows nothing where no demonstrations are, and a policy trained through it would
 seek out such places. A pull brings actions that stray farther from the demonstrated ones than
-these lie from each other back to the nearest.
+these lie from each other back to the nearest. Where a task names a risk (rope reaching: falling out
+of the plane), the forward model learns it too, and the policy is kept below its limit: beyond it
+what is reached cannot be foretold.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import time
 import warnings
@@ -42,28 +45,36 @@ from tqdm import tqdm
 from gendom import __version__
 from gendom.errors import PolicyError
 from gendom.files import atomic_path
-from gendom.policies.demonstrations import Demonstrations
+from gendom.materials import PARAMETERS
+from gendom.policies.demonstrations import SMALLEST, Demonstrations
 from gendom.policies.policy import (
+    GOAL,
     METADATA_KEY,
     METHODS,
-    PARAMETERS,
     Column,
     Description,
     GoalRange,
     Policy,
 )
+from gendom.tasks import find_task
 
 GOAL_BINS = 8
-"""Bins of log specific modulus in which the range of goals is kept."""
+"""Bins of the parameter E in which the range of goals is kept."""
 
 GOAL_QUANTILE = 0.005
 """Share of the demonstrations in a bin that lie beyond each end of its range of goals."""
 
 AGREEMENT = 1e-5
-"""Largest difference allowed between onnxruntime and torch [rope lengths]."""
+"""Largest difference allowed between onnxruntime and torch [units of similarity]."""
 
 ANCHORS = 1024
 """Demonstrated actions, at most, that the pull looks for the nearest among."""
+
+RISK_FLOOR = 1e-5
+"""Smaller risks are as good as none [units of similarity]."""
+
+RISK_MARGIN = 0.5
+"""How far below its limit a policy keeps the risk that is foretold, in powers of e."""
 
 _OPSET = 17
 
@@ -80,10 +91,10 @@ class Training:
 
     method: str = "distal"
     """"distal" or "inverse"; see the module's docstring."""
-    conditioned_on: tuple[str, ...] = PARAMETERS
-    """The parameters that the policy sees. The forward model that teaches it always sees all of
-    them: they are those of the demonstration, and a policy that does not see them then learns
-    the action that is best on average over them."""
+    conditioned_on: tuple[str, ...] | None = None
+    """The parameters that the policy sees; None: all that vary. The forward model that teaches it
+    always sees all of them: they are those of the demonstration, and a policy that does not see
+    them then learns the action that is best on average over them."""
     architecture: str = "smooth"
     """A key of `gendom.policies.networks.ARCHITECTURES`."""
     epochs: int = 300
@@ -94,6 +105,8 @@ class Training:
     weight_decay: float = 1e-4
     pull: float = 1.0
     """Weight of the pull towards demonstrated actions, distal only."""
+    caution: float = 1.0
+    """Weight of the task's risk, distal only."""
     validation_share: float = 0.1
     """Share of the demonstrations held out."""
     seed: int = 0
@@ -102,7 +115,7 @@ class Training:
     def __post_init__(self) -> None:
         _check_choice("method", self.method, METHODS)
         _check_choice("architecture", self.architecture, ARCHITECTURES)
-        for name in self.conditioned_on:
+        for name in self.conditioned_on or ():
             _check_choice("conditioned_on", name, PARAMETERS)
         for name in ("epochs", "batch_size", "learning_rate"):
             if not getattr(self, name) > 0:
@@ -139,41 +152,41 @@ def train(
     """
     training = training or Training()
     began = time.monotonic()
-    data = _tensors(demonstrations)
-    sees = tuple(name for name in PARAMETERS if name in training.conditioned_on)
-    columns = _columns(demonstrations)
-    goal, actions = columns["goal"], [columns[name] for name in demonstrations.action_names]
+    varying = demonstrations.varying
+    sees = varying if training.conditioned_on is None else training.conditioned_on
+    sees = tuple(name for name in PARAMETERS if name in sees)
+    if constant := [name for name in sees if name not in varying]:
+        raise PolicyError(
+            f"cannot be conditioned on {', '.join(constant)}: all demonstrations have the same",
+            where=demonstrations.where,
+            fix=f"choose from {', '.join(varying)}" if varying else "train it on none",
+        )
+    if training.method == "distal" and not demonstrations.goal_names:
+        raise PolicyError(
+            f"{demonstrations.task['name']} has no goals to teach through",
+            where="method",
+            fix="choose the method inverse",
+        )
+    made = _Made(demonstrations, sees, training)
     with _reproducible(training.seed):
         order = torch.randperm(len(demonstrations))
         held = max(1, round(training.validation_share * len(order)))
         validation, taught = order[:held], order[held:]
-        policy = PhysicalNetwork(
-            [goal, *(columns[n] for n in sees)], actions, training.architecture
-        )
-
-        def act(rows: Tensor) -> Tensor:
-            return policy(data["goal"][rows], *(data[n][rows] for n in sees))
-
+        made.start()
         if training.method == "inverse":
-            errors = _train_inverse(policy, act, data, taught, validation, training, progress)
+            errors = _train_inverse(made, taught, validation, progress)
         else:
-            teacher = PhysicalNetwork(
-                [*actions, *(columns[n] for n in PARAMETERS)], [goal], training.architecture
-            )
-            errors = _train_distal(
-                policy, act, teacher, data, taught, validation, training, progress
-            )
+            errors = _train_distal(made, taught, validation, progress)
         description = Description(
             task=demonstrations.task,
             method=training.method,
             conditioned_on=sees,
-            inputs=(goal, *(columns[n] for n in sees)),
-            outputs=tuple(actions),
-            goals=goal_range(demonstrations),
+            inputs=tuple(made.inputs),
+            outputs=tuple(made.actions),
+            goals=goal_range(_steady(demonstrations)),
             parameters={
-                name: (float(column.min()), float(column.max()))
-                for name in PARAMETERS
-                for column in [getattr(demonstrations, name)]
+                name: (float(values.min()), float(values.max()))
+                for name, values in demonstrations.parameters.items()
             },
             training={
                 **asdict(training),
@@ -186,74 +199,140 @@ def train(
             },
         )
         with torch.no_grad():
-            expected = act(validation).numpy()
-        return _export(policy, description, path, demonstrations, validation.numpy(), expected)
+            expected = made.act(validation).numpy()
+        return _export(made, description, path, demonstrations, validation.numpy(), expected)
 
 
 def goal_range(demonstrations: Demonstrations) -> GoalRange:
-    """Outer quantiles of the goals in equally filled bins of specific modulus."""
-    order = np.argsort(demonstrations.specific_modulus, kind="stable")
-    parts = np.array_split(order, GOAL_BINS)
+    """Outer quantiles of the goals in equally filled bins of the parameter E."""
+    E = demonstrations.parameters["E"]
+    order = np.argsort(E, kind="stable")
+    parts = [part for part in np.array_split(order, GOAL_BINS) if len(part)]
     outer = (GOAL_QUANTILE, 1.0 - GOAL_QUANTILE)
-    ends = np.array([np.quantile(demonstrations.goal[part], outer) for part in parts])
-    middle = [np.exp(np.mean(np.log(demonstrations.specific_modulus[part]))) for part in parts]
+    low, high = np.array(
+        [np.quantile(demonstrations.goal[part], outer, axis=0) for part in parts]
+    ).transpose(1, 0, 2)
+    middle = [np.exp(np.mean(np.log(E[part]))) for part in parts]
     return GoalRange(
         at=tuple(float(s) for s in middle),
-        low=tuple(float(g) for g in ends[:, 0]),
-        high=tuple(float(g) for g in ends[:, 1]),
+        low=tuple(tuple(map(float, g)) for g in low),
+        high=tuple(tuple(map(float, g)) for g in high),
     )
 
 
-def _train_inverse(
-    policy: PhysicalNetwork,
-    act: Callable[[Tensor], Tensor],
-    data: dict[str, Tensor],
-    taught: Tensor,
-    validation: Tensor,
-    training: Training,
-    progress: bool,
-) -> dict[str, float]:
-    def loss(rows: Tensor) -> Tensor:
-        return (((act(rows) - data["action"][rows]) / policy.output_scale) ** 2).mean()
+def _steady(demonstrations: Demonstrations) -> Demonstrations:
+    """Those whose risk is within its limit."""
+    risk = find_task(demonstrations.task["name"]).risk
+    if risk is None or demonstrations.risk is None:
+        return demonstrations
+    within = demonstrations.risk <= risk.limit
+    return demonstrations.chosen(within) if within.sum() >= SMALLEST else demonstrations
 
-    _fit(policy, loss, taught, training, "policy" if progress else None)
+
+class _Made:
+    """A policy in training: its data, columns and network."""
+
+    def __init__(self, demonstrations: Demonstrations, sees: tuple[str, ...], training: Training):
+        d = demonstrations
+        self.training = training
+        self.sees, self.varying = sees, d.varying
+        self.goals = [_column(GOAL + name, d.goal[:, k]) for k, name in enumerate(d.goal_names)]
+        self.actions = [_column(name, d.action[:, k]) for k, name in enumerate(d.action_names)]
+        self.parameters = {
+            name: _column(name, d.parameters[name], log=PARAMETERS[name].log) for name in d.varying
+        }
+        self.inputs = [*self.goals, *(self.parameters[name] for name in sees)]
+        if not self.inputs:  # a policy that sees nothing still needs an input for its batch
+            raise PolicyError(
+                "has neither goals nor parameters to act on", fix="condition it on a parameter"
+            )
+        self.action = torch.tensor(d.action, dtype=torch.float32)
+        self.goal = torch.tensor(d.goal, dtype=torch.float32)
+        self.data = {
+            name: torch.tensor(d.parameters[name], dtype=torch.float32)[:, None]
+            for name in PARAMETERS
+        }
+        self.risk = find_task(d.task["name"]).risk
+        self.log_risk = None
+        if self.risk is not None and d.risk is not None:
+            logs = np.log(np.maximum(d.risk, RISK_FLOOR))
+            self.log_risk = torch.tensor(logs, dtype=torch.float32)[:, None]
+
+    def start(self) -> None:
+        """Make the network, once torch's seed is set."""
+        self.policy = PhysicalNetwork(self.inputs, self.actions, self.training.architecture)
+
+    def act(self, rows: Tensor) -> Tensor:
+        """[B, A] what the policy does for some demonstrations' goals and objects."""
+        goals = self.goal[rows].split(1, dim=1) if self.goals else ()
+        return self.policy(*goals, *(self.data[name][rows] for name in self.sees))
+
+
+def _train_inverse(
+    made: _Made, taught: Tensor, validation: Tensor, progress: bool
+) -> dict[str, float]:
+    scale = made.policy.output_scale
+
+    def loss(rows: Tensor) -> Tensor:
+        return (((made.act(rows) - made.action[rows]) / scale) ** 2).mean()
+
+    _fit(made.policy, loss, taught, made.training, "policy" if progress else None)
     with torch.no_grad():
-        return {"action_rms": _rms(act(validation) - data["action"][validation])}
+        return {"action_rms": _rms(made.act(validation) - made.action[validation])}
 
 
 def _train_distal(
-    policy: PhysicalNetwork,
-    act: Callable[[Tensor], Tensor],
-    teacher: PhysicalNetwork,
-    data: dict[str, Tensor],
-    taught: Tensor,
-    validation: Tensor,
-    training: Training,
-    progress: bool,
+    made: _Made, taught: Tensor, validation: Tensor, progress: bool
 ) -> dict[str, float]:
-    def reached(action: Tensor, rows: Tensor) -> Tensor:
-        return teacher(*action.split(1, dim=1), *(data[n][rows] for n in PARAMETERS))
+    training, G = made.training, len(made.goals)
+    outputs = list(made.goals)
+    target = made.goal
+    if made.log_risk is not None:
+        outputs.append(_column("risk", made.log_risk.numpy()[:, 0].astype(float)))
+        target = torch.cat([made.goal, made.log_risk], dim=1)
+    teacher = PhysicalNetwork(
+        [*made.actions, *made.parameters.values()], outputs, training.architecture
+    )
+
+    def foretold(action: Tensor, rows: Tensor) -> Tensor:
+        return teacher(*action.split(1, dim=1), *(made.data[n][rows] for n in made.varying))
+
+    highest = math.log(made.risk.limit) if made.risk is not None else 0.0
+    within = torch.ones(len(target), dtype=torch.bool)
+    if made.log_risk is not None:
+        within = made.log_risk[:, 0] <= highest
+    # what is reached beyond the risk's limit is noise: only the risk itself is learnt there
+    counts = torch.ones_like(target)
+    counts[:, :G] = within[:, None].float()
 
     def model_loss(rows: Tensor) -> Tensor:
-        error = reached(data["action"][rows], rows) - data["goal"][rows]
-        return ((error / teacher.output_scale) ** 2).mean()
+        error = (foretold(made.action[rows], rows) - target[rows]) / teacher.output_scale
+        return (counts[rows] * error**2).mean()
 
     _fit(teacher, model_loss, taught, training, "forward model" if progress else None)
     teacher.requires_grad_(False)
-    stray = _Stray(data["action"][taught] / policy.output_scale)
+    scale = made.policy.output_scale
+    stray = _Stray(made.action[taught] / scale)
+    steady = taught[within[taught]] if int(within[taught].sum()) >= SMALLEST else taught
 
     def policy_loss(rows: Tensor) -> Tensor:
-        action = act(rows)
-        error = (reached(action, rows) - data["goal"][rows]) / teacher.output_scale
-        return (error**2).mean() + training.pull * stray(action / policy.output_scale)
+        action = made.act(rows)
+        found = foretold(action, rows)
+        error = (found[:, :G] - made.goal[rows]) / teacher.output_scale[:G]
+        loss = (error**2).mean() + training.pull * stray(action / scale)
+        if made.log_risk is not None:
+            beyond = torch.relu(found[:, G] - (highest - RISK_MARGIN))
+            loss = loss + training.caution * (beyond**2).mean()
+        return loss
 
-    _fit(policy, policy_loss, taught, training, "policy" if progress else None)
+    _fit(made.policy, policy_loss, steady, training, "policy" if progress else None)
     with torch.no_grad():
-        action, goal = act(validation), data["goal"][validation]
-        return {
-            "forward_model_rms": _rms(reached(data["action"][validation], validation) - goal),
-            "goal_rms": _rms(reached(action, validation) - goal),
-        }
+        rows = validation[within[validation]]
+        if not len(rows):
+            return {}
+        known = foretold(made.action[rows], rows)[:, :G] - made.goal[rows]
+        own = foretold(made.act(rows), rows)[:, :G] - made.goal[rows]
+        return {"forward_model_rms": _rms(known), "goal_rms_by_forward_model": _rms(own)}
 
 
 class _Stray:
@@ -299,7 +378,9 @@ def _fit(
         pct_start=0.1,
         cycle_momentum=False,
     )
-    for epoch in tqdm(range(training.epochs), desc=label, unit="epoch", disable=label is None):
+    for epoch in tqdm(
+        range(training.epochs), desc=label, unit="epoch", disable=True if label is None else None
+    ):
         shuffled = rows[torch.randperm(len(rows))]
         total = 0.0
         for part in shuffled[: steps * batch].split(batch):
@@ -317,7 +398,7 @@ def _fit(
 
 
 def _export(
-    policy: PhysicalNetwork,
+    made: _Made,
     description: Description,
     path: str | os.PathLike,
     demonstrations: Demonstrations,
@@ -332,7 +413,7 @@ def _export(
             # the exporter that torch recommends instead needs a further package
             warnings.simplefilter("ignore", DeprecationWarning)
             torch.onnx.export(
-                policy,
+                made.policy,
                 example,
                 str(temporary),
                 input_names=names,
@@ -346,44 +427,24 @@ def _export(
         entry.key, entry.value = METADATA_KEY, description.to_json()
         onnx.checker.check_model(model)
         onnx.save(model, str(temporary))
-        given = {name: getattr(demonstrations, name)[rows] for name in PARAMETERS}
-        actions = Policy.read(temporary).actions(demonstrations.goal[rows], **given)
+        given = {name: demonstrations.parameters[name][rows] for name in made.sees}
+        actions = Policy.read(temporary).actions(demonstrations.goal[rows], given)
         worst = float(np.abs(actions - expected).max())
         if not worst < AGREEMENT:
             raise PolicyError(
-                f"the exported network differs from the trained one by {worst:.3g} rope lengths",
+                f"the exported network differs from the trained one by {worst:.3g}",
                 where=str(path),
                 fix="report this, with the versions of torch and onnxruntime",
             )
     return Policy.read(path)
 
 
-def _columns(demonstrations: Demonstrations) -> dict[str, Column]:
-    """How each quantity is standardised, by name."""
-    found = {"goal": _column("goal", "rope length", demonstrations.goal)}
-    for i, name in enumerate(demonstrations.action_names):
-        found[name] = _column(name, "rope length", demonstrations.action[:, i])
-    found["specific_modulus"] = _column(
-        "specific_modulus", "m^2/s^2", demonstrations.specific_modulus, log=True
-    )
-    found["poissons_ratio"] = _column("poissons_ratio", "1", demonstrations.poissons_ratio)
-    return found
-
-
-def _column(name: str, unit: str, values: NDArray[np.float64], *, log: bool = False) -> Column:
+def _column(name: str, values: NDArray[np.float64], *, log: bool = False) -> Column:
+    """How a quantity in units of similarity is standardised."""
     x = np.log(values) if log else values
     # a quantity that never changes stays at zero once standardised
     scale = float(x.std()) if np.ptp(x) > 0.0 else 1.0
-    return Column(name=name, unit=unit, mean=float(x.mean()), scale=scale, log=log)
-
-
-def _tensors(demonstrations: Demonstrations) -> dict[str, Tensor]:
-    """Columns as float32: [N, A] actions, [N, 1] of everything else."""
-    data: dict[str, Any] = {"action": torch.tensor(demonstrations.action, dtype=torch.float32)}
-    for name in ("goal", *PARAMETERS):
-        values = getattr(demonstrations, name)
-        data[name] = torch.tensor(values, dtype=torch.float32)[:, None]
-    return data
+    return Column(name=name, mean=float(x.mean()), scale=scale, log=log)
 
 
 def _rms(error: Tensor) -> float:

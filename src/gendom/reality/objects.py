@@ -24,14 +24,14 @@ polyethylene to 0.7 for rubber, and loss factors of 0.15 to 0.25 where ropes vib
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from gendom.errors import ParameterError
-from gendom.materials import STANDARD_GRAVITY, Cloth, Material, Rope
+from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, Rope
 from gendom.reality.sheet import diagonal_strip, grid
 
 
@@ -205,15 +205,34 @@ OBJECTS: dict[str, RealObject] = {
 """The objects by name."""
 
 
+PLAIN = (150, 150, 150)
+"""sRGB of objects that nobody gave a colour."""
+
+
+def as_real(item: Item) -> RealObject:
+    """An object as one of the second reality, if it is not yet."""
+    if isinstance(item, RealRope | RealCloth):
+        return item
+    own = {f.name: getattr(item, f.name) for f in fields(item)}
+    made = RealRope if isinstance(item, Rope) else RealCloth
+    return made(name=f"a {item.kind}", colour=PLAIN, **own)
+
+
 def find_object(name: str) -> RealObject:
-    """The object of a name.
+    """The object of a name, or of a TOML file (see `gendom.reality.object_file`).
 
     Raises:
-        ParameterError: There is none.
+        ParameterError: There is none, or the file describes none.
     """
+    if name.endswith(".toml"):
+        from gendom.reality.object_file import read_object
+
+        return read_object(name)
     try:
         return OBJECTS[name]
     except KeyError:
         raise ParameterError(
-            f"there is no object {name!r}", where="reality", fix=f"choose {', '.join(OBJECTS)}"
+            f"there is no object {name!r}",
+            where="reality",
+            fix=f"choose {', '.join(OBJECTS)}, or give a .toml file",
         ) from None

@@ -1,8 +1,8 @@
-"""What the arm does in the second reality: the predefined lift and the three tasks.
+"""What the arm does in the second reality: the predefined lift, and any task.
 
 A `Trial` is everything that is fixed beforehand: where the object is, where the tool goes, when
 the hand closes and opens. `Performance` carries it out, on the arm or, for tests, with a free
-hand that follows the same path exactly.
+hand that follows the same path exactly. `RealWorld` does so for tasks.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageDraw
 
-from gendom.errors import RobotError
-from gendom.materials import AIR_DENSITY
+from gendom.errors import RobotError, SimulationError
+from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
 from gendom.perception.camera import Camera
 from gendom.reality.arm import RobotArm, surroundings
-from gendom.reality.objects import RealCloth, RealObject, RealRope
+from gendom.reality.objects import RealCloth, RealObject, RealRope, as_real
 from gendom.reality.scene import Layout, default_cameras, rest_height
 from gendom.reality.world import FINGER_WIDTH, Reality
 from gendom.robot import XARM7, Deviation, TcpPath, follow, motions, pointing_down
-from gendom.tasks import RopeReaching
+from gendom.tasks import Observed, Task
+from gendom.tasks.world import Outcome, check_actions
 
 ROPE_LIFT_SPEED, CLOTH_LIFT_SPEED = 0.05, 0.1
 """Speed of the predefined lift [m/s]: of a rope so slow that inertia plays no part."""
@@ -41,35 +41,8 @@ START = 0.32
 SETTLE = 0.5
 """Time in which the object comes to rest before the hand closes, and the hand's pauses [s]."""
 
-TASK_ORIGIN = (0.48, 0.30, 0.12)
-"""Where rope reaching's frame has its origin [m]; its x runs along the world's -y, so that the
-rope swings across, in front of the arm, and its z is 0.12 m above the table."""
-
-T_WORLD_TASK = np.array(
-    [
-        [0.0, 1.0, 0.0, TASK_ORIGIN[0]],
-        [-1.0, 0.0, 0.0, TASK_ORIGIN[1]],
-        [0.0, 0.0, 1.0, TASK_ORIGIN[2]],
-        [0.0, 0.0, 0.0, 1.0],
-    ]
-)
-"""The task's frame to the world's [m]."""
-
-CAST_PLACE = (0.45, 0.15)
-"""Where a rope is cast: how far in front of the base, and how high its tip hangs [m]."""
-
-CAST_SPEED, CAST_AFTER = 0.8, 1.5
-"""Speed of the cast [m/s], below what the arm's tool may have; and how long it is watched [s]."""
-
-SPREAD_STEP = 0.04
-"""Time of each of the 16 steps of spreading [s]: 0.25 m/s in the mean."""
-
-FORWARD = np.sqrt([0.0, 0.5, 0.0, 0.5])
-"""quat_xyzw of a gripper that points forward, its fingers opening along the world's y."""
-
-
-AREA_PIXEL = 5e-4
-"""Resolution at which covered area is measured [m]."""
+START_DELAY = 0.01
+"""When the hand closes in a task [s]: what hangs would fall until then."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,7 +91,7 @@ class Performance:
         timestep: float | None = None,
     ):
         self.trial = trial
-        thick = trial.item.diameter if isinstance(trial.item, RealRope) else trial.item.thickness
+        thick = thickness_of(trial.item)
         self.motion = None
         if robot:
             self.motion = follow(
@@ -138,7 +111,8 @@ class Performance:
             air_density=air_density,
         )
         if arm is None:
-            self.world.follow(trial.path.position_at)
+            blend = trial.path.blend or 0.0
+            self.world.follow(lambda time: trial.path.position_at(time, blend))
         self.events = trial.path.events if self.motion is None else self.motion.events
         self._todo = list(self.events)
 
@@ -246,208 +220,122 @@ def lift(item: RealObject, *, rise: float | None = None, speed: float | None = N
 
 def lift_cameras(item: RealObject, **settings: Any) -> list[Camera]:
     """Two cameras on opposite sides of the predefined lift; settings as `default_cameras`."""
-    size = item.length if isinstance(item, RealRope) else np.sqrt(2.0) * item.side
+    size = size_of(item) * (1.0 if isinstance(item, RealRope) else np.sqrt(2.0))
     return default_cameras((START + size / 2.0, 0.0, RISE * size / 2.0), **settings)
 
 
-def reaching_task(rope: RealRope) -> RopeReaching:
-    """Rope reaching for a rope of the second reality, in the task's own frame."""
-    return RopeReaching().scaled_to(rope.length, rope.diameter)
-
-
-def reaching(rope: RealRope, action: npt.ArrayLike) -> Trial:
-    """Rope reaching: the top hangs from a stand, the arm carries the tip and lets go.
+def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
+    """A task with an object, in front of the arm.
 
     Args:
-        rope: The rope.
-        action: [2] release point (x, z) in the task's frame [m].
+        task: What is done.
+        item: The object.
+        action: [A].
 
     Raises:
         ParameterError: The task does not allow it.
     """
-    task = reaching_task(rope)
-    _, gripper = task.grippers(action)
-    top = in_world(task.top)
-    # The held regions of both worlds are the same, to the nearest vertex.
-    held = gripper.radius
-    layout = Layout(origin=top, along=(0.0, 0.0, -1.0), across=(0.0, 1.0, 0.0), clamped=held)
-    path = motions.rope_reaching(
-        gripper.time,
-        in_world(gripper.position),
-        release_time=task.release_time,
-        quat_xyzw=FORWARD,
-        wait=SETTLE,
-        after=task.end_time - task.release_time,
-    ).shifted(2.0 * SETTLE)
-    return Trial(item=rope, layout=layout, path=path, grasp="end", reach=held, end=path.end)
-
-
-def casting(rope: RealRope, action: float) -> Trial:
-    """Rope casting: the rope hangs from the hand, which makes one quick horizontal move.
-
-    Args:
-        rope: The rope.
-        action: How far the hand moves along the world's y [m], negative: the other way. It
-            moves as fast as the arm can, at most `CAST_SPEED`.
-
-    Raises:
-        RobotError: The action is 0 or not finite.
-    """
-    if not math.isfinite(action) or action == 0.0:
-        raise RobotError(f"action is {action}", where="cast", fix="give metres, not 0")
-    top = np.array([CAST_PLACE[0], -0.5 * action, CAST_PLACE[1] + rope.length])
-    # The fingers point down and hold the rope's first centimetres between them.
-    grip = top - np.array([0.0, 0.0, FINGER_WIDTH / 2.0])
-    layout = Layout(origin=top, along=(0.0, 0.0, -1.0), across=(0.0, 1.0, 0.0))
-    path = motions.rope_casting(
-        grip,
-        action,
-        duration=abs(action) / CAST_SPEED,
-        heading=np.pi / 2.0,
-        quat_xyzw=pointing_down(),
-        wait=SETTLE,
-        after=CAST_AFTER,
-    ).shifted(0.01)
-    return Trial(item=rope, layout=layout, path=path, grasp="end", end=path.end)
-
-
-def spreading(cloth: RealCloth, A: float) -> Trial:
-    """Cloth spreading: the cloth is raised by its centre and brought down with an acceleration.
-
-    Args:
-        cloth: The cloth.
-        A: The paper's acceleration [-], see `gendom.robot.motions.spreading_steps`.
-
-    Raises:
-        RobotError: A is negative or not finite.
-    """
-    half, height = cloth.side / 2.0, rest_height(cloth)
-    layout = Layout(origin=(START, -half, height))
-    centre = (START + half, 0.0, max(height, TIP_HEIGHT))
-    path = motions.cloth_spreading(
-        centre, A, step_time=SPREAD_STEP, quat_xyzw=pointing_down(), wait=SETTLE
-    ).shifted(SETTLE)
-    return Trial(item=cloth, layout=layout, path=path, grasp="center", end=path.end)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Reached:
-    """What came of a release."""
-
-    reached: float
-    """Farthest x of the tip in the task's frame, from the release to the end [m]."""
-    sideways: float
-    """Farthest |y| there [m]."""
-    times: npt.NDArray[np.float64]
-    """[T] from the closing of the hand on [s]."""
-    vertices: npt.NDArray[np.float64]
-    """[T, V, 3] the rope, in the world [m]."""
-    released: int
-    """The first of these times at which the tip is free."""
-
-    @property
-    def in_task(self) -> npt.NDArray[np.float64]:
-        """[T, V, 3] the rope in the task's frame [m]."""
-        return (self.vertices - T_WORLD_TASK[:3, 3]) @ T_WORLD_TASK[:3, :3]
-
-
-def carry_out_reaching(performance: Performance, *, frame_rate: float = 100.0) -> Reached:
-    """Carry out a rope reaching trial and see how far the tip gets.
-
-    Raises:
-        SimulationError: The world diverged.
-    """
-    times, vertices = _watched(performance, performance.closes, frame_rate)
-    released = int(np.searchsorted(times, performance.opens))
-    tip = (vertices[released:, -1] - T_WORLD_TASK[:3, 3]) @ T_WORLD_TASK[:3, :3]
-    return Reached(
-        reached=float(tip[:, 0].max()),
-        sideways=float(np.abs(tip[:, 1]).max()),
-        times=times,
-        vertices=vertices,
-        released=released,
+    scene, T = task.scene(item), task.T_world_task(item)
+    path = task.tool_path(item, task.check_action(item, action))
+    closes = next(e.time for e in path.events if e.closed)
+    origin = np.array(scene.origin, dtype=float)
+    if scene.table is not None:
+        # what MuJoCo's objects touch the table with may be thicker
+        origin[2] = max(origin[2], scene.table + rest_height(item))
+    R = T[:3, :3]
+    return Trial(
+        item=item,
+        layout=Layout(
+            origin=R @ origin + T[:3, 3],
+            along=R @ np.asarray(scene.along, dtype=float),
+            across=R @ np.asarray(scene.across, dtype=float),
+            clamped=scene.stand,
+        ),
+        path=path.moved(T).shifted(START_DELAY - closes),
+        grasp="center" if task.kind == "cloth" else "end",
+        reach=scene.grip,
+        end=START_DELAY - closes + float(task.times(item)[-1]),
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Cast:
-    """What came of a cast."""
+@dataclass(frozen=True, kw_only=True)
+class RealWorld:
+    """The second reality as a world of tasks, see `gendom.tasks.world.World`."""
 
-    highest: npt.NDArray[np.float64]
-    """[2] where the tip is when it is highest: along the cast from where it hung, and above the
-    table [m]."""
-    times: npt.NDArray[np.float64]
-    """[T] from the closing of the hand on [s]."""
-    vertices: npt.NDArray[np.float64]
-    """[T, V, 3] the rope, in the world [m]."""
+    robot: bool = True
+    """Whether the arm acts, or a free hand."""
+    air_density: float = AIR_DENSITY
+    """[kg/m^3]."""
+    timestep: float | None = None
+    """MuJoCo's [s]; None: the default of the object's kind."""
+    frame_rate: float = 100.0
+    """At which objects are looked at [1/s]."""
+
+    def carry_out(
+        self,
+        task: Task,
+        items: Sequence[Item],
+        actions: npt.ArrayLike,
+        *,
+        keep: bool = False,
+        on_frame: Callable[[int], None] | None = None,
+    ) -> list[Outcome]:
+        """As `World.carry_out`, one after another; what the arm refuses is a fault.
+
+        Raises:
+            ParameterError: An action is out of its limits.
+            DeviceError: MuJoCo is not installed.
+        """
+        wanted = check_actions(task, items, actions)
+        outcomes = []
+        for done, (item, action) in enumerate(zip(items, wanted, strict=True)):
+            try:
+                seen = observe(task, self.performance(task, item, action), self.frame_rate)
+            except (RobotError, SimulationError) as error:
+                outcomes.append(Outcome(values={}, fault=str(error)))
+            else:
+                values = task.outcome(item, seen)
+                outcomes.append(Outcome(values=values, seen=seen if keep else None))
+            if on_frame is not None:
+                on_frame(done + 1)
+        return outcomes
+
+    def performance(self, task: Task, item: Item, action: npt.ArrayLike) -> Performance:
+        """A task about to be carried out.
+
+        Raises:
+            RobotError: The arm cannot do it.
+            ParameterError: The task does not allow it.
+        """
+        return Performance(
+            task_trial(task, as_real(item), action),
+            robot=self.robot,
+            air_density=self.air_density,
+            timestep=self.timestep,
+        )
 
 
-def carry_out_casting(performance: Performance, *, frame_rate: float = 100.0) -> Cast:
-    """Carry out a casting trial and see where the tip is highest.
+def observe(task: Task, performance: Performance, frame_rate: float = 100.0) -> Observed:
+    """Carry out a performance of `task_trial` and see what its object does, in the task's frame.
 
     Raises:
-        SimulationError: The world diverged.
+        SimulationError: The world diverged, or the hand closes on nothing.
     """
-    times, vertices = _watched(performance, performance.closes, frame_rate)
-    tip = vertices[:, -1]
-    top = tip[np.argmax(tip[:, 2])]
-    along = np.sign(performance.trial.path.position[-1, 1] - performance.trial.path.position[0, 1])
-    return Cast(
-        highest=np.array([along * (top[1] - tip[0, 1]), top[2]]), times=times, vertices=vertices
-    )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Spread:
-    """What came of a spreading."""
-
-    ratio: float
-    """Area of the table that the cloth covers in the end, over its own: the extended ratio."""
-    times: npt.NDArray[np.float64]
-    """[T] from the closing of the hand on [s]."""
-    vertices: npt.NDArray[np.float64]
-    """[T, V, 3] the cloth, in the world [m]."""
-
-
-def carry_out_spreading(performance: Performance, *, frame_rate: float = 30.0) -> Spread:
-    """Carry out a spreading trial and measure how far the cloth is spread in the end.
-
-    Raises:
-        SimulationError: The world diverged.
-    """
-    item = performance.trial.item
-    assert isinstance(item, RealCloth)
-    times, vertices = _watched(performance, performance.closes, frame_rate)
-    return Spread(
-        ratio=covered_area(item, vertices[-1]) / item.side**2, times=times, vertices=vertices
-    )
-
-
-def covered_area(cloth: RealCloth, vertices: npt.NDArray[np.float64]) -> float:
-    """Area of the table under a cloth [m^2], seen from straight above.
-
-    Args:
-        cloth: The cloth.
-        vertices: [V, 3] [m].
-    """
-    low = vertices[:, :2].min(axis=0)
-    pixels = (vertices[:, :2] - low) / AREA_PIXEL
-    width, height = (int(x) + 2 for x in pixels.max(axis=0))
-    picture = Image.new("1", (width, height))
-    draw = ImageDraw.Draw(picture)
-    for triangle in pixels[cloth.sheet[1]]:
-        draw.polygon([tuple(point) for point in triangle], fill=1)
-    return float(np.asarray(picture).sum()) * AREA_PIXEL**2
-
-
-def _watched(
-    performance: Performance, begin: float, frame_rate: float
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Times [T] [s] from a moment to the end, and the vertices [T, V, 3] [m] then."""
+    item, begin = performance.trial.item, performance.closes
     times = np.arange(begin, performance.end + 0.5 / frame_rate, 1.0 / frame_rate)
-    return times, performance.watch(times)
-
-
-def in_world(points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Points [..., 3] [m] of rope reaching's frame in the world's."""
-    return np.asarray(points, dtype=float) @ T_WORLD_TASK[:3, :3].T + T_WORLD_TASK[:3, 3]
+    points, hand = [], []
+    for time in times:
+        performance.step_to(float(time))
+        points.append(performance.world.vertices())
+        hand.append(performance.world.hand)
+    T = np.linalg.inv(task.T_world_task(item))
+    # the path's own clock, on which the hand closes where it was told to
+    late = begin - next(e.time for e in performance.trial.path.events if e.closed)
+    late += performance.trial.end - float(task.times(item)[-1])
+    return Observed(
+        times=times - late,
+        points=np.array(points) @ T[:3, :3].T + T[:3, 3],
+        hand=np.array(hand) @ T[:3, :3].T + T[:3, 3],
+        opens=performance.opens - late,
+        lattice=item.counts if isinstance(item, RealCloth) else (0, 0),
+    )

@@ -32,14 +32,7 @@ from gendom.robot.kinematics import (
     tcp_pose,
 )
 from gendom.robot.motion import JointMotion, LimitUse
-from gendom.robot.motions import (
-    SPREADING_HEIGHT,
-    cloth_spreading,
-    lift,
-    rope_casting,
-    rope_reaching,
-    spreading_steps,
-)
+from gendom.robot.motions import lift
 from gendom.robot.path import (
     DOWN,
     Deviation,
@@ -72,7 +65,6 @@ __all__ = [
     "ALONE",
     "ARMS",
     "DOWN",
-    "SPREADING_HEIGHT",
     "XARM7",
     "Arm",
     "ArmShape",
@@ -93,7 +85,6 @@ __all__ = [
     "TcpPath",
     "arm_shape",
     "check_collisions",
-    "cloth_spreading",
     "collision_along",
     "collision_at",
     "find_arm",
@@ -108,9 +99,6 @@ __all__ = [
     "pointing_down",
     "pose_error",
     "read_joints",
-    "rope_casting",
-    "rope_reaching",
     "solutions",
-    "spreading_steps",
     "tcp_pose",
 ]

@@ -105,6 +105,9 @@ class TcpPath:
     """When the gripper closes and opens, in order of time."""
     max_blend: float = math.inf
     """Longest blend that keeps the path's meaning [s], e.g. the tool still when it lets go."""
+    blend: float | None = None
+    """A blend that belongs to the path [s], for every arm and simulator; None: as short as an arm
+    can."""
 
     def __post_init__(self) -> None:
         time = np.atleast_1d(np.asarray(self.time, dtype=float))
@@ -126,9 +129,28 @@ class TcpPath:
             raise _bad("has gripper events that are not in order of time")
         if not self.max_blend > 0.0:
             raise _bad(f"has max_blend {self.max_blend}")
+        if self.blend is not None and not 0.0 <= self.blend <= self.max_blend:
+            raise _bad(f"has blend {self.blend}, beyond its max_blend {self.max_blend}")
         quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
         for name, value in (("time", time), ("position", position), ("quat_xyzw", quat)):
             object.__setattr__(self, name, value)
+
+    @property
+    def moves(self) -> float:
+        """When the tool first moves [s]; infinite: never."""
+        corners = self.corners()
+        return math.inf if len(corners) == 0 else float(corners[0]) - 0.5 * (self.blend or 0.0)
+
+    def sampled(self, per_blend: int = 16) -> tuple[Array, Array]:
+        """Times [K] [s] and positions [K, 3] [m] of a path without blend that runs like this one:
+        its own knots, and where it has a blend, so many in each."""
+        times = self.time
+        if self.blend:
+            near = np.linspace(-0.5 * self.blend, 0.5 * self.blend, per_blend + 1)
+            times = np.unique(np.concatenate([times, np.add.outer(self.corners(), near).ravel()]))
+            # two that differ by rounding would be a jump
+            times = times[np.append(np.diff(times) > 1e-9, True)]
+        return times, self.position_at(times, self.blend or 0.0)
 
     @property
     def start(self) -> float:
@@ -149,8 +171,12 @@ class TcpPath:
         return self._sum(time, blend, _ramp_speed)
 
     def _sum(self, time: ArrayLike, blend: float, function) -> Array:
-        jumps, knots = self._jumps()
-        return function(np.asarray(time, dtype=float)[..., None] - knots, blend) @ jumps
+        time = np.asarray(time, dtype=float)
+        total = np.zeros((*time.shape, 3))
+        # one after the other: a matrix product may round differently from call to call
+        for jump, knot in zip(*self._jumps(), strict=True):
+            total += function(time - knot, blend)[..., None] * jump
+        return total
 
     def _jumps(self) -> tuple[Array, Array]:
         """Jumps of the velocity [J, 3] [m/s] and when they are [J] [s]."""
@@ -202,6 +228,14 @@ class TcpPath:
         if len(time) == 0:
             return Deviation(at_equal_times=0.0, off_the_path=0.0)
         return Deviation(at_equal_times=float(late.max()), off_the_path=float(off.max()))
+
+    def moved(self, T: ArrayLike) -> TcpPath:
+        """The same path in another frame, which `T` [4, 4] maps this one's to [m]."""
+        T = np.asarray(T, dtype=float)
+        turned = Rotation.from_matrix(T[:3, :3]) * Rotation.from_quat(self.quat_xyzw)
+        return replace(
+            self, position=self.position @ T[:3, :3].T + T[:3, 3], quat_xyzw=turned.as_quat()
+        )
 
     def shifted(self, seconds: float) -> TcpPath:
         """The same path, later by some seconds."""

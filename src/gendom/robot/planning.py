@@ -130,8 +130,8 @@ def follow(
         path: Its corners are rounded off by `blend`.
         near: [J] joint angles that the start is chosen near to [rad]; None: home.
         rate: How often joint angles are solved [1/s], see `SOLVED_RATE`.
-        blend: [s]; None: as short as the joints' accelerations allow (within a few percent), at
-            least `SHORTEST_BLEND`, at most the path's `max_blend`.
+        blend: [s]; None: the path's own, and if it has none, as short as the joints' accelerations
+            allow (within a few percent), at least `SHORTEST_BLEND`, at most its `max_blend`.
         slow_down: Where speeds or accelerations would pass their limits, take as much more time
             as it needs, there and only there, see `gendom.robot.timing`.
         surroundings: What the arm must not touch, besides itself.
@@ -144,6 +144,7 @@ def follow(
         RobotError: A part of the path is out of reach or cannot be reached continuously, a limit
             is passed, or the arm collides.
     """
+    blend = path.blend if blend is None else blend
     # Splines overshoot a little where a joint comes to rest at its end.
     kept = replace(arm, q_min=arm.q_min + _MARGIN, q_max=arm.q_max - _MARGIN)
     postures = solutions(kept, path.pose_at(path.start), near=near)[:_POSTURES]

@@ -1,9 +1,138 @@
-"""Tasks: a scene, an action with its limits, and the goal that a rollout reaches."""
+"""Tasks: one file each, and the worlds that carry them out.
 
-from gendom.tasks.base import Outcomes, Task
-from gendom.tasks.rope_reaching import ReachingOutcome, RopeReaching
+Other packages add tasks by an entry point of the group ``gendom.tasks`` whose object is a class
+made from `Task`.
+"""
 
-TASKS: dict[str, type[RopeReaching]] = {RopeReaching.name: RopeReaching}
-"""Task classes by name; `TASKS[name](**settings)` rebuilds the task of a set of demonstrations."""
+from __future__ import annotations
 
-__all__ = ["TASKS", "Outcomes", "ReachingOutcome", "RopeReaching", "Task"]
+import importlib.util
+import sys
+from collections.abc import Mapping
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from gendom.errors import ParameterError
+from gendom.tasks.cloth_spreading import ClothSpreading
+from gendom.tasks.rope_casting import RopeCasting, RopeCastingAtSpeed
+from gendom.tasks.rope_reaching import RopeReaching
+from gendom.tasks.task import Observed, Quantity, Risk, Scene, Task
+
+GROUP = "gendom.tasks"
+"""Of entry points."""
+
+_registered: dict[str, type[Task]] = {}
+
+
+def register(task: type[Task]) -> type[Task]:
+    """Make a task known by its name; also usable as a decorator.
+
+    Raises:
+        ParameterError: Another task has this name.
+    """
+    known = _registered.setdefault(task.name, task)
+    if known is not task and known.__qualname__ != task.__qualname__:
+        raise ParameterError(f"there is a task {task.name!r} already", where=task.__qualname__)
+    _registered[task.name] = task
+    return task
+
+
+for _task in (RopeReaching, RopeCasting, RopeCastingAtSpeed, ClothSpreading):
+    register(_task)
+
+
+@cache
+def _load_others() -> None:
+    for point in metadata.entry_points(group=GROUP):
+        register(point.load())
+
+
+def task_names() -> list[str]:
+    """Names of all tasks, those of other packages included."""
+    _load_others()
+    return list(_registered)
+
+
+def find_task(name: str) -> type[Task]:
+    """The class of a task.
+
+    Args:
+        name: Its name, or the path of a Python file (``.py``) that defines one task; it is then
+            known by its name.
+
+    Raises:
+        ParameterError: There is none of that name, or the file cannot be read or does not define
+            one task.
+    """
+    if name.endswith(".py"):
+        return register(_read(Path(name)))
+    names = task_names()
+    if name not in names:
+        raise ParameterError(
+            f"there is no task {name!r}",
+            where="task",
+            fix=f"choose {', '.join(names)}, or give the .py file that defines it",
+        )
+    return _registered[name]
+
+
+def _read(path: Path) -> type[Task]:
+    """The one task that a file defines."""
+    if not path.is_file():
+        raise ParameterError("no such file", where=str(path), fix="check the path")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module  # where dataclasses look for their annotations
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a file of someone else raises
+        raise ParameterError(
+            f"cannot be imported ({type(error).__name__}: {error})", where=str(path)
+        ) from error
+    found = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type) and issubclass(value, Task) and value.__module__ == path.stem
+    ]
+    if len(found) != 1:
+        raise ParameterError(
+            f"defines {len(found)} tasks", where=str(path), fix="define one class made from Task"
+        )
+    return found[0]
+
+
+def rebuild(description: Mapping[str, Any]) -> Task:
+    """The task of `name` and settings, as data sets and policies keep it.
+
+    Raises:
+        ParameterError: The task or one of its settings is unknown here.
+    """
+    settings = dict(description)
+    name = settings.pop("name", None)
+    try:
+        return find_task(name).from_settings(settings)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ParameterError(
+            f"its task {name!r} with {settings} is unknown here ({error})",
+            fix="use this version of gendom to make it again",
+        ) from error
+
+
+__all__ = [
+    "ClothSpreading",
+    "Observed",
+    "Quantity",
+    "Risk",
+    "RopeCasting",
+    "RopeCastingAtSpeed",
+    "RopeReaching",
+    "Scene",
+    "Task",
+    "find_task",
+    "rebuild",
+    "register",
+    "task_names",
+]

@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from gendom.materials import Material
+from gendom.materials import Material, Rope, thickness_of
 from gendom.sim import CFL, Body, Gripper, Simulator, Table, cloth
 from gendom.tasks import RopeReaching
+from gendom.tasks.world import Simulation, grippers
 from gendom.validation.check import Check, Settings
 
 SOURCE = "Courant, Friedrichs and Lewy (1928): the substep is a share of dx / wave speed"
@@ -40,11 +41,12 @@ def stability(settings: Settings) -> list[Check]:
     """
     count = 3334 if settings.device.startswith("cuda") else 3 if settings.quick else 12
     cells, dx = (1.0, 0.04) if settings.quick else (1.5, 0.02)
-    task = RopeReaching(length=0.5, diameter=0.028, gravity=12.0, cells_across=cells)
-    rope = task.body()
+    task = RopeReaching(item=Rope(length=0.5, diameter=0.028))
+    rope, _ = Simulation(engine="mpm", cells_across=cells).body(task, task.item)
+    end = float(task.times(task.item)[-1])
     square = cloth(width=0.4, height=0.4, thickness=0.01, dx=dx, corner=(-0.2, -0.2, 0.0101))
     kinds: list[tuple[str, Body, Scene, Table | None, float]] = [
-        ("rope carried, held, released", rope, lambda rng: _carry(task, rng), None, task.end_time),
+        ("rope carried, held, released", rope, lambda rng: _carry(task, rng), None, end),
         ("rope pulled sideways", rope, lambda rng: _pull(task, rng), None, 0.7),
         ("cloth lifted and dropped", square, _lift_and_drop, Table(height=0.0), 1.2),
     ]
@@ -108,15 +110,16 @@ def _material(rng: np.random.Generator) -> Material:
 
 
 def _carry(task: RopeReaching, rng: np.random.Generator) -> list[Gripper]:
-    return task.grippers(task.sample_actions(rng, 1)[0])
+    path = task.tool_path(task.item, task.sample_actions(task.item, rng, 1)[0])
+    return grippers(task.scene(task.item), path, 0.0)
 
 
 def _pull(task: RopeReaching, rng: np.random.Generator) -> list[Gripper]:
     """The held top moves away at once, at 1 to 2 m/s for 50 ms, and stops."""
-    top = task.top
+    top = task.top(task.item)
     away = np.array([rng.uniform(1.0, 2.0) * 0.05, 0.0, 0.0])
     path = [top, top + away]
-    return [Gripper(time=[0.0, 0.05], position=path, radius=task.diameter)]
+    return [Gripper(time=[0.0, 0.05], position=path, radius=thickness_of(task.item))]
 
 
 def _lift_and_drop(rng: np.random.Generator) -> list[Gripper]:

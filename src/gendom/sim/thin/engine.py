@@ -169,7 +169,7 @@ class ThinEngine(ABC):
         """What gripper g holds that closes in those worlds now."""
 
     @abstractmethod
-    def stiffen(self, body: Any) -> None:
+    def stiffen(self, body: Any, worlds: NDArray[np.int64]) -> None:
         """Hand the stiffness of grippers' borders to the kernels."""
 
     @abstractmethod
@@ -317,24 +317,22 @@ class ThinEngine(ABC):
             )
         self.holds[worlds, g] = grip.holds
         self.stiffer[worlds, g] = grip.stiffer
-        place = self.body.place.numpy()
-        place[worlds * self.closed.shape[1] + g] = self.rows(grip.place)
-        self.body.place.assign(place)
-        self._hold()
+        put_worlds(self.body.place, worlds * self.closed.shape[1] + g, self.rows(grip.place))
+        self._hold(worlds)
         return Event(g, True, worlds, now, pose, grip, x)
 
     def _open(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
         x = self.component(X)[worlds]
         pose = Paths(self.stacked).pose(g, worlds, now)
         grip = Grip(self.holds[worlds, g].copy(), np.empty(0), self.stiffer[worlds, g].copy(), ())
-        rows = self.state.numpy()
+        rows = self.state.numpy()[worlds]
         for which, values in self.let_go(*released(x, pose, grip)):
-            rows[worlds, which] += self.rows(np.swapaxes(values, 1, 2))
-        self.state.assign(rows)
+            rows[:, which] += self.rows(np.swapaxes(values, 1, 2))
+        put_worlds(self.state, worlds, rows)
         self.closed[worlds, g] = 2
         self.holds[worlds, g] = 0
         self.stiffer[worlds, g] = 1.0
-        self._hold()
+        self._hold(worlds)
         return Event(g, False, worlds, now, pose, grip, x)
 
     def let_go(
@@ -343,12 +341,12 @@ class ThinEngine(ABC):
         """Components that velocities and spins [W, n, 3] of what is released go to."""
         return [(V, v)]
 
-    def _hold(self) -> None:
-        """Hand what is held to the kernels."""
-        self.body.holds.assign(self.holds)
-        self.stiffen(self.body)
+    def _hold(self, worlds: NDArray[np.int64]) -> None:
+        """Hand what worlds [k] hold to the kernels."""
+        put_worlds(self.body.holds, worlds, self.holds[worlds])
+        self.stiffen(self.body, worlds)
         if self.setting.self_contact:
-            self._let_loose(self.body)
+            self._let_loose(self.body, worlds)
 
     # ---- arrays ----------------------------------------------------------------------------------
 
@@ -436,11 +434,12 @@ class ThinEngine(ABC):
         body.near = self.zeros((W * on, PAIRS * n, 2), wp.int32)
         body.near_count = self.zeros(W * on, wp.int32)
         if on:
-            self._let_loose(body)
+            self._let_loose(body, np.arange(W))
 
-    def _let_loose(self, body: Any) -> None:
-        free = 1.0 - np.any(self.holds & 1, axis=1)
-        body.loose.assign(self.rows(self.per_mass * free)[:, None])
+    def _let_loose(self, body: Any, worlds: NDArray[np.int64]) -> None:
+        free = 1.0 - np.any(self.holds[worlds] & 1, axis=1)
+        per_mass = np.broadcast_to(self.per_mass, (self.num_worlds, self.num_points))[worlds]
+        put_worlds(body.loose, worlds, self.rows(per_mass * free)[:, None])
 
 
 class _Job:
@@ -517,6 +516,18 @@ def device_plan(engine: ThinEngine, plan: Schedule, *, record: bool = True) -> A
     on_device.before = engine.array(plan.before, wp.float64)
     on_device.frame = engine.array(plan.frame if record else 0 * plan.frame - 1, wp.int32)
     return on_device
+
+
+def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: NDArray[Any]) -> None:
+    """Set rows [k] of an array on its device, and touch no other: on the CPU groups of worlds run
+    in threads of their own, and what one of them has written in between would be lost. On CUDA
+    there is one group."""
+    if array.device.is_cpu:
+        array.numpy()[worlds] = values  # the array's own memory
+        return
+    rows = array.numpy()
+    rows[worlds] = values
+    array.assign(rows)
 
 
 def put(array: wp.array, rows: slice, values: NDArray[Any]) -> None:

@@ -9,7 +9,7 @@ from gendom.errors import ParameterError
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
 from gendom.sim.thin.crossing import check_rope
-from gendom.sim.thin.engine import STRETCH, ThinEngine
+from gendom.sim.thin.engine import STRETCH, ThinEngine, put_worlds
 from gendom.sim.thin.grips import Grip, Pose, close_rod
 from gendom.sim.thin.rod_model import RodModel
 from gendom.sim.thin.types import MARGIN, V, X
@@ -99,12 +99,12 @@ class Rods(ThinEngine):
     ) -> list[tuple[slice, NDArray[np.floating]]]:
         return [(V, v), (SPIN, spin)]
 
-    def stiffen(self, body: Any) -> None:
-        stiffer = self.stiffer[:, :, 0].prod(axis=1)
-        inertia = body.inertia.numpy()
-        inertia[:, 1, self.slots] = self.per_turn / slower(stiffer)
+    def stiffen(self, body: Any, worlds: NDArray[np.int64]) -> None:
+        stiffer = self.stiffer[worlds, :, 0].prod(axis=1)
+        inertia = body.inertia.numpy()[worlds]
+        inertia[:, 1, self.slots] = self.per_turn[worlds] / slower(stiffer)
         inertia[:, 3, self.slots] = stiffer
-        body.inertia.assign(inertia)
+        put_worlds(body.inertia, worlds, inertia)
 
     def tape(self, memory: float) -> Any:
         from gendom.sim.thin.tape import RodTape

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.errors import ParameterError
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.crossing import check_cloth
-from gendom.sim.thin.engine import STRETCH, ThinEngine
+from gendom.sim.thin.engine import STRETCH, ThinEngine, put_worlds
 from gendom.sim.thin.grips import Grip, Pose, close_shell
 from gendom.sim.thin.shell_model import ShellModel
 from gendom.sim.thin.types import MARGIN, V, X
@@ -101,10 +101,10 @@ class Shells(ThinEngine):
         radius = self.stacked["radius"][worlds, g]
         return close_shell(x, m.shape, pose, radius, m.spacing, taken)
 
-    def stiffen(self, body: Any) -> None:
-        inertia = body.inertia.numpy()
-        inertia[:, 2:4, self.slots] = self.stiffer.prod(axis=1)
-        body.inertia.assign(inertia)
+    def stiffen(self, body: Any, worlds: NDArray[np.int64]) -> None:
+        inertia = body.inertia.numpy()[worlds]
+        inertia[:, 2:4, self.slots] = self.stiffer[worlds].prod(axis=1)
+        put_worlds(body.inertia, worlds, inertia)
 
     def tape(self, memory: float) -> Any:
         from gendom.sim.thin.tape import ShellTape

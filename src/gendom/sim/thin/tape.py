@@ -1,7 +1,6 @@
 """The reverse mode of thin bodies: pieces run again from kept states, then transposed."""
 
 import math
-import threading
 from abc import ABC, abstractmethod
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ClassVar
@@ -62,7 +61,6 @@ class ThinTape(ABC):
             )
         self.engine = engine
         self.rounds: list[tuple[slice, Round]] = []
-        self._alone = threading.Lock()
         engine.load("reverse", "begin_adjoint")
 
     def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
@@ -178,8 +176,7 @@ class ThinTape(ABC):
     def _hold(self, group: slice) -> None:
         e = self.engine
         put(e.body.holds, group, e.holds[group])
-        with self._alone:
-            e.stiffen(e.body)
+        e.stiffen(e.body, np.arange(group.start, group.stop))
 
     def _take_model(self, group: slice) -> None:
         """Add up derivatives by the model as it is without grippers, and by their borders."""

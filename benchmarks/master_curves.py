@@ -1,0 +1,138 @@
+"""Published tests of rods and shells: curves of theory, and what is simulated, as SVG.
+
+python benchmarks/master_curves.py docs/images/master-curves.svg
+"""
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from gendom.validation import Settings
+from gendom.validation import master_curves as curves
+from gendom.viz.charts import _STYLE, OURS_COLOR, WITHOUT_COLOR, _finish
+
+TORSION = 1.0 / (1.0 + curves.MATERIAL.nu)
+HANGING = -math.pi / 2.0
+
+RODS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5, "color": OURS_COLOR}
+STRIPS: dict[str, Any] = RODS | {"marker": "D", "color": WITHOUT_COLOR}
+SQUARES: dict[str, Any] = RODS | {"marker": "s"}
+THEORY: dict[str, Any] = {"color": "#222222", "linewidth": 1.2}
+
+
+def sags(axes: Axes, settings: Settings) -> None:
+    loads = np.geomspace(0.1, 1000.0, 60)
+    axes.loglog(loads, curves.sag(loads), **THEORY, label="theory")
+    loads = np.geomspace(0.1, 1000.0, 13)
+    axes.loglog(loads, curves.sags(settings, "rods", loads, 65), **RODS, label="rods")
+    loads = np.geomspace(0.16, 300.0, 12)
+    found = curves.sags(settings, "strips", loads, 49)
+    axes.loglog(loads, found, **STRIPS, label="shells", fillstyle="none")
+    axes.set(title="Level cantilever: drop over reach of the tip", xlabel="weight [E I / L³]")
+    axes.legend(loc="upper left")
+
+
+def ribbons(axes: Axes, settings: Settings) -> None:
+    ratios = np.geomspace(3.0, 20.0, 30)
+    nu = curves.MATERIAL.nu
+    load = [curves.ribbon_load(ratio) for ratio in ratios]
+    axes.plot(ratios, load, **THEORY, label="theory")
+    thin = 12.85 * math.sqrt(2.0 / (1.0 + nu))
+    axes.axhline(
+        thin, color="#6e6e6e", linestyle=(0, (4, 3)), linewidth=1.0, label="thin: 12.85 √(E I G J)"
+    )
+    some = np.array([3.0, 4.0, 5.0, 7.0, 10.0, 14.0, 20.0])
+    found = [curves.ribbon_load(r) * curves.ribbon_falls(settings, r, 33) for r in some]
+    axes.plot(some, found, **RODS, label="rods")
+    axes.set(
+        title="Ribbon on its edge: weight at which it falls over [E I / L³]",
+        xlabel="width over thickness",
+    )
+    axes.legend(loc="best")
+
+
+def curls(axes: Axes, settings: Settings) -> None:
+    tests = (
+        (0.0, "clamped level", "-", RODS, (3.7, 6.3), (4.0, 4.5, 5.0, 5.5, 6.0)),
+        (HANGING, "hanging", (0, (4, 2)), SQUARES, (5.8, 6.3), (5.95, 6.0, 6.1, 6.2)),
+    )
+    for angle, name, dashes, points, (low, high), some in tests:
+        curvatures, loads = np.linspace(low, high, 24), np.linspace(0.5, 36.0, 72)
+        sign = np.array([plane(curvature, angle, loads) for curvature in curvatures])
+        axes.contour(
+            curvatures, loads, sign.T, levels=[0.0], colors=[THEORY["color"]], linewidths=1.2,
+            linestyles=[dashes],
+        )  # fmt: skip
+        axes.plot([], [], linestyle=dashes, **THEORY, label=f"theory, {name}")
+        found = []
+        for curvature in some:
+            row = plane(curvature, angle, loads)
+            for k in np.flatnonzero(row[:-1] * row[1:] < 0.0):
+                between = (float(loads[k]), float(loads[k + 1]))
+                load = curves.critical_load(
+                    between, curvature=curvature, angle=angle, torsion=TORSION
+                )
+                share = curves.curl_leaves(settings, load, curvature, angle, 65)
+                found.append((curvature, load * share))
+        axes.plot(*np.array(found).T, **points, label=f"rods, {name}")
+    axes.set(
+        title="Curl: weight at which it leaves its plane [E I / L³]",
+        xlabel="natural curvature times length [rad]",
+        ylim=(0.0, 40.0),
+    )
+    axes.legend(loc="upper left")
+
+
+def plane(curvature: float, angle: float, loads: np.ndarray) -> np.ndarray:
+    """Signs and sizes of the determinant along a path of loads."""
+    shapes = curves.hung(loads, curvature=curvature, angle=angle)
+    return np.array(
+        [
+            curves.leaves_plane(shape, load, curvature, 1.0, TORSION)
+            for shape, load in zip(shapes, loads, strict=True)
+        ]
+    )
+
+
+def tips(axes: Axes, settings: Settings) -> None:
+    lowered = np.linspace(0.005, 0.32, 64)
+    friction = np.array([0.08, 0.1, 0.13, 0.16, 0.2, 0.24, 0.28, 0.32])
+    for load, dashes, points in ((0.0, "-", RODS), (10.0, (0, (4, 2)), SQUARES)):
+        label = f"weight {load:g} E I / L³"
+        theory = curves.tip_friction(load, lowered)
+        axes.plot(lowered, theory, linestyle=dashes, **THEORY, label=f"theory, {label}")
+        found = curves.slips(settings, load, friction)
+        axes.plot(found, friction, **points, label=f"rods, {label}")
+    axes.set(
+        title="Upright rope let down: friction at which its tip slips",
+        xlabel="let down over length",
+    )
+    axes.legend(loc="upper left")
+
+
+@matplotlib.rc_context(_STYLE)
+def draw(settings: Settings) -> bytes:
+    figure = Figure(figsize=(11.0, 8.0), layout="constrained")
+    panels = figure.subplots(2, 2)
+    for axes, panel in zip(panels.flat, (sags, ribbons, curls, tips), strict=True):
+        axes.spines[["top", "right"]].set_visible(False)
+        panel(axes, settings)
+    return _finish(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--threads", type=int)
+    args = parser.parse_args()
+    args.out.write_bytes(draw(Settings(threads=args.threads)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""An object of one's own, as a TOML file:
+
+kind = "rope"                  # or "cloth", with side and thickness
+length = 0.28                  # [m]
+diameter = 0.012               # [m]
+mass = 0.03                    # [kg], or density [kg/m^3]
+E = 1.2e6                      # [Pa]
+nu = 0.35
+damping = 0.004                # [s]; default 0.004
+friction = 0.4                 # on the table; default 0.3
+colour = [200, 60, 60]         # sRGB; default grey
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+from gendom.errors import ParameterError
+from gendom.files import read_toml
+from gendom.materials import KINDS, Material
+from gendom.reality.objects import PLAIN, RealCloth, RealObject, RealRope
+
+DEFAULTS = {"damping": 0.004, "friction": 0.3}
+"""Of numbers that a file may leave out."""
+
+LARGEST, THICKEST, DENSEST, STIFFEST = 5.0, 0.2, 2e4, 1e13
+"""Sizes [m], densities [kg/m^3] and moduli [Pa] beyond these are of another unit."""
+
+
+def read_object(path: str | os.PathLike) -> RealObject:
+    """The object that a file describes, named after the file.
+
+    Raises:
+        ParameterError: The file is missing or no TOML, a number is missing, is none or impossible,
+            or there is a name that means nothing.
+    """
+    where = str(path)
+    table = read_toml(path, error=ParameterError)
+    kind = table.pop("kind", None)
+    if kind not in KINDS:
+        raise ParameterError(f"kind is {kind!r}", where=where, fix=f"give {' or '.join(KINDS)}")
+    large, small = KINDS[kind].sizes
+    colour = table.pop("colour", list(PLAIN))
+    known = {large, small, "mass", "density", "E", "nu", *DEFAULTS}
+    if unknown := [name for name in table if name not in known]:
+        raise ParameterError(
+            f"{unknown[0]} means nothing", where=where, fix=f"have {', '.join(sorted(known))}"
+        )
+    number = {name: _number(value, name, where) for name, value in table.items()}
+    number = {**DEFAULTS, **number}
+    missing = [name for name in (large, small, "E", "nu") if name not in number]
+    if ("mass" in number) == ("density" in number):
+        missing.append("one of mass and density")
+    if missing:
+        raise ParameterError(f"lacks {', '.join(missing)}", where=where, fix="give it")
+    for name, most, unit in (
+        (large, LARGEST, "metres"),
+        (small, THICKEST, "metres"),
+        ("density", DENSEST, "kg/m^3"),
+        ("E", STIFFEST, "pascals"),
+    ):
+        if not 0.0 < number.get(name, most) <= most:
+            raise ParameterError(f"{name} is {number[name]:g}", where=where, fix=f"give {unit}")
+    good = isinstance(colour, list) and len(colour) == 3
+    if not good or not all(isinstance(c, int) and 0 <= c <= 255 for c in colour):
+        raise ParameterError(f"colour is {colour}", where=where, fix="give three of 0 to 255")
+    area = math.pi / 4.0 * number[small] ** 2 if kind == "rope" else number[large] * number[small]
+    density = number.get("density", number.get("mass", 0.0) / (number[large] * area))
+    if not 1.0 <= density <= DENSEST:
+        raise ParameterError(
+            f"its density would be {density:.4g} kg/m^3",
+            where=where,
+            fix="check the sizes [m] and the mass [kg]",
+        )
+    item: dict[str, Any] = {
+        large: number[large],
+        small: number[small],
+        "material": Material(
+            E=number["E"], nu=number["nu"], density=density, damping=number["damping"]
+        ),
+        "friction": number["friction"],
+        "name": Path(path).stem,
+        "colour": tuple(colour),
+    }
+    try:
+        return RealRope(**item) if kind == "rope" else RealCloth(**item)
+    except ParameterError as error:
+        raise ParameterError(error.what, where=where, fix=error.fix) from error
+
+
+def _number(value: Any, name: str, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ParameterError(f"{name} is {value!r}", where=where, fix="give a number")
+    return float(value)

@@ -1,0 +1,358 @@
+"""What a task is: one file that says what is done with an object, and what came of it.
+
+A task knows its object (`Rope` or `Cloth`), its action with limits, where the tool goes for an
+action, and how what was observed is judged. It knows neither simulator nor robot: worlds
+(`gendom.tasks.world`) carry it out, and data sets, policies, environments and commands are made
+from what is declared here.
+
+All points are in the task's own frame, z up; `T_world_task` places it in front of a robot. Lengths
+follow the object's size and times its clock sqrt(L / g), so that one policy serves objects of any
+size, see `gendom.materials.objects`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import ParameterError
+from gendom.materials import PARAMETERS, Item, Material, Rope, from_columns, to_columns, unit_of
+from gendom.robot.path import TcpPath
+
+if TYPE_CHECKING:
+    from gendom.tasks.world import Outcome, World
+
+Array = NDArray[np.float64]
+
+ROPE = Rope(length=0.25, diameter=0.014, material=Material(damping=0.004))
+"""The rope that demonstrations are simulated with, where a task asks for no other."""
+
+ROPE_RANGES = {
+    "E": (200.0, 4300.0),
+    "nu": (0.2, 0.4),
+    "damping": (0.001, 0.02),
+    "density": (500.0, 1500.0),
+}
+"""Its drawn parameters: E / density is the paper's 500 to 10500, times (9.81 * 0.25) / (12 * 0.5),
+nu is the paper's."""
+
+DRAWS = 1000
+"""Draws from the box of an action's limits before it is given up to find one that is allowed."""
+
+SLACK = 1e-6
+"""How far beyond its limits an action may be, for rounding [units of similarity]."""
+
+_HALVINGS = 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """One number of an action or a goal."""
+
+    name: str
+    unit: str
+    """``m``, ``s``, ``m/s`` or ``1``; how it follows an object's size, see `unit_of`."""
+    meaning: str = ""
+    """For people, a few words."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Risk:
+    """An outcome that tells whether others can be relied on."""
+
+    name: str
+    unit: str
+    limit: float
+    """Beyond it what was reached depends on the smallest disturbance [units of similarity]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """Where an object is before the tool moves, straight or flat and at rest."""
+
+    origin: ArrayLike
+    """[3] a rope's first end, or a cloth's first corner [m]."""
+    along: ArrayLike = (1.0, 0.0, 0.0)
+    """[3] unit vector along a rope, or a cloth's first side."""
+    across: ArrayLike = (0.0, 1.0, 0.0)
+    """[3] unit vector along a cloth's second side; any at right angles to a rope."""
+    bow: float = 0.0
+    """How far a rope is bowed at first, towards `across` [m]: none hangs perfectly straight, and
+    what is unstable shows only so."""
+    stand: float = 0.0
+    """How much of a rope's first end a stand holds fast [m]; 0: it is free."""
+    grip: float
+    """Radius of what the tool holds, about the tool point when it closes [m]."""
+    table: float | None = None
+    """Height of the table [m]; None: the object stays away from it."""
+    self_contact: bool = False
+    """Whether the object meets itself."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observed:
+    """What a world saw of one object; T is the number of times.
+
+    Positions of a rope run along its centre line from its first end to its last; [:, -1] is its
+    tip. Of a cloth they are a lattice, row by row.
+    """
+
+    times: Array
+    """[T] [s], on the clock of the task's path."""
+    points: Array
+    """[T, V, 3] [m]; only the tip (V = 1) of tasks that watch no more."""
+    hand: Array
+    """[T, 3] the tool point [m]."""
+    opens: float
+    """When the hand opens [s]; infinite: never."""
+    lattice: tuple[int, int] = (0, 0)
+    """Rows and points in a row of a cloth."""
+
+    @property
+    def tip(self) -> Array:
+        """[T, 3] a rope's free end [m]."""
+        return self.points[:, -1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task(ABC):
+    """One task, with the objects that its demonstrations are drawn from.
+
+    Raises:
+        ParameterError: A range is no range, or of no parameter.
+    """
+
+    name: ClassVar[str]
+    """As on the command line."""
+    kind: ClassVar[str]
+    """Of its objects: ``rope`` or ``cloth``."""
+    actions: ClassVar[tuple[Quantity, ...]]
+    """Numbers of an action."""
+    goals: ClassVar[tuple[Quantity, ...]]
+    """Numbers of a goal; none where a task always wants the same."""
+    risk: ClassVar[Risk | None] = None
+    """What actions are to avoid."""
+    watches: ClassVar[str] = "tip"
+    """What it observes: ``tip`` or ``all`` points."""
+
+    item: Item = ROPE
+    """The object that demonstrations are simulated with; its parameters are drawn."""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Lowest and highest parameter of drawn objects, by names of `PARAMETERS` and in SI units
+    (``E``: E / density); those that are not named stay as they are in `item`."""
+
+    def __post_init__(self) -> None:
+        if self.item.kind != self.kind:
+            raise ParameterError(f"{self.name} takes a {self.kind}, not a {self.item.kind}")
+        for name, (low, high) in self.ranges.items():
+            if name not in PARAMETERS:
+                raise ParameterError(
+                    f"no parameter {name!r} can be drawn", fix=f"choose {', '.join(PARAMETERS)}"
+                )
+            log = PARAMETERS[name].log
+            if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+                raise ParameterError(f"is {low} to {high}", where=f"range of {name}")
+            if low < 0.0 or (log and low == 0.0 and high > 0.0):
+                raise ParameterError(
+                    f"is {low} to {high}",
+                    where=f"range of {name}",
+                    fix="give positive numbers, the smaller one first",
+                )
+
+    # ---- what a task's file says -----------------------------------------------------------------
+
+    @abstractmethod
+    def limits(self, item: Item) -> Array:
+        """[A, 2] lowest and highest value of each number of an action."""
+
+    @abstractmethod
+    def scene(self, item: Item) -> Scene:
+        """Where the object is at first, and how it is held."""
+
+    @abstractmethod
+    def tool_path(self, item: Item, action: Array) -> TcpPath:
+        """Where the tool goes, and when it closes and opens; the object is at rest until it moves.
+
+        Args:
+            item: The object.
+            action: [A], within the limits.
+        """
+
+    @abstractmethod
+    def times(self, item: Item) -> Array:
+        """[T] when to look [s], the same for all actions."""
+
+    @abstractmethod
+    def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
+        """What came of it: all goals by name, and whatever else is worth keeping, in SI units."""
+
+    @abstractmethod
+    def T_world_task(self, item: Item) -> Array:
+        """[4, 4] the task's frame in that of a robot's base [m]."""
+
+    def margin(self, item: Item, action: Array) -> float:
+        """How far an action is within what limits alone do not say [units of similarity]; below
+        0: it is not allowed."""
+        return math.inf
+
+    def error(self, item: Item, goal: Array, values: Mapping[str, float]) -> float:
+        """How far from a goal [G] an outcome is, in the goals' unit."""
+        return float(np.linalg.norm(goal - np.array([values[q.name] for q in self.goals])))
+
+    # ---- actions ---------------------------------------------------------------------------------
+
+    @classmethod
+    def action_units(cls, item: Item) -> Array:
+        """[A] units of similarity of an action in SI."""
+        return np.array([unit_of(q.unit, item) for q in cls.actions])
+
+    @classmethod
+    def goal_units(cls, item: Item) -> Array:
+        """[G] units of similarity of a goal in SI."""
+        return np.array([unit_of(q.unit, item) for q in cls.goals])
+
+    def allows(self, item: Item, action: ArrayLike, *, slack: float = SLACK) -> bool:
+        """Whether an action [A] is within all limits."""
+        a, units = np.asarray(action, dtype=float), self.action_units(item)
+        low, high = self.limits(item).T
+        within = np.all((a >= low - slack * units) & (a <= high + slack * units))
+        return bool(within) and self.margin(item, a) >= -slack
+
+    def check_action(self, item: Item, action: ArrayLike) -> Array:
+        """The action [A], if the task allows it.
+
+        Raises:
+            ParameterError: If it does not, with the limits.
+        """
+        names = [q.name for q in self.actions]
+        a = np.atleast_1d(np.asarray(action, dtype=float))
+        if a.shape != (len(names),) or not np.isfinite(a).all():
+            raise ParameterError(
+                f"is {a.tolist()}",
+                where="action",
+                fix=f"give {len(names)} finite number{'s' * (len(names) > 1)}: {', '.join(names)}",
+            )
+        if not self.allows(item, a):
+            limits = [
+                f"{q.name} in [{low:.4g}, {high:.4g}]{'' if q.unit == '1' else ' ' + q.unit}"
+                for q, (low, high) in zip(self.actions, self.limits(item), strict=True)
+            ]
+            note = self.limits_note(item)
+            raise ParameterError(
+                f"{', '.join(f'{n} {v:.4g}' for n, v in zip(names, a, strict=True))} is out of "
+                "limits",
+                where="action",
+                fix=f"choose {' and '.join(limits)}{', ' + note if note else ''}",
+            )
+        return a
+
+    def limits_note(self, item: Item) -> str:
+        """What `margin` asks for, in words."""
+        return ""
+
+    def nearest(self, item: Item, action: ArrayLike, middle: ArrayLike | None = None) -> Array:
+        """An allowed action [A] near to another: clipped to the limits, and from there moved no
+        farther than needed towards `middle` [A] (default: that of the limits)."""
+        low, high = self.limits(item).T
+        centre = 0.5 * (low + high) if middle is None else np.asarray(middle, dtype=float)
+        a = np.clip(np.asarray(action, dtype=float), low, high)
+        if self.allows(item, a):
+            return a
+        kept, refused = 0.0, 1.0  # shares of the way from the middle
+        for _ in range(_HALVINGS):
+            share = 0.5 * (kept + refused)
+            if self.allows(item, centre + share * (a - centre)):
+                kept = share
+            else:
+                refused = share
+        return centre + kept * (a - centre)
+
+    def sample_actions(self, item: Item, rng: np.random.Generator, count: int) -> Array:
+        """[count, A] actions drawn uniformly from all that are allowed.
+
+        Raises:
+            ParameterError: None is found.
+        """
+        low, high = self.limits(item).T
+        drawn = np.empty((count, len(low)))
+        for row in drawn:
+            for _ in range(DRAWS):
+                row[:] = rng.uniform(low, high)
+                if self.allows(item, row, slack=0.0):
+                    break
+            else:
+                raise ParameterError(f"no action of {self.name} is allowed for this {self.kind}")
+        return drawn
+
+    # ---- demonstrations --------------------------------------------------------------------------
+
+    def draw_item(self, rng: np.random.Generator) -> Item:
+        """An object with parameters drawn from `ranges`: log-uniformly where ratios count."""
+        value = {}
+        for name in PARAMETERS:  # in their own order, so that draws do not depend on the mapping's
+            if name in self.ranges:
+                low, high = self.ranges[name]
+                log = PARAMETERS[name].log and low > 0.0
+                value[name] = (
+                    math.exp(rng.uniform(math.log(low), math.log(high)))
+                    if log
+                    else rng.uniform(low, high)
+                )
+        m = self.item.material
+        density = value.get("density", m.density)
+        material = replace(
+            m,
+            E=value.get("E", m.specific_modulus) * density,
+            nu=value.get("nu", m.nu),
+            density=density,
+            damping=value.get("damping", m.damping),
+        )
+        friction = value.get("friction", self.item.friction)
+        return replace(self.item, material=material, friction=friction)
+
+    def demonstrate(
+        self,
+        world: World,
+        items: Sequence[Item],
+        actions: Array,
+        *,
+        on_frame: Callable[[int], None] | None = None,
+    ) -> tuple[Array, list[Outcome]]:
+        """Demonstrations with W objects: the actions [W, A] and what came of them.
+
+        A task that looks for actions rather than trying those that were drawn does so here.
+
+        Args:
+            world: Where.
+            items: W objects.
+            actions: [W, A] that were drawn.
+            on_frame: As in `World.carry_out`.
+        """
+        return actions, world.carry_out(self, items, actions, on_frame=on_frame)
+
+    # ---- settings --------------------------------------------------------------------------------
+
+    def settings(self) -> dict[str, Any]:
+        """What rebuilds this task, ready for JSON; see `from_settings`."""
+        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        own["item"] = to_columns(self.item)
+        own["ranges"] = {name: list(ends) for name, ends in self.ranges.items()}
+        return own
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> Self:
+        """The task of `settings`.
+
+        Raises:
+            KeyError, TypeError, ParameterError: They are not those of this task.
+        """
+        given = dict(settings)
+        given["item"] = from_columns(cls.kind, given["item"])
+        given["ranges"] = {name: (ends[0], ends[1]) for name, ends in given["ranges"].items()}
+        return cls(**given)

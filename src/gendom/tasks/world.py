@@ -1,0 +1,324 @@
+"""Worlds in which tasks are carried out, and the one that is our simulator.
+
+Another is `gendom.reality.RealWorld`.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import ParameterError
+from gendom.materials import AIR_DENSITY, Cloth, Item, Rope
+from gendom.robot.path import TcpPath
+from gendom.sim import Body, Gripper, Simulator, Table, claimed, cloth, rope
+from gendom.tasks.task import Array, Observed, Scene, Task
+
+_log = logging.getLogger(__name__)
+
+EVERYTHING = 100
+"""Times, before those of the task, at which everything is looked at."""
+
+BATCH = 8192
+"""Objects simulated at once at the most."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """What came of one action."""
+
+    values: dict[str, float]
+    """As `Task.outcome` gives them; empty where it failed."""
+    fault: str | None = None
+    """What went wrong; None: nothing."""
+    seen: Observed | None = None
+    """What it was judged by, if asked for."""
+
+
+class World(Protocol):
+    """Where tasks are carried out."""
+
+    def carry_out(
+        self,
+        task: Task,
+        items: Sequence[Item],
+        actions: ArrayLike,
+        *,
+        keep: bool = False,
+        on_frame: Callable[[int], None] | None = None,
+    ) -> list[Outcome]:
+        """Carry out W actions with W objects. One that fails is recorded as such, others go on.
+
+        Args:
+            task: What is done.
+            items: W objects.
+            actions: [W, A], each within its limits.
+            keep: Whether outcomes keep what was seen.
+            on_frame: Called now and then; what it raises ends everything.
+
+        Raises:
+            ParameterError: An action is out of its limits, or numbers do not agree.
+        """
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulation:
+    """Our simulator, all objects of one size side by side."""
+
+    engine: str = "thin"
+    """``thin``: ropes as rods, cloths as shells; ``mpm``: particles on a grid."""
+    device: str = "cpu"
+    """``cpu``, ``cuda`` or ``cuda:0`` and so on."""
+    dtype: str | None = None
+    """``float32`` or ``float64``; by default the engine's."""
+    threads: int | None = None
+    """Objects simulated side by side on the CPU (default: one a core)."""
+    cells_across: float = 1.5
+    """Grid cells across a rope's diameter, or in a fifteenth of a cloth's side; of the MPM."""
+    air_density: float = AIR_DENSITY
+    """[kg/m^3]."""
+    everything: bool = False
+    """Whether to look at all points from when the tool moves, not only at what a task watches."""
+
+    def carry_out(
+        self,
+        task: Task,
+        items: Sequence[Item],
+        actions: ArrayLike,
+        *,
+        keep: bool = False,
+        on_frame: Callable[[int], None] | None = None,
+    ) -> list[Outcome]:
+        """As `World.carry_out`.
+
+        Raises:
+            DeviceError: The device is not there.
+        """
+        wanted = check_actions(task, items, actions)
+        found: list[Outcome] = [Outcome(values={}, fault="not simulated")] * len(items)
+        for group in _alike(items):
+            for some in np.split(group, range(BATCH, len(group), BATCH)):
+                made = self._as_memory_allows(
+                    task, [items[w] for w in some], wanted[some], keep, on_frame
+                )
+                for w, outcome in zip(some, made, strict=True):
+                    found[w] = outcome
+        return found
+
+    def _as_memory_allows(
+        self,
+        task: Task,
+        items: Sequence[Item],
+        actions: Array,
+        keep: bool,
+        on_frame: Callable[[int], None] | None,
+    ) -> list[Outcome]:
+        """Objects of one size, in two halves if the device's memory does not hold them at once."""
+        try:
+            return self._side_by_side(task, items, actions, keep, on_frame)
+        except RuntimeError as error:  # Warp's own
+            if "allocate" not in str(error) or len(items) == 1:
+                raise
+            half = len(items) // 2
+            _log.warning(
+                "%s has no memory for %d objects at once; simulating smaller batches",
+                self.device,
+                len(items),
+            )
+        return [
+            outcome
+            for part in (slice(0, half), slice(half, None))
+            for outcome in self._as_memory_allows(task, items[part], actions[part], keep, on_frame)
+        ]
+
+    def body(self, task: Task, item: Item) -> tuple[Body, NDArray[np.floating]]:
+        """An object and where its particles or points [N, 3] are at first [m]."""
+        scene = task.scene(item)
+        along, across = (np.asarray(a, dtype=float) for a in (scene.along, scene.across))
+        origin = np.asarray(scene.origin, dtype=float)
+        if isinstance(item, Rope):
+            body = rope(
+                diameter=item.diameter,
+                length=item.length,
+                start=origin,
+                direction=along,
+                cells_across=self.cells_across,
+            )
+            x = body.points if self.engine == "thin" else body.x
+            # elementwise: a matrix product may round differently from call to call, and an
+            # unstable rope shows it
+            s = np.sum((x - origin) * along, axis=1) / item.length
+            return body, x + scene.bow * (np.sin(np.pi * s) ** 2)[:, None] * across
+        body = cloth(
+            width=item.side,
+            height=item.side,
+            thickness=item.thickness,
+            dx=item.side / (15.0 * self.cells_across),
+        )
+        x = body.points if self.engine == "thin" else body.x
+        axes = (along, across, np.cross(along, across))
+        return body, origin + sum(x[:, k, None] * axis for k, axis in enumerate(axes))
+
+    def _side_by_side(
+        self,
+        task: Task,
+        items: Sequence[Item],
+        actions: Array,
+        keep: bool,
+        on_frame: Callable[[int], None] | None,
+    ) -> list[Outcome]:
+        """Objects of one size."""
+        first = items[0]
+        scene = task.scene(first)
+        body, x = self.body(task, first)
+        paths = [task.tool_path(item, a) for item, a in zip(items, actions, strict=True)]
+        begin = min(path.moves for path in paths)
+        times = task.times(first)
+        if self.everything:
+            before = np.linspace(begin, times[0], EVERYTHING, endpoint=False)
+            times = np.concatenate([before, times])
+        table = None
+        if scene.table is not None:
+            friction = np.array([item.friction for item in items])
+            table = Table(height=scene.table, friction=friction)
+        with claimed(self.device):
+            simulator = Simulator(
+                body,
+                [item.material for item in items],
+                engine=self.engine,
+                grippers=[grippers(scene, path, begin) for path in paths],
+                table=table,
+                air_density=self.air_density,
+                self_contact=scene.self_contact and self.engine == "thin",
+                self_friction=[item.friction for item in items] if scene.self_contact else 0.3,
+                positions=x,
+                start_time=begin,
+                dtype=self.dtype,
+                device=self.device,
+                threads=self.threads,
+            )
+            all_points = self.everything or task.watches == "all"
+            tip = len(body.points) - 1 if self.engine == "thin" else _last_section(body)
+            recorded = simulator.run(
+                times,
+                on_frame=on_frame,
+                particles=None if all_points else np.atleast_1d(tip),
+                keep_going=True,
+            )
+        outcomes = []
+        for w, (item, path) in enumerate(zip(items, paths, strict=True)):
+            if w in simulator.failures:
+                error = simulator.failures[w]
+                when = "" if error.time is None else f" at {error.time:.4f} s"
+                outcomes.append(Outcome(values={}, fault=error.what + when))
+                continue
+            seen = Observed(
+                times=times,
+                points=centre(body, recorded[:, w].astype(float)),
+                hand=path.position_at(times, path.blend or 0.0),
+                opens=opening(path),
+                lattice=_lattice(body, simulator.num_points) if isinstance(item, Cloth) else (0, 0),
+            )
+            outcomes.append(Outcome(values=task.outcome(item, seen), seen=seen if keep else None))
+        return outcomes
+
+
+def check_actions(task: Task, items: Sequence[Item], actions: ArrayLike) -> Array:
+    """[W, A] actions, each within the limits for its object.
+
+    Raises:
+        ParameterError: One is not, or there are more or fewer than objects.
+    """
+    wanted = np.asarray(actions, dtype=float).reshape(-1, len(task.actions))
+    if len(wanted) != len(items):
+        raise ParameterError(
+            f"are of shape {np.shape(actions)} for {len(items)} objects",
+            where="actions",
+            fix="give one for each object",
+        )
+    return np.array([task.check_action(i, a) for i, a in zip(items, wanted, strict=True)])
+
+
+def opening(path: TcpPath) -> float:
+    """When the hand opens [s]; infinite: never."""
+    return next((e.time for e in path.events if not e.closed), math.inf)
+
+
+def grippers(scene: Scene, path: TcpPath, begin: float) -> list[Gripper]:
+    """The stand, if there is one, and the tool; what closed before `begin` [s] holds from there."""
+    made = []
+    if scene.stand > 0.0:
+        made.append(Gripper.still(np.asarray(scene.origin, dtype=float), radius=scene.stand))
+    times, position = path.sampled()
+    later = times > begin
+    time = np.concatenate([[begin], times[later]])
+    place = np.concatenate([[path.position_at(begin, path.blend or 0.0)], position[later]])
+    turned = path.quat_xyzw.ndim == 2
+    for event in path.events:
+        if not event.closed:
+            continue
+        opens = [e.time for e in path.events if not e.closed and e.time > event.time]
+        made.append(
+            Gripper(
+                time=time,
+                position=place,
+                quat_xyzw=_turns(path, time) if turned else None,
+                radius=scene.grip,
+                hold_from=-math.inf if event.time <= begin else event.time,
+                hold_until=min(opens, default=math.inf),
+            )
+        )
+    return made
+
+
+def _turns(path: TcpPath, times: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    poses = path.pose_at(times, path.blend or 0.0)
+    return Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+
+
+def centre(body: Body, x: Array) -> Array:
+    """[T, n, 3] a rope's centre line, or a cloth's middle surface, from all positions [T, N, 3] of
+    particles or points, or from a section's alone [m]."""
+    if x.shape[1] in (1, len(body.points)):
+        return x
+    if body.kind == "rope":
+        return x.reshape(len(x), -1, body.section, 3).mean(axis=2)
+    layers = _ticks(body, 2)
+    return x.reshape(len(x), -1, layers, 3).mean(axis=2)
+
+
+def _lattice(body: Body, points: int) -> tuple[int, int]:
+    """Rows and points in a row of a cloth's points, or of the columns of its particles."""
+    if points == len(body.points):
+        return body.shape[0], body.shape[1]
+    return _ticks(body, 0), _ticks(body, 1)
+
+
+def _ticks(body: Body, axis: int) -> int:
+    return np.unique(body.material_coordinates[:, axis]).size
+
+
+def _last_section(body: Body) -> NDArray[np.intp]:
+    along = body.material_coordinates[:, 0]
+    return np.flatnonzero(along == along.max())
+
+
+def _alike(items: Sequence[Item]) -> list[NDArray[np.intp]]:
+    """Indices of objects of one size, those of like stiffness beside each other: a batch takes as
+    long as its stiffest."""
+    keys = [(item.kind, *(getattr(item, name) for name in item.sizes)) for item in items]
+    speed = np.array([item.material.wave_speed for item in items])
+    groups = []
+    for key in dict.fromkeys(keys):
+        group = np.flatnonzero([k == key for k in keys])
+        groups.append(group[np.argsort(-speed[group], kind="stable")])
+    return groups

@@ -1,0 +1,87 @@
+"""Objects, and the numbers by which they are alike."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from gendom.errors import ParameterError
+from gendom.materials import (
+    PARAMETERS,
+    Cloth,
+    Material,
+    Rope,
+    from_columns,
+    likeness,
+    to_columns,
+    unit_of,
+)
+
+ROPE = Rope(
+    length=0.3,
+    diameter=0.016,
+    material=Material(E=7.7e5, nu=0.35, density=800.0, damping=0.005),
+    friction=0.4,
+)
+CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=2e6, nu=0.45, density=1100.0))
+
+
+def test_likeness_of_a_rope_is_that_of_theory():
+    """(E I / (mass per length g))^(1/3) / L, with I and the mass worked out anew."""
+    I, A = math.pi * 0.016**4 / 64.0, math.pi * 0.016**2 / 4.0
+    alike = likeness(ROPE)
+    assert alike["E"] == pytest.approx((7.7e5 * I / (800.0 * A * 9.81)) ** (1 / 3) / 0.3)
+    assert alike["nu"] == 0.35 and alike["friction"] == 0.4
+    assert alike["damping"] == pytest.approx(0.005 / math.sqrt(0.3 / 9.81))
+    weight_per_area = 800.0 * A * 0.3 / (0.3 * 0.016)
+    assert alike["density"] == pytest.approx(1.2 * 0.3 / weight_per_area)
+
+
+def test_likeness_of_a_cloth_is_that_of_a_plate():
+    rigidity = 2e6 * 0.001**3 / (12.0 * (1.0 - 0.45**2))
+    bending = (rigidity / (1100.0 * 0.001 * 9.81)) ** (1 / 3)
+    assert likeness(CLOTH)["E"] == pytest.approx(bending / 0.2)
+    assert likeness(CLOTH)["density"] == pytest.approx(1.2 * 0.2 / 1.1)
+
+
+def test_a_larger_rope_that_is_alike():
+    """Twice as long and thick, E twice as large, half as dense air: no number changes but that of
+    the air."""
+    m = ROPE.material
+    large = replace(
+        ROPE,
+        length=0.6,
+        diameter=0.032,
+        material=replace(m, E=2.0 * m.E, damping=m.damping * math.sqrt(2.0)),
+    )
+    for name, value in likeness(large).items():
+        assert value == pytest.approx(likeness(ROPE)[name])
+    assert unit_of("m", large) == 2.0 * unit_of("m", ROPE)
+    assert unit_of("m/s", large) == pytest.approx(math.sqrt(0.6 * 9.81))
+    assert unit_of("s", large) * unit_of("m/s", large) == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("item", [ROPE, CLOTH])
+def test_columns_give_the_object_back(item):
+    columns = to_columns(item)
+    assert from_columns(item.kind, columns) == item
+    assert {p.column for p in PARAMETERS.values()} <= set(columns)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"length": 0.0}, "length must be positive"),
+        ({"diameter": math.nan}, "diameter must be positive"),
+        ({"diameter": 0.07}, "is no rope"),
+        ({"friction": -0.1}, "friction must be finite"),
+    ],
+)
+def test_impossible_objects_are_refused(change, says):
+    with pytest.raises(ParameterError, match=says):
+        replace(ROPE, **change)
+
+
+def test_unknown_units_are_refused():
+    with pytest.raises(ParameterError, match="unknown unit 'kg'"):
+        unit_of("kg", ROPE)

@@ -1,0 +1,88 @@
+"""Objects of one's own."""
+
+import math
+
+import pytest
+
+from gendom.errors import ParameterError
+from gendom.materials import Material
+from gendom.reality import find_object
+from gendom.reality.objects import RealCloth, RealRope
+
+ROPE = {
+    "kind": '"rope"',
+    "length": "0.28",
+    "diameter": "0.012",
+    "mass": "0.03",
+    "E": "1.2e6",
+    "nu": "0.35",
+}
+CLOTH = {
+    "kind": '"cloth"',
+    "side": "0.2",
+    "thickness": "0.0005",
+    "density": "400",
+    "E": "6e5",
+    "nu": "0.3",
+    "damping": "0.01",
+    "friction": "0.5",
+    "colour": "[40, 70, 150]",
+}
+
+
+def written(tmp_path, entries):
+    path = tmp_path / "mine.toml"
+    path.write_text("\n".join(f"{name} = {value}" for name, value in entries.items()))
+    return str(path)
+
+
+def test_a_rope(tmp_path):
+    item = find_object(written(tmp_path, ROPE))
+    assert isinstance(item, RealRope) and item.name == "mine"
+    assert item.mass == pytest.approx(0.03)
+    density = 0.03 / (math.pi / 4.0 * 0.012**2 * 0.28)
+    expected = Material(E=1.2e6, nu=0.35, density=density, damping=0.004)
+    assert item.material == expected and item.friction == 0.3
+
+
+def test_a_cloth(tmp_path):
+    item = find_object(written(tmp_path, CLOTH))
+    assert isinstance(item, RealCloth)
+    assert item.material == Material(E=6e5, nu=0.3, density=400.0, damping=0.01)
+    assert (item.side, item.friction, item.colour) == (0.2, 0.5, (40, 70, 150))
+    assert item.mass == pytest.approx(0.2**2 * 0.0005 * 400.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"kind": '"string"'}, "give rope or cloth"),
+        ({"length": None}, "lacks length"),
+        ({"mass": None}, "one of mass and density"),
+        ({"density": "900"}, "one of mass and density"),
+        ({"length": "280"}, "give metres"),
+        ({"diameter": "-0.01"}, "give metres"),
+        ({"diameter": "0.1"}, "is no rope"),
+        ({"mass": "30"}, "its density would be"),
+        ({"nu": "0.5"}, "nu must lie in"),
+        ({"E": '"soft"'}, "E is 'soft'"),
+        ({"E": "nan"}, "give a number"),
+        ({"damping": "-1"}, "damping must be"),
+        ({"friction": "-1"}, "friction must be"),
+        ({"colour": "[1, 2]"}, "three of 0 to 255"),
+        ({"weight": "1"}, "weight means nothing"),
+    ],
+)
+def test_what_is_missing_or_impossible_is_named(tmp_path, change, says):
+    entries = {k: v for k, v in {**ROPE, **change}.items() if v is not None}
+    with pytest.raises(ParameterError, match=says) as error:
+        find_object(written(tmp_path, entries))
+    assert "\n" not in str(error.value)
+
+
+def test_files_that_are_none(tmp_path):
+    with pytest.raises(ParameterError, match="no such file"):
+        find_object(str(tmp_path / "none.toml"))
+    (tmp_path / "bad.toml").write_text("kind = ")
+    with pytest.raises(ParameterError, match="is not TOML"):
+        find_object(str(tmp_path / "bad.toml"))

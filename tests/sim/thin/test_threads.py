@@ -1,0 +1,62 @@
+"""Groups of worlds run in threads of their own: none undoes what another does."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from gendom.materials import Material
+from gendom.sim import Gripper, Simulator, cloth, rope
+from gendom.sim.thin import rods
+
+BODY = rope(diameter=0.004, length=0.31, start=(-0.01, 0, 0), points=32)
+
+
+def simulator(worlds=8, **settings):
+    hand = Gripper.still((-0.005, 0, 0), radius=0.005)
+    return Simulator(BODY, [Material(E=2e7)] * worlds, grippers=[hand], threads=2, **settings)
+
+
+def test_borders_stay_stiff_when_two_groups_close_at_once(monkeypatch):
+    """The first group's thread is stopped between reading and writing until the other is done."""
+    whole, doubled = rods.Rods.stiffen, rods.slower
+    order: list[int] = []
+    other_done = threading.Event()
+
+    def stiffen(self, body, worlds):
+        order.append(threading.get_ident())
+        whole(self, body, worlds)
+        if threading.get_ident() != order[0]:
+            other_done.set()
+
+    def slower(stiffer):
+        if threading.get_ident() == order[0]:
+            other_done.wait(5.0)
+        return doubled(stiffer)
+
+    s = simulator()
+    assert len(list(s.engine.groups())) == 2
+    monkeypatch.setattr(rods.Rods, "stiffen", stiffen)
+    monkeypatch.setattr(rods, "slower", slower)
+    s.run([1e-5])
+    assert other_done.is_set()
+    given = s.engine.body.inertia.numpy()[:, 3][:, s.engine.slots]
+    assert given.max() == 2.0
+    np.testing.assert_array_equal(given, np.tile(given[0], (8, 1)))
+
+
+@pytest.mark.parametrize("kind", ["rope", "cloth"])
+def test_opening_grippers_of_one_group_leave_the_others_where_they_are(monkeypatch, kind):
+    """Half of the worlds let go while the other half move on."""
+    body = BODY
+    if kind == "cloth":
+        body = cloth(width=0.3, height=0.1, thickness=0.001, dx=0.02, points=(16, 6))
+    moving = dict(time=[0.0, 0.1], position=[(0, 0, 0), (0, 0, 0.05)], radius=0.02)
+    early = [Gripper(**moving, hold_until=0.02)]
+    late = [Gripper(**moving, hold_until=0.09)]
+    hands = [early] * 8 + [late] * 8
+    material = [Material(E=2e6, damping=0.004)] * 16
+    together = Simulator(body, material, grippers=hands, threads=2).run([0.05, 0.1])
+    for half, hand in ((slice(0, 8), early), (slice(8, 16), late)):
+        alone = Simulator(body, material[:8], grippers=[hand] * 8, threads=1).run([0.05, 0.1])
+        np.testing.assert_array_equal(together[:, half], alone)

@@ -1,0 +1,139 @@
+"""Cloth spreading: the paper's steps, and the share that lies spread on known shapes."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError
+from gendom.materials import Cloth, Material
+from gendom.tasks import ClothSpreading
+from gendom.tasks.cloth_spreading import (
+    SEARCHED,
+    covered_area,
+    lattice_triangles,
+    spread_share,
+    step_shares,
+)
+from gendom.tasks.world import Outcome, Simulation
+
+TASK = ClothSpreading()
+N = 41
+TRIANGLES = lattice_triangles(N, N)
+
+
+def sheet(z=lambda u, v: 0.0 * u, x=lambda u, v: u):
+    """[V, 3] of a square of side 1; u, v are its own coordinates."""
+    v, u = np.meshgrid(*2 * [np.linspace(0.0, 1.0, N)], indexing="ij")
+    return np.stack([x(u, v), v, z(u, v)], axis=-1).reshape(-1, 3)
+
+
+# ---- the way down --------------------------------------------------------------------------------
+
+
+def test_steps_are_the_paper_s():
+    for A in (0.0, 0.1, 0.25):
+        steps = 16.0 * step_shares(A)
+        for i in range(1, 9):
+            assert steps[i - 1] == pytest.approx(1.0 - (4.5 - 0.5 * i) * A)
+        for i in range(9, 17):
+            assert steps[i - 1] == pytest.approx(1.0 + (0.5 * i - 4.0) * A)
+
+
+def test_beyond_the_paper_s_largest_no_step_goes_up_and_the_height_stays():
+    steps = step_shares(0.6)
+    assert steps.min() == 0.0 and steps.sum() == pytest.approx(1.0)
+    assert np.all(np.diff(steps) >= 0.0)
+    with pytest.raises(ParameterError, match=r"A is -0\.1"):
+        step_shares(-0.1)
+
+
+def test_the_height_is_0_16_m_for_the_paper_s_cloths():
+    position = TASK.tool_path(TASK.item, np.array([0.2])).position
+    assert np.ptp(position[:, 2]) == pytest.approx(0.16)
+    assert position[0, :2] == pytest.approx([0.1, 0.1])
+    assert position[-1, 2] == position[0, 2]
+
+
+# ---- the share that lies spread ------------------------------------------------------------------
+
+
+def test_a_flat_cloth_is_spread_wherever_it_lies():
+    turn = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    for x in (sheet(), sheet() + np.array([3.0, -2.0, 0.01]), sheet() @ turn.T):
+        assert spread_share(x, TRIANGLES) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_cloth_folded_in_half_covers_half():
+    folded = sheet(
+        x=lambda u, v: np.minimum(u, 1.0 - u), z=lambda u, v: np.where(u > 0.5, 0.01, 0.0)
+    )
+    assert spread_share(folded, TRIANGLES) == pytest.approx(0.5, abs=0.02)
+    assert covered_area(folded, TRIANGLES) == pytest.approx(0.5, abs=0.02)
+
+
+def test_waves_are_not_smooth():
+    """Of slopes up to 0.38 more than half are beyond 20 degrees' 0.36 nowhere; of 0.75 most are."""
+    steep = sheet(z=lambda u, v: 0.04 * np.abs(np.sin(6 * np.pi * u)))
+    assert spread_share(steep, TRIANGLES) < 0.5
+    assert covered_area(steep, TRIANGLES) == pytest.approx(1.0, abs=0.01)
+    gentle = sheet(z=lambda u, v: 0.002 * np.abs(np.sin(6 * np.pi * u)))
+    assert spread_share(gentle, TRIANGLES) == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_hangs_above_the_table_does_not_lie():
+    half = sheet(z=lambda u, v: np.where(u > 0.5, 0.2, 0.0))
+    assert spread_share(half, TRIANGLES) == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_crumpled_cloth_is_not_spread():
+    rng = np.random.default_rng(0)
+    heap = 0.3 * rng.random((N * N, 3))
+    assert spread_share(heap, TRIANGLES) < 0.1
+    assert spread_share(np.zeros((N * N, 3)), TRIANGLES) < 0.01
+
+
+# ---- the search ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Formula(Simulation):
+    """Each cloth is spread by all A from its friction on."""
+
+    tried: list[float] = field(default_factory=list)
+
+    def carry_out(self, task, items, actions, **_):
+        self.tried.extend(np.ravel(actions))
+        shares = [
+            0.9 if a >= i.friction - 1e-9 else 0.2 + 0.1 * a
+            for i, a in zip(items, np.ravel(actions), strict=True)
+        ]
+        return [Outcome(values={"share": s, "covered": s}) for s in shares]
+
+
+def test_the_smallest_A_that_spreads_is_found_with_few_trials():
+    world = Formula()
+    items = [replace(TASK.item, friction=f) for f in (0.0, 0.22, 0.3, 0.65, 0.9)]
+    found, outcomes = TASK.demonstrate(world, items, np.zeros((5, 1)))
+    assert found[:, 0] == pytest.approx([0.0, 0.25, 0.3, 0.65, 0.65])
+    assert [o.values["spreads"] for o in outcomes] == [1.0, 1.0, 1.0, 1.0, 0.0]
+    assert len(world.tried) < 5 * 8 < 5 * len(SEARCHED)
+
+
+def test_shortfall_is_the_error():
+    assert TASK.error(TASK.item, np.empty(0), {"share": 0.5}) == 0.25
+    assert TASK.error(TASK.item, np.empty(0), {"share": 0.9}) == 0.0
+
+
+@pytest.mark.slow
+def test_a_stiff_cloth_spreads_and_a_limp_one_needs_more():
+    rubber = Cloth(
+        side=0.2,
+        thickness=0.001,
+        material=Material(E=2e6, nu=0.45, density=1100.0, damping=0.004),
+        friction=0.7,
+    )
+    limp = replace(rubber, material=replace(rubber.material, E=1e5, density=400.0))
+    outcomes = Simulation().carry_out(TASK, [rubber, limp], [[0.1], [0.1]])
+    assert outcomes[0].values["share"] > 0.95
+    assert outcomes[1].values["share"] < 0.6

@@ -1,0 +1,223 @@
+"""What every task shares: limits, draws, settings, registry; and how our simulator does it."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gendom import tasks
+from gendom.errors import ParameterError
+from gendom.materials import PARAMETERS, Cloth, Material, Rope, likeness, size_of, to_columns
+from gendom.tasks import RopeReaching, find_task, rebuild, task_names
+from gendom.tasks.world import Simulation
+
+ALL = [find_task(name) for name in task_names()]
+each = pytest.mark.parametrize("kind", ALL, ids=[k.name for k in ALL])
+
+
+def another_size(task):
+    """The task's object, twice as large."""
+    item = task.item
+    return replace(item, **{name: 2.0 * getattr(item, name) for name in item.sizes})
+
+
+@each
+def test_settings_rebuild_a_task(kind):
+    task = kind(ranges={"nu": (0.1, 0.2), "E": (300.0, 400.0)})
+    settings = json.loads(json.dumps({"name": task.name, **task.settings()}))
+    assert rebuild(settings) == task
+    assert rebuild(settings) != kind()
+    with pytest.raises(ParameterError, match="unknown here"):
+        rebuild(settings | {"colour": "red"})
+
+
+@each
+def test_draws_follow_the_seed_and_the_ranges(kind):
+    task = kind()
+    items = [task.draw_item(np.random.default_rng([3, i])) for i in range(400)]
+    assert task.draw_item(np.random.default_rng([3, 7])) == items[7]
+    columns = [to_columns(item) for item in items]
+    for name, (low, high) in task.ranges.items():
+        values = np.array([c[PARAMETERS[name].column] for c in columns])
+        assert low <= values.min() < values.max() <= high
+        middle = math.sqrt(low * high) if PARAMETERS[name].log else 0.5 * (low + high)
+        assert 160 < np.sum(values < middle) < 240
+    for name, value in likeness(task.item).items():
+        if name not in task.ranges:
+            assert {likeness(i)[name] for i in items} == {value}
+
+
+@each
+def test_sampled_actions_are_allowed_at_every_size(kind):
+    task = kind()
+    for item in (task.item, another_size(task)):
+        actions = task.sample_actions(item, np.random.default_rng(0), 300)
+        low, high = task.limits(item).T
+        for action in actions:
+            np.testing.assert_array_equal(task.check_action(item, action), action)
+            np.testing.assert_array_equal(task.nearest(item, action), action)
+        assert np.all(actions.min(axis=0) < low + 0.1 * (high - low))
+    units = task.action_units(another_size(task)) / task.action_units(task.item)
+    np.testing.assert_allclose(
+        task.limits(another_size(task)), task.limits(task.item) * units[:, None]
+    )
+
+
+@each
+def test_actions_beyond_the_limits_are_moved_no_farther_than_needed(kind):
+    task = kind()
+    low, high = task.limits(task.item).T
+    far = high + 3.0 * (high - low)
+    moved = task.nearest(task.item, far)
+    assert task.allows(task.item, moved)
+    assert not task.allows(task.item, moved + 1e-4 * (far - moved))
+
+
+@each
+@pytest.mark.parametrize("action", [math.nan, [0.1] * 7])
+def test_actions_that_are_none_are_refused(kind, action):
+    with pytest.raises(ParameterError, match="finite number"):
+        kind().check_action(kind().item, action)
+
+
+@each
+def test_limits_are_told(kind):
+    task = kind()
+    with pytest.raises(ParameterError, match=f"{task.actions[0].name} in \\["):
+        task.check_action(task.item, task.limits(task.item)[:, 1] + 1.0)
+
+
+@each
+def test_paths_are_alike_at_every_size(kind):
+    """Twice the size: twice the way, the times sqrt(2) times as long; except fingers and pads."""
+    task, large = kind(), another_size(kind())
+    action = task.sample_actions(task.item, np.random.default_rng(1), 1)[0]
+    units = task.action_units(large) / task.action_units(task.item)
+    small_path = task.tool_path(task.item, action)
+    large_path = task.tool_path(large, action * units)
+    np.testing.assert_allclose(large_path.time, math.sqrt(2.0) * small_path.time, atol=1e-12)
+    np.testing.assert_allclose(large_path.position, 2.0 * small_path.position, atol=0.0021)
+    np.testing.assert_allclose(task.times(large), math.sqrt(2.0) * task.times(task.item))
+    assert small_path.moves == pytest.approx(0.0, abs=1e-12)
+
+
+def test_ranges_and_objects_are_checked():
+    for ranges, says in [
+        ({"mass": (1.0, 2.0)}, "no parameter 'mass'"),
+        ({"nu": (0.4, 0.3)}, "range of nu"),
+        ({"E": (0.0, 1.0)}, "positive numbers"),
+        ({"damping": (math.nan, 1.0)}, "range of damping"),
+    ]:
+        with pytest.raises(ParameterError, match=says):
+            RopeReaching(ranges=ranges)
+    with pytest.raises(ParameterError, match="takes a rope, not a cloth"):
+        RopeReaching(item=Cloth(side=0.2, thickness=0.001))
+
+
+# ---- registry ------------------------------------------------------------------------------------
+
+
+def test_unknown_tasks_are_refused_with_those_that_there_are():
+    with pytest.raises(ParameterError, match="choose rope-reaching, rope-casting"):
+        find_task("knitting")
+
+
+def test_a_name_is_given_once(monkeypatch):
+    monkeypatch.setattr(tasks, "_registered", dict(tasks._registered))
+
+    class Other(RopeReaching):
+        pass
+
+    with pytest.raises(ParameterError, match="'rope-reaching' already"):
+        tasks.register(Other)
+
+
+def test_entry_points_bring_tasks(monkeypatch):
+    class Dragging(RopeReaching):
+        name = "rope-dragging"
+
+    class Point:
+        def load(self):
+            return Dragging
+
+    monkeypatch.setattr(tasks, "_registered", dict(tasks._registered))
+    monkeypatch.setattr(tasks.metadata, "entry_points", lambda group: [Point()])
+    tasks._load_others.cache_clear()
+    try:
+        assert find_task("rope-dragging") is Dragging
+    finally:
+        tasks._load_others.cache_clear()
+
+
+def test_tasks_need_neither_torch_nor_the_simulator(run_python):
+    code = "import sys, gendom.tasks; print(sorted({'torch', 'warp'} & set(sys.modules)))"
+    assert run_python(code) == "[]"
+
+
+# ---- our simulator -------------------------------------------------------------------------------
+
+
+def test_one_that_fails_does_not_stop_the_others():
+    task = RopeReaching()
+    weak = replace(task.item, material=Material(E=500.0, density=1000.0))  # its weight stretches it
+    actions = task.sample_actions(task.item, np.random.default_rng(0), 3)
+    outcomes = Simulation().carry_out(task, [task.item, weak, task.item], actions)
+    assert [o.fault is None for o in outcomes] == [True, False, True]
+    assert outcomes[1].values == {} and " s" in (outcomes[1].fault or "")
+    alone = Simulation().carry_out(task, [task.item], actions[2:])[0]
+    assert alone.values == outcomes[2].values
+
+
+def test_objects_of_several_sizes_are_carried_out_in_their_order():
+    task, world = RopeReaching(bow=0.0), Simulation(air_density=0.0)
+    items = [Rope(length=L, diameter=0.05 * L, material=Material(E=2e6 * L)) for L in (0.3, 0.5)]
+    items = [*items, items[0]]
+    actions = np.array([[0.4, 0.4], [0.6, 0.4], [0.8, 0.4]]) * [[size_of(i)] for i in items]
+    outcomes = world.carry_out(task, items, actions)
+    reached = [o.values["x"] / size_of(i) for o, i in zip(outcomes, items, strict=True)]
+    for k, item in enumerate(items):
+        alone = world.carry_out(task, [item], actions[k : k + 1])[0]
+        assert alone.values["x"] / size_of(item) == pytest.approx(reached[k], rel=1e-9)
+    assert reached[0] > reached[2] + 0.05
+
+
+def test_kept_shapes_begin_with_the_move():
+    task = RopeReaching()
+    actions = task.sample_actions(task.item, np.random.default_rng(0), 1)
+    world = Simulation(everything=True)
+    seen = world.carry_out(task, [task.item], actions, keep=True)[0].seen
+    assert seen is not None
+    assert seen.times[0] == 0.0 and seen.points.shape[1] > 20
+    np.testing.assert_allclose(seen.tip[0], seen.hand[0], atol=1e-9)
+    held = seen.times < seen.opens
+    np.testing.assert_allclose(seen.tip[held], seen.hand[held], atol=1e-6)
+    plain = Simulation().carry_out(task, [task.item], actions, keep=True)[0].seen
+    assert plain is not None and plain.points.shape[1] == 1
+
+
+def test_numbers_that_do_not_agree_are_refused():
+    task = RopeReaching()
+    with pytest.raises(ParameterError, match="for 1 objects"):
+        Simulation().carry_out(task, [task.item], [[0.1, 0.1], [0.1, 0.1]])
+    with pytest.raises(ParameterError, match="out of limits"):
+        Simulation().carry_out(task, [task.item], [[0.0, 0.0]])
+
+
+def test_memory_that_does_not_suffice_means_smaller_batches(monkeypatch, caplog):
+    task = RopeReaching()
+    actions = task.sample_actions(task.item, np.random.default_rng(0), 5)
+    expected = Simulation().carry_out(task, [task.item] * 5, actions)
+    original, sizes = Simulation._side_by_side, []
+
+    def small(self, task, items, *rest):
+        sizes.append(len(items))
+        if len(items) > 2:
+            raise RuntimeError("Failed to allocate 12345 bytes on device 'cuda:0'")
+        return original(self, task, items, *rest)
+
+    monkeypatch.setattr(Simulation, "_side_by_side", small)
+    found = Simulation().carry_out(task, [task.item] * 5, actions)
+    assert [o.values for o in found] == [o.values for o in expected]
+    assert sizes == [5, 2, 3, 1, 2] and "smaller batches" in caplog.text
