@@ -10,7 +10,7 @@ from gendom.errors import DatasetError
 from gendom.files import read_json, write_json
 from gendom.materials import Rope, likeness
 from gendom.policies.demonstrations import Demonstrations
-from gendom.tasks import RopeCasting, RopeReaching
+from gendom.tasks import RopeCasting, RopeReaching, Task
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.world import Outcome, Simulation
 
@@ -28,7 +28,7 @@ class Formula(Simulation):
         return outcomes
 
 
-def demonstrator(kind=RopeReaching, **settings):
+def demonstrator(kind: type[Task] = RopeReaching, **settings):
     item = Rope(length=0.5, diameter=0.02)
     return Demonstrator(task=kind(item=item, **settings), simulation=Formula())
 

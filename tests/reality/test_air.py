@@ -9,7 +9,17 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from gendom.errors import ParameterError
-from gendom.reality import OBJECTS, Air, Layout, Performance, RealCloth, Reality, RealRope, reaching
+from gendom.reality import (
+    OBJECTS,
+    Air,
+    Layout,
+    Performance,
+    RealCloth,
+    Reality,
+    RealRope,
+    task_trial,
+)
+from gendom.tasks import RopeReaching
 
 ROPE = cast(RealRope, OBJECTS["rope-cotton"])
 CLOTH = cast(RealCloth, OBJECTS["cloth-cotton"])
@@ -134,7 +144,9 @@ def test_without_air_things_fall_freely(item):
 
 def test_a_released_rope_keeps_no_force():
     """The force of the step before does not stay where nothing replaces it."""
-    performance = Performance(reaching(ROPE, (0.153, 0.125)), robot=False, air_density=0.0)
+    performance = Performance(
+        task_trial(RopeReaching(), ROPE, (0.153, 0.125)), robot=False, air_density=0.0
+    )
     performance.step_to(performance.opens - 0.01)
     # A hair's breadth of twist is enough.
     performance.world.data.mocap_quat[0] = [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]
@@ -150,4 +162,6 @@ def test_a_density_that_cannot_be_is_refused(density):
     with pytest.raises(ParameterError, match=message):
         falling(ROPE, air_density=density)
     with pytest.raises(ParameterError, match=message):
-        Performance(reaching(ROPE, (0.153, 0.125)), robot=False, air_density=density)
+        Performance(
+            task_trial(RopeReaching(), ROPE, (0.153, 0.125)), robot=False, air_density=density
+        )

@@ -252,6 +252,7 @@ def test_the_goal_is_measured_in_the_task_frame(stretched):
         assert seen.points[0, 0] == pytest.approx([L, 0.0, 1.1 * L], abs=1e-3)
         assert seen.tip[0] == pytest.approx([L, 0.0, 0.1 * L], abs=2e-3)
         assert seen.hand[0] == pytest.approx([L, 0.0, 0.1 * L], abs=1e-3)
+        assert np.linalg.norm(seen.points[:, 0] - seen.points[0, 0], axis=1).max() < 1e-3
         world = performance.world
         for there, here in ((world.vertices(), seen.points[-1]), (world.hand, seen.hand[-1])):
             x, y, z = np.moveaxis(here, -1, 0)
@@ -269,6 +270,7 @@ def test_the_goal_is_measured_in_the_task_frame(stretched):
 
 def test_the_hand_holds_the_tip_until_it_opens():
     performance = Performance(reaching(POLYESTER, STRETCHED), robot=False)
+    assert performance.trial.reach == pytest.approx(0.03 * POLYESTER.length)
     performance.step_to(performance.opens - 0.005)
     assert POLYESTER.vertices - 1 in performance.world.held
     performance.step_to(performance.opens + 0.005)
@@ -438,13 +440,15 @@ def test_the_world_s_settings_arrive():
 
 
 def test_an_object_without_a_name_is_carried_out():
-    """It is one of ours when sizes, material and friction are."""
+    """It does what a named one does that has its numbers."""
     plain = Rope(
         length=POLYESTER.length,
         diameter=POLYESTER.diameter,
         material=POLYESTER.material,
         friction=POLYESTER.friction,
     )
+    made = as_real(plain)
+    assert (made.friction, made.material) == (POLYESTER.friction, POLYESTER.material)
     limp = replace(plain, material=replace(plain.material, E=0.3 * plain.material.E))
     world, way = RealWorld(robot=False), [[0.2]] * 3
     named, same, other = world.carry_out(CASTING, [POLYESTER, plain, limp], way)

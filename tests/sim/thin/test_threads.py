@@ -1,6 +1,7 @@
 """Groups of worlds run in threads of their own: none undoes what another does."""
 
 import threading
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,12 +36,13 @@ def test_borders_stay_stiff_when_two_groups_close_at_once(monkeypatch):
         return doubled(stiffer)
 
     s = simulator()
-    assert len(list(s.engine.groups())) == 2
+    engine: Any = s.engine
+    assert len(list(engine.groups())) == 2
     monkeypatch.setattr(rods.Rods, "stiffen", stiffen)
     monkeypatch.setattr(rods, "slower", slower)
     s.run([1e-5])
     assert other_done.is_set()
-    given = s.engine.body.inertia.numpy()[:, 3][:, s.engine.slots]
+    given = engine.body.inertia.numpy()[:, 3][:, engine.slots]
     assert given.max() == 2.0
     np.testing.assert_array_equal(given, np.tile(given[0], (8, 1)))
 
@@ -51,9 +53,11 @@ def test_opening_grippers_of_one_group_leave_the_others_where_they_are(monkeypat
     body = BODY
     if kind == "cloth":
         body = cloth(width=0.3, height=0.1, thickness=0.001, dx=0.02, points=(16, 6))
-    moving = dict(time=[0.0, 0.1], position=[(0, 0, 0), (0, 0, 0.05)], radius=0.02)
-    early = [Gripper(**moving, hold_until=0.02)]
-    late = [Gripper(**moving, hold_until=0.09)]
+    path = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.05)]
+    early, late = (
+        [Gripper(time=[0.0, 0.1], position=path, radius=0.02, hold_until=until)]
+        for until in (0.02, 0.09)
+    )
     hands = [early] * 8 + [late] * 8
     material = [Material(E=2e6, damping=0.004)] * 16
     together = Simulator(body, material, grippers=hands, threads=2).run([0.05, 0.1])

@@ -522,7 +522,7 @@ def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: NDArray[Any])
     """Set rows [k] of an array on its device, and touch no other: on the CPU groups of worlds run
     in threads of their own, and what one of them has written in between would be lost. On CUDA
     there is one group."""
-    if array.device.is_cpu:
+    if wp.get_device(array.device).is_cpu:
         array.numpy()[worlds] = values  # the array's own memory
         return
     rows = array.numpy()
