@@ -14,7 +14,7 @@ import tyro
 from gendom.cli.arguments import TaskName
 from gendom.errors import GendomError
 from gendom.files import read_json, to_json, write_json
-from gendom.materials import KINDS, Item, from_columns, to_columns
+from gendom.materials import ASSUMED, KINDS, PARAMETERS, Item, from_columns, to_columns
 
 if TYPE_CHECKING:
     from gendom.policies import Policy
@@ -37,15 +37,6 @@ _FLAGS = {
     "diameter": "--diameter",
     "side": "--side",
     "thickness": "--thickness",
-}
-
-# What stands in for parameters that a policy does not see and nobody gave; only a simulation of
-# what will be reached takes them.
-_ASSUMED = {
-    "poissons_ratio": 0.35,
-    "density": 1000.0,
-    "damping": 0.004,
-    "friction": 0.3,
 }
 
 
@@ -179,10 +170,14 @@ class Command:
         Raises:
             GendomError: Something that the policy sees is missing.
         """
-        columns = {"E": "specific_modulus", "nu": "poissons_ratio"}
         sees = policy.description.conditioned_on
         missing = [name for name in KINDS[task.kind].sizes if name not in held]
-        missing += [name for name in sees if columns.get(name, name) not in held]
+        # a lift tells neither damping nor friction
+        missing += [
+            name
+            for name in sees
+            if name not in ("damping", "friction") and PARAMETERS[name].column not in held
+        ]
         if missing:
             raise GendomError(
                 "the object is not fully described",
@@ -190,7 +185,7 @@ class Command:
                 fix=f"give {', '.join(dict.fromkeys(_FLAGS[name] for name in missing))}"
                 + (", or --params with an estimate" if self.params is None else ""),
             )
-        assumed = {name: value for name, value in _ASSUMED.items() if name not in held}
+        assumed = {name: value for name, value in ASSUMED.items() if name not in held}
         known = {**assumed, **held}
         modulus = known.get("specific_modulus", task.item.material.specific_modulus)
         known["youngs_modulus"] = modulus * known["density"]
@@ -319,6 +314,8 @@ def result_text(result: dict[str, Any], out: Path | None) -> str:
         )
     if "foretold" in result:
         rows.append(("foretold", _foretold_text(result["foretold"])))
+    if assumed := [f"{n} {v:g}" for n, v in result["assumed"].items() if n in seen]:
+        rows.append(("assumed", ", ".join(assumed)))
     rows.append(("policy", result["policy"]["path"]))
     lines = [result["task"], *(f"  {name:<8} {text}" for name, text in rows)]
     if out is None:

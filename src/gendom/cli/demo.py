@@ -20,7 +20,7 @@ from gendom.cli.estimate import estimate_text
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.files import to_json, write_json
-from gendom.materials import Material, Rope
+from gendom.materials import ASSUMED, Material, Rope
 
 if TYPE_CHECKING:
     from gendom.estimation import Estimate
@@ -192,7 +192,10 @@ def known_rope(found: Estimate) -> Rope:
         length=described["length"],
         diameter=described["diameter"],
         material=Material(
-            E=found.theta.specific_modulus * density, nu=found.theta.nu, density=density
+            E=found.theta.specific_modulus * density,
+            nu=found.theta.nu,
+            density=density,
+            damping=ASSUMED["damping"],  # a lift does not tell
         ),
     )
 

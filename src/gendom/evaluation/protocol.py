@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError, PolicyError, SimulationError
-from gendom.materials import Item, likeness, size_of, unit_of
+from gendom.materials import Item, likeness, unit_of
 from gendom.policies import Policy
 from gendom.tasks import Task
 from gendom.tasks.world import Simulation, World
@@ -58,7 +58,7 @@ class Score:
     error: Array
     """[W] the task's; NaN where it failed."""
     size: Array
-    """[W] of the objects [m]."""
+    """[W] what an error is a share of: the object's size [m] where goals are lengths, else 1."""
     outside: NDArray[np.bool_]
     """[W] whether `Policy.act` would refuse the goal as outside the training range."""
     faults: tuple[str | None, ...]
@@ -122,7 +122,7 @@ def draw_cases(
         outcomes = simulation.carry_out(task, [kept[i] for i in waiting], actions)
         again = []
         for i, outcome in zip(waiting, outcomes, strict=True):
-            if outcome.fault is None and within_risk(task, kept[i], outcome.values):
+            if outcome.fault is None and task.within_risk(kept[i], outcome.values):
                 goal[i] = [outcome.values[q.name] for q in task.goals]
             else:
                 again.append(i)
@@ -132,14 +132,6 @@ def draw_cases(
     raise SimulationError(
         f"{len(waiting)} of {count} cases failed {_ROUNDS} times", fix="choose other ranges"
     )
-
-
-def within_risk(task: Task, item: Item, values: dict[str, float]) -> bool:
-    """Whether an outcome can be relied on."""
-    risk = task.risk
-    if risk is None:
-        return True
-    return values[risk.name] <= risk.limit * unit_of(risk.unit, item)
 
 
 def score(
@@ -199,7 +191,7 @@ def score(
         goal=cases.goal,
         reached=reached,
         error=error,
-        size=np.array([size_of(item) for item in cases.items]),
+        size=np.array([unit_of(task.goals[0].unit, i) if task.goals else 1.0 for i in cases.items]),
         outside=outside,
         faults=tuple(o.fault for o in outcomes),
     )

@@ -2,6 +2,7 @@
 
 from gendom.materials.objects import (
     AIR_DENSITY,
+    ASSUMED,
     KINDS,
     PARAMETERS,
     STANDARD_GRAVITY,
@@ -22,6 +23,7 @@ from gendom.materials.parameters import Material, bending_length, specific_modul
 
 __all__ = [
     "AIR_DENSITY",
+    "ASSUMED",
     "KINDS",
     "PARAMETERS",
     "STANDARD_GRAVITY",

@@ -28,6 +28,11 @@ AIR_DENSITY = 1.2
 """Of air at 20 C and sea level [kg/m^3]."""
 
 
+ASSUMED = {"poissons_ratio": 0.35, "density": 1000.0, "damping": 0.004, "friction": 0.3}
+"""What is taken for a number, by column name, that nobody has told: about the middle of what ropes
+and cloths have."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
     """One of the numbers by which objects are alike."""

@@ -20,10 +20,10 @@ from typing import Any
 
 from gendom.errors import ParameterError
 from gendom.files import read_toml
-from gendom.materials import KINDS, Material
+from gendom.materials import ASSUMED, KINDS, Material
 from gendom.reality.objects import PLAIN, RealCloth, RealObject, RealRope
 
-DEFAULTS = {"damping": 0.004, "friction": 0.3}
+DEFAULTS = {name: ASSUMED[name] for name in ("damping", "friction")}
 """Of numbers that a file may leave out."""
 
 LARGEST, THICKEST, DENSEST, STIFFEST = 5.0, 0.2, 2e4, 1e13

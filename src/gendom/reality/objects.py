@@ -213,9 +213,13 @@ def as_real(item: Item) -> RealObject:
     """An object as one of the second reality, if it is not yet."""
     if isinstance(item, RealRope | RealCloth):
         return item
-    own = {f.name: getattr(item, f.name) for f in fields(item)}
-    made = RealRope if isinstance(item, Rope) else RealCloth
-    return made(name=f"a {item.kind}", colour=PLAIN, **own)
+    own: dict[str, Any] = {f.name: getattr(item, f.name) for f in fields(item)}
+    if isinstance(item, Rope):
+        # as many vertices as the diameter allows
+        most = 1 + int(item.length / (1.02 * item.diameter))
+        vertices = min(RealRope.vertices, most)
+        return RealRope(name=f"a {item.kind}", colour=PLAIN, vertices=vertices, **own)
+    return RealCloth(name=f"a {item.kind}", colour=PLAIN, **own)
 
 
 def find_object(name: str) -> RealObject:

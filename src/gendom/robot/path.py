@@ -211,14 +211,21 @@ class TcpPath:
     def corners(self) -> Array:
         """[J] times [s] at which the ideal path's velocity or rate of turning jumps."""
         _, knots = self._jumps()
-        return np.union1d(knots, self.time if self.quat_xyzw.ndim == 2 else [])
+        if self.quat_xyzw.ndim == 1:
+            return knots
+        pose = Rotation.from_quat(self.quat_xyzw)
+        rate = (pose[1:] * pose[:-1].inv()).as_rotvec() / np.diff(self.time)[:, None]
+        still = np.zeros((1, 3))
+        jumps = np.diff(np.concatenate([still, rate, still]), axis=0)
+        return np.union1d(knots, self.time[np.linalg.norm(jumps, axis=1) > 1e-12])
 
     def deviation(self, blend: float) -> Deviation:
-        """How far the path rounded off by `blend` [s] is from the ideal one."""
+        """How far the path rounded off by `blend` [s] is from the ideal one (with its own blend, if
+        it has one)."""
         near = np.linspace(-0.5 * blend, 0.5 * blend, 41)
         time = np.unique(np.add.outer(self.corners(), near))
         rounded = self.position_at(time, blend)
-        late = np.linalg.norm(rounded - self.position_at(time), axis=-1)
+        late = np.linalg.norm(rounded - self.position_at(time, self.blend or 0.0), axis=-1)
         off = np.full(len(time), np.inf)
         for a, b in zip(self.position[:-1], self.position[1:], strict=True):
             length2 = (b - a) @ (b - a)

@@ -205,6 +205,12 @@ class Task(ABC):
         """How far from a goal [G] an outcome is, in the goals' unit."""
         return float(np.linalg.norm(goal - np.array([values[q.name] for q in self.goals])))
 
+    def within_risk(self, item: Item, values: Mapping[str, float]) -> bool:
+        """Whether an outcome can be relied on."""
+        if self.risk is None:
+            return True
+        return values[self.risk.name] <= self.risk.limit * unit_of(self.risk.unit, item)
+
     # ---- actions ---------------------------------------------------------------------------------
 
     @classmethod

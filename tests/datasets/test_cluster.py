@@ -1,0 +1,81 @@
+"""Sets on a real Ray cluster of this machine's cores."""
+
+import os
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ray", reason="needs the extra cluster")
+
+from gendom.datasets.demonstrations import Outcomes, generate
+from gendom.errors import DeviceError, ParameterError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Throwing:
+    """Throw a ball: it lands at speed^2 / gravity."""
+
+    dies_once: str | None = None
+    """The first worker to make this file dies in it."""
+    breaks: bool = False
+
+    def about(self):
+        return {"task": {"name": "throwing"}}
+
+    def draw(self, rng):
+        return {"speed": rng.uniform(0.0, 10.0)}
+
+    def demonstrate(self, draws, *, device, on_frame=None):
+        if self.breaks:
+            raise ParameterError("the ball is flat", fix="pump it up")
+        if self.dies_once is not None:
+            try:
+                Path(self.dies_once).touch(exist_ok=False)
+            except FileExistsError:
+                pass
+            else:
+                os.kill(os.getpid(), signal.SIGKILL)
+        speed = np.array([draw["speed"] for draw in draws])
+        return Outcomes(columns={"goal_x": speed**2 / 9.81}, faults=(None,) * len(draws))
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    ray = pytest.importorskip("ray")
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
+    yield "local"
+    ray.shutdown()
+
+
+def test_rows_are_those_of_one_machine(tmp_path, cluster):
+    size = 3 * max(16, 2 * (os.cpu_count() or 1)) + 5
+    alone = generate(Throwing(), size, tmp_path / "one", seed=3, shard_size=24)
+    shared = generate(Throwing(), size, tmp_path / "two", seed=3, shard_size=24, cluster=cluster)
+    assert shared.equals(alone)
+    for shard in (tmp_path / "one").glob("*.parquet"):
+        assert (tmp_path / "two" / shard.name).read_bytes() == shard.read_bytes()
+
+
+def test_a_killed_worker_loses_nothing(tmp_path, cluster):
+    alone = generate(Throwing(), 60, tmp_path / "one", seed=3)
+    source = Throwing(dies_once=str(tmp_path / "died"))
+    shared = generate(source, 60, tmp_path / "two", seed=3, cluster=cluster)
+    assert (tmp_path / "died").exists() and shared.equals(alone)
+
+
+def test_a_fault_of_the_input_is_told_as_on_one_machine(tmp_path, cluster):
+    with pytest.raises(ParameterError, match="the ball is flat; pump it up"):
+        generate(Throwing(breaks=True), 20, tmp_path / "set", seed=3, cluster=cluster)
+    assert not (tmp_path / "set").exists()
+
+
+def test_a_cluster_without_gpus_is_told(tmp_path, cluster):
+    import ray
+
+    if ray.cluster_resources().get("GPU"):
+        pytest.skip("there is a GPU")
+    with pytest.raises(DeviceError, match="the cluster has no GPU"):
+        generate(Throwing(), 20, tmp_path / "set", seed=3, cluster=cluster, device="cuda")
