@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -144,13 +145,13 @@ class TcpPath:
     def sampled(self, per_blend: int = 16) -> tuple[Array, Array]:
         """Times [K] [s] and positions [K, 3] [m] of a path without blend that runs like this one:
         its own knots, and where it has a blend, so many in each."""
-        times = self.time
-        if self.blend:
-            near = np.linspace(-0.5 * self.blend, 0.5 * self.blend, per_blend + 1)
-            times = np.unique(np.concatenate([times, np.add.outer(self.corners(), near).ravel()]))
-            # two that differ by rounding would be a jump
-            times = times[np.append(np.diff(times) > 1e-9, True)]
-        return times, self.position_at(times, self.blend or 0.0)
+        if not self.blend:
+            return self.time, self.position
+        near = np.linspace(-0.5 * self.blend, 0.5 * self.blend, per_blend + 1)
+        times = np.unique(np.concatenate([self.time, np.add.outer(self.corners(), near).ravel()]))
+        # two that differ by rounding would be a jump
+        times = times[np.append(np.diff(times) > 1e-9, True)]
+        return times, self.position_at(times, self.blend)
 
     @property
     def start(self) -> float:
@@ -174,15 +175,17 @@ class TcpPath:
         time = np.asarray(time, dtype=float)
         total = np.zeros((*time.shape, 3))
         # one after the other: a matrix product may round differently from call to call
-        for jump, knot in zip(*self._jumps(), strict=True):
+        for jump, knot in zip(*self._jumps, strict=True):
             total += function(time - knot, blend)[..., None] * jump
         return total
 
+    @cached_property
     def _jumps(self) -> tuple[Array, Array]:
         """Jumps of the velocity [J, 3] [m/s] and when they are [J] [s]."""
         velocity = np.diff(self.position, axis=0) / np.diff(self.time)[:, None]
         still = np.zeros((1, 3))
-        jumps = np.diff(np.concatenate([still, velocity, still]), axis=0)
+        padded = np.concatenate([still, velocity, still])
+        jumps = padded[1:] - padded[:-1]
         some = np.linalg.norm(jumps, axis=1) > 0.0
         return jumps[some], self.time[some]
 
@@ -210,7 +213,7 @@ class TcpPath:
 
     def corners(self) -> Array:
         """[J] times [s] at which the ideal path's velocity or rate of turning jumps."""
-        _, knots = self._jumps()
+        _, knots = self._jumps
         if self.quat_xyzw.ndim == 1:
             return knots
         pose = Rotation.from_quat(self.quat_xyzw)
