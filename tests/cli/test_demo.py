@@ -15,6 +15,7 @@ from gendom.cli.demo import Command, _command_line
     [
         Command(),
         Command(out=Path("a b"), goal=(0.3, 0.35), starts=1, seed=4),
+        Command(task="rope-reaching", goal=(0.4,)),
         Command(live=True, reality="rope-polyester", frame_rate=10.0),
     ],
 )
@@ -28,7 +29,17 @@ def test_the_reported_command_repeats_the_run(command):
 @pytest.mark.parametrize("goal", ["5", "0.01", "nan"])
 def test_a_goal_that_no_rope_reaches_is_refused_before_the_work(tmp_path, capsys, goal):
     pytest.importorskip("mujoco", reason="needs the extra reality")
-    assert cli.main(["demo", "--out", str(tmp_path / "demo"), "--goal", goal]) == 2
+    words = ["demo", "--task", "rope-reaching", "--out", str(tmp_path / "demo"), "--goal", goal]
+    assert cli.main(words) == 2
     printed = capsys.readouterr()
     assert printed.out == "" and not (tmp_path / "demo").exists()
     assert "--goal: " in printed.err and "choose 0." in printed.err
+
+
+@pytest.mark.parametrize(
+    ("goal", "says"), [(["0.4"], "give x, z of each"), (["0.4", "5"], "z 5 m")]
+)
+def test_goals_of_two_numbers_are_checked(tmp_path, capsys, goal, says):
+    pytest.importorskip("mujoco", reason="needs the extra reality")
+    assert cli.main(["demo", "--out", str(tmp_path / "demo"), "--goal", *goal]) == 2
+    assert says in capsys.readouterr().err and not (tmp_path / "demo").exists()

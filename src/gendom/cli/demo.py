@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import date
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from tqdm import tqdm
@@ -26,9 +26,12 @@ if TYPE_CHECKING:
     from gendom.estimation import Estimate
     from gendom.policies import Policy
     from gendom.reality import RealRope
-    from gendom.tasks import Task
+    from gendom.tasks import Observed, Task
     from gendom.viz import CloudSequence
     from gendom.viz.report import PolicyRun
+
+    Run = tuple[np.ndarray, PolicyRun, PolicyRun]
+    """A goal [G], and what both policies did."""
 
 RECORDING, VIEWS = "demo-rope-lift.npz", "demo-rope-lift.jpg"
 """The demo's recording in the package's assets, and what its cameras saw halfway: made by
@@ -37,8 +40,11 @@ RECORDING, VIEWS = "demo-rope-lift.npz", "demo-rope-lift.jpg"
 SHIPPED = "rope-cotton"
 """The object that was recorded."""
 
-GOAL_SHARES = (0.4, 0.6, 0.8)
-"""Default goals, as places in the policy's range for this rope."""
+GOALS = 3
+"""Default number of goals."""
+
+STANDS = 0.003
+"""The hand stands where it is this near to its last place [m]."""
 
 MOTION_RATE = 30.0
 """Frames a second of the executed motion."""
@@ -62,8 +68,11 @@ class Command:
     """With --live: rope-cotton, rope-polyester or rope-polyethylene."""
     frame_rate: float = 15.0
     """With --live: frames a second."""
+    task: Literal["rope-casting", "rope-reaching"] = "rope-casting"
+    """What the arm does with the rope (docs/tasks.md)."""
     goal: tuple[float, ...] = ()
-    """How far the tip shall reach in the task's frame [m]; by default three goals."""
+    """Where the tip shall get in the task's frame [m], one goal after another: casting x and z of
+    its highest point, reaching its farthest x; by default three goals that the rope can reach."""
     starts: int = 3
     """Random starts of the estimate."""
     seed: int = 0
@@ -75,6 +84,7 @@ class Command:
 
     def run(self) -> int:
         from gendom.estimation import EstimateSettings, ReplaySettings, estimate
+        from gendom.evaluation import draw_cases
         from gendom.policies import Policy
         from gendom.reality import RealRope, find_object
         from gendom.reality.chain import record_and_perceive
@@ -88,8 +98,14 @@ class Command:
             raise ParameterError(
                 f"{rope.name} is no rope", where="--reality", fix="the demo's task takes ropes"
             )
-        policies = (Policy.pretrained(), Policy.pretrained(parameters=False))
-        _check_goals(self.goal, policies[0], rope)
+        policies = tuple(Policy.pretrained(self.task, parameters=sees) for sees in (True, False))
+        task = policies[0].task()
+        # drawn before anything is estimated
+        goals = (
+            _given_goals(self.goal, policies[0], rope)
+            if self.goal
+            else draw_cases(task, GOALS, seed=self.seed, items=[rope]).goal.round(3)
+        )
         if self.live:
             with _timed(seconds, "record and perceive"):
                 recording, sights = record_and_perceive(
@@ -136,16 +152,16 @@ class Command:
             f"{truth['poissons_ratio']:.3f}\n",
             flush=True,
         )
-        goals = self.goal or _default_goals(policies[0], found)
         with _timed(seconds, "act and carry out"):
             runs, shown = _carry_out(rope, policies, goals, found)
-        task = policies[0].task()
         with _timed(seconds, "predict the motion"):
             motion = _predicted(task, shown, known_rope(found), self.device)
         for goal, ours, without in runs:
+            named = zip(task.actions, ours.action, strict=True)
+            action = ", ".join(f"{q.name} {value:.3f} {q.unit}" for q, value in named)
             print(
-                f"goal {goal:.3f} m: release at ({ours.action[0]:.3f}, {ours.action[1]:.3f}) m, "
-                f"reached {ours.reached.item():.3f} m, off by {1e3 * _error(ours, goal):.1f} mm "
+                f"goal {_place(goal)} m: {action}, reached {_place(ours.reached)} m, "
+                f"off by {1e3 * _error(ours, goal):.1f} mm "
                 f"(without parameters {1e3 * _error(without, goal):.1f} mm)"
             )
         frames = found.lift.frames
@@ -159,7 +175,7 @@ class Command:
         )
         with _timed(seconds, "pictures and report"):
             write_gif(self.out / "lift.gif", clouds)
-            actions = {"format": "gendom-demo/1", "task": task.name, "outcomes": _outcomes(runs)}
+            actions = {"format": "gendom-demo/2", "task": task.name, "outcomes": _outcomes(runs)}
             write_json(self.out / "actions.json", actions)
             _report(self, recording, views, clouds, found, truth, task, runs, motion, seconds)
         if self.json:
@@ -168,21 +184,26 @@ class Command:
         return 0
 
 
-def _check_goals(goals: Sequence[float], policy: Policy, rope: RealRope) -> None:
-    """Refuse what no rope of this length reaches, before minutes go into the estimate."""
-    low, high = rope.length * policy.goal_range()[0]
+def _given_goals(numbers: Sequence[float], policy: Policy, rope: RealRope) -> np.ndarray:
+    """[K, G] goals that were asked for; what no rope of this length reaches is refused before
+    minutes go into the estimate."""
+    names = policy.description.goal_names
+    if len(numbers) % len(names):
+        raise ParameterError(
+            f"has {len(numbers)} numbers", where="--goal", fix=f"give {', '.join(names)} of each"
+        )
+    goals = np.reshape(numbers, (-1, len(names)))
+    ends = rope.length * policy.goal_range()
     for goal in goals:
-        if not low <= goal <= high:
-            raise ParameterError(
-                f"{goal:g} m is what no rope of {rope.length:g} m reaches",
-                where="--goal",
-                fix=f"choose {low:.3f} to {high:.3f} m; softer and stiffer ropes reach part of it",
-            )
-
-
-def _default_goals(policy: Policy, found: Estimate) -> tuple[float, ...]:
-    low, high = policy.goal_range(known_rope(found))[0]
-    return tuple(round(low + share * (high - low), 3) for share in GOAL_SHARES)
+        for name, value, (low, high) in zip(names, goal, ends, strict=True):
+            if not low <= value <= high:
+                raise ParameterError(
+                    f"{name} {value:g} m is what no rope of {rope.length:g} m reaches",
+                    where="--goal",
+                    fix=f"choose {low:.3f} to {high:.3f} m; softer and stiffer ropes reach part of "
+                    "it",
+                )
+    return goals
 
 
 def known_rope(found: Estimate) -> Rope:
@@ -203,9 +224,9 @@ def known_rope(found: Estimate) -> Rope:
 def _carry_out(
     rope: RealRope,
     policies: Sequence[Policy],
-    goals: Sequence[float],
+    goals: np.ndarray,
     found: Estimate,
-) -> tuple[list[tuple[float, PolicyRun, PolicyRun]], Executed]:
+) -> tuple[list[Run], Executed]:
     """Both policies' actions for each goal, done by the arm; and our last one to look at."""
     from gendom.reality import RealWorld, observe
     from gendom.viz.report import PolicyRun
@@ -213,36 +234,50 @@ def _carry_out(
     task, known = policies[0].task(), known_rope(found)
     done: list[PolicyRun] = []
     executed = []
-    for goal in tqdm(
-        np.repeat(goals, len(policies)), desc="the arm acts", leave=False, disable=None
-    ):
+    each = np.repeat(goals, len(policies), axis=0)
+    for goal in tqdm(each, desc="the arm acts", leave=False, disable=None):
         policy = policies[len(done) % len(policies)]
         action = policy.act(goal, known).values
         performance = RealWorld().performance(task, rope, action)
         seen = observe(task, performance, MOTION_RATE * _FINER)
-        released = int(np.searchsorted(seen.times, seen.opens))
-        tip = seen.tip[released:]
-        farthest = released + int(np.argmax(tip[:, 0]))
         values = task.outcome(rope, seen)
+        reached = np.array([values[q.name] for q in task.goals])
+        free = _free(seen)
+        tip = seen.tip[free:]
+        away = tip[:, :1] if len(reached) == 1 else tip[:, [0, 2]] - seen.tip[0, [0, 2]]
+        there = free + int(np.argmin(np.linalg.norm(away - reached, axis=1)))
         done.append(
             PolicyRun(
                 action=np.array(action),
-                reached=np.array([values[q.name] for q in task.goals]),
+                reached=reached,
                 tip_path=tip,
-                shape_at_release=_filled(seen.points[released]),
-                shape_at_farthest=_filled(seen.points[farthest]),
+                shape_at_release=_filled(seen.points[free]),
+                shape_at_farthest=_filled(seen.points[there]),
             )
         )
         executed.append(
             Executed(
                 action=np.array(action),
                 slowed_by=performance.slowed_by,
-                times=seen.times[::_FINER] - seen.opens,
+                times=seen.times[::_FINER],
                 shapes=[_filled(x) for x in seen.points[::_FINER]],
             )
         )
     pairs = zip(goals, done[0::2], done[1::2], strict=True)
-    return [(float(goal), ours, without) for goal, ours, without in pairs], executed[-2]
+    return list(pairs), executed[-2]
+
+
+def _free(seen: Observed) -> int:
+    """Frame at which the rope is let go, or at which the hand stands again."""
+    if np.isfinite(seen.opens):
+        return int(np.searchsorted(seen.times, seen.opens))
+    stands = np.linalg.norm(seen.hand - seen.hand[-1], axis=1) < STANDS
+    return int(np.argmax(stands))
+
+
+def _place(numbers: np.ndarray) -> str:
+    text = ", ".join(f"{x:.3f}" for x in numbers)
+    return text if len(numbers) == 1 else f"({text})"
 
 
 _FINER = 4  # reached places are looked for this much finer in time than the motion is shown
@@ -250,14 +285,14 @@ _FINER = 4  # reached places are looked for this much finer in time than the mot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Executed:
-    """A release as the arm did it, in the task's frame."""
+    """A motion as the arm did it, in the task's frame."""
 
     action: np.ndarray
-    """[2] release point [m]."""
+    """[A]."""
     slowed_by: float
     """How much longer the arm took than the task asks for."""
     times: np.ndarray
-    """[T] from the release on [s]."""
+    """[T] on the task's clock [s]."""
     shapes: list[np.ndarray]
     """T clouds [n, 3] of the rope [m]."""
 
@@ -278,8 +313,7 @@ def _predicted(task: Task, executed: Executed, known: Rope, device: str) -> Clou
     outcome = world.carry_out(task, [known], [executed.action], keep=True)[0]
     if outcome.seen is None:
         raise GendomError(outcome.fault or "the simulation failed", where="demo")
-    # Both are at the release at time 0.
-    late = outcome.seen.times - outcome.seen.opens
+    late = outcome.seen.times
     frames = np.flatnonzero((executed.times >= late[0]) & (executed.times <= late[-1]))
     nearest = [int(np.argmin(np.abs(late - executed.times[k]))) for k in frames]
     return CloudSequence(
@@ -290,19 +324,19 @@ def _predicted(task: Task, executed: Executed, known: Rope, device: str) -> Clou
     )
 
 
-def _error(run: PolicyRun, goal: float) -> float:
+def _error(run: PolicyRun, goal: np.ndarray) -> float:
     """|reached - goal| [m]."""
     return float(np.linalg.norm(run.reached - goal))
 
 
-def _outcomes(runs: Sequence[tuple[float, PolicyRun, PolicyRun]]) -> list[dict[str, Any]]:
+def _outcomes(runs: Sequence[Run]) -> list[dict[str, Any]]:
     return [
         {
-            "goal": goal,
+            "goal": goal.tolist(),
             **{
                 name: {
                     "action": run.action.tolist(),
-                    "reached": run.reached.item(),
+                    "reached": run.reached.tolist(),
                     "error": _error(run, goal),
                 }
                 for name, run in (("with_parameters", ours), ("without_parameters", without))
@@ -320,7 +354,7 @@ def _report(
     found: Estimate,
     truth: dict[str, float],
     task: Task,
-    runs: Sequence[tuple[float, PolicyRun, PolicyRun]],
+    runs: Sequence[Run],
     motion: CloudSequence,
     seconds: dict[str, float],
 ) -> None:
@@ -358,7 +392,7 @@ def _report(
             ),
             action=ActionSummary(
                 outcomes=[
-                    ReachOutcome(goal=np.array([goal]), ours=ours, without=without)
+                    ReachOutcome(goal=goal, ours=ours, without=without)
                     for goal, ours, without in runs
                 ],
                 motion=motion,
@@ -385,6 +419,7 @@ def _command_line(command: Command) -> str:
     if command.live:
         words += ["--live", "--reality", command.reality]
         words += ["--frame-rate", str(command.frame_rate)]
+    words += ["--task", command.task]
     if command.goal:
         words += ["--goal", *map(str, command.goal)]
     return shlex.join(words)

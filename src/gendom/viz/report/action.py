@@ -255,8 +255,9 @@ def _swing_figure(action: ActionSummary, outcome: ReachOutcome) -> str:
     chart = swing_chart(swings, outcome.goal, table_height=action.table_height)
     return figure(
         chart,
-        "Paths of the rope's tip after the release",
-        f"Goal {place_text(outcome.goal)}. Circles: the tip at release; diamonds: at its farthest. "
+        "Paths of the rope's tip",
+        f"Goal {place_text(outcome.goal)}. Circles: the tip when it is let go, or when the hand "
+        "stands; diamonds: where the goal counts. "
         "Thick: the rope at these two moments, the earlier one pale.",
     )
 
