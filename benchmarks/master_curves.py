@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from gendom.validation import Settings
 from gendom.validation import master_curves as curves
-from gendom.viz.charts import _STYLE, OURS_COLOR, WITHOUT_COLOR, _finish
+from gendom.viz.charts import OURS_COLOR, STYLE, WITHOUT_COLOR, to_svg
 
 TORSION = 1.0 / (1.0 + curves.MATERIAL.nu)
 HANGING = -math.pi / 2.0
@@ -116,14 +116,14 @@ def tips(axes: Axes, settings: Settings) -> None:
     axes.legend(loc="upper left")
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def draw(settings: Settings) -> bytes:
     figure = Figure(figsize=(11.0, 8.0), layout="constrained")
     panels = figure.subplots(2, 2)
     for axes, panel in zip(panels.flat, (sags, ribbons, curls, tips), strict=True):
         axes.spines[["top", "right"]].set_visible(False)
         panel(axes, settings)
-    return _finish(figure)
+    return to_svg(figure)
 
 
 def main() -> None:

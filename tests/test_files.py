@@ -1,6 +1,8 @@
 """Files are whole or absent, and JSON holds no NaN."""
 
+import errno
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import GendomError, RecordingError
-from gendom.files import atomic_path, read_json, read_toml, to_json, write_json
+from gendom.files import atomic_folder, atomic_path, read_json, read_toml, to_json, write_json
 
 
 def test_success_replaces_and_leaves_nothing_else(tmp_path):
@@ -37,6 +39,43 @@ def test_places_that_cannot_be_written(tmp_path):
     for path, what in ((tmp_path, "is a folder"), (tmp_path / "file" / "a", "cannot make")):
         with pytest.raises(GendomError, match=what), atomic_path(path):
             pass
+
+
+@pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EDQUOT])
+@pytest.mark.parametrize("whole", [atomic_path, atomic_folder])
+def test_a_full_disk_is_told_in_one_line(tmp_path, whole, fault):
+    told = pytest.raises(GendomError, match=r"a\.txt: the disk is full; make room")
+    with told as error, whole(tmp_path / "a.txt"):
+        raise OSError(fault, os.strerror(fault))
+    assert "\n" not in str(error.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_faults_of_the_system_are_passed_on(tmp_path):
+    with pytest.raises(PermissionError), atomic_path(tmp_path / "a.txt"):
+        raise PermissionError(errno.EACCES, "no")
+
+
+def test_a_folder_is_whole_or_absent(tmp_path):
+    folder = tmp_path / "new" / "set"
+    with pytest.raises(KeyboardInterrupt), atomic_folder(folder) as temporary:
+        (temporary / "a").mkdir()
+        (temporary / "a" / "b.txt").write_text("half")
+        raise KeyboardInterrupt
+    assert list(folder.parent.iterdir()) == []
+    with atomic_folder(folder) as temporary:
+        (temporary / "b.txt").write_text("whole")
+        assert not folder.exists()
+    assert (folder / "b.txt").read_text() == "whole"
+    assert list(folder.parent.iterdir()) == [folder]
+
+
+def test_a_folder_that_is_there_is_left_alone(tmp_path):
+    for there in (tmp_path / "folder", tmp_path / "file"):
+        there.mkdir() if there.name == "folder" else there.write_text("")
+        with pytest.raises(GendomError, match="is there already"), atomic_folder(there):
+            pass
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
 
 
 def test_json_round_trip(tmp_path):

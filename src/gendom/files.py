@@ -1,8 +1,9 @@
-"""Files that are either whole or absent, JSON that every reader understands, TOML, and rows of
-numbers that an interrupted program left."""
+"""Files and folders that are either whole or absent, JSON that every reader understands, TOML, and
+rows of numbers that an interrupted program left."""
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -30,11 +31,44 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
     suffix, for writers that choose a format by it.
 
     Raises:
-        GendomError: `path` is a folder, or its folder cannot be made or written.
+        GendomError: `path` is a folder, or its folder cannot be made or written, or the disk is
+            full.
     """
     path = Path(path)
     if path.is_dir():
         raise GendomError("is a folder", where=str(path), fix="name a file")
+    with _beside(path) as temporary:
+        yield temporary
+        _sync(temporary)
+        os.replace(temporary, path)
+
+
+@contextmanager
+def atomic_folder(path: str | os.PathLike) -> Iterator[Path]:
+    """A temporary folder that becomes `path` when the block succeeds.
+
+    If the block raises (Ctrl-C included) the temporary folder is removed with all that is in it.
+
+    Raises:
+        GendomError: `path` is there already, or its folder cannot be made or written, or the disk
+            is full.
+    """
+    path = Path(path)
+    if path.exists():
+        raise GendomError("is there already", where=str(path), fix="name a new folder")
+    with _beside(path) as temporary:
+        temporary.mkdir()
+        yield temporary
+        for file in temporary.rglob("*"):
+            if file.is_file():
+                _sync(file)
+        os.rename(temporary, path)
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """A temporary name in the folder of `path`, which is made if it is missing. What bears the
+    name in the end is removed."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -50,14 +84,23 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.tmp{path.suffix}")
     try:
         yield temporary
-        with open(temporary, "rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise GendomError(
+            "the disk is full", where=str(path), fix="make room, and run the same command again"
+        ) from error
     finally:
         if temporary.is_dir():
             shutil.rmtree(temporary, ignore_errors=True)
         else:
             temporary.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file is on the disk."""
+    with open(path, "rb+") as file:
+        os.fsync(file.fileno())
 
 
 def to_json(value: Any) -> str:

@@ -1,8 +1,10 @@
 """`gendom dataset`: a set on disk, its summary, and faults as one line."""
 
+import errno
 import json
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from gendom import cli
@@ -67,3 +69,36 @@ def test_ranges_can_be_chosen(tmp_path, capsys):
     assert about["task"]["ranges"]["nu"] == [0.2, 0.4]
     assert cli.main([*words, "--range", "mass", "1", "2"]) == 2
     assert "no parameter 'mass'" in capsys.readouterr().err
+
+
+def test_a_full_disk(tmp_path, monkeypatch, capsys):
+    def fill(*_, **__):
+        raise OSError(errno.ENOSPC, "Error writing bytes to file")
+
+    words = ["dataset", "rope-reaching", "--size", "10", "--out", str(tmp_path / "set")]
+    with monkeypatch.context() as full:
+        full.setattr(pq, "write_table", fill)
+        assert cli.main(words) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "the disk is full; make room" in err
+    assert cli.main(words) == 0
+
+
+def test_a_set_that_is_spoilt(tmp_path, capsys):
+    """A damaged shard is simulated again; a set of another format is left alone."""
+    folder = tmp_path / "set"
+    words = ["dataset", "rope-reaching", "--size", "10", "--out", str(folder)]
+    assert cli.main(words) == 0
+    whole = (folder / "shard-00000.parquet").read_bytes()
+    (folder / "shard-00000.parquet").write_bytes(whole[:200])
+    capsys.readouterr()
+    assert cli.main(words) == 0
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "is damaged" in err and "simulating it again" in err
+    assert (folder / "shard-00000.parquet").read_bytes() == whole
+    about = json.loads((folder / "dataset.json").read_text())
+    (folder / "dataset.json").write_text(json.dumps(about | {"format": "gendom-demonstrations/9"}))
+    assert cli.main(words) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "has the format 'gendom-demonstrations/9'" in err
+    assert (folder / "shard-00000.parquet").read_bytes() == whole

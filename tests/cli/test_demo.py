@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 import tyro
+from tqdm import tqdm
 
 from gendom import cli
+from gendom.cli.arguments import PERCENT_BAR
 from gendom.cli.demo import Command, _command_line
 
 
@@ -43,3 +45,8 @@ def test_goals_of_two_numbers_are_checked(tmp_path, capsys, goal, says):
     pytest.importorskip("mujoco", reason="needs the extra reality")
     assert cli.main(["demo", "--out", str(tmp_path / "demo"), "--goal", *goal]) == 2
     assert says in capsys.readouterr().err and not (tmp_path / "demo").exists()
+
+
+def test_percent_have_no_rate():
+    line = tqdm.format_meter(40, 100, 20.0, ncols=60, prefix="estimating", bar_format=PERCENT_BAR)
+    assert line.startswith("estimating:  40%|") and line.endswith("| 00:20, 00:30 left")

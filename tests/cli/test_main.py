@@ -185,6 +185,17 @@ def test_check_as_json(recording, capsys):
     assert [w["where"] for w in summary["warnings"]] == ["points"]
 
 
+def test_check_says_for_how_long_a_gripper_was_closed(recording, tmp_path, capsys):
+    dropped = tmp_path / "dropped.npz"
+    with np.load(recording) as file:
+        np.savez(dropped, **file, gripper_closed=np.array([[True], [True], [False], [False]]))
+    assert cli.main(["check", str(dropped)]) == 0
+    assert "rise 0.03 m, closed in 2 frames\n" in capsys.readouterr().out
+    assert cli.main(["check", str(dropped), "--json"]) == 0
+    (gripper,) = json.loads(capsys.readouterr().out)["grippers"]
+    assert gripper["closed_frames"] == 2
+
+
 def test_check_refuses(recording, tmp_path, capsys):
     with np.load(recording) as file:
         arrays = dict(file)

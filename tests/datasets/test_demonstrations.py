@@ -3,6 +3,7 @@
 A task that takes no time stands in for a simulation; one test simulates a rope.
 """
 
+import errno
 import hashlib
 import json
 import os
@@ -186,6 +187,31 @@ def test_a_damaged_shard_is_simulated_again(whole, caplog):
     assert "shard-00002.parquet" in caplog.text
 
 
+@pytest.mark.parametrize("full_at", [0, 1, 2])
+def test_a_set_on_a_full_disk_goes_on_later(tmp_path, whole, monkeypatch, full_at):
+    folder, written = tmp_path / "set", []
+    write_table = pq.write_table
+
+    def fill(table, path, **options):
+        if len(written) == full_at:
+            path.write_bytes(b"PAR1")
+            raise OSError(errno.ENOSPC, "Error writing bytes to file")  # as Arrow says it
+        written.append(path)
+        write_table(table, path, **options)
+
+    with monkeypatch.context() as full:
+        full.setattr(pq, "write_table", fill)
+        with pytest.raises(GendomError, match="the disk is full; make room") as error:
+            make(folder)
+    assert str(shard(folder, full_at)) in str(error.value) and "\n" not in str(error.value)
+    kept = ["dataset.json"] if full_at else []
+    kept += [f"shard-{number:05d}.parquet" for number in range(full_at)]
+    assert (names(folder) if folder.exists() else []) == kept
+    task = Throwing()
+    assert make(folder, task=task).equals(load(whole))
+    assert task.count == 10 - 4 * full_at
+
+
 # ---- what is refused -----------------------------------------------------------------------------
 
 
@@ -231,6 +257,13 @@ def test_shards_without_a_description_are_refused(whole):
         make(whole)
     with pytest.raises(DatasetError, match=r"no dataset\.json"):
         load(whole)
+
+
+def test_a_set_of_another_version_is_left_alone(whole, monkeypatch):
+    monkeypatch.setattr(demonstrations, "__version__", "99.0.0")
+    with pytest.raises(DatasetError, match=r'gendom is "0.1.0" there and "99.0.0" here'):
+        make(whole, 20)
+    assert len(load(whole)) == 10
 
 
 def test_a_missing_shard(whole):

@@ -193,6 +193,22 @@ def test_two_grippers(folder):
     assert recording.gripper_position[4].tolist() == [[0.4, 0.0, 0.04], [0.0, 0.0, 0.0]]
 
 
+def test_when_the_gripper_is_closed(folder):
+    add_closed(1, 1, 1, 0, 0)(folder)
+    recording = Recording.read(folder)
+    assert recording.gripper_axis is not None and recording.gripper_closed is not None
+    assert recording.gripper_closed[:, 0].tolist() == [True, True, True, False, False]
+
+
+def test_when_each_of_two_grippers_is_closed(folder):
+    rows = ["time,x0,y0,z0,x1,y1,z1,closed0,closed1"]
+    rows += [f"{0.1 * t},0.4,0,{0.01 * t},0,0,0,1,{int(t < 2)}" for t in range(5)]
+    (folder / "gripper.csv").write_text("\n".join(rows))
+    recording = Recording.read(folder)
+    assert recording.gripper_closed is not None
+    assert recording.gripper_closed.T.tolist() == [[True] * 5, [True, True, False, False, False]]
+
+
 def test_missing_table_height_is_a_warning(folder):
     (folder / "object.toml").write_text('[object]\nkind = "rope"\nlength = 0.4\n')
     faults = []
@@ -207,6 +223,17 @@ def rewrite(name, old, new):
         (folder / name).write_text(text.replace(old, new, 1))
 
     return spoil
+
+
+def add_closed(*states):
+    """Add the column `closed`."""
+
+    def add(folder):
+        path = folder / "gripper.csv"
+        rows = zip(path.read_text().splitlines(), ("closed", *states), strict=True)
+        path.write_text("\n".join(f"{row},{state}" for row, state in rows) + "\n")
+
+    return add
 
 
 BAD_FOLDERS = {
@@ -238,7 +265,7 @@ BAD_FOLDERS = {
     ),
     "no time column": (
         rewrite("gripper.csv", "time", "seconds"),
-        "{}/gripper.csv: the header lacks 'time'; use time,x,y,z[,ax,ay,az], or",
+        "{}/gripper.csv: the header lacks 'time'; use time,x,y,z[,ax,ay,az][,closed], or",
     ),
     "half an axis": (
         rewrite("gripper.csv", "ax,ay,az", "ax,ay,bz"),
@@ -247,6 +274,15 @@ BAD_FOLDERS = {
     "a strange column": (
         rewrite("gripper.csv", "ax,ay,az", "force,,torque"),
         "{}/gripper.csv: the header has unknown 'force', '', 'torque'; ",
+    ),
+    "half closed": (
+        add_closed(1, 1, 0.5, 0, 0),
+        "{}/gripper.csv, line 4, column closed: is '0.5'; "
+        "give 1 where the gripper is closed, 0 where it is open",
+    ),
+    "one of two grippers closed": (
+        lambda f: (f / "gripper.csv").write_text("time,x0,y0,z0,x1,y1,z1,closed0\n0,0,0,0,0,0,0,1"),
+        "{}/gripper.csv: the header lacks 'closed1'; use time,x,y,z[,ax,ay,az][,closed], or",
     ),
     "empty gripper.csv": (
         lambda f: (f / "gripper.csv").write_text(""),

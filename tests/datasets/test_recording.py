@@ -127,6 +127,36 @@ def test_arrays_are_read_only_and_the_callers_stay_writable():
     points[0] = 1.0
 
 
+def test_when_the_gripper_was_closed_is_kept(lift, tmp_path):
+    closed = np.array([[True]] * 3 + [[False]] * 2)
+    dropped = replace(lift, gripper_closed=closed)
+    arrays, meta = stored(dropped, tmp_path)
+    assert arrays["gripper_closed"].dtype == np.bool_
+    again = Recording.read(save(tmp_path / "dropped.npz", arrays, meta))
+    for recording in (dropped, again):
+        assert recording.gripper_closed is not None
+        np.testing.assert_array_equal(recording.gripper_closed, closed)
+        np.testing.assert_array_equal(recording.holds, closed)
+    np.testing.assert_array_equal(dropped.head(4).gripper_closed, closed[:4])
+
+
+def test_a_gripper_of_which_nothing_is_said_is_closed(lift, tmp_path):
+    arrays, _ = stored(lift, tmp_path)
+    assert lift.gripper_closed is None and "gripper_closed" not in arrays
+    assert lift.holds.shape == (5, 1) and lift.holds.all()
+
+
+def test_from_frames_takes_states_of_one_gripper(lift):
+    recording = Recording.from_frames(
+        lift.frames(),
+        time=lift.time,
+        gripper_position=lift.gripper_position[:, 0],
+        gripper_closed=[True, True, True, False, False],
+        object=lift.object,
+    )
+    assert recording.holds[:, 0].tolist() == [True, True, True, False, False]
+
+
 def test_from_frames_says_which_cloud_is_wrong(lift):
     with pytest.raises(RecordingError, match=r"frame 1: has shape \[4, 2\]; give \[n, 3\]"):
         Recording.from_frames(
@@ -200,6 +230,20 @@ ARRAY_FAULTS = {
         lambda a: a.update(gripper_axis=np.zeros((5, 2, 3))),
         "gripper_axis: has shape [5, 2, 3], but gripper_position [5, 1, 3]; "
         "give one unit vector for each position, or leave it out",
+    ),
+    "states of another shape": (
+        lambda a: a.update(gripper_closed=np.ones((5, 2), bool)),
+        "gripper_closed: has shape [5, 2], but gripper_position [5, 1, 3]; "
+        "give true or false for each position, or leave it out",
+    ),
+    "states that are numbers": (
+        lambda a: a.update(gripper_closed=np.ones((5, 1))),
+        "gripper_closed: has the type float64; give bool [T, G]",
+    ),
+    "never closed": (
+        lambda a: a.update(gripper_closed=np.zeros((5, 1), bool)),
+        "gripper_closed, gripper 0: is never closed; "
+        "give true where it holds the object, or leave the gripper out",
     ),
     "points not finite": (
         lambda a: set_nan(a["points"], slice(42, 44), 1),
@@ -358,6 +402,21 @@ def test_warnings_do_not_prevent_reading(lift, tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         Recording.read(path)
     assert len(caplog.records) == 3
+
+
+def test_an_open_gripper_may_be_anywhere(lift):
+    position = lift.gripper_position.copy()
+    position[4, 0, 0] = 1.2
+    closed = np.array([[True]] * 4 + [[False]])
+    assert len(replace(lift, gripper_position=position).validate()) == 1
+    assert replace(lift, gripper_position=position, gripper_closed=closed).validate() == []
+
+
+def test_a_gripper_that_closes_late_is_told(lift):
+    late = replace(lift, gripper_closed=np.array([[False], [False], [True], [True], [False]]))
+    (fault,) = late.validate()
+    assert fault.severity == "warning"
+    assert str(fault).startswith("gripper_closed, gripper 0: is open until frame 2; cut the frames")
 
 
 def test_a_gripper_at_rest_is_told(lift):

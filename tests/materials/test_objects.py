@@ -74,6 +74,7 @@ def test_columns_give_the_object_back(item):
         ({"length": 0.0}, "length must be positive"),
         ({"diameter": math.nan}, "diameter must be positive"),
         ({"diameter": 0.07}, "is no rope"),
+        ({"length": 250.0, "diameter": 14.0}, "length is 250 m; give metres: 250 mm are 0.25 m"),
         ({"friction": -0.1}, "friction must be finite"),
     ],
 )

@@ -169,6 +169,32 @@ def test_path_between_its_rows():
     assert path.at(2.1) is None and path.at(2.0) is not None
 
 
+def test_a_gripper_stays_as_the_last_row_says():
+    closed = np.array([[True], [True], [False]])
+    path = RobotPath(np.array([0.0, 1.0, 2.0]), np.zeros((3, 1, 3)), closed=closed)
+    states = [path.closed_at(time) for time in (0.0, 1.99, 2.0, 2.1)]
+    assert [None if state is None else state.tolist() for state in states] == [
+        [True],
+        [True],
+        [False],
+        [False],
+    ]
+    assert RobotPath(path.time, path.position).closed_at(1.0) is None
+
+
+def test_frames_know_whether_the_gripper_was_closed(live):
+    sighting = live(3)
+    assert perceive(sighting, SETTINGS).recording.gripper_closed is None
+    robot = RobotPath(
+        np.array([0.0, 0.05, 1.0]),
+        np.array([[[0.0, 0.0, z]] for z in (0.2, 0.215, 0.5)]),
+        closed=np.array([[True], [False], [False]]),
+    )
+    found = perceive(replace(sighting, robot=robot), SETTINGS).recording
+    assert found.gripper_closed is not None
+    assert found.gripper_closed[:, 0].tolist() == [True, True, False]
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -115,11 +115,59 @@ def test_act_without_parameters_needs_only_sizes(act):
     assert json.loads(out)["network_input"] == {} and "foretold" not in json.loads(out)
 
 
-def test_act_warns_on_stderr(act):
-    code, out, err = act("--nu", "0.45", "--json")
-    assert code == 0
-    assert "nu (Poisson's ratio) 0.45 is 12.5 % above" in err
-    assert json.loads(out)["warnings"]
+@pytest.mark.parametrize(
+    ("flags", "goal", "text"),
+    [
+        (
+            ("--nu", "0.45"),
+            "0.35",
+            "nu (Poisson's ratio) 0.45 is 12.5 % above the range 0.2 to 0.4",
+        ),
+        (("--E", "1e4"), "0.35", "E (bending length over size)"),
+        ((), "0.9", "goal x 0.9 lies outside"),
+    ],
+)
+def test_act_refuses_what_its_policy_never_saw_unless_forced(act, flags, goal, text):
+    code, out, err = act(*flags, goal=goal)
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1 and text in err and "add --force" in err
+    code, out, err = act(*flags, "--force", "--no-foretell", "--json", goal=goal)
+    assert code == 0 and text in err and "it uses" in err
+    result = json.loads(out)
+    assert text in result["warnings"][0]
+    assert result["goal"] == {"x": float(goal)}
+
+
+def test_act_takes_what_is_as_good_as_in_the_range(act):
+    """Drawn ranges end a little within those that were drawn from."""
+    code, _, err = act("--nu", "0.403", "--no-foretell")
+    assert code == 0 and "0.75 % above" in err
+
+
+def test_act_names_all_that_its_policy_never_saw(act):
+    err = act("--nu", "0.45", goal="0.9")[2]
+    assert err.count("\n") == 1 and "goal x 0.9" in err and "nu (Poisson's ratio) 0.45" in err
+
+
+@pytest.mark.parametrize(
+    ("flags", "goal", "text"),
+    [
+        ((), "350", "goal x is 350 m"),
+        ((), "35", "goal x is 35 m"),
+        (("--length", "250", "--diameter", "14"), "350", "length is 250 m; give metres"),
+        (("--diameter", "14"), "0.35", "diameter is 14 m; give metres: 14 mm are 0.014 m"),
+        (("--origin", "480", "300", "120"), "0.35", "--origin: is 480 300 120 m"),
+        (("--nu", "0.6"), "0.35", "nu must lie in (-1, 0.5), got 0.6"),
+        (("--nu", "0.5"), "0.35", "nu must lie in (-1, 0.5), got 0.5"),
+    ],
+)
+def test_what_cannot_be_is_refused_even_if_forced(act, flags, goal, text):
+    """Millimetres and centimetres given for metres, and an impossible Poisson's ratio."""
+    for force in ((), ("--force",)):
+        code, out, err = act(*flags, *force, goal=goal)
+        assert (code, out) == (2, "")
+        assert text in err
+        assert err.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -275,6 +275,9 @@ def test_a_task_without_goals_shows_none():
     observation, _ = make("ClothSpreading").reset(options={"object": "cloth-rubber"})
     assert set(observation) == {"sizes"}
     assert observation["sizes"] == pytest.approx([0.3, 1e-3])
+    for goal in (0.4, (0.3, 0.1)):
+        with pytest.raises(ParameterError, match="option goal: cloth-spreading has no goal"):
+            make("ClothSpreading").reset(options={"goal": goal})
 
 
 def test_parameters_are_seen_only_if_asked_for():
@@ -373,6 +376,18 @@ def test_what_the_arm_refuses_is_not_carried_out(monkeypatch):
     assert terminated and reward == envs.REFUSED
     assert info["refused"] == "xarm7: is out of reach" and np.isnan(info["reached"]).all()
     assert set(info) == {"action", "reached", "refused"}
+
+
+def test_a_refusal_is_worse_than_any_miss():
+    """Of the largest object and the farthest goal that can be observed."""
+    for name in ("RopeReaching", "RopeCasting", "ClothSpreading"):
+        env = make(name)
+        spaces = cast(dict[str, gymnasium.spaces.Box], env.observation_space.spaces)
+        largest = float(spaces["sizes"].high.max())
+        goal = spaces["goal"].high.astype(float) if "goal" in spaces else np.zeros(0)
+        values = {q.name: -3.0 * largest for q in env.task.goals} or {"share": 0.0}
+        worst = env.task.error(env.objects[0], goal, values)
+        assert envs.REFUSED < -worst
 
 
 # ---- actions -------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from gendom.reality import (
     task_trial,
 )
 from gendom.reality.arm import surroundings
-from gendom.robot import XARM7, collision_along, tcp_pose
+from gendom.robot import LIFT_ENDS, XARM7, collision_along, tcp_pose
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 from gendom.tasks.cloth_spreading import WAIT as SPREADING_WAIT
 from gendom.tasks.world import Simulation
@@ -145,6 +145,46 @@ def test_the_hand_of_the_arm_is_where_its_kinematics_say():
     assert world.hand == pytest.approx(tool[:3, 3], abs=1e-5)
 
 
+@pytest.mark.parametrize("item", [POLYESTER, COTTON_CLOTH], ids=lambda item: item.kind)
+def test_only_a_rope_that_is_held_still_is_quasi_static(item):
+    kept = [lift(item, end=end).quasi_static for end in LIFT_ENDS]
+    assert kept == [isinstance(item, RealRope), False, False]
+    assert [lift(item, end=end).quick for end in LIFT_ENDS] == [False, True, True]
+
+
+def test_a_dropped_rope_lies_on_the_table():
+    performance = Performance(lift(POLYESTER, rise=0.1, speed=0.2, end="drop"), robot=False)
+    opens = performance.opens
+    # closing, two waits and a rise of 0.5 s each, and a second in which it falls
+    assert opens == pytest.approx(2.0) and performance.end == pytest.approx(3.0)
+    performance.step_to(opens - 0.01)
+    hand = performance.world.hand
+    assert performance.world.vertices()[0, 2] > 0.09 and len(performance.world.held) > 0
+    performance.step_to(performance.end)
+    assert len(performance.world.held) == 0
+    assert performance.world.hand == pytest.approx(hand)
+    assert performance.world.vertices()[:, 2].max() < POLYESTER.diameter
+    assert performance.world.speed() < 0.02
+
+
+def test_a_swung_rope_goes_on_when_the_arm_stops():
+    performance = Performance(lift(POLYESTER, rise=0.28, speed=0.3, end="swing"))
+    motion = performance.motion
+    assert motion is not None and motion.path_time is not None
+    rounded = performance.trial.path.time[-2] + 0.5 * motion.blend
+    stops = float(np.interp(rounded, motion.path_time, motion.time))
+    performance.step_to(stops)
+    still, tips = performance.world.hand, []
+    for time in np.arange(stops, performance.end, 0.02):
+        performance.step_to(time)
+        assert performance.world.hand == pytest.approx(still, abs=1e-3)
+        tips.append(performance.world.vertices()[-1, 0])
+    assert performance.end == pytest.approx(stops + 1.0, abs=motion.blend)
+    # It swings on, there and back.
+    steps = np.diff(tips)
+    assert np.ptp(tips) > 0.04 and steps.max() > 0.004 and steps.min() < -0.004
+
+
 # ---- what the arm touches ------------------------------------------------------------------------
 
 
@@ -152,6 +192,7 @@ def test_the_hand_of_the_arm_is_where_its_kinematics_say():
     "trial",
     [
         *(pytest.param(lambda i=i: lift(i), id=f"lift {n}") for n, i in OBJECTS.items()),
+        pytest.param(lambda: lift(POLYESTER, end="swing"), id="swing"),
         *(
             pytest.param(lambda x=x, z=z: reaching(POLYESTER, (x, z)), id=f"reach {x} {z}")
             for x, z in ((0.242, 0.08), (0.089, 0.262), (0.257, 0.154))
@@ -501,6 +542,7 @@ def test_what_is_out_of_the_arms_reach_is_refused_with_where():
         (lambda: lift(POLYESTER, speed=0.0), RobotError, "speed is 0"),
         (lambda: lift(POLYESTER, rise=-0.1), RobotError, "height is -0.1"),
         (lambda: lift(POLYESTER, speed=np.nan), RobotError, "speed is nan"),
+        (lambda: lift(POLYESTER, end="throw"), RobotError, "end is 'throw'"),
         (lambda: reaching(POLYESTER, (0.0, 0.0)), ParameterError, "out of limits"),
         (lambda: reaching(POLYESTER, (np.nan, 0.1)), ParameterError, "2 finite numbers"),
         (lambda: casting(POLYESTER, 0.0), ParameterError, "way 0 is out of limits"),

@@ -287,6 +287,16 @@ def test_gripper_csv_is_where_the_tool_is(motion, tmp_path):
     assert arrays["time"][-1] == pytest.approx(motion.end)
 
 
+def test_gripper_csv_says_when_the_gripper_is_closed(motion, tmp_path):
+    motion.write_gripper(tmp_path / "gripper.csv", XARM7)
+    arrays = read_gripper(tmp_path / "gripper.csv")
+    expected = [motion.closed_at(t) is True for t in arrays["time"]]
+    assert arrays["gripper_closed"][:, 0].tolist() == expected
+    assert set(expected) == {False, True}
+    replace(motion, events=()).write_gripper(tmp_path / "gripper.csv", XARM7)
+    assert "gripper_closed" not in read_gripper(tmp_path / "gripper.csv")
+
+
 def test_joints_csv_round_trip(motion, tmp_path):
     motion.write_joints(tmp_path / "joints.csv", opening=(0.01, 0.08))
     states = read_joints(tmp_path / "joints.csv", XARM7)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gendom.errors import RobotError
-from gendom.robot import XARM7, follow, lift, pointing
+from gendom.robot import LIFT_ENDS, XARM7, follow, lift, pointing
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 from gendom.tasks.rope_reaching import ARRIVES, RELEASES, WAIT
 
@@ -50,6 +50,61 @@ def test_lift_stands_still_at_the_top():
     np.testing.assert_allclose(motion.tcp_at(XARM7, path.end)[2, 3], 0.32, atol=1e-5)
 
 
+def test_a_swing_is_one_quick_move_and_a_stop():
+    """0.5 s wait, 2.25 s rise, 0.5 s wait, a quarter of 0.225 m at 0.5 m/s, 1 s still."""
+    path = lift([0.35, 0.1, 0.02], height=0.225, speed=0.1, wait=0.5, end="swing")
+    np.testing.assert_allclose(path.time, np.cumsum([0.0, 0.5, 2.25, 0.5, 0.1125, 1.0]))
+    np.testing.assert_allclose(path.position[2:4], [[0.35, 0.1, 0.245]] * 2)
+    np.testing.assert_allclose(path.position[4:], [[0.40625, 0.1, 0.245]] * 2)
+    assert [event.closed for event in path.events] == [True]
+
+
+def test_a_swing_goes_where_and_as_far_as_asked():
+    path = lift(
+        [0.4, 0.0, 0.0], height=0.2, speed=0.1, end="swing", along=[0.6, -0.8, 0], stroke=0.1
+    )
+    np.testing.assert_allclose(path.position[-1], [0.46, -0.08, 0.2], atol=1e-12)
+
+
+@pytest.mark.parametrize("height", [0.12, 0.225, 0.375])
+def test_the_arm_stops_a_swing_as_hard_as_it_can(height):
+    """Nearly all of an acceleration's limit is used; before it the tool stands still. A move of
+    30 mm is too short for 0.5 m/s: bang-bang, 6 m/s^2 would lead to 0.42 m/s."""
+    path = lift([0.35, 0.0, 0.02], height=height, speed=0.1, wait=0.5, end="swing")
+    motion = follow(XARM7, path, slow_down=True)
+    motion.check_limits(XARM7)
+    assert motion.path_time is not None
+    begins = np.interp(path.time[3], motion.path_time, motion.time)
+    assert motion.speed_at(begins - 0.5 * path.max_blend - 0.01) == pytest.approx(0.0, abs=1e-4)
+    t = np.arange(begins - 0.1, motion.end, 1e-3)
+    x = motion.tcp_at(XARM7, t)[:, 0, 3]
+    speed = np.diff(x) / 1e-3
+    assert (0.37 if height < 0.2 else 0.499) < speed.max() < 0.501
+    assert np.diff(speed).min() / 1e-3 < -4.0  # [m/s^2]
+    stopping = (t > t[np.argmax(speed)]) & (t < motion.end)
+    use = np.abs(motion.acceleration_at(t[stopping])) / XARM7.max_acceleration
+    assert 0.8 < use.max() < 1.01
+    # Where it begins and ends its rise all is as slow as ever.
+    assert motion.end - path.end < 0.1
+
+
+def test_a_drop_opens_the_gripper_at_rest():
+    path = lift([0.4, 0.0, 0.0], height=0.2, speed=0.1, wait=0.5, end="drop", after=0.7)
+    closes, opens = path.events
+    assert (closes.time, closes.closed) == (0.0, True)
+    assert (opens.time, opens.closed) == (pytest.approx(3.0), False)
+    assert path.end == pytest.approx(3.7)
+    motion = follow(XARM7, path)
+    np.testing.assert_allclose(motion.speed_at([2.9, 3.0, 3.5]), 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("end", LIFT_ENDS)
+def test_a_lift_that_ends_at_once(end):
+    path = lift([0.4, 0.0, 0.0], height=0.2, speed=0.1, end=end, after=0.0)
+    extra = {"hold": 0.0, "swing": 1.0 + 0.1, "drop": 1.0}
+    assert path.end == pytest.approx(3.0 + extra[end])
+
+
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
@@ -60,6 +115,11 @@ def test_lift_stands_still_at_the_top():
         ({"speed": np.inf}, "speed is inf"),
         ({"wait": 0.0}, "wait is 0.0"),
         ({"after": -1.0}, "after is -1.0"),
+        ({"end": "throw"}, "end is 'throw'; choose hold, swing, drop"),
+        ({"end": "swing", "stroke": 0.0}, "stroke is 0.0"),
+        ({"end": "swing", "along": [1, 0]}, "along is"),
+        ({"end": "swing", "along": [0, 0.6, 0.8]}, "along is .* give a horizontal unit vector"),
+        ({"end": "swing", "along": [2, 0, 0]}, "along is .* give a horizontal unit vector"),
     ],
 )
 def test_bad_numbers(wrong, says):

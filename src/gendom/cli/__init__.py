@@ -27,6 +27,7 @@ COMMANDS = {
     "replay": ("gendom.cli.replay", "simulate a recorded motion and compare it with the clouds"),
     "act": ("gendom.cli.act", "the action that reaches a goal with a given object"),
     "dataset": ("gendom.cli.dataset", "simulate demonstrations"),
+    "export": ("gendom.cli.export", "demonstrations in the format of LeRobot"),
     "train": ("gendom.cli.train", "train a policy on demonstrations"),
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),

@@ -12,9 +12,9 @@ import numpy as np
 import tyro
 
 from gendom.cli.arguments import TaskName
-from gendom.errors import GendomError
+from gendom.errors import GendomError, PolicyError
 from gendom.files import read_json, to_json, write_json
-from gendom.materials import ASSUMED, KINDS, PARAMETERS, Item, from_columns, to_columns
+from gendom.materials import ASSUMED, KINDS, LARGEST, PARAMETERS, Item, from_columns, to_columns
 
 if TYPE_CHECKING:
     from gendom.policies import Policy
@@ -82,6 +82,9 @@ class Command:
     """Policy file; by default the one that comes with the package."""
     parameters: bool = True
     """Use the policy of the package that does not see the object's parameters."""
+    force: bool = False
+    """Act for a goal or an object outside of what the policy was trained on, too: with the nearest
+    numbers that it was, and a warning."""
     foretell: bool = True
     """Simulate what will be reached."""
     seed: int = 0
@@ -113,7 +116,13 @@ class Command:
             )
         held, interval = self._held(task.kind)
         item, assumed = self._object(task, policy, held)
-        action = policy.act(self.goal, item)
+        if not self.force and (outside := policy.outside(self.goal, item)):
+            raise PolicyError(
+                ", ".join(found.what for found in outside),
+                where=policy.where,
+                fix=f"{', '.join(dict.fromkeys(o.fix for o in outside))}, or add --force",
+            )
+        action = policy.act(self.goal, item, force=self.force)
         values = np.array(action.values)
         result = {
             "format": _ACTION,
@@ -205,6 +214,10 @@ def trajectory(
     if origin is not None:
         if not all(map(math.isfinite, origin)):
             raise GendomError("must be three finite numbers [m]", where="--origin")
+        if max(map(abs, origin)) > LARGEST:
+            raise GendomError(
+                f"is {' '.join(f'{x:g}' for x in origin)} m", where="--origin", fix="give metres"
+            )
         T[:3, 3] = origin
     path = task.tool_path(item, action).moved(T)
     times, position = path.sampled()

@@ -1,4 +1,4 @@
-"""Arguments that several commands share."""
+"""Arguments and progress bars that several commands share."""
 
 from __future__ import annotations
 
@@ -30,3 +30,6 @@ TaskName = Annotated[
     ),
 ]
 """The name of a task, those of other packages included, or a Python file that defines one."""
+
+PERCENT_BAR = "{l_bar}{bar}| {elapsed}, {remaining} left"
+"""Format of a `tqdm` bar that counts percent: a rate would be percent a second."""

@@ -76,6 +76,7 @@ def summarize(recording: Recording) -> dict[str, Any]:
             {
                 "path_length": float(steps[:, gripper].sum()),
                 "rise": float(position[-1, gripper, 2] - position[0, gripper, 2]),
+                "closed_frames": int(recording.holds[:, gripper].sum()),
             }
             for gripper in range(recording.num_grippers)
         ],
@@ -96,7 +97,13 @@ def summary_text(path: str, summary: dict[str, Any], warnings: list[Fault]) -> s
     if summary["empty_frames"]:
         frames += f", {summary['empty_frames']} of them empty"
     grippers = "; ".join(
-        f"path {g['path_length']:.3g} m, rise {g['rise']:.3g} m" for g in summary["grippers"]
+        f"path {g['path_length']:.3g} m, rise {g['rise']:.3g} m"
+        + (
+            f", closed in {g['closed_frames']} frames"
+            if g["closed_frames"] < summary["frames"]
+            else ""
+        )
+        for g in summary["grippers"]
     )
     rows = [
         ("object", f"{summary['kind']}, {sizes}, mass {mass}, held by: {summary['grasp']}"),

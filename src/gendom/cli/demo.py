@@ -16,6 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gendom import __version__
+from gendom.cli.arguments import PERCENT_BAR
 from gendom.cli.estimate import estimate_text
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
@@ -132,7 +133,7 @@ class Command:
         print(f"a recorded lift: {recording.num_frames} frames of {recording.source}\n", flush=True)
         with (
             _timed(seconds, "estimate"),
-            tqdm(total=100, unit="%", leave=False, disable=None) as bar,
+            tqdm(total=100, bar_format=PERCENT_BAR, leave=False, disable=None) as bar,
         ):
             settings = EstimateSettings(
                 starts=self.starts, seed=self.seed, replay=ReplaySettings(device=self.device)

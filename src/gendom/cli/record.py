@@ -27,12 +27,15 @@ class Command:
     """DIR to write; must not hold a recording."""
     rise: float | None = None
     """How high to lift in metres; by default 0.75 of a rope's length or a cloth's side."""
+    end: Literal["hold", "swing", "drop"] = "hold"
+    """At the top: hold it still, swing it by one quick move, or let it drop."""
     frame_rate: float = 30.0
     """Frames a second."""
     noise: bool = True
     """Noise of the cameras."""
     errors: bool = True
-    """Errors of the rig: 2 mm and 0.3 degrees of calibration, 20 ms between the cameras."""
+    """Errors of the rig: 2 mm and 0.3 degrees of calibration, 20 ms between the cameras (1 ms with
+    --end swing or drop: those are joined by a cable)."""
     format: Literal["png", "db3"] = "png"
     """png: folders of pictures. db3: RealSense recordings; needs the extra camera."""
     seed: int = 0
@@ -55,7 +58,7 @@ class Command:
                 f"is {self.frame_rate}", where="--frame-rate", fix="give 90 or less, above 0"
             )
         item = find_object(self.reality)
-        trial = lift(item, rise=self.rise)
+        trial = lift(item, rise=self.rise, end=self.end)
         performance = Performance(trial, cameras=lift_cameras(item))
         performance.step_to(performance.closes)
         seconds = performance.end - performance.closes
@@ -78,7 +81,7 @@ class Command:
                     notes=f"The predefined lift of {item.name}, seed {self.seed}.",
                 ),
                 sensor=DepthSensor() if self.noise else DepthSensor.exact(),
-                errors=RigErrors() if self.errors else RigErrors.none(),
+                errors=None if self.errors else RigErrors.none(),
                 on_frame=show,
             )
         r, g, b = item.colour

@@ -21,7 +21,7 @@ KINDS = ("rope", "cloth")
 GRASPS = ("end", "corner", "center", "both ends")
 GRIPPER_SOURCES = ("commanded", "measured")
 NEEDED_SIZES = {"rope": ("length",), "cloth": ("width", "height")}
-SIZES = ("length", "diameter", "width", "height", "thickness", "mass", "grasp_radius")
+SIZES = ("length", "diameter", "width", "height", "thickness", "mass", "grasp_radius", "grasp_inset")
 
 MAX_GRASP_DISTANCE = 0.15
 """A gripper farther than this from every point in every frame [m] does not hold the object."""
@@ -245,19 +245,21 @@ def _check_units(recording: Recording) -> list[Fault]:
 
 
 def _check_grippers(recording: Recording) -> list[Fault]:
-    """Whether each gripper is at the object, and whether any moves."""
+    """Whether each gripper holds the object and is at it, and whether any moves."""
+    faults = _check_holds(recording)
     if not recording.frame_valid.any():
-        return []
-    faults = []
+        return faults
     frames = np.flatnonzero(recording.frame_valid)
     distance = np.array(
         [KDTree(recording.frame(int(t))).query(recording.gripper_position[t])[0] for t in frames]
     )
     for gripper in range(recording.num_grippers):
-        far = distance[:, gripper] > MAX_GRASP_DISTANCE
+        # An open gripper may be anywhere.
+        held = recording.holds[frames, gripper]
+        far = distance[held, gripper] > MAX_GRASP_DISTANCE
         if not far.any():
             continue
-        nearest = distance[:, gripper].min()
+        nearest = distance[held, gripper].min()
         if far.all():
             faults.append(
                 Fault(
@@ -270,7 +272,7 @@ def _check_grippers(recording: Recording) -> list[Fault]:
             faults.append(
                 Fault(
                     f"is farther than {MAX_GRASP_DISTANCE} m from the object in {far.sum()} of "
-                    f"{len(far)} frames, first in frame {frames[np.argmax(far)]}",
+                    f"{len(far)} frames, first in frame {frames[held][np.argmax(far)]}",
                     f"gripper_position, gripper {gripper}",
                     "check that the object did not slip out",
                     "warning",
@@ -286,4 +288,24 @@ def _check_grippers(recording: Recording) -> list[Fault]:
                 "warning",
             )
         )
+    return faults
+
+
+def _check_holds(recording: Recording) -> list[Fault]:
+    """Whether each gripper is ever closed, and from the start."""
+    faults = []
+    for gripper, closed in enumerate(recording.holds.T):
+        where = f"gripper_closed, gripper {gripper}"
+        if not closed.any():
+            fix = "give true where it holds the object, or leave the gripper out"
+            faults.append(Fault("is never closed", where, fix))
+        elif not closed[0]:
+            faults.append(
+                Fault(
+                    f"is open until frame {int(np.argmax(closed))}",
+                    where,
+                    "cut the frames before it closes: the object is taken as held in the first",
+                    "warning",
+                )
+            )
     return faults

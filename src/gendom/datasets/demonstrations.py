@@ -45,6 +45,9 @@ from gendom.files import atomic_path, read_json, write_json
 
 FORMAT = "gendom-demonstrations/2"
 
+GOAL = "goal_"
+"""What columns of goals begin with."""
+
 _DESCRIPTION, _WRITER, _LOCK = "dataset.json", "writer.json", ".lock"
 _METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
 
@@ -360,6 +363,29 @@ def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
             fix="finish it with the gendom dataset command that began it",
         )
     return pa.concat_tables(parts).replace_schema_metadata(None)
+
+
+def succeeded(
+    table: pa.Table, names: Sequence[str], *, where: str
+) -> dict[str, NDArray[np.float64]]:
+    """[N] columns of the demonstrations that did not fail, by name.
+
+    Args:
+        table: As `load` gives it.
+        names: Of the columns.
+        where: The folder of the set.
+
+    Raises:
+        DatasetError: The set lacks a column.
+    """
+    if missing := [name for name in (*names, "ok") if name not in table.column_names]:
+        raise DatasetError(
+            f"lacks the columns {', '.join(missing)}",
+            where=where,
+            fix="make it again with this version of gendom dataset",
+        )
+    kept = table.filter(table["ok"])
+    return {name: kept[name].to_numpy().astype(float) for name in names}
 
 
 def read_description(folder: str | os.PathLike) -> dict[str, Any]:

@@ -158,14 +158,15 @@ def read_ply_folder(
     The folder holds
         *.ply: one cloud a frame, in natural order of their names (2 before 10);
         gripper.csv: one row a frame; header time,x,y,z (and ax,ay,az: the axis along the
-            object) for one gripper, or time,x0,y0,z0,x1,y1,z1,... (and ax0,ay0,az0,...);
+            object; and closed: 1 where the gripper holds it, 0 where not) for one gripper, or
+            time,x0,y0,z0,x1,y1,z1,... (and ax0,ay0,az0,...; closed0,closed1,...);
         object.toml: table [object] with the sizes, and table_height, gripper_source,
             quasi_static, source, notes, camera_positions and anything else.
 
     Returns:
         clouds (T arrays [n, 3]), arrays (time [T], gripper_position [T, G, 3], perhaps
-        gripper_axis [T, G, 3]) and the content of object.toml in the layout of a recording's
-        `meta`.
+        gripper_axis [T, G, 3] and gripper_closed [T, G]) and the content of object.toml in the
+        layout of a recording's `meta`.
 
     Raises:
         RecordingError: Something is missing, malformed or does not fit together.
@@ -339,7 +340,8 @@ def read_object(path: Path) -> dict[str, Any]:
 def read_gripper(
     path: Path, *, on_cut: Callable[[int], None] | None = None
 ) -> dict[str, np.ndarray]:
-    """gripper.csv as time [T], gripper_position [T, G, 3] and perhaps gripper_axis [T, G, 3].
+    """gripper.csv as time [T], gripper_position [T, G, 3], and gripper_axis [T, G, 3] and
+    gripper_closed bool [T, G] where it has them.
 
     Args:
         path: The file.
@@ -368,7 +370,7 @@ def read_gripper(
             "holds a header and no rows", where=str(path), fix="write one row a frame"
         )
     header = [name.strip() for name in lines[0][1]]
-    position, axis = _gripper_columns(header, path)
+    position, axis, closed = _gripper_columns(header, path)
     number, last = lines[-1]
     if on_cut is not None and not whole and len(lines) > 2 and is_cut(last, len(header)):
         on_cut(number)
@@ -390,26 +392,34 @@ def read_gripper(
                     where=f"{path}, line {number}, column {header[j]}",
                     fix="give seconds and metres",
                 ) from None
+            if j in closed and table[i, j] not in (0.0, 1.0):
+                raise RecordingError(
+                    f"is {text!r}",
+                    where=f"{path}, line {number}, column {header[j]}",
+                    fix="give 1 where the gripper is closed, 0 where it is open",
+                )
     arrays = {
         "time": table[:, header.index("time")],
         "gripper_position": table[:, position].reshape(len(table), -1, 3),
     }
     if axis:
         arrays["gripper_axis"] = table[:, axis].reshape(len(table), -1, 3)
+    if closed:
+        arrays["gripper_closed"] = table[:, closed] == 1.0
     return arrays
 
 
-def _gripper_columns(header: list[str], path: Path) -> tuple[list[int], list[int]]:
-    """Columns of the positions and of the axes, gripper after gripper."""
+def _gripper_columns(header: list[str], path: Path) -> tuple[list[int], list[int], list[int]]:
+    """Columns of the positions, of the axes and of the states, gripper after gripper."""
     count = 0
     while f"x{count}" in header:
         count += 1
     tails = [str(g) for g in range(count)] or [""]
     position = [f"{axis}{tail}" for tail in tails for axis in "xyz"]
     axes = [f"a{axis}{tail}" for tail in tails for axis in "xyz"]
-    if not set(axes) & set(header):
-        axes = []
-    expected = ["time", *position, *axes]
+    closed = [f"closed{tail}" for tail in tails]
+    axes, closed = (names if set(names) & set(header) else [] for names in (axes, closed))
+    expected = ["time", *position, *axes, *closed]
     missing = [name for name in expected if name not in header]
     unknown = [name for name in header if name not in expected]
     twice = sorted({name for name in header if header.count(name) > 1})
@@ -418,6 +428,11 @@ def _gripper_columns(header: list[str], path: Path) -> tuple[list[int], list[int
             raise RecordingError(
                 f"the header {verb} {', '.join(map(repr, names))}",
                 where=str(path),
-                fix="use time,x,y,z[,ax,ay,az], or time,x0,y0,z0,x1,... for several grippers",
+                fix="use time,x,y,z[,ax,ay,az][,closed], or time,x0,y0,z0,x1,... for several "
+                "grippers",
             )
-    return [header.index(n) for n in position], [header.index(n) for n in axes]
+    return (
+        [header.index(n) for n in position],
+        [header.index(n) for n in axes],
+        [header.index(n) for n in closed],
+    )

@@ -7,6 +7,7 @@ On disk it is `gendom-recording/1`, a NumPy `.npz` without pickles:
     time              float64 [T]        [s]
     gripper_position  float64 [T, G, 3]  where each gripper holds the object [m]
     gripper_axis      float64 [T, G, 3]  optional: unit vector along the object at the clamp
+    gripper_closed    bool    [T, G]     optional: whether it holds the object; always if left out
     meta              JSON text          object, table_height, gripper_source, quasi_static,
                                          source, notes, camera_positions, and anything else
 """
@@ -62,6 +63,8 @@ class ObjectDescription:
     """"end", "corner", "center" or "both ends"."""
     grasp_radius: float | None = None
     """How far from the gripper's position the fingers hold the object fast [m]."""
+    grasp_inset: float | None = None
+    """How far from the rope's end, or inside the cloth's corner, that position is [m]."""
     extra: dict[str, Any] = field(default_factory=dict)
     """Other keys of the file's `object`, kept and written back."""
 
@@ -97,6 +100,8 @@ class Recording:
     """[T, G, 3] float64: where each gripper holds the object [m]."""
     gripper_axis: np.ndarray | None = None
     """[T, G, 3] float64: unit vector along the object at the clamp; None: unknown."""
+    gripper_closed: np.ndarray | None = None
+    """[T, G] bool: whether each gripper holds the object; None: all do, always."""
     object: ObjectDescription
     table_height: float | None = None
     """z of the table [m]; None: nothing below the object."""
@@ -128,6 +133,13 @@ class Recording:
     def num_grippers(self) -> int:
         """G."""
         return self.gripper_position.shape[1]
+
+    @property
+    def holds(self) -> np.ndarray:
+        """[T, G] bool: `gripper_closed`, all true where that is None."""
+        if self.gripper_closed is None:
+            return np.ones(self.gripper_position.shape[:2], dtype=bool)
+        return self.gripper_closed
 
     @property
     def frame_valid(self) -> np.ndarray:
@@ -169,7 +181,7 @@ class Recording:
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         values["points"] = self.points[: self.offsets[n]]
         values["offsets"] = self.offsets[: n + 1]
-        for name in ("time", "gripper_position", "gripper_axis"):
+        for name in ("time", "gripper_position", "gripper_axis", "gripper_closed"):
             if values[name] is not None:
                 values[name] = values[name][:n]
         return Recording(**values)
@@ -182,6 +194,7 @@ class Recording:
         time: npt.ArrayLike,
         gripper_position: npt.ArrayLike,
         gripper_axis: npt.ArrayLike | None = None,
+        gripper_closed: npt.ArrayLike | None = None,
         object: ObjectDescription,
         **other: Any,
     ) -> Recording:
@@ -192,6 +205,7 @@ class Recording:
             time: [T] [s].
             gripper_position: [T, G, 3], or [T, 3] for one gripper [m].
             gripper_axis: Like `gripper_position`, unit vectors; or None.
+            gripper_closed: [T, G] bool, or [T] for one gripper; None: closed throughout.
             object: What is held.
             other: The remaining fields, by name.
 
@@ -206,12 +220,14 @@ class Recording:
                 )
         position = np.asarray(gripper_position)
         axis = None if gripper_axis is None else np.asarray(gripper_axis)
+        closed = None if gripper_closed is None else np.asarray(gripper_closed)
         return cls(
             points=np.concatenate([np.zeros((0, 3), np.float32), *clouds]),
             offsets=np.cumsum([0, *map(len, clouds)]),
             time=np.asarray(time),
             gripper_position=position[:, None] if position.ndim == 2 else position,
             gripper_axis=axis[:, None] if axis is not None and axis.ndim == 2 else axis,
+            gripper_closed=closed[:, None] if closed is not None and closed.ndim == 1 else closed,
             object=object,
             **other,
         )
@@ -320,10 +336,13 @@ _ARRAYS = {
     "time": (np.float64, ("T",)),
     "gripper_position": (np.float64, ("T", "G", 3)),
     "gripper_axis": (np.float64, ("T", "G", 3)),
+    "gripper_closed": (np.bool_, ("T", "G")),
     "camera_positions": (np.float64, ("K", 3)),
 }
-_STORED_ARRAYS = ("points", "offsets", "time", "gripper_position", "gripper_axis")
-_OPTIONAL_ARRAYS = ("gripper_axis", "camera_positions")
+_STORED_ARRAYS = tuple(name for name in _ARRAYS if name != "camera_positions")
+_OPTIONAL_ARRAYS = ("gripper_axis", "gripper_closed", "camera_positions")
+# Kinds of NumPy types that are converted to each type.
+_CONVERTED_KINDS = {np.float32: "iuf", np.float64: "iuf", np.int64: "iu", np.bool_: "b"}
 
 
 def _convert(arrays: Mapping[str, Any]) -> tuple[dict[str, np.ndarray | None], list[Fault]]:
@@ -339,8 +358,7 @@ def _convert(arrays: Mapping[str, Any]) -> tuple[dict[str, np.ndarray | None], l
             faults.append(Fault("is missing", name, f"add it: {_form(name)}"))
             continue
         array = np.asarray(value)
-        wanted_kinds = "iu" if dtype is np.int64 else "iuf"
-        if array.dtype.kind not in wanted_kinds and array.size:
+        if array.dtype.kind not in _CONVERTED_KINDS[dtype] and array.size:
             faults.append(Fault(f"has the type {array.dtype}", name, f"give {_form(name)}"))
             continue
         if array.ndim != len(shape) or any(
@@ -408,6 +426,15 @@ def _check_lengths(arrays: Mapping[str, np.ndarray | None]) -> list[Fault]:
         )
     if position.shape[1] == 0:
         faults.append(Fault("has no gripper", "gripper_position", "give at least one: [T, 1, 3]"))
+    closed = arrays["gripper_closed"]
+    if closed is not None and closed.shape != position.shape[:2]:
+        faults.append(
+            Fault(
+                f"has shape {list(closed.shape)}, but gripper_position {list(position.shape)}",
+                "gripper_closed",
+                "give true or false for each position, or leave it out",
+            )
+        )
     if axis is not None and axis.shape != position.shape:
         faults.append(
             Fault(

@@ -86,8 +86,8 @@ class Rope:
     """A round rope.
 
     Raises:
-        ParameterError: A size is not positive and finite, it is thicker than a fifth of its length,
-            or friction is negative.
+        ParameterError: A size is not positive and at most `LARGEST`, it is thicker than a fifth of
+            its length, or friction is negative.
     """
 
     kind: ClassVar[str] = "rope"
@@ -126,8 +126,8 @@ class Cloth:
     """A square cloth.
 
     Raises:
-        ParameterError: A size is not positive and finite, it is thicker than a fifth of its side,
-            or friction is negative.
+        ParameterError: A size is not positive and at most `LARGEST`, it is thicker than a fifth of
+            its side, or friction is negative.
     """
 
     kind: ClassVar[str] = "cloth"
@@ -160,6 +160,9 @@ class Cloth:
         """[kg/m^2]."""
         return self.thickness * self.material.density
 
+
+LARGEST = 10.0
+"""Size that no object exceeds [m]: a larger number was not given in metres."""
 
 Item = Rope | Cloth
 
@@ -262,6 +265,10 @@ def _check_sizes(item: Item) -> None:
         if not (math.isfinite(value) and value > 0.0):
             raise ParameterError(
                 f"{name} must be positive and finite, got {value}", fix="give metres"
+            )
+        if value > LARGEST:
+            raise ParameterError(
+                f"{name} is {value:g} m", fix=f"give metres: {value:g} mm are {1e-3 * value:g} m"
             )
     large, small = item.sizes
     if thickness_of(item) > 0.2 * size_of(item):

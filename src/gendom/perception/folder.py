@@ -2,7 +2,7 @@
 
     DIR/
       object.toml            what is held, as in a folder of PLY clouds
-      gripper.csv            the robot's path: time,x,y,z[,ax,ay,az], at times of its own
+      gripper.csv            the robot's path: time,x,y,z[,ax,ay,az][,closed], at times of its own
       joints.csv             optional: the robot's joint angles, see `gendom.robot`
       capsules.csv           optional: shape of the robot, or of what else is in the way
       cameras/NAME/
@@ -54,6 +54,8 @@ class RobotPath:
     """[M, G, 3] [m]."""
     axis: npt.NDArray[np.float64] | None = None
     """[M, G, 3] unit vectors along the object at the clamp; None: unknown."""
+    closed: npt.NDArray[np.bool_] | None = None
+    """[M, G] whether each gripper holds the object; None: all do, always."""
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None] | None:
         """Position [G, 3] [m] and axis [G, 3] at a time, linear between rows.
@@ -72,6 +74,14 @@ class RobotPath:
             return position, None
         axis = (1.0 - w) * self.axis[before] + w * self.axis[k]
         return position, axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+
+    def closed_at(self, time: float) -> npt.NDArray[np.bool_] | None:
+        """[G] whether each gripper is closed: what the last row at or before a time [s] says, the
+        first row before that. None: not known."""
+        if self.closed is None:
+            return None
+        row = int(np.searchsorted(self.time, time + _ROUNDING, side="right")) - 1
+        return self.closed[max(row, 0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +238,12 @@ def read_sighting(
         )
     return Sighting(
         sources=[_open_camera(place / name, on_warning) for name in cameras or found],
-        robot=RobotPath(time, arrays["gripper_position"], arrays.get("gripper_axis")),
+        robot=RobotPath(
+            time,
+            arrays["gripper_position"],
+            arrays.get("gripper_axis"),
+            arrays.get("gripper_closed"),
+        ),
         meta=meta,
         capsules=read_shape(folder, meta, (time[0], time[-1]), on_warning=on_warning),
         where=str(folder),

@@ -449,6 +449,7 @@ class _Perception:
         if self.offsets:
             self._check_agreement()
         positions, axes = zip(*self.grippers, strict=True)
+        closed = [self.sighting.robot.closed_at(time) for time in self.times]
         extra = {**self.values.pop("extra"), "perception": self._history()}
         self.values["camera_positions"] = np.array([v.camera.position for v in self.views])
         tables = [v.table for v in self.views if v.table is not None]
@@ -461,6 +462,7 @@ class _Perception:
             time=self.times,
             gripper_position=np.array(positions),
             gripper_axis=None if axes[0] is None else np.array(axes),
+            gripper_closed=None if closed[0] is None else np.array(closed),
             extra=extra,
             **self.values,
         )

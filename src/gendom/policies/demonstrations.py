@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.datasets.demonstrations import load, read_description
+from gendom.datasets.demonstrations import GOAL, load, read_description, succeeded
 from gendom.errors import DatasetError
 from gendom.materials import KINDS, PARAMETERS, likeness_of_columns, unit_of_size
 from gendom.tasks import find_task
-from gendom.tasks.demonstrator import GOAL
 
 SMALLEST = 20
 """Fewer demonstrations than this cannot be split and standardised sensibly."""
@@ -104,14 +103,7 @@ class Demonstrations:
         sizes = KINDS[kind].sizes
         objects = ("youngs_modulus", "poissons_ratio", "density", "damping", "friction", *sizes)
         names = (*(GOAL + name for name in goals), *actions, *objects, *risk)
-        if missing := [name for name in (*names, "ok") if name not in table.column_names]:
-            raise DatasetError(
-                f"lacks the columns {', '.join(missing)}",
-                where=where,
-                fix="make it again with this version of gendom dataset",
-            )
-        kept = table.filter(table["ok"])
-        column = {name: kept[name].to_numpy().astype(float) for name in names}
+        column = succeeded(table, names, where=where)
         size = column[sizes[0]]
 
         def alike(columns: tuple[str, ...], units: list[str]) -> Array:

@@ -44,6 +44,12 @@ similarity]."""
 
 Array = NDArray[np.float64]
 
+NEAR = 0.01
+"""A parameter outside the range by less than this share of its end is as good as in it."""
+
+ABSURD = 10.0
+"""A goal farther than this many of the farthest that can be reached was not given in its unit."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -173,12 +179,29 @@ class Action:
     saw: dict[str, float]
     """Parameters that the network saw, by name [-], see `likeness`."""
     warnings: tuple[str, ...] = ()
-    """Parameters outside the training range, an action at its limits; one line each."""
+    """Goals and parameters outside the training range, an action at its limits; one line each."""
 
     @property
     def values(self) -> tuple[float, ...]:
         """Of the action, in SI units."""
         return tuple(self.action.values())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outside:
+    """A number beyond what a policy was trained on."""
+
+    what: str
+    """One line."""
+    fix: str
+    """What to do about it."""
+    nearest: float
+    """The end of the range, which the policy uses in its place [as the number itself]."""
+    share: float
+    """How far beyond that end, over its value [-]."""
+
+    def __str__(self) -> str:
+        return f"{self.what}; it uses {self.nearest:.4g}"
 
 
 class Policy:
@@ -331,52 +354,57 @@ class Policy:
         E = float(np.clip(likeness(item)["E"], low, high)) if sees else None
         return self.description.goals(E) * self.task().goal_units(item)[:, None]
 
-    def act(self, goal: ArrayLike, item: Item) -> Action:
+    def outside(self, goal: ArrayLike, item: Item) -> tuple[Outside, ...]:
+        """What of a goal [G] (SI units) and an object the policy was not trained on; parameters
+        that are no farther outside than `NEAR` are left out.
+
+        Raises:
+            PolicyError, ParameterError: As `act`, but for goals that are merely out of range.
+        """
+        goals = self._goals_outside(self._check_goal(goal, item), item)
+        parameters = self._parameters_outside(item).values()
+        return (*goals.values(), *(found for found in parameters if found.share > NEAR))
+
+    def act(self, goal: ArrayLike, item: Item, *, force: bool = False) -> Action:
         """The action that reaches a goal with a given object, of any size.
 
         Args:
             goal: [G] in SI units and the task's frame.
-            item: The object; parameters that the policy does not see do not matter.
+            item: The object; parameters that the policy does not see do not matter. Those outside
+                the training range are clipped to it.
+            force: Whether a goal outside of what demonstrations reached with such an object is
+                clipped as well, and not refused.
 
         Returns:
-            The action, with warnings where parameters lie outside the training range (they are also
-            logged).
+            The action, with warnings where something was clipped (they are also logged).
 
         Raises:
-            PolicyError: The goal is not what the policy's task has, or lies outside what
-                demonstrations reached with such an object.
+            PolicyError: The goal is not what the policy's task has, cannot have been given in its
+                unit (even if forced), or lies outside what demonstrations reached with such an
+                object.
             ParameterError: The object is of another kind.
         """
         task, about = self.task(), self.description
-        if item.kind != task.kind:
-            raise ParameterError(f"{task.name} takes a {task.kind}, not a {item.kind}")
-        wanted = np.atleast_1d(np.asarray(goal, dtype=float))
+        wanted = self._check_goal(goal, item)
         names = about.goal_names
-        if wanted.shape != (len(names),) or not np.isfinite(wanted).all():
-            raise PolicyError(
-                f"goal is {wanted.tolist()}",
-                where=task.name,
-                fix=f"give {len(names)} finite numbers: {', '.join(names)}"
-                if names
-                else "give no goal",
-            )
-        alike, warnings = likeness(item), []
-        saw = {}
-        for name in about.conditioned_on:
-            low, high = about.parameters[name]
-            saw[name] = min(max(alike[name], low), high)
-            if saw[name] != alike[name]:
-                warnings.append(_outside(name, alike[name], low, high))
-        for name, value, (low, high) in zip(names, wanted, self.goal_range(item), strict=True):
-            if not low <= value <= high:
-                raise PolicyError(
-                    f"goal {name} {value:.4g} lies outside what the policy was trained to reach "
-                    f"with such a {task.kind}",
-                    where=self.where,
-                    fix=f"choose one between {low:.4g} and {high:.4g}",
-                )
+        goals, parameters = self._goals_outside(wanted, item), self._parameters_outside(item)
+        if goals and not force:
+            first = next(iter(goals.values()))
+            raise PolicyError(first.what, where=self.where, fix=first.fix)
+        warnings = [str(found) for found in (*goals.values(), *parameters.values())]
+        alike = likeness(item)
+        saw = {
+            name: parameters[name].nearest if name in parameters else alike[name]
+            for name in about.conditioned_on
+        }
+        aim = np.array(
+            [
+                goals[name].nearest if name in goals else value
+                for name, value in zip(names, wanted, strict=True)
+            ]
+        )
         units = task.action_units(item)
-        asked = self.actions((wanted / task.goal_units(item))[None], saw)[0]
+        asked = self.actions((aim / task.goal_units(item))[None], saw)[0]
         middle = np.array([column.mean for column in about.outputs])
         values = task.nearest(item, asked * units, middle * units)
         moved = float(np.linalg.norm(values / units - asked))
@@ -394,15 +422,73 @@ class Policy:
             warnings=tuple(warnings),
         )
 
+    def _check_goal(self, goal: ArrayLike, item: Item) -> Array:
+        """The goal [G], if such an object can have one like it."""
+        task = self.task()
+        if item.kind != task.kind:
+            raise ParameterError(f"{task.name} takes a {task.kind}, not a {item.kind}")
+        wanted = np.atleast_1d(np.asarray(goal, dtype=float))
+        names = self.description.goal_names
+        if wanted.shape != (len(names),) or not np.isfinite(wanted).all():
+            raise PolicyError(
+                f"goal is {wanted.tolist()}",
+                where=task.name,
+                fix=f"give {len(names)} finite numbers: {', '.join(names)}"
+                if names
+                else "give no goal",
+            )
+        ends, sizes = self.goal_range(item), task.goal_units(item)
+        for quantity, value, (low, high), size in zip(task.goals, wanted, ends, sizes, strict=True):
+            times = abs(value) / max(abs(low), abs(high), size)
+            if times > ABSURD:
+                unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+                raise PolicyError(
+                    f"goal {quantity.name} is {value:g}{unit}, {times:.0f} times as far as such a "
+                    f"{task.kind} can reach",
+                    where=task.name,
+                    fix=f"choose one between {low:.4g} and {high:.4g}{unit}",
+                )
+        return wanted
+
+    def _goals_outside(self, wanted: Array, item: Item) -> dict[str, Outside]:
+        """Goals that demonstrations did not reach with such an object, by name."""
+        found = {}
+        names = self.description.goal_names
+        for name, value, (low, high) in zip(names, wanted, self.goal_range(item), strict=True):
+            nearest = float(np.clip(value, low, high))
+            if nearest != value:
+                found[name] = Outside(
+                    what=f"goal {name} {value:.4g} lies outside what the policy was trained to "
+                    f"reach with such a {item.kind}",
+                    fix=f"choose one between {low:.4g} and {high:.4g}",
+                    nearest=nearest,
+                    share=_share_beyond(value, nearest),
+                )
+        return found
+
+    def _parameters_outside(self, item: Item) -> dict[str, Outside]:
+        """Parameters that demonstrations did not have, by name."""
+        found, alike = {}, likeness(item)
+        for name in self.description.conditioned_on:
+            (low, high), value = self.description.parameters[name], alike[name]
+            nearest = min(max(value, low), high)
+            if nearest != value:
+                side = "below" if value < low else "above"
+                share = _share_beyond(value, nearest)
+                found[name] = Outside(
+                    what=f"{name} ({PARAMETERS[name].meaning}) {value:.4g} is "
+                    f"{100.0 * share:.3g} % {side} the range {low:.4g} to {high:.4g} that the "
+                    "policy was trained on",
+                    fix="check the object's numbers",
+                    nearest=nearest,
+                    share=share,
+                )
+        return found
+
+
+def _share_beyond(value: float, end: float) -> float:
+    return abs(value - end) / abs(end) if end else math.inf
+
 
 def _asset(task: str, parameters: bool) -> str:
     return f"{task}.onnx" if parameters else f"{task}-no-parameters.onnx"
-
-
-def _outside(name: str, value: float, low: float, high: float) -> str:
-    edge, side = (low, "below") if value < low else (high, "above")
-    percent = 100.0 * abs(value - edge) / edge if edge else math.inf
-    return (
-        f"{name} ({PARAMETERS[name].meaning}) {value:.4g} is {percent:.3g} % {side} the range "
-        f"{low:.4g} to {high:.4g} that the policy was trained on; it uses {edge:.4g}"
-    )

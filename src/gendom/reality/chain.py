@@ -20,7 +20,12 @@ Sight = tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]
 
 
 def record_and_perceive(
-    item: RealObject, folder: str | os.PathLike, *, frame_rate: float = 15.0, seed: int = 0
+    item: RealObject,
+    folder: str | os.PathLike,
+    *,
+    frame_rate: float = 15.0,
+    seed: int = 0,
+    end: str = "hold",
 ) -> tuple[Recording, list[Sight]]:
     """Lift an object under two noisy cameras and perceive it by its colour.
 
@@ -30,18 +35,20 @@ def record_and_perceive(
             written to recording.npz inside.
         frame_rate: [1/s].
         seed: Of all noise.
+        end: How the lift ends, one of `gendom.robot.LIFT_ENDS`.
 
     Returns:
         The perceived recording, and what each camera saw halfway, see `halfway`.
 
     Raises:
         DeviceError: MuJoCo is not installed, or nothing can be rendered.
+        RobotError: There is no such end, or it is beyond the arm.
         GendomError: The folder cannot be written.
     """
     folder = Path(folder)
     for part in ("cameras", "truth"):
         shutil.rmtree(folder / part, ignore_errors=True)
-    performance = Performance(lift(item), cameras=lift_cameras(item))
+    performance = Performance(lift(item, end=end), cameras=lift_cameras(item))
     performance.step_to(performance.closes)
     with performance.world:
         record(

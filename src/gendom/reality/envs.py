@@ -21,7 +21,7 @@ those of the action.
 Reward: minus the task's error, the distance of what was reached from the goal; of a task without
 goals, the first of its outcomes (spreading: the share that lies spread). What the arm refuses (a
 place out of its reach, a collision) is not carried out and earns `REFUSED`, less than anything
-that is.
+that is; a learner that minds its size is given clipped rewards.
 
 info of a step:
 
@@ -44,7 +44,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.errors import DeviceError, ParameterError, RobotError
-from gendom.materials import PARAMETERS, size_of, to_columns, unit_of
+from gendom.materials import LARGEST, PARAMETERS, size_of, to_columns, unit_of
 from gendom.reality.objects import OBJECTS, RealObject, find_object
 from gendom.reality.scene import default_cameras, looking_at
 from gendom.reality.trials import Performance, observe, task_trial
@@ -63,8 +63,9 @@ except ImportError:
 Array = npt.NDArray[np.float64]
 Observation = dict[str, npt.NDArray[np.float32]]
 
-REFUSED = -1.0
-"""Reward of an action that the arm refuses."""
+REFUSED = -100.0
+"""Reward of an action that the arm refuses: worse than that of any miss. Observed goals and sizes
+are within 10 m, so no rope's end comes to lie so far from its goal."""
 
 DRAWN, ROUNDS = 32, 8
 """Actions simulated at once, and how often at the most, to find a goal of a task that names a
@@ -127,7 +128,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self.action_space = box(
             limits[..., 0].min(axis=0), limits[..., 1].max(axis=0), dtype=np.float64
         )
-        spaces: dict[str, gymnasium.Space[Any]] = {"sizes": box(0.0, 10.0, (2,))}
+        spaces: dict[str, gymnasium.Space[Any]] = {"sizes": box(0.0, LARGEST, (2,))}
         units = {
             "sizes": ("m", "m"),
             "action": tuple(q.unit for q in self.task.actions),
@@ -175,7 +176,12 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         item = self._find(given.pop("object")) if "object" in given else drawn
         goal = np.zeros(len(self.task.goals))
         if "goal" in given:
-            goal = _numbers(given.pop("goal"), len(goal), "goal")
+            wanted = given.pop("goal")
+            if not len(goal) and np.size(wanted):
+                raise ParameterError(
+                    f"{self.task.name} has no goal", where="option goal", fix="leave it out"
+                )
+            goal = _numbers(wanted, len(goal), "goal")
         elif len(goal):
             goal = self._reachable(item, actions)
         columns = to_columns(item)

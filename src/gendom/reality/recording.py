@@ -1,7 +1,7 @@
 """Record the second reality as a real rig would: camera folders, the robot's path, the object.
 
     DIR/object.toml          what is held, for perception
-    DIR/gripper.csv          the hand's measured path
+    DIR/gripper.csv          the hand's measured path, and when it is closed
     DIR/joints.csv           the joints' measured angles, where a robot stands
     DIR/cameras/NAME/...     what each camera saw, and where its owner believes it to stand
     DIR/truth/truth.npz      time [M], vertices [M, V, 3] [m]: for evaluation only
@@ -84,7 +84,8 @@ def record(
         folder: Made if missing; must not hold a recording.
         settings: What to write.
         sensor: The cameras' noise; by default that of a D435i.
-        errors: The rig's errors; by default the usual ones.
+        errors: The rig's errors; by default the usual ones, or for a quick trial those of
+            synchronised cameras.
         on_frame: Called with the recorded time [s] after each.
 
     Raises:
@@ -107,7 +108,8 @@ def record(
     if (folder / "cameras").exists():
         raise GendomError("holds a recording already", where=str(folder), fix="name another folder")
     sensor = DepthSensor() if sensor is None else sensor
-    errors = RigErrors() if errors is None else errors
+    if errors is None:
+        errors = RigErrors.synchronised() if performance.trial.quick else RigErrors()
     # One stream of random numbers for each use: more frames do not change the calibration.
     rig, *eyes = [
         np.random.default_rng(s)
@@ -163,7 +165,7 @@ class _Rows:
 
     def __init__(self, folder: Path, world: Reality):
         self._world = world
-        header = ["time", "x", "y", "z", "ax", "ay", "az"]
+        header = ["time", "x", "y", "z", "ax", "ay", "az", "closed"]
         self._hand = _NumberFile(folder / "gripper.csv", header)
         self._joints = None
         if (robot := world.robot) is not None:
@@ -172,7 +174,7 @@ class _Rows:
 
     def add(self, moment: float) -> None:
         world = self._world
-        self._hand.add([moment, *world.hand, *world.hand_axis])
+        self._hand.add([moment, *world.hand, *world.hand_axis, len(world.held) > 0])
         if self._joints is not None:
             self._joints.add([moment, *world.robot.measured(world.data)])
 
@@ -210,6 +212,7 @@ def _write_object(path: Path, performance: Performance, settings: RecordSettings
         "[object]",
         f'grasp = "{trial.grasp}"',
         f"grasp_radius = {trial.reach!r}",
+        f"grasp_inset = {trial.inset!r}",
     ]
     for key, value in trial.item.description().items():
         lines.append(f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value!r}")

@@ -268,6 +268,11 @@ class RigErrors:
         """A rig without errors."""
         return cls(translation=0.0, rotation=0.0, clock_offset=0.0)
 
+    @classmethod
+    def synchronised(cls) -> RigErrors:
+        """A rig whose cameras are joined by a cable, so that they look at the same time."""
+        return cls(clock_offset=0.001)
+
     def believed(self, cameras: Sequence[Camera], rng: np.random.Generator) -> list[Camera]:
         """The cameras as their owner believes them to stand, to be stored with their pictures.
 

@@ -58,10 +58,14 @@ class Trial:
     """How a recording calls the hold: end, corner or center."""
     reach: float = FINGER_WIDTH / 2.0
     """How far from the tool point the hand holds the object [m]."""
+    inset: float = FINGER_WIDTH / 2.0
+    """How far from the rope's end, or inside the cloth's corner, that point is [m]."""
     end: float
     """When everything is over [s]."""
     quasi_static: bool = False
     """Whether inertia plays no part."""
+    quick: bool = False
+    """Whether the object moves so fast that cameras must look at the same time."""
 
 
 class Performance:
@@ -175,19 +179,27 @@ class Performance:
         return np.array(seen)
 
 
-def lift(item: RealObject, *, rise: float | None = None, speed: float | None = None) -> Trial:
+def lift(
+    item: RealObject,
+    *,
+    rise: float | None = None,
+    speed: float | None = None,
+    end: str = "hold",
+) -> Trial:
     """The predefined lift: a rope by its end, a cloth by its corner, straight up.
 
     The object lies on the table in front of the arm, a rope pointing away, a cloth with its
-    diagonal pointing away. Fingers hold what is within half their breadth of the tool point.
+    diagonal pointing away. Fingers hold what is within half their breadth of the tool point. A
+    swing goes away from the robot.
 
     Args:
         item: The object.
         rise: How high [m]; by default `RISE` lengths or sides.
         speed: [m/s]; by default `ROPE_LIFT_SPEED` or `CLOTH_LIFT_SPEED`.
+        end: One of `gendom.robot.LIFT_ENDS`.
 
     Raises:
-        RobotError: Rise or speed is no number above 0.
+        RobotError: Rise or speed is no number above 0, or there is no such end.
     """
     height = rest_height(item)
     origin = np.array([START, 0.0, height])
@@ -204,7 +216,8 @@ def lift(item: RealObject, *, rise: float | None = None, speed: float | None = N
         speed=(ROPE_LIFT_SPEED if rope else CLOTH_LIFT_SPEED) if speed is None else speed,
         quat_xyzw=pointing_down(),
         wait=SETTLE,
-        after=SETTLE,
+        after=SETTLE if end == "hold" else None,
+        end=end,
     ).shifted(SETTLE)
     return Trial(
         item=item,
@@ -212,10 +225,19 @@ def lift(item: RealObject, *, rise: float | None = None, speed: float | None = N
         path=path,
         grasp="end" if rope else "corner",
         # A corner's vertices are farther from its middle than an end's.
-        reach=FINGER_WIDTH / 2.0 if rope else FINGER_WIDTH,
+        reach=_rope_reach(item) if rope else FINGER_WIDTH,
         end=path.end,
-        quasi_static=rope,
+        quasi_static=rope and end == "hold",
+        quick=end != "hold",
     )
+
+
+def _rope_reach(item: RealRope) -> float:
+    """How far beyond the tool point the fingers hold a rope's end [m]: about half their breadth,
+    and just as far as vertices can have it (see `Reality.attach`)."""
+    edge = item.length / (item.vertices - 1)
+    held = max(round(FINGER_WIDTH / edge + 0.5), 1)
+    return (held - 0.5) * edge - FINGER_WIDTH / 2.0
 
 
 def lift_cameras(item: RealObject, **settings: Any) -> list[Camera]:

@@ -32,7 +32,7 @@ from gendom.robot.kinematics import (
     tcp_pose,
 )
 from gendom.robot.motion import JointMotion, LimitUse
-from gendom.robot.motions import lift
+from gendom.robot.motions import LIFT_ENDS, lift
 from gendom.robot.path import (
     DOWN,
     Deviation,
@@ -65,6 +65,7 @@ __all__ = [
     "ALONE",
     "ARMS",
     "DOWN",
+    "LIFT_ENDS",
     "XARM7",
     "Arm",
     "ArmShape",

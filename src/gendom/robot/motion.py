@@ -313,14 +313,18 @@ class JointMotion:
         return np.linspace(self.start, self.end, steps + 1)
 
     def write_gripper(self, path: str | os.PathLike, arm: Arm, *, rate: float = RATE) -> None:
-        """Write where the tool point goes as gripper.csv: time,x,y,z in seconds and metres.
+        """Write where the tool point goes as gripper.csv: time,x,y,z in seconds and metres, and
+        closed, 0 or 1, where the motion has events.
 
         Raises:
             GendomError: The file cannot be written.
         """
         time = self.sampled(rate)
-        position = self.tcp_at(arm, time)[:, :3, 3]
-        _write_csv(path, "time,x,y,z", np.column_stack([time, position]))
+        header, columns = "time,x,y,z", [time, self.tcp_at(arm, time)[:, :3, 3]]
+        if self.events:
+            header += ",closed"
+            columns.append(np.array([bool(self.closed_at(t)) for t in time]))
+        _write_csv(path, header, np.column_stack(columns))
 
     def write_joints(
         self,

@@ -23,6 +23,19 @@ from gendom.robot.path import DOWN, GripperEvent, TcpPath
 Array = NDArray[np.float64]
 
 
+LIFT_ENDS = ("hold", "swing", "drop")
+"""How the predefined lift may end: the object held still, swinging or falling."""
+
+SWING_SPEED = 0.5
+"""Of the quick move of a lift that ends in a swing [m/s]."""
+
+SWING_STROKE = 0.25
+"""How long that move is, in heights of the lift."""
+
+LIVELY_REST = 1.0
+"""How long the arm stands still while the object swings or falls [s]."""
+
+
 def lift(
     start: ArrayLike,
     *,
@@ -30,38 +43,66 @@ def lift(
     speed: float,
     quat_xyzw: ArrayLike = DOWN,
     wait: float = 1.0,
-    after: float = 0.0,
+    after: float | None = None,
+    end: str = "hold",
+    along: ArrayLike = (1.0, 0.0, 0.0),
+    stroke: float | None = None,
 ) -> TcpPath:
     """Straight up at constant speed: the demonstration that parameters are estimated from.
 
     The gripper closes at t = 0 around a rope's end or a cloth's corner. Ramps take at most a
-    tenth of the rise at each end, and end before and begin after the waits.
+    tenth of the rise at each end, and end before and begin after the waits. At the top the object
+    is held (end "hold"); or, after a second wait, one quick straight move ends in a hard stop
+    ("swing"), or the gripper opens ("drop").
 
     Args:
         start: [3] where it grasps [m].
         height: How far it rises [m].
         speed: [m/s].
         quat_xyzw: [4] the gripper's orientation.
-        wait: Between closing and rising [s].
-        after: Still at the top [s].
+        wait: Between closing and rising, and at the top before a swing or a drop [s].
+        after: Still in the end [s]; None: not at all after "hold", else `LIVELY_REST`.
+        end: One of `LIFT_ENDS`.
+        along: [3] horizontal unit vector, direction of the swing's move.
+        stroke: Length of the swing's move [m]; None: `SWING_STROKE` heights. Its speed is
+            `SWING_SPEED`.
 
     Raises:
-        RobotError: A number is out of its range.
+        RobotError: A number is out of its range, or there is no such end.
     """
     start = _point(start, "start")
     _positive(height=height, speed=speed, wait=wait)
+    if end not in LIFT_ENDS:
+        raise _bad(f"end is {end!r}", fix=f"choose {', '.join(LIFT_ENDS)}")
+    if after is None:
+        after = 0.0 if end == "hold" else LIVELY_REST
     rise = height / speed
-    time = [0.0, wait, wait + rise]
-    position = [start, start, start + np.array([0.0, 0.0, height])]
+    times = [wait, rise]
+    moves = [np.zeros(3), np.array([0.0, 0.0, height])]
+    blends = [0.2 * rise, 2.0 * wait]
+    events = [GripperEvent(time=0.0, closed=True)]
+    if end != "hold":
+        times.append(wait)
+        moves.append(np.zeros(3))
+    if end == "swing":
+        stroke = SWING_STROKE * height if stroke is None else stroke
+        _positive(stroke=stroke)
+        times.append(stroke / SWING_SPEED)
+        moves.append(stroke * _horizontal(along, "along"))
+        # It still stands before the move, and reaches its speed in it.
+        blends += [wait, stroke / SWING_SPEED]
+    elif end == "drop":
+        events.append(GripperEvent(time=sum(times), closed=False))
     if _not_negative(after=after):
-        time.append(time[-1] + after)
-        position.append(position[-1])
+        times.append(after)
+        moves.append(np.zeros(3))
+        blends.append(2.0 * after)
     return TcpPath(
-        time=np.array(time),
-        position=np.array(position),
+        time=np.cumsum([0.0, *times]),
+        position=start + np.cumsum([np.zeros(3), *moves], axis=0),
         quat_xyzw=np.asarray(quat_xyzw, dtype=float),
-        events=(GripperEvent(time=0.0, closed=True),),
-        max_blend=min(0.2 * rise, 2.0 * wait, 2.0 * after if after > 0.0 else math.inf),
+        events=tuple(events),
+        max_blend=min(blends),
     )
 
 
@@ -70,6 +111,13 @@ def _point(value: ArrayLike, name: str) -> Array:
     if point.shape != (3,) or not np.isfinite(point).all():
         raise _bad(f"{name} is {np.asarray(value).tolist()}", fix="give x, y, z in metres")
     return point
+
+
+def _horizontal(value: ArrayLike, name: str) -> Array:
+    direction = _point(value, name)
+    if direction[2] != 0.0 or abs(np.linalg.norm(direction) - 1.0) > 1e-9:
+        raise _bad(f"{name} is {direction.tolist()}", fix="give a horizontal unit vector")
+    return direction
 
 
 def _positive(**values: float) -> None:

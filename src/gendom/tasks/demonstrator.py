@@ -8,13 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from gendom.datasets.demonstrations import Outcomes
+from gendom.datasets.demonstrations import GOAL, Outcomes
 from gendom.materials import from_columns, to_columns
 from gendom.tasks.task import Task
 from gendom.tasks.world import Simulation
-
-GOAL = "goal_"
-"""What columns of goals begin with."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,7 @@ _INK = "#222222"
 _SOFT_INK = "#6e6e6e"
 _OTHERS_COLOR = "#b8b8b8"
 
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 10.0,
     "text.color": _INK,
@@ -43,6 +43,7 @@ _STYLE: dict[Any, Any] = {
     "svg.fonttype": "path",  # the reader's machine may have other fonts
     "svg.hashsalt": "gendom",  # otherwise random names inside the file
 }
+"""Matplotlib's settings of every chart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +59,7 @@ class Swing:
     """The rope at release and at its farthest, each [n, 2] [m]."""
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def loss_chart(history: Sequence[tuple[np.ndarray, np.ndarray]], best: int | None) -> bytes:
     """Loss against iteration, one line for each start.
 
@@ -79,10 +80,10 @@ def loss_chart(history: Sequence[tuple[np.ndarray, np.ndarray]], best: int | Non
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set(xlabel="iteration", title="Loss")
-    return _finish(figure)
+    return to_svg(figure)
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def parameter_chart(
     history: Sequence[tuple[np.ndarray, np.ndarray]],
     best: int | None,
@@ -100,10 +101,10 @@ def parameter_chart(
         axes.axhline(truth, color=_INK, linestyle=(0, (4, 3)), linewidth=1.0, label="true value")
         axes.legend(loc="best")
     axes.set(xlabel="iteration", title=name)
-    return _finish(figure)
+    return to_svg(figure)
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def chamfer_chart(times: npt.ArrayLike, chamfer: npt.ArrayLike) -> bytes:
     """Chamfer distance [T] [m] against time [T] [s], as SVG."""
     millimetres = 1e3 * np.asarray(chamfer, dtype=float)
@@ -116,10 +117,10 @@ def chamfer_chart(times: npt.ArrayLike, chamfer: npt.ArrayLike) -> bytes:
     axes.legend(loc="best")
     axes.set(xlabel="time [s]", title="Chamfer distance, recorded to simulated [mm]")
     axes.set_ylim(0.0, 1.15 * max(float(millimetres.max()), 1e-6))
-    return _finish(figure)
+    return to_svg(figure)
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def goal_chart(goals: np.ndarray, ours: np.ndarray, without: np.ndarray | None) -> bytes:
     """Goals [K, D] against what was reached [K, D] [m], as SVG.
 
@@ -174,10 +175,10 @@ def goal_chart(goals: np.ndarray, ours: np.ndarray, without: np.ndarray | None) 
     axes.locator_params(nbins=6)
     axes.set_aspect("equal", adjustable="box" if goals.shape[1] == 1 else "datalim")
     axes.legend(loc="best")
-    return _finish(figure)
+    return to_svg(figure)
 
 
-@matplotlib.rc_context(_STYLE)
+@matplotlib.rc_context(STYLE)
 def swing_chart(
     swings: Sequence[Swing], goal: np.ndarray, *, table_height: float | None = None
 ) -> bytes:
@@ -226,7 +227,15 @@ def swing_chart(
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="distance along the goal's direction [m]", ylabel="height [m]")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
-    return _finish(figure)
+    return to_svg(figure)
+
+
+def to_svg(figure: Figure) -> bytes:
+    """A chart as SVG, the same bytes each time it is drawn."""
+    buffer = io.BytesIO()
+    # Date and program version would make the same chart another file each time.
+    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
 
 
 def _draw_starts(
@@ -263,10 +272,3 @@ def _start(width: float, height: float) -> tuple[Figure, Axes]:
     axes = figure.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)
     return figure, axes
-
-
-def _finish(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    # Date and program version would make the same chart another file each time.
-    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
