@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gendom.datasets import Recording
-from gendom.estimation import EstimateSettings, Lift, Theta, estimate
+from gendom.estimation import Estimate, EstimateSettings, Scene, estimate, replay
+from gendom.estimation.replay import middle
 from gendom.files import write_json
 from gendom.reality import OBJECTS, RealObject, RealRope, find_object
 from gendom.reality.chain import record_and_perceive
@@ -42,40 +43,37 @@ def main() -> None:
     write_json(args.folder / "table.json", {"objects": rows})
 
 
-def measure(item: RealObject, folder: Path, args: argparse.Namespace) -> dict[str, float | str]:
+def measure(
+    item: RealObject, folder: Path, args: argparse.Namespace
+) -> dict[str, float | str | None]:
     """One object's row."""
     if not (folder / "recording.npz").exists():
         _, sights = record_and_perceive(item, folder, frame_rate=args.frame_rate, seed=args.seed)
         (folder / "views.jpg").write_bytes(encode_sights(sights))
     recording = Recording.read(folder / "recording.npz")
     if (folder / "estimate.json").exists():
-        record = json.loads((folder / "estimate.json").read_text())
-        lift = Lift(recording)
-        theta = Theta(
-            specific_modulus=record["specific_modulus"],
-            nu=record["poissons_ratio"],
-            grip_offset=record["grip_offset"],
-            friction=record["friction"],
-        )
-        x = lift.simulate([theta])[:, 0]
+        found = Estimate.load(folder / "estimate.json")
     else:
         found = estimate(recording, EstimateSettings(starts=args.starts, seed=args.seed))
-        record, lift, x = found.record, found.lift, found.positions
-        write_json(folder / "estimate.json", record)
+        found.save(folder / "estimate.json")
+    record, scene = found.record, Scene.of(recording)
+    x = middle(scene, replay(scene, [found.theta])[:, 0])
     truth = np.load(folder / "truth" / "truth.npz")
-    times = recording.time[lift.frames]
+    times = recording.time[list(scene.frames)]
     shapes = np.stack([shape_at(item, truth, t) for t in times])
     error = np.concatenate(
-        [to_surface(item, recording.frame(t), s) for t, s in zip(lift.frames, shapes, strict=True)]
+        [to_surface(item, recording.frame(t), s) for t, s in zip(scene.frames, shapes, strict=True)]
     )
-    off = [off_truth(item, lift, positions, s) for positions, s in zip(x, shapes, strict=True)]
-    low, high = record["intervals"]["youngs_modulus"]
+    # of the simulated middle line or sheet from the true one
+    off = [float(KDTree(s).query(line)[0].mean()) for line, s in zip(x, shapes, strict=True)]
+    low, high = found.interval("youngs_modulus") or (None, None)
     return {
         "object": item.name,
         "E_true": item.material.E,
         "E": record["youngs_modulus"],
         "E_low": low,
         "E_high": high,
+        "usable": found.usable,
         "nu_true": item.material.nu,
         "nu": record["poissons_ratio"],
         "seconds": record["seconds"],
@@ -114,17 +112,6 @@ def to_surface(
     """[n] how far outside of the true surface the points of a cloud are [m]."""
     thick = item.diameter / 2.0 if isinstance(item, RealRope) else CLOTH_RADIUS
     return KDTree(shape).query(cloud)[0] - thick
-
-
-def off_truth(
-    item: RealObject, lift: Lift, particles: NDArray[np.floating], shape: NDArray[np.float64]
-) -> float:
-    """Mean distance of the simulated middle line or sheet from the true one [m]."""
-    along = lift.body.material_coordinates[:, 0]
-    if isinstance(item, RealRope):
-        sections = np.unique(along)
-        particles = np.array([particles[along == s].mean(axis=0) for s in sections])
-    return float(KDTree(shape).query(particles)[0].mean())
 
 
 if __name__ == "__main__":

@@ -1,15 +1,146 @@
 """What tests of several folders need: recordings, new interpreters, the RealSense SDK."""
 
+import math
 import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import DeviceError
+from gendom.estimation import Scene, SceneSettings, Theta, replay
+from gendom.materials.parameters import specific_modulus_of
+from gendom.observation import visible
 from gendom.perception.realsense import realsense_sdk
+
+CAMERAS = np.array([[0.1, -0.8, 0.6], [0.1, 0.8, 0.6]])
+"""On both sides of an object that lies along x [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedLift:
+    """An object that is lifted in 1.6 s and then held still, seen by two noisy cameras."""
+
+    object: ObjectDescription
+    rise: float
+    """[m]."""
+    settings: SceneSettings
+    """A coarse and quick simulation."""
+    truth: Theta
+    """Of the object; its recordings are held as they say."""
+    lying: np.ndarray = field(repr=False)
+    """[n, 3] its upper side at rest [m]."""
+    lowest: float
+    """Of the gripper [m]."""
+
+    def recording(self, clouds, **changes) -> Recording:
+        """These clouds, seen while the gripper goes up."""
+        time = np.linspace(0.0, 2.0, len(clouds))
+        share = np.clip(time / 1.6, 0.0, 1.0)
+        height = self.lowest + self.rise * (3.0 * share**2 - 2.0 * share**3)
+        values = {
+            "object": self.object,
+            "table_height": 0.0,
+            "gripper_source": "measured",
+            "camera_positions": CAMERAS,
+            "source": "made by a test",
+        }
+        return Recording.from_frames(
+            clouds,
+            time=time,
+            gripper_position=np.stack([0.0 * time, 0.0 * time, height], axis=1),
+            **{**values, **changes},
+        )
+
+    def at_rest(self, frames: int = 3, **changes) -> Recording:
+        """The lift, its clouds as if the object had stayed on the table."""
+        return self.recording([self.lying] * frames, **changes)
+
+    def seen(self, *, frames=12, points=120, noise=1e-3, seed=0, **truth) -> Recording:
+        """The simulated lift, as the cameras see it.
+
+        Args:
+            frames: Number of frames.
+            points: Of each cloud.
+            noise: Standard deviation of each coordinate [m].
+            seed: Of points and noise.
+            truth: Changes to the parameters.
+        """
+        rng = np.random.default_rng(seed)
+        scene = Scene.of(self.at_rest(frames), self.settings)
+        scene = replace(scene, frames=tuple(range(frames)))  # not only those worth comparing
+        clouds = []
+        for x in replay(scene, [self.truth.with_values(truth)])[:, 0]:
+            skin = filled(scene, x)
+            if scene.kind == "rope":
+                skin = skin[visible(skin, camera_positions=CAMERAS)]
+            skin = skin[rng.choice(len(skin), size=min(points, len(skin)), replace=False)]
+            clouds.append(skin + noise * rng.normal(size=skin.shape))
+        return self.recording(clouds)
+
+
+def filled(scene: Scene, x: np.ndarray) -> np.ndarray:
+    """[m, 3] points all over the skin of a simulated object [N, 3] of the thin engine [m]."""
+    if scene.kind == "rope":
+        return scene.body.surface(x)
+    rows, columns = scene.body.shape
+    sheet = x.reshape(rows, columns, 3)
+    for axis in (0, 1):
+        at = np.linspace(0.0, sheet.shape[axis] - 1.0, 40)
+        k = np.minimum(at.astype(int), sheet.shape[axis] - 2)
+        share = np.expand_dims(at - k, (1, 2) if axis == 0 else (0, 2))
+        sheet = (1.0 - share) * sheet.take(k, axis) + share * sheet.take(k + 1, axis)
+    return sheet.reshape(-1, 3)
+
+
+@pytest.fixture(scope="session")
+def rope_lift() -> SimulatedLift:
+    """A rope of 0.25 m that bends over a third of its length."""
+    length, diameter, density = 0.25, 0.012, 1000.0
+    x = np.linspace(0.0, length, 300)
+    return SimulatedLift(
+        object=ObjectDescription(
+            kind="rope",
+            length=length,
+            diameter=diameter,
+            mass=density * math.pi / 4.0 * diameter**2 * length,
+        ),
+        rise=0.12,
+        settings=SceneSettings(points=15, threads=1),
+        truth=Theta(specific_modulus=specific_modulus_of(0.35 * length, diameter / 4.0, 9.81)),
+        lying=np.stack([x, 0.0 * x, np.full(300, diameter)], axis=1),
+        lowest=diameter / 2.0,
+    )
+
+
+@pytest.fixture(scope="session")
+def cloth_lift() -> SimulatedLift:
+    """A square of 0.2 m, lifted by a corner, that bends over a tenth of its diagonal."""
+    side, thickness, density = 0.2, 0.002, 400.0
+    u, v = (g.ravel() for g in np.meshgrid(*[np.linspace(0.0, side, 30)] * 2))
+    return SimulatedLift(
+        object=ObjectDescription(
+            kind="cloth",
+            width=side,
+            height=side,
+            thickness=thickness,
+            mass=density * side**2 * thickness,
+            grasp="corner",
+        ),
+        rise=0.2,
+        settings=SceneSettings(points=9, threads=1),
+        truth=Theta(
+            specific_modulus=specific_modulus_of(0.1 * side * 2**0.5, thickness / 12**0.5, 9.81),
+            grip_tilt=0.8,
+        ),
+        lying=np.stack([u, v, np.full(len(u), thickness)], axis=1),
+        lowest=thickness / 2.0,
+    )
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from gendom.errors import GendomError, RecordingError
-from gendom.files import atomic_folder, atomic_path, read_json, read_toml, to_json, write_json
+from gendom.files import (
+    atomic_folder,
+    atomic_path,
+    check_folder,
+    read_json,
+    read_toml,
+    to_json,
+    write_json,
+)
 
 
 def test_success_replaces_and_leaves_nothing_else(tmp_path):
@@ -76,6 +84,16 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path):
         with pytest.raises(GendomError, match="is there already"), atomic_folder(there):
             pass
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
+
+
+def test_a_folder_is_checked_and_not_made(tmp_path):
+    check_folder(tmp_path)
+    check_folder(tmp_path / "new" / "newer")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").write_text("here")
+    for place in ("file", "file/below"):
+        with pytest.raises(GendomError, match="file: is a file, not a folder; name a folder"):
+            check_folder(tmp_path / place)
 
 
 def test_json_round_trip(tmp_path):

@@ -65,6 +65,23 @@ def atomic_folder(path: str | os.PathLike) -> Iterator[Path]:
         os.rename(temporary, path)
 
 
+def check_folder(folder: str | os.PathLike) -> None:
+    """Whether files can be written into a folder that need not exist yet; it is not made.
+
+    Raises:
+        GendomError: It is a file or lies below one, or there is no permission.
+    """
+    there = Path(folder).absolute()
+    while not there.exists():
+        there = there.parent
+    if not there.is_dir():
+        raise GendomError("is a file, not a folder", where=str(there), fix="name a folder")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise GendomError(
+            "no permission to write here", where=str(there), fix="choose another place"
+        )
+
+
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
     """A temporary name in the folder of `path`, which is made if it is missing. What bears the

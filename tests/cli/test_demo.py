@@ -8,7 +8,7 @@ import tyro
 from tqdm import tqdm
 
 from gendom import cli
-from gendom.cli.arguments import PERCENT_BAR
+from gendom.cli.arguments import ITERATION_BAR
 from gendom.cli.demo import Command, _command_line
 
 
@@ -47,6 +47,6 @@ def test_goals_of_two_numbers_are_checked(tmp_path, capsys, goal, says):
     assert says in capsys.readouterr().err and not (tmp_path / "demo").exists()
 
 
-def test_percent_have_no_rate():
-    line = tqdm.format_meter(40, 100, 20.0, ncols=60, prefix="estimating", bar_format=PERCENT_BAR)
-    assert line.startswith("estimating:  40%|") and line.endswith("| 00:20, 00:30 left")
+def test_iterations_have_no_rate():
+    line = tqdm.format_meter(4, 25, 20.0, ncols=70, prefix="estimating", bar_format=ITERATION_BAR)
+    assert line.startswith("estimating:  16%|") and line.endswith("| iteration 4/25, 00:20")

@@ -1,14 +1,14 @@
-"""Lifts that are simulated with rods."""
+"""Lifts that are simulated with rods, and with material points."""
 
 from importlib.resources import files
 
 import numpy as np
 import pytest
 
-from gendom.cli.replay import replay_setup
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
-from gendom.estimation import Lift, ReplaySettings, Theta
+from gendom.estimation import EstimateSettings, Scene, SceneSettings, Theta, estimate, replay
+from gendom.estimation.replay import lattice, middle
 from gendom.sim import rope
 
 THETA = Theta(specific_modulus=960.0, nu=0.35)
@@ -20,30 +20,34 @@ def recording():
 
 
 def test_both_engines_lift_a_rope_alike(recording):
-    frames = [0, 40, 80]
-    rod, grid = (Lift(recording, ReplaySettings(engine=e)) for e in ("thin", "mpm"))
-    x, y = (lift.simulate([THETA], frames=frames)[:, 0].astype(float) for lift in (rod, grid))
-    assert x.shape == (3, len(rod.body.points), 3)
-    for a, b in zip(rod.body.surface(x), grid.body.surface(y), strict=True):
+    x, scenes = [], []
+    for engine in ("thin", "mpm"):
+        scene = Scene.of(recording, SceneSettings(engine=engine, slow_frames=3, fast_frames=3))
+        at = replay(scene, [THETA])[:, 0]
+        x.append(middle(scene, at))
+        scenes.append(scene)
+        assert x[-1].shape == (len(scene.frames), len(lattice(scene)[0]), 3)
+    assert scenes[0].frames == scenes[1].frames
+    for a, b in zip(*x, strict=True):
         away = np.linalg.norm(a[:, None] - b[None], axis=2).min(axis=1)
         assert away.max() < 0.01
 
 
-def test_a_replay_takes_the_estimates_engine_or_another(recording):
-    params = {
-        "format": "gendom-estimate/1",
-        "specific_modulus": 960.0,
-        "poissons_ratio": 0.35,
-        "object": {"kind": "rope"},
-        "simulation": {"engine": "thin"},
-    }
-    assert replay_setup(recording, params, "here", "cpu")[0].thin
-    assert not replay_setup(recording, params, "here", "cpu", "mpm")[0].thin
-
-
 def test_an_unknown_engine_is_named():
     with pytest.raises(ParameterError, match="unknown engine 'fem'"):
-        ReplaySettings(engine="fem")
+        SceneSettings(engine="fem")
+
+
+@pytest.mark.slow
+def test_the_mpm_finds_what_rods_find(recording):
+    """E of the demo's lift within a fifth."""
+    found = [
+        estimate(recording, EstimateSettings(starts=1, scene=SceneSettings(engine=engine)))
+        for engine in ("thin", "mpm")
+    ]
+    assert found[0].usable and found[1].usable
+    a, b = (f.theta.specific_modulus for f in found)
+    assert b == pytest.approx(a, rel=0.2)
 
 
 def test_the_skin_of_a_rod_is_half_a_diameter_from_its_centre_line():

@@ -77,6 +77,38 @@ def test_act_foretells_what_will_be_reached(act):
     assert "90 %" in act()[1]
 
 
+def test_act_foretells_by_the_level_of_the_interval(act):
+    """The same ends at half the probability are those of a wider estimate."""
+    spans = []
+    for level in (0.9, 0.5):
+        intervals = ESTIMATE["intervals"] | {"level": level}
+        out = act("--json", estimate=ESTIMATE | {"intervals": intervals})[1]
+        low, high = json.loads(out)["foretold"]["interval_90"]["x"]
+        spans.append(high - low)
+    assert spans[1] > 1.5 * spans[0]
+
+
+def test_act_takes_damping_and_friction_from_the_estimate(act):
+    """Where it has them; what it does not know is assumed."""
+    for friction in (0.0, 0.6):
+        changed = ESTIMATE | {"damping": None, "friction": friction, "intervals": None}
+        result = json.loads(act("--json", estimate=changed)[1])
+        assert result["object"]["friction"] == friction
+        assert result["assumed"] == {"damping": 0.004}
+        assert "interval_90" not in result["foretold"]
+    result = json.loads(act("--json", estimate=ESTIMATE | {"damping": 0.007})[1])
+    assert result["object"]["damping"] == 0.007
+
+
+def test_act_refuses_an_estimate_that_is_not_usable(act):
+    verdict = {"usable": False, "reasons": ["the gripper rests", "points stray"]}
+    code, out, err = act(estimate=ESTIMATE | {"verdict": verdict})
+    assert (code, out) == (2, "")
+    assert "is not usable: the gripper rests, points stray; record the object again" in err
+    assert act("--force", estimate=ESTIMATE | {"verdict": verdict})[0] == 0
+    assert act(estimate=ESTIMATE | {"verdict": {"usable": True, "reasons": []}})[0] == 0
+
+
 def test_the_arm_accepts_the_motion(act):
     from gendom.robot import XARM7, TcpPath, follow
 

@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import math
 import re
 import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
@@ -72,7 +73,7 @@ def estimate(**changes):
             "iteration": k,
             "youngs_modulus": 1800.0 + 500.0 * 0.5**k,
             "poissons_ratio": 0.3,
-            "loss": 100.0 * 0.5**k + start,
+            "loss": 0.1 * 0.5**k + 0.001 * start,
         }
         for start in range(2)
         for k in range(4)
@@ -95,10 +96,9 @@ def estimate(**changes):
         "bounds": {"youngs_modulus": [500.0, 50000.0], "poissons_ratio": [0.2, 0.4]},
         "identifiable": {"youngs_modulus": True, "poissons_ratio": False},
         "chamfer_mean": 0.0082,
-        "loss": 100.0,
         "method": "gauss-newton",
         "object": {"kind": "rope", "length": 0.26, "mass": None},
-        "starts": [{"initial": final, "final": final, "loss": loss} for loss in (1.0, 2.0)],
+        "starts": [{"initial": final, "final": final, "loss": loss} for loss in (0.001, 0.002)],
         "history": history,
     } | changes
 
@@ -145,7 +145,7 @@ def test_whole_report(make_lift, tmp_path):
     assert page.addresses and all(a.startswith("data:image/") for a in page.addresses)
     assert len(page.ids) == len(set(page.ids))
     kinds = [decode(image) for image in page.images]
-    # animation; filmstrip; loss, E, nu, Chamfer; goals; swing
+    # animation; filmstrip; distance, E, nu, Chamfer; goals; swing
     assert kinds == ["gif", "png", *["svg+xml"] * 6]
     for text in (
         "Made by a simulator.",
@@ -190,14 +190,14 @@ def test_numbers_are_for_people():
     """Sizes have units, and nothing is given to more digits than anybody reads."""
     described = {"kind": "rope", "length": 0.28, "diameter": 0.0123456789, "mass": 0.03008389125}
     described |= {"turns": 12345, "stretch": 1.0 / 3.0, "twisted": False, "width": None}
-    numbers = {"loss": 0.0385042488550871, "seconds": 51.45626372600009, "seed": 12345678}
+    numbers = {"rms": 0.00385042488550871, "seconds": 51.45626372600009, "seed": 12345678}
     summary = EstimateSummary(values=estimate(object=described, **numbers))
     made = Provenance(stage_seconds={"estimate": 51.45626372600009})
     page = Page(render_report(ReportContent(title="Plain", estimate=summary, provenance=made)))
     for text in (
         "kind rope, length 280 mm, diameter 12.35 mm, mass 0.03008 kg, turns 12345, "
         "stretch 0.3333, twisted no",
-        "0.0385",
+        "3.9 mm",
         "51.46 s",
         "12345678",
     ):
@@ -245,13 +245,65 @@ def test_estimates_of_older_files_have_no_bars():
     assert "95 % interval" in Page(page).words
 
 
+POSTERIOR = {
+    "names": ["specific_modulus", "grip_height"],
+    "log": [True, False],
+    "mean": [math.log(1834.0), 0.001],
+    "covariance": [[0.0004, 0.0], [0.0, 1e-8]],
+    "prior_mean": [math.log(1000.0), 0.0],
+    "prior_sd": [3.0, 0.002],
+    "low": [math.log(500.0), -0.1],
+    "high": [math.log(50000.0), 0.1],
+}
+"""Of an estimate's file."""
+
+
+def test_beliefs_stand_beside_what_was_found():
+    """95 % intervals in the unknowns' units, cut at what was searched."""
+    summary = EstimateSummary(
+        values=estimate(posterior=POSTERIOR, bounds={}),
+        units={"specific_modulus": "m^2/s^2", "grip_height": "m"},
+    )
+    page = render_report(ReportContent(title="Beliefs", estimate=summary))
+    words = Page(page).words
+    for text in (
+        "specific modulus [m^2/s^2] 500 to 5e+04 1.76e+03 to 1.91e+03",
+        "grip height [m] −0.00392 to 0.00392 0.000804 to 0.0012",
+    ):
+        assert text in words, text
+    for marks in bars(page):
+        assert marks["prior"][0] == pytest.approx(50.0 * (1.0 - 1.96 / 3.0), abs=0.01)
+    assert bars(page)[1]["estimate"][0] == pytest.approx(50.0 * (1.0 + 0.5 / 3.0), abs=0.01)
+
+
+def test_distances_over_time_are_drawn(make_lift):
+    """Where the clouds are those of the frames that were compared."""
+    clouds = CloudSequence(**make_lift(frames=4))
+    counts = []
+    for rms in ([0.001] * 4, [0.001] * 3):
+        summary = EstimateSummary(values=estimate(rms_by_frame=rms))
+        report = ReportContent(title="R", lift=LiftPictures(clouds=clouds), estimate=summary)
+        counts.append(len(Page(render_report(report)).images))
+    assert counts[0] == counts[1] + 1
+
+
+def test_what_is_not_usable_has_reasons_and_no_beliefs():
+    verdict = {"usable": False, "reasons": ["the gripper rests", "the clouds are <noise>"]}
+    summary = EstimateSummary(values=estimate(verdict=verdict, intervals=None, posterior=POSTERIOR))
+    page = render_report(ReportContent(title="Verdict", estimate=summary))
+    words = Page(page).words
+    assert "Not usable." in words and "the gripper rests" in words and "<noise>" in words
+    assert "Believed before" not in words and "interval" not in words
+    assert bars(page) == []
+
+
 def test_missing_parts_are_left_out():
     page = Page(render_report(ReportContent(title="Nothing")))
     assert page.images == [] and "The action" not in page.words
     bare = EstimateSummary(values={"youngs_modulus": 2e6, "poissons_ratio": 0.3})
     page = Page(render_report(ReportContent(title="Bare", estimate=bare)))
     assert "2 MPa" in page.words
-    for absent in ("interval", "True value", "Density", "Loss"):
+    for absent in ("interval", "True value", "Density", "Distance", "erdict", "usable"):
         assert absent not in page.words
 
 

@@ -3,7 +3,8 @@
 A command's module has a frozen dataclass `Command`: its fields are the flags, their docstrings
 the help, and `run()` does the work and returns the exit code. Results go to stdout, the log and
 all complaints to stderr. Exit codes: 0 done, 1 a fault of the program, 2 a fault of the input,
-130 interrupted.
+3 done, but the recording tells nothing of the object (`gendom estimate`, `gendom demo`), 130
+interrupted.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ COMMANDS = {
     "export": ("gendom.cli.export", "demonstrations in the format of LeRobot"),
     "train": ("gendom.cli.train", "train a policy on demonstrations"),
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
+    "reproduce": ("gendom.cli.reproduce", "the paper's tables and the intervals' coverage"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
     "calibrate": ("gendom.cli.calibrate", "where a camera stands, from pictures of a board"),
     "record": ("gendom.cli.record", "a lift of the second reality, seen by depth cameras"),

@@ -6,21 +6,21 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tyro
 
-from gendom.cli.arguments import TaskName
+from gendom.cli.arguments import TaskName, read_params
 from gendom.errors import GendomError, PolicyError
-from gendom.files import read_json, to_json, write_json
+from gendom.files import to_json, write_json
 from gendom.materials import ASSUMED, KINDS, LARGEST, PARAMETERS, Item, from_columns, to_columns
 
 if TYPE_CHECKING:
     from gendom.policies import Policy
     from gendom.tasks import Task
 
-_ESTIMATE = "gendom-estimate/1"
 _ACTION = "gendom-action/2"
 
 DRAWS = 64
@@ -83,8 +83,8 @@ class Command:
     parameters: bool = True
     """Use the policy of the package that does not see the object's parameters."""
     force: bool = False
-    """Act for a goal or an object outside of what the policy was trained on, too: with the nearest
-    numbers that it was, and a warning."""
+    """Act for a goal or an object outside of what the policy was trained on, too, with the nearest
+    numbers that it was and a warning; and with an estimate that is not usable."""
     foretell: bool = True
     """Simulate what will be reached."""
     seed: int = 0
@@ -114,7 +114,7 @@ class Command:
                 where=policy.where,
                 fix=f"use a policy for {self.task}, or give {task.name} as the task",
             )
-        held, interval = self._held(task.kind)
+        held, spread = self._held(task.kind)
         item, assumed = self._object(task, policy, held)
         if not self.force and (outside := policy.outside(self.goal, item)):
             raise PolicyError(
@@ -142,15 +142,18 @@ class Command:
             "trajectory": trajectory(task, item, values, self.origin),
         }
         if self.foretell and "specific_modulus" in held:
-            result["foretold"] = foretold(task, item, values, interval, self.seed)
+            result["foretold"] = foretold(task, item, values, spread, self.seed)
         if self.out is not None:
             write_json(self.out, result)
         print(to_json(result) if self.json else result_text(result, self.out))
         return 0
 
     def _held(self, kind: str) -> tuple[dict[str, float], tuple[float, float] | None]:
-        """What is known of the object, in SI units by column name, and E's interval [Pa]."""
-        held, interval = ({}, None) if self.params is None else read_estimate(self.params, kind)
+        """What is known of the object, in SI units by column name, and `read_estimate`'s spread."""
+        held, spread = {}, None
+        if self.params is not None:
+            params = read_params(self.params, force=self.force)
+            held, spread = read_estimate(params, str(self.params), kind)
         flags = {
             "youngs_modulus": self.E,
             "poissons_ratio": self.nu,
@@ -166,10 +169,10 @@ class Command:
         held |= given
         if given.keys() & {"youngs_modulus", "density"}:
             held.pop("specific_modulus", None)  # the file's own, of other numbers
-            interval = None
+            spread = None
         if "specific_modulus" not in held and {"youngs_modulus", "density"} <= held.keys():
             held["specific_modulus"] = held["youngs_modulus"] / held["density"]
-        return held, interval
+        return held, spread
 
     def _object(
         self, task: Task, policy: Policy, held: Mapping[str, float]
@@ -181,7 +184,7 @@ class Command:
         """
         sees = policy.description.conditioned_on
         missing = [name for name in KINDS[task.kind].sizes if name not in held]
-        # a lift tells neither damping nor friction
+        # not every recording tells damping and friction
         missing += [
             name
             for name in sees
@@ -235,7 +238,7 @@ def foretold(
     task: Task,
     item: Item,
     action: np.ndarray,
-    interval: tuple[float, float] | None,
+    spread: tuple[float, float] | None,
     seed: int,
 ) -> dict[str, Any]:
     """What the action will reach, simulated: with the object as it is, and over E's 90 % interval.
@@ -244,69 +247,75 @@ def foretold(
         task: What is done.
         item: The object.
         action: [A].
-        interval: Of Young's modulus, 5 to 95 % [Pa]; None: it is taken as known.
+        spread: Mean and standard deviation of ln(E / Pa); None: E is taken as known.
         seed: Of the draws.
     """
     from gendom.tasks.world import Simulation
 
     items = [item]
-    if interval is not None:
+    if spread is not None:
         rng = np.random.default_rng(seed)
-        low, high = np.log(interval)
-        logs = rng.normal(0.5 * (low + high), (high - low) / 3.29, DRAWS)
+        logs = rng.normal(*spread, DRAWS)
         material = item.material
         items += [replace(item, material=replace(material, E=float(np.exp(x)))) for x in logs]
     outcomes = Simulation().carry_out(task, items, np.tile(action, (len(items), 1)))
     if outcomes[0].fault is not None:
         return {"fault": outcomes[0].fault}
     found: dict[str, Any] = {"reached": outcomes[0].values}
-    spread = [o.values for o in outcomes[1:] if o.fault is None]
-    if spread:
-        names = [q.name for q in task.goals] or list(spread[0])
+    others = [o.values for o in outcomes[1:] if o.fault is None]
+    if others:
+        names = [q.name for q in task.goals] or list(others[0])
         found["interval_90"] = {
-            name: np.quantile([s[name] for s in spread], [0.05, 0.95]).tolist() for name in names
+            name: np.quantile([o[name] for o in others], [0.05, 0.95]).tolist() for name in names
         }
     return found
 
 
-def read_estimate(path: Path, kind: str) -> tuple[dict[str, float], tuple[float, float] | None]:
-    """The numbers of an estimate that a policy needs, as far as it has them, by column name, and
-    the 90 % interval of E [Pa].
+def read_estimate(
+    params: Mapping[str, Any], where: str, kind: str
+) -> tuple[dict[str, float], tuple[float, float] | None]:
+    """The numbers of an estimate that a policy needs, as far as it has them, by column name; and
+    mean and standard deviation of ln(E / Pa).
+
+    Args:
+        params: An estimate's JSON, perhaps of an older version.
+        where: Its file, for complaints.
+        kind: Of the task's object.
 
     Raises:
-        GendomError: The file is missing, is no estimate or of another kind of object, or a number
-            in it is none.
+        GendomError: It is of another kind of object, or a number in it is none.
     """
-    estimate = read_json(path)
-    if estimate.get("format") != _ESTIMATE:
-        raise GendomError(
-            f"has format {estimate.get('format')!r}, not {_ESTIMATE!r}",
-            where=str(path),
-            fix="give a file written by gendom estimate",
-        )
     names = ("youngs_modulus", "poissons_ratio", "density", "specific_modulus")
-    found = {name: estimate.get(name) for name in names}
-    described = estimate.get("object")
+    found = {name: params.get(name) for name in (*names, "damping", "friction")}
+    described = params.get("object")
     if isinstance(described, dict):
         if described.get("kind", kind) != kind:
             raise GendomError(
                 f"describes a {described['kind']}, the task needs a {kind}",
-                where=str(path),
+                where=where,
                 fix=f"give the estimate of a {kind}",
             )
         # a recording's cloth has width and height
         sizes = {**described, "side": described.get("width")}
         found |= {name: sizes.get(name) for name in KINDS[kind].sizes}
     for name, value in found.items():
-        if not (value is None or (isinstance(value, (int, float)) and value > 0.0)):
+        if value is None:
+            continue
+        may_be_zero = name in ("damping", "friction")
+        if not (isinstance(value, (int, float)) and (value > 0.0 or (may_be_zero and value == 0))):
             raise GendomError(
                 f"{name} must be a positive number, got {value!r}",
-                where=str(path),
+                where=where,
                 fix="estimate again, or give the number by a flag",
             )
-    ends = estimate.get("intervals", {}).get("youngs_modulus")
     known = {name: float(value) for name, value in found.items() if value is not None}
-    return known, (float(ends[0]), float(ends[1])) if ends else None
+    intervals = params.get("intervals") or {}
+    ends = intervals.get("youngs_modulus")
+    if not ends:
+        return known, None
+    low, high = math.log(ends[0]), math.log(ends[1])
+    half = NormalDist().inv_cdf(0.5 + intervals.get("level", 0.9) / 2.0)
+    return known, (0.5 * (low + high), 0.5 * (high - low) / half)
 
 
 def result_text(result: dict[str, Any], out: Path | None) -> str:

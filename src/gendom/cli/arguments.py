@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
+from tqdm import tqdm
+
+from gendom.errors import GendomError, ParameterError
+from gendom.files import read_json
+
+if TYPE_CHECKING:
+    from gendom.estimation import Progress
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
 
 
+ESTIMATE_FORMAT = "gendom-estimate/1"
+
+METHODS_HELP = "gauss-newton|adam|differential-evolution|pointnet"
+
+
 def _known(words: list[str]) -> str:
-    from gendom.errors import GendomError
     from gendom.tasks import find_task
 
     try:
@@ -31,5 +46,73 @@ TaskName = Annotated[
 ]
 """The name of a task, those of other packages included, or a Python file that defines one."""
 
-PERCENT_BAR = "{l_bar}{bar}| {elapsed}, {remaining} left"
-"""Format of a `tqdm` bar that counts percent: a rate would be percent a second."""
+
+def _method(words: list[str]) -> str:
+    from gendom.estimation import METHODS
+
+    if words[0] not in METHODS:
+        raise ValueError(f"there is no method {words[0]!r}; choose from {', '.join(METHODS)}")
+    return words[0]
+
+
+MethodName = Annotated[
+    str,
+    tyro.constructors.PrimitiveConstructorSpec[Any](
+        nargs=1,
+        metavar=METHODS_HELP,
+        instance_from_str=_method,
+        is_instance=lambda value: isinstance(value, str),
+        str_from_instance=lambda value: [value],
+    ),
+]
+"""The name of a method of estimation."""
+
+ITERATION_BAR = "{l_bar}{bar}| iteration {n_fmt}/{total_fmt}, {elapsed}{postfix}"
+"""Format of a `tqdm` bar that counts iterations, which differ too much for a rate."""
+
+
+@contextmanager
+def iterations_shown() -> Iterator[Callable[[Progress], None]]:
+    """A bar of an estimation's progress, full when the block is left without an error."""
+    with tqdm(
+        total=1, desc="estimating", bar_format=ITERATION_BAR, leave=False, disable=None
+    ) as bar:
+
+        def show(progress: Progress) -> None:
+            bar.total, bar.n = progress.most, progress.iteration
+            text = f"{progress.stage}: E / density {progress.best.specific_modulus:.4g} m^2/s^2"
+            if math.isfinite(progress.rms):
+                text += f", {1e3 * progress.rms:.2f} mm from the clouds"
+            bar.set_postfix_str(text)
+
+        yield show
+        bar.n = bar.total
+        bar.refresh()
+
+
+def read_params(path: Path, *, force: bool) -> dict[str, Any]:
+    """The JSON object of an estimate's file.
+
+    Args:
+        path: What ``gendom estimate --out`` wrote, perhaps an older version's.
+        force: Take one whose verdict is not usable, too.
+
+    Raises:
+        GendomError: The file is missing, or no JSON.
+        ParameterError: It is no estimate, or not usable.
+    """
+    params = read_json(path)
+    if params.get("format") != ESTIMATE_FORMAT:
+        raise ParameterError(
+            f"has format {params.get('format')!r}, not {ESTIMATE_FORMAT!r}",
+            where=str(path),
+            fix="give a file written by gendom estimate",
+        )
+    verdict = params.get("verdict") or {}
+    if verdict.get("usable") is False and not force:
+        raise ParameterError(
+            f"is not usable: {', '.join(verdict.get('reasons', ()))}",
+            where=str(path),
+            fix="record the object again, or add --force",
+        )
+    return params

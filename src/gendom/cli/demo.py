@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shlex
 import time
 from collections.abc import Sequence
@@ -16,8 +17,9 @@ import numpy as np
 from tqdm import tqdm
 
 from gendom import __version__
-from gendom.cli.arguments import PERCENT_BAR
-from gendom.cli.estimate import estimate_text
+from gendom.cli.arguments import iterations_shown
+from gendom.cli.estimate import NOT_USABLE, estimate_text
+from gendom.cli.pictures import clouds_of, summary_of
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.files import to_json, write_json
@@ -49,6 +51,8 @@ STANDS = 0.003
 
 MOTION_RATE = 30.0
 """Frames a second of the executed motion."""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,13 +88,13 @@ class Command:
     """Print JSON."""
 
     def run(self) -> int:
-        from gendom.estimation import EstimateSettings, ReplaySettings, estimate
+        from gendom.estimation import EstimateSettings, SceneSettings, estimate
         from gendom.evaluation import draw_cases
         from gendom.policies import Policy
         from gendom.reality import RealRope, find_object
         from gendom.reality.chain import record_and_perceive
         from gendom.sim import open_device
-        from gendom.viz import CloudSequence, encode_sights, write_gif
+        from gendom.viz import encode_sights, write_gif
 
         open_device(self.device)
         seconds: dict[str, float] = {}
@@ -131,28 +135,24 @@ class Command:
             "density": rope.material.density,
         }
         print(f"a recorded lift: {recording.num_frames} frames of {recording.source}\n", flush=True)
-        with (
-            _timed(seconds, "estimate"),
-            tqdm(total=100, bar_format=PERCENT_BAR, leave=False, disable=None) as bar,
-        ):
-            settings = EstimateSettings(
-                starts=self.starts, seed=self.seed, replay=ReplaySettings(device=self.device)
-            )
-
-            def show(progress: Any) -> None:
-                bar.n = round(100 * progress.done)
-                bar.set_description(f"estimating ({progress.stage})")
-
+        settings = EstimateSettings(
+            starts=self.starts, seed=self.seed, scene=SceneSettings(device=self.device)
+        )
+        with _timed(seconds, "estimate"), iterations_shown() as show:
             found = estimate(recording, settings, on_progress=show)
         # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.
         self.out.mkdir(parents=True, exist_ok=True)
         write_json(self.out / "estimate.json", found.record)
-        print(estimate_text(found.record))
+        print(estimate_text(found))
         print(
             f"true values      E {truth['youngs_modulus']:.4g} Pa, nu "
             f"{truth['poissons_ratio']:.3f}\n",
             flush=True,
         )
+        if not found.usable:
+            for reason in found.verdict.reasons:
+                _log.error("not usable: %s", reason)
+            return NOT_USABLE
         with _timed(seconds, "act and carry out"):
             runs, shown = _carry_out(rope, policies, goals, found)
         with _timed(seconds, "predict the motion"):
@@ -165,15 +165,8 @@ class Command:
                 f"off by {1e3 * _error(ours, goal):.1f} mm "
                 f"(without parameters {1e3 * _error(without, goal):.1f} mm)"
             )
-        frames = found.lift.frames
-        clouds = CloudSequence(
-            recorded=[recording.frame(t) for t in frames],
-            simulated=list(found.positions),
-            times=recording.time[frames],
-            table_height=recording.table_height,
-            gripper=recording.gripper_position[frames],
-            chamfer=found.chamfer,
-        )
+        assert found.scene is not None and found.positions is not None
+        clouds = clouds_of(found.scene, found.positions, found.chamfer)
         with _timed(seconds, "pictures and report"):
             write_gif(self.out / "lift.gif", clouds)
             actions = {"format": "gendom-demo/2", "task": task.name, "outcomes": _outcomes(runs)}
@@ -209,7 +202,8 @@ def _given_goals(numbers: Sequence[float], policy: Policy, rope: RealRope) -> np
 
 def known_rope(found: Estimate) -> Rope:
     """The rope as it was estimated."""
-    described, density = found.record["object"], found.record["density"]
+    record = found.record
+    described, density = record["object"], record["density"]
     return Rope(
         length=described["length"],
         diameter=described["diameter"],
@@ -217,7 +211,10 @@ def known_rope(found: Estimate) -> Rope:
             E=found.theta.specific_modulus * density,
             nu=found.theta.nu,
             density=density,
-            damping=ASSUMED["damping"],  # a lift does not tell
+            # a slow lift does not tell
+            damping=(
+                found.theta.damping if record["identifiable"]["damping"] else ASSUMED["damping"]
+            ),
         ),
     )
 
@@ -362,7 +359,6 @@ def _report(
     from gendom.viz.report import (
         ActionSummary,
         CameraViews,
-        EstimateSummary,
         LiftPictures,
         Provenance,
         ReachOutcome,
@@ -387,9 +383,9 @@ def _report(
                 ),
             ),
             lift=LiftPictures(clouds=clouds),
-            estimate=EstimateSummary(
-                values=found.record,
-                truth=truth | {"specific_modulus": truth["youngs_modulus"] / truth["density"]},
+            estimate=summary_of(
+                found,
+                truth | {"specific_modulus": truth["youngs_modulus"] / truth["density"]},
             ),
             action=ActionSummary(
                 outcomes=[

@@ -1,48 +1,73 @@
-"""`gendom estimate`: elastic parameters from one recorded lift."""
+"""`gendom estimate`: an object's parameters from one recording."""
 
 from __future__ import annotations
 
+import logging
+import shlex
+import sys
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from tqdm import tqdm
 
+from gendom import __version__
+from gendom.cli.arguments import ESTIMATE_FORMAT, MethodName, iterations_shown
 from gendom.datasets import Recording
-from gendom.files import to_json, write_json
+from gendom.errors import ParameterError, RecordingError, SimulationError
+from gendom.files import check_folder, to_json, write_json
 
 if TYPE_CHECKING:
-    from gendom.estimation import EstimateSettings, Progress
+    from gendom.estimation import Estimate, EstimateSettings
+
+NOT_USABLE = 3
+"""Exit code where a recording tells nothing of its object."""
+
+REPORT_SUMMARY = (
+    "GenDOM watched this object being moved and found the parameters with which its simulator "
+    "repeats that motion. This page shows how well the simulated motion matches the recorded one, "
+    "and how sure the estimate is."
+)
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Estimate Young's modulus and Poisson's ratio from one recorded lift.
+    """Estimate an object's parameters from one recording: E / density and what else it shows.
 
-    Ctrl-C ends the search and keeps the best found so far.
+    Ctrl-C ends the search and keeps the best found so far. Exit code 3: the recording cannot be
+    used, for the reasons that are printed; no intervals are given then.
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
     """A gendom-recording/1 file (.npz), or a folder of .ply files, gripper.csv, object.toml."""
     out: Path | None = None
     """Folder for estimate.json."""
+    report: Path | None = None
+    """HTML file: recorded and simulated motion, and the estimate."""
     json: bool = False
     """Print the estimate as JSON."""
-    method: Literal["gauss-newton"] = "gauss-newton"
-    """How the search descends."""
+    method: MethodName = "gauss-newton"
+    """How is searched (docs/estimation.md)."""
     frames: Literal["all", "last"] = "all"
-    """Frames whose densities are compared."""
+    """Frames that are compared."""
     starts: int = 3
-    """Random starts."""
+    """Where the search begins: at what a scan finds best, and at random places."""
     seed: int = 0
-    """Seed of the starts."""
+    """Seed of everything that is drawn."""
     level: float = 0.9
     """Probability that the intervals claim."""
-    engine: Literal["mpm", "thin"] = "mpm"
-    """Of the simulator; thin: a rope as a rod, a hundred times cheaper."""
+    unknowns: tuple[str, ...] = ()
+    """What is looked for, such as specific_modulus grip_height; by default what a recording of this
+    kind may show."""
+    engine: Literal["thin", "mpm"] = "thin"
+    """Of the simulator. thin: ropes as rods, cloths as shells. mpm: material points, slower."""
+    points: int | None = None
+    """Of a rod, or along the longer side of a shell; by default the engine's own."""
     cells_across: float = 1.5
-    """Grid cells across a rope's diameter (cloths alike): finer is slower."""
+    """With mpm: grid cells across a rope's diameter (cloths alike); finer is slower."""
     clock: float | None = None
     """Recorded seconds for one simulated second; chosen where motion is quasi-static."""
     device: str = "cpu"
@@ -52,69 +77,133 @@ class Command:
         from gendom.estimation import estimate
         from gendom.sim import open_device
 
+        settings = self.settings()
+        self._check_places()
         open_device(self.device)
         recording = Recording.read(self.recording)
-        settings = self.settings()
-        with tqdm(total=100, desc="estimating", unit="%", leave=False, disable=None) as bar:
-            result = estimate(recording, settings, on_progress=lambda p: _show(bar, p))
+        try:
+            with iterations_shown() as show:
+                found = estimate(recording, settings, on_progress=show)
+        except (RecordingError, SimulationError) as error:
+            return self._refused(str(error).splitlines())
+        print(to_json(found.record) if self.json else estimate_text(found))
+        for reason in found.verdict.reasons:
+            _log.error("not usable: %s", reason)
         if self.out is not None:
-            self.out.mkdir(parents=True, exist_ok=True)
-            write_json(self.out / "estimate.json", result.record)
-        print(to_json(result.record) if self.json else estimate_text(result.record))
-        return 0
+            self._written(self.out / "estimate.json", found.record)
+        if self.report is not None:
+            self._write_report(found)
+        return 0 if found.usable else NOT_USABLE
 
     def settings(self) -> EstimateSettings:
         """The flags as the estimator takes them."""
-        from gendom.estimation import EstimateSettings, ReplaySettings
+        from gendom.estimation import EstimateSettings, SceneSettings
 
         return EstimateSettings(
+            method=self.method,
             starts=self.starts,
+            unknowns=self.unknowns,
             frames=self.frames,
             seed=self.seed,
             level=self.level,
-            replay=ReplaySettings(
+            scene=SceneSettings(
                 engine=self.engine,
+                points=self.points,
                 cells_across=self.cells_across,
                 clock=self.clock,
                 device=self.device,
             ),
         )
 
+    def _check_places(self) -> None:
+        """Refuse what cannot be written before the work, not after it."""
+        if self.out is not None:
+            check_folder(self.out)
+        if self.report is None:
+            return
+        if self.report.suffix.lower() != ".html":
+            raise ParameterError(
+                f"is {self.report}", where="--report", fix="name a file that ends in .html"
+            )
+        if self.report.is_dir():
+            raise ParameterError("is a folder", where=str(self.report), fix="name a file")
+        check_folder(self.report.parent)
 
-def _show(bar: tqdm, progress: Progress) -> None:
-    bar.n = round(100 * progress.done)
-    bar.set_postfix_str(
-        f"{progress.stage} {progress.iteration}, E/density "
-        f"{progress.best.specific_modulus:.4g} m^2/s^2, loss {progress.loss:.3g}"
-    )
-    bar.refresh()
+    def _refused(self, reasons: list[str]) -> int:
+        """What is said and written of a recording that cannot be estimated from."""
+        record = {"format": ESTIMATE_FORMAT, "verdict": {"usable": False, "reasons": reasons}}
+        if self.json:
+            print(to_json(record))
+        for reason in reasons:
+            _log.error("not usable: %s", reason)
+        if self.out is not None:
+            self._written(self.out / "estimate.json", record)
+        return NOT_USABLE
+
+    def _written(self, path: Path, record: dict) -> None:
+        write_json(path, record)
+        self._say(path)
+
+    def _say(self, path: Path) -> None:
+        print(f"written: {path}", file=sys.stderr if self.json else sys.stdout)
+
+    def _write_report(self, found: Estimate) -> None:
+        from gendom.cli.pictures import clouds_of, summary_of, view_of
+        from gendom.viz.report import LiftPictures, Provenance, ReportContent, write_report
+
+        assert self.report is not None and found.scene is not None and found.positions is not None
+        record, recording = found.record, found.scene.recording
+        write_report(
+            self.report,
+            ReportContent(
+                title=f"GenDOM: the parameters of a {found.scene.kind}",
+                summary=REPORT_SUMMARY,
+                recording_source=" ".join(
+                    text
+                    for text in (str(self.recording), recording.source, recording.notes)
+                    if text
+                ),
+                lift=LiftPictures(
+                    clouds=clouds_of(found.scene, found.positions, found.chamfer),
+                    view=view_of(found.scene),
+                ),
+                estimate=summary_of(found),
+                provenance=Provenance(
+                    commands=[self._command_line()],
+                    version=__version__,
+                    date=date.today().isoformat(),
+                    device=self.device,
+                    seeds={"estimate": self.seed},
+                    stage_seconds={"estimate": record["seconds"]},
+                    warnings=record["notes"],
+                ),
+            ),
+        )
+        self._say(self.report)
+
+    def _command_line(self) -> str:
+        """The words that give the same estimate again."""
+        words = ["gendom", "estimate", str(self.recording), "--method", self.method]
+        words += ["--frames", self.frames, "--starts", str(self.starts), "--seed", str(self.seed)]
+        words += ["--level", str(self.level), "--engine", self.engine]
+        if self.unknowns:
+            words += ["--unknowns", *self.unknowns]
+        for flag, value in (("--points", self.points), ("--clock", self.clock)):
+            words += [] if value is None else [flag, str(value)]
+        words += ["--cells-across", str(self.cells_across), "--device", self.device]
+        return shlex.join(words)
 
 
-def estimate_text(record: dict[str, Any]) -> str:
+def estimate_text(found: Estimate) -> str:
     """An estimate for people."""
-    low, high = record["intervals"]["youngs_modulus"]
-    nu_low, nu_high = record["intervals"]["poissons_ratio"]
-    mu_low, mu_high = record["intervals"]["friction"]
-    level = f"{record['intervals']['level']:.0%}"
-    assumed = " (assumed: the mass is unknown)" if record["density_assumed"] else ""
-    known = record["identifiable"]
-
-    def remark(name: str) -> str:
-        return "" if known[name] else "   not determined by this lift: mostly the prior"
-
-    rows = [
-        ("Young's modulus", f"{record['youngs_modulus']:.4g} Pa, {level} in [{low:.4g}, {high:.4g}]"
-         + remark("youngs_modulus")),
-        ("Poisson's ratio", f"{record['poissons_ratio']:.3f}, {level} in [{nu_low:.3f}, "
-         f"{nu_high:.3f}]" + remark("poissons_ratio")),
-        ("friction", f"{record['friction']:.2f}, {level} in [{mu_low:.2f}, {mu_high:.2f}]"
-         + remark("friction")),
-        ("density", f"{record['density']:.4g} kg/m^3{assumed}"),
-        ("E / density", f"{record['specific_modulus']:.4g} m^2/s^2"),
-    ]  # fmt: skip
-    if record["bending_length"] is not None:
-        rows.append(("bending length", f"{record['bending_length']:.4f} m"))
+    record = found.record
+    rows = [("verdict", "usable" if found.usable else "not usable")]
+    rows += [(name, ", ".join(filter(None, (value, said)))) for name, value, said in found.rows()]
     rows += [
+        (
+            "distance",
+            f"of the clouds from the best fit {1e3 * record['rms']:.1f} mm (root mean square)",
+        ),
         (
             "Chamfer",
             f"last frame {1e3 * record['chamfer_last']:.1f} mm, mean "
@@ -124,8 +213,8 @@ def estimate_text(record: dict[str, Any]) -> str:
         ),
         (
             "search",
-            f"{record['iterations']} evaluations, {record['seconds']:.1f} s, seed "
-            f"{record['seed']}, {record['device']}"
+            f"{record['method']}, {record['iterations']} iterations, {record['seconds']:.1f} s, "
+            f"seed {record['seed']}, {record['device']}"
             + (", interrupted: best so far" if record["interrupted"] else ""),
         ),
     ]

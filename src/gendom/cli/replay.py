@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -9,19 +10,30 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tqdm import tqdm
 
+from gendom.cli.arguments import iterations_shown, read_params
+from gendom.cli.pictures import clouds_of, view_of
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
-from gendom.files import read_json, to_json, write_json
+from gendom.files import to_json, write_json
 
 if TYPE_CHECKING:
-    from gendom.estimation import Lift, Theta
+    from gendom.estimation import Scene, SceneSettings, Theta
+
+OLD_KEYS = {
+    "specific_modulus": "specific_modulus",
+    "nu": "poissons_ratio",
+    "friction": "friction",
+    "damping": "damping",
+}
+"""Unknowns of the material, and their keys in files that have no ``theta``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
     """Simulate a recorded gripper motion and compare it with the recording, frame by frame.
 
-    The recording may be longer than the one that was fitted, or another one of the same object.
+    The recording may be longer than the one that was fitted, or another one of the same object. In
+    another one, how the object is held and when it moves are estimated anew, the material is not.
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
@@ -34,58 +46,56 @@ class Command:
     """Print JSON."""
     gif: Path | None = None
     """Animation of recorded and simulated clouds."""
-    engine: Literal["mpm", "thin"] | None = None
+    engine: Literal["thin", "mpm"] | None = None
     """Of the simulator; by default the one that the parameters were estimated with."""
     device: str = "cpu"
     """cpu, cuda or cuda:0 and so on."""
+    force: bool = False
+    """Take parameters whose verdict is not usable, too."""
 
     def run(self) -> int:
-        from gendom.estimation import replay_chamfer
+        from gendom.estimation import chamfers, replay
         from gendom.sim import open_device
 
         open_device(self.device)
         recording = Recording.read(self.recording)
-        lift, theta = replay_setup(
-            recording, read_json(self.params), str(self.params), self.device, self.engine
+        scene, theta = replay_setup(
+            recording,
+            read_params(self.params, force=self.force),
+            str(self.params),
+            self.device,
+            self.engine,
         )
+        frames = list(scene.frames)
         with tqdm(
-            total=len(lift.frames), desc="replaying", unit="frame", leave=False, disable=None
+            total=len(frames), desc="replaying", unit="frame", leave=False, disable=None
         ) as bar:
 
             def show(done: int) -> None:
                 bar.update(done - bar.n)
 
-            x = lift.simulate([theta], on_frame=show)[:, 0]
-        whole, surface = replay_chamfer(lift, x)
+            x = replay(scene, [theta], on_frame=show)[:, 0]
+        whole, surface = chamfers(scene, x)
         record: dict[str, Any] = {
             "format": "gendom-replay/1",
             "recording": str(self.recording),
-            "frame": lift.frames,
-            "time": recording.time[lift.frames].tolist(),
+            "frame": frames,
+            "time": recording.time[frames].tolist(),
             "chamfer": whole.tolist(),
             "chamfer_last": float(whole[-1]),
             "chamfer_mean": float(whole.mean()),
             "chamfer_surface": surface.tolist(),
             "chamfer_last_surface": float(surface[-1]),
             "chamfer_mean_surface": float(surface.mean()),
-            "clock": lift.clock,
-            "notes": lift.notes,
+            "clock": scene.clock,
+            "notes": list(scene.notes),
         }
         if self.out is not None:
             write_json(self.out, record)
         if self.gif is not None:
-            from gendom.viz import CloudSequence, write_gif
+            from gendom.viz import write_gif
 
-            clouds = CloudSequence(
-                recorded=[recording.frame(t) for t in lift.frames],
-                simulated=list(x),
-                times=recording.time[lift.frames],
-                table_height=recording.table_height,
-                gripper=recording.gripper_position[lift.frames],
-                chamfer=whole,
-            )
-            view = "oblique" if recording.object.kind == "cloth" else "auto"
-            write_gif(self.gif, clouds, view=view)
+            write_gif(self.gif, clouds_of(scene, x, whole), view=view_of(scene))
         if self.json:
             print(to_json(record))
         else:
@@ -94,51 +104,43 @@ class Command:
                 f"{1e3 * whole[-1]:.1f} mm (seen surface: {1e3 * surface.mean():.1f} and "
                 f"{1e3 * surface[-1]:.1f} mm)"
             )
-            for note in lift.notes:
+            for note in scene.notes:
                 print(f"note: {note}")
         return 0
 
 
 def replay_setup(
     recording: Recording,
-    params: dict[str, Any],
+    params: Mapping[str, Any],
     where: str,
     device: str,
     engine: str | None = None,
-) -> tuple[Lift, Theta]:
-    """The lift and the parameters that an estimate's JSON stands for.
+) -> tuple[Scene, Theta]:
+    """The scene of all frames of a recording, and the parameters that an estimate stands for.
 
-    How a cloth's corner is held belongs to one lift: in the lift of the estimate, however long, it
-    is held as the estimate says; in another one that is found anew.
+    In the recording of the estimate, however long, everything is as it was found. In another one
+    what does not belong to the material is found anew.
+
+    Args:
+        recording: What is replayed.
+        params: An estimate's JSON, perhaps of an older version.
+        where: Its file, for complaints.
+        device: That simulates.
+        engine: None: that of the estimate.
 
     Raises:
-        ParameterError: If the parameters are not an estimate or belong to another kind of object.
+        ParameterError: The parameters are no estimate, or of another kind of object.
+        RecordingError: The recording shows too little to place the object.
+        SimulationError: Nothing of what is found anew can be simulated.
     """
-    from gendom.estimation import Hold, Lift, ReplaySettings, Theta
+    from gendom.estimation import Scene
 
-    if params.get("format") != "gendom-estimate/1":
-        raise ParameterError(
-            f"format is {params.get('format')!r}, not 'gendom-estimate/1'",
-            where=where,
-            fix="give a file that gendom estimate --out wrote",
-        )
     try:
-        theta = Theta(
-            specific_modulus=float(params["specific_modulus"]),
-            nu=float(params["poissons_ratio"]),
-            grip_offset=float(params.get("grip_offset", 0.0)),
-            friction=float(params.get("friction", 0.3)),
-        )
+        theta = _theta(params)
+        settings = _settings(params, device, engine)
         kind = params["object"]["kind"]
-        simulation = params.get("simulation", {})
-        settings = ReplaySettings(
-            engine=engine or str(simulation.get("engine", "mpm")),
-            cells_across=float(simulation.get("cells_across", 1.5)),
-            law=str(simulation.get("law", "neo-hookean")),
-            device=device,
-        )
-        same = params.get("begins_with") == recording.begins_with and params.get("hold")
-        hold = Hold(**params["hold"]) if same else None
+        same = params.get("begins_with") == recording.begins_with and "theta" in params
+        fitted = 1 + max(map(int, params["compared"])) if same else recording.num_frames
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(
             f"cannot be used: {type(error).__name__} {error}",
@@ -151,8 +153,56 @@ def replay_setup(
             where=where,
             fix="estimate from a recording of the same object",
         )
-    lift = Lift(recording, settings, hold=hold, known=theta)
-    if lift.held is not None:
-        # the offset belongs to the estimate's own lift; how this corner is held was just found
-        theta = replace(theta, grip_offset=0.0)
-    return lift, theta
+    # the object lies as it was taken to lie from the frames that were fitted
+    scene = Scene.of(recording.head(min(fitted, recording.num_frames)), settings)
+    notes = scene.notes
+    if not same:
+        theta, said = _found_anew(scene, theta)
+        notes += said
+    every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
+    return replace(scene, recording=recording, frames=every, notes=notes), theta
+
+
+def _theta(params: Mapping[str, Any]) -> Theta:
+    from gendom.estimation import Theta
+
+    values = params.get("theta")
+    if values is None:
+        values = {
+            name: params[key] for name, key in OLD_KEYS.items() if params.get(key) is not None
+        }
+    return Theta(**{name: float(value) for name, value in values.items()})
+
+
+def _settings(params: Mapping[str, Any], device: str, engine: str | None) -> SceneSettings:
+    """As the estimate was made; another engine has its own number of points."""
+    from gendom.estimation import SceneSettings
+
+    made = params.get("simulation", {})
+    used = str(made.get("engine", "mpm"))  # what older versions had
+    points = made.get("points")
+    return SceneSettings(
+        engine=engine or used,
+        points=int(points) if points is not None and engine in (None, used) else None,
+        cells_across=float(made.get("cells_across", 1.5)),
+        device=device,
+    )
+
+
+def _found_anew(scene: Scene, theta: Theta) -> tuple[Theta, tuple[str, ...]]:
+    """Parameters for another recording of the same object, and what there is to say of them."""
+    from gendom.estimation import UNKNOWNS, EstimateSettings, estimate
+
+    prior, base = scene.prior()
+    material = {n: getattr(theta, n) for n, u in UNKNOWNS.items() if u.material}
+    known = base.with_values(material)
+    own = tuple(n for n in prior.names if not UNKNOWNS[n].material)
+    if not own:
+        return known, ()
+    settings = EstimateSettings(unknowns=own, starts=1, scene=scene.settings)
+    with iterations_shown() as show:
+        found = estimate(scene.recording, settings, on_progress=show, known=known)
+    listed = ", ".join(own).replace("_", " ")
+    said = [f"found anew in this recording: {listed}"]
+    said += [f"not as this recording shows it: {reason}" for reason in found.verdict.reasons]
+    return found.theta, tuple(said)

@@ -21,7 +21,16 @@ KINDS = ("rope", "cloth")
 GRASPS = ("end", "corner", "center", "both ends")
 GRIPPER_SOURCES = ("commanded", "measured")
 NEEDED_SIZES = {"rope": ("length",), "cloth": ("width", "height")}
-SIZES = ("length", "diameter", "width", "height", "thickness", "mass", "grasp_radius", "grasp_inset")
+SIZES = (
+    "length",
+    "diameter",
+    "width",
+    "height",
+    "thickness",
+    "mass",
+    "grasp_radius",
+    "grasp_inset",
+)
 
 MAX_GRASP_DISTANCE = 0.15
 """A gripper farther than this from every point in every frame [m] does not hold the object."""

@@ -33,6 +33,7 @@ import numpy.typing as npt
 
 from gendom.datasets.checks import GRASPS, KINDS, NEEDED_SIZES, SIZES, Fault, check
 from gendom.datasets.ply import read_ply_folder
+from gendom.datasets.static import FORMAT_STATIC, recording_of_static
 from gendom.errors import GendomError, RecordingError
 from gendom.files import atomic_path, to_json
 
@@ -239,7 +240,8 @@ class Recording:
         """Read and validate a recording.
 
         Args:
-            path: A `gendom-recording/1` file, or a folder of PLY files with gripper.csv and
+            path: A `gendom-recording/1` file, a `gendom-static/1` file (see
+                `gendom.datasets.static`), or a folder of PLY files with gripper.csv and
                 object.toml (see `gendom.datasets.ply.read_ply_folder`).
             on_warning: Called with every fault that does not prevent use; by default they are
                 logged.
@@ -488,7 +490,8 @@ def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
                 raise fault("is no .npz file", f"write {FORMAT} with numpy.savez")
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
-                names = [name for name in (*_STORED_ARRAYS, "meta") if name in archive.files]
+                wanted = (*_STORED_ARRAYS, "loops", "meta")
+                names = [name for name in wanted if name in archive.files]
                 stored = {name: archive[name] for name in names}
     except FileNotFoundError:
         raise fault("no such file", "check the path") from None
@@ -514,6 +517,8 @@ def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         ) from None
     if not isinstance(parsed, dict):
         raise fault("meta: is not a JSON object", "write it with json.dumps from a dict")
+    if parsed.get("format") == FORMAT_STATIC:
+        return recording_of_static(stored, parsed, str(path))
     if parsed.get("format") != FORMAT:
         raise fault(
             f"meta.format: is {parsed.get('format')!r}", f"only {FORMAT!r} can be read here"

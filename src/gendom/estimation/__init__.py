@@ -1,23 +1,35 @@
-"""Parameters of an object from one recorded lift."""
+"""Parameters of an object from one recording."""
 
-from gendom.estimation.estimate import (
-    Estimate,
-    EstimateSettings,
-    Progress,
-    estimate,
-    replay_chamfer,
-)
-from gendom.estimation.hold import Hold
-from gendom.estimation.lift import Lift, ReplaySettings, Theta
+from gendom.estimation.estimate import estimate
+from gendom.estimation.likelihood import NoiseModel, Observation
+from gendom.estimation.methods import METHODS
+from gendom.estimation.posterior import Calibration, Posterior
+from gendom.estimation.problem import EstimateSettings, Problem, Progress
+from gendom.estimation.replay import replay
+from gendom.estimation.result import Estimate, chamfers
+from gendom.estimation.scene import Scene, SceneSettings
+from gendom.estimation.theta import UNKNOWNS, Prior, Theta, Unknown
+from gendom.estimation.verdict import Verdict, VerdictSettings
 
 __all__ = [
+    "METHODS",
+    "UNKNOWNS",
+    "Calibration",
     "Estimate",
     "EstimateSettings",
-    "Hold",
-    "Lift",
+    "NoiseModel",
+    "Observation",
+    "Posterior",
+    "Prior",
+    "Problem",
     "Progress",
-    "ReplaySettings",
+    "Scene",
+    "SceneSettings",
     "Theta",
+    "Unknown",
+    "Verdict",
+    "VerdictSettings",
+    "chamfers",
     "estimate",
-    "replay_chamfer",
+    "replay",
 ]

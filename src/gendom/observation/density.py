@@ -69,25 +69,54 @@ class DensityGrid:
         """
         p = np.asarray(points, dtype=float)
         lead, n = p.shape[:-2], p.shape[-2]
-        q = (p.reshape(-1, n, 3) - self.origin) / self.cell
+        index, weights, _ = self._stencil(p.reshape(-1, n, 3))
+        index += (np.arange(len(index)) * self.num_nodes)[:, None, None, None, None]
+        x, y, z = np.moveaxis(weights, 2, 0)
+        weight = (x / n)[..., None, None] * y[..., None, :, None] * z[..., None, None, :]
+        total = len(index) * self.num_nodes
+        sums = np.bincount(index.ravel(), weight.ravel(), minlength=total)
+        return sums.astype(float).reshape(*lead, self.num_nodes)
+
+    def splat_transpose(self, points: ArrayLike, bar: ArrayLike) -> NDArray[np.floating]:
+        """Derivative of a loss by the points of clouds, from that by their densities.
+
+        Args:
+            points: [..., n, 3] clouds [m].
+            bar: [..., X * Y * Z] derivative of the loss by what `splat` makes of them.
+
+        Returns:
+            [..., n, 3] [1/m].
+        """
+        p = np.asarray(points, dtype=float)
+        n = p.shape[-2]
+        index, weights, slopes = self._stencil(p.reshape(-1, n, 3))
+        flat = np.asarray(bar, dtype=float).reshape(len(index), self.num_nodes)
+        pulled = np.take_along_axis(flat, index.reshape(len(index), -1), axis=1)
+        pulled = pulled.reshape(index.shape)
+        found = np.empty((len(index), n, 3))
+        for axis in range(3):
+            x, y, z = ((slopes if a == axis else weights)[:, :, a, :] for a in range(3))
+            found[..., axis] = np.einsum("lnijk,lni,lnj,lnk->ln", pulled, x, y, z, optimize=True)
+        return (found / (n * self.cell)).reshape(p.shape)
+
+    def _stencil(
+        self, p: NDArray[np.floating]
+    ) -> tuple[NDArray[np.int64], NDArray[np.floating], NDArray[np.floating]]:
+        """Nodes [L, n, 3, 3, 3] around points [L, n, 3], the weights [L, n, 3 axes, 3] whose
+        products they take, and their slopes by the position in cells."""
+        q = (p - self.origin) / self.cell
         base = np.floor(q - 0.5).astype(np.int64)
         f = q - base
         w = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=-1)
-        step = np.arange(3)
-        node = base[..., None] + step  # [L, n, 3 axes, 3 offsets]
+        dw = np.stack([f - 1.5, 2.0 - 2.0 * f, f - 0.5], axis=-1)
+        node = base[..., None] + np.arange(3)
         size = np.array(self.shape)[:, None]
-        w = np.where((node >= 0) & (node < size), w, 0.0)
+        on = (node >= 0) & (node < size)
         node = np.clip(node, 0, size - 1)
         _, Y, Z = self.shape
-        first = (np.arange(len(q)) * self.num_nodes)[:, None, None, None, None]
-        x, y, z = node[:, :, 0], node[:, :, 1], node[:, :, 2]
-        index = first + (x[:, :, :, None, None] * Y + y[:, :, None, :, None]) * Z
-        index = index + z[:, :, None, None, :]
-        wx, wy, wz = w[:, :, 0] / n, w[:, :, 1], w[:, :, 2]
-        weight = wx[:, :, :, None, None] * wy[:, :, None, :, None] * wz[:, :, None, None, :]
-        total = len(q) * self.num_nodes
-        sums = np.bincount(index.ravel(), weight.ravel(), minlength=total)
-        return sums.astype(float).reshape(*lead, self.num_nodes)
+        x, y, z = np.moveaxis(node, 2, 0)
+        index = (x[..., None, None] * Y + y[..., None, :, None]) * Z + z[..., None, None, :]
+        return index, np.where(on, w, 0.0), np.where(on, dw, 0.0)
 
 
 def density_distance(grid: DensityGrid, a: ArrayLike, b: ArrayLike) -> float:

@@ -32,8 +32,16 @@ ROPE_LIFT_SPEED, CLOTH_LIFT_SPEED = 0.05, 0.1
 RISE = 0.75
 """Height of a rope's lift, in its lengths; of a cloth's, in its sides."""
 
+LIFT_TIMESTEP = 0.00025
+"""MuJoCo's timestep in lifts of ropes [s]: at its default of 1 ms a rope of 2.5 ms is damped like
+one of 3.5 ms, at this one like one of 2.8 ms."""
+
 TIP_HEIGHT = 0.002
 """The lowest that the tool point goes above the table [m]: the pads reach 1.1 mm below it."""
+
+FREE_RISE = 1.0
+"""The same of a rope that is to swing: no part of it touches the table then, whose friction and the
+rope's rolling would hide its damping."""
 
 START = 0.32
 """How far in front of the base the nearest point of a lying object is [m]."""
@@ -64,6 +72,8 @@ class Trial:
     """When everything is over [s]."""
     quasi_static: bool = False
     """Whether inertia plays no part."""
+    timestep: float | None = None
+    """MuJoCo's [s]; None: the default of the object's kind."""
     quick: bool = False
     """Whether the object moves so fast that cameras must look at the same time."""
 
@@ -76,7 +86,7 @@ class Performance:
         robot: True: the xArm 7 does it; False: a free hand.
         cameras: Fixed cameras.
         air_density: Of the still air [kg/m^3]; 0: none.
-        timestep: MuJoCo's [s]; None for the default of the object's kind.
+        timestep: MuJoCo's [s]; None for the trial's.
 
     Raises:
         RobotError: The arm cannot follow the path within its limits, or would touch itself, the
@@ -111,7 +121,7 @@ class Performance:
             trial.layout,
             robot=arm,
             cameras=cameras,
-            timestep=timestep,
+            timestep=trial.timestep if timestep is None else timestep,
             air_density=air_density,
         )
         if arm is None:
@@ -194,7 +204,8 @@ def lift(
 
     Args:
         item: The object.
-        rise: How high [m]; by default `RISE` lengths or sides.
+        rise: How high [m]; by default `RISE` lengths or sides, `FREE_RISE` lengths of a rope that
+            swings.
         speed: [m/s]; by default `ROPE_LIFT_SPEED` or `CLOTH_LIFT_SPEED`.
         end: One of `gendom.robot.LIFT_ENDS`.
 
@@ -210,9 +221,10 @@ def lift(
         half = np.sqrt(0.5)
         layout = Layout(origin=origin, along=(half, -half, 0.0), across=(half, half, 0.0))
         size = item.side
+    share = FREE_RISE if rope and end == "swing" else RISE
     path = motions.lift(
         origin + np.array([FINGER_WIDTH / 2.0, 0.0, max(TIP_HEIGHT - height, 0.0)]),
-        height=RISE * size if rise is None else rise,
+        height=share * size if rise is None else rise,
         speed=(ROPE_LIFT_SPEED if rope else CLOTH_LIFT_SPEED) if speed is None else speed,
         quat_xyzw=pointing_down(),
         wait=SETTLE,
@@ -228,6 +240,7 @@ def lift(
         reach=_rope_reach(item) if rope else FINGER_WIDTH,
         end=path.end,
         quasi_static=rope and end == "hold",
+        timestep=LIFT_TIMESTEP if rope else None,
         quick=end != "hold",
     )
 

@@ -60,26 +60,26 @@ class Swing:
 
 
 @matplotlib.rc_context(STYLE)
-def loss_chart(history: Sequence[tuple[np.ndarray, np.ndarray]], best: int | None) -> bytes:
-    """Loss against iteration, one line for each start.
+def search_chart(history: Sequence[tuple[np.ndarray, np.ndarray]], best: int | None) -> bytes:
+    """Distance of the clouds from the fit against iteration, one line for each start.
 
     Args:
-        history: For each start its iterations [k] and losses [k]; what is not positive is left
-            out, as the scale is logarithmic.
+        history: For each start its iterations [k] and distances [k] [m]; what is not positive is
+            left out, as the scale is logarithmic.
         best: Index of the start that was chosen, or None.
 
     Returns:
         SVG.
     """
     figure, axes = _start(4.8, 2.9)
-    _draw_starts(axes, history, best)
+    _draw_starts(axes, [(iterations, 1e3 * values) for iterations, values in history], best)
     positive = [np.asarray(values) > 0.0 for _, values in history]
     if any(p.any() for p in positive):
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.set(xlabel="iteration", title="Loss")
+    axes.set(xlabel="iteration", title="Distance of the clouds from the fit [mm]")
     return to_svg(figure)
 
 
@@ -93,7 +93,7 @@ def parameter_chart(
 ) -> bytes:
     """A parameter against iteration, one line for each start, and its true value if known.
 
-    Arguments and result as `loss_chart`.
+    Arguments and result as `search_chart`, values in any unit.
     """
     figure, axes = _start(4.8, 2.9)
     _draw_starts(axes, history, best)
@@ -105,9 +105,9 @@ def parameter_chart(
 
 
 @matplotlib.rc_context(STYLE)
-def chamfer_chart(times: npt.ArrayLike, chamfer: npt.ArrayLike) -> bytes:
-    """Chamfer distance [T] [m] against time [T] [s], as SVG."""
-    millimetres = 1e3 * np.asarray(chamfer, dtype=float)
+def distance_chart(times: npt.ArrayLike, distance: npt.ArrayLike, *, name: str) -> bytes:
+    """A distance [T] [m] against time [T] [s], as SVG."""
+    millimetres = 1e3 * np.asarray(distance, dtype=float)
     figure, axes = _start(4.8, 2.9)
     axes.plot(times, millimetres, color=_BEST_COLOR, linewidth=1.6)
     mean = float(millimetres.mean())
@@ -115,7 +115,7 @@ def chamfer_chart(times: npt.ArrayLike, chamfer: npt.ArrayLike) -> bytes:
     label = f"mean {mean:.1f} mm"
     axes.axhline(mean, color=_SOFT_INK, linestyle=dashes, linewidth=1.0, label=label)
     axes.legend(loc="best")
-    axes.set(xlabel="time [s]", title="Chamfer distance, recorded to simulated [mm]")
+    axes.set(xlabel="time [s]", title=f"{name} [mm]")
     axes.set_ylim(0.0, 1.15 * max(float(millimetres.max()), 1e-6))
     return to_svg(figure)
 

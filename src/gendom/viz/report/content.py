@@ -118,6 +118,8 @@ def _cards(content: ReportContent) -> list[tuple[str, str]]:
 
 
 def _parameter_cards(summary: EstimateSummary) -> list[tuple[str, str]]:
+    if summary.usable is False:
+        return [("not usable", "; ".join(summary.reasons))]
     cards = []
     for key, name in (("youngs_modulus", "Young's modulus"), ("poissons_ratio", "Poisson's ratio")):
         value = quantity_text(key, summary.values[key])

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from gendom.errors import GendomError
-from gendom.viz.charts import chamfer_chart, loss_chart, parameter_chart
+from gendom.viz.charts import distance_chart, parameter_chart, search_chart
 from gendom.viz.clouds import CloudSequence
 from gendom.viz.report.markup import DASH, escaped, facts_list, figure, table
 from gendom.viz.report.page import Section
@@ -23,6 +24,7 @@ from gendom.viz.report.quantities import (
     pascal_unit,
     property_text,
     quantity_text,
+    with_minus,
 )
 
 ESTIMATE_FORMAT = "gendom-estimate/1"
@@ -41,6 +43,8 @@ class EstimateSummary:
     """The estimate's JSON object (gendom-estimate/1), SI units; other keys may be missing."""
     truth: Mapping[str, float] | None = None
     """True values under the keys of `values`, as far as known."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Of the unknowns of the estimate's posterior, by name."""
 
     def __post_init__(self):
         found = self.values.get("format", ESTIMATE_FORMAT)
@@ -87,6 +91,16 @@ class EstimateSummary:
         level = finite((self.values.get("intervals") or {}).get("level"))
         return "" if level is None else f"{100.0 * level:g} %"
 
+    @property
+    def usable(self) -> bool | None:
+        """Whether the estimate is of any use; None: not said."""
+        return (self.values.get("verdict") or {}).get("usable")
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why it is not."""
+        return tuple((self.values.get("verdict") or {}).get("reasons") or ())
+
     def determined(self, key: str) -> bool | None:
         """Whether the lift determines a parameter; None: not said."""
         return (self.values.get("identifiable") or {}).get(key)
@@ -97,6 +111,8 @@ _ROWS = (
     ("youngs_modulus", "Young's modulus <i>E</i>"),
     ("poissons_ratio", "Poisson's ratio <i>ν</i>"),
     ("friction", "Friction on the table <i>μ</i>"),
+    ("damping", "Damping"),
+    ("stiffness_slope", "d ln <i>E</i> / d(<i>s</i> / <i>L</i>)"),
     ("density", "Density <i>ρ</i>"),
     ("specific_modulus", "Specific modulus <i>E</i> / <i>ρ</i>"),
     ("bending_length", "Bending length"),
@@ -104,26 +120,32 @@ _ROWS = (
 
 
 def estimate_section(summary: EstimateSummary, clouds: CloudSequence | None = None) -> Section:
-    """Parameters with intervals, the search for them, and how well the lifts match.
+    """Verdict, parameters with intervals, the search for them, and how well the lifts match.
 
     Args:
         summary: The estimate.
-        clouds: Both lifts, for the chart of their distance.
+        clouds: Both lifts at the frames that were compared, for charts of their distance.
     """
-    parts = [_parameter_table(summary)]
-    charts = _search_charts(summary)
-    if clouds is not None and clouds.chamfer is not None:
-        chart = chamfer_chart(clouds.times, clouds.chamfer)
-        said = (
-            "Mean distance from each recorded point to the nearest simulated one, plus the same "
-            "the other way round."
-        )
-        charts.append(figure(chart, "Chamfer distance in each frame", said))
+    parts = [_verdict(summary), _parameter_table(summary)]
+    charts = _search_charts(summary) + _distance_charts(summary, clouds)
     if charts:
         parts.append(f'<div class="pair">{"".join(charts)}</div>')
+    parts.append(_beliefs_table(summary))
     parts.append(_fit_facts(summary))
     parts.append(_starts_table(summary))
     return Section(title="The estimate", body="\n".join(part for part in parts if part))
+
+
+def _verdict(summary: EstimateSummary) -> str:
+    if summary.usable is None:
+        return ""
+    if summary.usable:
+        return "<p>Verdict: the recording and its fit are usable.</p>"
+    reasons = "".join(f"<li>{escaped(reason)}</li>" for reason in summary.reasons)
+    return (
+        '<div class="warning"><strong>Not usable.</strong> What follows is the best fit, not an '
+        f"estimate of the object.<ul>{reasons}</ul></div>"
+    )
 
 
 def _parameter_table(summary: EstimateSummary) -> str:
@@ -169,7 +191,7 @@ def _number_cell(text: str) -> str:
 
 
 def _search_charts(summary: EstimateSummary) -> list[str]:
-    """Loss and both parameters against iteration, for every start."""
+    """Distance and both parameters against iteration, for every start."""
     values = summary.values
     entries = values.get("history") or []
     losses = [finite(start.get("loss")) for start in values.get("starts") or []]
@@ -178,7 +200,7 @@ def _search_charts(summary: EstimateSummary) -> list[str]:
     factor, unit = pascal_unit(values["youngs_modulus"])
     figures = []
     for key, name, scale in (
-        ("loss", "Loss", 1.0),
+        ("loss", "Distance", 1.0),
         ("youngs_modulus", f"Young's modulus [{unit}]", factor),
         ("poissons_ratio", "Poisson's ratio", 1.0),
     ):
@@ -194,11 +216,10 @@ def _search_charts(summary: EstimateSummary) -> list[str]:
         history = [tuple(np.array(sorted(lines[start])).T) for start in order]
         chosen = order.index(best) if best in order else None
         if key == "loss":
-            chart = loss_chart(history, chosen)
-            said = "Logarithmic scale."
-            if len({entry.get("stage") for entry in entries}) > 1:
-                said += " It jumps where the search passes from the coarse grid to the fine one."
-            figures.append(figure(chart, "Loss in each iteration", said))
+            chart = search_chart(history, chosen)
+            said = "Root mean square over all frames, logarithmic scale."
+            title = "Distance of the clouds from the fit in each iteration"
+            figures.append(figure(chart, title, said))
         else:
             true = summary.true(key)
             true = None if true is None else scale * true
@@ -207,11 +228,78 @@ def _search_charts(summary: EstimateSummary) -> list[str]:
     return figures
 
 
+def _distance_charts(summary: EstimateSummary, clouds: CloudSequence | None) -> list[str]:
+    """How far both lifts are apart over time."""
+    if clouds is None:
+        return []
+    figures = []
+    rms = summary.values.get("rms_by_frame") or []
+    if len(rms) == clouds.num_frames:
+        name = "Distance of points from the simulated skin"
+        said = "Root mean square in each frame that was compared."
+        figures.append(figure(distance_chart(clouds.times, rms, name=name), name, said))
+    if clouds.chamfer is not None:
+        name = "Chamfer distance, recorded to simulated"
+        said = (
+            "Mean distance from each recorded point to the nearest simulated one, plus the same "
+            "the other way round."
+        )
+        figures.append(figure(distance_chart(clouds.times, clouds.chamfer, name=name), name, said))
+    return figures
+
+
+_SHOWN = 3.0
+"""Half of a bar of beliefs, in deviations of the prior."""
+
+
+def _beliefs_table(summary: EstimateSummary) -> str:
+    """Each unknown as it was believed to be and as it was found; of usable estimates."""
+    posterior = summary.values.get("posterior")
+    level = finite((summary.values.get("intervals") or {}).get("level"))
+    if not posterior or level is None:
+        return ""
+    z = NormalDist().inv_cdf(0.5 + level / 2.0)
+    rows = []
+    for k, name in enumerate(posterior["names"]):
+        before = posterior["prior_mean"][k], posterior["prior_sd"][k]
+        after = posterior["mean"][k], math.sqrt(posterior["covariance"][k][k])
+        ends = []
+        for mean, sd in (before, after):
+            low = max(mean - z * sd, posterior["low"][k])
+            high = min(mean + z * sd, posterior["high"][k])
+            shown = (math.exp(low), math.exp(high)) if posterior["log"][k] else (low, high)
+            ends.append(with_minus(f"{shown[0]:.3g} to {shown[1]:.3g}"))
+        left, at, right = (
+            50.0 + 50.0 * min(max((x - before[0]) / (_SHOWN * before[1]), -1.0), 1.0)
+            for x in (after[0] - z * after[1], after[0], after[0] + z * after[1])
+        )
+        half = 50.0 * z / _SHOWN
+        bar = (
+            f'<div class="range"><span class="prior" style="left:{50.0 - half:.2f}%;'
+            f'width:{2.0 * half:.2f}%"></span><span class="interval" style="left:{left:.2f}%;'
+            f'width:{right - left:.2f}%"></span><span class="estimate" style="left:{at:.2f}%">'
+            "</span></div>"
+        )
+        unit = summary.units.get(name, "")
+        label = name.replace("_", " ") + (f" [{unit}]" if unit not in ("", "1") else "")
+        cells = [f'<td class="name">{escaped(label)}</td>', *map(_number_cell, ends)]
+        rows.append(f"<tr>{''.join(cells)}<td>{bar}</td></tr>")
+    head = ["<th>Unknown</th>", '<th class="number">Believed before</th>']
+    head += ['<th class="number">Found</th>', "<th>Both</th>"]
+    return (
+        "<details><summary>What was believed before, and what was found</summary>"
+        f"{table(head, rows)}"
+        f'<p class="soft">{escaped(summary.level_text)} intervals. Bars: grey before, blue after, '
+        "within three standard deviations of what was believed.</p></details>"
+    )
+
+
 def _fit_facts(summary: EstimateSummary) -> str:
     """How well both lifts match, how the search went, and what was held."""
     values = summary.values
     facts = []
     for key, name in (
+        ("rms", "distance of points from the simulated skin, root mean square"),
         ("chamfer_mean", "Chamfer distance, all frames"),
         ("chamfer_last", "Chamfer distance, last frame"),
         ("chamfer_mean_surface", "to the simulated surface, all frames"),
@@ -224,8 +312,7 @@ def _fit_facts(summary: EstimateSummary) -> str:
         if values.get(key) is not None:
             facts.append((name, str(values[key])))
     for key, name, unit in (
-        ("loss", "final loss", ""),
-        ("iterations", "evaluations in the last stage", ""),
+        ("iterations", "iterations, all starts", ""),
         ("seconds", "time", " s"),
     ):
         value = summary.value(key)
@@ -256,9 +343,9 @@ def _starts_table(summary: EstimateSummary) -> str:
                 value = finite((start.get(stage) or {}).get(key))
                 cells.append(_number_cell(DASH if value is None else quantity_text(key, value)))
         loss = finite(start.get("loss"))
-        cells.append(_number_cell(DASH if loss is None else f"{loss:.4g}"))
+        cells.append(_number_cell(DASH if loss is None else length_text(loss)))
         rows.append(f"<tr>{''.join(cells)}</tr>")
-    titles = ("E at the start", "ν at the start", "E found", "ν found", "Loss")
+    titles = ("E at the start", "ν at the start", "E found", "ν found", "Distance")
     head = [f'<th class="number">{title}</th>' for title in titles]
     return f"<details><summary>All {len(starts)} starts</summary>{table(head, rows)}</details>"
 
@@ -272,10 +359,15 @@ def _remark(key: str, summary: EstimateSummary) -> str:
         if assumed:
             return "Assumed, not measured: the motion shows only E / ρ, so E scales with this."
         return "From the object's mass and size."
+    if summary.usable is False:
+        return ""
     texts = []
     known = summary.determined("youngs_modulus" if key == "specific_modulus" else key)
     if known is False:
-        texts.append("The lift does not determine this: the interval is mostly the prior.")
+        said = (
+            "a usual value" if summary.interval(key) is None else "the interval is mostly the prior"
+        )
+        texts.append(f"The lift does not determine this: {said}.")
     elif key == "specific_modulus":
         texts.append("What a motion under gravity depends on, whatever the density.")
     elif key == "bending_length":

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-RATIOS = ("poissons_ratio", "friction")
+RATIOS = ("poissons_ratio", "friction", "stiffness_slope")
 """Quantities without a unit, on a linear scale."""
 
 
@@ -31,6 +31,8 @@ def quantity_text(key: str, value: float) -> str:
         return length_text(value)
     if key in RATIOS:
         return with_minus(f"{value:.3f}")
+    if key == "damping":
+        return with_minus(f"{1e3 * value:.3g} ms")
     unit = {"density": " kg/m³", "specific_modulus": " m²/s²"}[key]
     return with_minus(f"{value:.4g}{unit}")
 
@@ -43,6 +45,8 @@ def interval_text(key: str, interval: tuple[float, float]) -> str:
         factor, unit = pascal_unit(high)
     elif key == "bending_length":
         factor, unit = 1e3, "mm"
+    elif key == "damping":
+        factor, unit = 1e3, "ms"
     low, high = factor * low, factor * high
     decimals = 3
     if key not in RATIOS:

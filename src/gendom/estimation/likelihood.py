@@ -1,0 +1,467 @@
+"""How likely clouds are, given a simulated shape: distances to its skin, with correlated errors.
+
+A point p of a cloud lies on the skin: with c the nearest point of the middle line (or surface) and
+r half the thickness, rho = |p - c| - r is noise. Where the simulated object sticks out of the cloud
+by more than the cloud has gaps, the nearest point of the cloud draws it back likewise. Noise is not
+all: cameras are off by a rigid motion, skins by a distance, and the model itself by a smooth
+displacement of the object, different in each frame but alike in neighbouring ones. These have
+Gaussian priors (the displacement a Gaussian process in place and time, of low rank; Rasmussen and
+Williams 2006, sections 2.7 and 8.1). For each simulated shape they are registered to the clouds
+first; what that costs is what parameters are judged by. How large noise and displacement are is
+estimated from the recording itself, by expectation and maximisation (Dempster et al. 1977).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import KDTree
+
+from gendom.estimation.replay import held_reach, lattice, middle
+from gendom.estimation.scene import Scene
+from gendom.observation import visible
+
+Array = NDArray[np.floating]
+
+RIGID = 6
+"""Unknowns of a rigid motion: a shift [m] and a turn about the middle of the clouds [rad]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseModel:
+    """What clouds differ by from a shape that is right, as standard deviations."""
+
+    sensor: float = 0.002
+    """Noise of independent points [m]; the first guess."""
+    model: float = 0.002
+    """The simulated object's smooth displacement [m]; the first guess."""
+    least_sensor: float = 5e-4
+    """No depth camera does better [m]."""
+    least_model: float = 3e-4
+    """Nor does a model of a real object [m]."""
+    shift: float = 0.003
+    """Of the cameras' calibration [m]."""
+    turn: float = 0.01
+    """Likewise [rad]."""
+    skin: float = 0.002
+    """Of the distance of points from the true skin [m]: hairs, edges of pixels."""
+    place_scale: float = 0.3
+    """How far along the object displacements are alike, in its size."""
+    time_scale: float = 0.1
+    """For how long they are, as a share of the compared frames."""
+    straying: float = 0.006
+    """Distance beyond which a point draws no more strongly [m]; Huber's, smoothed."""
+    patch: float = 4.0
+    """Points of a thinned cloud that share their noise."""
+    cloud_points: int = 160
+    """Points of a frame that are compared, at most; four times as many of a cloth."""
+    rounds: int = 3
+    """How often points and places are paired anew in a registration."""
+
+    @property
+    def fixed(self) -> Array:
+        """[7] precisions of rigid motion and skin."""
+        sd = [self.shift] * 3 + [self.turn] * 3 + [self.skin]
+        return np.array(sd) ** -2.0
+
+
+class Observation:
+    """Clouds of a scene, ready to be compared.
+
+    Args:
+        scene: What was recorded.
+        noise: Its errors, first guesses where they are estimated.
+    """
+
+    def __init__(self, scene: Scene, noise: NoiseModel | None = None):
+        self.scene = scene
+        self.noise = noise or NoiseModel()
+        most = self.noise.cloud_points * (1 if scene.kind == "rope" else 4)
+        self.clouds = []
+        for t in scene.frames:
+            cloud = scene.recording.frame(t).astype(float)
+            if not scene.ordered:
+                cloud = cloud[:: -(-len(cloud) // most)]
+            self.clouds.append(cloud)
+        self.trees = [KDTree(c) for c in self.clouds]
+        self.gaps = np.array([_gap(tree) for tree in self.trees])
+        self.centre = np.mean([c.mean(axis=0) for c in self.clouds], axis=0)
+        sizes = [len(c) for c in self.clouds]
+        # clouds of one size, with points that do not count
+        self.points = np.zeros((len(sizes), max(sizes), 3))
+        self.counts = np.zeros(self.points.shape[:2])
+        for t, (cloud, size) in enumerate(zip(self.clouds, sizes, strict=True)):
+            self.points[t, :size], self.points[t, size:] = cloud, cloud[0]
+            self.counts[t, :size] = 1.0
+        self.shape = _Shape(scene)
+        self.in_view = self._in_view()
+        self.markers = None
+        if scene.ordered:
+            rest = middle(scene, scene.initial)
+            first = scene.recording.frame(scene.begins).astype(float)
+            index, weight, _ = self.shape.nearest(rest[None], first[None])
+            self.markers = index[0], weight[0]
+        self.in_time = self._in_time()
+        self.in_place = self._in_place()
+
+    def _in_view(self) -> NDArray[np.bool_]:
+        """[S] samples that no fingers hide: farther from what is held than twice its reach."""
+        own, share = self.shape.samples
+        x = np.einsum("mk,mka->ma", share, middle(self.scene, self.scene.initial)[own])
+        away = np.linalg.norm(x[:, None] - self.scene.held, axis=2).min(axis=1)
+        return away > 2.0 * held_reach(self.scene) + self.scene.body.thickness
+
+    def _in_time(self) -> Array:
+        """[T, R] functions of the frames by which displacements change, scaled by deviations."""
+        # frames are the denser the more happens
+        at = np.linspace(0.0, 1.0, len(self.scene.frames))
+        return _roots(np.exp(-0.5 * ((at[:, None] - at) / self.noise.time_scale) ** 2), 0.01)
+
+    def _in_place(self) -> Array:
+        """[n, Q] functions of the middle's points, likewise."""
+        a, b = lattice(self.scene)
+        scale = self.noise.place_scale * self.scene.size
+        Ka, Kb = (np.exp(-0.5 * ((x[:, None] - x) / scale) ** 2) for x in (a, b))
+        if len(b) == 1:
+            return _roots(Ka, 0.01)
+        Ra, Rb = _roots(Ka, 0.05), _roots(Kb, 0.05)
+        both = np.einsum("ai,bj->baij", Ra, Rb).reshape(len(a) * len(b), -1)
+        strong = (both**2).mean(axis=0)
+        return both[:, strong > 0.02]
+
+    def compare(self, x: Array, steps: Array | None) -> Comparison:
+        """How clouds differ from a simulated shape, and how that changes with parameters.
+
+        Args:
+            x: [T, 1 + P, N, 3] positions at the frames, of the point itself and of its neighbours.
+            steps: [P] how far those are away in the transformed parameters; None: no neighbours.
+        """
+        m = middle(self.scene, x)
+        here = m[:, 0]
+        J = np.zeros((*here.shape, 0))
+        if steps is not None:
+            J = np.moveaxis(m[:, 1:] - here[:, None], 1, -1) / steps
+        return Comparison(self, here, J)
+
+    def rows(self, shape: Array) -> Rows:
+        """Where points belong on shapes [T, n, 3], and what of those lies bare."""
+        if self.markers is not None:
+            return self._marker_rows(shape)
+        r, T = self.shape.radius, len(shape)
+        index, weight, foot = self.shape.nearest(shape, self.points)
+        e = self.points - foot
+        size = np.linalg.norm(e, axis=2)
+        normal, rho = e / np.maximum(size, 1e-9)[..., None], size - r
+        if not self.shape.rope:
+            # beside a thin sheet the direction to it is noise: its normal is not
+            n = self.shape.normals(shape, index)
+            high = (e * n).sum(axis=2)
+            beside = np.linalg.norm(e - high[..., None] * n, axis=2)
+            inside = beside < np.maximum(np.abs(high), 0.5 * self.shape.spacing)
+            side = np.where(high < 0.0, -1.0, 1.0)[..., None]
+            normal = np.where(inside[..., None], side * n, normal)
+            rho = np.where(inside, np.abs(high) - r, rho)
+        own, share = self.shape.samples
+        c = np.einsum("mk,tmka->tma", share, shape[:, own])
+        near, gap = np.zeros(c.shape), np.zeros(c.shape[:2])
+        for t in range(T):
+            gap[t], which = self.trees[t].query(c[t])
+            near[t] = self.clouds[t][which]
+        out = gap - r - self.gaps[:, None]
+        bare = (out > 0.0) & self.in_view
+        if self.scene.floor is not None:
+            bare &= c[..., 2] > self.scene.floor
+        cameras = self.scene.recording.camera_positions
+        for t in np.flatnonzero(bare.any(axis=1)) if self.shape.rope else ():
+            # what the object itself hides need not show
+            bare[t] &= visible(c[t], camera_positions=cameras)
+        stands_for = np.minimum(self.counts.sum(axis=1) / len(own), 1.0)[:, None]
+        every = np.broadcast_to(own, (T, *own.shape)), np.broadcast_to(share, (T, *share.shape))
+        return Rows(
+            rho=np.concatenate([rho, np.where(bare, out, 0.0)], axis=1),
+            normal=np.concatenate([normal, (near - c) / np.maximum(gap, 1e-9)[..., None]], axis=1),
+            index=np.concatenate([index, every[0]], axis=1),
+            weight=np.concatenate([weight, every[1]], axis=1),
+            point=np.concatenate([self.points, near], axis=1),
+            counts=np.concatenate([self.counts, bare * stands_for], axis=1),
+        )
+
+    def _marker_rows(self, shape: Array) -> Rows:
+        """All three coordinates of a marker count; markers are few, and seen well."""
+        assert self.markers is not None
+        index, weight = (np.repeat(x, 3, axis=0) for x in self.markers)
+        T, rows = len(shape), len(index)
+        c = np.einsum("mk,tmka->tma", self.markers[1], shape[:, self.markers[0]])
+        return Rows(
+            rho=(self.points - c).reshape(T, rows),
+            normal=np.broadcast_to(np.tile(np.eye(3), (rows // 3, 1)), (T, rows, 3)),
+            index=np.broadcast_to(index, (T, *index.shape)),
+            weight=np.broadcast_to(weight, (T, *weight.shape)),
+            point=np.repeat(self.points, 3, axis=1),
+            counts=np.repeat(self.counts, 3, axis=1) * self.noise.patch,
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Rows:
+    """m residuals of each of T frames."""
+
+    rho: Array
+    """[T, m] [m]."""
+    normal: Array
+    """[T, m, 3] along which the object moves to make them less."""
+    index: NDArray[np.intp]
+    """[T, m, k] points of the middle around the foot."""
+    weight: Array
+    """[T, m, k] their shares."""
+    point: Array
+    """[T, m, 3] of the cloud [m]."""
+    counts: Array
+    """[T, m] how many points each stands for."""
+
+
+class Comparison:
+    """Clouds beside one simulated shape.
+
+    Args:
+        observation: The clouds.
+        here: [T, n, 3] the shape [m].
+        J: [T, n, 3, P] how it changes with the transformed parameters [m].
+    """
+
+    def __init__(self, observation: Observation, here: Array, J: Array):
+        self.observation = observation
+        self.here = here
+        self.J = J
+        self._last: Fit | None = None
+        self._first = np.zeros(0)
+
+    def follow(self, other: Comparison) -> None:
+        """Begin the registration where that of a comparison nearby has ended."""
+        if other._last is not None:
+            self._first = other._last.a
+
+    @cached_property
+    def residuals(self) -> list[Array]:
+        """T arrays of points' distances from the skin [m]."""
+        rows = self.observation.rows(self.here)
+        own = self.observation.counts.shape[1]
+        return [r[:own][k[:own] > 0.0] for r, k in zip(rows.rho, rows.counts, strict=True)]
+
+    @cached_property
+    def rms(self) -> float:
+        """Robust root mean square distance of points from the skin, and of what lies bare from the
+        points [m]."""
+        rows, c = self.observation.rows(self.here), self.observation.noise.straying
+        squares = 2.0 * c**2 * (np.sqrt(1.0 + (rows.rho / c) ** 2) - 1.0)
+        return math.sqrt(float((rows.counts * squares).sum() / max(rows.counts.sum(), 1e-9)))
+
+    def fit(self, noise: NoiseModel) -> Fit:
+        """With motion, skin and displacement registered for this noise."""
+        if self._last is None or self._last.noise != noise:
+            self._last = self._registered(noise)
+        return self._last
+
+    def _registered(self, noise: NoiseModel) -> Fit:
+        o = self.observation
+        U, B = o.in_time, o.in_place
+        R, Q, P = U.shape[1], 3 * B.shape[1], self.J.shape[3]
+        S = R * Q
+        precision = np.concatenate([np.full(S, noise.model**-2), noise.fixed])
+        a = self._first if len(self._first) else np.zeros(len(precision))
+        if self._last is not None:
+            a = self._last.a
+        c, s2 = noise.straying, noise.sensor**2
+        for last in [False] * noise.rounds + [True]:
+            shape = self.here + np.einsum(
+                "nq,tqa->tna", B, (U @ a[:S].reshape(R, Q)).reshape(len(U), -1, 3)
+            )
+            shape = shape - a[S : S + 3] - np.cross(a[S + 3 : S + 6], shape - o.centre)
+            rows = o.rows(shape)
+            rho = rows.rho - a[-1]
+            root = np.sqrt(1.0 + (rho / c) ** 2)
+            share = rows.counts / noise.patch / s2
+            psi = np.einsum("tmk,tmkq->tmq", rows.weight, B[rows.index])
+            G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*rho.shape, Q)
+            arm = rows.point - o.centre
+            fixed = np.concatenate(
+                [-rows.normal, -np.cross(arm, rows.normal), np.ones((*rho.shape, 1))], axis=2
+            )
+            columns = [fixed, rho[..., None]]
+            if last:
+                by = (
+                    np.stack(
+                        [
+                            np.einsum(
+                                "tmk,tmka,tma->tm",
+                                rows.weight,
+                                _taken(self.J[..., p], rows.index),
+                                rows.normal,
+                            )
+                            for p in range(P)
+                        ],
+                        axis=2,
+                    )
+                    if P
+                    else np.zeros((*rho.shape, 0))
+                )
+                columns.insert(0, by)
+            D = np.concatenate(columns, axis=2)
+            w = (share / root)[..., None]
+            dd = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
+            Gt = np.swapaxes(G, 1, 2)
+            dq, qq = Gt @ (w * D), Gt @ (w * G)
+            M = np.zeros((S + 7, S + 7))
+            both = np.einsum("tr,ts,tqp->rqsp", U, U, qq, optimize=True)
+            M[:S, :S] = both.reshape(S, S)
+            cross = np.einsum("tr,tqd->rqd", U, dq, optimize=True).reshape(S, -1)
+            at = P if last else 0
+            M[:S, S:] = cross[:, at : at + 7]
+            M[S:, :S] = M[:S, S:].T
+            M[S:, S:] = dd[at : at + 7, at : at + 7]
+            M[np.diag_indices(S + 7)] += precision
+            factor = cho_factor(M, lower=True)
+            slope = np.concatenate([cross[:, -1], dd[at : at + 7, -1]]) - precision * a
+            if not last:
+                a = a + cho_solve(factor, slope)
+                continue
+            of_theta = np.concatenate([cross[:, :P], dd[P : P + 7, :P]])
+            loss = float((share * 2.0 * c**2 * (root - 1.0)).sum())
+            return Fit(
+                noise=noise,
+                value=loss + float(precision @ a**2),
+                # rho falls as the object moves along its normal
+                gradient=of_theta.T @ cho_solve(factor, slope) - dd[:P, -1],
+                hessian=dd[:P, :P] - of_theta.T @ cho_solve(factor, of_theta),
+                a=a, M=M, smooth=S, loss=loss * s2,
+                count=float(rows.counts.sum() / noise.patch), shape=shape,
+            )  # fmt: skip
+        raise AssertionError
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fit:
+    """Clouds beside one simulated shape, registered."""
+
+    noise: NoiseModel
+    value: float
+    """-2 log likelihood at the registered nuisance, up to what the noise alone says."""
+    gradient: Array
+    """[P] half its slope."""
+    hessian: Array
+    """[P, P] half its curvature, with the nuisance integrated out."""
+    a: Array
+    """[S + 7] displacement's coefficients [m], rigid motion [m, rad], skin [m]."""
+    M: Array
+    """Precision of that."""
+    smooth: int
+    """S."""
+    loss: float
+    """Sum of squares that is left [m^2]."""
+    count: float
+    """Independent points."""
+    shape: Array
+    """[T, n, 3] the registered shape [m]."""
+
+    @property
+    def rms(self) -> float:
+        """Distance of points from the registered skin [m]."""
+        return math.sqrt(self.loss / max(self.count, 1e-9))
+
+    def better_noise(self) -> NoiseModel:
+        """Noise that makes the clouds more likely."""
+        noise, S = self.noise, self.smooth
+        spread = np.linalg.inv(self.M)
+        own = np.diag(spread)
+        of_model = float(self.a[:S] @ self.a[:S] + own[:S].sum()) / S
+        used = S - float(own[:S].sum()) / noise.model**2 + 7.0 - float(own[S:] @ noise.fixed)
+        of_sensor = self.loss / max(self.count - used, 0.1 * self.count)
+        return replace(
+            noise,
+            model=max(math.sqrt(of_model), noise.least_model),
+            sensor=max(math.sqrt(of_sensor), noise.least_sensor),
+        )
+
+
+def _taken(J: Array, index: NDArray[np.intp]) -> Array:
+    """[T, m, k, 3] of [T, n, 3] at indices [T, m, k]."""
+    return np.take_along_axis(J[:, :, None], index.reshape(len(index), -1, 1, 1), axis=1).reshape(
+        *index.shape, 3
+    )
+
+
+class _Shape:
+    """The middle line or surface of a scene's object as a finite element."""
+
+    def __init__(self, scene: Scene):
+        self.rope = scene.kind == "rope"
+        self.radius = scene.body.thickness / 2.0
+        a, b = lattice(scene)
+        self.columns, self.rows = len(a), len(b)
+        if self.rope:
+            k = np.arange(self.columns - 1)
+            parts = (np.arange(2) + 0.5) / 2.0
+            u = np.tile(parts, len(k))
+            index = np.repeat(np.stack([k, k + 1], axis=1), len(parts), axis=0)
+            self.samples = index, np.stack([1.0 - u, u], axis=1)
+            self.spacing = float(a[1] - a[0])
+            return
+        self.spacing = float(max(a[1] - a[0], b[1] - b[0])) / 3.0
+        number = np.arange(self.columns * self.rows).reshape(self.rows, self.columns)
+        corners = [number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]]
+        self.cells = np.stack([c.ravel() for c in corners], axis=1)
+        ticks = (np.arange(3) + 0.5) / 3.0
+        v, u = (x.ravel() for x in np.meshgrid(ticks, ticks, indexing="ij"))
+        shares = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v], axis=1)
+        index = np.repeat(self.cells, len(shares), axis=0)
+        self.fine = index, np.tile(shares, (len(self.cells), 1))
+        self.samples = self.cells, np.full((len(self.cells), 4), 0.25)
+
+    def nearest(self, x: Array, points: Array) -> tuple[NDArray[np.intp], Array, Array]:
+        """Middle points around the feet of points [T, m, 3] on shapes [T, n, 3], [T, m, k], their
+        shares, and the feet [T, m, 3]."""
+        if self.rope:
+            a, d = x[:, :-1], np.diff(x, axis=1)
+            long = np.maximum((d**2).sum(axis=2), 1e-18)
+            # |p - a - u d|^2 with u the foot's share of each edge, by products of matrices
+            along = points @ np.swapaxes(d, 1, 2) - (a * d).sum(axis=2)[:, None]
+            far = (points**2).sum(axis=2)[..., None] - 2.0 * points @ np.swapaxes(a, 1, 2)
+            far += (a**2).sum(axis=2)[:, None]
+            u = np.clip(along / long[:, None], 0.0, 1.0)
+            k = (far - 2.0 * u * along + u**2 * long[:, None]).argmin(axis=2)
+            share = np.take_along_axis(u, k[..., None], axis=2)
+            foot = np.take_along_axis(a, k[..., None], axis=1)
+            foot = foot + share * np.take_along_axis(d, k[..., None], axis=1)
+            return np.stack([k, k + 1], axis=2), np.concatenate([1.0 - share, share], axis=2), foot
+        index, weight = self.fine
+        places = np.einsum("mk,tmka->tma", weight, x[:, index])
+        near = np.stack([KDTree(a).query(b)[1] for a, b in zip(places, points, strict=True)])
+        foot = np.take_along_axis(places, near[..., None], axis=1)
+        return index[near], weight[near], foot
+
+    def normals(self, x: Array, index: NDArray[np.intp]) -> Array:
+        """[T, m, 3] unit normals of sheets' [T, n, 3] cells with corners [T, m, 4]."""
+        q = _taken(x, index)
+        along = q[..., 1, :] - q[..., 0, :] + q[..., 3, :] - q[..., 2, :]
+        across = q[..., 2, :] - q[..., 0, :] + q[..., 3, :] - q[..., 1, :]
+        n = np.cross(along, across)
+        return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-18)
+
+
+def _gap(tree: KDTree) -> float:
+    """How far apart what a cloud shows may lie: three of its own spacings, 5 mm at least [m]."""
+    if tree.n < 2:
+        return 0.005
+    return max(0.005, 3.0 * float(np.median(tree.query(tree.data, k=2)[0][:, 1])))
+
+
+def _roots(K: Array, least: float) -> Array:
+    """[n, R] with R R^T near K [n, n], of as few columns as ``least`` of the greatest allows."""
+    values, vectors = np.linalg.eigh(K)
+    keep = values > least * values[-1]
+    return vectors[:, keep][:, ::-1] * np.sqrt(values[keep][::-1])

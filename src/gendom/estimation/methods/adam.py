@@ -1,0 +1,297 @@
+"""`adam`: the paper's own method, gradients through the simulation and Adam.
+
+Recorded and simulated clouds become densities on one grid of 64 cells; the loss is their L1
+distance, the mean over the frames. The simulator's reverse mode gives its slope by modulus,
+Poisson's ratio, damping and friction; by what else a recording leaves unknown (how the object is
+held, the delay) it is a difference between worlds side by side. Steps are those of Adam (Kingma and
+Ba 2015). Source: Kuroki et al. (2024), section III-C.
+
+Other than theirs, steps are taken where the prior is Gaussian, so in the logarithm of the modulus;
+they shrink along a cosine, the iterate with the least loss is kept, not the last, and what the
+likelihood says there is the answer's uncertainty.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.errors import SimulationError
+from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
+from gendom.estimation.methods.skin import surface_transpose
+from gendom.estimation.problem import Found, Problem, Start
+from gendom.estimation.replay import lattice, middle, simulator_of
+from gendom.observation import DensityGrid, visible
+from gendom.sim import Rollout
+from gendom.sim.gradients import Gradients
+
+Array = NDArray[np.floating]
+
+REVERSE = ("specific_modulus", "nu", "damping", "friction")
+"""Unknowns whose slopes the reverse mode gives."""
+
+CHUNK = 1 << 21
+"""Nodes of grids that are compared at a time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdamSettings:
+    """Of the search."""
+
+    scanned: int = 16
+    """Moduli of the scan that precedes the search, over the whole range."""
+    initial: tuple[Array, ...] = ()
+    """[P] transformed: where to begin instead of there."""
+    steps: int = 4
+    """For each of `EstimateSettings.max_iterations`; 25 make the authors' 100."""
+    rate: float = 0.02
+    """First step, in widest steps of the unknowns: 2 % of E and 0.002 of nu, as the authors'."""
+    last_rate: float = 0.02
+    """The last step's share of that; 1: constant, as the authors'."""
+    decay: tuple[float, float] = (0.9, 0.999)
+    """Of the means of slopes and of their squares."""
+    resolution: int = 64
+    """Cells along the grid's longest side."""
+    reach: float = 2.0
+    """How far from their means what is not the modulus may go, in deviations of the prior."""
+    look: int = 10
+    """Steps after which it is found anew which points the cameras see."""
+
+
+def adam(problem: Problem, settings: AdamSettings | None = None) -> Found:
+    """Search, and keep the best so far if interrupted.
+
+    Raises:
+        SimulationError: No start can be simulated.
+        KeyboardInterrupt: If interrupted before anything was found.
+    """
+    settings = settings or AdamSettings()
+    prior = problem.prior
+    most = settings.steps * problem.settings.max_iterations
+    starts = first_starts(problem, settings.scanned, settings.initial)
+    interrupted = False
+    try:
+        loss = DensityLoss(problem, settings)
+        reach = settings.reach * prior.sd
+        low, high = (
+            np.maximum(prior.low, prior.mean - reach),
+            np.minimum(prior.high, prior.mean + reach),
+        )
+        descents = [_Descent(s, np.clip(s.vector, low, high)) for s in starts]
+        for iteration in range(1, most + 1):
+            if (iteration - 1) % settings.look == 0:
+                for d in descents:
+                    d.seen = None
+            loss.evaluate([d for d in descents if not d.start.done])
+            going = [d for d in descents if not d.start.done]
+            if not going:
+                break
+            turn = 0.5 * (1.0 + math.cos(math.pi * (iteration - 1) / most))
+            rate = settings.rate * (settings.last_rate + (1.0 - settings.last_rate) * turn)
+            for d in going:
+                d.step(rate * prior.widest, settings.decay)
+                d.vector = np.clip(d.vector, low, high)
+            problem.tell("adam", iteration, most, best_of(starts) or starts[0])
+    except KeyboardInterrupt:
+        interrupted = True
+        if best_of(starts) is None:
+            raise
+    best = best_of(starts)
+    if best is None:
+        raise problem.nothing_runs()
+    for s in starts:
+        s.done = True
+    best.comparison = problem.compare([best.vector])[0]
+    if best.comparison is None:
+        raise problem.nothing_runs()
+    return Found(
+        best=best,
+        starts=starts,
+        noise=estimated_noise(best.comparison, problem.settings.noise),
+        interrupted=interrupted,
+        extra={"density_loss": best.value},
+    )
+
+
+@dataclass(eq=False)
+class _Descent:
+    """One start on its way; `Start.vector` is the best place so far."""
+
+    start: Start
+    vector: Array
+    """[P] where it is."""
+    slope: Array = field(default_factory=lambda: np.zeros(0))
+    """[P] of the loss there."""
+    seen: list[NDArray[np.bool_]] | None = None
+    """T masks of the skin's points that cameras see."""
+    mean: Array = field(default_factory=lambda: np.zeros(0))
+    square: Array = field(default_factory=lambda: np.zeros(0))
+
+    def step(self, rate: Array, decay: tuple[float, float]) -> None:
+        """One of Adam's, with rates [P]."""
+        if not len(self.mean):
+            self.mean, self.square = np.zeros((2, len(self.vector)))
+        n, (a, b) = self.start.iterations, decay
+        self.mean = a * self.mean + (1.0 - a) * self.slope
+        self.square = b * self.square + (1.0 - b) * self.slope**2
+        size = np.sqrt(self.square / (1.0 - b**n)) + 1e-12
+        self.vector = self.vector - rate * self.mean / (1.0 - a**n) / size
+
+
+class DensityLoss:
+    """L1 distance between densities of recorded clouds and of a simulated object.
+
+    Args:
+        problem: What is looked for.
+        settings: Of the grid.
+    """
+
+    def __init__(self, problem: Problem, settings: AdamSettings | None = None):
+        settings = settings or AdamSettings()
+        self.problem = problem
+        scene = problem.scene
+        clouds = [scene.recording.frame(t).astype(float) for t in scene.frames]
+        path = scene.recording.gripper_position.reshape(-1, 3)
+        around = np.concatenate([*clouds, scene.initial, path])
+        self.grid = DensityGrid.around(
+            around, margin=0.05 * scene.size, resolution=settings.resolution
+        )
+        self.recorded = np.stack([self.grid.splat(cloud) for cloud in clouds])
+
+    def shown(self, x: Array) -> Array:
+        """[T, M, 3] points that stand for the object at positions [T, N, 3]: recorded markers, or
+        its skin [m]."""
+        markers = self.problem.observation.markers
+        if markers is None:
+            return np.asarray(self.problem.scene.body.surface(x), dtype=float)
+        index, weight = markers
+        m = middle(self.problem.scene, x)
+        return np.einsum("mk,tmka->tma", weight, m[:, index])
+
+    def seen(self, points: Array) -> list[NDArray[np.bool_]]:
+        """T masks [M] of the points [T, M, 3] that a recording would show."""
+        scene = self.problem.scene
+        masks = [np.ones(points.shape[1], dtype=bool) for _ in points]
+        if self.problem.observation.markers is not None:
+            return masks
+        cameras = scene.recording.camera_positions
+        for mask, p in zip(masks, points, strict=True):
+            if scene.kind == "rope" or cameras is not None:
+                mask &= visible(p, camera_positions=cameras)
+            if scene.floor is not None and (mask & (p[:, 2] > scene.floor)).any():
+                mask &= p[:, 2] > scene.floor
+        return masks
+
+    def value(self, x: Array, seen: Sequence[NDArray[np.bool_]]) -> float:
+        """Loss at positions [T, N, 3]; 2 at most."""
+        return self._compare(self.shown(x), seen)[0]
+
+    def value_and_slope(self, x: Array, seen: Sequence[NDArray[np.bool_]]) -> tuple[float, Array]:
+        """That, and its derivative by the positions [T, N, 3] [1/m]."""
+        value, bar = self._compare(self.shown(x), seen, derivative=True)
+        markers = self.problem.observation.markers
+        if markers is None:
+            return value, surface_transpose(self.problem.scene.body, x, bar)
+        return value, self._markers_transpose(x, bar, *markers)
+
+    def _compare(
+        self, shown: Array, seen: Sequence[NDArray[np.bool_]], *, derivative: bool = False
+    ) -> tuple[float, Array]:
+        """Loss of points [T, M, 3], and its derivative by them if wanted."""
+        T, M = shown.shape[:2]
+        # what is not seen lies off the grid and weighs nothing
+        points = np.where(np.array(seen)[..., None], shown, self.grid.origin - 9.0 * self.grid.cell)
+        share = (M / np.maximum(np.sum(seen, axis=1), 1))[:, None]
+        total, bar = 0.0, np.zeros(shown.shape)
+        together = max(1, CHUNK // self.grid.num_nodes)
+        for t in (slice(k, k + together) for k in range(0, T, together)):
+            off = self.grid.splat(points[t]) * share[t] - self.recorded[t]
+            total += float(np.abs(off).sum()) / T
+            if derivative:
+                bar[t] = self.grid.splat_transpose(points[t], np.sign(off) * share[t] / T)
+        return total, bar
+
+    def _markers_transpose(
+        self, x: Array, bar: Array, index: NDArray[np.intp], weight: Array
+    ) -> Array:
+        """[T, N, 3] derivative by positions, from that by markers [T, m, 3]."""
+        scene = self.problem.scene
+        shares = np.zeros((len(index), middle(scene, x).shape[1]))
+        for k in range(index.shape[1]):
+            shares[np.arange(len(index)), index[:, k]] += weight[:, k]
+        of_middle = np.einsum("mn,tma->tna", shares, bar)
+        if scene.thin:
+            return of_middle
+        if scene.kind == "cloth":
+            first, second = (len(ticks) for ticks in lattice(scene))
+            rows = of_middle.reshape(-1, second, first, 3)
+            of_middle = np.swapaxes(rows, 1, 2).reshape(of_middle.shape)
+        # each point of the middle is the mean of the particles of a section
+        count = x.shape[1] // shares.shape[1]
+        return np.repeat(of_middle, count, axis=1) / count
+
+    def evaluate(self, descents: Sequence[_Descent]) -> None:
+        """Loss and slope of some descents from one batch; those that diverge are done."""
+        problem, prior = self.problem, self.problem.prior
+        going = list(descents)
+        while going:
+            thetas = [problem.theta(d.vector) for d in going]
+            simulator, times = simulator_of(problem.scene, thetas)
+            rollout = Rollout(simulator)
+            try:
+                x = rollout.forward(times).astype(float)
+                bar = np.zeros(x.shape)
+                values = []
+                for w, d in enumerate(going):
+                    d.seen = d.seen or self.seen(self.shown(x[:, w]))
+                    value, bar[:, w] = self.value_and_slope(x[:, w], d.seen)
+                    values.append(value)
+                slopes = _slopes(problem, going, rollout.backward(bar))
+                break
+            except SimulationError as error:
+                if error.world is None:
+                    raise
+                going.pop(error.world).start.done = True
+        else:
+            return
+        others = [k for k, name in enumerate(prior.names) if name not in REVERSE]
+        worlds, steps = [], []
+        for d in going:
+            for k in others:
+                h = -prior.step[k] if d.vector[k] + prior.step[k] > prior.high[k] else prior.step[k]
+                worlds.append(d.vector + h * np.eye(len(d.vector))[k])
+                steps.append(h)
+        beside = problem.positions(worlds) if worlds else np.zeros((len(x), 0, *x.shape[2:]))
+        for w, d in enumerate(going):
+            assert d.seen is not None
+            for n, k in enumerate(others, start=w * len(others)):
+                y = beside[:, n]
+                if np.isfinite(y).all():
+                    slopes[w, k] = (self.value(y, d.seen) - values[w]) / steps[n]
+            d.slope, s = slopes[w], d.start
+            s.iterations += 1
+            if values[w] < s.value:
+                s.value, s.vector = values[w], d.vector
+                s.comparison = problem.observation.compare(x[:, w : w + 1], None)
+                s.history.append((s.iterations, d.vector.copy(), s.comparison.rms))
+
+
+def _slopes(problem: Problem, descents: Sequence[_Descent], gradients: Gradients) -> Array:
+    """[W, P] slopes by transformed parameters that the reverse mode gives; 0 of others."""
+    names, found = problem.prior.names, np.zeros((len(descents), len(problem.prior.names)))
+    for w, d in enumerate(descents):
+        theta = problem.theta(d.vector)
+        E = theta.specific_modulus * problem.scene.density
+        by = {
+            "specific_modulus": E * gradients.E[w],
+            "nu": gradients.nu[w],
+            "damping": theta.damping * gradients.damping[w],
+            "friction": gradients.friction[w],
+        }
+        for k, name in enumerate(names):
+            found[w, k] = by.get(name, 0.0)
+    return found

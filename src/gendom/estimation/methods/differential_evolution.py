@@ -1,0 +1,109 @@
+"""`differential-evolution`: a population of parameters, as R2S2R finds its own.
+
+The clouds' misfit with fixed noise, and the prior's, are made small by scipy's differential
+evolution (Storn and Price 1997); a generation is one batch of worlds. No derivatives are taken but
+those at the end, from which the answer's uncertainty comes. Source: Lim et al. (2022), "Planar
+robot casting with real2sim2real self-supervised learning".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from gendom.estimation.methods.search import estimated_noise
+from gendom.estimation.problem import Found, Problem, Start
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DifferentialEvolutionSettings:
+    """Of the search; numbers are scipy's own."""
+
+    population: int = 15
+    """Members for each unknown."""
+    mutation: tuple[float, float] = (0.5, 1.0)
+    """Range that the differential weight is drawn from in each generation."""
+    recombination: float = 0.7
+    """Probability with which an unknown is taken from the mutant."""
+    tolerance: float = 0.01
+    """The search ends where values of the population deviate by this share of their mean."""
+    noise: float = 0.005
+    """With which clouds are compared [m]."""
+    reach: float = 3.0
+    """How far from its mean an unknown may lie, in deviations of the prior."""
+
+
+def differential_evolution(
+    problem: Problem, settings: DifferentialEvolutionSettings | None = None
+) -> Found:
+    """Search for `EstimateSettings.max_iterations` generations at most, and keep the best so far if
+    interrupted.
+
+    Raises:
+        SimulationError: Nothing of a population can be simulated.
+        KeyboardInterrupt: If interrupted before anything was found.
+    """
+    settings = settings or DifferentialEvolutionSettings()
+    prior, stated = problem.prior, problem.settings.noise
+    noise = replace(stated, sensor=settings.noise, model=stated.least_model, rounds=1)
+    most = problem.settings.max_iterations
+    reach = settings.reach * prior.sd
+    low = np.maximum(prior.low, prior.mean - reach)
+    high = np.minimum(prior.high, prior.mean + reach)
+    middle = prior.vector(problem.base)
+    best = Start(initial=middle, vector=middle)
+
+    def values(x: Array) -> Array:
+        """[S] of vectors [P, S]: a generation."""
+        found = np.full(x.shape[1], math.inf)
+        for n, comparison in enumerate(problem.compare(list(x.T), derivatives=False)):
+            if comparison is None:
+                continue
+            found[n] = problem.value(x[:, n], comparison, noise)
+            if found[n] < best.value:
+                best.vector, best.comparison, best.value = x[:, n].copy(), comparison, found[n]
+        best.iterations += 1
+        if best.comparison is not None:
+            best.history.append((best.iterations, best.vector.copy(), best.comparison.rms))
+        problem.tell("evolution", best.iterations, most, best)
+        if best.comparison is None:
+            raise problem.nothing_runs()
+        return found
+
+    interrupted = False
+    try:
+        found = optimize.differential_evolution(
+            values,
+            list(zip(low, high, strict=True)),
+            popsize=settings.population,
+            mutation=settings.mutation,
+            recombination=settings.recombination,
+            tol=settings.tolerance,
+            # the first generation is drawn, not evolved
+            maxiter=most - 1,
+            rng=problem.settings.seed,
+            polish=False,
+            vectorized=True,
+            updating="deferred",
+        )
+        best.done = bool(found.success)
+    except KeyboardInterrupt:
+        interrupted = True
+        if best.comparison is None:
+            raise
+    best.comparison = problem.compare([best.vector])[0]
+    if best.comparison is None:
+        raise problem.nothing_runs()
+    return Found(
+        best=best,
+        starts=[best],
+        noise=estimated_noise(best.comparison, stated),
+        interrupted=interrupted,
+        extra={"generations": best.iterations, "population": settings.population * len(middle)},
+    )

@@ -1,0 +1,153 @@
+"""What is known after a recording: a Gaussian in transformed parameters, calibrated on others.
+
+The likelihood's own deviations are too small where a simulation is not the world. How much is read
+off lifts whose truth is known: `gendom reproduce coverage` records random objects in the second
+reality, estimates them and writes, for each unknown, by what deviations have to be multiplied and
+what must be added to them (`assets/calibration.json`).
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from gendom.estimation.theta import UNKNOWNS, Prior, Theta
+
+Array = NDArray[np.floating]
+
+IDENTIFIABLE = 0.5
+"""A parameter is determined where a recording cuts its prior deviation at least this far."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """Of one kind of object: what deviations are multiplied by, and what is added in squares."""
+
+    factor: Mapping[str, float]
+    added: Mapping[str, float]
+    lifts: int = 0
+    """From which it comes."""
+
+    @classmethod
+    @functools.cache
+    def of(cls, kind: str) -> Calibration:
+        """The shipped one of ropes or cloths."""
+        place = resources.files("gendom") / "assets" / "calibration.json"
+        read = json.loads(place.read_text(encoding="utf-8"))[kind]
+        return cls(factor=read["factor"], added=read["added"], lifts=read["lifts"])
+
+    @classmethod
+    def none(cls) -> Calibration:
+        return cls(factor={}, added={})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Posterior:
+    """P unknowns, Gaussian where `UNKNOWNS` transforms them to."""
+
+    prior: Prior
+    mean: Array
+    """[P] transformed."""
+    covariance: Array
+    """[P, P]."""
+    base: Theta
+    """Everything that was not looked for."""
+
+    @classmethod
+    def calibrated(
+        cls, prior: Prior, mean: Array, covariance: Array, base: Theta, calibration: Calibration
+    ) -> Posterior:
+        """With deviations as they prove to be, but no wider than the prior's."""
+        own = np.sqrt(np.diag(covariance))
+        sd = np.array(
+            [
+                math.hypot(calibration.factor.get(n, 1.0) * s, calibration.added.get(n, 0.0))
+                for n, s in zip(prior.names, own, strict=True)
+            ]
+        )
+        share = np.minimum(sd, np.maximum(prior.sd, own)) / own
+        return cls(
+            prior=prior,
+            mean=mean,
+            covariance=covariance * share[:, None] * share,
+            base=base,
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.prior.names
+
+    @property
+    def theta(self) -> Theta:
+        """The most likely values."""
+        return self.prior.theta(self.mean, self.base)
+
+    def sd(self, name: str) -> float:
+        """Standard deviation of a transformed unknown."""
+        k = self.names.index(name)
+        return math.sqrt(float(self.covariance[k, k]))
+
+    def determined(self, name: str) -> bool:
+        """Whether the recording tells an unknown."""
+        if name not in self.names:
+            return False
+        return self.sd(name) < IDENTIFIABLE * float(self.prior.sd[self.names.index(name)])
+
+    def interval(self, name: str, level: float) -> tuple[float, float]:
+        """Ends of the central interval of an unknown, within the range that was searched."""
+        k, u = self.names.index(name), UNKNOWNS[name]
+        half = float(norm.ppf(0.5 + level / 2.0)) * self.sd(name)
+        low, high = (
+            float(np.clip(self.mean[k] + sign * half, self.prior.low[k], self.prior.high[k]))
+            for sign in (-1.0, 1.0)
+        )
+        return u.value(low), u.value(high)
+
+    def draws(self, count: int, seed: int) -> Sequence[Theta]:
+        """Estimates drawn from it, within the ranges that were searched."""
+        rng = np.random.default_rng(seed)
+        drawn = rng.multivariate_normal(self.mean, self.covariance, size=count)
+        return [self.prior.theta(self.prior.clipped(v), self.base) for v in drawn]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: names, transformed means and covariance."""
+        return {
+            "names": list(self.names),
+            "log": [UNKNOWNS[n].log for n in self.names],
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance.tolist(),
+            "prior_mean": self.prior.mean.tolist(),
+            "prior_sd": self.prior.sd.tolist(),
+            "low": self.prior.low.tolist(),
+            "high": self.prior.high.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, read: Mapping[str, Any], base: Theta) -> Posterior:
+        """Inverse of `to_dict`.
+
+        Raises:
+            KeyError, TypeError, ValueError: It is none.
+        """
+        names = tuple(str(n) for n in read["names"])
+        numbers = {k: np.array(read[k], dtype=float) for k in ("mean", "low", "high")}
+        prior = Prior(
+            names=names,
+            low=numbers["low"],
+            high=numbers["high"],
+            mean=np.array(read["prior_mean"], dtype=float),
+            sd=np.array(read["prior_sd"], dtype=float),
+            step=np.array([UNKNOWNS[n].step for n in names]),
+            widest=np.array([UNKNOWNS[n].widest for n in names]),
+        )
+        covariance = np.array(read["covariance"], dtype=float).reshape(len(names), len(names))
+        return cls(prior=prior, mean=numbers["mean"], covariance=covariance, base=base)

@@ -1,0 +1,331 @@
+"""An estimate: values, intervals, verdict and fit, and its file ``estimate.json``."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.errors import ParameterError
+from gendom.estimation.posterior import Posterior
+from gendom.estimation.problem import Found, Problem
+from gendom.estimation.replay import replay
+from gendom.estimation.scene import Scene
+from gendom.estimation.theta import UNKNOWNS, Theta
+from gendom.estimation.verdict import Verdict
+from gendom.files import read_json, write_json
+from gendom.observation import chamfer, visible
+
+Array = NDArray[np.floating]
+
+FORMAT = "gendom-estimate/1"
+
+KEYS = {
+    "specific_modulus": "specific_modulus",
+    "nu": "poissons_ratio",
+    "damping": "damping",
+    "friction": "friction",
+}
+"""Names in the file of the material's unknowns, where they are others; `bending_length`,
+`youngs_modulus` and `bending_stiffness` follow from the first."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """The result of one recording."""
+
+    theta: Theta
+    """The most likely parameters."""
+    posterior: Posterior
+    verdict: Verdict
+    record: dict[str, Any] = field(repr=False)
+    """The JSON document, format ``gendom-estimate/1``: SI units; ``intervals`` and ``bounds``, the
+    range that was searched, hold [low, high] by the names of the values; ``intervals`` is null
+    where the verdict is not usable. Files of older versions lack some keys."""
+    scene: Scene | None = field(default=None, repr=False)
+    """None of one that was read from a file."""
+    positions: Array | None = field(default=None, repr=False)
+    """[T, N, 3] particles or points of the best fit at the scene's frames [m]; None likewise."""
+    chamfer: Array | None = field(default=None, repr=False)
+    """[T] distance to all of the object [m]."""
+
+    @property
+    def usable(self) -> bool:
+        return self.verdict.usable
+
+    def interval(self, key: str) -> tuple[float, float] | None:
+        """Ends of the interval of one of the record's values, None where there is none."""
+        ends = (self.record["intervals"] or {}).get(key)
+        return None if ends is None else (float(ends[0]), float(ends[1]))
+
+    def save(self, path: str | Path) -> None:
+        """Write ``estimate.json``, atomically.
+
+        Raises:
+            GendomError: The place cannot be written.
+        """
+        write_json(path, self.record)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Estimate:
+        """Read what `save` or ``gendom estimate --out`` wrote.
+
+        Raises:
+            ParameterError: It is no estimate.
+            GendomError: It cannot be read.
+        """
+        read = read_json(path)
+        if read.get("format") != FORMAT or "posterior" not in read:
+            raise ParameterError(
+                f"format is {read.get('format')!r}, not {FORMAT!r} with a posterior",
+                where=str(path),
+                fix="give a file that gendom estimate --out of this version wrote",
+            )
+        try:
+            theta = Theta(**{k: float(v) for k, v in read["theta"].items()})
+            verdict = Verdict(
+                usable=bool(read["verdict"]["usable"]), reasons=tuple(read["verdict"]["reasons"])
+            )
+            posterior = Posterior.from_dict(read["posterior"], theta)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ParameterError(
+                f"cannot be used: {type(error).__name__} {error}",
+                where=str(path),
+                fix="estimate again",
+            ) from None
+        return cls(theta=theta, posterior=posterior, verdict=verdict, record=read)
+
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Name, value and interval of what was found, with units, for tables."""
+        return table_rows(self.record)
+
+    def __repr__(self) -> str:
+        rows = [f"  {n:<16} {v:<24} {i}".rstrip() for n, v, i in self.rows()]
+        return "\n".join(
+            [f"Estimate ({self.record['object']['kind']}, {self.verdict.text})", *rows]
+        )
+
+    def _repr_html_(self) -> str:
+        cells = "".join(
+            "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>"
+            for row in self.rows()
+        )
+        return f"<table>{cells}</table><p>{html.escape(self.verdict.text)}</p>"
+
+
+def table_rows(record: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Name, value and interval of an estimate's record, with units."""
+    level = f"{(record['intervals'] or {}).get('level', 0.9):.0%}"
+    rope = record["object"]["kind"] == "rope"
+    stiffness = ("bending EI", "N m^2") if rope else ("bending D", "N m")
+    names = (
+        ("youngs_modulus", "Young's modulus", "Pa", ".4g"),
+        ("specific_modulus", "E / density", "m^2/s^2", ".4g"),
+        ("bending_length", "bending length", "m", ".4f"),
+        ("bending_stiffness", *stiffness, ".4g"),
+        ("poissons_ratio", "Poisson's ratio", "", ".3f"),
+        ("damping", "damping", "s", ".2g"),
+        ("friction", "friction", "", ".2f"),
+        ("stiffness_slope", "d ln(E) / d(s/L)", "", ".2f"),
+        ("density", "density", "kg/m^3", ".4g"),
+    )
+    rows = []
+    for key, name, unit, form in names:
+        if record.get(key) is None:
+            continue
+        said = []
+        ends = (record["intervals"] or {}).get(key)
+        if ends is not None:
+            said.append(f"{level} in [{ends[0]:{form}}, {ends[1]:{form}}]")
+        if (record.get("identifiable") or {}).get(key) is False:
+            said.append("not determined: mostly the prior")
+        if key == "density" and record.get("density_assumed"):
+            said.append("assumed: the mass is unknown")
+        rows.append((name, f"{record[key]:{form}} {unit}".strip(), ", ".join(said)))
+    return rows
+
+
+def chamfers(scene: Scene, x: Array) -> tuple[Array, Array]:
+    """Chamfer distance a frame, to all of the object and to what the cameras could see [T] [m].
+
+    What lies outside the recorded space (`Scene.floor`) cannot have points near it and does not
+    count on its side. Without camera positions a rope is seen from above; of a cloth everything
+    counts, since both of its sides lie where the cloud is.
+
+    Args:
+        scene: What was recorded.
+        x: [T, N, 3] positions at its frames [m].
+    """
+    whole, surface = [], []
+    cameras = scene.recording.camera_positions
+    for t, here in zip(scene.frames, x, strict=True):
+        cloud = scene.recording.frame(t).astype(float)
+        skin = scene.body.surface(here)
+        every = skin if scene.thin else here
+        whole.append(chamfer(cloud, every, of_b=_inside(scene, every)))
+        if scene.kind == "rope" or cameras is not None:
+            skin = skin[visible(skin, camera_positions=cameras)]
+        surface.append(chamfer(cloud, skin, of_b=_inside(scene, skin)))
+    return np.array(whole), np.array(surface)
+
+
+def _inside(scene: Scene, points: Array) -> NDArray[np.bool_]:
+    if scene.floor is None:
+        return np.ones(len(points), dtype=bool)
+    above = points[:, 2] > scene.floor
+    return above if above.any() else np.ones(len(points), dtype=bool)
+
+
+def bending_stiffness(scene: Scene, theta: Theta) -> float:
+    """E I of a rope's section [N m^2], D of a cloth per width [N m]."""
+    E, h = theta.specific_modulus * scene.density, scene.body.thickness
+    if scene.kind == "rope":
+        return E * math.pi * h**4 / 64.0
+    return E * h**3 / (12.0 * (1.0 - theta.nu**2))
+
+
+def result_of(
+    problem: Problem, found: Found, posterior: Posterior, verdict: Verdict, seconds: float
+) -> Estimate:
+    """Everything about a finished search."""
+    scene, settings, theta = problem.scene, problem.settings, posterior.theta
+    x = replay(scene, [theta])[:, 0]
+    whole, surface = chamfers(scene, x)
+    comparison = found.best.comparison
+    assert comparison is not None
+    fit = comparison.fit(found.noise)
+    described = scene.recording.object
+    intervals, bounds, known = _ranges(problem, posterior)
+    record: dict[str, Any] = {
+        "format": FORMAT,
+        "youngs_modulus": theta.specific_modulus * scene.density,
+        "poissons_ratio": theta.nu,
+        "damping": theta.damping if "damping" in posterior.names else None,
+        "friction": theta.friction if "friction" in posterior.names else None,
+        "density": scene.density,
+        "density_assumed": described.mass is None,
+        "specific_modulus": theta.specific_modulus,
+        "bending_length": scene.bending_length(theta.specific_modulus),
+        "bending_stiffness": bending_stiffness(scene, theta),
+        "stiffness_slope": theta.stiffness_slope if "stiffness_slope" in posterior.names else None,
+        "verdict": {"usable": verdict.usable, "reasons": list(verdict.reasons)},
+        "intervals": {"level": settings.level, **intervals} if verdict.usable else None,
+        "bounds": bounds,
+        "identifiable": known,
+        "theta": asdict(theta),
+        "posterior": posterior.to_dict(),
+        "chamfer_last": float(whole[-1]),
+        "chamfer_mean": float(whole.mean()),
+        "chamfer_last_surface": float(surface[-1]),
+        "chamfer_mean_surface": float(surface.mean()),
+        "rms": comparison.rms,
+        "rms_by_frame": [float(np.sqrt((r**2).mean())) for r in comparison.residuals],
+        "rms_registered": fit.rms,
+        "noise": {"sensor": found.noise.sensor, "model": found.noise.model},
+        "calibration": {
+            "shift": fit.a[-7:-4].tolist(), "turn": fit.a[-4:-1].tolist(), "skin": float(fit.a[-1]),
+        },
+        "iterations": sum(s.iterations for s in found.starts),
+        "seconds": seconds,
+        "method": settings.method,
+        "frames": settings.frames,
+        "compared": list(scene.frames),
+        "seed": settings.seed,
+        "device": scene.settings.device,
+        "interrupted": found.interrupted,
+        "object": {
+            "kind": described.kind,
+            "length": described.length,
+            "width": described.width,
+            "height": described.height,
+            "diameter": scene.body.thickness if described.kind == "rope" else None,
+            "thickness": scene.body.thickness if described.kind == "cloth" else None,
+            "mass": described.mass,
+        },
+        "begins_with": scene.recording.begins_with,
+        "simulation": {
+            **asdict(scene.settings),
+            "points_simulated": len(scene.initial),
+            "clock": scene.clock,
+            "velocity_damping": scene.velocity_damping,
+        },
+        "notes": list(scene.notes),
+        "starts": [
+            {
+                "initial": _named(problem, s.initial),
+                "final": _named(problem, s.vector),
+                "bending_length": scene.bending_length(problem.theta(s.vector).specific_modulus),
+                "loss": math.nan if s.comparison is None else s.comparison.rms,
+                "converged": bool(s.done),
+            }
+            for s in found.starts
+            if s.comparison is not None
+        ],
+        "history": [
+            {"stage": settings.method, "start": n, "iteration": i, **_named(problem, v), "loss": r}
+            for n, s in enumerate(found.starts)
+            for i, v, r in s.history
+        ],
+        **found.extra,
+    }  # fmt: skip
+    return Estimate(
+        theta=theta,
+        posterior=posterior,
+        verdict=verdict,
+        record=record,
+        scene=scene,
+        positions=x,
+        chamfer=whole,
+    )
+
+
+def _ranges(
+    problem: Problem, posterior: Posterior
+) -> tuple[dict[str, list[float]], dict[str, list[float]], dict[str, bool]]:
+    """Intervals, ranges that were searched, and what is determined, by the record's names."""
+    scene, level = problem.scene, problem.settings.level
+    intervals: dict[str, list[float]] = {}
+    bounds: dict[str, list[float]] = {}
+    known: dict[str, bool] = {}
+    for k, name in enumerate(posterior.names):
+        u = UNKNOWNS[name]
+        if not u.material:
+            continue
+        key = KEYS.get(name, name)
+        intervals[key] = list(posterior.interval(name, level))
+        bounds[key] = [
+            u.value(float(posterior.prior.low[k])),
+            u.value(float(posterior.prior.high[k])),
+        ]
+        known[key] = posterior.determined(name)
+        if name != "specific_modulus":
+            continue
+        share = bending_stiffness(scene, posterior.theta) / posterior.theta.specific_modulus
+        for ends in (intervals, bounds):
+            both = ends[key]
+            ends["youngs_modulus"] = [s * scene.density for s in both]
+            ends["bending_length"] = [scene.bending_length(s) for s in both]
+            ends["bending_stiffness"] = [s * share for s in both]
+        known["youngs_modulus"] = known[key]
+    for name in ("specific_modulus", "nu", "friction", "damping"):
+        known.setdefault(KEYS[name], False)
+    known.setdefault("youngs_modulus", False)
+    return intervals, bounds, known
+
+
+def _named(problem: Problem, vector: Sequence[float] | Array) -> dict[str, float]:
+    theta = problem.theta(vector)
+    found = {f.name: getattr(theta, f.name) for f in fields(theta) if f.name in problem.prior.names}
+    return {
+        "youngs_modulus": theta.specific_modulus * problem.scene.density,
+        "specific_modulus": theta.specific_modulus,
+        "poissons_ratio": theta.nu,
+        "friction": theta.friction,
+        **found,
+    }

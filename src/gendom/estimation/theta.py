@@ -1,0 +1,210 @@
+"""What a recording leaves unknown: names, units, ranges and priors, each written once.
+
+A further unknown is one entry of `UNKNOWNS` and one field of `Theta`; what it does to a replay is
+in `replay`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.errors import ParameterError
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unknown:
+    """One number that is looked for, and what is believed of it before anything is seen.
+
+    Its transform, log or none, is where the prior is Gaussian and steps are taken; low, high and
+    mean are in its unit, sd, step and widest step in the transformed one.
+    """
+
+    name: str
+    symbol: str
+    """As people write it."""
+    unit: str
+    meaning: str
+    log: bool = False
+    low: float
+    high: float
+    mean: float
+    sd: float
+    step: float
+    """Of differences."""
+    widest: float
+    """Of a search."""
+    kinds: tuple[str, ...] = ("rope", "cloth")
+    """Objects that have it."""
+    material: bool = False
+    """Whether it belongs to the object, not to one recording of it."""
+
+    def transformed(self, value: float) -> float:
+        return math.log(value) if self.log else value
+
+    def value(self, transformed: float) -> float:
+        return math.exp(transformed) if self.log else transformed
+
+
+def _unknown(name: str, symbol: str, unit: str, meaning: str, **other) -> Unknown:
+    return Unknown(name=name, symbol=symbol, unit=unit, meaning=meaning, **other)
+
+
+UNKNOWNS: dict[str, Unknown] = {
+    u.name: u
+    for u in (
+        # the range is that of a scene, by bending lengths: see `prior_of`
+        _unknown(
+            "specific_modulus", "E / density", "m^2/s^2", "Young's modulus over density",
+            log=True, low=1e-2, high=1e9, mean=1e3, sd=4.0, step=0.02, widest=1.0, material=True,
+        ),
+        _unknown(
+            "nu", "nu", "1", "Poisson's ratio",
+            low=0.05, high=0.45, mean=0.3, sd=0.06, step=0.02, widest=0.1, material=True,
+        ),
+        # log-uniform 1 to 20 ms, as ropes and cloths have it, has this mean and deviation
+        _unknown(
+            "damping", "damping", "s", "viscous over elastic stress",
+            log=True, low=3e-4, high=0.2, mean=0.0045, sd=0.86, step=0.1, widest=1.0,
+            material=True,
+        ),
+        # dry things on tables: 0.1 to 0.8
+        _unknown(
+            "friction", "friction", "1", "coefficient of friction on the table",
+            low=0.02, high=1.5, mean=0.45, sd=0.22, step=0.03, widest=0.2, material=True,
+        ),
+        _unknown(
+            "stiffness_slope", "d ln(E) / d(s / L)", "1", "how E varies along a rope",
+            low=-3.0, high=3.0, mean=0.0, sd=1.0, step=0.05, widest=0.5, kinds=("rope",),
+            material=True,
+        ),
+        _unknown(
+            "delay", "delay", "s", "how late clouds show the stated motion of the gripper",
+            low=-0.5, high=0.5, mean=0.0, sd=0.02, step=0.005, widest=0.05,
+        ),
+        _unknown(
+            "grip_height", "grip height", "m", "how much higher than stated the object is held",
+            low=-0.1, high=0.1, mean=0.0, sd=0.002, step=1e-3, widest=0.01,
+        ),
+        _unknown(
+            "grip_along", "grip along", "m",
+            "how much farther from its end, or corner, than stated the object is held",
+            low=-0.1, high=0.1, mean=0.0, sd=0.003, step=1e-3, widest=0.01,
+        ),
+        _unknown(
+            "grip_aside", "grip aside", "m",
+            "how far to the left of the diagonal, seen from the corner, a cloth is held",
+            low=-0.1, high=0.1, mean=0.0, sd=0.008, step=2e-3, widest=0.01, kinds=("cloth",),
+        ),
+        _unknown(
+            "grip_tilt", "grip tilt", "rad",
+            "how far the held corner turns from level as it is lifted",
+            low=-0.3, high=2.2, mean=0.8, sd=0.6, step=0.05, widest=0.4, kinds=("cloth",),
+        ),
+        _unknown(
+            "grip_reach", "grip reach", "m",
+            "how much farther from the held point than stated the cloth moves with the gripper",
+            low=-0.05, high=0.05, mean=0.0, sd=0.004, step=2e-3, widest=0.01, kinds=("cloth",),
+        ),
+        _unknown(
+            "yaw", "yaw", "rad", "turn of the lying cloth from the first guess on",
+            low=-0.8, high=0.8, mean=0.0, sd=0.15, step=0.02, widest=0.15, kinds=("cloth",),
+        ),
+    )
+}  # fmt: skip
+"""Everything that can be looked for, by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Theta:
+    """Values of `UNKNOWNS`; see there for units and meanings."""
+
+    specific_modulus: float
+    nu: float = 0.3
+    damping: float = 0.0045
+    friction: float = 0.45
+    stiffness_slope: float = 0.0
+    delay: float = 0.0
+    grip_height: float = 0.0
+    grip_along: float = 0.0
+    grip_aside: float = 0.0
+    grip_tilt: float = 0.0
+    grip_reach: float = 0.0
+    yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not math.isfinite(value):
+                raise ParameterError(f"{field.name} must be a finite number, got {value}")
+        for name in ("friction", "damping"):
+            if getattr(self, name) < 0.0:
+                raise ParameterError(
+                    f"{name} must be at least 0, got {getattr(self, name)}", fix="give 0 for none"
+                )
+
+    def with_values(self, values: Mapping[str, float]) -> Theta:
+        return replace(self, **values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """What is believed of P unknowns, in transformed coordinates."""
+
+    names: tuple[str, ...]
+    low: Array
+    high: Array
+    mean: Array
+    sd: Array
+    step: Array
+    widest: Array
+
+    @property
+    def unknowns(self) -> list[Unknown]:
+        return [UNKNOWNS[name] for name in self.names]
+
+    def vector(self, theta: Theta) -> Array:
+        """[P] transformed values of an estimate."""
+        return np.array([u.transformed(getattr(theta, u.name)) for u in self.unknowns])
+
+    def theta(self, vector: Sequence[float] | Array, base: Theta) -> Theta:
+        """The estimate with these transformed values [P], others as in ``base``."""
+        values = zip(self.unknowns, vector, strict=True)
+        return base.with_values({u.name: u.value(float(x)) for u, x in values})
+
+    def clipped(self, vector: Array) -> Array:
+        return np.clip(vector, self.low, self.high)
+
+
+def prior_of(names: Iterable[str], changes: Mapping[str, Mapping[str, float]]) -> Prior:
+    """Prior of some unknowns, ``changes`` of a scene to what `UNKNOWNS` says applied.
+
+    Args:
+        names: What is looked for.
+        changes: By name, other values of low, high, mean, sd, step or widest.
+
+    Raises:
+        ParameterError: There is no such unknown.
+    """
+    chosen = []
+    for name in names:
+        if name not in UNKNOWNS:
+            raise ParameterError(
+                f"there is no unknown {name!r}", fix=f"choose from {', '.join(UNKNOWNS)}"
+            )
+        chosen.append(replace(UNKNOWNS[name], **changes.get(name, {})))
+    return Prior(
+        names=tuple(u.name for u in chosen),
+        low=np.array([u.transformed(u.low) for u in chosen]),
+        high=np.array([u.transformed(u.high) for u in chosen]),
+        mean=np.array([u.transformed(u.mean) for u in chosen]),
+        sd=np.array([u.sd for u in chosen]),
+        step=np.array([u.step for u in chosen]),
+        widest=np.array([u.widest for u in chosen]),
+    )

@@ -1,0 +1,163 @@
+"""Whether a recording and its fit can be used at all, with reasons in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.datasets import Recording
+from gendom.estimation.problem import Found, Problem
+from gendom.estimation.theta import UNKNOWNS
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerdictSettings:
+    """Bounds beyond which a fit is not believed; shares are of the object's size."""
+
+    frames: int = 4
+    """Fewest frames with points."""
+    moved: float = 0.15
+    """Least way of a gripper: less shows hardly anything of the stiffness."""
+    speed: tuple[float, float] = (5e-4, 4.0)
+    """Slowest and fastest mean speed of a gripper on its way [m/s]: beyond, seconds are none."""
+    density: tuple[float, float] = (15.0, 25000.0)
+    """Of solids, from cork's foam to gold [kg/m^3]: beyond, kilograms or metres are none."""
+    off: float = 0.035
+    """Farthest mean distance of points from the fitted skin. Good lifts come to 0.015."""
+    sensor: float = 0.012
+    """Or this, for small objects [m]: the noise of a poor depth camera."""
+    displaced: float = 0.06
+    """Largest smooth displacement between model and clouds. Good lifts come to 0.01."""
+    bare: float = 0.3
+    """Largest share of the object of which clouds show nothing, in the median frame."""
+    stray: float = 0.25
+    """Largest share of points farther away than `straying` times `far`."""
+    far: float = 4.0
+    below: float = 0.2
+    """Largest share of points that lie under the stated table, by more than 1 cm and the object's
+    thickness."""
+    nuisance: float = 5.0
+    """Most deviations by which a camera, gripper or clock may differ from what is stated."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Whether an estimate is of any use."""
+
+    usable: bool
+    reasons: tuple[str, ...] = ()
+    """Why not, one sentence each."""
+
+    @property
+    def text(self) -> str:
+        return "usable" if self.usable else "not usable: " + "; ".join(self.reasons)
+
+
+def recording_faults(
+    recording: Recording, density: float | None, settings: VerdictSettings | None = None
+) -> list[str]:
+    """Why a recording tells nothing, whatever the fit.
+
+    Args:
+        recording: A valid one.
+        density: Mass over volume where both are stated [kg/m^3].
+        settings: Bounds.
+    """
+    s, found = settings or VerdictSettings(), []
+    frames = np.flatnonzero(recording.frame_valid)
+    if recording.extra.get("static", False):
+        return found
+    if len(frames) < s.frames:
+        found.append(f"only {len(frames)} frames show points; a lift takes {s.frames} at least")
+        return found
+    path, time = recording.gripper_position[frames], recording.time[frames]
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=2)
+    way = float(steps.sum(axis=0).max())
+    size = recording.object.size or 0.0
+    reach = float(np.linalg.norm(path - path[0], axis=2).max())
+    if reach < s.moved * size:
+        found.append(
+            f"the gripper moves by {reach:.3g} m, {reach / max(size, 1e-9):.0%} of the object's "
+            f"size: too little to tell a stiffness"
+        )
+    elif not recording.quasi_static:
+        moving = float(np.diff(time)[steps.max(axis=1) > 1e-3 * size].sum())
+        speed = way / max(moving, 1e-9)
+        if not s.speed[0] <= speed <= s.speed[1]:
+            found.append(
+                f"the gripper's mean speed is {speed:.3g} m/s: are times in seconds and positions "
+                "in metres?"
+            )
+    if recording.table_height is not None:
+        thick = recording.object.diameter or recording.object.thickness or 0.0
+        under = float((recording.points[:, 2] < recording.table_height - 0.01 - thick).mean())
+        if under > s.below:
+            found.append(f"{under:.0%} of all points lie under the table: does z point up?")
+    if density is not None and not s.density[0] <= density <= s.density[1]:
+        found.append(
+            f"mass and sizes give a density of {density:.3g} kg/m^3: is the mass in kilograms, are "
+            "sizes in metres?"
+        )
+    return found
+
+
+def judge(problem: Problem, found: Found, settings: VerdictSettings | None = None) -> Verdict:
+    """Of a fit.
+
+    Args:
+        problem: What was looked for.
+        found: What came out.
+        settings: Bounds.
+    """
+    s, scene = settings or VerdictSettings(), problem.scene
+    density = None if scene.recording.object.mass is None else scene.density
+    reasons = recording_faults(scene.recording, density, s)
+    comparison = found.best.comparison
+    assert comparison is not None
+    observation = problem.observation
+    rows = observation.rows(comparison.here)
+    own = observation.counts.shape[1]
+    real = observation.counts > 0.0
+    away = np.abs(rows.rho[:, :own])[real]
+    mean = float(away.mean())
+    if mean > max(s.off * scene.size, s.sensor):
+        reasons.append(
+            f"points lie {1e3 * mean:.0f} mm from the best fit in the mean, where "
+            f"{1e3 * max(s.off * scene.size, s.sensor):.0f} mm are usual at most"
+        )
+    stray = float((away > s.far * observation.noise.straying).mean())
+    if stray > s.stray:
+        reasons.append(f"{stray:.0%} of all points do not belong to the object")
+    if observation.markers is None:
+        bare = (rows.counts[:, own:] > 0.0) & (rows.rho[:, own:] > s.far * 0.001)
+        share = float(np.median(bare.mean(axis=1)))
+        if share > s.bare:
+            reasons.append(
+                f"clouds show nothing where {share:.0%} of the object should be: is its size right?"
+            )
+    if found.noise.model > s.displaced * scene.size:
+        reasons.append(
+            f"the object moves {1e3 * found.noise.model:.0f} mm otherwise than any simulated one"
+        )
+    reasons += _pressed(problem, found.best.vector, s)
+    return Verdict(usable=not reasons, reasons=tuple(reasons))
+
+
+def _pressed(problem: Problem, vector: Array, s: VerdictSettings) -> list[str]:
+    """Unknowns at the ends of their ranges, or far from what is believed of them."""
+    prior, said = problem.prior, []
+    for k, name in enumerate(prior.names):
+        u, x = UNKNOWNS[name], float(vector[k])
+        if name == "specific_modulus":
+            if min(x - prior.low[k], prior.high[k] - x) < 1e-3:
+                said.append("E / density lies at the end of the range that was searched")
+        elif not u.material and abs(x - prior.mean[k]) > s.nuisance * prior.sd[k]:
+            said.append(
+                f"{u.symbol} would have to be {u.value(x):.3g} {u.unit} ({u.meaning}): the stated "
+                "motion or size is wrong"
+            )
+    return said

@@ -1,0 +1,303 @@
+"""Whether intervals hold: random objects of the second reality, lifted, perceived and estimated.
+
+Every lift and every estimate is kept in a folder, so that a run that was interrupted goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from gendom.datasets import Recording
+from gendom.errors import GendomError, ParameterError
+from gendom.estimation import Calibration, EstimateSettings, Posterior, SceneSettings, estimate
+from gendom.files import write_json
+from gendom.materials import STANDARD_GRAVITY, Material
+from gendom.materials.parameters import specific_modulus_of
+from gendom.reality import RealCloth, RealObject, RealRope
+from gendom.reality.chain import record_and_perceive
+
+Array = NDArray[np.floating]
+
+CLOUD_POINTS = {"rope": 320, "cloth": 1400}
+"""Points of a frame that are kept, twice what an estimate compares."""
+
+FRAME_RATE = {"hold": 10.0, "swing": 30.0, "drop": 30.0}
+"""Of the cameras by how a lift ends [1/s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageSettings:
+    """What is lifted, and how often."""
+
+    kind: str = "rope"
+    """``rope`` or ``cloth``."""
+    end: str = "hold"
+    """How lifts end, one of `gendom.robot.LIFT_ENDS`."""
+    lifts: int = 40
+    seed: int = 0
+    """Of the first object; others count on."""
+    level: float = 0.9
+    jobs: int = 1
+    """Processes."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in CLOUD_POINTS:
+            raise ParameterError(f"is {self.kind!r}", where="kind", fix="give rope or cloth")
+        if self.end not in FRAME_RATE:
+            raise ParameterError(f"is {self.end!r}", where="end", fix="give hold, swing or drop")
+        if self.lifts < 1 or self.jobs < 1 or self.seed < 0:
+            raise ParameterError("lifts and jobs must be at least 1, the seed at least 0")
+
+
+def draw_object(kind: str, seed: int) -> RealObject:
+    """A random rope or square cloth of the second reality.
+
+    Ropes are 0.25 to 0.36 m long, 3.5 to 6 % of that thick and bend over 0.25 to 0.7 lengths;
+    cloths are 0.2 to 0.36 m wide, 0.4 to 1.2 mm thick and bend over 14 to 50 mm. Density 500 to
+    1,100 (cloths from 300) kg/m^3, nu 0.2 to 0.4, damping log-uniform 1 to 20 ms, friction 0.1 to
+    0.8.
+    """
+    rng = np.random.default_rng([77, seed])
+
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    nu, friction = between(0.2, 0.4), between(0.1, 0.8)
+    damping = math.exp(between(math.log(0.001), math.log(0.02)))
+    if kind == "rope":
+        length, density = between(0.25, 0.36), between(500.0, 1100.0)
+        diameter, bends = length * between(0.035, 0.06), length * between(0.25, 0.7)
+        E = density * specific_modulus_of(bends, diameter / 4.0, STANDARD_GRAVITY)
+        return RealRope(
+            name=f"rope-{seed}",
+            length=length,
+            diameter=diameter,
+            material=Material(E=E, nu=nu, density=density, damping=damping),
+            friction=friction,
+            colour=(200, 40, 40),
+            # MuJoCo wants vertices farther apart than they are thick
+            vertices=min(18, int(0.95 * length / diameter)),
+        )
+    side, thickness, density = between(0.2, 0.36), between(4e-4, 1.2e-3), between(300.0, 1100.0)
+    bends = math.exp(between(math.log(0.014), math.log(0.05)))
+    k = thickness / math.sqrt(12.0 * (1.0 - nu**2))
+    return RealCloth(
+        name=f"cloth-{seed}",
+        side=side,
+        thickness=thickness,
+        material=Material(
+            E=density * specific_modulus_of(bends, k, STANDARD_GRAVITY),
+            nu=nu,
+            density=density,
+            damping=damping,
+        ),
+        friction=friction,
+        colour=(40, 70, 190),
+        vertices=25,
+    )
+
+
+def coverage(
+    folder: str | Path,
+    settings: CoverageSettings,
+    *,
+    on_done: Callable[[int], None] | None = None,
+) -> list[dict[str, Any]]:
+    """A row for each lift: what was estimated, without calibration, and what is true.
+
+    Args:
+        folder: Keeps recordings and rows; those that are there are not made again.
+        settings: Which lifts.
+        on_done: Called with the number of lifts done.
+
+    Raises:
+        DeviceError: The second reality cannot be simulated or rendered here.
+        GendomError: The folder cannot be written.
+    """
+    folder = Path(folder)
+    seeds = range(settings.seed, settings.seed + settings.lifts)
+    work = partial(_row, folder, settings)
+    rows = []
+    if settings.jobs == 1:
+        made = map(work, seeds)
+        for row in made:
+            rows.append(row)
+            if on_done is not None:
+                on_done(len(rows))
+        return rows
+    with get_context("spawn").Pool(settings.jobs) as pool:
+        for row in pool.imap(work, seeds):
+            rows.append(row)
+            if on_done is not None:
+                on_done(len(rows))
+    return rows
+
+
+def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
+    name = f"{settings.kind}-{settings.end}-{seed:04d}"
+    kept = folder / f"{name}.json"
+    if kept.exists():
+        return json.loads(kept.read_text(encoding="utf-8"))
+    item = draw_object(settings.kind, seed)
+    path = folder / f"{name}.npz"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=folder) as pictures:
+            recording, _ = record_and_perceive(
+                item, pictures, frame_rate=FRAME_RATE[settings.end], seed=seed, end=settings.end
+            )
+        _thinned(recording, CLOUD_POINTS[settings.kind], seed).write(path)
+    row: dict[str, Any] = {"seed": seed, "truth": _truth(item)}
+    try:
+        found = estimate(
+            Recording.read(path, on_warning=lambda _: None),
+            EstimateSettings(
+                starts=1, seed=seed, level=settings.level, scene=SceneSettings(threads=1)
+            ),
+            calibration=Calibration.none(),
+        )
+    except GendomError as error:
+        row["fault"] = str(error)
+    else:
+        row["verdict"] = asdict(found.verdict)
+        row["posterior"] = found.posterior.to_dict()
+        row["rms"], row["seconds"] = found.record["rms"], found.record["seconds"]
+    write_json(kept, row)
+    return row
+
+
+def _thinned(recording: Recording, most: int, seed: int) -> Recording:
+    """With no more points a frame than are compared anyway."""
+    rng = np.random.default_rng(seed)
+    clouds = []
+    for t in range(recording.num_frames):
+        cloud = recording.frame(t)
+        if len(cloud) > most:
+            cloud = cloud[np.sort(rng.choice(len(cloud), most, replace=False))]
+        clouds.append(cloud)
+    return replace(
+        recording,
+        points=np.concatenate(clouds),
+        offsets=np.cumsum([0, *map(len, clouds)]),
+    )
+
+
+def _truth(item: RealObject) -> dict[str, float]:
+    """By names of `gendom.estimation.UNKNOWNS`; a cloth's E is that of a beam as stiff as it."""
+    m = item.material
+    wide = 1.0 if isinstance(item, RealRope) else 1.0 - m.nu**2
+    return {
+        "specific_modulus": m.specific_modulus / wide,
+        "nu": m.nu,
+        "damping": m.damping,
+        "friction": item.friction,
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Covered:
+    """How one unknown came out over N lifts, in transformed units."""
+
+    name: str
+    lifts: int
+    median_error: float
+    ninety_error: float
+    """Below which 90 % of the errors are."""
+    bias: float
+    half_width: float
+    """Median half width of the intervals."""
+    covered: float
+    """Share of intervals that hold the truth."""
+    factor: float
+    """By which deviations have to be multiplied so that `level` of them would; at least 1."""
+
+
+def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
+    """Of all unknowns whose truth is known, over the usable lifts.
+
+    Args:
+        rows: Of `coverage`.
+        level: Probability that intervals claim.
+    """
+    usable = [r for r in rows if r.get("verdict", {}).get("usable")]
+    z = float(norm.ppf(0.5 + level / 2.0))
+    found = []
+    for name in ("specific_modulus", "nu", "damping", "friction"):
+        off, sd = [], []
+        for row in usable:
+            posterior = row["posterior"]
+            if name not in posterior["names"]:
+                continue
+            k = posterior["names"].index(name)
+            truth = row["truth"][name]
+            off.append(posterior["mean"][k] - (math.log(truth) if posterior["log"][k] else truth))
+            sd.append(math.sqrt(posterior["covariance"][k][k]))
+        if not off:
+            continue
+        error, deviation = np.abs(off), np.array(sd)
+        found.append(
+            Covered(
+                name=name,
+                lifts=len(off),
+                median_error=float(np.median(error)),
+                ninety_error=float(np.quantile(error, 0.9)),
+                bias=float(np.mean(off)),
+                half_width=float(np.median(z * deviation)),
+                covered=float(np.mean(error < z * deviation)),
+                factor=max(1.0, float(np.quantile(error / deviation, level)) / z),
+            )
+        )
+    return found
+
+
+def ranks(rows: Sequence[dict[str, Any]], name: str) -> Array:
+    """[N] share of each posterior that lies below the truth: even, if intervals are right."""
+    values = []
+    for row in rows:
+        if not row.get("verdict", {}).get("usable"):
+            continue
+        posterior = Posterior.from_dict(row["posterior"], _base(row))
+        if name not in posterior.names:
+            continue
+        k = posterior.names.index(name)
+        truth = posterior.prior.unknowns[k].transformed(row["truth"][name])
+        values.append(norm.cdf((truth - posterior.mean[k]) / posterior.sd(name)))
+    return np.array(values)
+
+
+def _base(row: dict[str, Any]) -> Any:
+    from gendom.estimation import Theta
+
+    return Theta(specific_modulus=row["truth"]["specific_modulus"])
+
+
+def coverage_text(rows: Sequence[dict[str, Any]], table: Sequence[Covered]) -> str:
+    """For people."""
+    usable = sum(bool(r.get("verdict", {}).get("usable")) for r in rows)
+    lines = [f"{len(rows)} lifts, {usable} usable"]
+    for row in rows:
+        reasons = row.get("fault") or "; ".join(row.get("verdict", {}).get("reasons", ()))
+        if reasons:
+            lines.append(f"  seed {row['seed']}: {reasons}")
+    lines.append(
+        f"{'unknown':<18}{'error, median':>14}{'90 % below':>12}{'bias':>9}{'half width':>12}"
+        f"{'covered':>9}{'factor':>8}"
+    )
+    lines += [
+        f"{c.name:<18}{c.median_error:>14.4f}{c.ninety_error:>12.4f}{c.bias:>+9.4f}"
+        f"{c.half_width:>12.4f}{c.covered:>9.0%}{c.factor:>8.2f}"
+        for c in table
+    ]
+    return "\n".join(lines)

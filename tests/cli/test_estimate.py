@@ -1,0 +1,180 @@
+"""`gendom estimate`: what it prints and writes, and its exit codes."""
+
+import json
+import os
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tyro
+
+from gendom import cli
+from gendom.cli.estimate import Command
+from gendom.errors import RecordingError, SimulationError
+from gendom.estimation import METHODS, Estimate
+from gendom.files import read_json
+
+QUICK = ("--starts", "1", "--points", "15")
+
+
+@pytest.fixture(scope="module")
+def lift(rope_lift, tmp_path_factory):
+    """A simulated lift's file."""
+    path = tmp_path_factory.mktemp("lift") / "lift.npz"
+    rope_lift.seen().write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def still(rope_lift, tmp_path_factory):
+    """A file of an object at rest."""
+    path = tmp_path_factory.mktemp("still") / "still.npz"
+    seen = rope_lift.at_rest(5)
+    replace(seen, gripper_position=np.repeat(seen.gripper_position[:1], 5, axis=0)).write(path)
+    return path
+
+
+def failing(monkeypatch, error):
+    def estimate(*_, **__):
+        raise error
+
+    monkeypatch.setattr("gendom.estimation.estimate", estimate)
+
+
+def test_a_good_lift(lift, tmp_path, capsys):
+    """Values with intervals on stdout, and what was written; a report of one file."""
+    out, report = tmp_path / "out", tmp_path / "pages" / "report.html"
+    words = ["estimate", str(lift), *QUICK, "--out", str(out), "--report", str(report)]
+    assert cli.main(words) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    lines = printed.out.splitlines()
+    assert lines[0].split() == ["verdict", "usable"]
+    assert re.search(r"Young's modulus +7\.\d+e\+05 Pa, 90% in \[", printed.out)
+    assert lines[-2:] == [f"written: {out / 'estimate.json'}", f"written: {report}"]
+    found = Estimate.load(out / "estimate.json")
+    assert found.usable and found.record["simulation"]["points"] == 15
+    page = report.read_text(encoding="utf-8")
+    for text in ("the recording and its fit are usable", "What was believed before", "grip height"):
+        assert text in page
+    assert "The action" not in page and str(lift) in page
+
+
+def test_json_is_all_of_stdout(lift, tmp_path, capsys):
+    words = ["estimate", str(lift), *QUICK, "--json", "--out", str(tmp_path)]
+    words += ["--unknowns", "specific_modulus", "--level", "0.5"]
+    assert cli.main(words) == 0
+    printed = capsys.readouterr()
+    record = json.loads(printed.out)
+    assert record == read_json(tmp_path / "estimate.json")
+    assert record["posterior"]["names"] == ["specific_modulus"]
+    assert record["intervals"]["level"] == 0.5
+    assert printed.err == f"written: {tmp_path / 'estimate.json'}\n"
+
+
+def test_what_is_not_usable_has_exit_code_3(still, tmp_path, capsys):
+    words = ["estimate", str(still), *QUICK, "--out", str(tmp_path)]
+    words += ["--report", str(tmp_path / "report.html")]
+    assert cli.main(words) == 3
+    printed = capsys.readouterr()
+    reason = "not usable: the gripper moves by 0 m"
+    assert any(line.startswith(f"gendom estimate: {reason}") for line in printed.err.splitlines())
+    assert printed.out.splitlines()[0].split() == ["verdict", "not", "usable"]
+    assert " in [" not in printed.out
+    assert read_json(tmp_path / "estimate.json")["intervals"] is None
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Not usable." in page and "the gripper moves by 0 m" in page
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        RecordingError("the first frames show too little", where="frames 0-9", fix="record again"),
+        SimulationError("no start could be simulated"),
+    ],
+)
+def test_what_cannot_be_placed_or_simulated_is_not_usable(
+    lift, tmp_path, capsys, monkeypatch, error
+):
+    failing(monkeypatch, error)
+    words = ["estimate", str(lift), "--out", str(tmp_path)]
+    assert cli.main(words) == 3
+    printed = capsys.readouterr()
+    assert printed.out == f"written: {tmp_path / 'estimate.json'}\n"
+    assert printed.err == f"gendom estimate: not usable: {error}\n"
+    assert cli.main([*words, "--json"]) == 3
+    record = json.loads(capsys.readouterr().out)
+    assert record == read_json(tmp_path / "estimate.json")
+    assert record == {
+        "format": "gendom-estimate/1",
+        "verdict": {"usable": False, "reasons": [str(error)]},
+    }
+
+
+def test_faults_of_the_input_have_exit_code_2(lift, tmp_path, capsys, monkeypatch):
+    """A file that cannot be read, flags that mean nothing: before anything is estimated."""
+    failing(monkeypatch, AssertionError("not reached"))
+    bad = tmp_path / "bad.npz"
+    bad.write_bytes(b"nothing")
+    for words, text in (
+        ([str(bad)], "bad.npz"),
+        ([str(lift), "--seed", "-1"], "seed must be at least 0"),
+        ([str(lift), "--level", "1"], "level"),
+        ([str(lift), "--cells-across", "0.2"], "cells_across"),
+        ([str(lift), "--points", "2"], "points"),
+        ([str(lift), "--method", "guess"], "there is no method 'guess'"),
+        ([str(lift), "--engine", "fem"], "fem"),
+    ):
+        assert cli.main(["estimate", *words]) == 2, words
+        printed = capsys.readouterr()
+        assert printed.out == "" and text in printed.err, words
+
+
+def test_places_are_checked_before_the_work(lift, tmp_path, capsys, monkeypatch):
+    failing(monkeypatch, AssertionError("not reached"))
+    file = tmp_path / "file"
+    file.write_text("here")
+    (tmp_path / "folder.html").mkdir()
+    for flags, text in (
+        (["--out", str(file)], "is a file, not a folder"),
+        (["--out", str(file / "below")], "is a file, not a folder"),
+        (["--report", str(tmp_path / "page.pdf")], "name a file that ends in .html"),
+        (["--report", str(tmp_path / "folder.html")], "is a folder"),
+        (["--report", str(file / "page.html")], "is a file, not a folder"),
+    ):
+        assert cli.main(["estimate", str(lift), *flags]) == 2, flags
+        printed = capsys.readouterr()
+        assert printed.out == "" and text in printed.err, flags
+    if os.geteuid() == 0:
+        return  # who may write anywhere
+    shut = tmp_path / "shut"
+    shut.mkdir(mode=0o500)
+    assert cli.main(["estimate", str(lift), "--out", str(shut / "new")]) == 2
+    assert "no permission" in capsys.readouterr().err
+
+
+def test_results_are_printed_though_they_cannot_be_written(lift, tmp_path, capsys):
+    """Where a place is spoiled while the work is done."""
+    out = tmp_path / "out"
+    (out / "estimate.json").mkdir(parents=True)
+    assert cli.main(["estimate", str(lift), *QUICK, "--out", str(out)]) == 2
+    printed = capsys.readouterr()
+    assert "Young's modulus" in printed.out and "written" not in printed.out
+    assert "estimate.json: is a folder" in printed.err
+
+
+def test_every_method_can_be_asked_for(capsys):
+    config = (tyro.conf.FlagCreatePairsOff,)
+    for name in METHODS:
+        assert tyro.cli(Command, args=["x.npz", "--method", name], config=config).method == name
+    assert cli.main(["estimate", "--help"]) == 0
+    assert "|".join(METHODS) in capsys.readouterr().out
+
+
+def test_help_needs_no_simulator(run_python):
+    code = (
+        "import sys, gendom.cli.estimate, gendom.cli.replay; "
+        "print(sorted({'warp', 'torch', 'matplotlib', 'gendom.estimation'} & set(sys.modules)))"
+    )
+    assert run_python(code) == "[]"

@@ -1,0 +1,136 @@
+"""`gendom replay`: with which parameters a recording is simulated."""
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from gendom import cli
+from gendom.cli.replay import replay_setup
+from gendom.errors import ParameterError
+from gendom.estimation import UNKNOWNS, EstimateSettings, Theta, estimate
+from gendom.files import write_json
+
+MATERIAL = [name for name, u in UNKNOWNS.items() if u.material]
+
+
+@pytest.fixture(scope="module")
+def lifted(rope_lift):
+    return rope_lift.seen(frames=16, grip_height=0.004)
+
+
+@pytest.fixture(scope="module")
+def params(rope_lift, lifted):
+    """The estimate from the first frames of a lift."""
+    settings = EstimateSettings(starts=1, scene=rope_lift.settings)
+    return estimate(lifted.head(12), settings).record
+
+
+@pytest.fixture
+def files(lifted, params, tmp_path):
+    """A recording, and an estimate."""
+    lifted.write(tmp_path / "lift.npz")
+    write_json(tmp_path / "estimate.json", params)
+    return [str(tmp_path / "lift.npz"), "--params", str(tmp_path / "estimate.json")]
+
+
+def test_a_longer_recording_is_foretold(files, lifted, params, tmp_path, capsys):
+    """Every frame is compared; those that were not fitted are as near as the others."""
+    out, gif = tmp_path / "replay.json", tmp_path / "lift.gif"
+    assert cli.main(["replay", *files, "--out", str(out), "--gif", str(gif), "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record == json.loads(out.read_text())
+    assert record["format"] == "gendom-replay/1"
+    assert record["frame"] == list(range(16)) and len(record["chamfer_surface"]) == 16
+    assert record["time"] == pytest.approx(lifted.time.tolist())
+    assert record["notes"] == []
+    assert max(record["chamfer"]) < 2.0 * params["chamfer_mean"]
+    assert record["chamfer_last"] == record["chamfer"][-1]
+    assert gif.stat().st_size > 10_000
+    assert cli.main(["replay", *files]) == 0
+    assert capsys.readouterr().out.startswith("Chamfer distance: mean ")
+
+
+def test_in_its_own_recording_all_of_an_estimate_is_taken(lifted, params):
+    scene, theta = replay_setup(lifted, params, "here", "cpu")
+    assert asdict(theta) == params["theta"] and theta.grip_height > 0.002
+    assert scene.recording is lifted and len(scene.frames) == 16
+    assert scene.settings.points == 15 and scene.clock == params["simulation"]["clock"]
+
+
+def test_in_another_recording_the_material_is_taken(rope_lift, params):
+    """How that one is held is found, and said; the height of the first grip is not carried over."""
+    other = rope_lift.seen(seed=5, grip_height=-0.003)
+    scene, theta = replay_setup(other, params, "here", "cpu")
+    for name in MATERIAL:
+        assert getattr(theta, name) == params["theta"][name], name
+    assert theta.grip_height == pytest.approx(-0.003, abs=0.0015)
+    assert "found anew in this recording: grip height, grip along, delay" in scene.notes
+
+
+def test_files_of_older_versions_are_read(lifted):
+    """They know the material alone, and were made by the MPM."""
+    older = {
+        "format": "gendom-estimate/1", "specific_modulus": 730.0, "poissons_ratio": 0.33,
+        "friction": 0.5, "grip_offset": 0.004, "object": {"kind": "rope"},
+        "begins_with": lifted.begins_with, "simulation": {"cells_across": 1.5},
+    }  # fmt: skip
+    scene, theta = replay_setup(lifted, older, "here", "cpu", "thin")
+    material = (theta.specific_modulus, theta.nu, theta.friction, theta.damping)
+    assert material == (730.0, 0.33, 0.5, Theta(specific_modulus=1.0).damping)
+    assert scene.thin and theta.grip_height == pytest.approx(0.004, abs=0.0015)
+
+
+def test_the_estimate_s_engine_is_taken_or_another(lifted, params):
+    assert replay_setup(lifted, params, "here", "cpu")[0].thin
+    scene, _ = replay_setup(lifted, params, "here", "cpu", "mpm")
+    assert not scene.thin and scene.settings.points is None
+
+
+def test_what_is_not_usable_is_refused(files, params, tmp_path, capsys):
+    """Unless it is insisted on."""
+    refused = params | {"verdict": {"usable": False, "reasons": ["the gripper rests"]}}
+    write_json(tmp_path / "estimate.json", refused)
+    assert cli.main(["replay", *files]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and "is not usable: the gripper rests" in printed.err
+    assert "add --force" in printed.err
+    assert cli.main(["replay", *files, "--force"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"object": {"kind": "cloth"}}, "the parameters are of a cloth, the recording shows"),
+        ({"object": None}, "cannot be used"),
+        ({"theta": {"colour": 1.0}}, "cannot be used"),
+        ({"theta": None, "specific_modulus": None}, "cannot be used"),
+    ],
+)
+def test_what_is_no_estimate_is_refused(lifted, params, changes, words):
+    with pytest.raises(ParameterError, match=words):
+        replay_setup(lifted, params | changes, "here", "cpu")
+
+
+def test_a_file_of_another_format_is_refused(files, params, tmp_path, capsys):
+    write_json(tmp_path / "estimate.json", params | {"format": "other/1"})
+    assert cli.main(["replay", *files]) == 2
+    assert "has format 'other/1', not 'gendom-estimate/1'" in capsys.readouterr().err
+
+
+def test_a_cloth_lies_as_the_estimate_took_it_to_lie(cloth_lift):
+    """Where it lies is guessed from the frames that were fitted, not from those that follow."""
+    seen = cloth_lift.at_rest(8)
+    aside = [x + np.array([0.0, 0.05 * (t > 4), 0.0]) for t, x in enumerate(seen.frames())]
+    longer = cloth_lift.recording(aside)
+    params = {
+        "format": "gendom-estimate/1", "theta": asdict(cloth_lift.truth), "compared": [0, 2, 4],
+        "object": {"kind": "cloth"}, "begins_with": longer.begins_with,
+        "simulation": {"engine": "thin", "points": 9},
+    }  # fmt: skip
+    scene, theta = replay_setup(longer, params, "here", "cpu")
+    alone, _ = replay_setup(longer.head(5), params, "here", "cpu")
+    assert theta == replace(cloth_lift.truth)
+    assert len(scene.frames) == 8
+    np.testing.assert_allclose(scene.inwards, alone.inwards, atol=1e-9)

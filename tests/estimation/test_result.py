@@ -1,0 +1,118 @@
+"""Posteriors and estimates as they are kept and shown."""
+
+import math
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError
+from gendom.estimation import Calibration, Estimate, EstimateSettings, Posterior, Theta, estimate
+from gendom.estimation.theta import prior_of
+from gendom.files import read_json, write_json
+
+BASE = Theta(specific_modulus=700.0)
+
+
+def posterior(sd=(0.1, 0.01), calibration=None):
+    prior = prior_of(("specific_modulus", "nu"), {"specific_modulus": {"sd": 3.0}})
+    covariance = np.diag(np.square(sd))
+    covariance[0, 1] = covariance[1, 0] = 0.5 * sd[0] * sd[1]
+    mean = np.array([math.log(500.0), 0.44])
+    calibration = calibration or Calibration.none()
+    return Posterior.calibrated(prior, mean, covariance, BASE, calibration)
+
+
+def test_intervals_are_those_of_a_gaussian():
+    """In the transformed unknowns, cut at the ends of what is searched."""
+    known = posterior()
+    low, high = known.interval("specific_modulus", 0.9)
+    assert np.log([low / 500.0, high / 500.0]) == pytest.approx([-0.16449, 0.16449], abs=1e-4)
+    low, high = known.interval("nu", 0.9)
+    assert low == pytest.approx(0.44 - 0.016449, abs=1e-5) and high == 0.45
+    assert known.theta.specific_modulus == pytest.approx(500.0)
+    assert known.theta == BASE.with_values(
+        {"specific_modulus": known.theta.specific_modulus, "nu": 0.44}
+    )
+    assert known.determined("specific_modulus") and known.determined("nu")
+    assert not known.determined("friction")
+
+
+def test_draws_spread_as_the_posterior_does():
+    """Within what is searched; others as in the base; the same from the same seed."""
+    known = posterior(sd=(0.1, 0.002))
+    drawn = known.draws(4000, seed=2)
+    logs = np.log([t.specific_modulus for t in drawn])
+    nus = np.array([t.nu for t in drawn])
+    assert logs.std() == pytest.approx(0.1, rel=0.05)
+    assert logs.mean() == pytest.approx(math.log(500.0), abs=0.01)
+    assert np.corrcoef(logs, nus)[0, 1] == pytest.approx(0.5, abs=0.05)
+    assert nus.max() <= 0.45 and {t.friction for t in drawn} == {BASE.friction}
+    assert known.draws(3, seed=2) == known.draws(3, seed=2)
+
+
+def test_calibration_widens_but_not_beyond_the_prior():
+    calibration = Calibration(factor={"specific_modulus": 3.0, "nu": 100.0}, added={"nu": 0.02})
+    known = posterior(calibration=calibration)
+    assert known.sd("specific_modulus") == pytest.approx(0.3)
+    assert known.sd("nu") == pytest.approx(0.06) and not known.determined("nu")
+    correlation = known.covariance[0, 1] / known.sd("specific_modulus") / known.sd("nu")
+    assert correlation == pytest.approx(0.5)
+
+
+def test_a_posterior_comes_back_from_its_record():
+    known = posterior()
+    again = Posterior.from_dict(known.to_dict(), known.theta)
+    assert again.names == known.names and again.theta == known.theta
+    assert np.array_equal(again.covariance, known.covariance)
+    assert again.interval("nu", 0.5) == known.interval("nu", 0.5)
+
+
+@pytest.mark.parametrize("kind", ["rope", "cloth"])
+def test_a_calibration_is_shipped(kind):
+    shipped = Calibration.of(kind)
+    assert all(value > 0.0 for value in shipped.factor.values())
+    assert all(value >= 0.0 for value in shipped.added.values())
+
+
+@pytest.fixture(scope="module")
+def found(rope_lift):
+    settings = EstimateSettings(starts=1, max_iterations=4, scene=rope_lift.settings)
+    return estimate(rope_lift.seen(), settings)
+
+
+def test_an_estimate_comes_back_from_its_file(found, tmp_path):
+    path = tmp_path / "estimate.json"
+    found.save(path)
+    again = Estimate.load(path)
+    assert again.theta == found.theta and again.verdict == found.verdict
+    assert again.record == read_json(path) == found.record
+    for key in ("youngs_modulus", "specific_modulus", "friction"):
+        assert again.interval(key) == found.interval(key)
+    assert again.interval("colour") is None
+    assert again.posterior.draws(2, seed=0) == found.posterior.draws(2, seed=0)
+    assert again.scene is None and again.positions is None
+    assert repr(again) == repr(found)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"format": "other/1"}, "not 'gendom-estimate/1'"),
+        ({"posterior": {}}, "cannot be used: KeyError"),
+        ({"theta": {"colour": 1.0}}, "cannot be used: TypeError"),
+    ],
+)
+def test_other_files_are_refused(found, tmp_path, changes, words):
+    path = tmp_path / "estimate.json"
+    write_json(path, found.record | changes)
+    with pytest.raises(ParameterError, match=words):
+        Estimate.load(path)
+
+
+def test_an_estimate_shows_itself_briefly(found):
+    """A screen of it at most, with units and intervals."""
+    text = repr(found)
+    assert len(text) < 1200 and text.count("\n") < 15
+    assert "Young's modulus" in text and "Pa" in text and "90% in [" in text
+    table = found._repr_html_()
+    assert table.count("<tr>") == len(found.rows()) and "usable" in table

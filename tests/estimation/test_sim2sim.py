@@ -1,0 +1,46 @@
+"""The paper's lift, made exactly, and what the default method finds in it."""
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError
+from gendom.estimation.sim2sim import (
+    paper_E,
+    rows_text,
+    scene_settings,
+    sim2sim,
+    sim2sim_problem,
+    sim2sim_recording,
+    specific_modulus,
+    truth_of,
+)
+
+
+def test_units_are_those_of_like_motion():
+    """E / (density g L) is the same: 12 there, 9.81 here."""
+    assert specific_modulus(1200.0) / 9.81 == pytest.approx(1200.0 / 12.0)
+    assert paper_E(specific_modulus(777.0)) == pytest.approx(777.0)
+
+
+@pytest.mark.parametrize("shows", ["all", "last"])
+def test_clouds_are_exact(shows):
+    """At the truth markers lie on the simulated line, as well as float32 holds them."""
+    settings = scene_settings(fast_frames=20)
+    recording = sim2sim_recording(3000.0, 0.35, settings=settings, frames=20, rise=0.2, shows=shows)
+    assert [f for f in recording.validate() if f.severity == "error"] == []
+    problem = sim2sim_problem(recording, settings=settings)
+    truth = problem.prior.vector(truth_of(3000.0, 0.35))
+    (comparison,) = problem.compare([truth], derivatives=False)
+    assert comparison is not None and comparison.rms < 3e-8
+    assert np.all((problem.prior.low < truth) & (truth < problem.prior.high))
+
+
+def test_one_estimate_is_far_better_than_the_papers():
+    row = sim2sim("gauss-newton", truths=1, starts=1)
+    assert row.E < 0.1 and row.nu < 1e-3 and row.chamfer < 1e-6
+    assert "gauss-newton" in rows_text([row])
+
+
+def test_an_unknown_method_is_named():
+    with pytest.raises(ParameterError, match="there is no method 'magic'"):
+        sim2sim("magic")

@@ -1,0 +1,120 @@
+"""What no estimate may be read off is refused, and what is good is not."""
+
+from dataclasses import replace
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from gendom.datasets import Recording
+from gendom.errors import RecordingError
+from gendom.estimation import EstimateSettings, estimate
+from gendom.estimation.verdict import recording_faults
+
+
+@pytest.fixture(scope="module")
+def settings(rope_lift):
+    return EstimateSettings(starts=1, max_iterations=10, scene=rope_lift.settings)
+
+
+@pytest.fixture(scope="module")
+def lifted(rope_lift):
+    return rope_lift.seen()
+
+
+def still(recording):
+    """The first frame, again and again."""
+    first, frames = recording.frame(0), recording.num_frames
+    return replace(
+        recording,
+        points=np.concatenate([first] * frames),
+        offsets=np.arange(frames + 1) * len(first),
+        gripper_position=np.repeat(recording.gripper_position[:1], frames, axis=0),
+    )
+
+
+def y_up(recording):
+    return replace(
+        recording,
+        points=recording.points[:, [0, 2, 1]],
+        gripper_position=recording.gripper_position[..., [0, 2, 1]],
+    )
+
+
+def uniform_noise(recording):
+    """As many points anywhere in the box of all clouds."""
+    low, high = recording.points.min(axis=0), recording.points.max(axis=0)
+    points = np.random.default_rng(0).uniform(low, high, size=recording.points.shape)
+    return replace(recording, points=points)
+
+
+def in_grams(recording):
+    described = recording.object
+    return replace(recording, object=replace(described, mass=1e3 * described.mass))
+
+
+def backwards(recording):
+    return replace(recording, gripper_position=recording.gripper_position[::-1])
+
+
+def scaled(recording):
+    return replace(recording, points=1.43 * recording.points)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_good_lift_is_usable(rope_lift, settings, seed):
+    found = estimate(rope_lift.seen(seed=seed, noise=2e-3), settings)
+    assert found.usable, found.verdict.reasons
+    assert found.verdict.text == "usable" and found.interval("youngs_modulus") is not None
+
+
+def test_the_demo_s_lift_is_usable():
+    place = str(files("gendom") / "assets" / "demo-rope-lift.npz")
+    found = estimate(Recording.read(place), EstimateSettings(starts=1))
+    assert found.usable, found.verdict.reasons
+
+
+@pytest.mark.slow
+def test_a_good_lift_of_a_cloth_is_usable(cloth_lift):
+    settings = EstimateSettings(starts=1, scene=cloth_lift.settings)
+    found = estimate(cloth_lift.seen(points=400), settings)
+    assert found.usable, found.verdict.reasons
+
+
+def one_frame(recording):
+    return replace(recording.head(1), quasi_static=True)
+
+
+@pytest.mark.parametrize(
+    ("spoiled", "reason"),
+    [
+        (lambda recording: recording.head(1), "only 1 frames"),
+        (one_frame, "only 1 frames"),
+        (still, "the gripper moves by 0 m"),
+        (y_up, "under the table"),
+        (uniform_noise, "do not belong to the object"),
+        (in_grams, "is the mass in kilograms"),
+        (backwards, "otherwise than any simulated one"),
+        (scaled, "otherwise than any simulated one"),
+    ],
+)
+def test_what_cannot_be_used_is_said(lifted, settings, spoiled, reason):
+    """With the reason in words, and without intervals."""
+    found = estimate(spoiled(lifted), settings)
+    assert not found.usable
+    assert any(reason in said for said in found.verdict.reasons), found.verdict.reasons
+    assert found.record["verdict"] == {"usable": False, "reasons": list(found.verdict.reasons)}
+    assert found.record["intervals"] is None and found.interval("youngs_modulus") is None
+    assert "not usable" in repr(found) and "90%" not in repr(found)
+
+
+def test_times_in_milliseconds_are_told_from_the_speed(lifted):
+    slow = replace(lifted, time=1e3 * lifted.time)
+    assert any("are times in seconds" in said for said in recording_faults(slow, 1000.0))
+    assert recording_faults(lifted, 1000.0) == []
+
+
+def test_a_rope_ten_times_as_long_as_seen_is_refused(lifted, settings):
+    longer = replace(lifted, object=replace(lifted.object, length=2.5))
+    with pytest.raises(RecordingError, match="is its length in metres"):
+        estimate(longer, settings)
