@@ -118,6 +118,9 @@ class Observation:
 
     def _in_time(self) -> Array:
         """[T, R] functions of the frames by which displacements change, scaled by deviations."""
+        if self.scene.static:
+            # of one shape alone no displacement can be told from a parameter
+            return np.zeros((len(self.scene.frames), 1))
         # frames are the denser the more happens
         at = np.linspace(0.0, 1.0, len(self.scene.frames))
         return _roots(np.exp(-0.5 * ((at[:, None] - at) / self.noise.time_scale) ** 2), 0.01)

@@ -38,8 +38,8 @@ class VerdictSettings:
     """Largest share of points farther away than `straying` times `far`."""
     far: float = 4.0
     below: float = 0.2
-    """Largest share of points that lie under the stated table, by more than 1 cm and the object's
-    thickness."""
+    """Largest share of points that lie under the stated table: by 1 cm and more, of a rope by a
+    quarter of its diameter (and 4 mm) and more."""
     nuisance: float = 5.0
     """Most deviations by which a camera, gripper or clock may differ from what is stated."""
 
@@ -93,8 +93,9 @@ def recording_faults(
                 "in metres?"
             )
     if recording.table_height is not None:
-        thick = recording.object.diameter or recording.object.thickness or 0.0
-        under = float((recording.points[:, 2] < recording.table_height - 0.01 - thick).mean())
+        thick = recording.object.diameter
+        depth = 0.01 if thick is None else min(0.01, max(0.004, 0.25 * thick))
+        under = float((recording.points[:, 2] < recording.table_height - depth).mean())
         if under > s.below:
             found.append(f"{under:.0%} of all points lie under the table: does z point up?")
     if density is not None and not s.density[0] <= density <= s.density[1]:
