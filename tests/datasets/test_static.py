@@ -19,7 +19,8 @@ def loops():
     """[2, 21, 3] two half circles that hang, the second one a millimetre aside."""
     angle = np.linspace(0.0, np.pi, 21)
     line = 0.19 * np.stack([-np.cos(angle), 0.0 * angle, -np.sin(angle)], axis=1)
-    return np.stack([line, line + [1e-3, 0.0, 0.0]])
+    aside = np.array([1e-3, 0.0, 0.0])
+    return np.stack([line, line + aside])
 
 
 def saved(path, meta=META, **arrays):
