@@ -15,16 +15,14 @@ META = {
 }
 
 
-def loops():
-    """[2, 21, 3] two half circles that hang, the second one a millimetre aside."""
-    angle = np.linspace(0.0, np.pi, 21)
-    line = 0.19 * np.stack([-np.cos(angle), 0.0 * angle, -np.sin(angle)], axis=1)
-    aside = np.array([1e-3, 0.0, 0.0])
-    return np.stack([line, line + aside])
+ANGLE = np.linspace(0.0, np.pi, 21)
+LINE = 0.19 * np.stack([-np.cos(ANGLE), 0.0 * ANGLE, -np.sin(ANGLE)], axis=1)
+LOOPS = np.stack([LINE, LINE + np.array([1e-3, 0.0, 0.0])])
+"""[2, 21, 3] two half circles that hang, the second one a millimetre aside [m]."""
 
 
-def saved(path, meta=META, **arrays):
-    np.savez(path, meta=np.array(json.dumps(meta)), **({"loops": loops()} | arrays))
+def saved(path, meta=META, loops=LOOPS):
+    np.savez(path, meta=np.array(json.dumps(meta)), loops=loops)
     return path
 
 
@@ -35,10 +33,11 @@ def test_repeats_are_frames_of_a_rope_that_is_held_at_both_ends(tmp_path):
     assert recording.quasi_static and recording.source == "made up"
     described = recording.object
     assert described.kind == "rope" and described.mass == pytest.approx(0.012)
-    np.testing.assert_allclose(recording.frame(1), loops()[1], atol=1e-6)
+    np.testing.assert_allclose(recording.frame(1), LOOPS[1], atol=1e-6)
     # clamped where the repeats are in the mean, along their first and last piece
     np.testing.assert_allclose(recording.gripper_position[0, 0], [-0.1895, 0.0, 0.0], atol=1e-9)
-    first = loops()[0, 1] - loops()[0, 0]
+    first = LOOPS[0, 1] - LOOPS[0, 0]
+    assert recording.gripper_axis is not None
     np.testing.assert_allclose(
         recording.gripper_axis[0, 0], first / np.linalg.norm(first), atol=1e-9
     )

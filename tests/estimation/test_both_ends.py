@@ -12,7 +12,9 @@ from gendom.estimation.likelihood import Observation
 
 def markers(scene, x):
     """[T, m, 3] where a scene's markers are on simulated shapes [T, n, 3]."""
-    index, weight = Observation(scene).markers
+    found = Observation(scene).markers
+    assert found is not None
+    index, weight = found
     return np.einsum("mk,tmka->tma", weight, x[:, index])
 
 
