@@ -239,3 +239,11 @@ def test_unknown_objects_are_refused_with_those_there_are():
 def test_a_layout_needs_directions_at_right_angles():
     with pytest.raises(ParameterError, match="right angles"):
         Layout(origin=(0, 0, 0), along=(1, 0, 0), across=(1, 1, 0))
+
+
+def test_numbers_of_numpy_are_numbers():
+    """E of an array's element, say, whose repr names its type."""
+    item = find_object("rope-cotton")
+    material = replace(item.material, E=np.float64(item.material.E))
+    world = Reality(replace(item, material=material), Layout(origin=np.array([0.3, 0.0, 0.01])))
+    assert np.isfinite(world.vertices()).all()

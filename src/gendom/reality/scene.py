@@ -269,7 +269,7 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
             f' {place} radius="{item.diameter / 2}" rgba="{colour}">'
             # A rope hardly stretches: its edges are held by constraints, not springs.
             f'<edge equality="true" solref="{2 * step} 1" solimp="0.99 0.999 0.001"/>'
-            f'<elasticity young="{E!r}" poisson="{nu}" damping="{damping}" section="circle"/>'
+            f'<elasticity young="{float(E)!r}" poisson="{nu}" damping="{damping}" section="circle"/>'
             f"{contact}</flexcomp>",
             n,
         )
@@ -283,7 +283,7 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
         f'<flexcomp name="object" type="direct" dim="2" point="{_row(points)}"'
         f' element="{" ".join(map(str, item.sheet[1].ravel()))}"'
         f' {place} radius="{CLOTH_RADIUS}" rgba="{colour}">'
-        f'<elasticity young="{E / thicker!r}" poisson="{nu}" damping="{damping}"'
+        f'<elasticity young="{float(E / thicker)!r}" poisson="{nu}" damping="{damping}"'
         f' thickness="{item.thickness * thicker!r}" elastic2d="both"/>'
         f"{contact}</flexcomp>",
         len(points),
