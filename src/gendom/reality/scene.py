@@ -269,7 +269,8 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
             f' {place} radius="{item.diameter / 2}" rgba="{colour}">'
             # A rope hardly stretches: its edges are held by constraints, not springs.
             f'<edge equality="true" solref="{2 * step} 1" solimp="0.99 0.999 0.001"/>'
-            f'<elasticity young="{float(E)!r}" poisson="{nu}" damping="{damping}" section="circle"/>'
+            f'<elasticity young="{float(E)!r}" poisson="{nu}" damping="{damping}"'
+            f' section="circle"/>'
             f"{contact}</flexcomp>",
             n,
         )
