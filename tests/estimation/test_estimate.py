@@ -1,7 +1,7 @@
 """Known parameters come back from lifts that were simulated with them."""
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -206,6 +206,21 @@ def test_ctrl_c_keeps_the_best_so_far(lifted, settings):
     assert record["iterations"] == 1
     initial = record["starts"][0]["initial"]["specific_modulus"]
     assert record["specific_modulus"] == pytest.approx(initial)
+
+
+def test_ctrl_c_on_the_way_from_calm_to_fast_frames(rope_lift, settings):
+    """The search begins with the calm frames; what it is left with is compared with all."""
+    lifted = rope_lift.seen(frames=24)
+    calm = replace(settings, scene=replace(settings.scene, slow=0.1))
+    scene = Scene.of(lifted, calm.scene)
+    assert 6 <= len(scene.calm) < len(scene.frames)
+
+    def interrupt(progress):
+        raise KeyboardInterrupt
+
+    record = estimate(lifted, calm, on_progress=interrupt).record
+    assert record["interrupted"]
+    assert len(record["rms_by_frame"]) == len(record["compared"]) == len(scene.frames)
 
 
 def test_only_the_last_frame_may_be_compared(rope_lift, lifted, settings):

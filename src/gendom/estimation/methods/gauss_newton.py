@@ -76,9 +76,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
             raise problem.nothing_runs()
         noise, best.damping = stated, settings.damping[0]
         if free is not None or problem.easier is not problem:
-            best.comparison = problem.compare([best.vector])[0]
-            if best.comparison is None:
-                raise problem.nothing_runs()
+            _compare_all(problem, best)
         while iteration < most:
             iteration += 1
             assert best.comparison is not None
@@ -96,7 +94,16 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         best = best_of(starts)
         if best is None:
             raise
+        if best.comparison is None or best.comparison.observation is not problem.observation:
+            _compare_all(problem, best)
     return Found(best=best, starts=starts, noise=noise, interrupted=interrupted)
+
+
+def _compare_all(problem: Problem, start: Start) -> None:
+    """Compare a start of an easier problem with all there is, by all unknowns."""
+    start.comparison = problem.compare([start.vector])[0]
+    if start.comparison is None:
+        raise problem.nothing_runs()
 
 
 def _step(
