@@ -3,6 +3,7 @@
 from gendom.materials.objects import (
     AIR_DENSITY,
     ASSUMED,
+    ASSUMED_SD,
     KINDS,
     LARGEST,
     PARAMETERS,
@@ -25,6 +26,7 @@ from gendom.materials.parameters import Material, bending_length, specific_modul
 __all__ = [
     "AIR_DENSITY",
     "ASSUMED",
+    "ASSUMED_SD",
     "KINDS",
     "LARGEST",
     "PARAMETERS",

@@ -1,0 +1,228 @@
+"""Learning from executions: what was reached updates what is known of the object and of the world.
+
+After each execution of action a_n the reached goal y_n is seen. With f the simulator,
+
+    y_n = f(a_n, theta) + b(a_n) + noise,    theta ~ N(mean, covariance),    b ~ GP(0, k),
+
+the model discrepancy b of Kennedy and O'Hagan (2001), "Bayesian calibration of computer models".
+Parameters are found by Gauss-Newton, b by the Gaussian process's mean given the residuals. So one
+execution that misses teaches damping and E as far as they explain the miss, and the rest is
+expected again of actions nearby.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Item
+from gendom.policies.belief import Belief
+from gendom.policies.polish import Offset
+from gendom.tasks import Task
+from gendom.tasks.world import Simulation, World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Execution:
+    """One action, and what it reached.
+
+    Raises:
+        ParameterError: A number is not finite.
+    """
+
+    action: Array
+    """[A] in SI units."""
+    reached: Array
+    """[G] in SI units."""
+
+    def __post_init__(self) -> None:
+        for name in ("action", "reached"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ParameterError("must be finite numbers", where=f"execution's {name}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"action": self.action.tolist(), "reached": self.reached.tolist()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptSettings:
+    """What is expected of the world.
+
+    Lengths are in units of similarity. The discrepancy is what our simulator and a second reality
+    differ by (docs/tasks.md): 1.6 mm in the mean for ropes of 0.3 m.
+    """
+
+    discrepancy: float = 0.008
+    """Standard deviation of b."""
+    reach: float = 0.1
+    """Distance of actions over which b is alike."""
+    noise: float = 0.002
+    """Standard deviation of what is seen."""
+    iterations: int = 6
+    """Gauss-Newton steps, at most."""
+    step: float = 0.05
+    """Of differences by parameters, in their prior deviations."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Adapted:
+    """What is known after N executions."""
+
+    belief: Belief
+    offset: Offset = field(repr=False)
+    """What the simulator, with the most likely object, is wrong by."""
+    residuals: Array
+    """[N, G] reached less simulated with the most likely object [SI]."""
+
+
+def adapt(
+    task: Task,
+    belief: Belief,
+    executions: Sequence[Execution],
+    *,
+    world: World | None = None,
+    settings: AdaptSettings | None = None,
+) -> Adapted:
+    """Update a belief by executions.
+
+    Args:
+        task: What was done.
+        belief: Before any of them.
+        executions: All that were seen of this object.
+        world: Where they are simulated (default: our simulator).
+        settings: What is expected of the world.
+
+    Raises:
+        ParameterError: The task has no goals, or numbers do not agree.
+        SimulationError: None of them can be simulated.
+    """
+    settings, world = settings or AdaptSettings(), world or Simulation()
+    G = len(task.goals)
+    if not G:
+        raise ParameterError(f"{task.name} has no goals to learn from", where="adapt")
+    for e in executions:
+        if e.reached.shape != (G,) or e.action.shape != (len(task.actions),):
+            raise ParameterError(
+                f"an execution has {e.action.size} numbers of an action and {e.reached.size} of a "
+                f"goal, {task.name} has {len(task.actions)} and {G}",
+                where="executions",
+            )
+    item = belief.item
+    if not executions:
+        return Adapted(belief=belief, offset=_nothing, residuals=np.empty((0, G)))
+    units, goal_units = task.action_units(item), task.goal_units(item)
+    A = np.array([e.action for e in executions]) / units
+    y = np.array([e.reached for e in executions]) / goal_units
+    K = _kernel(A, A, settings) + settings.noise**2 * np.eye(len(A))
+    L = np.linalg.cholesky(K)
+    prior = np.linalg.inv(belief.covariance)
+
+    def simulated(vectors: Sequence[Array]) -> Array:
+        """[V, N, G] in units of similarity; NaN where it failed."""
+        items = [belief.at(v) for v in vectors for _ in executions]
+        rows = np.tile([e.action for e in executions], (len(vectors), 1))
+        found = np.full((len(items), G), np.nan)
+        for row, outcome in zip(found, world.carry_out(task, items, rows), strict=True):
+            if outcome.fault is None:
+                row[:] = [outcome.values[q.name] for q in task.goals]
+        return (found / goal_units).reshape(len(vectors), len(executions), G)
+
+    def whitened(f: Array) -> Array:
+        return solve_triangular(L, y - f, lower=True).ravel()
+
+    def cost(f: Array, v: Array) -> float:
+        d, r = v - belief.mean, whitened(f)
+        return float(r @ r + d @ prior @ d)
+
+    vector, h = belief.mean.copy(), settings.step * belief.sd
+    best = np.inf
+    f, H = y, prior
+    for _ in range(settings.iterations):
+        ends = [vector] + [vector + s * h * e for e in np.eye(len(h)) for s in (1.0, -1.0)]
+        all_f = simulated(ends)
+        if not np.isfinite(all_f).all():
+            raise SimulationError(
+                "an execution cannot be simulated", fix="check the object's numbers and the action"
+            )
+        f, best = all_f[0], cost(all_f[0], vector)
+        r = whitened(f)
+        J = np.stack(
+            [
+                solve_triangular(L, (all_f[1 + 2 * k] - all_f[2 + 2 * k]) / (2.0 * h[k]),
+                                 lower=True).ravel()
+                for k in range(len(h))
+            ],
+            axis=1,
+        )  # fmt: skip
+        H = J.T @ J + prior
+        step = np.linalg.solve(H, J.T @ r - prior @ (vector - belief.mean))
+        # the longest of some steps that pays
+        shares = (1.0, 0.5, 0.25, 0.1)
+        tried = simulated([vector + s * step for s in shares])
+        costs = [cost(g, vector + s * step) for g, s in zip(tried, shares, strict=True)]
+        k = int(np.nanargmin(np.where(np.isfinite(costs), costs, np.inf)))
+        if not costs[k] < best:
+            break
+        gained, best = best - costs[k], costs[k]
+        vector, f = vector + shares[k] * step, tried[k]
+        if gained < 1e-3:
+            break
+    weights = cho_solve(cho_factor(K, lower=True), y - f)
+
+    def offset(action: Array) -> Array:
+        here = np.atleast_2d(np.asarray(action, dtype=float)) / units
+        return (_kernel(here, A, settings) @ weights)[0] * goal_units
+
+    return Adapted(
+        belief=replace(belief, mean=vector, covariance=np.linalg.inv(H)),
+        offset=offset,
+        residuals=(y - f) * goal_units,
+    )
+
+
+def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
+    """From JSON; inverse of `Execution.to_dict`.
+
+    Raises:
+        ParameterError: They are none.
+    """
+    try:
+        return [
+            Execution(
+                action=np.array(row["action"], dtype=float),
+                reached=np.array(row["reached"], dtype=float),
+            )
+            for row in rows
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ParameterError(
+            f"executions cannot be used ({type(error).__name__} {error})", where=where
+        ) from None
+
+
+def uncertain(task: Task, item: Item) -> tuple[str, ...]:
+    """Parameters that the outcome of a task depends on for such an object."""
+    names = ["E", "damping"]
+    if item.kind == "cloth":
+        names.insert(1, "nu")
+    if task.scene(item).table is not None or task.scene(item).self_contact:
+        names.append("friction")
+    return tuple(names)
+
+
+def _nothing(action: ArrayLike) -> Array:
+    return np.zeros(1)
+
+
+def _kernel(a: Array, b: Array, settings: AdaptSettings) -> Array:
+    distance = np.linalg.norm(a[:, None] - b[None], axis=2) / settings.reach
+    return settings.discrepancy**2 * np.exp(-0.5 * distance**2)
