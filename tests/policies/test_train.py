@@ -1,5 +1,6 @@
 """Training, on a toy task whose forward map is known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
+from gendom import learning  # noqa: E402
 from gendom.policies import train as train_module  # noqa: E402
 from gendom.policies.train import Training, goal_range, train  # noqa: E402
 
@@ -178,6 +180,99 @@ def test_failed_training_leaves_the_older_file(tmp_path, monkeypatch):
         train(toy(100), path, Training(epochs=1))
     assert path.read_text() == "older"
     assert [p.name for p in tmp_path.iterdir()] == ["policy.onnx"]
+
+
+def test_interrupted_training_goes_on_to_the_same_policy(tmp_path, monkeypatch):
+    settings = Training(epochs=4, seed=3)
+    whole = train(toy(200), tmp_path / "whole.onnx", settings)
+    monkeypatch.setattr(learning, "STORE_EVERY", 0.0)
+    path, store = tmp_path / "p.onnx", learning.Checkpoint.store
+
+    def stop(stage, after):
+        def stored(self, name, done, *args):
+            store(self, name, done, *args)
+            if (name, done) == (stage, after):
+                raise KeyboardInterrupt
+
+        monkeypatch.setattr(learning.Checkpoint, "store", stored)
+        with pytest.raises(KeyboardInterrupt):
+            train(toy(200), path, settings)
+
+    stop("forward model", 2)
+    kept = tmp_path / "p.onnx.partial.npz"
+    assert kept.exists()
+    stop("policy", 3)
+    fitted = []
+    monkeypatch.setattr(
+        learning.Checkpoint,
+        "store",
+        lambda self, name, done, *args: fitted.append((name, done)),
+    )
+    resumed = train(toy(200), path, settings)
+    assert fitted == [("policy", 4)]
+    assert not kept.exists()
+    goals = np.linspace(1.25, 1.4, 20)
+    given = {"E": 0.4, "nu": 0.3}
+    assert np.array_equal(resumed.actions(goals, given), whole.actions(goals, given))
+
+
+def test_checkpoint_of_another_training_is_not_used(tmp_path, monkeypatch):
+    monkeypatch.setattr(learning, "STORE_EVERY", 0.0)
+    path, clear = tmp_path / "p.onnx", learning.Checkpoint.clear
+    monkeypatch.setattr(learning.Checkpoint, "clear", lambda self: None)
+    train(toy(200), path, Training(epochs=2))
+    monkeypatch.setattr(learning.Checkpoint, "clear", clear)
+    other = train(toy(200), path, Training(epochs=2, seed=1))
+    fresh = train(toy(200), tmp_path / "fresh.onnx", Training(epochs=2, seed=1))
+    goals = np.linspace(1.25, 1.4, 20)
+    given = {"E": 0.4, "nu": 0.3}
+    assert np.array_equal(other.actions(goals, given), fresh.actions(goals, given))
+
+
+@pytest.mark.parametrize("method", ["distal", "inverse"])
+def test_fine_tuning_follows_a_world_that_reaches_farther(tmp_path, method):
+    settings = Training(epochs=60, method=method, finetune_epochs=100)
+    real = toy(300, seed=7)
+    real = replace(real, goal=real.goal + 0.03)
+    # one action for each goal, so that the mean action is one that reaches it
+    sim = toy(1200)
+    if method == "inverse":
+        sim, real = (
+            replace(d, action=np.stack([d.goal[:, 0] - shift, d.goal[:, 0]], axis=1))
+            for d, shift in ((sim, 0.0), (real, 0.03))
+        )
+    plain = train(sim, tmp_path / "plain.onnx", settings)
+    tuned = train(sim, tmp_path / "tuned.onnx", settings, finetune=real)
+    about = tuned.description.training
+    assert (about["demonstrations"], about["finetuned_on"], about["held_out"]) == (1200, 300, 30)
+    new = toy(500, seed=1)
+    if method == "inverse":
+        shift = [acted(p, new)[:, 0] - new.goal[:, 0] for p in (plain, tuned)]
+        assert abs(shift[0].mean()) < 0.01
+        assert abs(shift[1].mean() + 0.03) < 0.015
+        return
+    missed = [
+        np.abs(reach(acted(p, new), new.parameters["E"], new.parameters["nu"]) + 0.03
+               - new.goal[:, 0]).mean()
+        for p in (plain, tuned)
+    ]  # fmt: skip
+    assert missed[0] > 0.02
+    assert missed[1] < 0.5 * missed[0]
+
+
+def test_fine_tuning_on_another_task_is_refused(tmp_path):
+    other = replace(toy(100), goal_names=("z",))
+    with pytest.raises(PolicyError, match="same task"):
+        train(toy(100), tmp_path / "p.onnx", Training(epochs=1), finetune=other)
+
+
+def test_losses_are_logged(tmp_path):
+    pytest.importorskip("tensorboardX", reason="needs the extra `train`")
+    train(toy(200), tmp_path / "p.onnx", Training(epochs=2), tensorboard=tmp_path / "log")
+    (log,) = (tmp_path / "log").iterdir()
+    content = log.read_bytes()
+    for tag in (b"forward model/loss", b"policy/held out"):
+        assert tag in content.replace(b"_", b" ")
 
 
 def test_divergence_is_told(tmp_path):

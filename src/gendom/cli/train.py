@@ -15,6 +15,7 @@ from gendom.materials import PARAMETERS
 
 if TYPE_CHECKING:
     from gendom.policies import Policy
+    from gendom.policies.demonstrations import Demonstrations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +23,8 @@ class Command:
     """Train a policy on simulated demonstrations. Needs the extra `train`.
 
     The file appears when the policy is trained and checked; an older one stays until then. Then
-    it acts in fresh simulated cases, and its errors there are printed.
+    it acts in fresh simulated cases, and its errors there are printed. Stop it and run it again: it
+    goes on where it stopped.
     """
 
     task: tyro.conf.Positional[TaskName]
@@ -31,6 +33,8 @@ class Command:
     """Folder of demonstrations from gendom dataset; what is there of an unfinished set is taken."""
     out: Path
     """ONNX file to write."""
+    finetune: Path | None = None
+    """Folder of further demonstrations, such as real ones, to fine-tune on at the end."""
     method: Literal["distal", "inverse"] | None = None
     """distal: learn what actions do, then teach the policy through that (default). inverse: regress
     actions on goals, as in the paper (default of tasks without goals)."""
@@ -45,23 +49,18 @@ class Command:
     """Fresh cases to act in afterwards; 0: none."""
     seed: int = 0
     """Seed of the training and of the cases."""
+    tensorboard: Path | None = None
+    """Folder to log losses to, for TensorBoard."""
     json: bool = False
     """Print JSON."""
 
     def run(self) -> int:
         from gendom.evaluation import draw_cases, score
-        from gendom.policies.demonstrations import Demonstrations
         from gendom.policies.train import Training, train
 
         sees = _conditions(self.condition)
-        demonstrations = Demonstrations.read(self.data)
-        name = demonstrations.task.get("name")
-        if name != self.task:
-            raise DatasetError(
-                f"holds demonstrations of {name}, not of {self.task}",
-                where=str(self.data),
-                fix="name another folder",
-            )
+        demonstrations = self._read(self.data)
+        finetune = None if self.finetune is None else self._read(self.finetune)
         training = Training(
             method=self.method or ("distal" if demonstrations.goal_names else "inverse"),
             conditioned_on=sees,
@@ -69,13 +68,33 @@ class Command:
             epochs=self.epochs,
             seed=self.seed,
         )
-        policy = train(demonstrations, self.out, training, progress=True)
+        policy = train(
+            demonstrations,
+            self.out,
+            training,
+            finetune=finetune,
+            progress=True,
+            tensorboard=self.tensorboard,
+        )
         summary = summarize(policy)
         if self.cases:
             cases = draw_cases(policy.task(), self.cases, seed=self.seed)
             summary["acted"] = score(policy, cases).summary()
         print(to_json(summary) if self.json else summary_text(summary))
         return 0
+
+    def _read(self, folder: Path) -> Demonstrations:
+        from gendom.policies.demonstrations import Demonstrations
+
+        demonstrations = Demonstrations.read(folder)
+        name = demonstrations.task.get("name")
+        if name != self.task:
+            raise DatasetError(
+                f"holds demonstrations of {name}, not of {self.task}",
+                where=str(folder),
+                fix="name another folder",
+            )
+        return demonstrations
 
 
 def _conditions(words: tuple[str, ...]) -> tuple[str, ...] | None:
@@ -115,7 +134,12 @@ def summary_text(summary: dict[str, Any]) -> str:
     ]
     rows = [
         ("method", f"{summary['method']}, sees {sees}"),
-        ("trained", f"on {training['demonstrations']} demonstrations, seed {training['seed']}"),
+        (
+            "trained",
+            f"on {training['demonstrations']} demonstrations, "
+            + (f"fine-tuned on {training['finetuned_on']}, " if training["finetuned_on"] else "")
+            + f"seed {training['seed']}",
+        ),
         ("held out", f"{training['held_out']} of them, with these errors"),
         *errors,
         ("took", f"{training['seconds']:.3g} s"),

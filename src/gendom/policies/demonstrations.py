@@ -120,3 +120,22 @@ class Demonstrations:
             risk=alike(tuple(risk), [task.risk.unit])[:, 0] if task.risk else None,
             where=where,
         )
+
+
+def joined(first: Demonstrations, second: Demonstrations) -> Demonstrations:
+    """Both, one after the other; of the first's task."""
+
+    def stacked(a: Array, b: Array) -> Array:
+        return np.concatenate([a, b])
+
+    risks = first.risk, second.risk
+    return replace(
+        first,
+        goal=stacked(first.goal, second.goal),
+        action=stacked(first.action, second.action),
+        parameters={
+            name: stacked(values, second.parameters[name])
+            for name, values in first.parameters.items()
+        },
+        risk=None if risks[0] is None or risks[1] is None else stacked(risks[0], risks[1]),
+    )

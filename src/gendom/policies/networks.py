@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-try:
-    import torch
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        "training needs torch; install it with: pip install 'gendom[train]'", name=error.name
-    ) from error
+import torch
 from torch import Tensor, nn
 
 from gendom.policies.policy import Column

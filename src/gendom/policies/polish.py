@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
-from gendom.materials import Item
+from gendom.materials import Item, unit_of
 from gendom.tasks import Task
 from gendom.tasks.world import Simulation, World
 
@@ -145,8 +145,6 @@ class _Problem:
         risk = self.task.risk
         if risk is None:
             return 0.0
-        from gendom.materials import unit_of
-
         share = values[risk.name] / (risk.limit * unit_of(risk.unit, item))
         return self.settings.caution * max(0.0, share - self.settings.margin)
 
@@ -159,7 +157,7 @@ class _Problem:
         allowed = [self._allowed(a) for a in ends]
         r = self.residuals(allowed)
         found = []
-        for n, a in enumerate(actions):
+        for n in range(len(actions)):
             at = n * (2 * A + 1)
             J = np.zeros((len(r[at]), A))
             for k in range(A):
@@ -260,7 +258,8 @@ def polish(
 def _step(p: _Point) -> Array:
     H = p.J.T @ p.J
     D = np.maximum(np.diag(H), 1e-6 * max(float(np.trace(H)), 1e-12))
-    return -np.linalg.solve(H + p.damping * np.diag(D) + 1e-15 * np.eye(len(H)), p.J.T @ p.r)
+    damped = H + p.damping * np.diag(D) + 1e-15 * np.eye(len(H))
+    return np.asarray(np.linalg.solve(damped, -p.J.T @ p.r), dtype=float)
 
 
 def _better(old: _Point, new: _Point, settings: PolishSettings) -> _Point:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
@@ -13,15 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-try:
-    import torch
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        "training needs torch; install it with: pip install 'gendom[train]'", name=error.name
-    ) from error
+from gendom.learning import Epoch, FitSettings, export_onnx, fit  # explains a missing torch
 
 # isort: split
-import onnx
+import torch
 from torch import Tensor, nn
 
 from gendom.errors import ParameterError, SimulationError
@@ -46,8 +40,6 @@ OUTPUTS = ("mean", "log_variance")
 
 AGREEMENT = 1e-5
 """Largest difference allowed between onnxruntime and torch."""
-
-_OPSET = 17
 
 
 class PointNet(nn.Module):
@@ -194,67 +186,51 @@ def _fit(
     training: PointNetTraining,
     on_epoch: Callable[[int, float], None] | None,
 ) -> None:
-    batch = min(training.batch_size, len(target))
-    steps = len(target) // batch
-    optimizer = torch.optim.AdamW(
-        network.parameters(), lr=training.learning_rate, weight_decay=training.weight_decay
-    )
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer,
-        max_lr=training.learning_rate,
-        total_steps=training.epochs * steps + 1,
-        pct_start=0.1,
-        cycle_momentum=False,
-    )
-    for epoch in range(training.epochs):
-        total = 0.0
-        for rows in torch.randperm(len(target))[: steps * batch].split(batch):
-            mean, log_variance = network(*(made[name][rows] for name in INPUTS))
-            off = ((mean - target[rows]) / network.scale) ** 2
-            if epoch < training.means_first * training.epochs:
-                # variances wait
-                loss = off.mean() + 0.0 * log_variance.sum()
-            else:
-                own = log_variance - 2.0 * torch.log(network.scale)
-                # weighted by their own deviation, so that hard cases go on being learnt
-                # (Seitzer et al. 2022)
-                weight = torch.exp(0.5 * own).detach()
-                loss = (weight * (off * torch.exp(-own) + own)).mean()
-            optimizer.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimizer.step()
-            schedule.step()
-            total += loss.item() / steps
-        if not math.isfinite(total):
-            raise ParameterError(
-                f"training diverged in epoch {epoch + 1}", fix="lower the learning rate"
-            )
+    done = 0
+
+    def loss_of(rows: Tensor) -> Tensor:
+        mean, log_variance = network(*(made[name][rows] for name in INPUTS))
+        off = ((mean - target[rows]) / network.scale) ** 2
+        if done < training.means_first * training.epochs:
+            # variances wait
+            return off.mean() + 0.0 * log_variance.sum()
+        own = log_variance - 2.0 * torch.log(network.scale)
+        # weighted by their own deviation, so that hard cases go on being learnt (Seitzer et al.
+        # 2022)
+        weight = torch.exp(0.5 * own).detach()
+        return (weight * (off * torch.exp(-own) + own)).mean()
+
+    def count(epoch: Epoch) -> None:
+        nonlocal done
+        done = epoch.done
         if on_epoch is not None:
-            on_epoch(epoch + 1, total)
+            on_epoch(epoch.done, epoch.loss)
+
+    settings = FitSettings(
+        epochs=training.epochs,
+        batch_size=training.batch_size,
+        learning_rate=training.learning_rate,
+        weight_decay=training.weight_decay,
+    )
+    fit(
+        network,
+        loss_of,
+        torch.arange(len(target)),
+        settings,
+        on_epoch=count,
+        error=ParameterError,
+    )
 
 
 def _export(network: PointNet, made: dict[str, Tensor], path: Path, about: dict) -> None:
-    example = tuple(made[name][:2] for name in INPUTS)
     with atomic_path(path) as temporary:
-        with warnings.catch_warnings():
-            # the exporter that torch recommends instead needs a further package
-            warnings.simplefilter("ignore", DeprecationWarning)
-            torch.onnx.export(
-                network,
-                example,
-                str(temporary),
-                input_names=list(INPUTS),
-                output_names=list(OUTPUTS),
-                dynamic_axes={name: {0: "batch"} for name in (*INPUTS, *OUTPUTS)},
-                opset_version=_OPSET,
-                dynamo=False,
-            )
-        model = onnx.load(str(temporary))
-        entry = model.metadata_props.add()
-        entry.key, entry.value = METADATA_KEY, json.dumps({"format": FORMAT, **about})
-        onnx.checker.check_model(model)
-        onnx.save(model, str(temporary))
+        export_onnx(
+            network,
+            temporary,
+            inputs={name: made[name][:2] for name in INPUTS},
+            outputs=OUTPUTS,
+            metadata={METADATA_KEY: json.dumps({"format": FORMAT, **about})},
+        )
         session, _ = read_network(temporary)
         chosen = {name: made[name][:64] for name in INPUTS}
         with torch.no_grad():
