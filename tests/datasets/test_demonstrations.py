@@ -381,7 +381,7 @@ def test_rope_reaching_is_reproducible(tmp_path):
     assert np.all((goals > 0.25) & (goals < 0.5))
     shard(tmp_path / "set", 1).unlink()
     assert generate(source, 3, tmp_path / "set", seed=1, shard_size=2).equals(table)
-    other = replace(source, simulation=Simulation(air_density=0.5))
+    other = replace(source, world=Simulation(air_density=0.5))
     with pytest.raises(DatasetError, match=r"simulation\.air_density is 1\.2 there and 0\.5 here"):
         generate(other, 3, tmp_path / "set", seed=1, shard_size=2)
 

@@ -30,7 +30,7 @@ class Formula(Simulation):
 
 def demonstrator(kind: type[Task] = RopeReaching, **settings):
     item = Rope(length=0.5, diameter=0.02)
-    return Demonstrator(task=kind(item=item, **settings), simulation=Formula())
+    return Demonstrator(task=kind(item=item, **settings), world=Formula())
 
 
 @pytest.fixture

@@ -38,6 +38,12 @@ class Command:
     """cpu, cuda, cuda:0 and so on; several (cuda:0,cuda:1) or all GPUs share the work."""
     cluster: str | None = None
     """A Ray cluster that shares the work: local, auto or ray://HOST:PORT (docs/cluster.md)."""
+    world: Literal["simulation", "reality"] = "simulation"
+    """Where: our simulator, or the second reality (docs/reality.md)."""
+    objects: tuple[str, ...] = ()
+    """Objects of the second reality (names or TOML files) to draw from, in place of random ones."""
+    jobs: int = 1
+    """Processes that carry out trials in the second reality."""
     engine: Literal["thin", "mpm"] = "thin"
     """Ropes as rods and cloths as shells, or particles on a grid."""
     dtype: Literal["float32", "float64"] | None = None
@@ -56,17 +62,22 @@ class Command:
         from gendom.datasets.demonstrations import generate
         from gendom.tasks import find_task
         from gendom.tasks.demonstrator import Demonstrator
-        from gendom.tasks.world import Simulation
+        from gendom.tasks.world import Simulation, World
 
         began = time.monotonic()
         kind = find_task(self.task)
         ranges = {**kind().ranges, **{name: (low, high) for name, low, high in self.range}}
-        source = Demonstrator(
-            task=kind(ranges=ranges),
-            simulation=Simulation(
-                engine=self.engine, dtype=self.dtype, cells_across=self.cells_across
-            ),
+        world: World = Simulation(
+            engine=self.engine, dtype=self.dtype, cells_across=self.cells_across
         )
+        items = ()
+        if self.world == "reality" or self.objects:
+            from gendom.reality import RealWorld, find_object
+
+            items = tuple(find_object(name) for name in self.objects)
+            if self.world == "reality":
+                world = RealWorld(jobs=self.jobs)
+        source = Demonstrator(task=kind(ranges=ranges), world=world, items=items)
         if self.size < 1:
             raise ParameterError(f"is {self.size}", where="--size", fix="give 1 or more")
         with tqdm(total=self.size, unit="demo", desc=self.task, smoothing=0.0, disable=None) as bar:

@@ -35,6 +35,8 @@ class Command:
     ones."""
     free_hand: bool = False
     """In the second reality, a free hand acts, not the arm."""
+    jobs: int = 1
+    """Processes that carry out trials in the second reality."""
     cases: int = 50
     """Number of objects and goals."""
     seed: int = 0
@@ -65,7 +67,7 @@ class Command:
 
             items = [find_object(name) for name in self.objects]
             if self.world == "reality":
-                world = RealWorld(robot=not self.free_hand)
+                world = RealWorld(robot=not self.free_hand, jobs=self.jobs)
         if self.free_hand and self.world != "reality":
             raise ParameterError("needs --world reality", where="--free-hand")
         cases = draw_cases(

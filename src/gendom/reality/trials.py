@@ -7,15 +7,18 @@ hand that follows the same path exactly. `RealWorld` does so for tasks.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from gendom.errors import RobotError, SimulationError
+from gendom.errors import DeviceError, RobotError, SimulationError
 from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
 from gendom.perception.camera import Camera
 from gendom.reality.arm import RobotArm, surroundings
@@ -32,9 +35,9 @@ ROPE_LIFT_SPEED, CLOTH_LIFT_SPEED = 0.05, 0.1
 RISE = 0.75
 """Height of a rope's lift, in its lengths; of a cloth's, in its sides."""
 
-LIFT_TIMESTEP = 0.00025
-"""MuJoCo's timestep in lifts of ropes [s]: at its default of 1 ms a rope of 2.5 ms is damped like
-one of 3.5 ms, at this one like one of 2.8 ms."""
+ROPE_TIMESTEP = 0.00025
+"""MuJoCo's timestep in trials with ropes [s]: at its default of 1 ms a rope of 2.5 ms is damped
+like one of 3.5 ms, at this one like one of 2.8 ms."""
 
 TIP_HEIGHT = 0.002
 """The lowest that the tool point goes above the table [m]: the pads reach 1.1 mm below it."""
@@ -240,7 +243,7 @@ def lift(
         reach=_rope_reach(item) if rope else FINGER_WIDTH,
         end=path.end,
         quasi_static=rope and end == "hold",
-        timestep=LIFT_TIMESTEP if rope else None,
+        timestep=ROPE_TIMESTEP if rope else None,
         quick=end != "hold",
     )
 
@@ -290,6 +293,7 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
         grasp="center" if task.kind == "cloth" else "end",
         reach=scene.grip,
         end=START_DELAY - closes + float(task.times(item)[-1]),
+        timestep=ROPE_TIMESTEP if task.kind == "rope" else None,
     )
 
 
@@ -302,9 +306,11 @@ class RealWorld:
     air_density: float = AIR_DENSITY
     """[kg/m^3]."""
     timestep: float | None = None
-    """MuJoCo's [s]; None: the default of the object's kind."""
+    """MuJoCo's [s]; None: the trial's."""
     frame_rate: float = 100.0
     """At which objects are looked at [1/s]."""
+    jobs: int = 1
+    """Processes that carry out trials side by side."""
 
     def carry_out(
         self,
@@ -322,18 +328,29 @@ class RealWorld:
             DeviceError: MuJoCo is not installed.
         """
         wanted = check_actions(task, items, actions)
+        one = functools.partial(_carried_out, self, task, keep)
+        many = self.jobs > 1 and len(items) > 1
         outcomes = []
-        for done, (item, action) in enumerate(zip(items, wanted, strict=True)):
-            try:
-                seen = observe(task, self.performance(task, item, action), self.frame_rate)
-            except (RobotError, SimulationError) as error:
-                outcomes.append(Outcome(values={}, fault=str(error)))
-            else:
-                values = task.outcome(item, seen)
-                outcomes.append(Outcome(values=values, seen=seen if keep else None))
+        for outcome in (_workers(self.jobs).map if many else map)(one, items, wanted):
+            outcomes.append(outcome)
             if on_frame is not None:
-                on_frame(done + 1)
+                on_frame(len(outcomes))
         return outcomes
+
+    def on(self, device: str) -> RealWorld:
+        """As `World.on`.
+
+        Raises:
+            DeviceError: It is not the CPU.
+        """
+        if device != "cpu":
+            raise DeviceError(f"the second reality runs on the CPU, not on {device}")
+        return self
+
+    def settings(self) -> dict[str, Any]:
+        """As `World.settings`."""
+        own = {name: getattr(self, name) for name in ("robot", "air_density", "timestep")}
+        return {"world": "reality", **own}
 
     def performance(self, task: Task, item: Item, action: npt.ArrayLike) -> Performance:
         """A task about to be carried out.
@@ -348,6 +365,22 @@ class RealWorld:
             air_density=self.air_density,
             timestep=self.timestep,
         )
+
+
+def _carried_out(
+    world: RealWorld, task: Task, keep: bool, item: Item, action: npt.NDArray[np.float64]
+) -> Outcome:
+    try:
+        seen = observe(task, world.performance(task, item, action), world.frame_rate)
+    except (RobotError, SimulationError) as error:
+        return Outcome(values={}, fault=str(error))
+    return Outcome(values=task.outcome(item, seen), seen=seen if keep else None)
+
+
+@functools.cache
+def _workers(jobs: int) -> ProcessPoolExecutor:
+    """Processes that stay, since each needs seconds to begin."""
+    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
 
 
 def observe(task: Task, performance: Performance, frame_rate: float = 100.0) -> Observed:

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from gendom.datasets.demonstrations import GOAL, Outcomes
-from gendom.materials import from_columns, to_columns
+from gendom.materials import Item, from_columns, to_columns
 from gendom.tasks.task import Task
-from gendom.tasks.world import Simulation
+from gendom.tasks.world import Simulation, World
 
 
 @dataclass(frozen=True, kw_only=True)
 class Demonstrator:
-    """Draws demonstrations of a task and simulates them, see `gendom.datasets.generate`."""
+    """Draws demonstrations of a task and carries them out, see `gendom.datasets.generate`."""
 
     task: Task
-    simulation: Simulation = field(default_factory=Simulation)
+    world: World = field(default_factory=Simulation)
+    items: tuple[Item, ...] = ()
+    """Objects to draw from in place of the task's own."""
 
     def about(self) -> dict[str, Any]:
         """What all demonstrations have in common, ready for JSON."""
-        task, how = self.task, asdict(self.simulation)
-        for name in ("device", "threads", "everything"):  # change nothing, or rounding only
-            del how[name]
+        task = self.task
+        objects = {"objects": [to_columns(i) for i in self.items]} if self.items else {}
         return {
             "task": {"name": task.name, **task.settings()},
             "kind": task.kind,
@@ -33,12 +34,14 @@ class Demonstrator:
             "action_units": [q.unit for q in task.actions],
             "goal_names": [q.name for q in task.goals],
             "goal_units": [q.unit for q in task.goals],
-            "simulation": how,
+            "simulation": self.world.settings(),
+            **objects,
         }
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
         """One demonstration's object and action, by column name, in SI units."""
-        item = self.task.draw_item(rng)
+        items = self.items
+        item = items[rng.integers(len(items))] if items else self.task.draw_item(rng)
         action = self.task.sample_actions(item, rng, 1)[0]
         names = [q.name for q in self.task.actions]
         return {**to_columns(item), **dict(zip(names, map(float, action), strict=True))}
@@ -62,8 +65,7 @@ class Demonstrator:
         task = self.task
         items = [from_columns(task.kind, draw) for draw in draws]
         drawn = np.array([[draw[q.name] for q in task.actions] for draw in draws])
-        world = replace(self.simulation, device=device)
-        actions, outcomes = task.demonstrate(world, items, drawn, on_frame=on_frame)
+        actions, outcomes = task.demonstrate(self.world.on(device), items, drawn, on_frame=on_frame)
         goals = [q.name for q in task.goals]
         done = [o.values for o in outcomes if o.fault is None]
         names = list(done[0]) if done else goals

@@ -8,8 +8,8 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,6 +65,18 @@ class World(Protocol):
         Raises:
             ParameterError: An action is out of its limits, or numbers do not agree.
         """
+        ...
+
+    def on(self, device: str) -> World:
+        """The same on another device.
+
+        Raises:
+            DeviceError: There is none for this world.
+        """
+        ...
+
+    def settings(self) -> dict[str, Any]:
+        """What outcomes depend on beyond rounding, ready for JSON."""
         ...
 
 
@@ -137,6 +149,15 @@ class Simulation:
             for part in (slice(0, half), slice(half, None))
             for outcome in self._as_memory_allows(task, items[part], actions[part], keep, on_frame)
         ]
+
+    def on(self, device: str) -> Simulation:
+        """As `World.on`."""
+        return replace(self, device=device)
+
+    def settings(self) -> dict[str, Any]:
+        """As `World.settings`."""
+        names = ("engine", "dtype", "cells_across", "air_density")
+        return {name: getattr(self, name) for name in names}
 
     def body(self, task: Task, item: Item) -> tuple[Body, NDArray[np.floating]]:
         """An object and where its particles or points [N, 3] are at first [m]."""
