@@ -17,17 +17,24 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item
 from gendom.policies.belief import Belief
-from gendom.policies.polish import Offset
+from gendom.policies.polish import Discrepancy
+from gendom.policies.rollouts import Asking, Rollouts, side_by_side
 from gendom.tasks import Task
 from gendom.tasks.world import Simulation, World
 
 Array = NDArray[np.float64]
+
+SHARES = (1.0, 0.5, 0.25, 0.1)
+"""Of a Gauss-Newton step, simulated side by side."""
+
+ENOUGH = 1e-3
+"""Gain in the sum of squares that ends the search."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,7 +70,7 @@ class AdaptSettings:
 
     discrepancy: float = 0.008
     """Standard deviation of b."""
-    reach: float = 0.1
+    reach: float = 0.05
     """Distance of actions over which b is alike."""
     noise: float = 0.002
     """Standard deviation of what is seen."""
@@ -78,8 +85,8 @@ class Adapted:
     """What is known after N executions."""
 
     belief: Belief
-    offset: Offset = field(repr=False)
-    """What the simulator, with the most likely object, is wrong by."""
+    discrepancy: Discrepancy | None = field(repr=False)
+    """What the simulator, with the most likely object, is wrong by; None: nothing was seen."""
     residuals: Array
     """[N, G] reached less simulated with the most likely object [SI]."""
 
@@ -103,22 +110,25 @@ def adapt(
 
     Raises:
         ParameterError: The task has no goals, or numbers do not agree.
-        SimulationError: None of them can be simulated.
+        SimulationError: One of them cannot be simulated.
     """
-    settings, world = settings or AdaptSettings(), world or Simulation()
-    G = len(task.goals)
-    if not G:
-        raise ParameterError(f"{task.name} has no goals to learn from", where="adapt")
-    for e in executions:
-        if e.reached.shape != (G,) or e.action.shape != (len(task.actions),):
-            raise ParameterError(
-                f"an execution has {e.action.size} numbers of an action and {e.reached.size} of a "
-                f"goal, {task.name} has {len(task.actions)} and {G}",
-                where="executions",
-            )
-    item = belief.item
+    search = adapting(task, belief, executions, settings=settings)
+    return side_by_side(task, world or Simulation(), [search])[0]
+
+
+def adapting(
+    task: Task,
+    belief: Belief,
+    executions: Sequence[Execution],
+    *,
+    settings: AdaptSettings | None = None,
+) -> Asking[Adapted]:
+    """`adapt` as a search that asks for rollouts, for many at once (`side_by_side`)."""
+    settings = settings or AdaptSettings()
+    _check(task, executions)
+    G, item = len(task.goals), belief.item
     if not executions:
-        return Adapted(belief=belief, offset=_nothing, residuals=np.empty((0, G)))
+        return Adapted(belief=belief, discrepancy=None, residuals=np.empty((0, G)))
     units, goal_units = task.action_units(item), task.goal_units(item)
     A = np.array([e.action for e in executions]) / units
     y = np.array([e.reached for e in executions]) / goal_units
@@ -126,65 +136,60 @@ def adapt(
     L = np.linalg.cholesky(K)
     prior = np.linalg.inv(belief.covariance)
 
-    def simulated(vectors: Sequence[Array]) -> Array:
+    def simulated(vectors: Sequence[Array]) -> Asking[Array]:
         """[V, N, G] in units of similarity; NaN where it failed."""
         items = [belief.at(v) for v in vectors for _ in executions]
-        rows = np.tile([e.action for e in executions], (len(vectors), 1))
+        outcomes = yield Rollouts(
+            items=items, actions=[e.action for _ in vectors for e in executions]
+        )
         found = np.full((len(items), G), np.nan)
-        for row, outcome in zip(found, world.carry_out(task, items, rows), strict=True):
+        for row, outcome in zip(found, outcomes, strict=True):
             if outcome.fault is None:
                 row[:] = [outcome.values[q.name] for q in task.goals]
         return (found / goal_units).reshape(len(vectors), len(executions), G)
 
     def whitened(f: Array) -> Array:
-        return solve_triangular(L, y - f, lower=True).ravel()
+        return np.asarray(solve_triangular(L, f, lower=True)).ravel()
 
     def cost(f: Array, v: Array) -> float:
-        d, r = v - belief.mean, whitened(f)
+        d, r = v - belief.mean, whitened(y - f)
         return float(r @ r + d @ prior @ d)
 
     vector, h = belief.mean.copy(), settings.step * belief.sd
-    best = np.inf
     f, H = y, prior
     for _ in range(settings.iterations):
         ends = [vector] + [vector + s * h * e for e in np.eye(len(h)) for s in (1.0, -1.0)]
-        all_f = simulated(ends)
+        all_f = yield from simulated(ends)
         if not np.isfinite(all_f).all():
             raise SimulationError(
                 "an execution cannot be simulated", fix="check the object's numbers and the action"
             )
-        f, best = all_f[0], cost(all_f[0], vector)
-        r = whitened(f)
-        J = np.stack(
-            [
-                solve_triangular(L, (all_f[1 + 2 * k] - all_f[2 + 2 * k]) / (2.0 * h[k]),
-                                 lower=True).ravel()
-                for k in range(len(h))
-            ],
-            axis=1,
-        )  # fmt: skip
+        f = all_f[0]
+        slopes = (all_f[1::2] - all_f[2::2]) / (2.0 * h[:, None, None])
+        J = np.stack([whitened(slope) for slope in slopes], axis=1)
         H = J.T @ J + prior
-        step = np.linalg.solve(H, J.T @ r - prior @ (vector - belief.mean))
-        # the longest of some steps that pays
-        shares = (1.0, 0.5, 0.25, 0.1)
-        tried = simulated([vector + s * step for s in shares])
-        costs = [cost(g, vector + s * step) for g, s in zip(tried, shares, strict=True)]
-        k = int(np.nanargmin(np.where(np.isfinite(costs), costs, np.inf)))
-        if not costs[k] < best:
+        step = np.linalg.solve(H, J.T @ whitened(y - f) - prior @ (vector - belief.mean))
+        # the best of some steps, if it pays
+        tried = yield from simulated([vector + share * step for share in SHARES])
+        costs = [cost(g, vector + share * step) for g, share in zip(tried, SHARES, strict=True)]
+        k = int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))
+        gained = cost(f, vector) - costs[k]
+        if not gained > 0.0:
             break
-        gained, best = best - costs[k], costs[k]
-        vector, f = vector + shares[k] * step, tried[k]
-        if gained < 1e-3:
+        vector, f = vector + SHARES[k] * step, tried[k]
+        if gained < ENOUGH:
             break
-    weights = cho_solve(cho_factor(K, lower=True), y - f)
+    weights = np.linalg.solve(K, y - f)
 
-    def offset(action: Array) -> Array:
+    def discrepancy(action: Array) -> tuple[Array, float]:
         here = np.atleast_2d(np.asarray(action, dtype=float)) / units
-        return (_kernel(here, A, settings) @ weights)[0] * goal_units
+        k = _kernel(here, A, settings)
+        variance = settings.discrepancy**2 - (k @ np.linalg.solve(K, k.T))[0, 0]
+        return (k @ weights)[0] * goal_units, float(np.sqrt(max(variance, 0.0)) * goal_units[0])
 
     return Adapted(
         belief=replace(belief, mean=vector, covariance=np.linalg.inv(H)),
-        offset=offset,
+        discrepancy=discrepancy,
         residuals=(y - f) * goal_units,
     )
 
@@ -219,8 +224,17 @@ def uncertain(task: Task, item: Item) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _nothing(action: ArrayLike) -> Array:
-    return np.zeros(1)
+def _check(task: Task, executions: Sequence[Execution]) -> None:
+    G, A = len(task.goals), len(task.actions)
+    if not G:
+        raise ParameterError(f"{task.name} has no goals to learn from", where="adapt")
+    for e in executions:
+        if e.reached.shape != (G,) or e.action.shape != (A,):
+            raise ParameterError(
+                f"an execution has {e.action.size} numbers of an action and {e.reached.size} of a "
+                f"goal, {task.name} has {A} and {G}",
+                where="executions",
+            )
 
 
 def _kernel(a: Array, b: Array, settings: AdaptSettings) -> Array:

@@ -3,31 +3,39 @@
 The miss of an action is simulated for objects that are plausible, and its mean square over them is
 brought down by damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963):
 
-    min over a of  sum_k |f(a, object_k) + b(a) - g|^2 / K  +  sum_k caution(risk_k)^2 / K,
+    min over a of  sum_k |f(a, object_k) + b(a) - g|^2 / K + sum_k caution(risk_k)^2 / K + s(a)^2,
 
-where f is what the simulator says is reached and b what executions have shown it to be wrong by
-(`gendom.policies.adapt`). Actions whose outcome hardly depends on what is uncertain win. An action
-has one to three numbers, so its derivatives are central differences of worlds side by side.
+where f is what the simulator says is reached, b what executions have shown it to be wrong by, and
+s the doubt that they leave (`gendom.policies.adapt`). Actions whose outcome hardly depends on what
+is uncertain win. An action has one to three numbers, so its derivatives are central differences of
+worlds side by side.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item, unit_of
+from gendom.policies.rollouts import Asking, Rollouts, side_by_side
 from gendom.tasks import Task
-from gendom.tasks.world import Simulation, World
+from gendom.tasks.world import Outcome, Simulation, World
 
 Array = NDArray[np.float64]
 
-Offset = Callable[[Array], Array]
-"""From an action [A] to what the simulator is wrong by there [G], in SI units."""
+
+class Discrepancy(Protocol):
+    """What executions have shown the simulator to be wrong by."""
+
+    def __call__(self, action: Array) -> tuple[Array, float]:
+        """Mean [G] and standard deviation of it at an action [A], in SI units."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,9 +109,8 @@ class _Problem:
     task: Task
     goal: Array
     items: Sequence[Item]
-    world: World
     settings: PolishSettings
-    offset: Offset | None
+    discrepancy: Discrepancy | None
     rollouts: int = 0
     units: Array = field(init=False)
     goal_units: Array = field(init=False)
@@ -113,49 +120,55 @@ class _Problem:
         self.units = self.task.action_units(first)
         self.goal_units = self.task.goal_units(first)
 
-    def residuals(self, actions: Sequence[Array]) -> list[Array]:
-        """Of each action in units of similarity: [K (G or 1, and 1 for the risk)], weighted so
-        that their square is the mean over the K objects; infinite where a simulation failed."""
-        task, K = self.task, len(self.items)
+    def residuals(self, actions: Sequence[Array]) -> Asking[list[Array]]:
+        """Of each action in units of similarity: [K (G or 1, and 1 for the risk) + 1 for the
+        discrepancy's doubt], weighted so that their square is the mean over the K objects;
+        infinite where a simulation failed."""
+        K = len(self.items)
         items = [item for _ in actions for item in self.items]
         rows = np.repeat(np.array(actions) * self.units, K, axis=0)
-        # differences may look a little beyond the limits
-        rows = np.array([task.nearest(i, a) for i, a in zip(items, rows, strict=True)])
-        outcomes = self.world.carry_out(task, items, rows)
+        # objects of one size may differ in what they allow
+        rows = [self.task.nearest(i, a) for i, a in zip(items, rows, strict=True)]
+        outcomes = yield Rollouts(items=items, actions=rows)
         self.rollouts += len(items)
+        unit = self.goal_units[0] if self.task.goals else 1.0
         found = []
         for n, action in enumerate(actions):
-            wrong = 0.0 if self.offset is None else self.offset(action * self.units)
-            parts = []
-            for item, outcome in zip(self.items, outcomes[n * K : (n + 1) * K], strict=True):
-                if outcome.fault is not None:
-                    parts.append(np.full(len(self.goal) + 1, np.inf))
-                    continue
-                values = outcome.values
-                if task.goals:
-                    reached = np.array([values[q.name] for q in task.goals]) + wrong
-                    miss = (reached - self.goal) / self.goal_units
-                else:
-                    miss = np.array([task.error(item, self.goal, values)])
-                parts.append(np.append(miss, self._caution(item, values)))
+            wrong, doubt = np.zeros(len(self.goal)), 0.0
+            if self.discrepancy is not None:
+                wrong, doubt = self.discrepancy(action * self.units)
+            parts = [
+                self._residual(item, outcome, wrong)
+                for item, outcome in zip(self.items, outcomes[n * K : (n + 1) * K], strict=True)
+            ]
+            parts.append(np.array([np.sqrt(K) * doubt / unit]))
             found.append(np.concatenate(parts) / np.sqrt(K))
         return found
 
-    def _caution(self, item: Item, values: dict[str, float]) -> float:
-        risk = self.task.risk
-        if risk is None:
-            return 0.0
-        share = values[risk.name] / (risk.limit * unit_of(risk.unit, item))
-        return self.settings.caution * max(0.0, share - self.settings.margin)
+    def _residual(self, item: Item, outcome: Outcome, wrong: Array) -> Array:
+        """[G or 1, and 1 for the risk] of one object."""
+        task, values = self.task, outcome.values
+        if outcome.fault is not None:
+            return np.full(max(len(task.goals), 1) + 1, np.inf)
+        if task.goals:
+            reached = np.array([values[q.name] for q in task.goals]) + wrong
+            miss = (reached - self.goal) / self.goal_units
+        else:
+            miss = np.array([task.error(item, self.goal, values)])
+        caution = 0.0
+        if task.risk is not None:
+            share = values[task.risk.name] / (task.risk.limit * unit_of(task.risk.unit, item))
+            caution = self.settings.caution * max(0.0, share - self.settings.margin)
+        return np.append(miss, caution)
 
-    def points(self, actions: Sequence[Array]) -> list[_Point]:
+    def points(self, actions: Sequence[Array]) -> Asking[list[_Point]]:
         """Actions with residuals and derivatives, all simulated side by side."""
         h, A = self.settings.step, len(self.units)
         ends = []
         for a in actions:
             ends += [a] + [a + sign * h * e for e in np.eye(A) for sign in (1.0, -1.0)]
         allowed = [self._allowed(a) for a in ends]
-        r = self.residuals(allowed)
+        r = yield from self.residuals(allowed)
         found = []
         for n in range(len(actions)):
             at = n * (2 * A + 1)
@@ -181,7 +194,7 @@ def polish(
     *,
     world: World | None = None,
     settings: PolishSettings | None = None,
-    offset: Offset | None = None,
+    discrepancy: Discrepancy | None = None,
 ) -> Polished:
     """The action whose miss is smallest over objects that are plausible.
 
@@ -192,12 +205,26 @@ def polish(
         start: [A] where to begin, such as a policy's action, in SI units.
         world: Where it is simulated (default: our simulator).
         settings: How long and how far to look.
-        offset: What is added to what the simulator says is reached.
+        discrepancy: What is added to what the simulator says is reached.
 
     Raises:
         ParameterError: Numbers do not agree, or the start is not allowed.
         SimulationError: No action could be simulated.
     """
+    search = polishing(task, goal, items, start, settings=settings, discrepancy=discrepancy)
+    return side_by_side(task, world or Simulation(), [search])[0]
+
+
+def polishing(
+    task: Task,
+    goal: ArrayLike,
+    items: Sequence[Item],
+    start: ArrayLike,
+    *,
+    settings: PolishSettings | None = None,
+    discrepancy: Discrepancy | None = None,
+) -> Asking[Polished]:
+    """`polish` as a search that asks for rollouts, for many at once (`side_by_side`)."""
     began = time.monotonic()
     settings = settings or PolishSettings()
     wanted = np.atleast_1d(np.asarray(goal, dtype=float)) if task.goals else np.empty(0)
@@ -206,50 +233,47 @@ def polish(
     if not items:
         raise ParameterError("no object to polish for", fix="give one or more")
     problem = _Problem(
-        task=task,
-        goal=wanted,
-        items=items,
-        world=world or Simulation(),
-        settings=settings,
-        offset=offset,
+        task=task, goal=wanted, items=items, settings=settings, discrepancy=discrepancy
     )
     first = task.check_action(items[0], start) / problem.units
     rng = np.random.default_rng(settings.seed)
     others = task.sample_actions(items[0], rng, settings.candidates) / problem.units
     tried = [first, *others]
-    costs = np.array([float(r @ r) for r in problem.residuals(tried)])
+    r = yield from problem.residuals(tried)
+    costs = np.array([float(x @ x) for x in r])
     if not np.isfinite(costs).any():
         raise SimulationError(
             f"no action of {task.name} can be simulated with this {task.kind}",
             fix="check the object's numbers",
         )
-    before = costs[0]
-    # the start has first call: another must be clearly better
-    order = [0, *(1 + np.argsort(costs[1:], kind="stable")[: settings.kept - 1])]
-    if not np.isfinite(before):
-        order = list(np.argsort(costs, kind="stable")[: settings.kept])
-    points = problem.points([tried[k] for k in order])
-    if not task.goals:  # differences of a share that is met or not tell no direction
-        points = [_Point(a=tried[k], r=np.array([np.sqrt(costs[k])]), J=np.zeros((1, 1)), done=True)
-                  for k in [int(np.argmin(costs))]]  # fmt: skip
-    a_round = (time.monotonic() - began) / (len(tried) / (len(points) * (2 * len(first) + 1)))
+    order = np.argsort(costs, kind="stable")
+    if task.goals:
+        # the start is polished too: the policy may know better than a few draws
+        order = [0, *(k for k in order[: settings.kept] if k)][: settings.kept]
+        points = yield from problem.points([tried[k] for k in order])
+    else:  # a share that is met or not has no derivative
+        k = int(order[0])
+        points = [_Point(a=tried[k], r=r[k], J=np.zeros((len(r[k]), len(first))), done=True)]
+    round_seconds = 0.0
     for _ in range(settings.iterations):
         going = [k for k, p in enumerate(points) if not p.done]
         left = settings.seconds - (time.monotonic() - began)
-        if not going or left < a_round:
+        if not going or left < round_seconds:
             break
         starts = time.monotonic()
         steps = [_step(points[k]) for k in going]
-        new = problem.points([points[k].a + s for k, s in zip(going, steps, strict=True)])
+        new = yield from problem.points(
+            [points[k].a + s for k, s in zip(going, steps, strict=True)]
+        )
         for k, found in zip(going, new, strict=True):
             points[k] = _better(points[k], found, settings)
-        a_round = time.monotonic() - starts
+        round_seconds = time.monotonic() - starts
     best = min(points, key=lambda p: p.cost)
     unit = float(problem.goal_units[0]) if task.goals else 1.0
     return Polished(
         action=task.check_action(items[0], best.a * problem.units),
         expected=float(np.sqrt(best.cost)) * unit,
-        before=float(np.sqrt(before)) * unit,
+        before=float(np.sqrt(costs[0])) * unit,
         rollouts=problem.rollouts,
         seconds=time.monotonic() - began,
     )

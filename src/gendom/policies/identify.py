@@ -1,0 +1,162 @@
+"""Parameters from executed actions, as the baseline R2S2R finds its own.
+
+After Lim et al. (2022), "Planar robot casting with real2sim2real self-supervised learning": about
+twenty actions are executed, and differential evolution (Storn and Price 1997) looks for the one set
+of parameters with which the simulator reaches what was reached. The policy is then trained on
+simulations with these parameters alone. Objects of several kinds share one set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import (
+    PARAMETERS,
+    STANDARD_GRAVITY,
+    Item,
+    size_of,
+    specific_modulus_of,
+    unit_of,
+)
+from gendom.policies.adapt import Execution
+from gendom.tasks import Task
+from gendom.tasks.world import Simulation, World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifySettings:
+    """Of the search; numbers are scipy's own."""
+
+    ranges: Mapping[str, tuple[float, float]] = field(
+        default_factory=lambda: {"E": (0.2, 0.8), "damping": (0.005, 0.15)}
+    )
+    """Lowest and highest value of each parameter, as `likeness` has them."""
+    population: int = 15
+    """Members for each parameter."""
+    generations: int = 20
+    tolerance: float = 0.01
+    """The search ends where misfits of the population deviate by this share of their mean."""
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identified:
+    """One set of parameters for all objects."""
+
+    parameters: dict[str, float]
+    """By names of `PARAMETERS`, as `likeness` has them."""
+    misfit: float
+    """Root mean square of what is left [units of similarity]."""
+    executions: int
+    rollouts: int
+
+    def item(self, like: Item) -> Item:
+        """An object of the sizes of another, with these parameters."""
+        return with_likeness(like, self.parameters)
+
+
+def identify(
+    task: Task,
+    seen: Sequence[tuple[Item, Execution]],
+    *,
+    world: World | None = None,
+    settings: IdentifySettings | None = None,
+    on_generation: Callable[[int], None] | None = None,
+) -> Identified:
+    """Look for the parameters that explain executions best.
+
+    Args:
+        task: What was done.
+        seen: Objects, of which only sizes and density count, and what was done with them.
+        world: Where it is simulated (default: our simulator).
+        settings: How to look.
+        on_generation: Called with the number of generations done.
+
+    Raises:
+        ParameterError: Nothing was executed, or a parameter is unknown.
+        SimulationError: Nothing could be simulated.
+    """
+    settings, world = settings or IdentifySettings(), world or Simulation()
+    if not seen:
+        raise ParameterError("no executions to identify parameters from", fix="give about 20")
+    names = tuple(settings.ranges)
+    bounds = [
+        tuple(np.log(ends)) if PARAMETERS[n].log else ends for n, ends in settings.ranges.items()
+    ]
+    units = np.array([task.goal_units(item) for item, _ in seen])
+    reached = np.array([e.reached for _, e in seen]) / units
+    rollouts = 0
+
+    def values(vector: Array) -> dict[str, float]:
+        return {
+            n: float(np.exp(x) if PARAMETERS[n].log else x)
+            for n, x in zip(names, vector, strict=True)
+        }
+
+    def misfits(population: Array) -> Array:
+        """[S] mean squares for S sets of parameters, in columns."""
+        nonlocal rollouts
+        sets = np.atleast_2d(population.T)
+        items = [with_likeness(item, values(v)) for v in sets for item, _ in seen]
+        actions = np.array([e.action for _ in sets for _, e in seen])
+        outcomes = world.carry_out(task, items, actions)
+        rollouts += len(items)
+        found = np.full((len(items), len(task.goals)), np.nan)
+        for row, outcome in zip(found, outcomes, strict=True):
+            if outcome.fault is None:
+                row[:] = [outcome.values[q.name] for q in task.goals]
+        off = found.reshape(len(sets), len(seen), -1) / units - reached
+        cost = (off**2).sum(axis=2).mean(axis=1)
+        return np.where(np.isfinite(cost), cost, np.inf)
+
+    done = 0
+
+    def count(*_: object, **__: object) -> None:
+        nonlocal done
+        done += 1
+        if on_generation is not None:
+            on_generation(done)
+
+    result = optimize.differential_evolution(
+        misfits,
+        bounds,
+        popsize=settings.population,
+        maxiter=settings.generations,
+        tol=settings.tolerance,
+        rng=settings.seed,
+        vectorized=True,
+        updating="deferred",
+        polish=False,
+        callback=count,
+    )
+    if not np.isfinite(result.fun):
+        raise SimulationError("no parameters could be simulated", fix="choose other ranges")
+    return Identified(
+        parameters=values(result.x),
+        misfit=float(np.sqrt(result.fun)),
+        executions=len(seen),
+        rollouts=rollouts,
+    )
+
+
+def with_likeness(item: Item, parameters: Mapping[str, float]) -> Item:
+    """An object of the same sizes and density with other parameters, as `likeness` has them: E, nu,
+    damping, friction."""
+    material = item.material
+    material = replace(material, nu=parameters.get("nu", material.nu))
+    item = replace(item, material=material, friction=parameters.get("friction", item.friction))
+    if "E" in parameters:
+        bending = parameters["E"] * size_of(item)
+        specific = specific_modulus_of(bending, item.radius_of_gyration, STANDARD_GRAVITY)
+        material = replace(material, E=specific * material.density)
+    if "damping" in parameters:
+        material = replace(material, damping=parameters["damping"] * unit_of("s", item))
+    return replace(item, material=material)

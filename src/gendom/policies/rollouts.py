@@ -1,0 +1,59 @@
+"""Searches that ask for rollouts, many of them answered side by side.
+
+A search is a generator: it yields `Rollouts` and is sent their outcomes. One batch of worlds takes
+little longer than one world, so searches for many goals or objects are as quick as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.materials import Item
+from gendom.tasks import Task
+from gendom.tasks.world import Outcome, World
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rollouts:
+    """Actions to carry out."""
+
+    items: Sequence[Item]
+    """W objects."""
+    actions: Sequence[NDArray[np.float64]]
+    """W of [A], within the limits."""
+
+
+Asking = Generator[Rollouts, list[Outcome], T]
+"""A search with a result."""
+
+
+def side_by_side(task: Task, world: World, searches: Sequence[Asking[T]]) -> list[T]:
+    """The results of searches, whose rollouts are carried out together.
+
+    Raises:
+        Exception: Whatever a search raises.
+    """
+    results: dict[int, T] = {}
+    answers: dict[int, list[Outcome] | None] = dict.fromkeys(range(len(searches)))
+    while answers:
+        asked: dict[int, Rollouts] = {}
+        for k, answer in answers.items():
+            try:
+                asked[k] = searches[k].send(answer) if answer is not None else next(searches[k])
+            except StopIteration as done:
+                results[k] = done.value
+        items = [item for rollouts in asked.values() for item in rollouts.items]
+        actions = [action for rollouts in asked.values() for action in rollouts.actions]
+        outcomes = world.carry_out(task, items, np.array(actions)) if items else []
+        answers = {}
+        for k, rollouts in asked.items():
+            count = len(rollouts.items)
+            answers[k], outcomes = outcomes[:count], outcomes[count:]
+    return [results[k] for k in range(len(searches))]
