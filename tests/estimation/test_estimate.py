@@ -17,7 +17,7 @@ from gendom.estimation import (
     estimate,
     replay,
 )
-from gendom.estimation.scene import BENDING_RANGE
+from gendom.estimation.priors import BENDING_RANGE
 from gendom.files import to_json
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.observation import chamfer

@@ -7,7 +7,8 @@ from gendom.estimation.posterior import Calibration, Posterior
 from gendom.estimation.problem import EstimateSettings, Problem, Progress
 from gendom.estimation.replay import replay
 from gendom.estimation.result import Estimate, chamfers
-from gendom.estimation.scene import Scene, SceneSettings
+from gendom.estimation.scene import Scene
+from gendom.estimation.scene_settings import SceneSettings
 from gendom.estimation.theta import UNKNOWNS, Prior, Theta, Unknown
 from gendom.estimation.verdict import Verdict, VerdictSettings
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from gendom.errors import ParameterError, SimulationError
 from gendom.estimation.likelihood import Comparison, NoiseModel, Observation
 from gendom.estimation.replay import replay
-from gendom.estimation.scene import Scene, SceneSettings
+from gendom.estimation.scene import Scene
+from gendom.estimation.scene_settings import SceneSettings
 from gendom.estimation.theta import Prior, Theta
 
 Array = NDArray[np.floating]

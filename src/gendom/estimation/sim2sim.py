@@ -29,7 +29,8 @@ from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_ne
 from gendom.estimation.methods.pointnet import pointnet
 from gendom.estimation.problem import EstimateSettings, Found, Problem
 from gendom.estimation.replay import middle, replay
-from gendom.estimation.scene import Scene, SceneSettings
+from gendom.estimation.scene import Scene
+from gendom.estimation.scene_settings import SceneSettings
 from gendom.estimation.theta import Theta
 from gendom.materials import STANDARD_GRAVITY
 from gendom.observation import chamfer

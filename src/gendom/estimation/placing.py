@@ -1,0 +1,279 @@
+"""Where a recorded object lies before it is moved, and where it is held."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from gendom.datasets import Recording
+from gendom.errors import ParameterError, RecordingError
+from gendom.estimation.scene_settings import SceneSettings
+from gendom.sim import Body, cloth, rope
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """Where an object is in the beginning."""
+
+    body: Body
+    initial: Array
+    """[N, 3] particles, or points of a rod or shell [m]."""
+    velocities: Array | None = None
+    """[N, 3] likewise [m/s]; None: at rest."""
+    held: Array
+    """[G, 3] points of the object that the grippers hold [m]."""
+    inwards: Array
+    """[G, 3] unit vectors from those along the object: a rope's direction, a cloth's diagonal."""
+
+
+def place(
+    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+) -> Placed:
+    """Where the recorded object lies in the beginning, and where it is held.
+
+    Args:
+        recording: What is placed.
+        settings: Engine and resolution.
+        frames: Those that hold points, one at least.
+        notes: Gets what was assumed.
+
+    Raises:
+        RecordingError: The recording shows too little to place the object, or no rope or cloth.
+        ParameterError: The engine cannot simulate it.
+    """
+    kind = recording.object.kind
+    if kind == "cloth":
+        return _place_cloth(recording, settings, frames, notes)
+    if kind != "rope":
+        raise RecordingError(
+            f"objects of kind {kind!r} cannot be simulated",
+            where="meta.object.kind",
+            fix="use rope or cloth",
+        )
+    if recording.num_grippers == 1:
+        return _place_rope(recording, settings, frames, notes)
+    return _place_between(recording, settings, frames, notes)
+
+
+def _points_of(body: Body, settings: SceneSettings) -> Array:
+    return np.asarray(body.points if settings.engine == "thin" else body.x, dtype=float)
+
+
+def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float]:
+    """Length and diameter [m].
+
+    Raises:
+        RecordingError: They are no rope's.
+    """
+    length, diameter = recording.object.length, recording.object.diameter
+    assert length is not None  # the recording's own check
+    if diameter is None:
+        diameter = length / 50.0
+        notes.append(f"diameter not stated: {diameter:.4g} m assumed (length / 50)")
+    if diameter > 0.2 * length:
+        raise RecordingError(
+            f"a rope {diameter:g} m thick and {length:g} m long is no rope",
+            where="meta.object",
+            fix="give diameter and length in metres",
+        )
+    return length, diameter
+
+
+def _place_rope(
+    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+) -> Placed:
+    """A rope on its table, held near one end."""
+    length, diameter = _sizes_of_rope(recording, notes)
+    grip = recording.gripper_position[frames[0], 0].astype(float)
+    inset = recording.object.grasp_inset or diameter / 2.0
+    body = rope(
+        diameter=diameter,
+        length=length,
+        centre_line=_line_from(recording, grip, frames, diameter, length, inset),
+        cells_across=settings.cells_across,
+        points=settings.points,
+    )
+    steps = np.diff(body.points, axis=0)
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
+    held = np.array([np.interp(inset, s, x) for x in body.points.T])
+    direction = steps[min(int(np.searchsorted(s, inset)), len(steps) - 1)]
+    return Placed(
+        body=body,
+        initial=_points_of(body, settings),
+        held=held[None],
+        inwards=direction[None] / np.linalg.norm(direction),
+    )
+
+
+def _place_between(
+    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+) -> Placed:
+    """A rope that two grippers hold by its ends, straight by nature.
+
+    Raises:
+        ParameterError: With the MPM, whose bodies are free of stress as they begin.
+    """
+    if settings.engine != "thin":
+        raise ParameterError(
+            "a rope held at both ends is simulated as a rod", where="engine", fix="engine 'thin'"
+        )
+    length, diameter = _sizes_of_rope(recording, notes)
+    grip = recording.gripper_position[frames[0]].astype(float)
+    s, line, speeds = _line_between(recording, grip, frames, length)
+    body = rope(diameter=diameter, length=length, points=settings.points)
+    u = np.linspace(0.0, length, len(body.points))
+    x = CubicSpline(s, line)(u)
+    ends = np.stack([x[1] - x[0], x[-2] - x[-1]])
+    notes.append("held at both ends: straight by nature, as far as is known")
+    return Placed(
+        body=body,
+        initial=x,
+        velocities=None if speeds is None else CubicSpline(s, speeds)(u),
+        held=grip,
+        inwards=ends / np.linalg.norm(ends, axis=1, keepdims=True),
+    )
+
+
+def _line_between(
+    recording: Recording, grip: Array, frames: tuple[int, ...], length: float
+) -> tuple[Array, Array, Array | None]:
+    """Places along a rope [K] [m] from one end to the other, where the first frame shows them
+    [K, 3] [m], and how fast markers are there [K, 3] [m/s]."""
+    cloud = recording.frame(frames[0]).astype(float)
+    speeds = None
+    if recording.extra.get("ordered_markers", False):
+        first = [t for t in frames[:5] if len(recording.frame(t)) == len(cloud)]
+        x = np.stack([recording.frame(t) for t in first]).astype(float)
+        if len(first) == 5 and not recording.extra.get("static", False):
+            # what a parabola through five frames says of the first
+            t = recording.time[first] - recording.time[first[0]]
+            fit = np.polynomial.polynomial.polyfit(t, x.reshape(len(t), -1), 2)
+            speeds = fit[1].reshape(-1, 3)
+        gaps = np.linalg.norm(np.diff(x, axis=1), axis=2).mean(axis=0)
+    else:
+        axis = (grip[1] - grip[0]) / np.linalg.norm(grip[1] - grip[0])
+        cloud = cloud[np.argsort((cloud - grip[0]) @ axis)]
+        bins = np.array_split(cloud, min(24, max(2, len(cloud) // 4)))
+        cloud = np.array([grip[0], *(b.mean(axis=0) for b in bins), grip[1]])
+        gaps = np.linalg.norm(np.diff(cloud, axis=0), axis=1)
+    if np.linalg.norm(cloud[0] - grip[0]) > np.linalg.norm(cloud[-1] - grip[0]):
+        cloud, gaps = cloud[::-1], gaps[::-1]
+        speeds = None if speeds is None else speeds[::-1]
+    s = np.concatenate([[0.0], np.cumsum(gaps)])
+    return s * (length / s[-1]), cloud, speeds
+
+
+def _line_from(
+    recording: Recording,
+    grip: Array,
+    frames: tuple[int, ...],
+    diameter: float,
+    length: float,
+    behind: float,
+) -> Array:
+    """Centre line of a rope at rest, from somewhat behind the gripper on."""
+    early = _early_points(recording, frames, diameter)
+    flat = early[:, :2] - grip[:2]
+    far = flat[np.linalg.norm(flat, axis=1) > 0.25 * length]
+    if len(far) < 5:
+        raise RecordingError(
+            "the first frames show too little of the rope to tell which way it lies",
+            where=f"frames {frames[0]}-{frames[min(9, len(frames) - 1)]}",
+            fix="record from the rope at rest on; is its length in metres?",
+        )
+    axis = far.mean(axis=0) / np.linalg.norm(far.mean(axis=0))
+    side = np.array([-axis[1], axis[0]])
+    along, across = flat @ axis, flat @ side
+    # bends of the visible line, held straight where a hole in the cloud leaves it open
+    fit = np.polynomial.Polynomial.fit(along, across, 2, domain=[0.0, length])
+    keep = np.abs(across - fit(along)) < 2.0 * np.std(across - fit(along)) + 1e-6
+    fit = np.polynomial.Polynomial.fit(along[keep], across[keep], 2, domain=[0.0, length])
+    s = np.linspace(-behind, length, 60)
+    inside = np.clip(s, along.min(), along.max())
+    curve = fit(inside) + fit.deriv()(inside) * (s - inside)
+    height = float(np.median(early[:, 2])) - diameter / 2.0
+    if recording.table_height is not None:
+        height = recording.table_height + diameter / 2.0
+    xy = grip[:2] + s[:, None] * axis + curve[:, None] * side
+    return np.concatenate([xy, np.full((len(s), 1), height)], axis=1)
+
+
+def _place_cloth(
+    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+) -> Placed:
+    """A flat cloth on its table."""
+    described = recording.object
+    width, height = described.width, described.height
+    assert width is not None and height is not None  # the recording's own check
+    thickness = described.thickness
+    if thickness is None:
+        # of sheets that bend alike a thicker one gives way more in its plane, as what is woven does
+        thickness = 0.002
+        notes.append(f"thickness not stated: {thickness * 1e3:.3g} mm assumed")
+    grip = recording.gripper_position[frames[0], 0].astype(float)
+    yaw = _cloth_yaw(recording, frames, width, height)
+    low = recording.table_height
+    longer = max(width, height)
+    if low is None:
+        low = float(np.percentile(_early_points(recording, frames, 0.05 * longer)[:, 2], 5))
+    mid = low + thickness / 2.0
+    corner = described.grasp == "corner"
+    local = np.zeros(2) if corner else np.array([width, height]) / 2.0
+    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+    spacing = longer / ((settings.points or 26) - 1)
+    counts = (1 + max(2, round(width / spacing)), 1 + max(2, round(height / spacing)))
+    body = cloth(
+        width=width,
+        height=height,
+        thickness=thickness,
+        dx=longer / 14.0 * 1.5 / settings.cells_across,
+        corner=np.append(grip[:2] - turn @ local, mid),
+        yaw=yaw,
+        points=counts,
+    )
+    inwards = np.append(turn @ np.array([width, height]) / math.hypot(width, height), 0.0)
+    return Placed(
+        body=body,
+        initial=_points_of(body, settings),
+        held=np.array([[grip[0], grip[1], mid]]),
+        inwards=inwards[None],
+    )
+
+
+def _cloth_yaw(recording: Recording, frames: tuple[int, ...], width: float, height: float) -> float:
+    """Turn of the flat cloth about the held point.
+
+    Held by a corner it hangs evenly about its diagonal, so the diagonal points to where the
+    lifted cloud is. Held elsewhere, the turn whose footprint holds the low points best.
+    """
+    grip = recording.gripper_position[frames[0], 0]
+    if recording.object.grasp == "corner":
+        later = frames[len(frames) // 2 :]
+        towards = [recording.frame(t)[:, :2].mean(axis=0) - grip[:2] for t in later]
+        x, y = np.median(np.array(towards, dtype=float), axis=0)
+        return math.atan2(y, x) - math.atan2(height, width)
+    points = np.concatenate([recording.frame(t) for t in frames]).astype(float)
+    base = recording.table_height if recording.table_height is not None else points[:, 2].min()
+    low = points[points[:, 2] < base + 0.15 * max(width, height)]
+    flat = (low if len(low) > 50 else points)[:, :2] - grip[:2]
+
+    def outside(yaw: float) -> float:
+        c, s = math.cos(yaw), math.sin(yaw)
+        local = np.abs(flat @ np.array([[c, -s], [s, c]])) - np.array([width, height]) / 2
+        return float(np.linalg.norm(np.maximum(local, 0.0), axis=1).mean())
+
+    return float(min(np.linspace(0.0, math.pi, 72, endpoint=False), key=outside))
+
+
+def _early_points(recording: Recording, frames: tuple[int, ...], size: float) -> Array:
+    """[n, 3] points of the frames before the gripper has moved by ``size`` [m]."""
+    path = recording.gripper_position[:, 0]
+    moved = np.linalg.norm(path - path[frames[0]], axis=1)
+    early = [t for t in frames if moved[t] <= size] or frames[:1]
+    return np.concatenate([recording.frame(t) for t in early]).astype(float)

@@ -1,0 +1,93 @@
+"""What is believed of a recording's unknowns, and where a search for them should begin."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gendom.datasets import Recording
+from gendom.errors import ParameterError
+from gendom.estimation.theta import UNKNOWNS, Prior, Theta, prior_of
+
+BENDING_RANGE = {"rope": (0.04, 2.5), "cloth": (0.01, 0.2)}
+"""Bending lengths that are looked for, in lengths of a rope or diagonals of a cloth: below it hangs
+like a chain, above it is a stick."""
+
+
+def recording_prior(
+    recording: Recording,
+    moduli: tuple[float, float],
+    *,
+    quasi_static: bool,
+    wanted: tuple[str, ...] = (),
+) -> tuple[Prior, Theta]:
+    """What is looked for, its prior, and the estimate that has everything else.
+
+    Args:
+        recording: Of a rope or cloth.
+        moduli: Ends of the range of E / density [m^2/s^2].
+        quasi_static: Whether it is replayed on another clock, or nothing moves.
+        wanted: Names; by default what a recording of this kind shows.
+
+    Raises:
+        ParameterError: There is no such unknown, or the object has none.
+    """
+    described = recording.object
+    kind = described.kind
+    measured = recording.gripper_source == "measured"
+    for name in wanted:
+        if name in UNKNOWNS and kind not in UNKNOWNS[name].kinds:
+            raise ParameterError(f"a {kind} has no {name}", where="unknowns")
+    logs = np.log(moduli)
+    changes: dict[str, dict[str, float]] = {
+        # searched over its range without preference: a wide Gaussian
+        "specific_modulus": {
+            "low": moduli[0], "high": moduli[1],
+            "mean": math.exp(logs.mean()), "sd": float(np.ptp(logs)) / 2,
+        },
+        # an arm trails its commands, and what it is sent to is a point of the hand
+        "grip_height": {"sd": 0.002 if measured else (0.02 if kind == "cloth" else 0.01)},
+        "delay": {"sd": 0.02 if measured else 0.1, "mean": 0.0 if measured else 0.05},
+        "grip_along": {"sd": 0.002 if described.grasp_inset is not None else 0.008},
+    }  # fmt: skip
+    if kind == "cloth":
+        changes["grip_along"] |= {"sd": 0.01 if measured else 0.02, "low": -0.02}
+        changes["grip_tilt"] = {"sd": 0.6}
+        changes["specific_modulus"]["step"] = 0.06
+        changes["grip_height"] |= {"step": 2e-3}
+        changes["grip_along"] |= {"step": 3e-3}
+    prior = prior_of(wanted or _shown(recording, quasi_static), changes)
+    base = Theta(specific_modulus=math.exp(logs.mean()))
+    return prior, prior.theta(prior.mean, base)
+
+
+def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:
+    """Unknowns of which a recording may show something."""
+    names = ["specific_modulus", "nu", "friction", "grip_height", "grip_along"]
+    if not quasi_static:
+        names += ["damping", "delay"]
+    if recording.table_height is None:
+        names.remove("friction")
+    if recording.num_grippers > 1:
+        names.remove("grip_height")
+        names.remove("grip_along")
+    if recording.object.kind == "cloth":
+        names.remove("nu")
+        if recording.object.grasp == "corner":
+            names += ["grip_aside", "grip_tilt", "grip_reach", "yaw"]
+    return tuple(names)
+
+
+def first_guesses(recording: Recording) -> list[dict[str, float]]:
+    """Values of a recording's own unknowns from which a search should begin.
+
+    Where a cloth's corner was sent by commands, a level one at the stated point and one that
+    hangs at fingertips below it look alike from afar, and a search from one stays there.
+    """
+    if recording.object.kind != "cloth" or recording.object.grasp != "corner":
+        return [{}]
+    hanging = {"grip_tilt": 1.4}
+    if recording.gripper_source != "measured":
+        hanging |= {"grip_along": 0.02, "grip_height": -0.02, "delay": 0.1}
+    return [{"grip_tilt": 0.2}, {"grip_tilt": 0.8}, hanging]

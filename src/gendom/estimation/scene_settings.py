@@ -1,0 +1,69 @@
+"""How recordings are turned into scenes: resolution, clock and what is compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gendom.errors import ParameterError
+from gendom.sim import ENGINES, check_numbers
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSettings:
+    """How a recording is turned into a simulation; written into every result."""
+
+    engine: str = "thin"
+    """``thin`` (ropes as rods, cloths as shells) or ``mpm``."""
+    points: int | None = None
+    """Of a rod, or along the longer side of a shell; None: the engine's own for ropes, 26 for
+    cloths (with 16 a cotton cloth's E comes out at 0.2 of what it is, with 26 at 0.65)."""
+    coarse_points: int = 15
+    """Along the longer side of a shell, where a search begins."""
+    cells_across: float = 1.5
+    """Grid cells across a rope's diameter; cloths scale with it. Of the MPM."""
+    clock: float | None = None
+    """Recorded seconds for one simulated second, or None to choose (1 unless quasi-static)."""
+    quasi_static_speed: float = 0.05
+    """Gripper speed at which quasi-static recordings are replayed [m/s]. Faster, a rope that leaves
+    the table swings: by 20 mm at 0.12 m/s."""
+    quasi_static_damping: float = 1.0
+    """Rate at which velocities decay in quasi-static replays [1/s]; at the speed above its drag is
+    0.5 % of gravity."""
+    static_damping: float = 3.0
+    """The same where nothing moves [1/s]."""
+    static_settling: float = 6.0
+    """Time in which such an object comes to rest [s]; its slowest swing then has e^-9 left."""
+    ramp_speed: float = 0.1
+    """Speed at which the gripper takes the object from rest to its first recorded position [m/s]"""
+    slow: float = 0.15
+    """Speed of a gripper below which frames are alike [m/s]."""
+    after_fast: float = 1.5
+    """Time for which an object goes on moving after its gripper was fast or let go [s]."""
+    longest: float = 300.0
+    """Longest motion that is simulated [s]; a lift takes ten."""
+    slow_frames: int = 36
+    """Frames that are compared where the gripper is slow, at most."""
+    hangs: float = 0.15
+    """Rise of a held corner from which a cloth hangs, in its longer side: before, clouds show
+    hardly more than how it lay."""
+    fast_frames: int = 60
+    """Frames that are compared elsewhere, at most."""
+    dtype: str | None = None
+    """``float32`` or ``float64``; None: the engine's own."""
+    device: str = "cpu"
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers("cells_across", self.cells_across, above=0.0)
+        if not 0.5 <= self.cells_across <= 6.0:
+            raise ParameterError(
+                f"is {self.cells_across:g}", where="cells_across", fix="give 0.5 to 6"
+            )
+        if self.engine not in ENGINES:
+            raise ParameterError(
+                f"unknown engine {self.engine!r}", fix=f"choose one of {', '.join(ENGINES)}"
+            )
+        if self.clock is not None:
+            check_numbers("clock", self.clock, above=0.0)
+        if self.points is not None and self.points < 5:
+            raise ParameterError(f"is {self.points}", where="points", fix="give 5 or more")
