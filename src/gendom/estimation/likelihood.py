@@ -28,9 +28,6 @@ from gendom.observation import visible
 
 Array = NDArray[np.floating]
 
-RIGID = 6
-"""Unknowns of a rigid motion: a shift [m] and a turn about the middle of the clouds [rad]."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseModel:
@@ -227,6 +224,20 @@ class Rows:
     counts: Array
     """[T, m] how many points each stands for."""
 
+    def slopes(self, J: Array) -> Array:
+        """[T, m, P] by how much residuals fall with parameters that change shapes by J
+        [T, n, 3, P]."""
+        found = np.zeros((*self.rho.shape, J.shape[3]))
+        for p in range(J.shape[3]):
+            moved = _taken(J[..., p], self.index)
+            found[..., p] = np.einsum("tmk,tmka,tma->tm", self.weight, moved, self.normal)
+        return found
+
+    def fixed(self, centre: Array) -> Array:
+        """[T, m, 7] likewise with a shift, a turn about a centre [3] [m], and the skin."""
+        turned = -np.cross(self.point - centre, self.normal)
+        return np.concatenate([-self.normal, turned, np.ones((*self.rho.shape, 1))], axis=2)
+
 
 class Comparison:
     """Clouds beside one simulated shape.
@@ -271,80 +282,96 @@ class Comparison:
         return self._last
 
     def _registered(self, noise: NoiseModel) -> Fit:
-        o = self.observation
-        U, B = o.in_time, o.in_place
-        R, Q, P = U.shape[1], 3 * B.shape[1], self.J.shape[3]
-        S = R * Q
+        """Gauss-Newton steps of motion, skin and displacement under their priors, and what is left
+        of the parameters' slopes where those follow."""
+        S = self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
         precision = np.concatenate([np.full(S, noise.model**-2), noise.fixed])
         a = self._first if len(self._first) else np.zeros(len(precision))
         if self._last is not None:
             a = self._last.a
-        c, s2 = noise.straying, noise.sensor**2
-        for last in [False] * noise.rounds + [True]:
-            shape = self.here + np.einsum(
-                "nq,tqa->tna", B, (U @ a[:S].reshape(R, Q)).reshape(len(U), -1, 3)
-            )
-            shape = shape - a[S : S + 3] - np.cross(a[S + 3 : S + 6], shape - o.centre)
-            rows = o.rows(shape)
-            rho = rows.rho - a[-1]
-            root = np.sqrt(1.0 + (rho / c) ** 2)
-            share = rows.counts / noise.patch / s2
-            psi = np.einsum("tmk,tmkq->tmq", rows.weight, B[rows.index])
-            G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*rho.shape, Q)
-            arm = rows.point - o.centre
-            fixed = np.concatenate(
-                [-rows.normal, -np.cross(arm, rows.normal), np.ones((*rho.shape, 1))], axis=2
-            )
-            columns = [fixed, rho[..., None]]
-            if last:
-                by = (
-                    np.stack(
-                        [
-                            np.einsum(
-                                "tmk,tmka,tma->tm",
-                                rows.weight,
-                                _taken(self.J[..., p], rows.index),
-                                rows.normal,
-                            )
-                            for p in range(P)
-                        ],
-                        axis=2,
-                    )
-                    if P
-                    else np.zeros((*rho.shape, 0))
-                )
-                columns.insert(0, by)
-            D = np.concatenate(columns, axis=2)
-            w = (share / root)[..., None]
-            dd = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
-            Gt = np.swapaxes(G, 1, 2)
-            dq, qq = Gt @ (w * D), Gt @ (w * G)
-            M = np.zeros((S + 7, S + 7))
-            both = np.einsum("tr,ts,tqp->rqsp", U, U, qq, optimize=True)
-            M[:S, :S] = both.reshape(S, S)
-            cross = np.einsum("tr,tqd->rqd", U, dq, optimize=True).reshape(S, -1)
-            at = P if last else 0
-            M[:S, S:] = cross[:, at : at + 7]
-            M[S:, :S] = M[:S, S:].T
-            M[S:, S:] = dd[at : at + 7, at : at + 7]
-            M[np.diag_indices(S + 7)] += precision
-            factor = cho_factor(M, lower=True)
-            slope = np.concatenate([cross[:, -1], dd[at : at + 7, -1]]) - precision * a
-            if not last:
-                a = a + cho_solve(factor, slope)
-                continue
-            of_theta = np.concatenate([cross[:, :P], dd[P : P + 7, :P]])
-            loss = float((share * 2.0 * c**2 * (root - 1.0)).sum())
-            return Fit(
-                noise=noise,
-                value=loss + float(precision @ a**2),
-                # rho falls as the object moves along its normal
-                gradient=of_theta.T @ cho_solve(factor, slope) - dd[:P, -1],
-                hessian=dd[:P, :P] - of_theta.T @ cho_solve(factor, of_theta),
-                a=a, M=M, smooth=S, loss=loss * s2,
-                count=float(rows.counts.sum() / noise.patch), shape=shape,
-            )  # fmt: skip
-        raise AssertionError
+        for _ in range(noise.rounds):
+            sums = self._sums(a, noise, self.J[..., :0])
+            factor = cho_factor(sums.M + np.diag(precision), lower=True)
+            a = a + cho_solve(factor, sums.slope - precision * a)
+        sums = self._sums(a, noise, self.J)
+        M = sums.M + np.diag(precision)
+        factor = cho_factor(M, lower=True)
+        follows = cho_solve(factor, sums.slope - precision * a)
+        return Fit(
+            noise=noise,
+            value=sums.loss + float(precision @ a**2),
+            # residuals fall as the object moves along its normals
+            gradient=sums.cross.T @ follows - sums.gradient,
+            hessian=sums.hessian - sums.cross.T @ cho_solve(factor, sums.cross),
+            a=a,
+            M=M,
+            smooth=S,
+            loss=sums.loss * noise.sensor**2,
+            count=sums.count,
+        )
+
+    def _displaced(self, a: Array) -> Array:
+        """[T, n, 3] the shape with displacement and rigid motion of ``a`` [S + 7] [m]."""
+        o = self.observation
+        U, B = o.in_time, o.in_place
+        smooth = (U @ a[:-7].reshape(U.shape[1], -1)).reshape(len(U), -1, 3)
+        shape = self.here + np.einsum("nq,tqa->tna", B, smooth)
+        return shape - a[-7:-4] - np.cross(a[-4:-1], shape - o.centre)
+
+    def _sums(self, a: Array, noise: NoiseModel, J: Array) -> _Sums:
+        """Of the shape displaced by ``a`` [S + 7]; J [T, n, 3, P] as that of the comparison."""
+        o = self.observation
+        U, B, P, c = o.in_time, o.in_place, J.shape[3], noise.straying
+        rows = o.rows(self._displaced(a))
+        rho = rows.rho - a[-1]
+        root = np.sqrt(1.0 + (rho / c) ** 2)
+        share = rows.counts / noise.patch / noise.sensor**2
+        w = (share / root)[..., None]
+        # by the displacement of each frame, which all frames' coefficients make up
+        psi = np.einsum("tmk,tmkq->tmq", rows.weight, B[rows.index])
+        G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*rho.shape, -1)
+        # by parameters, rigid motion and skin; and what is left
+        D = np.concatenate([rows.slopes(J), rows.fixed(o.centre), rho[..., None]], axis=2)
+        dd = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
+        Gt = np.swapaxes(G, 1, 2)
+        dq, qq = Gt @ (w * D), Gt @ (w * G)
+        S, n = len(a) - 7, slice(P, P + 7)
+        cross = np.einsum("tr,tqd->rqd", U, dq, optimize=True).reshape(S, -1)
+        M = np.zeros((S + 7, S + 7))
+        M[:S, :S] = np.einsum("tr,ts,tqp->rqsp", U, U, qq, optimize=True).reshape(S, S)
+        M[:S, S:] = cross[:, n]
+        M[S:, :S] = M[:S, S:].T
+        M[S:, S:] = dd[n, n]
+        return _Sums(
+            M=M,
+            slope=np.concatenate([cross[:, -1], dd[n, -1]]),
+            cross=np.concatenate([cross[:, :P], dd[n, :P]]),
+            hessian=dd[:P, :P],
+            gradient=dd[:P, -1],
+            loss=float((share * 2.0 * c**2 * (root - 1.0)).sum()),
+            count=float(rows.counts.sum() / noise.patch),
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Sums:
+    """Over all residuals, weighted by how likely they are: products of their slopes with each other
+    and with themselves, by the S + 7 unknowns of registration and by P parameters."""
+
+    M: Array
+    """[S + 7, S + 7]."""
+    slope: Array
+    """[S + 7]."""
+    cross: Array
+    """[S + 7, P]."""
+    hessian: Array
+    """[P, P]."""
+    gradient: Array
+    """[P]."""
+    loss: float
+    """Smoothed sum of squared residuals, in their variance."""
+    count: float
+    """Independent points."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -368,8 +395,6 @@ class Fit:
     """Sum of squares that is left [m^2]."""
     count: float
     """Independent points."""
-    shape: Array
-    """[T, n, 3] the registered shape [m]."""
 
     @property
     def rms(self) -> float:
@@ -405,9 +430,8 @@ class _Shape:
         self.rope = scene.kind == "rope"
         self.radius = scene.body.thickness / 2.0
         a, b = lattice(scene)
-        self.columns, self.rows = len(a), len(b)
         if self.rope:
-            k = np.arange(self.columns - 1)
+            k = np.arange(len(a) - 1)
             parts = (np.arange(2) + 0.5) / 2.0
             u = np.tile(parts, len(k))
             index = np.repeat(np.stack([k, k + 1], axis=1), len(parts), axis=0)
@@ -415,15 +439,15 @@ class _Shape:
             self.spacing = float(a[1] - a[0])
             return
         self.spacing = float(max(a[1] - a[0], b[1] - b[0])) / 3.0
-        number = np.arange(self.columns * self.rows).reshape(self.rows, self.columns)
+        number = np.arange(len(a) * len(b)).reshape(len(b), len(a))
         corners = [number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]]
-        self.cells = np.stack([c.ravel() for c in corners], axis=1)
+        cells = np.stack([c.ravel() for c in corners], axis=1)
         ticks = (np.arange(3) + 0.5) / 3.0
         v, u = (x.ravel() for x in np.meshgrid(ticks, ticks, indexing="ij"))
         shares = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v], axis=1)
-        index = np.repeat(self.cells, len(shares), axis=0)
-        self.fine = index, np.tile(shares, (len(self.cells), 1))
-        self.samples = self.cells, np.full((len(self.cells), 4), 0.25)
+        index = np.repeat(cells, len(shares), axis=0)
+        self.fine = index, np.tile(shares, (len(cells), 1))
+        self.samples = cells, np.full((len(cells), 4), 0.25)
 
     def nearest(self, x: Array, points: Array) -> tuple[NDArray[np.intp], Array, Array]:
         """Middle points around the feet of points [T, m, 3] on shapes [T, n, 3], [T, m, k], their
