@@ -208,6 +208,26 @@ def test_surface_of_a_cloth_is_its_particles():
     assert np.array_equal(sheet.surface(sheet.x), sheet.x)
 
 
+@pytest.mark.parametrize("particles", [False, True])
+def test_surface_transpose_of_a_rope(particles):
+    """<bar, d skin> = <transpose bar, d x> for a bent rope, as a rod and as particles."""
+    rng = np.random.default_rng(0)
+    body = rope(diameter=0.02, length=0.3, direction=(1, 2, 0.3), cells_across=1.0, points=9)
+    x = (body.x if particles else body.points) + 0.003 * rng.normal(
+        size=(2, body.num_particles if particles else 9, 3)
+    )
+    bar, v, h = rng.normal(size=body.surface(x).shape), rng.normal(size=x.shape), 1e-7
+    ahead, behind = (body.surface(x + s * h * v) for s in (1.0, -1.0))
+    expected = ((ahead - behind) * bar).sum() / (2.0 * h)
+    assert (body.surface_transpose(x, bar) * v).sum() == pytest.approx(expected, rel=1e-6)
+
+
+def test_surface_transpose_of_a_cloth():
+    body = cloth(width=0.2, height=0.2, thickness=0.002, dx=0.05)
+    bar = np.ones(body.x.shape)
+    np.testing.assert_array_equal(body.surface_transpose(body.x, bar), bar)
+
+
 def test_moved():
     """A moved body is the same but for its place; the first one stays."""
     body = rope(diameter=0.01, length=0.1)

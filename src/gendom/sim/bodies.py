@@ -128,14 +128,48 @@ class Body:
             return x
         if x.shape[-2] == len(self.points) != self.num_particles:
             return self._around(x)
-        per_section = self.section
-        radius = np.linalg.norm(self.material_coordinates[:per_section, 1:], axis=1)
-        sections = x.reshape(*x.shape[:-2], -1, per_section, 3)
+        sections = x.reshape(*x.shape[:-2], -1, self.section, 3)
         out = sections - sections.mean(axis=-2, keepdims=True)
-        out = out[..., radius > 0.6 * radius.max(), :]
+        out = out[..., self._outer, :]
         length = np.linalg.norm(out, axis=-1, keepdims=True)
         skin = sections.mean(axis=-2, keepdims=True) + out * (self.thickness / 2.0 / length)
         return skin.reshape(*x.shape[:-2], -1, 3)
+
+    def surface_transpose(
+        self, x: NDArray[np.floating], bar: NDArray[np.floating]
+    ) -> NDArray[np.floating]:
+        """Derivative of a loss by positions, from that by the points of ``surface``.
+
+        Args:
+            x: [..., N, 3] particles, or the thin engine's points [m].
+            bar: [..., M, 3] derivative of the loss by ``surface(x)`` [1/m].
+
+        Returns:
+            [..., N, 3] [1/m].
+        """
+        if self.kind != "rope":
+            return bar
+        if x.shape[-2] == len(self.points) != self.num_particles:
+            return self._around_transpose(x, bar)
+        sections = x.reshape(*x.shape[:-2], -1, self.section, 3)
+        outer = self._outer
+        out = (sections - sections.mean(axis=-2, keepdims=True))[..., outer, :]
+        length = np.linalg.norm(out, axis=-1, keepdims=True)
+        unit = out / length
+        bar = bar.reshape(out.shape)
+        # skin = centre + r unit
+        along = (unit * bar).sum(axis=-1, keepdims=True)
+        of_out = (bar - unit * along) * (self.thickness / 2.0 / length)
+        found = np.zeros(sections.shape)
+        found[..., outer, :] = of_out
+        found += (bar - of_out).sum(axis=-2, keepdims=True) / self.section
+        return found.reshape(x.shape)
+
+    @property
+    def _outer(self) -> NDArray[np.bool_]:
+        """Which particles of a rope's section stand on its rim."""
+        radius = np.linalg.norm(self.material_coordinates[: self.section, 1:], axis=1)
+        return radius > 0.6 * radius.max()
 
     def _around(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
         """Rings of eight points around a centre line [..., n, 3], a third of a diameter apart."""
@@ -155,6 +189,35 @@ class Body:
         ring = ring + np.sin(angle)[:, None] * normals[1][..., None, :]
         skin = centres[..., None, :] + 0.5 * self.thickness * ring
         return skin.reshape(*x.shape[:-2], -1, 3)
+
+    def _around_transpose(
+        self, x: NDArray[np.floating], bar: NDArray[np.floating]
+    ) -> NDArray[np.floating]:
+        """Names as in ``_around``."""
+        n, lead = x.shape[-2], x.shape[:-2]
+        bar = bar.reshape(*lead, n - 1, -1, 8, 3)
+        parts = bar.shape[-3]
+        share = (np.arange(parts) + 0.5)[:, None] / parts
+        step = np.diff(x, axis=-2)
+        size = np.linalg.norm(step, axis=-1, keepdims=True)
+        tangent = step / size
+        *first, axis = _fixed_frame(self.points[1] - self.points[0])
+        angle = 2.0 * math.pi * np.arange(8) / 8.0
+        each = 0.5 * self.thickness * bar.sum(axis=-3)
+        along, scale = tangent + axis, np.maximum(1.0 + tangent @ axis, 1e-9)[..., None]
+        of_tangent = np.zeros(tangent.shape)
+        for d, turn in zip(first, (np.cos(angle), np.sin(angle)), strict=True):
+            # normal = d - (t . d) / (1 + t . axis) (t + axis)
+            g = (each * turn[:, None]).sum(axis=-2)
+            pull, off = (g * along).sum(axis=-1, keepdims=True), (tangent @ d)[..., None]
+            of_tangent += axis * off * pull / scale**2 - d * pull / scale - g * off / scale
+        of_step = (of_tangent - tangent * (tangent * of_tangent).sum(axis=-1, keepdims=True)) / size
+        of_centre = bar.sum(axis=-2)
+        of_step += (share * of_centre).sum(axis=-2)
+        found = np.zeros(x.shape)
+        found[..., :-1, :] = of_centre.sum(axis=-2) - of_step
+        found[..., 1:, :] += of_step
+        return found
 
     def moved(self, offset: ArrayLike) -> "Body":
         """The same body shifted by ``offset`` [3] [m]."""

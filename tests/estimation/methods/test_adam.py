@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from gendom.estimation.methods.adam import DensityLoss, _Descent
-from gendom.estimation.methods.skin import surface_transpose
 from gendom.estimation.problem import Start
 from gendom.estimation.sim2sim import truth_of
-from gendom.sim import cloth, rope
 
 
 @pytest.mark.parametrize("markers", [True, False])
@@ -48,25 +46,3 @@ def test_slopes_by_how_it_is_held_are_differences(short_lift):
     here, beside = (loss.value(x[:, w], descent.seen) for w in range(2))
     assert descent.slope[1] == pytest.approx((beside - here) / h, rel=1e-6)
     assert abs(descent.slope[1]) > 0.1
-
-
-@pytest.mark.parametrize("particles", [False, True])
-def test_the_skins_transpose(particles):
-    """<bar, d skin> = <transpose bar, d x> for a bent rope, as a rod and as particles."""
-    rng = np.random.default_rng(0)
-    body = rope(diameter=0.02, length=0.3, direction=(1, 2, 0.3), cells_across=1.0, points=9)
-    x = (body.x if particles else body.points) + 0.003 * rng.normal(
-        size=(2, body.num_particles if particles else 9, 3)
-    )
-    bar, v, h = rng.normal(size=body.surface(x).shape), rng.normal(size=x.shape), 1e-7
-    ahead, behind = (body.surface(x + s * h * v) for s in (1.0, -1.0))
-    expected = ((ahead - behind) * bar).sum() / (2.0 * h)
-    assert (surface_transpose(body, x, bar) * v).sum() == pytest.approx(expected, rel=1e-6)
-
-
-def test_a_cloths_skin_is_itself():
-    body = cloth(width=0.2, height=0.2, thickness=0.002, dx=0.05)
-    bar = np.ones(body.x.shape)
-    np.testing.assert_array_equal(
-        surface_transpose(body, np.asarray(body.x, dtype=float), bar), bar
-    )

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
-from gendom.estimation.methods.skin import surface_transpose
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.estimation.replay import lattice, middle, simulator_of
 from gendom.observation import DensityGrid, visible
@@ -195,7 +194,7 @@ class DensityLoss:
         value, bar = self._compare(self.shown(x), seen, derivative=True)
         markers = self.problem.observation.markers
         if markers is None:
-            return value, surface_transpose(self.problem.scene.body, x, bar)
+            return value, self.problem.scene.body.surface_transpose(x, bar)
         return value, self._markers_transpose(x, bar, *markers)
 
     def _compare(
