@@ -34,8 +34,6 @@ class Calibration:
 
     factor: Mapping[str, float]
     added: Mapping[str, float]
-    lifts: int = 0
-    """From which it comes."""
 
     @classmethod
     @functools.cache
@@ -43,7 +41,7 @@ class Calibration:
         """The shipped one of ropes or cloths."""
         place = resources.files("gendom") / "assets" / "calibration.json"
         read = json.loads(place.read_text(encoding="utf-8"))[kind]
-        return cls(factor=read["factor"], added=read["added"], lifts=read["lifts"])
+        return cls(factor=read["factor"], added=read["added"])
 
     @classmethod
     def none(cls) -> Calibration:

@@ -73,7 +73,7 @@ class Scene:
         notes: list[str] = []
         placed = place(recording, settings, frames, notes)
         body = placed.body
-        clock = _choose_clock(recording, settings, frames)
+        clock = _choose_clock(recording, settings)
         lasts = float(recording.time[frames[-1]] - recording.time[frames[0]]) / clock
         if lasts > settings.longest:
             raise RecordingError(
@@ -144,12 +144,6 @@ class Scene:
     def begins(self) -> int:
         """The first frame with points, in which the object is at rest."""
         return int(np.argmax(self.recording.frame_valid))
-
-    @property
-    def lets_go(self) -> bool:
-        """Whether a gripper opens before the last frame."""
-        closed = self.recording.gripper_closed
-        return closed is not None and not bool(closed[self.begins :].all())
 
     @property
     def size(self) -> float:
@@ -249,7 +243,7 @@ class Scene:
 # ---- frames and time ---------------------------------------------------------------------------
 
 
-def _choose_clock(recording: Recording, settings: SceneSettings, frames: tuple[int, ...]) -> float:
+def _choose_clock(recording: Recording, settings: SceneSettings) -> float:
     if settings.clock is not None:
         return settings.clock
     if not recording.quasi_static or recording.extra.get("static", False):

@@ -16,19 +16,16 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
-from gendom.estimation import Calibration, EstimateSettings, Posterior, SceneSettings, estimate
+from gendom.estimation import Calibration, EstimateSettings, SceneSettings, estimate
 from gendom.files import write_json
 from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.materials.parameters import specific_modulus_of
 from gendom.reality import RealCloth, RealObject, RealRope
 from gendom.reality.chain import record_and_perceive
-
-Array = NDArray[np.floating]
 
 CLOUD_POINTS = {"rope": 320, "cloth": 1400}
 """Points of a frame that are kept, twice what an estimate compares."""
@@ -260,27 +257,6 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
             )
         )
     return found
-
-
-def ranks(rows: Sequence[dict[str, Any]], name: str) -> Array:
-    """[N] share of each posterior that lies below the truth: even, if intervals are right."""
-    values = []
-    for row in rows:
-        if not row.get("verdict", {}).get("usable"):
-            continue
-        posterior = Posterior.from_dict(row["posterior"], _base(row))
-        if name not in posterior.names:
-            continue
-        k = posterior.names.index(name)
-        truth = posterior.prior.unknowns[k].transformed(row["truth"][name])
-        values.append(norm.cdf((truth - posterior.mean[k]) / posterior.sd(name)))
-    return np.array(values)
-
-
-def _base(row: dict[str, Any]) -> Any:
-    from gendom.estimation import Theta
-
-    return Theta(specific_modulus=row["truth"]["specific_modulus"])
 
 
 def coverage_text(rows: Sequence[dict[str, Any]], table: Sequence[Covered]) -> str:

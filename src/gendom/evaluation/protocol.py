@@ -39,7 +39,6 @@ class Cases:
     items: tuple[Item, ...]
     goal: Array
     """[W, G] in SI units."""
-    seed: int
 
     def __len__(self) -> int:
         return len(self.items)
@@ -118,7 +117,7 @@ def draw_cases(
             kept[i] = items[i % len(items)] if items else task.draw_item(rng)
             actions[k] = task.sample_actions(kept[i], rng, 1)[0]
         if not task.goals:
-            return Cases(task=task, items=tuple(kept), goal=goal, seed=seed)
+            return Cases(task=task, items=tuple(kept), goal=goal)
         outcomes = simulation.carry_out(task, [kept[i] for i in waiting], actions)
         again = []
         for i, outcome in zip(waiting, outcomes, strict=True):
@@ -128,7 +127,7 @@ def draw_cases(
                 again.append(i)
         waiting = np.array(again, dtype=int)
         if not len(waiting):
-            return Cases(task=task, items=tuple(kept), goal=goal, seed=seed)
+            return Cases(task=task, items=tuple(kept), goal=goal)
     raise SimulationError(
         f"{len(waiting)} of {count} cases failed {_ROUNDS} times", fix="choose other ranges"
     )

@@ -79,10 +79,8 @@ class Body:
     weave: "Weave" = field(default_factory=lambda: Weave())
     """How a cloth's threads differ from an isotropic sheet; of shells."""
     natural_curvature: NDArray[np.floating] | None = None
-    """[2, 2] of a shell, as ``curvature`` [1/m]; None: flat."""
-    curvature: NDArray[np.floating] | None = None
-    """[N, 2, 2] how a cloth curves that is free of stress, in its own first two axes, positive
-    where it arches towards the third [1/m]; None: its first shape ``x`` is free of stress."""
+    """[2, 2] how a shell curves that is free of stress, in its own first two axes, positive where
+    it arches towards the third [1/m]; None: flat."""
 
     @property
     def num_particles(self) -> int:
@@ -92,13 +90,7 @@ class Body:
     def rest_frames(self) -> NDArray[np.floating]:
         """[N, 3, 3] inverses of the rest differences along the lattice axes [1/m]."""
         first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
-        if self.curvature is None:
-            return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
-        # no surface need have these curvatures: only how long each layer is in the plane counts
-        m = self.material_coordinates
-        stretch = np.tile(np.eye(3), (len(m), 1, 1))
-        stretch[:, :2, :2] += m[:, 2, None, None] * self.curvature
-        return np.linalg.inv(stretch @ np.swapaxes(m[second] - m[first], 1, 2))
+        return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
 
     @property
     def lateral_constraint(self) -> float:
