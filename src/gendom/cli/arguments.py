@@ -19,52 +19,49 @@ if TYPE_CHECKING:
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
 
-
 ESTIMATE_FORMAT = "gendom-estimate/1"
 
 METHODS_HELP = "gauss-newton|adam|differential-evolution|pointnet"
 
 
-def _known(words: list[str]) -> str:
+def _name(metavar: str, known: Callable[[str], str]) -> Any:
+    """How a flag takes one of several names.
+
+    Args:
+        metavar: As the help lists them.
+        known: From a word to the name, with a ``ValueError`` where there is none.
+    """
+    return tyro.constructors.PrimitiveConstructorSpec[Any](
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: known(words[0]),
+        is_instance=lambda value: isinstance(value, str),
+        str_from_instance=lambda value: [value],
+    )
+
+
+def _task(word: str) -> str:
     from gendom.tasks import find_task
 
     try:
-        return find_task(words[0]).name
+        return find_task(word).name
     except GendomError as error:
         raise ValueError(f"{error.what}; {error.fix}") from None
 
 
-TaskName = Annotated[
-    str,
-    tyro.constructors.PrimitiveConstructorSpec[Any](
-        nargs=1,
-        metavar=TASKS_HELP,
-        instance_from_str=_known,
-        is_instance=lambda value: isinstance(value, str),
-        str_from_instance=lambda value: [value],
-    ),
-]
+TaskName = Annotated[str, _name(TASKS_HELP, _task)]
 """The name of a task, those of other packages included, or a Python file that defines one."""
 
 
-def _method(words: list[str]) -> str:
+def _method(word: str) -> str:
     from gendom.estimation import METHODS
 
-    if words[0] not in METHODS:
-        raise ValueError(f"there is no method {words[0]!r}; choose from {', '.join(METHODS)}")
-    return words[0]
+    if word not in METHODS:
+        raise ValueError(f"there is no method {word!r}; choose from {', '.join(METHODS)}")
+    return word
 
 
-MethodName = Annotated[
-    str,
-    tyro.constructors.PrimitiveConstructorSpec[Any](
-        nargs=1,
-        metavar=METHODS_HELP,
-        instance_from_str=_method,
-        is_instance=lambda value: isinstance(value, str),
-        str_from_instance=lambda value: [value],
-    ),
-]
+MethodName = Annotated[str, _name(METHODS_HELP, _method)]
 """The name of a method of estimation."""
 
 ITERATION_BAR = "{l_bar}{bar}| iteration {n_fmt}/{total_fmt}, {elapsed}{postfix}"

@@ -19,14 +19,6 @@ from gendom.files import to_json, write_json
 if TYPE_CHECKING:
     from gendom.estimation import Scene, SceneSettings, Theta
 
-OLD_KEYS = {
-    "specific_modulus": "specific_modulus",
-    "nu": "poissons_ratio",
-    "friction": "friction",
-    "damping": "damping",
-}
-"""Unknowns of the material, and their keys in files that have no ``theta``."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
@@ -165,12 +157,11 @@ def replay_setup(
 
 def _theta(params: Mapping[str, Any]) -> Theta:
     from gendom.estimation import Theta
+    from gendom.estimation.result import KEYS
 
     values = params.get("theta")
-    if values is None:
-        values = {
-            name: params[key] for name, key in OLD_KEYS.items() if params.get(key) is not None
-        }
+    if values is None:  # older versions' files
+        values = {name: params[key] for name, key in KEYS.items() if params.get(key) is not None}
     return Theta(**{name: float(value) for name, value in values.items()})
 
 
