@@ -1,5 +1,5 @@
-"""Measuring policies in the simulator."""
+"""Measuring policies in the simulator and in the second reality."""
 
-from gendom.evaluation.protocol import Cases, Score, draw_cases, score
+from gendom.evaluation.protocol import Cases, Score, choose, draw_cases, judge, score
 
-__all__ = ["Cases", "Score", "draw_cases", "score"]
+__all__ = ["Cases", "Score", "choose", "draw_cases", "judge", "score"]

@@ -10,7 +10,7 @@ relied on make no goal.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -153,6 +153,24 @@ def score(
     Raises:
         PolicyError: The policy is for another task.
     """
+    action = choose(policy, cases, known=known)
+    found = judge(cases, action, world=world, on_frame=on_frame)
+    ends = np.array([policy.goal_range(item) for item in cases.items]).reshape(len(cases), -1, 2)
+    outside = (cases.goal < ends[..., 0]) | (cases.goal > ends[..., 1])
+    return replace(found, outside=outside.any(axis=1))
+
+
+def choose(policy: Policy, cases: Cases, *, known: Sequence[Item] | None = None) -> Array:
+    """[W, A] a policy's actions, moved into the task's limits.
+
+    Args:
+        policy: Who acts.
+        cases: Objects and goals.
+        known: W objects as the policy knows them (default: as they are).
+
+    Raises:
+        PolicyError: The policy is for another task.
+    """
     task, own = cases.task, policy.task()
     if own.name != task.name:
         raise PolicyError(
@@ -166,22 +184,29 @@ def score(
     goal_units = np.array([task.goal_units(item) for item in cases.items]).reshape(
         len(cases), len(task.goals)
     )
-    reach = cases.goal / goal_units
-    asked = policy.actions(reach, given) * units
+    asked = policy.actions(cases.goal / goal_units, given) * units
     middle = np.array([column.mean for column in policy.description.outputs])
-    action = np.array(
+    return np.array(
         [
             task.nearest(item, a, middle * u)
             for item, a, u in zip(cases.items, asked, units, strict=True)
         ]
     )
+
+
+def judge(
+    cases: Cases,
+    action: Array,
+    *,
+    world: World | None = None,
+    on_frame: Callable[[int], None] | None = None,
+) -> Score:
+    """What comes of actions [W, A] in all cases; no goal counts as outside a range."""
+    task = cases.task
     outcomes = (world or Simulation()).carry_out(task, cases.items, action, on_frame=on_frame)
     reached = np.full(cases.goal.shape, np.nan)
     error = np.full(len(cases), np.nan)
-    outside = np.zeros(len(cases), dtype=bool)
     for w, (item, outcome) in enumerate(zip(cases.items, outcomes, strict=True)):
-        ends = policy.goal_range(item)
-        outside[w] = np.any((cases.goal[w] < ends[:, 0]) | (cases.goal[w] > ends[:, 1]))
         if outcome.fault is None:
             reached[w] = [outcome.values[q.name] for q in task.goals]
             error[w] = task.error(item, cases.goal[w], outcome.values)
@@ -191,7 +216,7 @@ def score(
         reached=reached,
         error=error,
         size=np.array([unit_of(task.goals[0].unit, i) if task.goals else 1.0 for i in cases.items]),
-        outside=outside,
+        outside=np.zeros(len(cases), dtype=bool),
         faults=tuple(o.fault for o in outcomes),
     )
 
