@@ -1,7 +1,7 @@
 # Everything from a fresh checkout. Each target makes .venv when it is missing.
 #
 #   make demo    the whole story on the recorded default   make bench   speed of the simulator
-#   make test    the tests (make test ARGS="-m slow")       make clean   remove .venv and caches
+#   make test    the tests (make test ARGS="-m slow")       make clean   remove .venv, caches and demo/
 #   make check   ruff and pyright
 #
 # PYTHON chooses the interpreter (3.11 or newer): make demo PYTHON=python3.12
@@ -47,7 +47,7 @@ bench: $(CORE)
 	@$(BIN)/gendom bench $(ARGS)
 
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist demo .pytest_cache .ruff_cache
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PLACE):

@@ -31,3 +31,11 @@ def test_version_is_that_of_the_package():
     except PackageNotFoundError:
         pytest.skip("gendom is not installed")
     assert installed == gendom.__version__
+
+
+def test_the_citation_is_of_this_version():
+    from gendom.installation import clone
+
+    folder = clone()
+    assert folder is not None
+    assert f"\nversion: {gendom.__version__}\n" in (folder / "CITATION.cff").read_text()
