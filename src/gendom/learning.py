@@ -19,12 +19,13 @@ import numpy as np
 
 from gendom.errors import GendomError
 from gendom.files import atomic_path
+from gendom.installation import how_to_install
 
 try:
     import torch
 except ModuleNotFoundError as missing:
     raise ModuleNotFoundError(
-        "training needs torch; install it with: pip install 'gendom[train]'", name=missing.name
+        f"training needs torch; install it with: {how_to_install('train')}", name=missing.name
     ) from missing
 import onnx
 from torch import Tensor, nn

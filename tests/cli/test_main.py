@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from gendom import __version__, cli
+from gendom import cli
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import GendomError
+from gendom.installation import how_to_install, version
 
 
 @pytest.fixture
@@ -69,7 +70,7 @@ def test_help_lists_every_command(capsys):
 
 def test_version(capsys):
     assert cli.main(["--version"]) == 0
-    assert capsys.readouterr().out == f"gendom {__version__}\n"
+    assert capsys.readouterr().out == f"gendom {version()}\n"
 
 
 def test_no_command_is_a_usage_error(capsys):
@@ -114,7 +115,7 @@ def test_usage_errors_of_a_command(command, capsys):
         (
             ModuleNotFoundError("No module named 'torch'", name="torch"),
             2,
-            "needs torch; install it with: pip install 'gendom[train]'",
+            f"needs torch; install it with: {how_to_install('train')}",
         ),
         (
             ZeroDivisionError("by zero\nmore"),

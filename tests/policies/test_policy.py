@@ -179,7 +179,9 @@ def test_files_that_are_no_policies_are_refused(tmp_path):
 
 
 def test_missing_pretrained_policy_is_told():
-    with pytest.raises(PolicyError, match=r"no pretrained policy 'rope-juggling\.onnx'"):
+    with pytest.raises(PolicyError, match=r"gendom dataset rope-casting-at-speed"):
+        Policy.pretrained("rope-casting-at-speed")
+    with pytest.raises(ParameterError, match=r"there is no task 'rope-juggling'; choose rope-r"):
         Policy.pretrained("rope-juggling")
 
 

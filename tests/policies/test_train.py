@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import PolicyError
+from gendom.installation import how_to_install
 from gendom.materials import Material, Rope
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
@@ -320,6 +321,5 @@ def test_missing_torch_names_the_extra(run_python):
         "try:\n    import gendom.policies.train\n"
         "except ModuleNotFoundError as error:\n    print(error.name, '|', error)"
     )
-    assert run_python(code) == (
-        "torch | training needs torch; install it with: pip install 'gendom[train]'"
-    )
+    advice = f"install it with: {how_to_install('train')}"
+    assert run_python(code) == f"torch | training needs torch; {advice}"

@@ -16,6 +16,7 @@ from gymnasium.utils.env_checker import check_env
 
 import gendom.reality.envs as envs
 from gendom.errors import DeviceError, ParameterError, RobotError
+from gendom.installation import how_to_install
 from gendom.materials import Material, unit_of
 from gendom.reality import OBJECTS, RealRope, RealWorld
 from gendom.reality.world import Reality
@@ -552,7 +553,7 @@ def test_the_second_reality_needs_no_gymnasium(run_python):
     assert run_python(blocked + "import gendom.reality; print('there')") == "there"
     code = "try:\n import gendom.reality.envs\nexcept Exception as e: print(type(e).__name__, e)"
     message = run_python(blocked + code)
-    assert message.startswith("DeviceError") and "gendom[reality]" in message
+    assert message.startswith("DeviceError") and how_to_install("reality") in message
 
 
 @pytest.mark.parametrize(

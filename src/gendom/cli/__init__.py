@@ -18,8 +18,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 
-from gendom import __version__
 from gendom.errors import GendomError
+from gendom.installation import how_to_install, version
 
 # Command -> module that holds it, and one line of help.
 COMMANDS = {
@@ -47,10 +47,7 @@ _EXTRAS = {
     "mujoco": "reality",
     "pyrealsense2": "camera",
     "cv2": "camera",
-    "xarm": "robot",
     "gymnasium": "reality",
-    "imageio": "viz",
-    "viser": "viz",
     "ray": "cluster",
 }
 
@@ -71,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(_usage(), file=sys.stdout if words else sys.stderr)
         return 0 if words else 2
     if words[0] == "--version":
-        print(f"gendom {__version__}")
+        print(f"gendom {version()}")
         return 0
     name = words[0]
     if name not in COMMANDS:
@@ -143,8 +140,7 @@ def _explain(error: BaseException) -> tuple[str, int]:
     if isinstance(error, ModuleNotFoundError):
         package = (error.name or "").partition(".")[0]
         if package in _EXTRAS:
-            extra = _EXTRAS[package]
-            return f"needs {package}; install it with: pip install 'gendom[{extra}]'", 2
+            return f"needs {package}; install it with: {how_to_install(_EXTRAS[package])}", 2
     if isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename else ""
         return f"{place}{error.strerror or error}", 2

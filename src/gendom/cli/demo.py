@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from tqdm import tqdm
 
-from gendom import __version__
 from gendom.cli.arguments import iterations_shown
 from gendom.cli.estimate import NOT_USABLE, estimate_text
 from gendom.cli.pictures import clouds_of, summary_of
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.files import to_json, write_json
+from gendom.installation import version
 from gendom.materials import ASSUMED, Material, Rope
 
 if TYPE_CHECKING:
@@ -397,7 +397,7 @@ def _report(
             ),
             provenance=Provenance(
                 commands=[_command_line(command)],
-                version=__version__,
+                version=version(),
                 date=date.today().isoformat(),
                 device=command.device,
                 seeds={"estimate": command.seed},

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gendom import __version__
 from gendom.cli.arguments import ESTIMATE_FORMAT, MethodName, iterations_shown
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError, SimulationError
 from gendom.files import check_folder, to_json, write_json
+from gendom.installation import version
 
 if TYPE_CHECKING:
     from gendom.estimation import Estimate, EstimateSettings
@@ -170,7 +170,7 @@ class Command:
                 estimate=summary_of(found),
                 provenance=Provenance(
                     commands=[self._command_line()],
-                    version=__version__,
+                    version=version(),
                     date=date.today().isoformat(),
                     device=self.device,
                     seeds={"estimate": self.seed},

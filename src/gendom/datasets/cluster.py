@@ -11,6 +11,7 @@ from dataclasses import is_dataclass
 from typing import Any
 
 from gendom.errors import DeviceError, GendomError
+from gendom.installation import how_to_install
 
 RETRIES = 5
 """How often a job is begun again whose worker died."""
@@ -82,7 +83,7 @@ def _connected(address: str) -> Iterator[Any]:
         import ray
     except ImportError:
         raise DeviceError(
-            "Ray is not installed", where="--cluster", fix="pip install 'gendom[cluster]'"
+            "Ray is not installed", where="--cluster", fix=how_to_install("cluster")
         ) from None
     own = not ray.is_initialized()
     if own:

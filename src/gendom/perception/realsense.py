@@ -30,6 +30,7 @@ import numpy as np
 
 from gendom.datasets import Fault
 from gendom.errors import DeviceError, RecordingError
+from gendom.installation import how_to_install
 from gendom.perception.alignment import Alignment
 from gendom.perception.camera import Camera, adopt_camera, write_pose
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
@@ -243,7 +244,7 @@ def realsense_sdk() -> Any:
     except ModuleNotFoundError:
         raise DeviceError(
             "the RealSense SDK is missing",
-            fix="pip install 'gendom[camera]' (Linux and Windows, x86-64)",
+            fix=f"{how_to_install('camera')} (Linux and Windows, x86-64)",
         ) from None
     except ImportError as error:
         raise DeviceError(

@@ -279,15 +279,20 @@ class Policy:
                 baseline that the method is compared with.
 
         Raises:
+            ParameterError: There is no such task.
             PolicyError: The package holds no such policy.
         """
+        from gendom.tasks import find_task
+
         name = _asset(task, parameters)
+        find_task(task)  # a name that no task has is refused as such
         asset = resources.files("gendom") / "assets" / name
         with resources.as_file(asset) as path:
             if not path.is_file():
                 raise PolicyError(
                     f"no pretrained policy {name!r} comes with this package",
-                    fix=f"train one with gendom train {task}, and name the file",
+                    fix=f"make demonstrations with gendom dataset {task}, train one with gendom "
+                    f"train {task}, and name its file",
                 )
             return cls.read(path)
 

@@ -44,6 +44,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.errors import DeviceError, ParameterError, RobotError
+from gendom.installation import how_to_install
 from gendom.materials import LARGEST, PARAMETERS, size_of, to_columns, unit_of
 from gendom.reality.objects import OBJECTS, RealObject, find_object
 from gendom.reality.scene import default_cameras, looking_at
@@ -57,7 +58,7 @@ except ImportError:
     raise DeviceError(
         "Gymnasium is not installed",
         where="gendom.reality.envs",
-        fix="pip install 'gendom[reality]'",
+        fix=how_to_install("reality"),
     ) from None
 
 Array = npt.NDArray[np.float64]

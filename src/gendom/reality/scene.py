@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from gendom.errors import DeviceError, ParameterError
+from gendom.installation import how_to_install
 from gendom.materials import STANDARD_GRAVITY
 from gendom.perception.camera import Camera
 from gendom.reality.objects import RealObject, RealRope
@@ -365,7 +366,7 @@ def load_mujoco() -> Any:
         import mujoco
     except ImportError:
         raise DeviceError(
-            "MuJoCo is not installed", where="reality", fix="pip install 'gendom[reality]'"
+            "MuJoCo is not installed", where="reality", fix=how_to_install("reality")
         ) from None
     gl_faults.append(without)
     return mujoco

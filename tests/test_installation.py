@@ -1,0 +1,52 @@
+"""In a clone and elsewhere: the version, and how extras are added."""
+
+import re
+import subprocess
+
+import pytest
+
+from gendom import __version__, installation
+from gendom.installation import clone, how_to_install, version
+
+
+@pytest.fixture
+def in_clone(tmp_path, monkeypatch):
+    """The package lies in a clone with one commit."""
+    monkeypatch.setattr(installation, "__file__", str(tmp_path / "src" / "gendom" / "file.py"))
+    (tmp_path / "pyproject.toml").write_text("")
+    who = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    for words in (["init"], ["add", "."], [*who, "commit", "-m", "First"]):
+        subprocess.run(["git", "-C", str(tmp_path), *words], check=True, capture_output=True)
+    return tmp_path
+
+
+def test_a_clone_tells_its_commit(in_clone):
+    assert re.fullmatch(rf"{re.escape(__version__)} \([0-9a-f]{{7,}}\)", version())
+    (in_clone / "pyproject.toml").write_text("[project]")
+    assert version().endswith("+)")
+
+
+def test_extras_of_a_clone(in_clone):
+    assert clone() == in_clone
+    assert how_to_install("train") == f"pip install -e '{in_clone}[train]'"
+
+
+def test_an_installed_package_has_neither(tmp_path, monkeypatch):
+    monkeypatch.setattr(installation, "__file__", str(tmp_path / "lib" / "gendom" / "file.py"))
+    assert clone() is None
+    assert version() == __version__
+    assert how_to_install("train") == "pip install 'gendom[train]'"
+
+
+def test_every_extra_is_imported_somewhere():
+    from gendom.cli import _EXTRAS
+
+    folder = clone()
+    assert folder is not None
+    import tomllib
+
+    extras = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    assert set(_EXTRAS.values()) == set(extras["optional-dependencies"]) - {"dev"}
+    source = "".join(p.read_text() for p in (folder / "src").rglob("*.py"))
+    for name in _EXTRAS:
+        assert re.search(rf"^\s*(import|from) {name}\b", source, re.MULTILINE), name
