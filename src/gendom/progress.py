@@ -1,0 +1,87 @@
+"""Progress bars: how they look and where they show, once for all."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from typing import Protocol, TypeVar
+
+T = TypeVar("T")
+
+_silent = False
+
+
+class Show(Protocol):
+    """Moves a bar on."""
+
+    def __call__(self, done: float, total: float | None = None, note: str = "") -> None:
+        """
+        Args:
+            done: How much is done by now; the first call says what was done before.
+            total: Of how much, where that is known only now.
+            note: Shown behind the bar.
+        """
+        ...
+
+
+@contextmanager
+def silence() -> Iterator[None]:
+    """No bar shows inside."""
+    global _silent
+    before, _silent = _silent, True
+    try:
+        yield
+    finally:
+        _silent = before
+
+
+@contextmanager
+def bar(
+    doing: str, total: float, unit: str, *, even: bool = False, shown: bool = True
+) -> Iterator[Show]:
+    """A bar that is full when the block is left without an error, and then goes.
+
+    It shows in terminals, as wide as they are, and in notebooks.
+
+    Args:
+        doing: What is done.
+        total: How much of it there is.
+        unit: What is counted, in the singular.
+        even: Whether every one takes about as long, so that a rate says something.
+        shown: False: nothing shows at all.
+    """
+    from tqdm.auto import tqdm
+
+    told = "{rate_noinv_fmt}, {remaining} left" if even else "{elapsed}"
+    with tqdm(
+        total=total,
+        desc=doing,
+        unit=f" {unit}",
+        bar_format=f"{{l_bar}}{{bar}}| {unit} {{n_fmt}}/{{total_fmt}}, {told}{{postfix}}",
+        smoothing=0.0,
+        dynamic_ncols=True,
+        leave=False,
+        disable=None if shown and not _silent else True,
+    ) as line:
+        known = False
+
+        def show(done: float, total: float | None = None, note: str = "") -> None:
+            nonlocal known
+            if not known:
+                line.initial = done  # what was there already must not count as fast work
+                known = True
+            line.total = line.total if total is None else total
+            line.set_postfix_str(note, refresh=False)
+            line.update(min(done, line.total) - line.n)
+
+        yield show
+        line.n = line.total
+        line.refresh()
+
+
+def each(items: Collection[T], doing: str, unit: str, *, shown: bool = True) -> Iterator[T]:
+    """The items one after another, and a `bar` of how many are done."""
+    with bar(doing, len(items), unit, shown=shown) as show:
+        for done, item in enumerate(items):
+            show(done)
+            yield item
