@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 import tyro
-from tqdm import tqdm
 
 from gendom import cli
-from gendom.cli.arguments import ITERATION_BAR
 from gendom.cli.demo import Command, _command_line
 
 
@@ -45,8 +43,3 @@ def test_goals_of_two_numbers_are_checked(tmp_path, capsys, goal, says):
     pytest.importorskip("mujoco", reason="needs the extra reality")
     assert cli.main(["demo", "--out", str(tmp_path / "demo"), "--goal", *goal]) == 2
     assert says in capsys.readouterr().err and not (tmp_path / "demo").exists()
-
-
-def test_iterations_have_no_rate():
-    line = tqdm.format_meter(4, 25, 20.0, ncols=70, prefix="estimating", bar_format=ITERATION_BAR)
-    assert line.startswith("estimating:  16%|") and line.endswith("| iteration 4/25, 00:20")

@@ -119,7 +119,7 @@ def test_faults_of_the_input_have_exit_code_2(lift, tmp_path, capsys, monkeypatc
     bad.write_bytes(b"nothing")
     for words, text in (
         ([str(bad)], "bad.npz"),
-        ([str(lift), "--seed", "-1"], "seed must be at least 0"),
+        ([str(lift), "--seed", "-1"], "--seed: is -1"),
         ([str(lift), "--level", "1"], "level"),
         ([str(lift), "--cells-across", "0.2"], "cells_across"),
         ([str(lift), "--points", "2"], "points"),

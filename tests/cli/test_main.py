@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from gendom import cli
+from gendom import cli, progress
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import GendomError
 from gendom.installation import how_to_install, version
@@ -215,3 +215,15 @@ def test_check_refuses(recording, tmp_path, capsys):
     ]
     assert cli.main(["check", str(tmp_path / "absent.npz")]) == 2
     assert capsys.readouterr().err.endswith("absent.npz: no such file; check the path\n")
+
+
+def test_quiet_leaves_warnings_and_no_bars(command, capsys):
+    def run(_):
+        logging.getLogger("gendom.somewhere").info("so far so good")
+        logging.getLogger("gendom.somewhere").warning("careful")
+        return int(progress._silent)
+
+    command(run)
+    assert cli.main(["act", "--quiet"]) == 1
+    assert capsys.readouterr() == ("", "gendom act: careful\n")
+    assert cli.main(["act"]) == 0

@@ -15,11 +15,12 @@ import os
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib import import_module
 
-from gendom.errors import GendomError
+from gendom.errors import GendomError, ParameterError
 from gendom.installation import how_to_install, version
+from gendom.progress import silence
 
 # Command -> module that holds it, and one line of help.
 COMMANDS = {
@@ -38,6 +39,7 @@ COMMANDS = {
     "perceive": ("gendom.cli.perceive", "from depth pictures to a recording"),
     "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
     "validate": ("gendom.cli.validate", "measure the simulator against analytic mechanics"),
+    "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
 }
 
 # Import name -> the extra that brings it.
@@ -62,8 +64,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code.
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in words
-    words = [word for word in words if word != "--debug"]
+    debug, quiet = "--debug" in words, "--quiet" in words
+    words = [word for word in words if word not in ("--debug", "--quiet")]
+    if words[:1] == ["help"] and len(words) > 1:
+        words = [words[1], "--help"]
     if words in ([], ["-h"], ["--help"], ["help"]):
         print(_usage(), file=sys.stdout if words else sys.stderr)
         return 0 if words else 2
@@ -75,7 +79,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"gendom: {_unknown(name)}", file=sys.stderr)
         return 2
     try:
-        with _log_to_stderr(name, logging.DEBUG if debug else logging.INFO):
+        level = logging.DEBUG if debug else logging.WARNING if quiet else logging.INFO
+        with _log_to_stderr(name, level), silence() if quiet else nullcontext():
             code = _run(name, words[1:])
             sys.stdout.flush()
             return code
@@ -94,16 +99,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(name: str, words: list[str]) -> int:
     import tyro
 
+    from gendom.cli.arguments import PARSING, described
+
     command_class = import_module(COMMANDS[name][0]).Command
     try:
         command = tyro.cli(
-            command_class,
-            prog=f"gendom {name}",
-            args=words,
-            config=(tyro.conf.FlagCreatePairsOff,),
+            described(command_class), prog=f"gendom {name}", args=words, config=PARSING
         )
     except SystemExit as stop:  # help, or flags that are not understood
         return stop.code if isinstance(stop.code, int) else 2
+    if (seed := getattr(command, "seed", 0)) < 0:
+        raise ParameterError(f"is {seed}", where="--seed", fix="give 0 or more")
     return command.run()
 
 
@@ -118,7 +124,8 @@ def _usage() -> str:
             "",
             *lines,
             "",
-            "gendom COMMAND --help tells a command's flags; --debug shows tracebacks;",
+            "gendom help COMMAND tells a command's flags, with an example. All take --debug, which",
+            "shows tracebacks, and --quiet: no progress and no notes, results and errors only.",
             "gendom --version tells the version.",
         ]
     )

@@ -80,13 +80,13 @@ class Command:
     """Where the task's frame has its origin in the robot's base frame [m] (default: the task's)."""
     policy: Path | None = None
     """Policy file; by default the one that comes with the package."""
-    parameters: bool = True
+    no_parameters: bool = False
     """Use the policy of the package that does not see the object's parameters."""
     force: bool = False
     """Act for a goal or an object outside of what the policy was trained on, too, with the nearest
     numbers that it was and a warning; and with an estimate that is not usable."""
-    foretell: bool = True
-    """Simulate what will be reached."""
+    no_foretell: bool = False
+    """Do not simulate what will be reached."""
     seed: int = 0
     """Seed of the objects drawn from an estimate's interval."""
     out: Path | None = None
@@ -98,8 +98,8 @@ class Command:
         from gendom.policies import Policy
 
         if self.policy is None:
-            policy = Policy.pretrained(self.task, parameters=self.parameters)
-        elif self.parameters:
+            policy = Policy.pretrained(self.task, parameters=not self.no_parameters)
+        elif not self.no_parameters:
             policy = Policy.read(self.policy)
         else:
             raise GendomError(
@@ -141,7 +141,7 @@ class Command:
             "warnings": action.warnings,
             "trajectory": trajectory(task, item, values, self.origin),
         }
-        if self.foretell and "specific_modulus" in held:
+        if not self.no_foretell and "specific_modulus" in held:
             result["foretold"] = foretold(task, item, values, spread, self.seed)
         if self.out is not None:
             write_json(self.out, result)

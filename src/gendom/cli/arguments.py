@@ -1,21 +1,51 @@
-"""Arguments and progress bars that several commands share."""
+"""Arguments that several commands share."""
 
 from __future__ import annotations
 
+import ast
+import inspect
 import math
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import tyro
-from tqdm import tqdm
 
 from gendom.errors import GendomError, ParameterError
 from gendom.files import read_json
+from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Progress
+
+PARSING = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
+"""How flags are read: none has a twin with --no-, and those without a value are left out."""
+
+
+def described(command: type) -> type:
+    """A command's class whose help flows (tyro keeps the line breaks of indented docstrings), and
+    tells those defaults alone that say something."""
+
+    def default_told(default: str) -> str:
+        return "" if default in ("None", "False", "") else f"(default: {default})"
+
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(command))).body
+    assert isinstance(tree, ast.ClassDef)
+    told = {
+        field.target.id: " ".join(text.value.value.split())
+        for field, text in pairwise(tree.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+        if isinstance(text.value.value, str)
+    }
+    for name, kind in get_type_hints(command, include_extras=True).items():
+        said = tyro.conf.arg(help=told.get(name), help_behavior_hint=default_told)
+        command.__annotations__[name] = Annotated[kind, said]
+    return command
+
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
 
@@ -64,27 +94,19 @@ def _method(word: str) -> str:
 MethodName = Annotated[str, _name(METHODS_HELP, _method)]
 """The name of a method of estimation."""
 
-ITERATION_BAR = "{l_bar}{bar}| iteration {n_fmt}/{total_fmt}, {elapsed}{postfix}"
-"""Format of a `tqdm` bar that counts iterations, which differ too much for a rate."""
-
 
 @contextmanager
 def iterations_shown() -> Iterator[Callable[[Progress], None]]:
-    """A bar of an estimation's progress, full when the block is left without an error."""
-    with tqdm(
-        total=1, desc="estimating", bar_format=ITERATION_BAR, leave=False, disable=None
-    ) as bar:
+    """A bar of an estimation's progress."""
+    with bar("estimating", 1, "iteration") as show:
 
-        def show(progress: Progress) -> None:
-            bar.total, bar.n = progress.most, progress.iteration
-            text = f"{progress.stage}: E / density {progress.best.specific_modulus:.4g} m^2/s^2"
+        def told(progress: Progress) -> None:
+            note = f"E/rho {progress.best.specific_modulus:.3g} m^2/s^2"
             if math.isfinite(progress.rms):
-                text += f", {1e3 * progress.rms:.2f} mm from the clouds"
-            bar.set_postfix_str(text)
+                note += f", {1e3 * progress.rms:.1f} mm off"
+            show(progress.iteration, progress.most, note)
 
-        yield show
-        bar.n = bar.total
-        bar.refresh()
+        yield told
 
 
 def read_params(path: Path, *, force: bool) -> dict[str, Any]:

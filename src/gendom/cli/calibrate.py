@@ -24,6 +24,8 @@ class Command:
 
     The folder has board.toml, poses.csv and the pictures; see docs/perception.md. Refuses when
     the poses do not determine the camera's place.
+
+    For example: gendom calibrate board --camera camera.toml --out camera.toml
     """
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]

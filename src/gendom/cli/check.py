@@ -19,6 +19,8 @@ class Command:
     """Validate a recording and print what is in it.
 
     Exit code 0: it can be used, perhaps with warnings. 2: it cannot; every fault is listed.
+
+    For example: gendom check lift.npz
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import tyro
-from tqdm import tqdm
 
 from gendom.cli.arguments import TaskName
 from gendom.errors import ParameterError
 from gendom.files import to_json
+from gendom.progress import bar
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -24,6 +24,8 @@ class Command:
     """Simulate demonstrations of a task with random objects and actions, to train a policy on.
 
     Stop it and run it again: it goes on where it stopped. A larger size extends a set.
+
+    For example: gendom dataset rope-casting --size 1000 --out casts
     """
 
     task: tyro.conf.Positional[TaskName]
@@ -80,16 +82,7 @@ class Command:
         source = Demonstrator(task=kind(ranges=ranges), world=world, items=items)
         if self.size < 1:
             raise ParameterError(f"is {self.size}", where="--size", fix="give 1 or more")
-        with tqdm(total=self.size, unit="demo", desc=self.task, smoothing=0.0, disable=None) as bar:
-            known = False
-
-            def progress(done: int, total: int) -> None:
-                nonlocal known
-                if not known:
-                    bar.initial = done  # what was there already must not count as fast work
-                    known = True
-                bar.update(done - bar.n)
-
+        with bar(self.task, self.size, "demo", even=True) as show:
             table = generate(
                 source,
                 self.size,
@@ -98,7 +91,7 @@ class Command:
                 device=self.device,
                 cluster=self.cluster,
                 shard_size=self.shard_size,
-                progress=progress,
+                progress=show,
             )
         summary = {
             "path": self.out,

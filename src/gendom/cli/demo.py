@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from tqdm import tqdm
 
 from gendom.cli.arguments import iterations_shown
 from gendom.cli.estimate import NOT_USABLE, estimate_text
@@ -24,6 +23,7 @@ from gendom.errors import GendomError, ParameterError
 from gendom.files import to_json, write_json
 from gendom.installation import version
 from gendom.materials import ASSUMED, Material, Rope
+from gendom.progress import each
 
 if TYPE_CHECKING:
     from gendom.estimation import Estimate
@@ -62,6 +62,8 @@ class Command:
     The object, a rope, lives in a second reality (docs/reality.md): other equations than the
     estimator's, a robot arm, and two noisy depth cameras. Without arguments the recorded lift and
     the policies that come with the package are used, and nothing needs OpenGL.
+
+    For example: gendom demo --task rope-reaching
     """
 
     out: Path = Path("demo")
@@ -232,8 +234,8 @@ def _carry_out(
     task, known = policies[0].task(), known_rope(found)
     done: list[PolicyRun] = []
     executed = []
-    each = np.repeat(goals, len(policies), axis=0)
-    for goal in tqdm(each, desc="the arm acts", leave=False, disable=None):
+    every = np.repeat(goals, len(policies), axis=0)
+    for goal in each(every, "the arm acts", "action"):
         policy = policies[len(done) % len(policies)]
         action = policy.act(goal, known).values
         performance = RealWorld().performance(task, rope, action)

@@ -39,6 +39,8 @@ class Command:
 
     Ctrl-C ends the search and keeps the best found so far. Exit code 3: the recording cannot be
     used, for the reasons that are printed; no intervals are given then.
+
+    For example: gendom estimate lift.npz --out lift --report lift.html
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]

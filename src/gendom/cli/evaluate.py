@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import tyro
-from tqdm import tqdm
 
 from gendom.cli.arguments import TaskName
 from gendom.errors import ParameterError
 from gendom.files import to_json
+from gendom.progress import bar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +21,8 @@ class Command:
 
     All policies meet the same objects and goals. Each case is simulated once to find a goal, and
     once for each policy: in our simulator, or in the second reality (docs/reality.md).
+
+    For example: gendom evaluate rope-casting --policy casting.onnx
     """
 
     task: tyro.conf.Positional[TaskName]
@@ -75,8 +76,8 @@ class Command:
         )
         entries = []
         for policy in policies:
-            with tqdm(total=len(cases), unit="case", leave=False, disable=None) as bar:
-                found = score(policy, cases, world=world, on_frame=_shown(bar))
+            with bar("acting", len(cases), "case") as show:
+                found = score(policy, cases, world=world, on_frame=show)
             entries.append(
                 {
                     "path": policy.where,
@@ -97,16 +98,6 @@ class Command:
         }
         print(to_json(result) if self.json else result_text(result))
         return 0
-
-
-def _shown(bar: tqdm) -> Callable[[int], None]:
-    """Shows how many of its total are done; our simulator counts frames, not cases."""
-
-    def show(done: int) -> None:
-        if bar.n < done <= bar.total:
-            bar.update(done - bar.n)
-
-    return show
 
 
 def result_text(result: dict[str, Any]) -> str:

@@ -29,6 +29,8 @@ class Command:
 
     The folder's layout is described in docs/perception.md. Prints how many points each stage
     kept. Frames that cannot be used are left out, with a warning.
+
+    For example: gendom perceive lift --colour 180 30 35 --out lift.npz
     """
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]

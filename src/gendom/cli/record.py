@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from tqdm import tqdm
-
 from gendom.errors import ParameterError
+from gendom.progress import bar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,6 +17,8 @@ class Command:
     A robot arm lifts it under two depth cameras like a D435i, with their noise, their
     calibration's errors and a clock that is ahead. Writes what `gendom perceive` reads; the truth
     goes into DIR/truth, for evaluation only. docs/reality.md describes it all.
+
+    For example: gendom record --reality rope-cotton --out lift
     """
 
     reality: str
@@ -31,11 +32,11 @@ class Command:
     """At the top: hold it still, swing it by one quick move, or let it drop."""
     frame_rate: float = 30.0
     """Frames a second."""
-    noise: bool = True
-    """Noise of the cameras."""
-    errors: bool = True
-    """Errors of the rig: 2 mm and 0.3 degrees of calibration, 20 ms between the cameras (1 ms with
-    --end swing or drop: those are joined by a cable)."""
+    no_noise: bool = False
+    """Cameras without noise."""
+    no_errors: bool = False
+    """A rig without its errors: 2 mm and 0.3 degrees of calibration, 20 ms between the cameras (1
+    ms with --end swing or drop: those are joined by a cable)."""
     format: Literal["png", "db3"] = "png"
     """png: folders of pictures. db3: RealSense recordings; needs the extra camera."""
     seed: int = 0
@@ -62,15 +63,7 @@ class Command:
         performance = Performance(trial, cameras=lift_cameras(item))
         performance.step_to(performance.closes)
         seconds = performance.end - performance.closes
-        with (
-            performance.world,
-            tqdm(total=round(seconds, 1), unit="s", leave=False, disable=None) as bar,
-        ):
-
-            def show(moment: float) -> None:
-                bar.n = round(moment, 1)
-                bar.refresh()
-
+        with performance.world, bar("recording", round(seconds, 1), "second") as show:
             record(
                 performance,
                 self.out,
@@ -80,9 +73,9 @@ class Command:
                     format=self.format,
                     notes=f"The predefined lift of {item.name}, seed {self.seed}.",
                 ),
-                sensor=DepthSensor() if self.noise else DepthSensor.exact(),
-                errors=None if self.errors else RigErrors.none(),
-                on_frame=show,
+                sensor=DepthSensor.exact() if self.no_noise else DepthSensor(),
+                errors=RigErrors.none() if self.no_errors else None,
+                on_frame=lambda moment: show(round(moment, 1)),
             )
         r, g, b = item.colour
         print(f"written: {self.out}")

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from tqdm import tqdm
 
 from gendom.cli.arguments import iterations_shown, read_params
 from gendom.cli.pictures import clouds_of, view_of
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.files import to_json, write_json
+from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Scene, SceneSettings, Theta
@@ -26,6 +26,8 @@ class Command:
 
     The recording may be longer than the one that was fitted, or another one of the same object. In
     another one, how the object is held and when it moves are estimated anew, the material is not.
+
+    For example: gendom replay lift.npz --params lift/estimate.json --gif lift.gif
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
@@ -59,13 +61,7 @@ class Command:
             self.engine,
         )
         frames = list(scene.frames)
-        with tqdm(
-            total=len(frames), desc="replaying", unit="frame", leave=False, disable=None
-        ) as bar:
-
-            def show(done: int) -> None:
-                bar.update(done - bar.n)
-
+        with bar("replaying", len(frames), "frame", even=True) as show:
             x = replay(scene, [theta], on_frame=show)[:, 0]
         whole, surface = chamfers(scene, x)
         record: dict[str, Any] = {

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
 import tyro
-from tqdm import tqdm
 
 from gendom.files import to_json, write_json
+from gendom.progress import bar
 
 SCALES = {"small": (2, 1), "full": (5, 5)}
 """Objects, and starts of each, by scale of the table sim2sim."""
@@ -35,6 +34,8 @@ class Command:
     coverage: random objects of the second reality are lifted before its cameras and estimated; how
     far off estimates are, how many intervals hold the truth, which lifts are refused. A lift takes
     about a minute on a core; what is in --out is not made again.
+
+    For example: gendom reproduce sim2sim --method gauss-newton
     """
 
     table: tyro.conf.Positional[Literal["sim2sim", "coverage"]]
@@ -71,8 +72,8 @@ class Command:
         settings = CoverageSettings(
             kind=self.kind, end=self.end, lifts=self.lifts, seed=self.seed, jobs=self.jobs
         )
-        with tqdm(total=self.lifts, desc="lifting", leave=False, disable=None) as bar:
-            rows = coverage(self.out, settings, on_done=_shown(bar))
+        with bar("lifting", self.lifts, "lift") as show:
+            rows = coverage(self.out, settings, on_done=show)
         table = covered(rows, settings.level)
         result = {"table": self.table, **asdict(settings), "unknowns": [asdict(c) for c in table]}
         write_json(self.out / f"table-{self.kind}-{self.end}.json", {**result, "rows": rows})
@@ -92,7 +93,7 @@ class Command:
         rows = []
         for method, frames in wanted:
             label = f"{method}, {frames} frames" if frames == "all" else f"{method}, last frame"
-            with tqdm(total=truths * starts, desc=label, leave=False, disable=None) as bar:
+            with bar(label, truths * starts, "estimate") as show:
                 rows.append(
                     sim2sim(
                         method,
@@ -101,7 +102,7 @@ class Command:
                         frames=frames,
                         settings=settings,
                         seed=self.seed,
-                        on_done=_shown(bar),
+                        on_done=show,
                     )
                 )
         result = {
@@ -122,12 +123,3 @@ class Command:
             print(rows_text(rows))
             print(f"took {result['seconds']:.3g} s")
         return 0
-
-
-def _shown(bar: tqdm) -> Callable[[int], None]:
-    """Shows how many estimates are done."""
-
-    def show(done: int) -> None:
-        bar.update(done - bar.n)
-
-    return show

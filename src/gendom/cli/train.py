@@ -25,6 +25,8 @@ class Command:
     The file appears when the policy is trained and checked; an older one stays until then. Then
     it acts in fresh simulated cases, and its errors there are printed. Stop it and run it again: it
     goes on where it stopped.
+
+    For example: gendom train rope-casting --data casts --out casting.onnx
     """
 
     task: tyro.conf.Positional[TaskName]

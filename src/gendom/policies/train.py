@@ -9,7 +9,7 @@ import hashlib
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,6 @@ from gendom.learning import (  # explains a missing torch
 
 # isort: split
 import torch
-from tqdm import tqdm
 
 from gendom import __version__
 from gendom.errors import PolicyError
@@ -37,6 +36,7 @@ from gendom.policies.lesson import Lesson
 from gendom.policies.methods import teacher
 from gendom.policies.networks import ARCHITECTURES
 from gendom.policies.policy import METADATA_KEY, METHODS, Description, GoalRange, Policy
+from gendom.progress import Show, bar
 from gendom.tasks import find_task
 
 GOAL_BINS = 8
@@ -302,30 +302,24 @@ def _shown(
                 "logging needs tensorboardX", fix="install it with: pip install tensorboardX"
             ) from None
         writer = SummaryWriter(str(tensorboard))
-    bars: dict[str, tqdm] = {}
+    shows: dict[str, Show] = {}
+    one = ExitStack()  # networks are fitted one after another
 
     def observe(name: str, epoch: Epoch) -> None:
         if writer is not None:
             writer.add_scalar(f"{name}/loss", epoch.loss, epoch.done)
             if epoch.held_out is not None:
                 writer.add_scalar(f"{name}/held out", epoch.held_out, epoch.done)
-        if not progress:
-            return
-        if name not in bars:
-            bars[name] = tqdm(
-                total=epoch.of, desc=name, unit="epoch", initial=epoch.done - 1, disable=None
-            )
+        if name not in shows:
+            one.close()
+            shows[name] = one.enter_context(bar(name, epoch.of, "epoch", shown=progress))
         aside = "" if epoch.held_out is None else f", held out {epoch.held_out:.2e}"
-        bars[name].set_postfix_str(f"loss {epoch.loss:.2e}{aside}", refresh=False)
-        bars[name].update()
-        if epoch.done == epoch.of:
-            bars[name].close()
+        shows[name](epoch.done, note=f"loss {epoch.loss:.2e}{aside}")
 
     try:
-        yield observe
+        with one:
+            yield observe
     finally:
-        for bar in bars.values():
-            bar.close()
         if writer is not None:
             writer.close()
 
