@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from gendom.errors import GendomError, RecordingError
 from gendom.files import (
     atomic_folder,
     atomic_path,
+    check_file,
     check_folder,
     read_json,
     read_toml,
@@ -94,6 +96,39 @@ def test_a_folder_is_checked_and_not_made(tmp_path):
     for place in ("file", "file/below"):
         with pytest.raises(GendomError, match="file: is a file, not a folder; name a folder"):
             check_folder(tmp_path / place)
+    with pytest.raises(GendomError, match=r"a\.json: is named like a file.*; name a folder"):
+        check_folder(tmp_path / "a.json")
+
+
+def test_a_file_is_checked_and_not_made(tmp_path):
+    check_file(tmp_path / "new" / "a.GIF", ".gif")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(
+        GendomError, match=r"a\.mp4: does not end in \.gif.*; name a file that ends"
+    ):
+        check_file(tmp_path / "a.mp4", ".gif")
+    (tmp_path / "b.gif").mkdir()
+    with pytest.raises(GendomError, match=r"b\.gif: is a folder; name a file"):
+        check_file(tmp_path / "b.gif", ".gif")
+
+
+def test_places_that_cannot_be_written_are_refused_before_the_work(tmp_path, monkeypatch):
+    with pytest.raises(GendomError, match=r"/proc: cannot be written \(.*\); choose another place"):
+        check_folder("/proc/nothing")
+
+    class Full:
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def write(self, _):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda dir: Full())
+    with pytest.raises(GendomError, match="the disk is full; make room, or choose another place"):
+        check_file(tmp_path / "a.json", ".json")
 
 
 def test_json_round_trip(tmp_path):

@@ -9,6 +9,7 @@ import math
 import os
 import secrets
 import shutil
+import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,6 +21,15 @@ from typing import Any
 import numpy as np
 
 from gendom.errors import GendomError
+
+FILES = (".csv", ".gif", ".html", ".json", ".mp4", ".npz", ".onnx", ".parquet", ".toml", ".zip")
+"""What no folder's name ends in."""
+
+LEAST_ROOM = 1 << 16
+"""Without which a disk counts as full [bytes]."""
+
+FULL = (errno.ENOSPC, errno.EDQUOT)
+"""Errors of a disk without room."""
 
 
 @contextmanager
@@ -69,17 +79,56 @@ def check_folder(folder: str | os.PathLike) -> None:
     """Whether files can be written into a folder that need not exist yet; it is not made.
 
     Raises:
-        GendomError: It is a file or lies below one, or there is no permission.
+        GendomError: It is a file, lies below one or is named like one, or nothing can be written
+            there.
     """
-    there = Path(folder).absolute()
+    folder = Path(folder)
+    if folder.suffix.lower() in FILES and not folder.exists():
+        raise GendomError(
+            "is named like a file, and a folder is written", where=str(folder), fix="name a folder"
+        )
+    _check_place(folder)
+
+
+def check_file(path: str | os.PathLike, ending: str) -> None:
+    """Whether a file can be written; it is not made.
+
+    Args:
+        path: The file.
+        ending: Of names of what is written, with its dot.
+
+    Raises:
+        GendomError: It ends otherwise or is a folder, or nothing can be written there.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ending:
+        raise GendomError(
+            f"does not end in {ending}, which is what is written",
+            where=str(path),
+            fix=f"name a file that ends in {ending}",
+        )
+    if path.is_dir():
+        raise GendomError("is a folder", where=str(path), fix="name a file")
+    _check_place(path.parent)
+
+
+def _check_place(folder: Path) -> None:
+    """Refuse a folder that cannot be made or written, by writing to the nearest that is there."""
+    there = folder.absolute()
     while not there.exists():
         there = there.parent
     if not there.is_dir():
         raise GendomError("is a file, not a folder", where=str(there), fix="name a folder")
-    if not os.access(there, os.W_OK | os.X_OK):
+    try:
+        with tempfile.TemporaryFile(dir=there) as probe:
+            probe.write(bytes(LEAST_ROOM))
+    except OSError as error:
+        full = error.errno in FULL
         raise GendomError(
-            "no permission to write here", where=str(there), fix="choose another place"
-        )
+            "the disk is full" if full else f"cannot be written ({error.strerror})",
+            where=str(there),
+            fix="make room, or choose another place" if full else "choose another place",
+        ) from None
 
 
 @contextmanager
@@ -102,7 +151,7 @@ def _beside(path: Path) -> Iterator[Path]:
     try:
         yield temporary
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno not in FULL:
             raise
         raise GendomError(
             "the disk is full", where=str(path), fix="make room, and run the same command again"

@@ -151,7 +151,7 @@ def test_places_are_checked_before_the_work(lift, tmp_path, capsys, monkeypatch)
     shut = tmp_path / "shut"
     shut.mkdir(mode=0o500)
     assert cli.main(["estimate", str(lift), "--out", str(shut / "new")]) == 2
-    assert "no permission" in capsys.readouterr().err
+    assert "shut: cannot be written" in capsys.readouterr().err
 
 
 def test_results_are_printed_though_they_cannot_be_written(lift, tmp_path, capsys):

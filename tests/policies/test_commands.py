@@ -45,7 +45,7 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
 
 def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     code, out, err = act("--json", "--out", str(tmp_path / "action.json"))
-    assert (code, err) == (0, "")
+    assert (code, err) == (0, f"written: {tmp_path / 'action.json'}\n")
     result = json.loads(out)
     assert result == read_json(tmp_path / "action.json")
     assert result["format"] == "gendom-action/2"

@@ -13,8 +13,9 @@ import numpy as np
 import tyro
 
 from gendom.cli.arguments import TaskName, read_params
+from gendom.cli.outputs import tell_written
 from gendom.errors import GendomError, PolicyError
-from gendom.files import to_json, write_json
+from gendom.files import check_file, to_json, write_json
 from gendom.materials import ASSUMED, KINDS, LARGEST, PARAMETERS, Item, from_columns, to_columns
 
 if TYPE_CHECKING:
@@ -97,6 +98,8 @@ class Command:
     def run(self) -> int:
         from gendom.policies import Policy
 
+        if self.out is not None:
+            check_file(self.out, ".json")
         if self.policy is None:
             policy = Policy.pretrained(self.task, parameters=not self.no_parameters)
         elif not self.no_parameters:
@@ -143,9 +146,10 @@ class Command:
         }
         if not self.no_foretell and "specific_modulus" in held:
             result["foretold"] = foretold(task, item, values, spread, self.seed)
+        print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         if self.out is not None:
             write_json(self.out, result)
-        print(to_json(result) if self.json else result_text(result, self.out))
+            tell_written(self.out, json=self.json)
         return 0
 
     def _held(self, kind: str) -> tuple[dict[str, float], tuple[float, float] | None]:
@@ -318,9 +322,9 @@ def read_estimate(
     return known, (0.5 * (low + high), 0.5 * (high - low) / half)
 
 
-def result_text(result: dict[str, Any], out: Path | None) -> str:
-    """The same for people."""
-    motion, held = result["trajectory"], result["object"]
+def result_text(result: dict[str, Any], *, motion: bool) -> str:
+    """The same for people, with or without the robot's motion."""
+    path, held = result["trajectory"], result["object"]
     large, small = KINDS[held["kind"]].sizes
     size = f"{large} {held[large]:.4g} m, {small} {held[small]:.4g} m"
     seen = ", ".join(f"{name} {value:.4g}" for name, value in result["network_input"].items())
@@ -330,7 +334,7 @@ def result_text(result: dict[str, Any], out: Path | None) -> str:
         ("goal", ", ".join(f"{n} {v:.4g}" for n, v in result["goal"].items()) or "none"),
         ("action", ", ".join(f"{n} {v:.4f}" for n, v in result["action"].items())),
     ]
-    for event in motion["events"]:
+    for event in path["events"]:
         rows.append(
             ("hand", f"{'closes' if event['closed'] else 'opens'} at {event['time']:.4f} s")
         )
@@ -340,14 +344,12 @@ def result_text(result: dict[str, Any], out: Path | None) -> str:
         rows.append(("assumed", ", ".join(assumed)))
     rows.append(("policy", result["policy"]["path"]))
     lines = [result["task"], *(f"  {name:<8} {text}" for name, text in rows)]
-    if out is None:
-        lines += [f"  time [s]   position [m] in the frame: {motion['frame']}"]
+    if motion:
+        lines += [f"  time [s]   position [m] in the frame: {path['frame']}"]
         lines += [
             f"  {t:<9.4f}  " + "  ".join(f"{c:9.5f}" for c in position)
-            for t, position in zip(motion["time"], motion["position"], strict=True)
+            for t, position in zip(path["time"], path["position"], strict=True)
         ]
-    else:
-        lines.append(f"  written  {out}")
     return "\n".join(lines)
 
 

@@ -10,9 +10,10 @@ import tyro
 from scipy.spatial.transform import Rotation
 
 from gendom.cli.check import fault_entry
+from gendom.cli.outputs import tell_written
 from gendom.datasets import Fault
 from gendom.errors import GendomError
-from gendom.files import to_json
+from gendom.files import check_file, to_json
 from gendom.perception.calibration import Calibration, calibrate, read_views
 from gendom.perception.camera import read_camera, write_camera
 from gendom.perception.realsense import RealSenseRecording, is_recording
@@ -40,6 +41,8 @@ class Command:
 
     def run(self) -> int:
         warnings: list[Fault] = []
+        if self.out is not None:
+            check_file(self.out, ".toml")
         camera = (
             RealSenseRecording(self.camera).camera
             if is_recording(self.camera)
@@ -53,15 +56,14 @@ class Command:
             raise GendomError(
                 error.what + lost, where=error.where or str(self.folder), fix=error.fix
             ) from None
-        if self.out is not None:
-            write_camera(self.out, camera.at(found.T_world_camera))
         if self.json:
             entries = [fault_entry(w) for w in warnings]
             print(to_json({"out": self.out, **_summary(found), "warnings": entries}))
         else:
             print(_text(found, warnings))
-            if self.out is not None:
-                print(f"written: {self.out}")
+        if self.out is not None:
+            write_camera(self.out, camera.at(found.T_world_camera))
+            tell_written(self.out, json=self.json)
         return 0
 
 

@@ -12,7 +12,7 @@ import tyro
 
 from gendom.cli.arguments import TaskName
 from gendom.errors import ParameterError
-from gendom.files import to_json
+from gendom.files import check_folder, to_json
 from gendom.progress import bar
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ class Command:
         from gendom.tasks.world import Simulation, World
 
         began = time.monotonic()
+        check_folder(self.out)
         kind = find_task(self.task)
         ranges = {**kind().ranges, **{name: (low, high) for name, low, high in self.range}}
         world: World = Simulation(

@@ -20,7 +20,7 @@ from gendom.cli.estimate import NOT_USABLE, estimate_text
 from gendom.cli.pictures import clouds_of, summary_of
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
-from gendom.files import to_json, write_json
+from gendom.files import check_folder, to_json, write_json
 from gendom.installation import version
 from gendom.materials import ASSUMED, Material, Rope
 from gendom.progress import each
@@ -98,6 +98,7 @@ class Command:
         from gendom.sim import open_device
         from gendom.viz import encode_sights, write_gif
 
+        check_folder(self.out)
         open_device(self.device)
         seconds: dict[str, float] = {}
         rope = find_object(self.reality)
@@ -142,15 +143,14 @@ class Command:
         )
         with _timed(seconds, "estimate"), iterations_shown() as show:
             found = estimate(recording, settings, on_progress=show)
-        # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.
-        self.out.mkdir(parents=True, exist_ok=True)
-        write_json(self.out / "estimate.json", found.record)
         print(estimate_text(found))
         print(
             f"true values      E {truth['youngs_modulus']:.4g} Pa, nu "
             f"{truth['poissons_ratio']:.3f}\n",
             flush=True,
         )
+        # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.
+        write_json(self.out / "estimate.json", found.record)
         if not found.usable:
             for reason in found.verdict.reasons:
                 _log.error("not usable: %s", reason)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import shlex
-import sys
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -13,9 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from gendom.cli.arguments import ESTIMATE_FORMAT, MethodName, iterations_shown
+from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
-from gendom.errors import ParameterError, RecordingError, SimulationError
-from gendom.files import check_folder, to_json, write_json
+from gendom.errors import RecordingError, SimulationError
+from gendom.files import check_file, check_folder, to_json, write_json
 from gendom.installation import version
 
 if TYPE_CHECKING:
@@ -121,15 +121,8 @@ class Command:
         """Refuse what cannot be written before the work, not after it."""
         if self.out is not None:
             check_folder(self.out)
-        if self.report is None:
-            return
-        if self.report.suffix.lower() != ".html":
-            raise ParameterError(
-                f"is {self.report}", where="--report", fix="name a file that ends in .html"
-            )
-        if self.report.is_dir():
-            raise ParameterError("is a folder", where=str(self.report), fix="name a file")
-        check_folder(self.report.parent)
+        if self.report is not None:
+            check_file(self.report, ".html")
 
     def _refused(self, reasons: list[str]) -> int:
         """What is said and written of a recording that cannot be estimated from."""
@@ -144,10 +137,7 @@ class Command:
 
     def _written(self, path: Path, record: dict) -> None:
         write_json(path, record)
-        self._say(path)
-
-    def _say(self, path: Path) -> None:
-        print(f"written: {path}", file=sys.stderr if self.json else sys.stdout)
+        tell_written(path, json=self.json)
 
     def _write_report(self, found: Estimate) -> None:
         from gendom.cli.pictures import clouds_of, summary_of, view_of
@@ -181,7 +171,7 @@ class Command:
                 ),
             ),
         )
-        self._say(self.report)
+        tell_written(self.report, json=self.json)
 
     def _command_line(self) -> str:
         """The words that give the same estimate again."""

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import tyro
 
-from gendom.files import to_json
+from gendom.files import check_folder, to_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +33,7 @@ class Command:
     def run(self) -> int:
         from gendom.datasets.lerobot import export_lerobot
 
+        check_folder(self.out)
         info = export_lerobot(self.set, self.out)
         print(to_json(info) if self.json else info_text(info, self.out))
         return 0

@@ -10,9 +10,9 @@ import numpy as np
 import tyro
 
 from gendom.cli.check import fault_entry
+from gendom.cli.outputs import tell_written
 from gendom.datasets import Fault
-from gendom.datasets.recording import check_name
-from gendom.files import to_json
+from gendom.files import check_file, to_json
 from gendom.perception import (
     STAGES,
     FusedCloud,
@@ -65,7 +65,7 @@ class Command:
     """Print JSON."""
 
     def run(self) -> int:
-        check_name(self.out)
+        check_file(self.out, ".npz")
         warnings: list[Fault] = []
         settings = PerceptionSettings(
             workspace=self.workspace,
@@ -88,12 +88,13 @@ class Command:
             on_warning=warnings.append,
             on_frame=_print_frame if show else lambda _time, _cloud: None,
         )
-        perceived.write(self.out)
         if self.json:
             entries = [fault_entry(w) for w in warnings]
             print(to_json({"out": self.out, **_summary(perceived), "warnings": entries}))
         else:
-            print(_text(perceived, warnings, self.out))
+            print(_text(perceived, warnings))
+        perceived.write(self.out)
+        tell_written(self.out, json=self.json)
         return 0
 
 
@@ -131,7 +132,7 @@ def _summary(perceived: Perceived) -> dict[str, Any]:
     }
 
 
-def _text(perceived: Perceived, warnings: list[Fault], out: Path) -> str:
+def _text(perceived: Perceived, warnings: list[Fault]) -> str:
     summary = _summary(perceived)
     lines = [f"{summary['frames']} frames; points a frame after each stage"]
     lines.append(f"  {'':<10}{'min':>9}{'median':>9}{'max':>9}")
@@ -143,4 +144,4 @@ def _text(perceived: Perceived, warnings: list[Fault], out: Path) -> str:
         lines.append(f"  cameras place the object {1e3 * perceived.disagreement:.1f} mm apart")
     lines.append(f"  about {100 * perceived.seen_share:.0f} % of the object is seen")
     lines += [f"  warning   {warning}" for warning in warnings]
-    return "\n".join([*lines, f"written: {out}"])
+    return "\n".join(lines)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from gendom.errors import ParameterError
+from gendom.files import check_folder
 from gendom.progress import bar
 
 
@@ -58,6 +59,7 @@ class Command:
             raise ParameterError(
                 f"is {self.frame_rate}", where="--frame-rate", fix="give 90 or less, above 0"
             )
+        check_folder(self.out)
         item = find_object(self.reality)
         trial = lift(item, rise=self.rise, end=self.end)
         performance = Performance(trial, cameras=lift_cameras(item))

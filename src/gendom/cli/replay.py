@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from gendom.cli.arguments import iterations_shown, read_params
+from gendom.cli.outputs import tell_written
 from gendom.cli.pictures import clouds_of, view_of
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
-from gendom.files import to_json, write_json
+from gendom.files import check_file, to_json, write_json
 from gendom.progress import bar
 
 if TYPE_CHECKING:
@@ -35,11 +36,11 @@ class Command:
     params: Path
     """Parameters: an estimate.json."""
     out: Path | None = None
-    """File for the JSON."""
+    """JSON file for the distances."""
     json: bool = False
     """Print JSON."""
     gif: Path | None = None
-    """Animation of recorded and simulated clouds."""
+    """GIF file: recorded and simulated clouds."""
     engine: Literal["thin", "mpm"] | None = None
     """Of the simulator; by default the one that the parameters were estimated with."""
     device: str = "cpu"
@@ -51,6 +52,10 @@ class Command:
         from gendom.estimation import chamfers, replay
         from gendom.sim import open_device
 
+        if self.out is not None:
+            check_file(self.out, ".json")
+        if self.gif is not None:
+            check_file(self.gif, ".gif")
         open_device(self.device)
         recording = Recording.read(self.recording)
         scene, theta = replay_setup(
@@ -78,12 +83,6 @@ class Command:
             "clock": scene.clock,
             "notes": list(scene.notes),
         }
-        if self.out is not None:
-            write_json(self.out, record)
-        if self.gif is not None:
-            from gendom.viz import write_gif
-
-            write_gif(self.gif, clouds_of(scene, x, whole), view=view_of(scene))
         if self.json:
             print(to_json(record))
         else:
@@ -94,6 +93,14 @@ class Command:
             )
             for note in scene.notes:
                 print(f"note: {note}")
+        if self.out is not None:
+            write_json(self.out, record)
+            tell_written(self.out, json=self.json)
+        if self.gif is not None:
+            from gendom.viz import write_gif
+
+            write_gif(self.gif, clouds_of(scene, x, whole), view=view_of(scene))
+            tell_written(self.gif, json=self.json)
         return 0
 
 

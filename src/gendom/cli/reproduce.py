@@ -9,7 +9,7 @@ from typing import Literal
 
 import tyro
 
-from gendom.files import to_json, write_json
+from gendom.files import check_folder, to_json, write_json
 from gendom.progress import bar
 
 SCALES = {"small": (2, 1), "full": (5, 5)}
@@ -69,6 +69,7 @@ class Command:
     def _coverage(self) -> int:
         from gendom.evaluation.coverage import CoverageSettings, coverage, coverage_text, covered
 
+        check_folder(self.out)
         settings = CoverageSettings(
             kind=self.kind, end=self.end, lifts=self.lifts, seed=self.seed, jobs=self.jobs
         )
@@ -76,8 +77,8 @@ class Command:
             rows = coverage(self.out, settings, on_done=show)
         table = covered(rows, settings.level)
         result = {"table": self.table, **asdict(settings), "unknowns": [asdict(c) for c in table]}
-        write_json(self.out / f"table-{self.kind}-{self.end}.json", {**result, "rows": rows})
         print(to_json(result) if self.json else coverage_text(rows, table))
+        write_json(self.out / f"table-{self.kind}-{self.end}.json", {**result, "rows": rows})
         return 0
 
     def _sim2sim(self) -> int:

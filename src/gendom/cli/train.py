@@ -10,7 +10,7 @@ import tyro
 
 from gendom.cli.arguments import TaskName
 from gendom.errors import DatasetError, ParameterError
-from gendom.files import to_json
+from gendom.files import check_file, to_json
 from gendom.materials import PARAMETERS
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ class Command:
         from gendom.policies.train import Training, train
 
         sees = _conditions(self.condition)
+        check_file(self.out, ".onnx")
         demonstrations = self._read(self.data)
         finetune = None if self.finetune is None else self._read(self.finetune)
         training = Training(
