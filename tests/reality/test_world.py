@@ -247,3 +247,12 @@ def test_numbers_of_numpy_are_numbers():
     material = replace(item.material, E=np.float64(item.material.E))
     world = Reality(replace(item, material=material), Layout(origin=np.array([0.3, 0.0, 0.01])))
     assert np.isfinite(world.vertices()).all()
+
+
+def test_a_world_that_diverges_is_told_and_leaves_no_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    world = Reality(COTTON, lying())
+    world.data.qvel[0] = 1e30
+    with pytest.raises(SimulationError, match="the second reality diverged"):
+        world.step_to(0.01)
+    assert list(tmp_path.iterdir()) == []  # MuJoCo would write MUJOCO_LOG.TXT

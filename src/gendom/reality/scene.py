@@ -7,6 +7,7 @@ measured against closed forms, and `gendom.reality.twist` for what its rods lack
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from gendom.installation import how_to_install
 from gendom.materials import STANDARD_GRAVITY
 from gendom.perception.camera import Camera
 from gendom.reality.objects import RealObject, RealRope
+
+_log = logging.getLogger(__name__)
 
 ROPE_STEP, CLOTH_STEP = 0.001, 0.004
 """Time steps [s]."""
@@ -347,11 +350,19 @@ gl_faults: list[GLFault] = []
 
 
 def load_mujoco() -> Any:
-    """The module `mujoco`, told to render without a screen where there is none.
+    """The module `mujoco`, told to render without a screen where there is none, and to give its
+    warnings to our log: by itself it writes MUJOCO_LOG.TXT into the working directory.
 
     Raises:
         DeviceError: It is not installed.
     """
+    mujoco = _imported()
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(_log.debug)
+    return mujoco
+
+
+def _imported() -> Any:
     if headless():
         # mujoco reads this when it is imported, and fails there when the library is missing.
         os.environ.setdefault("MUJOCO_GL", "egl")

@@ -126,7 +126,8 @@ class Reality:
             self._load()
             self._mujoco.mj_step(self.model, self.data)
         self._place()
-        bad = (self._mujoco.mjtWarning.mjWARN_BADQPOS, self._mujoco.mjtWarning.mjWARN_BADQACC)
+        kinds = self._mujoco.mjtWarning
+        bad = (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
         if (
             any(self.data.warning[int(w)].number for w in bad)
             or not np.isfinite(self.data.qpos).all()
