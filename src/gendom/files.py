@@ -112,11 +112,22 @@ def check_file(path: str | os.PathLike, ending: str) -> None:
     _check_place(path.parent)
 
 
-def _check_place(folder: Path) -> None:
-    """Refuse a folder that cannot be made or written, by writing to the nearest that is there."""
-    there = folder.absolute()
+def free_room(folder: str | os.PathLike) -> int:
+    """Free space on the disk of a folder that need not exist yet [bytes]."""
+    return shutil.disk_usage(_nearest(Path(folder))).free
+
+
+def _nearest(path: Path) -> Path:
+    """The path itself, or what is there above it."""
+    there = path.absolute()
     while not there.exists():
         there = there.parent
+    return there
+
+
+def _check_place(folder: Path) -> None:
+    """Refuse a folder that cannot be made or written, by writing to the nearest that is there."""
+    there = _nearest(folder)
     if not there.is_dir():
         raise GendomError("is a file, not a folder", where=str(there), fix="name a folder")
     try:

@@ -174,6 +174,20 @@ def test_a_larger_size_extends(tmp_path, whole, size):
     assert extended.equals(make(tmp_path / "fresh", size))
 
 
+@pytest.mark.parametrize("size", [3, 6, 8, 9])
+def test_a_smaller_size_ends_an_interrupted_set(tmp_path, size):
+    folder = tmp_path / "set"
+    with pytest.raises(KeyboardInterrupt):
+        make(folder, 40, task=Throwing(stop_at=2))
+    task = Throwing()
+    ended = make(folder, size, task=task)
+    assert task.count == max(0, size - 8) and read_description(folder)["size"] == size
+    assert ended.equals(make(tmp_path / "fresh", size))
+    again = Throwing()
+    assert make(folder, 12, task=again).equals(make(tmp_path / "longer", 12))
+    assert again.count == 12 - max(size, 8)
+
+
 def test_the_shard_size_changes_no_row(tmp_path, whole):
     assert make(tmp_path / "set", shard_size=7).equals(load(whole))
 
@@ -213,6 +227,14 @@ def test_a_set_on_a_full_disk_goes_on_later(tmp_path, whole, monkeypatch, full_a
 
 
 # ---- what is refused -----------------------------------------------------------------------------
+
+
+def test_a_set_that_the_disk_cannot_hold_is_refused(tmp_path):
+    with pytest.raises(
+        DatasetError, match=r"1\d{15} demonstrations take about 6\.\de\+07 GB, .* are"
+    ):
+        make(tmp_path / "set", 10**15)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

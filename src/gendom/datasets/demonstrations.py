@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from gendom import __version__
 from gendom.datasets.cluster import on_cluster
 from gendom.errors import DatasetError, GendomError, ParameterError
-from gendom.files import atomic_path, read_json, write_json
+from gendom.files import atomic_path, free_room, read_json, write_json
 
 FORMAT = "gendom-demonstrations/2"
 
@@ -99,6 +99,9 @@ AHEAD = 2
 FEWEST_TOGETHER = 1024
 """Demonstrations that make good use of a GPU; where there are several, none gets fewer."""
 
+MEASURED = 6
+"""Numbers that a task measures of a demonstration, about."""
+
 TURNS = 8
 """Parts that each of several devices should get, lest one waits long for another in the end."""
 
@@ -117,7 +120,8 @@ def generate(
     """Simulate a set of demonstrations, or what is missing of one, and load it.
 
     Shards are written whole or not at all, so an interrupted set goes on where it stopped. A
-    larger `size` extends a set. A demonstration that diverges is kept with `ok` false.
+    larger `size` extends a set, a smaller one ends a set that was interrupted. A demonstration that
+    diverges is kept with `ok` false.
 
     Args:
         source: What is demonstrated.
@@ -136,8 +140,8 @@ def generate(
         As `load`.
 
     Raises:
-        DatasetError: The folder holds a set with other settings, or a larger one, or somebody else
-            writes to it.
+        DatasetError: The folder holds a set with other settings, or a larger one that is whole, the
+            disk is too small, or somebody else writes to it.
         ParameterError: A number is out of range.
         DeviceError: The device is not there.
     """
@@ -150,6 +154,7 @@ def generate(
     folder = Path(out)
     description = _describe(source, size, seed, kind, shard_size)
     _check_same(folder, description)
+    _check_room(folder, size, len(source.draw(np.random.default_rng([seed, 0]))))
     with _alone(folder):
         return _complete(source, folder, description, device, kind, cluster, progress)
 
@@ -174,7 +179,8 @@ def _complete(
     kept: list[pa.Table | None] = []
     for number in range(_count_shards(size, shard_size)):
         try:
-            kept.append(_read_shard(_shard_path(folder, number), number, identity, hashes))
+            rows = _read_shard(_shard_path(folder, number), number, identity, hashes)
+            kept.append(rows.slice(0, size - number * shard_size))
         except FileNotFoundError:
             kept.append(None)
         except DatasetError as error:
@@ -184,6 +190,8 @@ def _complete(
     report(done, size)
 
     if done == size:
+        if read_description(folder)["size"] != size:
+            write_json(folder / _DESCRIPTION, {**description, "sha256": hashes})
         return load(folder)
     devices = [device]
     if cluster is None and (device == "all" or "," in device):
@@ -455,13 +463,28 @@ def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
         f"{name} is {_text(mine)} there and {_text(yours)} here"
         for name, mine, yours in _differences(_identity(there), _identity(wanted))
     ]
-    if there["size"] > wanted["size"]:
+    names = [
+        _shard_path(folder, n) for n in range(_count_shards(there["size"], there["shard_size"]))
+    ]
+    if there["size"] > wanted["size"] and all(path.exists() for path in names):
         differing.append(f"size is {there['size']} there and only {wanted['size']} here")
     if differing:
         raise DatasetError(
             f"holds another set: {', '.join(differing)}",
             where=str(folder),
             fix="choose a new folder, or the settings of that set",
+        )
+
+
+def _check_room(folder: Path, size: int, drawn: int) -> None:
+    """Refuse a set that its disk cannot hold, of so many numbers drawn for each demonstration."""
+    needed, free = 8 * (drawn + MEASURED) * size, free_room(folder)
+    if needed > free:
+        raise DatasetError(
+            f"{size} demonstrations take about {1e-9 * needed:.3g} GB, "
+            f"{1e-9 * free:.3g} GB are free",
+            where=str(folder),
+            fix="make room, or choose fewer or another place",
         )
 
 
