@@ -289,6 +289,10 @@ ARRAY_FAULTS = {
         lambda a: a["gripper_position"].__imul__(1000.0),
         "gripper_position: moves by 40 m; it looks like millimetres; divide by 1000",
     ),
+    "time in milliseconds": (
+        lambda a: a["time"].__imul__(1000.0),
+        "time: frames are 100 s apart; they look like milliseconds; divide by 1000",
+    ),
 }
 
 
@@ -357,6 +361,25 @@ META_FAULTS = {
     "length in kilometres": (
         lambda m: m["object"].update(length=0.0004),
         "points: a frame spans 0.401 m, the object 0.0004 m; give points and sizes in metres",
+    ),
+    "diameter in millimetres": (
+        lambda m: m["object"].update(diameter=10.0),
+        "object.diameter: is 10 m, the object spans 0.4 m; "
+        "it looks like millimetres; divide by 1000",
+    ),
+    "mass in grams": (
+        lambda m: m["object"].update(mass=31.0, diameter=0.01),
+        "object.mass: is 31 kg, a density of 9.9e+05 kg/m^3 or more; "
+        "it looks like grams; divide by 1000",
+    ),
+    "table in millimetres": (
+        lambda m: m.update(table_height=-10.0),
+        "table_height: is -10 m, the lowest point at -0.001308 m; "
+        "it looks like millimetres; divide by 1000",
+    ),
+    "cameras in millimetres": (
+        lambda m: m.update(camera_positions=[[100.0, -800.0, 600.0]]),
+        "camera_positions: a camera is 1005 m away; it looks like millimetres; divide by 1000",
     ),
     "cameras not positions": (
         lambda m: m.update(camera_positions=[1.0, 2.0]),

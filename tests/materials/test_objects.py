@@ -83,6 +83,21 @@ def test_impossible_objects_are_refused(change, says):
         replace(ROPE, **change)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"E": 0.8}, "E is 0.8 Pa; give Pa: 0.8 MPa are 800000 Pa"),
+        ({"density": 1.1}, "give kg/m.3: 1.1 g/cm.3 are 1100 kg/m.3"),
+        ({"density": 1.1e6}, "give kg/m.3: 1.1e.06 g/m.3 are 1100 kg/m.3"),
+        ({"damping": 4.0}, "damping is 4 s; give s: 4 ms are 0.004 s"),
+    ],
+)
+@pytest.mark.parametrize("item", [ROPE, CLOTH])
+def test_other_units_are_told(item, change, says):
+    with pytest.raises(ParameterError, match=says):
+        replace(item, material=replace(item.material, **change))
+
+
 def test_unknown_units_are_refused():
     with pytest.raises(ParameterError, match="unknown unit 'kg'"):
         unit_of("kg", ROPE)

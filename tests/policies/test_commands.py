@@ -189,6 +189,8 @@ def test_act_names_all_that_its_policy_never_saw(act):
         (("--length", "250", "--diameter", "14"), "350", "length is 250 m; give metres"),
         (("--diameter", "14"), "0.35", "diameter is 14 m; give metres: 14 mm are 0.014 m"),
         (("--origin", "480", "300", "120"), "0.35", "--origin: is 480 300 120 m"),
+        (("--density", "0.8"), "0.35", "0.8 g/cm^3 are 800 kg/m^3"),
+        (("--damping", "4"), "0.35", "damping is 4 s; give s: 4 ms are 0.004 s"),
         (("--nu", "0.6"), "0.35", "nu must lie in (-1, 0.5), got 0.6"),
         (("--nu", "0.5"), "0.35", "nu must lie in (-1, 0.5), got 0.5"),
     ],

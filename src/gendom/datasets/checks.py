@@ -60,11 +60,21 @@ def check(recording: Recording) -> list[Fault]:
     number_faults = [*_check_numbers(recording), *_check_time(recording)]
     faults += number_faults
     if not number_faults:
-        unit_faults = _check_units(recording)
-        faults += [*_check_frames(recording), *unit_faults]
-        if not any(fault.severity == "error" for fault in unit_faults):
-            faults += _check_grippers(recording)
+        faults += _check_frames(recording)
+        for look in (_check_units, _check_other_units, _check_grippers):
+            found = look(recording)
+            faults += found
+            if any(fault.severity == "error" for fault in found):
+                break
     return sorted(faults, key=lambda fault: fault.severity)
+
+
+MAX_DENSITY = 25e3
+"""No matter is denser [kg/m^3]."""
+_THICKEST = {"rope": 0.1, "cloth": 0.02}  # of the size, where the thickness is unknown
+_MAX_STEP = 10.0  # [s] between frames
+_MAX_BELOW = 5.0  # [m] that a table lies from the object
+_MAX_AWAY = 50.0  # [m] that a camera stands from it
 
 
 def _check_object(description: ObjectDescription) -> list[Fault]:
@@ -251,6 +261,53 @@ def _check_units(recording: Recording) -> list[Fault]:
             )
         ]
     return []
+
+
+def _check_other_units(recording: Recording) -> list[Fault]:
+    """What was given in grams, milliseconds or, beside sizes in metres, in millimetres."""
+    held, size, faults = recording.object, recording.object.size, []
+    millimetres = "it looks like millimetres; divide by 1000"
+
+    def wrong(what: str, where: str, fix: str = millimetres) -> None:
+        faults.append(Fault(what, where, fix))
+
+    if size is not None and math.isfinite(size) and size > 0.0:
+        for name in ("diameter", "thickness", "grasp_radius", "grasp_inset"):
+            value = getattr(held, name)
+            if value is not None and math.isfinite(value) and value > size:
+                wrong(f"is {value:.4g} m, the object spans {size:.4g} m", f"object.{name}")
+        if (density := _least_density(held, size)) > MAX_DENSITY and not faults:
+            wrong(
+                f"is {held.mass:.4g} kg, a density of {density:.2g} kg/m^3 or more",
+                "object.mass",
+                "it looks like grams; divide by 1000",
+            )
+    step = float(np.median(np.diff(recording.time))) if recording.num_frames > 1 else 0.0
+    if step > _MAX_STEP:
+        wrong(
+            f"frames are {step:.4g} s apart", "time", "they look like milliseconds; divide by 1000"
+        )
+    if len(recording.points):
+        lowest = recording.points.min(axis=0)
+        height, cameras = recording.table_height, recording.camera_positions
+        if height is not None and abs(height - lowest[2]) > _MAX_BELOW:
+            wrong(f"is {height:.4g} m, the lowest point at {lowest[2]:.4g} m", "table_height")
+        if cameras is not None and len(cameras):
+            away = np.linalg.norm(cameras - recording.points.mean(axis=0), axis=1).max()
+            if away > _MAX_AWAY:
+                wrong(f"a camera is {away:.4g} m away", "camera_positions")
+    return faults
+
+
+def _least_density(held: ObjectDescription, size: float) -> float:
+    """Of an object of known mass, 0 where that is unknown [kg/m^3]."""
+    if held.mass is None or not math.isfinite(held.mass):
+        return 0.0
+    if held.kind == "rope":
+        across = held.diameter or _THICKEST["rope"] * size
+        return held.mass / (math.pi / 4.0 * across**2 * size)
+    across = held.thickness or _THICKEST["cloth"] * size
+    return held.mass / ((held.width or size) * (held.height or size) * across)
 
 
 def _check_grippers(recording: Recording) -> list[Fault]:

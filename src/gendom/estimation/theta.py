@@ -143,6 +143,8 @@ class Theta:
             value = getattr(self, field.name)
             if not math.isfinite(value):
                 raise ParameterError(f"{field.name} must be a finite number, got {value}")
+        if not -1.0 < self.nu < 0.5:
+            raise ParameterError(f"nu must lie in (-1, 0.5), got {self.nu}")
         for name in ("friction", "damping"):
             if getattr(self, name) < 0.0:
                 raise ParameterError(

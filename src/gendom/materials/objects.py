@@ -91,7 +91,7 @@ class Rope:
 
     Raises:
         ParameterError: A size is not positive and at most `LARGEST`, it is thicker than a fifth of
-            its length, or friction is negative.
+            its length, friction is negative, or a number was given in another unit.
     """
 
     kind: ClassVar[str] = "rope"
@@ -107,7 +107,7 @@ class Rope:
     """Coefficient of friction on the table [-]."""
 
     def __post_init__(self) -> None:
-        _check_sizes(self)
+        _check_units(self)
 
     @property
     def radius_of_gyration(self) -> float:
@@ -131,7 +131,7 @@ class Cloth:
 
     Raises:
         ParameterError: A size is not positive and at most `LARGEST`, it is thicker than a fifth of
-            its side, or friction is negative.
+            its side, friction is negative, or a number was given in another unit.
     """
 
     kind: ClassVar[str] = "cloth"
@@ -147,7 +147,7 @@ class Cloth:
     """Coefficient of friction on the table and on itself [-]."""
 
     def __post_init__(self) -> None:
-        _check_sizes(self)
+        _check_units(self)
 
     @property
     def radius_of_gyration(self) -> float:
@@ -263,7 +263,24 @@ def likeness_of_columns(
     return {name: np.array([row[name] for row in found]) for name in PARAMETERS}
 
 
-def _check_sizes(item: Item) -> None:
+_MISREAD = (
+    ("E", 10.0, math.inf, "Pa", "MPa", 1e6),
+    ("density", 2.0, math.inf, "kg/m^3", "g/cm^3", 1e3),
+    ("density", 0.0, 25e3, "kg/m^3", "g/m^3", 1e-3),
+    ("damping", 0.0, 0.5, "s", "ms", 1e-3),
+)
+"""Ranges that no rope's or cloth's number leaves, its unit, and that in which it was given if it
+does, with a factor."""
+
+
+def _check_units(item: Item) -> None:
+    for name, low, high, unit, other, factor in _MISREAD:
+        value = getattr(item.material, name)
+        if not low <= value <= high:
+            raise ParameterError(
+                f"{name} is {value:g} {unit}",
+                fix=f"give {unit}: {value:g} {other} are {factor * value:g} {unit}",
+            )
     for name in item.sizes:
         value = getattr(item, name)
         if not (math.isfinite(value) and value > 0.0):
