@@ -75,7 +75,7 @@ def bar(
             line.update(min(done, line.total) - line.n)
 
         yield show
-        line.n = line.total
+        line.total = line.n = line.n or line.total  # what ends early was all there was to do
         line.refresh()
 
 
@@ -85,3 +85,4 @@ def each(items: Collection[T], doing: str, unit: str, *, shown: bool = True) -> 
         for done, item in enumerate(items):
             show(done)
             yield item
+        show(len(items))

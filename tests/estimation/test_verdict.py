@@ -88,8 +88,8 @@ def one_frame(recording):
 @pytest.mark.parametrize(
     ("spoiled", "reason"),
     [
-        (lambda recording: recording.head(1), "only 1 frames"),
-        (one_frame, "only 1 frames"),
+        (lambda recording: recording.head(1), "1 of the 4 frames"),
+        (one_frame, "1 of the 4 frames"),
         (still, "the gripper moves by 0 m"),
         (y_up, "under the table"),
         (uniform_noise, "do not belong to the object"),

@@ -73,7 +73,7 @@ def recording_faults(
     if recording.extra.get("static", False):
         return found
     if len(frames) < s.frames:
-        found.append(f"only {len(frames)} frames show points; a lift takes {s.frames} at least")
+        found.append(f"{len(frames)} of the {s.frames} frames that a lift takes show points")
         return found
     path, time = recording.gripper_position[frames], recording.time[frames]
     steps = np.linalg.norm(np.diff(path, axis=0), axis=2)
