@@ -3,7 +3,9 @@
 A recording of one lift gives Young's modulus and Poisson's ratio through a differentiable
 simulator; one policy, trained in simulation, takes them as an input.
 
-Names below are imported when first used, so `import gendom` stays fast.
+What most programs need is here; the rest is one level below, in `gendom.datasets`, `estimation`,
+`evaluation`, `materials`, `perception`, `policies`, `reality`, `robot`, `sim`, `tasks` and `viz`.
+Names are imported when first used, so `import gendom` stays fast.
 """
 
 from __future__ import annotations
@@ -14,32 +16,54 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from gendom.datasets import Fault, ObjectDescription, Recording
     from gendom.errors import GendomError
-    from gendom.estimation import estimate
+    from gendom.estimation import Estimate, EstimateSettings, SceneSettings, estimate, replay
+    from gendom.materials import Cloth, Material, Rope
     from gendom.policies import Policy
-    from gendom.tasks import RopeReaching
+    from gendom.sim import Simulator
+    from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 
 __version__ = "0.1.0"
 
 # Public name -> module that defines it. Keep in step with the block above and `__all__`.
 _EXPORTS = {
+    "Cloth": "gendom.materials",
+    "ClothSpreading": "gendom.tasks",
+    "Estimate": "gendom.estimation",
+    "EstimateSettings": "gendom.estimation",
     "Fault": "gendom.datasets",
     "GendomError": "gendom.errors",
+    "Material": "gendom.materials",
     "ObjectDescription": "gendom.datasets",
     "Policy": "gendom.policies",
     "Recording": "gendom.datasets",
+    "Rope": "gendom.materials",
+    "RopeCasting": "gendom.tasks",
     "RopeReaching": "gendom.tasks",
+    "SceneSettings": "gendom.estimation",
+    "Simulator": "gendom.sim",
     "estimate": "gendom.estimation",
+    "replay": "gendom.estimation",
 }
 
 __all__ = [
+    "Cloth",
+    "ClothSpreading",
+    "Estimate",
+    "EstimateSettings",
     "Fault",
     "GendomError",
+    "Material",
     "ObjectDescription",
     "Policy",
     "Recording",
+    "Rope",
+    "RopeCasting",
     "RopeReaching",
+    "SceneSettings",
+    "Simulator",
     "__version__",
     "estimate",
+    "replay",
 ]
 
 

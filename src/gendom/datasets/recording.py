@@ -36,6 +36,7 @@ from gendom.datasets.ply import read_ply_folder
 from gendom.datasets.static import FORMAT_STATIC, recording_of_static
 from gendom.errors import GendomError, RecordingError
 from gendom.files import atomic_path, to_json
+from gendom.shown import Shown
 
 FORMAT = "gendom-recording/1"
 
@@ -79,8 +80,8 @@ class ObjectDescription:
         return math.hypot(self.width, self.height)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Recording:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Recording(Shown):
     """T frames of a point cloud, with the motion of G grippers that hold the object.
 
     World frame, z up, metres and seconds. Arrays are converted to the types below and are
@@ -325,6 +326,20 @@ class Recording:
         if self.camera_positions is not None:
             meta["camera_positions"] = self.camera_positions
         return {**meta, **{k: v for k, v in self.extra.items() if k not in meta}}
+
+    def _shown(self) -> tuple[str, list[tuple[str, str]]]:
+        counts, held = np.diff(self.offsets), self.object
+        sizes = [f"{n} {v:.4g} m" for n in SIZES if n != "mass" and (v := getattr(held, n))]
+        mass = [] if held.mass is None else [f"mass {held.mass:.4g} kg"]
+        motion = "quasi-static" if self.quasi_static else "dynamic"
+        table = "none" if self.table_height is None else f"at z = {self.table_height:.4g} m"
+        return f"Recording ({held.kind}, {self.num_frames} frames)", [
+            ("object", ", ".join([*sizes, *mass, f"held by: {held.grasp}"])),
+            ("points", f"{counts.min()} to {counts.max()} a frame"),
+            ("time", f"{self.time[0]:.4g} to {self.time[-1]:.4g} s, {motion}"),
+            ("grippers", f"{self.num_grippers} ({self.gripper_source})"),
+            ("table", table),
+        ]
 
     def validate(self) -> list[Fault]:
         """Everything that is wrong with the content, errors before warnings."""

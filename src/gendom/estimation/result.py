@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -21,6 +20,7 @@ from gendom.estimation.theta import UNKNOWNS, Theta
 from gendom.estimation.verdict import Verdict
 from gendom.files import read_json, write_json
 from gendom.observation import chamfer, visible
+from gendom.shown import Shown
 
 Array = NDArray[np.floating]
 
@@ -36,8 +36,8 @@ KEYS = {
 `youngs_modulus` and `bending_stiffness` follow from the first."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Estimate(Shown):
     """The result of one recording."""
 
     theta: Theta
@@ -105,18 +105,8 @@ class Estimate:
         """Name, value and interval of what was found, with units, for tables."""
         return table_rows(self.record)
 
-    def __repr__(self) -> str:
-        rows = [f"  {n:<16} {v:<24} {i}".rstrip() for n, v, i in self.rows()]
-        return "\n".join(
-            [f"Estimate ({self.record['object']['kind']}, {self.verdict.text})", *rows]
-        )
-
-    def _repr_html_(self) -> str:
-        cells = "".join(
-            "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>"
-            for row in self.rows()
-        )
-        return f"<table>{cells}</table><p>{html.escape(self.verdict.text)}</p>"
+    def _shown(self) -> tuple[str, list[tuple[str, str, str]]]:
+        return f"Estimate ({self.record['object']['kind']}, {self.verdict.text})", self.rows()
 
 
 def table_rows(record: dict[str, Any]) -> list[tuple[str, str, str]]:

@@ -1,13 +1,14 @@
 """Elastic parameters as estimated, simulated and shown to policies."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from gendom.errors import ParameterError
+from gendom.shown import Shown
 
 
 @dataclass(frozen=True, kw_only=True)
-class Material:
+class Material(Shown):
     """An isotropic elastic material, with an optional yield stress.
 
     Motion under gravity depends on E / density, so two materials of equal ``specific_modulus``
@@ -29,6 +30,13 @@ class Material:
     is damped at the ratio w tau / 2; static shapes are not changed."""
     yield_stress: float = math.inf
     """Von Mises yield stress of the deviatoric Hencky stress [Pa]; infinite means elastic."""
+
+    def _shown(self) -> tuple[str, list[tuple[str, str]]]:
+        units = {"E": "Pa", "density": "kg/m^3", "damping": "s", "yield_stress": "Pa"}
+        rows = [
+            (f.name, f"{getattr(self, f.name):g} {units.get(f.name, '')}") for f in fields(self)
+        ]
+        return "Material", [(name, value.strip()) for name, value in rows]
 
     def __post_init__(self) -> None:
         for name in ("E", "nu", "density"):

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, PolicyError
 from gendom.materials import PARAMETERS, Item, likeness
+from gendom.shown import Shown
 
 if TYPE_CHECKING:
     from gendom.tasks import Task
@@ -204,7 +205,7 @@ class Outside:
         return f"{self.what}; it uses {self.nearest:.4g}"
 
 
-class Policy:
+class Policy(Shown):
     """A trained policy, run by onnxruntime on the CPU.
 
     Make one with `Policy.read` or `Policy.pretrained`.
@@ -214,6 +215,15 @@ class Policy:
         self._session = session
         self.description = description
         self.where = where
+
+    def _shown(self) -> tuple[str, list[tuple[str, str]]]:
+        about = self.description
+        return f"Policy ({about.task['name']}, {about.method})", [
+            ("sees", ", ".join(about.conditioned_on) or "no parameters"),
+            ("goal", ", ".join(about.goal_names) or "none"),
+            ("trained", f"on {about.training.get('demonstrations', '?')} demonstrations"),
+            ("file", self.where),
+        ]
 
     @classmethod
     def read(cls, path: str | os.PathLike) -> Policy:

@@ -11,6 +11,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
 from gendom.materials import AIR_DENSITY, Material
 from gendom.materials.laws import LAWS
+from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper
@@ -27,7 +28,7 @@ START_INSIDE = 0.1
 """How deep a body may begin in a table or wall [cells, diameters of a rod]; it is put on it."""
 
 
-class Simulator:
+class Simulator(Shown):
     """W worlds of one body that differ in material, friction, gravity, damping and paths.
 
     All worlds share the body's geometry. State arrays are [W, N]; nothing is stored for space
@@ -150,6 +151,16 @@ class Simulator:
         kind = thin_engine(body) if thin else MpmEngine
         with making:
             self.engine = kind(setting, substep=substep, cfl=cfl)
+
+    def _shown(self) -> tuple[str, list[tuple[str, str]]]:
+        kind = type(self.engine).__name__
+        return f"Simulator ({self.body.kind}, {_worlds(self.num_worlds)})", [
+            ("engine", f"{kind}, {self.dtype}, {self.device}"),
+            ("points", f"{self.num_points} in each world"),
+            ("time", f"{self.time:.4g} s"),
+            ("substep", f"{self.substep.min():.3g} s at least"),
+            ("diverged", _worlds(len(self.failures))),
+        ]
 
     @property
     def num_worlds(self) -> int:
@@ -323,6 +334,10 @@ def _check_clear(
                 f"{highest.round(4).tolist()} m, half its thickness is {body.contact_radius:.4g} m",
                 fix="move the object, or the table or wall",
             )
+
+
+def _worlds(n: int) -> str:
+    return f"{n} world{'s' * (n != 1)}"
 
 
 def _grippers_of_worlds(

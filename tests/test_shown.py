@@ -1,0 +1,42 @@
+"""What objects say of themselves."""
+
+import pytest
+
+from gendom.datasets import ObjectDescription, Recording
+from gendom.materials import Material
+from gendom.policies import Policy
+from gendom.sim import Simulator, rope
+
+RECORDING = Recording.from_frames(
+    [[[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]],
+    time=[0.0, 0.5],
+    gripper_position=[[0.0, 0.0, 0.0]] * 2,
+    object=ObjectDescription(kind="rope", length=0.3, mass=0.02, grasp_inset=0.01),
+)
+
+
+def simulator():
+    return Simulator(rope(length=0.3, diameter=0.01), [Material()], threads=1)
+
+
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        (lambda: RECORDING, ["(rope, 2 frames)", "length 0.3 m", "mass 0.02 kg", "1 to 2 a frame"]),
+        (lambda: Policy.pretrained("rope-casting"), ["(rope-casting, distal)", "E, nu", ".onnx"]),
+        (simulator, ["(rope, 1 world)", "float64", "points"]),
+    ],
+)
+def test_objects_are_short_and_useful(made, says):
+    item = made()
+    text, page = repr(item), item._repr_html_()
+    assert text.startswith(type(item).__name__) and len(text.splitlines()) <= 8
+    for words in says:
+        assert words in text and words in page
+
+
+def test_a_material_can_be_typed_again_and_has_units_in_a_notebook():
+    material = Material(E=8e5, damping=0.004)
+    assert eval(repr(material), {"Material": Material, "inf": float("inf")}) == material
+    for cell in ("<td>800000 Pa</td>", "<td>0.004 s</td>", "<td>1000 kg/m^3</td>"):
+        assert cell in material._repr_html_()
