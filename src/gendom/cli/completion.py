@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Annotated, Literal, Union
+from typing import Annotated, Any, Literal, Union
 
 import tyro
 
@@ -27,16 +27,17 @@ class Command:
     def run(self) -> int:
         from gendom.cli import COMMANDS
 
-        kinds = tuple(
+        parts = tuple(
             Annotated[
                 described(import_module(module).Command),
                 tyro.conf.subcommand(name, description=line),
             ]
             for name, (module, line) in COMMANDS.items()
         )
+        commands: Any = Union[parts]  # noqa: UP007
         words = ["--tyro-write-completion", self.shell, "-"]
         try:
-            tyro.cli(Union[kinds], prog="gendom", args=words, config=PARSING)  # noqa: UP007
+            tyro.cli(commands, prog="gendom", args=words, config=PARSING)
         except SystemExit as stop:  # how it ends
             return int(stop.code or 0)
         return 0
