@@ -19,7 +19,7 @@ from tqdm import tqdm
 from gendom import __version__
 from gendom.cli.arguments import iterations_shown
 from gendom.cli.estimate import NOT_USABLE, estimate_text
-from gendom.cli.pictures import clouds_of, summary_of
+from gendom.cli.pictures import arm_of_lift, arm_poses, clouds_of, goal_mark, summary_of
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.files import to_json, write_json
@@ -43,6 +43,9 @@ RECORDING, VIEWS = "demo-rope-lift.npz", "demo-rope-lift.jpg"
 SHIPPED = "rope-cotton"
 """The object that was recorded."""
 
+SCENE = "MuJoCo test scene"
+"""What reports call where the demo's rope is."""
+
 GOALS = 3
 """Default number of goals."""
 
@@ -57,7 +60,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Show the whole story: a lift, the estimate, the policy's action, what comes of it.
+    """Show the whole story: a lift, the estimate, the policy's action, what it reaches.
 
     The object, a rope, lives in a second reality (docs/reality.md): other equations than the
     estimator's, a robot arm, and two noisy depth cameras. Without arguments the recorded lift and
@@ -65,7 +68,7 @@ class Command:
     """
 
     out: Path = Path("demo")
-    """Folder for report.html, estimate.json, actions.json and lift.gif."""
+    """Folder for report.html, recording.npz, estimate.json, actions.json and lift.gif."""
     live: bool = False
     """Record and perceive the lift now, in OUT/lift, instead of taking the shipped one; renders,
     so it needs OpenGL (EGL or OSMesa; a screen is not needed)."""
@@ -143,6 +146,7 @@ class Command:
         # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.
         self.out.mkdir(parents=True, exist_ok=True)
         write_json(self.out / "estimate.json", found.record)
+        recording.write(self.out / "recording.npz")
         print(estimate_text(found))
         print(
             f"true values      E {truth['youngs_modulus']:.4g} Pa, nu "
@@ -169,6 +173,7 @@ class Command:
         clouds = clouds_of(found.scene, found.positions, found.chamfer)
         with _timed(seconds, "pictures and report"):
             write_gif(self.out / "lift.gif", clouds)
+            clouds = arm_of_lift(clouds, rope)
             actions = {"format": "gendom-demo/2", "task": task.name, "outcomes": _outcomes(runs)}
             write_json(self.out / "actions.json", actions)
             _report(self, recording, views, clouds, found, truth, task, runs, motion, seconds)
@@ -253,12 +258,18 @@ def _carry_out(
                 shape_at_farthest=_filled(seen.points[there]),
             )
         )
+        shown = np.arange(0, len(seen.times), _FINER)
+        clock = performance.closes + shown / (MOTION_RATE * _FINER)
         executed.append(
             Executed(
                 action=np.array(action),
                 slowed_by=performance.slowed_by,
-                times=seen.times[::_FINER],
-                shapes=[_filled(x) for x in seen.points[::_FINER]],
+                times=seen.times[shown],
+                shapes=[_filled(x) for x in seen.points[shown]],
+                hand=seen.hand[shown],
+                arm=arm_poses(performance, clock, task.T_world_task(rope)),
+                goal=goal_mark(goal, seen),
+                table=-float(task.T_world_task(rope)[2, 3]),
             )
         )
     pairs = zip(goals, done[0::2], done[1::2], strict=True)
@@ -293,6 +304,14 @@ class Executed:
     """[T] on the task's clock [s]."""
     shapes: list[np.ndarray]
     """T clouds [n, 3] of the rope [m]."""
+    hand: np.ndarray
+    """[T, 3] [m]."""
+    arm: tuple[np.ndarray, np.ndarray] | None
+    """[T, C, 2, 3] ends of the arm's capsules and [C] radii [m]; None: a free hand."""
+    goal: np.ndarray
+    """[K, 3] as a `CloudSequence` has it [m]."""
+    table: float
+    """z of the table [m]."""
 
 
 def _filled(vertices: np.ndarray, points: int = 150) -> np.ndarray:
@@ -318,7 +337,12 @@ def _predicted(task: Task, executed: Executed, known: Rope, device: str) -> Clou
         recorded=[executed.shapes[k] for k in frames],
         simulated=[_filled(outcome.seen.points[k]) for k in nearest],
         times=executed.times[frames] - executed.times[frames[0]],
+        table_height=executed.table,
+        gripper=executed.hand[frames],
         labels=("carried out", "predicted"),
+        arm=None if executed.arm is None else executed.arm[0][frames],
+        arm_radius=None if executed.arm is None else executed.arm[1],
+        goal=executed.goal,
     )
 
 
@@ -360,6 +384,7 @@ def _report(
         ActionSummary,
         CameraViews,
         LiftPictures,
+        NextStep,
         Provenance,
         ReachOutcome,
         ReportContent,
@@ -371,15 +396,17 @@ def _report(
         ReportContent(
             title="GenDOM: one lift of an unknown rope, and an action that reaches its goal",
             recording_source=(
-                f"From {recording.source}. {recording.notes} That reality has other equations than "
-                "the simulator that estimates, and is touched through an arm and seen through the "
-                "cameras only. The actions below are carried out in it."
+                f"Recorded in the {SCENE} (the second reality). {recording.notes} This scene has "
+                "other equations than the simulator that estimates. A simulated arm moves the "
+                "rope, and two simulated depth cameras see it. The actions below are carried out "
+                "in the same scene."
             ),
             cameras=CameraViews(
                 picture=views,
                 note=(
                     "Halfway up. Depth has the noise of a stereo camera, lost and mixed pixels at "
-                    "edges, and an error of calibration; the arm is taken out by its joint angles."
+                    "edges, and an error of calibration. The arm's points are removed by its joint "
+                    "angles."
                 ),
             ),
             lift=LiftPictures(clouds=clouds),
@@ -393,6 +420,7 @@ def _report(
                     for goal, ours, without in runs
                 ],
                 motion=motion,
+                goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),
                 action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
             ),
             provenance=Provenance(
@@ -404,8 +432,39 @@ def _report(
                 stage_seconds=seconds,
                 warnings=found.record["notes"],
             ),
+            next_steps=[
+                NextStep(command=shlex.join(map(str, words)), purpose=purpose)
+                for words, purpose in _next_steps(command, runs[0][0])
+            ],
         ),
     )
+
+
+def _next_steps(command: Command, goal: np.ndarray) -> list[tuple[list[Any], str]]:
+    """Commands that go on from the demo's files, and what each does."""
+    recording, estimate = command.out / "recording.npz", command.out / "estimate.json"
+    other = "rope-reaching" if command.task == "rope-casting" else "rope-casting"
+    return [
+        (["gendom", "check", recording], "See what the recording holds."),
+        (
+            ["gendom", "estimate", recording, "--frames", "last", "--out", command.out / "last",
+             "--report", command.out / "last" / "report.html"],
+            "Estimate from the last frame alone, with a report of its own.",
+        ),
+        (
+            ["gendom", "replay", recording, "--params", estimate, "--gif",
+             command.out / "replay.gif"],
+            "Simulate the recorded lift, every frame of it, with the estimate.",
+        ),
+        (
+            ["gendom", "act", command.task, "--goal", *goal.tolist(), "--params", estimate],
+            "Get an action for a goal, the robot's motion, and what will be reached.",
+        ),
+        (
+            ["gendom", "demo", "--task", other, "--out", f"{command.out}-{other}"],
+            "Run the demo with the other task.",
+        ),
+    ]  # fmt: skip
 
 
 def _command_line(command: Command) -> str:
