@@ -202,7 +202,7 @@ def test_beliefs_stand_beside_what_was_found():
     page = render_report(ReportContent(title="Beliefs", estimate=summary))
     words = Page(page).words
     for text in (
-        "specific modulus [m^2/s^2] 500 to 5e+04 1.76e+03 to 1.91e+03",
+        "specific modulus [m²/s²] 500 to 5e+04 1.76e+03 to 1.91e+03",
         "grip height [m] −0.00392 to 0.00392 0.000804 to 0.0012",
     ):
         assert text in words, text
@@ -321,6 +321,23 @@ def test_scene_holds_the_points_it_names(make_lift):
     inside = ((lift["recorded"][2] > low) & (lift["recorded"][2] < high)).all(axis=1)
     assert kept[inside] == pytest.approx(lift["recorded"][2][inside], abs=1e-5)
     assert np.diff(simulated["offsets"]).min() > 10_000
+
+
+def test_scene_holds_arm_and_goal(make_lift):
+    arm = np.linspace(0.0, 0.4, 5 * 2 * 2 * 3).reshape(5, 2, 2, 3)
+    goal = np.array([[0.9, 0.0, 0.2]])
+    held = {"arm": arm, "arm_radius": np.array([0.03, 0.05]), "goal": goal}
+    scene = json.loads(encode_scene(CloudSequence(**make_lift(frames=5), **held), max_frames=2))
+    assert scene["arm"]["radius"] == [30, 50] and len(scene["arm"]["ends"]) == 2
+    assert np.reshape(scene["arm"]["ends"][1], (2, 2, 3)) == pytest.approx(1e3 * arm[4], abs=0.5)
+    assert scene["goal"] == goal.tolist() and scene["high"][0] == 0.9
+    assert scene["frames"] == [1, 5] and scene["of"] == 5
+
+
+def test_what_could_not_be_estimated_says_why():
+    refused = ReportContent(title="R", refused=["no frames with <points>"])
+    words = Page(render_report(refused)).words
+    assert "Not usable." in words and "no frames with <points>" in words
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,7 @@ class Plot:
         shape = "dashed" if dashed else "line"
         self._add(f'<path class="{kind} {shape}" d="{_through(px, py)}"/>')
         if dots:
-            self.dots(x, y, kind, size=3.0)
+            self.dots(x, y, kind, size=4.5)
         self._name(kind, label, shape)
 
     def dots(

@@ -24,12 +24,12 @@ _MATERIAL = {
 
 _RECORDING = {
     "delay": "Delay of the clouds",
-    "grip_height": "Height of the grip, beside what is stated",
-    "grip_along": "Distance of the grip from the end, beside what is stated",
-    "grip_aside": "Distance of the grip from the diagonal",
+    "grip_height": "Grip height, correction",
+    "grip_along": "Grip along the object, correction",
+    "grip_aside": "Grip beside the diagonal, correction",
     "grip_tilt": "Tilt of the held corner",
-    "grip_reach": "Reach of the grip, beside what is stated",
-    "yaw": "Turn of the lying cloth",
+    "grip_reach": "Reach of the grip, correction",
+    "yaw": "Turn of the lying cloth, correction",
 }
 
 _SHOWN_UNITS = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (180.0 / math.pi, "°"), "1": (1.0, "")}
@@ -59,7 +59,7 @@ def beliefs_section(summary: EstimateSummary) -> Section | None:
 
 
 def _chart(summary: EstimateSummary, posterior: Mapping[str, Any], k: int) -> str:
-    name = posterior["names"][k]
+    name = str(posterior["names"][k])
     title: str = _RECORDING.get(name, name.replace("_", " "))
     key, title = _MATERIAL.get(name, ("", title))
     unit = summary.units.get(name, "")
@@ -113,6 +113,7 @@ def _numbers_table(summary: EstimateSummary, posterior: Mapping[str, Any]) -> st
     for k, name in enumerate(posterior["names"]):
         unit = summary.units.get(name, "")
         label = name.replace("_", " ") + (f" [{unit}]" if unit not in ("", "1") else "")
+        label = label.replace("^2", "²")
         cells = [cell(escaped(label), "name")]
         for stage, said in (("prior_", "prior"), ("", "posterior")):
             low, high = _interval(summary, posterior, k, stage)

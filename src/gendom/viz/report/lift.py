@@ -45,7 +45,8 @@ def lift_section(lift: LiftPictures, summary: EstimateSummary | None = None) -> 
     parts = [f"<p>{escaped(lift.note)}</p>"] if lift.note else []
     parts.append(viewer(clouds, name=_NAME, subject=subject, view=lift.view))
     parts.append(residual_charts(clouds, summary, scene_id(_NAME)))
-    parts.append(_filmstrip(clouds, lift.view))
+    if clouds.num_frames > 1:
+        parts.append(_filmstrip(clouds, lift.view))
     title = "The lift, recorded and simulated" if both else "The recorded lift"
     return Section(title=title, body="\n".join(part for part in parts if part))
 

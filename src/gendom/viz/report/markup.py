@@ -33,8 +33,8 @@ def cell(inner: str, kind: str = "", *, label: str = "", columns: int = 1) -> st
 
 
 def number(text: str, label: str = "") -> str:
-    """A cell with a number; plain text."""
-    return cell(escaped(text), "number", label=label)
+    """A cell with a number, or `DASH`; plain text."""
+    return cell(escaped(text), "number none" if text == DASH else "number", label=label)
 
 
 def table(head: Iterable[str], rows: Iterable[str], kind: str = "stacked") -> str:

@@ -43,7 +43,8 @@ def _parameter_table(summary: EstimateSummary) -> str:
             bar = _bar(key, value, interval, true, summary.searched(key))
             bars = bars or bool(bar)
             label = f"{summary.level_text} interval"
-            cells.append(cell(f"<span>{shown}{bar}</span>", "interval", label=label))
+            kind = "interval" if interval else "interval none"
+            cells.append(cell(f"<span>{shown}{bar}</span>", kind, label=label))
         if knows_truth:
             shown = DASH if true is None else quantity_text(key, true)
             cells.append(number(shown, "true value"))
@@ -60,10 +61,10 @@ def _parameter_table(summary: EstimateSummary) -> str:
     text = table(head, rows)
     if bars:
         text += (
-            '\n<p class="soft">Bars: the grey range was searched, the light part is the interval, '
-            "the blue mark the estimate"
-            + (", the black mark the true value" if knows_truth else "")
-            + ". Logarithmic, but for ratios.</p>"
+            '\n<p class="soft">Bars: the grey range was searched, the blue part is the interval, '
+            "the thick mark the estimate"
+            + (", the thin mark the true value" if knows_truth else "")
+            + ". Scales are logarithmic, but for ratios.</p>"
         )
     return text
 

@@ -20,8 +20,11 @@ def residual_charts(clouds: CloudSequence, summary: EstimateSummary | None, scen
     rms = [] if summary is None else summary.values.get("rms_by_frame") or []
     if len(rms) == clouds.num_frames > 1:
         plot = distance_chart(clouds.times, rms, scene=scene)
-        name = "Recorded points to simulated surface [mm]"
-        said = "Root mean square in each frame that was compared."
+        name = "Points to simulated surface [mm]"
+        said = (
+            "Distance of recorded points from the simulated surface, root mean square in each "
+            "frame that was compared."
+        )
         figures.append(chart_figure(name, [plot], said))
     if clouds.chamfer is not None and clouds.num_frames > 1:
         plot = distance_chart(clouds.times, clouds.chamfer, scene=scene)

@@ -43,11 +43,11 @@ def _fit_facts(summary: EstimateSummary) -> str:
     values = summary.values
     facts = []
     for key, name in (
-        ("rms", "distance of points from the simulated skin, root mean square"),
+        ("rms", "distance of recorded points from the simulated surface, root mean square"),
         ("chamfer_mean", "Chamfer distance, all frames"),
         ("chamfer_last", "Chamfer distance, last frame"),
-        ("chamfer_mean_surface", "to the simulated surface, all frames"),
-        ("chamfer_last_surface", "to the simulated surface, last frame"),
+        ("chamfer_mean_surface", "Chamfer distance, seen surface, all frames"),
+        ("chamfer_last_surface", "Chamfer distance, seen surface, last frame"),
     ):
         value = summary.value(key)
         if value is not None:
@@ -119,7 +119,7 @@ def _search_charts(summary: EstimateSummary) -> list[str]:
             note = (
                 "Root mean square, logarithmic scale. The search makes the fit as probable as it "
                 "can be, with noise and priors in the balance, so this distance need not fall in "
-                "every step."
+                "every step. Stages compare different points or move different parameters."
             )
         figures.append(chart_figure(name, [plot], note))
     return figures

@@ -191,7 +191,7 @@
       const axes = isFilm && scene.view.names !== null;
       const project = projection(look);
       const withArm = !isFilm && scene.arm !== null && this.shows("arm");
-      const [low, high] = this.limits(project, withArm);
+      const [low, high] = this.limits(project, withArm, !axes && scene.table !== null);
       const margin = axes ? { left: 44, right: 10, top: 22, bottom: 26 }
         : { left: 10, right: 10, top: 10, bottom: 10 };
       const inner = [width - margin.left - margin.right, height - margin.top - margin.bottom];
@@ -201,6 +201,7 @@
       const put = ([x, y]) =>
         [centre[0] + scale * (x - middle[0]), centre[1] - scale * (y - middle[1])];
       const place = (p) => put(project(p));
+      pen.save();
       this.ground(pen, width, height, { axes, withArm, put, place, scale, middle, centre, margin });
       if (this.shows("arm")) this.arm(pen, t, project, put, scale);
       const fade = this.fade ? Number(this.fade.value) : 0;
@@ -214,6 +215,7 @@
         this.cloud(pen, cloud, t, place, opacity, width, height, ratio);
       }
       this.marks(pen, t, place);
+      pen.restore(); // a film is cut off at its axes
       if (kind !== null) {
         pen.fillStyle = color("ink");
         pen.font = `600 13px ${getComputedStyle(document.body).fontFamily}`;
@@ -224,11 +226,11 @@
     }
 
     // [lowest, highest] right and up of all that is shown, the same at every time.
-    limits(project, withArm) {
+    limits(project, withArm, withTable) {
       const { scene } = this;
       const corners = [];
-      if (withArm && scene.table !== null) {
-        const [[x0, y0], [x1, y1]] = this.tabletop(true);
+      if (withTable) {
+        const [[x0, y0], [x1, y1]] = this.tabletop(withArm);
         for (const x of [x0, x1]) for (const y of [y0, y1]) {
           corners.push(project([x, y, scene.table]));
         }
@@ -291,6 +293,8 @@
         const [factor, unit] = inMillimetres ? [1000, "mm"] : [1, "m"];
         pen.font = `11px ${getComputedStyle(document.body).fontFamily}`;
         pen.lineWidth = 1;
+        const name = `${scene.view.names[0]} [${unit}]`;
+        const free = width - 16 - pen.measureText(name).width; // the axis's name stands there
         const written = (v) => String(Number((v * factor).toPrecision(6))).replace("-", "−");
         for (const axis of [0, 1]) {
           const [from, to] = axis === 0 ? [margin.left, width - margin.right]
@@ -307,7 +311,7 @@
               pen.moveTo(x, margin.top);
               pen.lineTo(x, height - margin.bottom);
               [pen.textAlign, pen.textBaseline] = ["center", "top"];
-              if (x < width - 46) {
+              if (x + pen.measureText(written(v)).width / 2 < free) {
                 pen.fillText(written(v), x, height - margin.bottom + 6);
               }
             } else {
@@ -320,7 +324,7 @@
           }
         }
         [pen.textAlign, pen.textBaseline] = ["right", "top"];
-        pen.fillText(`${scene.view.names[0]} [${unit}]`, width - 8, height - margin.bottom + 6);
+        pen.fillText(name, width - 8, height - margin.bottom + 6);
         pen.textAlign = "left";
         pen.fillText(`${scene.view.names[1]} [${unit}]`, 6, 5);
         pen.beginPath();

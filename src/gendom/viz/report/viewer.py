@@ -56,8 +56,9 @@ def viewer(clouds: CloudSequence, *, name: str, subject: str, view: str = "auto"
         )
     where = "from above at an angle" if view == "oblique" else "from the side"
     said = escaped(subject)
+    kind = "viewer" if clouds.num_frames > 1 else "viewer still"
     return (
-        f'<div class="viewer" id="{name}" data-scene="{scene_id(name)}" hidden>'
+        f'<div class="{kind}" id="{name}" data-scene="{scene_id(name)}" hidden>'
         '<div class="screens">'
         f'<figure><canvas class="film" role="img" aria-label="{said}, {where}"></canvas>'
         f"<figcaption>Film {where}</figcaption></figure>"
