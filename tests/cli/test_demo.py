@@ -11,7 +11,8 @@ from tqdm import tqdm
 
 from gendom import cli
 from gendom.cli.arguments import ITERATION_BAR
-from gendom.cli.demo import Command, _command_line, _next_steps
+from gendom.cli.demo import Command, _command_line
+from gendom.cli.demo_report import next_steps
 
 
 @pytest.mark.parametrize(
@@ -31,11 +32,12 @@ def test_the_reported_command_repeats_the_run(command):
 
 
 @pytest.mark.parametrize("command", [Command(), Command(out=Path("a b"), task="rope-reaching")])
-def test_commands_to_try_next_are_commands(command, capsys):
+def test_commands_to_try_next_are_commands(command):
     """Of the files that the demo writes; each as a user would type it."""
-    steps = _next_steps(command, np.array([0.3, 0.1]))
+    steps = next_steps(command, np.array([0.3, 0.1]))
     names = [words[1] for words, _ in steps]
     assert names == ["check", "estimate", "replay", "act", "demo"]
+    assert next_steps(command, None) == steps[:2]  # nothing that needs a usable estimate
     for words, _ in steps:
         module = import_module(f"gendom.cli.{words[1]}")
         said = shlex.split(shlex.join(map(str, words)))

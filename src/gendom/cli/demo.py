@@ -8,7 +8,6 @@ import time
 from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import date
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from tqdm import tqdm
 
-from gendom import __version__
 from gendom.cli.arguments import iterations_shown
+from gendom.cli.demo_report import action_summary, report_demo
 from gendom.cli.estimate import NOT_USABLE, estimate_text
-from gendom.cli.pictures import arm_of_lift, arm_poses, clouds_of, goal_mark, summary_of
+from gendom.cli.pictures import arm_of_lift, arm_poses, clouds_of, goal_mark
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.files import to_json, write_json
@@ -42,9 +41,6 @@ RECORDING, VIEWS = "demo-rope-lift.npz", "demo-rope-lift.jpg"
 
 SHIPPED = "rope-cotton"
 """The object that was recorded."""
-
-SCENE = "MuJoCo test scene"
-"""What reports call where the demo's rope is."""
 
 GOALS = 3
 """Default number of goals."""
@@ -153,9 +149,16 @@ class Command:
             f"{truth['poissons_ratio']:.3f}\n",
             flush=True,
         )
+        assert found.scene is not None and found.positions is not None
+        clouds = clouds_of(found.scene, found.positions, found.chamfer)
         if not found.usable:
             for reason in found.verdict.reasons:
                 _log.error("not usable: %s", reason)
+            clouds = arm_of_lift(clouds, rope)
+            report_demo(
+                self, _command_line(self), recording, views, clouds, found, truth, None, seconds
+            )
+            print(f"report: {self.out / 'report.html'}")
             return NOT_USABLE
         with _timed(seconds, "act and carry out"):
             runs, shown = _carry_out(rope, policies, goals, found)
@@ -169,14 +172,15 @@ class Command:
                 f"off by {1e3 * _error(ours, goal):.1f} mm "
                 f"(without parameters {1e3 * _error(without, goal):.1f} mm)"
             )
-        assert found.scene is not None and found.positions is not None
-        clouds = clouds_of(found.scene, found.positions, found.chamfer)
         with _timed(seconds, "pictures and report"):
             write_gif(self.out / "lift.gif", clouds)
             clouds = arm_of_lift(clouds, rope)
             actions = {"format": "gendom-demo/2", "task": task.name, "outcomes": _outcomes(runs)}
             write_json(self.out / "actions.json", actions)
-            _report(self, recording, views, clouds, found, truth, task, runs, motion, seconds)
+            action = action_summary(task, runs, motion)
+            report_demo(
+                self, _command_line(self), recording, views, clouds, found, truth, action, seconds
+            )
         if self.json:
             print(to_json({"estimate": found.record, **actions, "seconds": seconds}))
         print(f"\nreport: {self.out / 'report.html'}")
@@ -366,105 +370,6 @@ def _outcomes(runs: Sequence[Run]) -> list[dict[str, Any]]:
         }
         for goal, ours, without in runs
     ]
-
-
-def _report(
-    command: Command,
-    recording: Recording,
-    views: bytes,
-    clouds: CloudSequence,
-    found: Estimate,
-    truth: dict[str, float],
-    task: Task,
-    runs: Sequence[Run],
-    motion: CloudSequence,
-    seconds: dict[str, float],
-) -> None:
-    from gendom.viz.report import (
-        ActionSummary,
-        CameraViews,
-        LiftPictures,
-        NextStep,
-        Provenance,
-        ReachOutcome,
-        ReportContent,
-        write_report,
-    )
-
-    write_report(
-        command.out / "report.html",
-        ReportContent(
-            title="GenDOM: one lift of an unknown rope, and an action that reaches its goal",
-            recording_source=(
-                f"Recorded in the {SCENE} (the second reality). {recording.notes} This scene has "
-                "other equations than the simulator that estimates. A simulated arm moves the "
-                "rope, and two simulated depth cameras see it. The actions below are carried out "
-                "in the same scene."
-            ),
-            cameras=CameraViews(
-                picture=views,
-                note=(
-                    "Halfway up. Depth has the noise of a stereo camera, lost and mixed pixels at "
-                    "edges, and an error of calibration. The arm's points are removed by its joint "
-                    "angles."
-                ),
-            ),
-            lift=LiftPictures(clouds=clouds),
-            estimate=summary_of(
-                found,
-                truth | {"specific_modulus": truth["youngs_modulus"] / truth["density"]},
-            ),
-            action=ActionSummary(
-                outcomes=[
-                    ReachOutcome(goal=goal, ours=ours, without=without)
-                    for goal, ours, without in runs
-                ],
-                motion=motion,
-                goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),
-                action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
-            ),
-            provenance=Provenance(
-                commands=[_command_line(command)],
-                version=__version__,
-                date=date.today().isoformat(),
-                device=command.device,
-                seeds={"estimate": command.seed},
-                stage_seconds=seconds,
-                warnings=found.record["notes"],
-            ),
-            next_steps=[
-                NextStep(command=shlex.join(map(str, words)), purpose=purpose)
-                for words, purpose in _next_steps(command, runs[0][0])
-            ],
-        ),
-    )
-
-
-def _next_steps(command: Command, goal: np.ndarray) -> list[tuple[list[Any], str]]:
-    """Commands that go on from the demo's files, and what each does."""
-    recording, estimate = command.out / "recording.npz", command.out / "estimate.json"
-    other = "rope-reaching" if command.task == "rope-casting" else "rope-casting"
-    return [
-        (["gendom", "check", recording], "See what the recording holds."),
-        (
-            ["gendom", "estimate", recording, "--frames", "last", "--out", command.out / "last",
-             "--report", command.out / "last" / "report.html"],
-            "Estimate from the last frame alone, with a report of its own.",
-        ),
-        (
-            ["gendom", "replay", recording, "--params", estimate, "--gif",
-             command.out / "replay.gif"],
-            "Simulate the recorded lift, every frame of it, with the estimate.",
-        ),
-        (
-            ["gendom", "act", command.task, "--goal", *goal.tolist(), "--params", estimate],
-            "Get an action for a goal, the robot's motion, and what will be reached.",
-        ),
-        (
-            ["gendom", "demo", "--task", other, "--out", f"{command.out}-{other}"],
-            "Run the demo with the other task.",
-        ),
-    ]  # fmt: skip
 
 
 def _command_line(command: Command) -> str:
