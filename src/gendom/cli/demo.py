@@ -56,7 +56,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Show the whole story: a lift, the estimate, the policy's action, what it reaches.
+    """Show every step: a lift, the estimate, the policy's action, what it reaches.
 
     The object, a rope, lives in a second reality (docs/reality.md): other equations than the
     estimator's, a robot arm, and two noisy depth cameras. Without arguments the recorded lift and
@@ -132,6 +132,8 @@ class Command:
             "youngs_modulus": rope.material.E,
             "poissons_ratio": rope.material.nu,
             "density": rope.material.density,
+            "damping": rope.material.damping,
+            "friction": rope.friction,
         }
         print(f"a recorded lift: {recording.num_frames} frames of {recording.source}\n", flush=True)
         settings = EstimateSettings(

@@ -27,8 +27,8 @@ class SearchLine:
     """[k]."""
     values: np.ndarray
     """[k] in the chart's unit."""
-    first_stage: bool = False
-    """Whether later stages of the same start follow; drawn dashed."""
+    early: bool = False
+    """Whether it is not the search's last stage; drawn dashed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,9 +88,7 @@ def search_chart(
     )
     for line in lines:
         kind = f"start-{line.start % _SERIES + 1}"
-        plot.line(
-            line.iterations, line.values, kind, line.label, dashed=line.first_stage, dots=True
-        )
+        plot.line(line.iterations, line.values, kind, line.label, dashed=line.early, dots=True)
     if truth is not None:
         plot.level(truth, "truth", "true value")
     return plot

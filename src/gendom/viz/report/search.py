@@ -118,8 +118,8 @@ def _search_charts(summary: EstimateSummary) -> list[str]:
         if key == "loss":
             note = (
                 "Root mean square, logarithmic scale. The search makes the fit as probable as it "
-                "can be, with noise and priors in the balance, so this distance need not fall in "
-                "every step. Stages compare different points or move different parameters."
+                "can be, noise and priors included, so this distance need not fall in every step. "
+                "Stages compare different points or move different parameters."
             )
         figures.append(chart_figure(name, [plot], note))
     return figures
@@ -135,6 +135,7 @@ def _search_lines(summary: EstimateSummary, key: str, scale: float) -> list[Sear
             found.setdefault(name, []).append((iteration, scale * value))
     chosen = _chosen_start(summary)
     starts = sorted({start for start, _ in found})
+    final = [stage for start, stage in found if start == (chosen or 0)][-1:]
     lines = []
     for start in starts:
         stages = [stage for begun, stage in found if begun == start]
@@ -157,7 +158,7 @@ def _search_lines(summary: EstimateSummary, key: str, scale: float) -> list[Sear
                     label=label,
                     iterations=iterations,
                     values=numbers,
-                    first_stage=not last,
+                    early=[stage] != final,
                 )
             )
     return lines
