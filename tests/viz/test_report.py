@@ -223,6 +223,11 @@ def test_a_search_has_a_line_for_each_stage_of_each_start():
     for label in ("start 1, coarse", "start 1, fine (chosen)", "start 2, coarse"):
         assert words.count(label) == 2, label  # of the distance and of E
     assert "start 2, fine" not in words
+    # the start that ended at the estimate is the chosen one, whatever the distances
+    ends = [{"final": {"youngs_modulus": E}, "loss": 1e-3 * E} for E in (1.0, 1834.0)]
+    summary = EstimateSummary(values=estimate(history=entries, starts=ends))
+    words = Page(render_report(ReportContent(title="S", estimate=summary))).words
+    assert "start 2, coarse (chosen)" in words and "start 1, fine (chosen)" not in words
 
 
 def test_distances_over_time_are_drawn(make_lift):

@@ -165,7 +165,12 @@ def _search_lines(summary: EstimateSummary, key: str, scale: float) -> list[Sear
 
 
 def _chosen_start(summary: EstimateSummary) -> int | None:
-    """The start with the least distance."""
-    losses = [finite(start.get("loss")) for start in summary.values.get("starts") or []]
+    """The start that ended at the estimate; in older files the one with the least distance."""
+    starts = summary.values.get("starts") or []
+    found = summary.value("youngs_modulus")
+    ended = [finite((start.get("final") or {}).get("youngs_modulus")) for start in starts]
+    if ended.count(found) == 1:
+        return ended.index(found)
+    losses = [finite(start.get("loss")) for start in starts]
     known = [(loss, i) for i, loss in enumerate(losses) if loss is not None]
     return min(known)[1] if known else None
