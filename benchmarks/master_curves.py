@@ -4,6 +4,7 @@ python benchmarks/master_curves.py docs/images/master-curves.svg
 """
 
 import argparse
+import io
 import math
 from pathlib import Path
 from typing import Any
@@ -11,19 +12,43 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from gendom.validation import Settings
 from gendom.validation import master_curves as curves
-from gendom.viz.charts import OURS_COLOR, STYLE, WITHOUT_COLOR, to_svg
+
+# From Okabe and Ito's palette.
+ROD_COLOR, STRIP_COLOR, INK, SOFT_INK = "#009E73", "#D55E00", "#222222", "#6e6e6e"
+
+STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.size": 10.0,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#bbbbbb",
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "grid.color": "#eaeaea",
+    "grid.linewidth": 0.8,
+    "xtick.color": SOFT_INK,
+    "ytick.color": SOFT_INK,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "svg.fonttype": "path",  # the reader's machine may have other fonts
+    "svg.hashsalt": "gendom",  # otherwise random names inside the file
+}
 
 TORSION = 1.0 / (1.0 + curves.MATERIAL.nu)
 HANGING = -math.pi / 2.0
 
-RODS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5, "color": OURS_COLOR}
-STRIPS: dict[str, Any] = RODS | {"marker": "D", "color": WITHOUT_COLOR}
+RODS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5, "color": ROD_COLOR}
+STRIPS: dict[str, Any] = RODS | {"marker": "D", "color": STRIP_COLOR}
 SQUARES: dict[str, Any] = RODS | {"marker": "s"}
-THEORY: dict[str, Any] = {"color": "#222222", "linewidth": 1.2}
+THEORY: dict[str, Any] = {"color": INK, "linewidth": 1.2}
 
 
 def sags(axes: Axes, settings: Settings) -> None:
@@ -123,7 +148,10 @@ def draw(settings: Settings) -> bytes:
     for axes, panel in zip(panels.flat, (sags, ribbons, curls, tips), strict=True):
         axes.spines[["top", "right"]].set_visible(False)
         panel(axes, settings)
-    return to_svg(figure)
+    buffer = io.BytesIO()
+    # Date and program version would make the same chart another file each time.
+    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
 
 
 def main() -> None:

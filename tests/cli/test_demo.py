@@ -1,13 +1,16 @@
 """What the demo says about itself."""
 
 import shlex
+from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tyro
 
 from gendom import cli
 from gendom.cli.demo import Command, _command_line
+from gendom.cli.demo_report import next_steps
 
 
 @pytest.mark.parametrize(
@@ -24,6 +27,19 @@ def test_the_reported_command_repeats_the_run(command):
     assert words[:2] == ["gendom", "demo"]
     config = (tyro.conf.FlagCreatePairsOff,)
     assert tyro.cli(Command, args=words[2:], config=config) == command
+
+
+@pytest.mark.parametrize("command", [Command(), Command(out=Path("a b"), task="rope-reaching")])
+def test_commands_to_try_next_are_commands(command):
+    """Of the files that the demo writes; each as a user would type it."""
+    steps = next_steps(command, np.array([0.3, 0.1]))
+    names = [words[1] for words, _ in steps]
+    assert names == ["check", "estimate", "replay", "act", "demo"]
+    assert next_steps(command, None) == steps[:2]  # nothing that needs a usable estimate
+    for words, _ in steps:
+        module = import_module(f"gendom.cli.{words[1]}")
+        said = shlex.split(shlex.join(map(str, words)))
+        tyro.cli(module.Command, args=said[2:], config=(tyro.conf.FlagCreatePairsOff,))
 
 
 @pytest.mark.parametrize("goal", ["5", "0.01", "nan"])

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 from dataclasses import replace
 
 import numpy as np
@@ -56,9 +57,18 @@ def test_a_good_lift(lift, tmp_path, capsys):
     found = Estimate.load(out / "estimate.json")
     assert found.usable and found.record["simulation"]["points"] == 15
     page = report.read_text(encoding="utf-8")
-    for text in ("the recording and its fit are usable", "What was believed before", "grip height"):
+    for text in (
+        "The recording and the fit pass every check",
+        "Prior and posterior",
+        "Grip height",
+    ):
         assert text in page
     assert "The action" not in page and str(lift) in page
+    # what the page says to try next works
+    steps = re.findall("<pre>gendom (.*)</pre>", page[page.index('id="what-to-try-next"') :])
+    assert [step.split()[0] for step in steps] == ["check", "replay", "act"]
+    for step in steps:
+        assert cli.main(shlex.split(step)) == 0, step
 
 
 def test_json_is_all_of_stdout(lift, tmp_path, capsys):
@@ -103,6 +113,11 @@ def test_what_cannot_be_placed_or_simulated_is_not_usable(
     printed = capsys.readouterr()
     assert printed.out == f"written: {tmp_path / 'estimate.json'}\n"
     assert printed.err == f"gendom estimate: not usable: {error}\n"
+    report = tmp_path / "report.html"
+    assert cli.main([*words, "--report", str(report)]) == 3
+    assert capsys.readouterr().out.endswith(f"written: {report}\n")
+    page = report.read_text(encoding="utf-8")
+    assert "Not usable." in page and str(error) in page and "The estimate" not in page
     assert cli.main([*words, "--json"]) == 3
     record = json.loads(capsys.readouterr().out)
     assert record == read_json(tmp_path / "estimate.json")

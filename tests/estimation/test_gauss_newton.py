@@ -60,6 +60,10 @@ def test_it_keeps_what_it_did(rope_lift, problem, found):
         assert [i for i, *_ in start.history] == sorted({i for i, *_ in start.history})
         assert start.history[-1][2] <= 1.1 * start.history[0][2]
         assert (start.initial >= problem.prior.low).all()
+    stages = [[s.stage(i, "other") for i, *_ in s.history] for s in found.starts]
+    chosen = stages[[s is found.best for s in found.starts].index(True)]
+    assert chosen[-1] == "fine" and sorted(chosen) == chosen
+    assert sum(set(names) == {"coarse"} for names in stages) == 1
     assert found.noise.sensor == pytest.approx(1e-3, rel=0.2)
     modulus = problem.theta(found.best.vector).specific_modulus
     assert modulus == pytest.approx(rope_lift.truth.specific_modulus, rel=0.05)

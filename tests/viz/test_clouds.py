@@ -122,6 +122,9 @@ def test_empty_frames_are_allowed_but_not_only_those(make_lift):
         ({"simulated": np.full((20, 5, 3), np.nan)}, r"simulated\[0\]: holds NaN or infinity"),
         ({"gripper": np.zeros((20, 1, 2))}, r"gripper: has shape \[20, 1, 2\]"),
         ({"chamfer": np.zeros(3)}, "chamfer: has 3 frames"),
+        ({"arm": np.zeros((20, 4, 2, 3))}, "arm_radius: has 0 numbers"),
+        ({"arm": np.zeros((2, 4, 2, 3)), "arm_radius": np.ones(4)}, "arm: has 2 frames"),
+        ({"goal": np.zeros(3)}, r"goal: has shape \[3\]"),
         ({"table_height": "low"}, "table_height: is no array of numbers"),
     ],
 )

@@ -1,12 +1,12 @@
 """Reports are one valid file each that asks nothing of the network."""
 
 import base64
+import importlib.util
 import io
 import json
-import math
 import re
-import xml.etree.ElementTree as ElementTree
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,14 +18,15 @@ from gendom.viz import (
     CloudSequence,
     EstimateSummary,
     LiftPictures,
+    NextStep,
     PolicyRun,
     Provenance,
     ReachOutcome,
     ReportContent,
     write_report,
 )
+from gendom.viz.playable import encode_scene
 from gendom.viz.report import render_report
-from gendom.viz.turnable import encode_scene
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}
 
@@ -36,7 +37,7 @@ class Page(HTMLParser):
     def __init__(self, source):
         super().__init__()
         self.open, self.text, self.images, self.addresses, self.ids = [], [], [], [], []
-        self.scene = None
+        self.charts, self.scenes = [], []
         self.feed(source)
         self.close()
         assert self.open == []
@@ -44,6 +45,8 @@ class Page(HTMLParser):
     def handle_starttag(self, tag, attrs):
         attributes = dict(attrs)
         self.addresses += [v for k, v in attrs if k in ("src", "href", "srcset", "action", "data")]
+        if tag == "svg" and "aria-label" in attributes:
+            self.charts.append(attributes["aria-label"])
         if "id" in attributes:
             self.ids.append(attributes["id"])
         if tag == "img":
@@ -59,80 +62,29 @@ class Page(HTMLParser):
         if not {"script", "style"} & set(self.open):
             self.text.append(data)
         elif data.startswith("{"):
-            self.scene = json.loads(data)
+            self.scenes.append(json.loads(data))
 
     @property
     def words(self):
         return re.sub(r"\s+", " ", " ".join(self.text))
 
 
-def estimate(**changes):
-    history = [
-        {
-            "start": start,
-            "iteration": k,
-            "youngs_modulus": 1800.0 + 500.0 * 0.5**k,
-            "poissons_ratio": 0.3,
-            "loss": 0.1 * 0.5**k + 0.001 * start,
-        }
-        for start in range(2)
-        for k in range(4)
-    ]
-    final = {"youngs_modulus": 1800.0, "poissons_ratio": 0.3}
-    return {
-        "format": "gendom-estimate/1",
-        "youngs_modulus": 1834.0,
-        "poissons_ratio": 0.312,
-        "density": 1.0,
-        "density_assumed": True,
-        "specific_modulus": 1834.0,
-        "bending_length": 0.113,
-        "intervals": {
-            "level": 0.95,
-            "youngs_modulus": [1790.0, 1902.0],
-            "poissons_ratio": [0.211, 0.391],
-            "specific_modulus": [1790.0, 1902.0],
-        },
-        "bounds": {"youngs_modulus": [500.0, 50000.0], "poissons_ratio": [0.2, 0.4]},
-        "identifiable": {"youngs_modulus": True, "poissons_ratio": False},
-        "chamfer_mean": 0.0082,
-        "method": "gauss-newton",
-        "object": {"kind": "rope", "length": 0.26, "mass": None},
-        "starts": [{"initial": final, "final": final, "loss": loss} for loss in (0.001, 0.002)],
-        "history": history,
-    } | changes
+def _module(name):
+    """A file beside this one."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
-def run(reached):
-    reached = np.array(reached)
-    path = np.stack([np.linspace(0.1, reached.flat[0], 9), np.zeros(9), np.ones(9)], axis=1)
-    return PolicyRun(
-        action=np.array([0.2, 0.5]), reached=reached, tip_path=path, shape_at_release=path[::-1]
-    )
-
-
-def outcomes():
-    return [
-        ReachOutcome(goal=np.array(goal), ours=run(goal + 0.004), without=run(goal - 0.02))
-        for goal in (0.3, 0.35, 0.4)
-    ]
-
-
-def content(recorded_lift, **changes):
-    parts = {
-        "title": "A rope",
-        "recording_source": "Made by a simulator.",
-        "lift": LiftPictures(clouds=CloudSequence(**recorded_lift)),
-        "estimate": EstimateSummary(
-            values=estimate(),
-            truth={"youngs_modulus": 1850.0, "poissons_ratio": 0.35},
-        ),
-        "action": ActionSummary(outcomes=outcomes(), action_names=("x [m]", "z [m]")),
-        "provenance": Provenance(
-            commands=("gendom demo",), seeds={"all": 7}, stage_seconds={"estimate": 3.0}
-        ),
-    }
-    return ReportContent(**parts | changes)
+made_up = _module("made_up")
+estimate, run, outcomes, content = (
+    made_up.estimate,
+    made_up.run,
+    made_up.outcomes,
+    made_up.content,
+)
 
 
 def test_whole_report(make_lift, tmp_path):
@@ -142,11 +94,17 @@ def test_whole_report(make_lift, tmp_path):
     assert len(source) < 3_000_000
     page = Page(source)
     assert not re.search(r"https?:|//[a-z]+\.", re.sub(r"base64,[^\"]*", "", source))
-    assert page.addresses and all(a.startswith("data:image/") for a in page.addresses)
+    links = {a.removeprefix("#") for a in page.addresses if not a.startswith("data:image/")}
+    assert links and links <= set(page.ids)
     assert len(page.ids) == len(set(page.ids))
-    kinds = [decode(image) for image in page.images]
-    # animation; filmstrip; distance, E, nu, Chamfer; goals; swing
-    assert kinds == ["gif", "png", *["svg+xml"] * 6]
+    assert [decode(image) for image in page.images] == ["jpeg"] and len(page.scenes) == 1
+    assert [chart for chart in page.charts if not chart.startswith("Frame ")] == [
+        "Chamfer distance of both clouds [mm]",
+        "Distance of the clouds from the fit [mm]",
+        "Young's modulus [kPa]",
+        "Reached distance [m] of each goal",
+        "Paths of the rope's tip: height [m]",
+    ]
     for text in (
         "Made by a simulator.",
         "1.834 kPa",
@@ -168,22 +126,12 @@ def test_whole_report(make_lift, tmp_path):
 
 def decode(address):
     """The kind of an image in a data address, after a look inside."""
-    match = re.fullmatch(r"data:image/([a-z+]+);base64,(.+)", address)
+    match = re.fullmatch(r"data:image/([a-z]+);base64,(.+)", address)
     assert match
-    kind, code = match.groups()
-    data = base64.b64decode(code, validate=True)
-    if kind == "svg+xml":
-        root = ElementTree.fromstring(data)
-        assert root.tag.endswith("svg")
-        for element in root.iter():
-            for name, value in element.attrib.items():
-                if name.endswith("href"):
-                    assert value.startswith("#")
-    else:
-        with Image.open(io.BytesIO(data)) as image:
-            image.load()
-            assert image.format == kind.upper()
-    return kind
+    with Image.open(io.BytesIO(base64.b64decode(match[2], validate=True))) as image:
+        image.load()
+        assert image.format == match[1].upper()
+    return match[1]
 
 
 def test_numbers_are_for_people():
@@ -245,35 +193,41 @@ def test_estimates_of_older_files_have_no_bars():
     assert "95 % interval" in Page(page).words
 
 
-POSTERIOR = {
-    "names": ["specific_modulus", "grip_height"],
-    "log": [True, False],
-    "mean": [math.log(1834.0), 0.001],
-    "covariance": [[0.0004, 0.0], [0.0, 1e-8]],
-    "prior_mean": [math.log(1000.0), 0.0],
-    "prior_sd": [3.0, 0.002],
-    "low": [math.log(500.0), -0.1],
-    "high": [math.log(50000.0), 0.1],
-}
-"""Of an estimate's file."""
-
-
 def test_beliefs_stand_beside_what_was_found():
     """95 % intervals in the unknowns' units, cut at what was searched."""
     summary = EstimateSummary(
-        values=estimate(posterior=POSTERIOR, bounds={}),
+        values=estimate(posterior=made_up.POSTERIOR, bounds={}),
         units={"specific_modulus": "m^2/s^2", "grip_height": "m"},
     )
     page = render_report(ReportContent(title="Beliefs", estimate=summary))
     words = Page(page).words
     for text in (
-        "specific modulus [m^2/s^2] 500 to 5e+04 1.76e+03 to 1.91e+03",
+        "specific modulus [m²/s²] 500 to 5e+04 1.76e+03 to 1.91e+03",
         "grip height [m] −0.00392 to 0.00392 0.000804 to 0.0012",
     ):
         assert text in words, text
-    for marks in bars(page):
-        assert marks["prior"][0] == pytest.approx(50.0 * (1.0 - 1.96 / 3.0), abs=0.01)
-    assert bars(page)[1]["estimate"][0] == pytest.approx(50.0 * (1.0 + 0.5 / 3.0), abs=0.01)
+    assert "150 times as narrow as the prior" in words and "20 times as narrow" in words
+    # E's prior is wider than its posterior can show
+    assert Page(page).charts.count("Young's modulus") == 2
+    assert "the part drawn above" in words
+
+
+def test_a_search_has_a_line_for_each_stage_of_each_start():
+    entries = [
+        {"start": start, "stage": stage, "iteration": k, "loss": 0.01 / k, "youngs_modulus": 1e3}
+        for start, stage, first in ((0, "coarse", 1), (0, "fine", 4), (1, "coarse", 1))
+        for k in range(first, first + 3)
+    ]
+    summary = EstimateSummary(values=estimate(history=entries))
+    words = Page(render_report(ReportContent(title="S", estimate=summary))).words
+    for label in ("start 1, coarse", "start 1, fine (chosen)", "start 2, coarse"):
+        assert words.count(label) == 2, label  # of the distance and of E
+    assert "start 2, fine" not in words
+    # the start that ended at the estimate is the chosen one, whatever the distances
+    ends = [{"final": {"youngs_modulus": E}, "loss": 1e-3 * E} for E in (1.0, 1834.0)]
+    summary = EstimateSummary(values=estimate(history=entries, starts=ends))
+    words = Page(render_report(ReportContent(title="S", estimate=summary))).words
+    assert "start 2, coarse (chosen)" in words and "start 1, fine (chosen)" not in words
 
 
 def test_distances_over_time_are_drawn(make_lift):
@@ -283,23 +237,25 @@ def test_distances_over_time_are_drawn(make_lift):
     for rms in ([0.001] * 4, [0.001] * 3):
         summary = EstimateSummary(values=estimate(rms_by_frame=rms))
         report = ReportContent(title="R", lift=LiftPictures(clouds=clouds), estimate=summary)
-        counts.append(len(Page(render_report(report)).images))
+        counts.append(len(Page(render_report(report)).charts))
     assert counts[0] == counts[1] + 1
 
 
 def test_what_is_not_usable_has_reasons_and_no_beliefs():
     verdict = {"usable": False, "reasons": ["the gripper rests", "the clouds are <noise>"]}
-    summary = EstimateSummary(values=estimate(verdict=verdict, intervals=None, posterior=POSTERIOR))
+    summary = EstimateSummary(
+        values=estimate(verdict=verdict, intervals=None, posterior=made_up.POSTERIOR)
+    )
     page = render_report(ReportContent(title="Verdict", estimate=summary))
     words = Page(page).words
     assert "Not usable." in words and "the gripper rests" in words and "<noise>" in words
-    assert "Believed before" not in words and "interval" not in words
+    assert "Prior and posterior" not in words and "interval" not in words
     assert bars(page) == []
 
 
 def test_missing_parts_are_left_out():
     page = Page(render_report(ReportContent(title="Nothing")))
-    assert page.images == [] and "The action" not in page.words
+    assert page.images == page.charts == [] and "The action" not in page.words
     bare = EstimateSummary(values={"youngs_modulus": 2e6, "poissons_ratio": 0.3})
     page = Page(render_report(ReportContent(title="Bare", estimate=bare)))
     assert "2 MPa" in page.words
@@ -311,13 +267,13 @@ def test_one_goal_one_policy_and_a_goal_in_the_plane(make_lift):
     one = ActionSummary(outcomes=[ReachOutcome(goal=np.array(0.3), ours=run(0.31))])
     page = Page(render_report(ReportContent(title="One", action=one)))
     assert "Without parameters" not in page.words and "10.0 mm" in page.words
-    assert len(page.images) == 1  # only the swing
+    assert page.charts == ["Paths of the rope's tip: height [m]"]
     plane = [
         ReachOutcome(goal=np.array([0.3, 0.2 + dz]), ours=run([0.33, 0.24 + dz]))
         for dz in (0.0, 0.1)
     ]
     page = Page(render_report(ReportContent(title="Plane", action=ActionSummary(outcomes=plane))))
-    assert "50.0 mm" in page.words and len(page.images) == 2
+    assert "50.0 mm" in page.words and len(page.charts) == 2
 
 
 def test_a_worse_policy_is_not_praised():
@@ -348,6 +304,7 @@ def test_all_text_is_escaped(make_lift):
             facts={bad: bad},
             warnings=(bad,),
         ),
+        next_steps=[NextStep(command=bad, purpose=bad)],
     )
     source = render_report(report)
     assert "<script>alert" not in source
@@ -369,6 +326,23 @@ def test_scene_holds_the_points_it_names(make_lift):
     inside = ((lift["recorded"][2] > low) & (lift["recorded"][2] < high)).all(axis=1)
     assert kept[inside] == pytest.approx(lift["recorded"][2][inside], abs=1e-5)
     assert np.diff(simulated["offsets"]).min() > 10_000
+
+
+def test_scene_holds_arm_and_goal(make_lift):
+    arm = np.linspace(0.0, 0.4, 5 * 2 * 2 * 3).reshape(5, 2, 2, 3)
+    goal = np.array([[0.9, 0.0, 0.2]])
+    held = {"arm": arm, "arm_radius": np.array([0.03, 0.05]), "goal": goal}
+    scene = json.loads(encode_scene(CloudSequence(**make_lift(frames=5), **held), max_frames=2))
+    assert scene["arm"]["radius"] == [30, 50] and len(scene["arm"]["ends"]) == 2
+    assert np.reshape(scene["arm"]["ends"][1], (2, 2, 3)) == pytest.approx(1e3 * arm[4], abs=0.5)
+    assert scene["goal"] == goal.tolist() and scene["high"][0] == 0.9
+    assert scene["frames"] == [1, 5] and scene["of"] == 5
+
+
+def test_what_could_not_be_estimated_says_why():
+    refused = ReportContent(title="R", refused=["no frames with <points>"])
+    words = Page(render_report(refused)).words
+    assert "Not usable." in words and "no frames with <points>" in words
 
 
 @pytest.mark.parametrize(

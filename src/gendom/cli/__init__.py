@@ -24,7 +24,7 @@ from gendom.progress import silence
 
 # Command -> module that holds it, and one line of help.
 COMMANDS = {
-    "demo": ("gendom.cli.demo", "from a recorded lift to an action carried out: the whole story"),
+    "demo": ("gendom.cli.demo", "a recorded lift, the estimate, an action and what it reaches"),
     "estimate": ("gendom.cli.estimate", "Young's modulus and Poisson's ratio from a recording"),
     "replay": ("gendom.cli.replay", "simulate a recorded motion and compare it with the clouds"),
     "act": ("gendom.cli.act", "the action that reaches a goal with a given object"),

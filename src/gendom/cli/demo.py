@@ -8,7 +8,6 @@ import time
 from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import date
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from gendom.cli.arguments import iterations_shown
+from gendom.cli.demo_report import action_summary, report_demo
 from gendom.cli.estimate import NOT_USABLE, estimate_text
-from gendom.cli.pictures import clouds_of, summary_of
+from gendom.cli.pictures import arm_of_lift, arm_poses, clouds_of, goal_mark
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.files import check_folder, to_json, write_json
-from gendom.installation import version
 from gendom.materials import ASSUMED, Material, Rope
 from gendom.progress import each
 
@@ -57,7 +56,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Show the whole story: a lift, the estimate, the policy's action, what comes of it.
+    """Show every step: a lift, the estimate, the policy's action, what it reaches.
 
     The object, a rope, lives in a second reality (docs/reality.md): other equations than the
     estimator's, a robot arm, and two noisy depth cameras. Without arguments the recorded lift and
@@ -67,7 +66,7 @@ class Command:
     """
 
     out: Path = Path("demo")
-    """Folder for report.html, estimate.json, actions.json and lift.gif."""
+    """Folder for report.html, recording.npz, estimate.json, actions.json and lift.gif."""
     live: bool = False
     """Record and perceive the lift now, in OUT/lift, instead of taking the shipped one; renders,
     so it needs OpenGL (EGL or OSMesa; a screen is not needed)."""
@@ -136,6 +135,8 @@ class Command:
             "youngs_modulus": rope.material.E,
             "poissons_ratio": rope.material.nu,
             "density": rope.material.density,
+            "damping": rope.material.damping,
+            "friction": rope.friction,
         }
         print(f"a recorded lift: {recording.num_frames} frames of {recording.source}\n", flush=True)
         settings = EstimateSettings(
@@ -151,9 +152,17 @@ class Command:
         )
         # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.
         write_json(self.out / "estimate.json", found.record)
+        recording.write(self.out / "recording.npz")
+        assert found.scene is not None and found.positions is not None
+        clouds = clouds_of(found.scene, found.positions, found.chamfer)
         if not found.usable:
             for reason in found.verdict.reasons:
                 _log.error("not usable: %s", reason)
+            clouds = arm_of_lift(clouds, rope)
+            report_demo(
+                self, _command_line(self), recording, views, clouds, found, truth, None, seconds
+            )
+            print(f"report: {self.out / 'report.html'}")
             return NOT_USABLE
         with _timed(seconds, "act and carry out"):
             runs, shown = _carry_out(rope, policies, goals, found)
@@ -167,13 +176,15 @@ class Command:
                 f"off by {1e3 * _error(ours, goal):.1f} mm "
                 f"(without parameters {1e3 * _error(without, goal):.1f} mm)"
             )
-        assert found.scene is not None and found.positions is not None
-        clouds = clouds_of(found.scene, found.positions, found.chamfer)
         with _timed(seconds, "pictures and report"):
             write_gif(self.out / "lift.gif", clouds)
+            clouds = arm_of_lift(clouds, rope)
             actions = {"format": "gendom-demo/2", "task": task.name, "outcomes": _outcomes(runs)}
             write_json(self.out / "actions.json", actions)
-            _report(self, recording, views, clouds, found, truth, task, runs, motion, seconds)
+            action = action_summary(task, runs, motion)
+            report_demo(
+                self, _command_line(self), recording, views, clouds, found, truth, action, seconds
+            )
         if self.json:
             print(to_json({"estimate": found.record, **actions, "seconds": seconds}))
         print(f"\nreport: {self.out / 'report.html'}")
@@ -255,12 +266,18 @@ def _carry_out(
                 shape_at_farthest=_filled(seen.points[there]),
             )
         )
+        shown = np.arange(0, len(seen.times), _FINER)
+        clock = performance.closes + shown / (MOTION_RATE * _FINER)
         executed.append(
             Executed(
                 action=np.array(action),
                 slowed_by=performance.slowed_by,
-                times=seen.times[::_FINER],
-                shapes=[_filled(x) for x in seen.points[::_FINER]],
+                times=seen.times[shown],
+                shapes=[_filled(x) for x in seen.points[shown]],
+                hand=seen.hand[shown],
+                arm=arm_poses(performance, clock, task.T_world_task(rope)),
+                goal=goal_mark(goal, seen),
+                table=-float(task.T_world_task(rope)[2, 3]),
             )
         )
     pairs = zip(goals, done[0::2], done[1::2], strict=True)
@@ -295,6 +312,14 @@ class Executed:
     """[T] on the task's clock [s]."""
     shapes: list[np.ndarray]
     """T clouds [n, 3] of the rope [m]."""
+    hand: np.ndarray
+    """[T, 3] [m]."""
+    arm: tuple[np.ndarray, np.ndarray] | None
+    """[T, C, 2, 3] ends of the arm's capsules and [C] radii [m]; None: a free hand."""
+    goal: np.ndarray
+    """[K, 3] as a `CloudSequence` has it [m]."""
+    table: float
+    """z of the table [m]."""
 
 
 def _filled(vertices: np.ndarray, points: int = 150) -> np.ndarray:
@@ -320,7 +345,12 @@ def _predicted(task: Task, executed: Executed, known: Rope, device: str) -> Clou
         recorded=[executed.shapes[k] for k in frames],
         simulated=[_filled(outcome.seen.points[k]) for k in nearest],
         times=executed.times[frames] - executed.times[frames[0]],
+        table_height=executed.table,
+        gripper=executed.hand[frames],
         labels=("carried out", "predicted"),
+        arm=None if executed.arm is None else executed.arm[0][frames],
+        arm_radius=None if executed.arm is None else executed.arm[1],
+        goal=executed.goal,
     )
 
 
@@ -344,70 +374,6 @@ def _outcomes(runs: Sequence[Run]) -> list[dict[str, Any]]:
         }
         for goal, ours, without in runs
     ]
-
-
-def _report(
-    command: Command,
-    recording: Recording,
-    views: bytes,
-    clouds: CloudSequence,
-    found: Estimate,
-    truth: dict[str, float],
-    task: Task,
-    runs: Sequence[Run],
-    motion: CloudSequence,
-    seconds: dict[str, float],
-) -> None:
-    from gendom.viz.report import (
-        ActionSummary,
-        CameraViews,
-        LiftPictures,
-        Provenance,
-        ReachOutcome,
-        ReportContent,
-        write_report,
-    )
-
-    write_report(
-        command.out / "report.html",
-        ReportContent(
-            title="GenDOM: one lift of an unknown rope, and an action that reaches its goal",
-            recording_source=(
-                f"From {recording.source}. {recording.notes} That reality has other equations than "
-                "the simulator that estimates, and is touched through an arm and seen through the "
-                "cameras only. The actions below are carried out in it."
-            ),
-            cameras=CameraViews(
-                picture=views,
-                note=(
-                    "Halfway up. Depth has the noise of a stereo camera, lost and mixed pixels at "
-                    "edges, and an error of calibration; the arm is taken out by its joint angles."
-                ),
-            ),
-            lift=LiftPictures(clouds=clouds),
-            estimate=summary_of(
-                found,
-                truth | {"specific_modulus": truth["youngs_modulus"] / truth["density"]},
-            ),
-            action=ActionSummary(
-                outcomes=[
-                    ReachOutcome(goal=goal, ours=ours, without=without)
-                    for goal, ours, without in runs
-                ],
-                motion=motion,
-                action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
-            ),
-            provenance=Provenance(
-                commands=[_command_line(command)],
-                version=version(),
-                date=date.today().isoformat(),
-                device=command.device,
-                seeds={"estimate": command.seed},
-                stage_seconds=seconds,
-                warnings=found.record["notes"],
-            ),
-        ),
-    )
 
 
 def _command_line(command: Command) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -20,6 +21,7 @@ from gendom.installation import version
 
 if TYPE_CHECKING:
     from gendom.estimation import Estimate, EstimateSettings
+    from gendom.viz.report import NextStep, Provenance
 
 NOT_USABLE = 3
 """Exit code where a recording tells nothing of its object."""
@@ -28,6 +30,12 @@ REPORT_SUMMARY = (
     "GenDOM watched this object being moved and found the parameters with which its simulator "
     "repeats that motion. This page shows how well the simulated motion matches the recorded one, "
     "and how sure the estimate is."
+)
+
+NOT_USABLE_SUMMARY = (
+    "GenDOM watched this object being moved and searched for parameters with which its simulator "
+    "repeats that motion. It found none that do so well enough. This page shows the best fit, and "
+    "where it differs."
 )
 
 _log = logging.getLogger(__name__)
@@ -133,6 +141,8 @@ class Command:
             _log.error("not usable: %s", reason)
         if self.out is not None:
             self._written(self.out / "estimate.json", record)
+        if self.report is not None:
+            self._write_refusal(reasons)
         return NOT_USABLE
 
     def _written(self, path: Path, record: dict) -> None:
@@ -141,7 +151,7 @@ class Command:
 
     def _write_report(self, found: Estimate) -> None:
         from gendom.cli.pictures import clouds_of, summary_of, view_of
-        from gendom.viz.report import LiftPictures, Provenance, ReportContent, write_report
+        from gendom.viz.report import LiftPictures, ReportContent, write_report
 
         assert self.report is not None and found.scene is not None and found.positions is not None
         record, recording = found.record, found.scene.recording
@@ -149,29 +159,74 @@ class Command:
             self.report,
             ReportContent(
                 title=f"GenDOM: the parameters of a {found.scene.kind}",
-                summary=REPORT_SUMMARY,
-                recording_source=" ".join(
-                    text
-                    for text in (str(self.recording), recording.source, recording.notes)
-                    if text
-                ),
+                summary=REPORT_SUMMARY if found.usable else NOT_USABLE_SUMMARY,
+                recording_source=_sentences(self.recording.name, recording.source, recording.notes),
                 lift=LiftPictures(
                     clouds=clouds_of(found.scene, found.positions, found.chamfer),
                     view=view_of(found.scene),
                 ),
                 estimate=summary_of(found),
-                provenance=Provenance(
-                    commands=[self._command_line()],
-                    version=version(),
-                    date=date.today().isoformat(),
-                    device=self.device,
-                    seeds={"estimate": self.seed},
-                    stage_seconds={"estimate": record["seconds"]},
-                    warnings=record["notes"],
-                ),
+                provenance=self._provenance({"estimate": record["seconds"]}, record["notes"]),
+                next_steps=self._next_steps(found),
             ),
         )
         tell_written(self.report, json=self.json)
+
+    def _write_refusal(self, reasons: list[str]) -> None:
+        from gendom.viz.report import ReportContent, write_report
+
+        assert self.report is not None
+        write_report(
+            self.report,
+            ReportContent(
+                title="GenDOM: a recording that cannot be used",
+                summary="Nothing was estimated from this recording, for the reasons above.",
+                recording_source=_sentences(self.recording.name),
+                refused=reasons,
+                provenance=self._provenance({}, []),
+                next_steps=self._next_steps(None),
+            ),
+        )
+        tell_written(self.report, json=self.json)
+
+    def _provenance(self, seconds: dict[str, float], warnings: list[str]) -> Provenance:
+        from gendom.viz.report import Provenance
+
+        return Provenance(
+            commands=[self._command_line()],
+            version=version(),
+            date=date.today().isoformat(),
+            device=self.device,
+            seeds={"estimate": self.seed},
+            stage_seconds=seconds,
+            warnings=warnings,
+        )
+
+    def _next_steps(self, found: Estimate | None) -> list[NextStep]:
+        """Commands that go on from what was written."""
+        from gendom.viz.report import NextStep
+
+        words = ["gendom", "check", self.recording]
+        steps = [NextStep(command=_shell(words), purpose="See what the recording holds.")]
+        if found is None or self.report is None:
+            return steps
+        if self.out is None:
+            words = [*shlex.split(self._command_line()), "--out", self.report.parent]
+            purpose = "Write the estimate to a file, which other commands take."
+            return [*steps, NextStep(command=_shell(words), purpose=purpose)]
+        params = ["--params", self.out / "estimate.json"]
+        words = ["gendom", "replay", self.recording, *params, "--gif", self.out / "replay.gif"]
+        words += [] if found.usable else ["--force"]
+        purpose = "Simulate the recorded motion, every frame of it, with the estimate."
+        steps.append(NextStep(command=_shell(words), purpose=purpose))
+        if found.usable:
+            words = ["gendom", "act", *_task_and_goal(found), *params, "--force"]
+            purpose = (
+                "Get an action for this object, and the robot's motion; --force allows objects and "
+                "goals beyond what the policy was trained on, with a warning."
+            )
+            steps.append(NextStep(command=_shell(words), purpose=purpose))
+        return steps
 
     def _command_line(self) -> str:
         """The words that give the same estimate again."""
@@ -184,6 +239,25 @@ class Command:
             words += [] if value is None else [flag, str(value)]
         words += ["--cells-across", str(self.cells_across), "--device", self.device]
         return shlex.join(words)
+
+
+def _sentences(*texts: str) -> str:
+    """Texts that are not empty, one after another, each with a full stop."""
+    return " ".join(text if text.endswith(".") else f"{text}." for text in texts if text)
+
+
+def _task_and_goal(found: Estimate) -> list[str]:
+    """A task for an object of this kind, with a goal in the middle of those trained on."""
+    from gendom.policies import Policy
+
+    if found.record["object"]["kind"] == "cloth":
+        return ["cloth-spreading"]
+    ends = found.record["object"]["length"] * Policy.pretrained("rope-casting").goal_range()
+    return ["rope-casting", "--goal", *(f"{end:.3f}" for end in ends.mean(axis=1))]
+
+
+def _shell(words: Sequence[str | Path]) -> str:
+    return shlex.join(map(str, words))
 
 
 def estimate_text(found: Estimate) -> str:

@@ -1,15 +1,21 @@
-"""What reports and animations are given of a lift, its replay and its estimate."""
+"""What reports and animations are given of lifts, replays, estimates and actions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.materials import thickness_of
+
 if TYPE_CHECKING:
     from gendom.estimation import Estimate, Scene
+    from gendom.reality import RealRope
+    from gendom.reality.trials import Performance
+    from gendom.tasks import Observed
     from gendom.viz import CloudSequence, EstimateSummary
 
 
@@ -53,3 +59,39 @@ def summary_of(found: Estimate, truth: Mapping[str, float] | None = None) -> Est
 
     units = {u.name: u.unit for u in UNKNOWNS.values()}
     return EstimateSummary(values=found.record, truth=truth, units=units)
+
+
+def arm_of_lift(clouds: CloudSequence, rope: RealRope) -> CloudSequence:
+    """A lift of the second reality with the arm that did it, which moves the same each time."""
+    from gendom.reality.trials import Performance, lift
+
+    performance = Performance(lift(rope))
+    poses = arm_poses(performance, performance.closes + clouds.times, np.eye(4))
+    return clouds if poses is None else replace(clouds, arm=poses[0], arm_radius=poses[1])
+
+
+def arm_poses(
+    performance: Performance, times: NDArray[np.floating], T_world_frame: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]] | None:
+    """[T, C, 2, 3] ends of the arm's capsules in a frame, and [C] their radii [m].
+
+    None where a free hand moves. `times` [T] [s] are the performance's own.
+    """
+    from gendom.robot import XARM7
+    from gendom.robot.shape import arm_shape
+
+    if performance.motion is None:
+        return None
+    shape = arm_shape(XARM7, performance.motion.at(times), thickness_of(performance.trial.item))
+    ends = np.stack([shape.start, shape.end], axis=-2)
+    T = np.linalg.inv(T_world_frame)
+    return ends @ T[:3, :3].T + T[:3, 3], shape.radius
+
+
+def goal_mark(goal: NDArray[np.floating], seen: Observed) -> NDArray[np.floating]:
+    """A goal in its task's frame: [1, 3] the place of a goal (x, z) beside where the tip hung, or
+    [2, 3] an upright line at the distance x, as high as the rope comes [m]."""
+    if len(goal) == 1:
+        heights = float(seen.points[..., 2].min()), float(seen.points[..., 2].max())
+        return np.array([[goal[0], 0.0, z] for z in heights])
+    return np.array([[seen.tip[0, 0] + goal[0], seen.tip[0, 1], seen.tip[0, 2] + goal[1]]])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +16,16 @@ from gendom.progress import bar
 SCALES = {"small": (2, 1), "full": (5, 5)}
 """Objects, and starts of each, by scale of the table sim2sim."""
 
+SIMULATED = {"small": (2_000, 60, 1), "full": (40_000, 150, 3)}
+"""Demonstrations, epochs and trainings of the table ablation; generalization takes the paper's
+number of demonstrations."""
+
+ROPE_REAL = {"small": (2, 4_000, 20, 60, 1), "full": (24, 40_000, 100, 150, 3)}
+"""Goals of each rope, demonstrations, real ones of each rope, epochs and executions of the table
+rope-real."""
+
+PAPER_DEMONSTRATIONS = 2_271
+
 SIM2SIM = (
     ("gauss-newton", "all"),
     ("gauss-newton", "last"),
@@ -25,27 +36,40 @@ SIM2SIM = (
 """Its rows: methods, and the frames that they see."""
 
 
+_log = logging.getLogger(__name__)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Command:
     """Measure one of the paper's tables with this package, beside the paper's own numbers; or
     whether intervals hold.
 
     sim2sim: errors of estimators on lifts that the simulator has made, with exact clouds.
+    ablation: policies that see both parameters, one or none, on goals of random ropes.
+    generalization: ours and R2S2R on the paper's three ropes and on softer ones.
+    rope-real: three ropes of the second reality, each lifted once before its cameras; ours, the
+    baselines, polished actions and what executions teach, under the arm.
     coverage: random objects of the second reality are lifted before its cameras and estimated; how
     far off estimates are, how many intervals hold the truth, which lifts are refused. A lift takes
-    about a minute on a core; what is in --out is not made again.
+    about a minute on a core.
+    What is in --out is not made again, so an interrupted table goes on. Tables of policies need the
+    extra train.
 
     For example: gendom reproduce sim2sim --method gauss-newton
     """
 
-    table: tyro.conf.Positional[Literal["sim2sim", "coverage"]]
+    table: tyro.conf.Positional[
+        Literal["sim2sim", "ablation", "generalization", "rope-real", "coverage"]
+    ]
     """Which table."""
     scale: Literal["small", "full"] = "small"
-    """small: a few minutes; full: as many objects and starts as the paper has."""
+    """small: minutes on two cores; full: the paper's counts and more, for a GPU."""
+    task: Literal["rope-reaching", "rope-casting"] = "rope-reaching"
+    """Of tables of policies."""
     method: tuple[Literal["gauss-newton", "adam", "differential-evolution", "pointnet"], ...] = ()
     """Of sim2sim: only rows of these methods; by default all but differential-evolution."""
     engine: Literal["thin", "mpm"] = "thin"
-    """Of sim2sim: makes the lifts, and replays them. mpm: the paper's, slower."""
+    """Of everything simulated but rope-real and coverage. mpm: the paper's, slower."""
     kind: Literal["rope", "cloth"] = "rope"
     """Of coverage: what is lifted."""
     end: Literal["hold", "swing", "drop"] = "hold"
@@ -53,9 +77,9 @@ class Command:
     lifts: int = 40
     """Of coverage: how many."""
     jobs: int = 2
-    """Of coverage: processes."""
-    out: Path = Path("coverage")
-    """Of coverage: folder that keeps lifts and estimates."""
+    """Processes of the second reality and of training."""
+    out: Path | None = None
+    """Folder that keeps everything a table is made from (default: its name)."""
     seed: int = 0
     """Seed of everything that is drawn."""
     device: str = "cpu"
@@ -64,21 +88,95 @@ class Command:
     """Print JSON."""
 
     def run(self) -> int:
-        return self._coverage() if self.table == "coverage" else self._sim2sim()
+        if self.table == "sim2sim":
+            return self._sim2sim()
+        if self.table == "coverage":
+            return self._coverage()
+        return self._policies()
+
+    @property
+    def _folder(self) -> Path:
+        return self.out or Path(self.table)
+
+    def _policies(self) -> int:
+        from gendom.evaluation.tables import (
+            RopeRealSettings,
+            SimulatedSettings,
+            Workbench,
+            ablation,
+            generalization,
+            rope_real,
+            text,
+        )
+
+        check_folder(self._folder)
+        began = time.monotonic()
+        bench = Workbench(
+            folder=self._folder,
+            device=self.device,
+            jobs=self.jobs,
+            seed=self.seed,
+            on_stage=_log.info,
+        )
+        if self.table == "rope-real":
+            goals, demonstrations, real, epochs, executions = ROPE_REAL[self.scale]
+            result = rope_real(
+                bench,
+                RopeRealSettings(
+                    task=self.task,
+                    goals=goals,
+                    demonstrations=demonstrations,
+                    real=real,
+                    epochs=epochs,
+                    executions=executions,
+                ),
+            )
+            lines = text.rope_real_text(result)
+        else:
+            demonstrations, epochs, seeds = SIMULATED[self.scale]
+            settings = SimulatedSettings(
+                task=self.task,
+                engine=self.engine,
+                demonstrations=demonstrations,
+                epochs=epochs,
+                seeds=seeds,
+            )
+            if self.table == "ablation":
+                result = ablation(bench, settings)
+                lines = text.simulated_text(result["rows"], text.ABLATION[self.task])
+            else:
+                settings = replace(settings, demonstrations=PAPER_DEMONSTRATIONS, goals=(40, 200))
+                result = generalization(bench, settings)
+                lines = "\n\n".join(
+                    f"{domain}\n{text.simulated_text(rows, text.GENERALIZATION[domain])}"
+                    for domain, rows in result["rows"].items()
+                )
+        result = {
+            "table": self.table,
+            "task": self.task,
+            "scale": self.scale,
+            "engine": self.engine,
+            "seed": self.seed,
+            **result,
+            "seconds": time.monotonic() - began,
+        }
+        write_json(self._folder / f"{self.table}-{self.task}.json", result)
+        print(to_json(result) if self.json else lines)
+        return 0
 
     def _coverage(self) -> int:
         from gendom.evaluation.coverage import CoverageSettings, coverage, coverage_text, covered
 
-        check_folder(self.out)
+        check_folder(self._folder)
         settings = CoverageSettings(
             kind=self.kind, end=self.end, lifts=self.lifts, seed=self.seed, jobs=self.jobs
         )
         with bar("lifting", self.lifts, "lift") as show:
-            rows = coverage(self.out, settings, on_done=show)
+            rows = coverage(self._folder, settings, on_done=show)
         table = covered(rows, settings.level)
         result = {"table": self.table, **asdict(settings), "unknowns": [asdict(c) for c in table]}
         print(to_json(result) if self.json else coverage_text(rows, table))
-        write_json(self.out / f"table-{self.kind}-{self.end}.json", {**result, "rows": rows})
+        write_json(self._folder / f"table-{self.kind}-{self.end}.json", {**result, "rows": rows})
         return 0
 
     def _sim2sim(self) -> int:

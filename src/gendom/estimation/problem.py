@@ -86,6 +86,15 @@ class Start:
     done: bool = False
     history: list[tuple[int, Array, float]] = field(default_factory=list)
     """Iteration, vector, and root mean square distance [m]."""
+    coarse: int | None = None
+    """Its last iteration with part of the unknowns or of the clouds; None: there is no such stage.
+    """
+
+    def stage(self, iteration: int, method: str) -> str:
+        """What an iteration of its history belongs to: the method where it has one stage."""
+        if self.coarse is None:
+            return method
+        return "coarse" if iteration <= self.coarse else "fine"
 
 
 @dataclass(frozen=True, kw_only=True)

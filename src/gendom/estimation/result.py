@@ -258,7 +258,13 @@ def result_of(
             if s.comparison is not None
         ],
         "history": [
-            {"stage": settings.method, "start": n, "iteration": i, **_named(problem, v), "loss": r}
+            {
+                "stage": s.stage(i, settings.method),
+                "start": n,
+                "iteration": i,
+                **_named(problem, v),
+                "loss": r,
+            }
             for n, s in enumerate(found.starts)
             for i, v, r in s.history
         ],

@@ -206,7 +206,7 @@ def _write_object(path: Path, performance: Performance, settings: RecordSettings
         'gripper_source = "measured"',
         *([f'robot = "{robot.arm.name}"'] if (robot := performance.world.robot) else []),
         f"quasi_static = {str(trial.quasi_static).lower()}",
-        'source = "a second reality on MuJoCo, seen by simulated depth cameras"',
+        'source = "a MuJoCo test scene (the second reality), seen by simulated depth cameras"',
         f"notes = {json.dumps(settings.notes)}",
         "",
         "[object]",

@@ -1,49 +1,64 @@
-"""Charts of a report, as SVG images: how the estimate was found, and what the action did."""
+"""Charts of a report: how the estimate was found, what is believed, and what the action did."""
 
 from __future__ import annotations
 
-import io
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from statistics import NormalDist
 
-import matplotlib
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-# From Okabe and Ito's palette; the clouds' blue and orange mean something else.
-OURS_COLOR = "#009E73"
-WITHOUT_COLOR = "#D55E00"
-_BEST_COLOR = "#0072B2"
-_INK = "#222222"
-_SOFT_INK = "#6e6e6e"
-_OTHERS_COLOR = "#b8b8b8"
+from gendom.viz.plot import Axis, Entry, Plot
 
-STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    "font.size": 10.0,
-    "text.color": _INK,
-    "axes.labelcolor": _INK,
-    "axes.edgecolor": "#bbbbbb",
-    "axes.linewidth": 0.8,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.titlesize": 10.5,
-    "axes.titlelocation": "left",
-    "grid.color": "#eaeaea",
-    "grid.linewidth": 0.8,
-    "xtick.color": _SOFT_INK,
-    "ytick.color": _SOFT_INK,
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "svg.fonttype": "path",  # the reader's machine may have other fonts
-    "svg.hashsalt": "gendom",  # otherwise random names inside the file
-}
-"""Matplotlib's settings of every chart."""
+_SERIES = 6  # colours of `report.css` for the starts of a search
+_DRAWN_SDS = 4.2
+_ZOOM = 5.0  # a posterior narrower than its prior by more than this has a strip of the whole prior
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchLine:
+    """One stage of one start of a search."""
+
+    start: int
+    label: str
+    iterations: np.ndarray
+    """[k]."""
+    values: np.ndarray
+    """[k] in the chart's unit."""
+    early: bool = False
+    """Whether it is not the search's last stage; drawn dashed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Belief:
+    """A Gaussian before and after, of a parameter or of its logarithm, within bounds."""
+
+    log: bool
+    prior: NormalDist
+    """Transformed, like all that follows but the truth and the interval."""
+    posterior: NormalDist
+    low: float
+    high: float
+    interval: tuple[float, float]
+    """In the chart's unit."""
+    level_text: str
+    """Its probability: "90 %"."""
+    truth: float | None = None
+    """In the chart's unit."""
+    factor: float = 1.0
+    """From the parameter's unit to the chart's."""
+
+    def shown(self, transformed: npt.ArrayLike) -> np.ndarray:
+        """In the chart's unit."""
+        array = np.asarray(transformed, dtype=float)
+        return self.factor * (np.exp(array) if self.log else array)
+
+    @property
+    def narrowed(self) -> float:
+        """By how much the posterior is narrower."""
+        return self.prior.stdev / self.posterior.stdev
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +66,8 @@ class Swing:
     """One policy's rope in the picture of a swing."""
 
     label: str
-    color: str
+    kind: str
+    """A class of `report.css`."""
     dashed: bool = False
     tip_path: np.ndarray
     """[T, 2] of the tip: along the goal's direction, and up [m]."""
@@ -59,216 +75,190 @@ class Swing:
     """The rope at release and at its farthest, each [n, 2] [m]."""
 
 
-@matplotlib.rc_context(STYLE)
-def search_chart(history: Sequence[tuple[np.ndarray, np.ndarray]], best: int | None) -> bytes:
-    """Distance of the clouds from the fit against iteration, one line for each start.
+def search_chart(
+    lines: Sequence[SearchLine], *, log: bool = False, truth: float | None = None
+) -> Plot:
+    """A distance or a parameter against iteration, a line for each stage of each start."""
+    every = np.concatenate([line.values for line in lines])
+    last = max(float(line.iterations.max()) for line in lines)
+    ends = every if truth is None else np.append(every, truth)
+    plot = Plot(
+        x=Axis(low=0.5, high=max(last, 2.0) + 0.5, label="iteration"),
+        y=Axis.around(ends, log=log),
+    )
+    for line in lines:
+        kind = f"start-{line.start % _SERIES + 1}"
+        plot.line(line.iterations, line.values, kind, line.label, dashed=line.early, dots=True)
+    if truth is not None:
+        plot.level(truth, "truth", "true value")
+    return plot
+
+
+def distance_chart(times: npt.ArrayLike, distance: npt.ArrayLike, *, scene: str = "") -> Plot:
+    """A distance [T] [m] against time [T] [s], in millimetres.
 
     Args:
-        history: For each start its iterations [k] and distances [k] [m]; what is not positive is
-            left out, as the scale is logarithmic.
-        best: Index of the start that was chosen, or None.
-
-    Returns:
-        SVG.
+        times: Increasing.
+        distance: Of the clouds.
+        scene: Id of the viewer's data whose time is marked, or none.
     """
-    figure, axes = _start(4.8, 2.9)
-    _draw_starts(axes, [(iterations, 1e3 * values) for iterations, values in history], best)
-    positive = [np.asarray(values) > 0.0 for _, values in history]
-    if any(p.any() for p in positive):
-        axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.set(xlabel="iteration", title="Distance of the clouds from the fit [mm]")
-    return to_svg(figure)
-
-
-@matplotlib.rc_context(STYLE)
-def parameter_chart(
-    history: Sequence[tuple[np.ndarray, np.ndarray]],
-    best: int | None,
-    *,
-    name: str,
-    truth: float | None,
-) -> bytes:
-    """A parameter against iteration, one line for each start, and its true value if known.
-
-    Arguments and result as `search_chart`, values in any unit.
-    """
-    figure, axes = _start(4.8, 2.9)
-    _draw_starts(axes, history, best)
-    if truth is not None:
-        axes.axhline(truth, color=_INK, linestyle=(0, (4, 3)), linewidth=1.0, label="true value")
-        axes.legend(loc="best")
-    axes.set(xlabel="iteration", title=name)
-    return to_svg(figure)
-
-
-@matplotlib.rc_context(STYLE)
-def distance_chart(times: npt.ArrayLike, distance: npt.ArrayLike, *, name: str) -> bytes:
-    """A distance [T] [m] against time [T] [s], as SVG."""
     millimetres = 1e3 * np.asarray(distance, dtype=float)
-    figure, axes = _start(4.8, 2.9)
-    axes.plot(times, millimetres, color=_BEST_COLOR, linewidth=1.6)
+    seconds = np.asarray(times, dtype=float)
     mean = float(millimetres.mean())
-    dashes = (0, (4, 3))
-    label = f"mean {mean:.1f} mm"
-    axes.axhline(mean, color=_SOFT_INK, linestyle=dashes, linewidth=1.0, label=label)
-    axes.legend(loc="best")
-    axes.set(xlabel="time [s]", title=f"{name} [mm]")
-    axes.set_ylim(0.0, 1.15 * max(float(millimetres.max()), 1e-6))
-    return to_svg(figure)
+    plot = Plot(
+        x=Axis(low=float(seconds[0]), high=float(max(seconds[-1], seconds[0] + 1e-3)),
+               label="time [s]"),
+        y=Axis(low=0.0, high=1.15 * max(float(millimetres.max()), 1e-6)),
+    )  # fmt: skip
+    plot.area(seconds, millimetres, "recorded")
+    plot.line(seconds, millimetres, "recorded")
+    plot.level(mean, "soft", f"mean {mean:.1f} mm")
+    if scene:
+        plot.cursor(scene)
+    return plot
 
 
-@matplotlib.rc_context(STYLE)
-def goal_chart(goals: np.ndarray, ours: np.ndarray, without: np.ndarray | None) -> bytes:
-    """Goals [K, D] against what was reached [K, D] [m], as SVG.
+def belief_chart(belief: Belief, label: str) -> tuple[Plot, Plot | None]:
+    """Densities before and after, and a strip of the whole prior where the first shows a part.
+
+    Densities of parameters on a logarithmic scale are those of the logarithm, so that areas are
+    probabilities in either case.
+    """
+    reach = _DRAWN_SDS * belief.posterior.stdev
+    low, high = belief.posterior.mean - reach, belief.posterior.mean + reach
+    if belief.truth is not None and (belief.truth > 0.0 or not belief.log):
+        true = belief.truth / belief.factor
+        true = math.log(true) if belief.log else true
+        low, high = min(low, true - 0.3 * reach), max(high, true + 0.3 * reach)
+    prior_reach = 3.0 * belief.prior.stdev
+    whole = (
+        max(belief.low, belief.prior.mean - prior_reach),
+        min(belief.high, belief.prior.mean + prior_reach),
+    )
+    zoomed = (whole[1] - whole[0]) > _ZOOM * (high - low)
+    if zoomed:
+        low, high = max(low, belief.low), min(high, belief.high)
+    else:
+        low, high = max(min(low, whole[0]), belief.low), min(max(high, whole[1]), belief.high)
+    main = _densities(belief, low, high, label)
+    if not zoomed:
+        return main, None
+    strip = Plot(
+        x=_belief_axis(belief, *whole, label="the whole prior"), y=_upwards(1.0), height=86.0,
+        compact=True,
+    )  # fmt: skip
+    at = np.linspace(*whole, 201)
+    prior = np.array([belief.prior.pdf(x) for x in at])
+    strip.area(belief.shown(at), prior / prior.max(), "prior")
+    strip.line(belief.shown(at), prior / prior.max(), "prior")
+    window = belief.shown([low, high])
+    strip.area(window, [1.0, 1.0], "window", "the part drawn above")
+    for end in window:
+        strip.upright(float(end), "window", dashed=False)
+    return main, strip
+
+
+def goal_chart(goals: np.ndarray, ours: np.ndarray, without: np.ndarray | None) -> Plot:
+    """Goals [K, D] against what was reached [K, D] [m].
 
     With D = 1 reached against goal and the line on which they are equal; with D = 2 the plane of
     the goals, each joined with the places reached. A row of `without` may be NaN.
     """
-    figure, axes = _start(5.2, 4.6)
-    groups = [(ours, OURS_COLOR, "o", "with the estimate")]
+    groups = [(ours, "ours", "with the estimate")]
     if without is not None:
-        groups.append((without, WITHOUT_COLOR, "s", "without parameters"))
-    if goals.shape[1] == 1:
-        every = np.concatenate([goals, *(g[0] for g in groups)])
-        low, high = np.nanmin(every), np.nanmax(every)
-        margin = 0.06 * max(high - low, 0.02)
-        ends = [low - margin, high + margin]
-        axes.plot(ends, ends, color=_SOFT_INK, linewidth=1.0, linestyle=(0, (4, 3)))
-        for reached, color, marker, label in groups:
-            axes.plot(
-                goals[:, 0],
-                reached[:, 0],
-                linestyle="none",
-                marker=marker,
-                markersize=6.0,
-                color=color,
-                markeredgecolor="white",
-                markeredgewidth=0.6,
-                label=label,
-            )
-        axes.set(xlim=ends, ylim=ends, xlabel="goal [m]", title="Reached [m]; on the line: hit")
-    else:
-        for reached, color, marker, label in groups:
-            for goal, place in zip(goals, reached, strict=True):
-                axes.plot(*np.stack([goal, place], axis=1), color=color, linewidth=0.8, alpha=0.6)
-            axes.plot(
-                *reached.T,
-                linestyle="none",
-                marker=marker,
-                markersize=6.0,
-                color=color,
-                label=label,
-            )
-        axes.plot(
-            *goals.T,
-            linestyle="none",
-            marker="+",
-            markersize=11.0,
-            markeredgewidth=1.8,
-            color=_INK,
-            label="goal",
+        groups.append((without, "without", "without parameters"))
+    one = goals.shape[1] == 1
+    every = np.concatenate([goals, *(g[0] for g in groups)])
+    if one:
+        ends = Axis.around(every, margin=0.08)
+        plot = Plot.to_scale(
+            Axis(low=ends.low, high=ends.high, label="goal [m]"),
+            Axis(low=ends.low, high=ends.high),
         )
-        axes.set(xlabel="along [m]", title="Goals and places reached: height [m]")
-    axes.locator_params(nbins=6)
-    axes.set_aspect("equal", adjustable="box" if goals.shape[1] == 1 else "datalim")
-    axes.legend(loc="best")
-    return to_svg(figure)
+        diagonal = [plot.x.low, plot.x.high]
+        plot.line(diagonal, diagonal, "soft", "reached = goal", dashed=True)
+    else:
+        plot = Plot.to_scale(
+            Axis.around(every[:, 0], margin=0.1, label="along [m]"),
+            Axis.around(every[:, 1], margin=0.1),
+        )
+        for k, goal in enumerate(goals):
+            plot.cross(goal[0], goal[1], "ink", "" if k else "goal")
+    for reached, kind, label in groups:
+        if not one:
+            for goal, place in zip(goals, reached, strict=True):
+                plot.line([goal[0], place[0]], [goal[1], place[1]], kind)
+        across = goals[:, 0] if one else reached[:, 0]
+        plot.dots(across, reached[:, -1], kind, label, square=kind == "without")
+    return plot
 
 
-@matplotlib.rc_context(STYLE)
 def swing_chart(
     swings: Sequence[Swing], goal: np.ndarray, *, table_height: float | None = None
-) -> bytes:
-    """Paths of the tip, the rope at release and at its farthest, and the goal, as SVG.
+) -> Plot:
+    """Paths of the tip, the rope at release and at its farthest, and the goal.
 
     Args:
         swings: One for each policy.
         goal: [1] distance along the horizontal axis, drawn as a line, or [2] a place [m].
         table_height: z of the table [m], or None.
     """
-    figure, axes = _start(5.2, 4.6)
-    for swing in swings:
-        for shape, opacity in zip(swing.shapes, (0.25, 0.6), strict=False):
-            axes.plot(
-                *shape.T,
-                linestyle="none",
-                marker="o",
-                markersize=3.2,
-                markeredgewidth=0.0,
-                color=swing.color,
-                alpha=opacity,
-            )
-        axes.plot(
-            *swing.tip_path.T,
-            color=swing.color,
-            linewidth=1.8,
-            linestyle=(0, (5, 2)) if swing.dashed else "-",
-            label=f"tip, {swing.label}",
-        )
-        for index, marker in ((0, "o"), (int(np.argmax(swing.tip_path[:, 0])), "D")):
-            axes.plot(
-                *swing.tip_path[index],
-                marker=marker,
-                markersize=6.5,
-                color=swing.color,
-                markeredgecolor="white",
-                markeredgewidth=0.8,
-            )
-    if len(goal) == 1:
-        axes.axvline(goal[0], color=_INK, linewidth=1.4, linestyle=(0, (2, 2)), label="goal")
-    else:
-        axes.plot(*goal, marker="+", markersize=14.0, markeredgewidth=2.0, color=_INK, label="goal")
+    points = np.concatenate([p for s in swings for p in (s.tip_path, *s.shapes)])
+    across = np.append(points[:, 0], goal[0])
+    up = points[:, 1] if len(goal) == 1 else np.append(points[:, 1], goal[1])
     if table_height is not None:
-        axes.axhline(table_height, color="#969696", linewidth=1.4, label="table")
-    axes.locator_params(nbins=7)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel="distance along the goal's direction [m]", ylabel="height [m]")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
-    return to_svg(figure)
+        up = np.append(up, table_height)
+    plot = Plot.to_scale(
+        Axis.around(across, margin=0.04, label="distance along the goal's direction [m]"),
+        Axis.around(up, margin=0.04),
+    )
+    if table_height is not None:
+        plot.level(table_height, "soft", "table", dashed=False)
+    for swing in swings:
+        for k, shape in enumerate(swing.shapes):
+            plot.dots(shape[:, 0], shape[:, 1], swing.kind, size=5.0, faint=k == 0)
+        path = swing.tip_path
+        plot.line(path[:, 0], path[:, 1], swing.kind, f"tip, {swing.label}", dashed=swing.dashed)
+    for swing in swings:
+        first, farthest = swing.tip_path[0], swing.tip_path[np.argmax(swing.tip_path[:, 0])]
+        plot.dots([first[0]], [first[1]], swing.kind, size=9.0)
+        plot.dots([farthest[0]], [farthest[1]], swing.kind, size=9.0, square=True)
+    if len(goal) == 1:
+        plot.upright(goal[0], "ink", "goal")
+    else:
+        plot.cross(goal[0], goal[1], "ink", "goal")
+    return plot
 
 
-def to_svg(figure: Figure) -> bytes:
-    """A chart as SVG, the same bytes each time it is drawn."""
-    buffer = io.BytesIO()
-    # Date and program version would make the same chart another file each time.
-    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
+def _densities(belief: Belief, low: float, high: float, label: str) -> Plot:
+    """Both densities over one range of transformed values."""
+    at = np.linspace(low, high, 241)
+    prior = np.array([belief.prior.pdf(x) for x in at])
+    posterior = np.array([belief.posterior.pdf(x) for x in at])
+    plot = Plot(
+        x=_belief_axis(belief, low, high, label=label),
+        y=_upwards(float(max(prior.max(), posterior.max()))),
+        height=190.0,
+        compact=True,
+    )
+    plot.area(belief.shown(at), prior, "prior")
+    plot.line(belief.shown(at), prior, "prior", "prior")
+    ends = np.clip(belief.interval, *belief.shown([low, high]))
+    inside = np.linspace(ends[0], ends[1], 121)
+    transformed = np.log(inside / belief.factor) if belief.log else inside / belief.factor
+    density = np.array([belief.posterior.pdf(x) for x in transformed])
+    plot.area(inside, density, "posterior")
+    plot.line(belief.shown(at), posterior, "posterior", "posterior")
+    plot.entries.append(Entry("posterior", f"{belief.level_text} interval", "area"))
+    if belief.truth is not None:
+        plot.upright(belief.truth, "truth", "true value")
+    return plot
 
 
-def _draw_starts(
-    axes: Axes, history: Sequence[tuple[np.ndarray, np.ndarray]], best: int | None
-) -> None:
-    """The chosen start in colour and on top, the others in grey."""
-    drawn_other = False
-    for start, (iterations, values) in enumerate(history):
-        chosen = start == best or len(history) == 1
-        label = None
-        if len(history) > 1:
-            if chosen:
-                label = "chosen start"
-            elif not drawn_other:
-                label, drawn_other = "other starts", True
-        axes.plot(
-            iterations,
-            values,
-            color=_BEST_COLOR if chosen else _OTHERS_COLOR,
-            linewidth=2.0 if chosen else 1.2,
-            marker="o",
-            markersize=3.5 if chosen else 2.5,
-            zorder=3 if chosen else 2,
-            label=label,
-        )
-    if len(history) > 1:
-        axes.legend(loc="best")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+def _belief_axis(belief: Belief, low: float, high: float, *, label: str) -> Axis:
+    ends = belief.shown([low, high])
+    return Axis(low=float(ends[0]), high=float(ends[1]), log=belief.log, label=label)
 
 
-def _start(width: float, height: float) -> tuple[Figure, Axes]:
-    """An empty chart of a size in inches."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    axes = figure.add_subplot()
-    axes.spines[["top", "right"]].set_visible(False)
-    return figure, axes
+def _upwards(highest: float) -> Axis:
+    return Axis(low=0.0, high=1.08 * highest, marked=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +36,12 @@ class CloudSequence:
     """[T] Chamfer distance of the two clouds [m]."""
     labels: tuple[str, str] = ("recorded", "simulated")
     """What legends call the two clouds."""
+    arm: np.ndarray | None = None
+    """[T, C, 2, 3] ends of the axes of the robot arm's capsules [m]."""
+    arm_radius: np.ndarray | None = None
+    """[C] their radii [m]; goes with `arm`."""
+    goal: np.ndarray | None = None
+    """[1, 3] a point to be reached, or [2, 3] the ends of a line [m]."""
 
     def __post_init__(self):
         times = _array(self.times, "times", (None,))
@@ -43,7 +50,7 @@ class CloudSequence:
             raise GendomError("is empty", where="times", fix="give at least one frame")
         if (np.diff(times) <= 0.0).any():
             raise GendomError("does not increase", where="times", fix="sort the frames")
-        values: dict[str, object] = {"times": times}
+        values: dict[str, Any] = {"times": times}
         for name in ("recorded", "simulated"):
             clouds = getattr(self, name)
             if clouds is not None:
@@ -57,6 +64,19 @@ class CloudSequence:
                 gripper = gripper[:, None]
             _check_count(gripper, "gripper", frames)
             values["gripper"] = _array(gripper, "gripper", (None, None, 3))
+        if self.arm is not None:
+            _check_count(self.arm, "arm", frames)
+            values["arm"] = _array(self.arm, "arm", (None, None, 2, 3))
+            radius = _array(
+                () if self.arm_radius is None else self.arm_radius, "arm_radius", (None,)
+            )
+            if len(radius) != values["arm"].shape[1]:
+                raise GendomError(
+                    f"has {len(radius)} numbers", where="arm_radius", fix="give one of each capsule"
+                )
+            values["arm_radius"] = radius
+        if self.goal is not None:
+            values["goal"] = _array(self.goal, "goal", (None, 3))
         if self.chamfer is not None:
             _check_count(self.chamfer, "chamfer", frames)
             values["chamfer"] = _array(self.chamfer, "chamfer", (None,))

@@ -20,6 +20,7 @@ from gendom.viz.palette import (
     TABLE_LINE,
     rgb,
 )
+from gendom.viz.plot import nice_step
 from gendom.viz.raster import lettering, splat, stroke
 from gendom.viz.views import OBLIQUE_TILT, choose_view
 
@@ -118,7 +119,7 @@ class Stage:
         self._scale = float(min(inner_width / span[0], inner_height / span[1]))
         self._middle = (low + high) / 2.0
         self._in_mm = max(inner_width, inner_height) / self._scale < 1.5
-        self._tick = _nice_step(inner_width / self._scale / (5.0 if self.compact else 8.0))
+        self._tick = nice_step(inner_width / self._scale / (5.0 if self.compact else 8.0))
 
     def _pixels(self, points: np.ndarray) -> np.ndarray:
         """[..., 2] pixel coordinates, y downwards, of points [..., 3] [m]."""
@@ -214,7 +215,7 @@ class Stage:
         """Above the picture, at the right, where no point can lie."""
         x0, y0, x1, _ = self._frame
         unit = self._unit
-        length = _nice_step((x1 - x0) / self._scale / 10.0)
+        length = nice_step((x1 - x0) / self._scale / 10.0)
         right, y = x1 - 8 * unit, y0 - 15 * unit
         left = right - length * self._scale
         for x in (left, right):
@@ -297,9 +298,3 @@ def _corners(box: np.ndarray) -> np.ndarray:
     return np.array(
         [[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
     )
-
-
-def _nice_step(at_least: float) -> float:
-    """The smallest of 1, 2 and 5 times a power of ten that is not below `at_least`."""
-    power = 10.0 ** math.floor(math.log10(at_least))
-    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= at_least * (1.0 - 1e-9))

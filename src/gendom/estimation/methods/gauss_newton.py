@@ -75,6 +75,8 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         if best is None:
             raise problem.nothing_runs()
         noise, best.damping = stated, settings.damping[0]
+        for start in starts:
+            start.coarse = start.iterations
         if free is not None or problem.easier is not problem:
             _compare_all(problem, best)
         while iteration < most:

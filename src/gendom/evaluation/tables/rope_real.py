@@ -41,9 +41,6 @@ ONE = ROPES[0]
 IDENTIFIED_FROM = 20
 """Executions that R2S2R finds its parameters from."""
 
-REAL_EACH = 100
-"""Real demonstrations of each rope."""
-
 FRAME_RATE = 30.0
 """Of the lift's cameras [1/s]."""
 
@@ -56,6 +53,8 @@ class RopeRealSettings:
     goals: int = 24
     """Of each rope, drawn."""
     demonstrations: int = 40_000
+    real: int = 100
+    """Demonstrations of each rope in the second reality."""
     epochs: int = 150
     executions: int = 3
     """That are learnt from, one after the other, for each goal."""
@@ -81,7 +80,7 @@ def rope_real(bench: Workbench, settings: RopeRealSettings) -> dict[str, Any]:
 
     Returns:
         JSON: estimates, rows with errors over the drawn goals, rows with sums over seven goals, and
-        what the error is made of.
+        what the error is made of. Errors [m]; null where the arm or the simulation failed.
 
     Raises:
         DeviceError: The second reality cannot be simulated or rendered here.
@@ -173,7 +172,7 @@ def _policies(
     for name, item in zip(ROPES, estimates, strict=True):
         source = Demonstrator(task=task, world=RealWorld(jobs=bench.jobs),
                               items=(find_object(name),))  # fmt: skip
-        kept = bench.demonstrations(f"{task.name}-{name}", source, REAL_EACH, device="cpu")
+        kept = bench.demonstrations(f"{task.name}-{name}", source, settings.real, device="cpu")
         real.append(_as_estimated(kept, item))
     everything = joined(joined(real[0], real[1]), real[2])
     few = max(epochs, 300)
@@ -362,7 +361,10 @@ def _measured(
         "policy": _rms(exact.error),
     }
     return {
-        "errors": {name: error.tolist() for name, error in rows.items()},
+        "errors": {
+            name: [float(e) if np.isfinite(e) else None for e in error]
+            for name, error in rows.items()
+        },
         "made_of": made_of,
     }
 

@@ -1,16 +1,17 @@
-"""One HTML file that tells a recording's story: the lift, the estimate, the action.
+"""One HTML file about a recording: the lift, the estimate, the action.
 
 Everything is inside the file: it opens without a network, prints, and can be sent by mail. Each
-module holds what one section is told (a dataclass) and the function that makes the section of it;
+module holds what one section is given (a dataclass) and the function that makes the section of it;
 `ReportContent` puts them in order.
 """
 
 from gendom.viz.report.action import ActionSummary, PolicyRun, ReachOutcome
 from gendom.viz.report.cameras import CameraViews
 from gendom.viz.report.content import SUMMARY, ReportContent, render_report, write_report
-from gendom.viz.report.estimate import ESTIMATE_FORMAT, EstimateSummary
 from gendom.viz.report.lift import LiftPictures
+from gendom.viz.report.next_steps import NextStep
 from gendom.viz.report.provenance import Provenance
+from gendom.viz.report.summary import ESTIMATE_FORMAT, EstimateSummary
 
 __all__ = [
     "ESTIMATE_FORMAT",
@@ -19,6 +20,7 @@ __all__ = [
     "CameraViews",
     "EstimateSummary",
     "LiftPictures",
+    "NextStep",
     "PolicyRun",
     "Provenance",
     "ReachOutcome",

@@ -1,4 +1,4 @@
-"""The section that tells what the policy's action reached."""
+"""The section that shows what the policy's action reached."""
 
 from __future__ import annotations
 
@@ -8,19 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from gendom.errors import GendomError
-from gendom.viz.charts import OURS_COLOR, WITHOUT_COLOR, Swing, goal_chart, swing_chart
+from gendom.viz.charts import Swing, goal_chart, swing_chart
 from gendom.viz.clouds import CloudSequence
-from gendom.viz.report.lift import animated_figure
-from gendom.viz.report.markup import DASH, escaped, figure, table
+from gendom.viz.report.markup import DASH, cell, chart_figure, escaped, number, table
 from gendom.viz.report.page import Section
 from gendom.viz.report.quantities import length_text, place_text, with_minus
-
-_MOTION_FPS = 15.0
+from gendom.viz.report.viewer import viewer
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyRun:
-    """One action, and what became of it. Arrays are converted to float64.
+    """One action, and what it reached. Arrays are converted to float64.
 
     Raises:
         GendomError: An array has another shape, or a number is not finite.
@@ -145,11 +143,13 @@ class ActionSummary:
 
 
 def action_section(action: ActionSummary) -> Section:
-    """What was done for each goal and what came of it; charts of goals and of one swing."""
+    """One motion to look at, what was reached of each goal, charts of goals and of one swing."""
     parts = [f"<p>{escaped(action.note)}</p>"] if action.note else []
     ours, without = action.mean_errors()
     if without is not None:
         parts.append(f"<p>{_verdict(ours, without, len(action.outcomes))}</p>")
+    if action.motion is not None:
+        parts.append(_motion_viewer(action.motion))
     parts.append(_outcomes_table(action))
     names = f"Goal: {action.goal_name}."
     if action.action_names:
@@ -161,8 +161,6 @@ def action_section(action: ActionSummary) -> Section:
         figures.append(_swing_figure(action, drawn))
     if figures:
         parts.append(f'<div class="pair">{"".join(figures)}</div>')
-    if action.motion is not None:
-        parts.append(_motion_figure(action.motion))
     return Section(title="The action", body="\n".join(parts))
 
 
@@ -182,26 +180,27 @@ def _outcomes_table(action: ActionSummary) -> str:
         head += titles
     rows = []
     for outcome in outcomes:
-        cells = [f'<td class="number">{escaped(place_text(outcome.goal))}</td>']
-        for run in (outcome.ours, outcome.without) if compared else (outcome.ours,):
-            if run is None:
-                cells += [f'<td class="number">{DASH}</td>'] * 3
-                continue
-            numbers = ", ".join(f"{a:.3f}" for a in run.action)
-            cells.append(f'<td class="number">{escaped(with_minus(numbers))}</td>')
-            cells.append(f'<td class="number">{escaped(place_text(run.reached))}</td>')
-            cells.append(f'<td class="number">{escaped(length_text(outcome.error(run)))}</td>')
+        cells = [number(place_text(outcome.goal), "goal")]
+        runs = (outcome.ours, outcome.without) if compared else (outcome.ours,)
+        for k, run in enumerate(runs):
+            texts = [DASH] * 3
+            if run is not None:
+                action_text = with_minus(", ".join(f"{a:.3f}" for a in run.action))
+                error = length_text(outcome.error(run))
+                texts = [action_text, place_text(run.reached), error]
+            said = f", {groups[k].lower()}" if groups else ""
+            cells += [
+                number(text, column.lower() + said)
+                for text, column in zip(texts, columns, strict=False)
+            ]
         rows.append(f"<tr>{''.join(cells)}</tr>")
     if len(outcomes) > 1:
         ours, without = action.mean_errors()
-        cells = [
-            '<td class="number">mean</td>',
-            "<td></td><td></td>",
-            f'<td class="number">{length_text(ours)}</td>',
-        ]
+        cells = [cell("mean", "number"), cell("", columns=2)]
+        cells.append(number(length_text(ours), "error, with the estimate" if compared else "error"))
         if compared:
             shown = DASH if without is None else length_text(without)
-            cells += ["<td></td><td></td>", f'<td class="number">{shown}</td>']
+            cells += [cell("", columns=2), number(shown, "error, without parameters")]
         rows.append(f'<tr class="total">{"".join(cells)}</tr>')
     return table([head], rows)
 
@@ -213,8 +212,10 @@ def _goal_figure(action: ActionSummary) -> str:
     missing = np.full_like(goals[0], np.nan)
     others = np.array([missing if o.without is None else o.without.reached for o in outcomes])
     compared = any(o.without is not None for o in outcomes)
-    chart = goal_chart(goals, reached, others if compared else None)
-    return figure(chart, "Goals and places reached")
+    plot = goal_chart(goals, reached, others if compared else None)
+    one = goals.shape[1] == 1
+    title = "Reached distance [m] of each goal" if one else "Goals and places reached: height [m]"
+    return chart_figure(title, [plot])
 
 
 def _verdict(ours: float, without: float, goals: int) -> str:
@@ -238,9 +239,9 @@ def _swing_figure(action: ActionSummary, outcome: ReachOutcome) -> str:
         return np.stack([(points - np.array(action.origin)) @ direction, points[:, 2]], axis=1)
 
     swings = []
-    for run, label, color in (
-        (outcome.without, "without parameters", WITHOUT_COLOR),
-        (outcome.ours, "with the estimate", OURS_COLOR),
+    for run, label, kind in (
+        (outcome.without, "without parameters", "without"),
+        (outcome.ours, "with the estimate", "ours"),
     ):
         if run is None or run.tip_path is None:
             continue
@@ -251,23 +252,22 @@ def _swing_figure(action: ActionSummary, outcome: ReachOutcome) -> str:
                 shapes.append(flat(shape[:: max(1, len(shape) // 250)]))
         dashed = run is outcome.without
         path = flat(run.tip_path)
-        swings.append(Swing(label=label, color=color, dashed=dashed, tip_path=path, shapes=shapes))
-    chart = swing_chart(swings, outcome.goal, table_height=action.table_height)
-    return figure(
-        chart,
-        "Paths of the rope's tip",
+        swings.append(Swing(label=label, kind=kind, dashed=dashed, tip_path=path, shapes=shapes))
+    plot = swing_chart(swings, outcome.goal, table_height=action.table_height)
+    return chart_figure(
+        "Paths of the rope's tip: height [m]",
+        [plot],
         f"Goal {place_text(outcome.goal)}. Circles: the tip when it is let go, or when the hand "
-        "stands; diamonds: where the goal counts. "
-        "Thick: the rope at these two moments, the earlier one pale.",
+        "stands; squares: the tip at its farthest. "
+        "Dots: the rope at two moments, the earlier one pale.",
     )
 
 
-def _motion_figure(motion: CloudSequence) -> str:
-    text = "The motion as it was carried out (blue)"
+def _motion_viewer(motion: CloudSequence) -> str:
+    text = f"The last goal's motion as it was {motion.labels[0]} (blue)"
     if motion.simulated is not None:
-        text += " and as the simulator predicts it with the estimate (orange)"
-    moving = animated_figure(motion, "The executed motion", view="auto", fps=_MOTION_FPS)
-    return f"<p>{text}.</p>{moving}"
+        text += f" and as the simulator {motion.labels[1]} it with the estimate (orange)"
+    return f"<p>{escaped(text)}.</p>{viewer(motion, name='motion', subject='The motion')}"
 
 
 def _convert(target: object, name: str, dimensions: int, array: np.ndarray) -> None:

@@ -1,19 +1,25 @@
-"""What a report tells, in which order, and the numbers to remember at its top."""
+"""What a report says, in which order, and the numbers to remember at its top."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from gendom.files import atomic_path
 from gendom.viz.report.action import ActionSummary, action_section
+from gendom.viz.report.beliefs import beliefs_section
 from gendom.viz.report.cameras import CameraViews, cameras_section
-from gendom.viz.report.estimate import EstimateSummary, estimate_section
 from gendom.viz.report.lift import LiftPictures, lift_section
 from gendom.viz.report.markup import escaped
+from gendom.viz.report.next_steps import NextStep, next_section
 from gendom.viz.report.page import Section, render_page
+from gendom.viz.report.parameters import parameters_section
 from gendom.viz.report.provenance import Provenance, provenance_section
 from gendom.viz.report.quantities import interval_text, length_text, quantity_text
+from gendom.viz.report.search import search_section
+from gendom.viz.report.summary import EstimateSummary
+from gendom.viz.report.verdict import refusal_banner, verdict_banner
 
 SUMMARY = (
     "GenDOM watched one lift of this object and found the elasticity with which its simulator "
@@ -27,7 +33,7 @@ SUMMARY = (
 
 @dataclass(frozen=True, kw_only=True)
 class ReportContent:
-    """What a report tells; parts that are None are left out."""
+    """What a report says; parts that are None or empty are left out."""
 
     title: str
     summary: str = SUMMARY
@@ -38,6 +44,10 @@ class ReportContent:
     estimate: EstimateSummary | None = None
     action: ActionSummary | None = None
     provenance: Provenance = field(default_factory=Provenance)
+    refused: Sequence[str] = ()
+    """Why nothing could be estimated, where nothing could."""
+    next_steps: Sequence[NextStep] = ()
+    """Commands that go on from what was written."""
 
     def sections(self) -> list[Section]:
         """The page's sections in order. A new part is a field above and two lines here.
@@ -45,17 +55,21 @@ class ReportContent:
         Raises:
             GendomError: A cloud has no points, or a view is unknown.
         """
-        sections = []
+        sections: list[Section | None] = []
         if self.cameras is not None:
             sections.append(cameras_section(self.cameras))
         if self.lift is not None:
-            sections.append(lift_section(self.lift))
+            sections.append(lift_section(self.lift, self.estimate))
         if self.estimate is not None:
-            sections.append(estimate_section(self.estimate, self.lift and self.lift.clouds))
+            sections.append(parameters_section(self.estimate))
+            sections.append(beliefs_section(self.estimate))
+            sections.append(search_section(self.estimate))
         if self.action is not None:
             sections.append(action_section(self.action))
         sections.append(provenance_section(self.provenance))
-        return sections
+        if self.next_steps:
+            sections.append(next_section(self.next_steps))
+        return [section for section in sections if section is not None]
 
 
 def write_report(path: str | os.PathLike, content: ReportContent) -> None:
@@ -82,12 +96,10 @@ def render_report(content: ReportContent) -> str:
 
 
 def _opening(content: ReportContent) -> str:
-    parts = [f'<p class="lead">{escaped(content.summary)}</p>']
-    if content.recording_source:
-        parts.append(
-            '<div class="source"><p><strong>Where the recording comes from.</strong> '
-            f"{escaped(content.recording_source)}</p></div>"
-        )
+    parts = [refusal_banner(content.refused)] if content.refused else []
+    if content.estimate is not None:
+        parts.append(verdict_banner(content.estimate))
+    parts.append(f'<p class="lead">{escaped(content.summary)}</p>')
     cards = _cards(content)
     if cards:
         items = "\n".join(
@@ -96,6 +108,11 @@ def _opening(content: ReportContent) -> str:
             for value, name in cards
         )
         parts.append(f'<ul class="cards">\n{items}\n</ul>')
+    if content.recording_source:
+        parts.append(
+            '<div class="source"><p><strong>Where the recording comes from.</strong> '
+            f"{escaped(content.recording_source)}</p></div>"
+        )
     return "\n".join(parts)
 
 
@@ -119,7 +136,7 @@ def _cards(content: ReportContent) -> list[tuple[str, str]]:
 
 def _parameter_cards(summary: EstimateSummary) -> list[tuple[str, str]]:
     if summary.usable is False:
-        return [("not usable", "; ".join(summary.reasons))]
+        return []
     cards = []
     for key, name in (("youngs_modulus", "Young's modulus"), ("poissons_ratio", "Poisson's ratio")):
         value = quantity_text(key, summary.values[key])

@@ -1,11 +1,11 @@
-"""The section that tells how a result was made."""
+"""The section that says how a result was made."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from gendom.viz.report.markup import escaped, facts_list, table
+from gendom.viz.report.markup import cell, escaped, facts_list, number, table
 from gendom.viz.report.page import Section
 
 
@@ -40,11 +40,8 @@ def provenance_section(made: Provenance) -> Section:
     parts.append(facts_list([(name, value) for name, value in facts if value]))
     if made.stage_seconds:
         stages = [(name, f"{s:.1f} s") for name, s in made.stage_seconds.items()]
-        rows = [
-            f'<tr><td>{escaped(name)}</td><td class="number">{escaped(value)}</td></tr>'
-            for name, value in stages
-        ]
+        rows = [f"<tr>{cell(escaped(name))}{number(value)}</tr>" for name, value in stages]
         total = sum(made.stage_seconds.values())
-        rows.append(f'<tr class="total"><td>all</td><td class="number">{total:.1f} s</td></tr>')
+        rows.append(f'<tr class="total">{cell("all")}{number(f"{total:.1f} s")}</tr>')
         parts.append(table(["<th>Stage</th>", '<th class="number">Time</th>'], rows, "narrow"))
     return Section(title="How this was made", body="\n".join(part for part in parts if part))

@@ -1,0 +1,131 @@
+"""The section with the parameters that were found, their intervals, and what the lift says."""
+
+from __future__ import annotations
+
+import math
+
+from gendom.viz.report.markup import DASH, cell, escaped, number, table
+from gendom.viz.report.page import Section
+from gendom.viz.report.quantities import RATIOS, difference_text, interval_text, quantity_text
+from gendom.viz.report.summary import EstimateSummary
+
+# Key of an estimate, its name, and what to say about it.
+_ROWS = (
+    ("youngs_modulus", "Young's modulus <i>E</i>"),
+    ("poissons_ratio", "Poisson's ratio <i>ν</i>"),
+    ("friction", "Friction on the table <i>μ</i>"),
+    ("damping", "Damping"),
+    ("stiffness_slope", "d ln <i>E</i> / d(<i>s</i> / <i>L</i>)"),
+    ("density", "Density <i>ρ</i>"),
+    ("specific_modulus", "Specific modulus <i>E</i> / <i>ρ</i>"),
+    ("bending_length", "Bending length"),
+)
+
+
+def parameters_section(summary: EstimateSummary) -> Section:
+    """A row for each quantity, and how to read the bars if there are any."""
+    return Section(title="The estimate", body=_parameter_table(summary))
+
+
+def _parameter_table(summary: EstimateSummary) -> str:
+    """A row for each quantity, and how to read the bars if there are any."""
+    knows_truth = any(summary.true(key) is not None for key, _ in _ROWS)
+    has_interval = any(summary.interval(key) is not None for key, _ in _ROWS)
+    rows, bars = [], False
+    for key, name in _ROWS:
+        value = summary.value(key)
+        if value is None:
+            continue
+        interval, true = summary.interval(key), summary.true(key)
+        cells = [cell(name, "name"), number(quantity_text(key, value), "estimate")]
+        if has_interval:
+            shown = escaped(interval_text(key, interval)) if interval else DASH
+            bar = _bar(key, value, interval, true, summary.searched(key))
+            bars = bars or bool(bar)
+            label = f"{summary.level_text} interval"
+            kind = "interval" if interval else "interval none"
+            cells.append(cell(f"<span>{shown}{bar}</span>", kind, label=label))
+        if knows_truth:
+            shown = DASH if true is None else quantity_text(key, true)
+            cells.append(number(shown, "true value"))
+            shown = DASH if true is None else difference_text(key, value, true)
+            cells.append(number(shown, "off by"))
+        cells.append(cell(escaped(_remark(key, summary)), "remark"))
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    head = ["<th>Quantity</th>", '<th class="number">Estimate</th>']
+    if has_interval:
+        head.append(f'<th class="interval">{escaped(summary.level_text)} interval</th>')
+    if knows_truth:
+        head += ['<th class="number">True value</th>', '<th class="number">Off by</th>']
+    head.append("<th>What the lift says</th>")
+    text = table(head, rows)
+    if bars:
+        text += (
+            '\n<p class="soft">Bars: the grey range was searched, the blue part is the interval, '
+            "the thick mark the estimate"
+            + (", the thin mark the true value" if knows_truth else "")
+            + ". Scales are logarithmic, but for ratios.</p>"
+        )
+    return text
+
+
+def _remark(key: str, summary: EstimateSummary) -> str:
+    """How far a value can be trusted, in words."""
+    if key == "density":
+        assumed = summary.values.get("density_assumed")
+        if assumed is None:
+            return ""
+        if assumed:
+            return "Assumed, not measured: the motion shows only E / ρ, so E scales with this."
+        return "From the object's mass and size."
+    if summary.usable is False:
+        return ""
+    texts = []
+    known = summary.determined("youngs_modulus" if key == "specific_modulus" else key)
+    if known is False:
+        said = (
+            "a usual value" if summary.interval(key) is None else "the interval is mostly the prior"
+        )
+        texts.append(f"The lift does not determine this: {said}.")
+    elif key == "specific_modulus":
+        texts.append("What a motion under gravity depends on, whatever the density.")
+    elif key == "bending_length":
+        texts.append("About the length over which the object bends under its own weight.")
+    elif known:
+        texts.append("Determined by the lift.")
+    interval, true = summary.interval(key), summary.true(key)
+    if interval is not None and true is not None:
+        inside = interval[0] <= true <= interval[1]
+        texts.append(f"The true value lies {'inside' if inside else 'outside'} the interval.")
+    return " ".join(texts)
+
+
+def _bar(
+    key: str,
+    value: float,
+    interval: tuple[float, float] | None,
+    true: float | None,
+    bounds: tuple[float, float] | None,
+) -> str:
+    """The interval inside the range that was searched, drawn with boxes."""
+    linear = key in RATIOS
+    if interval is None or bounds is None or not bounds[0] < bounds[1]:
+        return ""
+    if not linear and min(*bounds, *interval, value) <= 0.0:
+        return ""
+    scale = float if linear else math.log  # moduli are searched over decades
+    low, high = scale(bounds[0]), scale(bounds[1])
+
+    def percent(x: float) -> float:
+        # what is not positive has no place on a logarithmic scale but its lower end
+        at = scale(x) if linear or x > 0.0 else low
+        return 100.0 * min(max((at - low) / (high - low), 0.0), 1.0)
+
+    left, right = percent(interval[0]), percent(interval[1])
+    marks = (
+        f'<span class="interval" style="left:{left:.2f}%;width:{right - left:.2f}%"></span>'
+        f'<span class="estimate" style="left:{percent(value):.2f}%"></span>'
+    )
+    if true is not None:
+        marks += f'<span class="truth" style="left:{percent(true):.2f}%"></span>'
+    return f'<div class="range">{marks}</div>'

@@ -1,0 +1,176 @@
+"""The section that shows how the search for the parameters went."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gendom.viz.charts import SearchLine, search_chart
+from gendom.viz.report.markup import (
+    DASH,
+    cell,
+    chart_figure,
+    facts_list,
+    folded,
+    number,
+    table,
+)
+from gendom.viz.report.page import Section
+from gendom.viz.report.quantities import (
+    finite,
+    length_text,
+    pascal_unit,
+    property_text,
+    quantity_text,
+)
+from gendom.viz.report.summary import EstimateSummary
+
+
+def search_section(summary: EstimateSummary) -> Section | None:
+    """Distance and parameters against iteration, where each start ended, and how well it fits."""
+    charts = _search_charts(summary)
+    parts = []
+    if charts:
+        parts.append(f'<div class="pair">{"".join(charts)}</div>')
+    parts += [_starts_table(summary), _fit_facts(summary)]
+    body = "\n".join(part for part in parts if part)
+    return Section(title="The search", body=body) if body else None
+
+
+def _fit_facts(summary: EstimateSummary) -> str:
+    """How well both lifts match, how the search went, and what was held."""
+    values = summary.values
+    facts = []
+    for key, name in (
+        ("rms", "distance of recorded points from the simulated surface, root mean square"),
+        ("chamfer_mean", "Chamfer distance, all frames"),
+        ("chamfer_last", "Chamfer distance, last frame"),
+        ("chamfer_mean_surface", "Chamfer distance, seen surface, all frames"),
+        ("chamfer_last_surface", "Chamfer distance, seen surface, last frame"),
+    ):
+        value = summary.value(key)
+        if value is not None:
+            facts.append((name, length_text(value)))
+    for key, name in (("method", "method"), ("device", "device"), ("seed", "seed")):
+        if values.get(key) is not None:
+            facts.append((name, str(values[key])))
+    for key, name, unit in (
+        ("iterations", "iterations, all starts", ""),
+        ("seconds", "time", " s"),
+    ):
+        value = summary.value(key)
+        if value is not None:
+            facts.append((name, f"{value:.4g}{unit}"))
+    described = values.get("object")
+    if isinstance(described, Mapping):
+        known = [
+            f"{name} {property_text(name, value)}"
+            for name, value in described.items()
+            if isinstance(value, (str, int, float))
+        ]
+        facts.append(("object", ", ".join(known)))
+    return facts_list(facts)
+
+
+def _starts_table(summary: EstimateSummary) -> str:
+    """Where each start of the search began and ended."""
+    starts = summary.values.get("starts") or []
+    if len(starts) < 2:
+        return ""
+    keys = ("youngs_modulus", "poissons_ratio")
+    titles = ("E at the start", "ν at the start", "E found", "ν found", "distance")
+    rows = []
+    for start in starts:
+        texts = []
+        for stage in ("initial", "final"):
+            for key in keys:
+                value = finite((start.get(stage) or {}).get(key))
+                texts.append(DASH if value is None else quantity_text(key, value))
+        loss = finite(start.get("loss"))
+        texts.append(DASH if loss is None else length_text(loss))
+        cells = [cell(f"start {len(rows) + 1}", "name")]
+        cells += [number(text, title) for text, title in zip(texts, titles, strict=True)]
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    head = ["<th>Start</th>", *(f'<th class="number">{title}</th>' for title in titles)]
+    return folded(f"All {len(starts)} starts", table(head, rows))
+
+
+def _search_charts(summary: EstimateSummary) -> list[str]:
+    """Distance and both parameters against iteration, a line for each stage of each start."""
+    values = summary.values
+    factor, unit = pascal_unit(values["youngs_modulus"])
+    figures = []
+    for key, name, scale in (
+        ("loss", "Distance of the clouds from the fit [mm]", 1e3),
+        ("youngs_modulus", f"Young's modulus [{unit}]", factor),
+        ("poissons_ratio", "Poisson's ratio", 1.0),
+    ):
+        lines = _search_lines(summary, key, scale)
+        # what the lift does not determine hardly moves
+        if not lines or (key == "poissons_ratio" and summary.determined(key) is False):
+            continue
+        true = summary.true(key)
+        true = None if true is None else scale * true
+        positive = all((line.values > 0.0).all() for line in lines)
+        plot = search_chart(lines, log=key != "poissons_ratio" and positive, truth=true)
+        note = ""
+        if key == "loss":
+            note = (
+                "Root mean square, logarithmic scale. The search makes the fit as probable as it "
+                "can be, noise and priors included, so this distance need not fall in every step. "
+                "Stages compare different points or move different parameters."
+            )
+        figures.append(chart_figure(name, [plot], note))
+    return figures
+
+
+def _search_lines(summary: EstimateSummary, key: str, scale: float) -> list[SearchLine]:
+    """A line for each stage of each start, in the order of the search."""
+    found: dict[tuple[int, str], list[tuple[float, float]]] = {}
+    for entry in summary.values.get("history") or []:
+        iteration, value = finite(entry.get("iteration")), finite(entry.get(key))
+        if iteration is not None and value is not None:
+            name = int(entry.get("start", 0)), str(entry.get("stage", ""))
+            found.setdefault(name, []).append((iteration, scale * value))
+    chosen = _chosen_start(summary)
+    starts = sorted({start for start, _ in found})
+    final = [stage for start, stage in found if start == (chosen or 0)][-1:]
+    lines = []
+    for start in starts:
+        stages = [stage for begun, stage in found if begun == start]
+        before: tuple[float, float] | None = None
+        for k, stage in enumerate(stages):
+            points = sorted(found[start, stage])
+            # the last point of a stage is where the next one begins
+            joined = points if before is None else [before, *points]
+            before = points[-1]
+            label = f"start {start + 1}" if len(starts) > 1 else ""
+            if len({stage for _, stage in found}) > 1:
+                label = ", ".join(filter(None, (label, stage)))
+            last = k == len(stages) - 1
+            if last and len(starts) > 1 and start == chosen:
+                label += " (chosen)"
+            iterations, numbers = np.array(joined).T
+            lines.append(
+                SearchLine(
+                    start=start,
+                    label=label,
+                    iterations=iterations,
+                    values=numbers,
+                    early=[stage] != final,
+                )
+            )
+    return lines
+
+
+def _chosen_start(summary: EstimateSummary) -> int | None:
+    """The start that ended at the estimate; in older files the one with the least distance."""
+    starts = summary.values.get("starts") or []
+    found = summary.value("youngs_modulus")
+    ended = [finite((start.get("final") or {}).get("youngs_modulus")) for start in starts]
+    if ended.count(found) == 1:
+        return ended.index(found)
+    losses = [finite(start.get("loss")) for start in starts]
+    known = [(loss, i) for i, loss in enumerate(losses) if loss is not None]
+    return min(known)[1] if known else None

@@ -1,0 +1,219 @@
+"""A report in a real browser: what it logs and loads, whether it fits, whether its controls act."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gendom.viz import (
+    ActionSummary,
+    CloudSequence,
+    EstimateSummary,
+    LiftPictures,
+    write_report,
+)
+
+
+def _module(name):
+    """A file beside this one."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+made_up, headless = _module("made_up"), _module("browser")
+
+FRAMES = 20
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory):
+    """The browser, which takes a second to start."""
+    program = headless.find_browser()
+    if program is None:
+        pytest.skip(f"needs a browser: {', '.join(headless.NAMES)}")
+    opened = headless.Browser(program, tmp_path_factory.mktemp("profile"))
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def browser(started):
+    """Whatever a test does, nothing is logged or asked for."""
+    yield started
+    assert started.logged == [] and started.requested == []
+
+
+@pytest.fixture
+def report(make_lift, tmp_path):
+    """All that a report can hold."""
+    arm = np.zeros((FRAMES, 2, 2, 3))
+    arm[:, 0, 1] = arm[:, 1, 0] = [0.1, 0.0, 0.4]
+    arm[:, 1, 1] = make_lift(FRAMES)["gripper"][:, 0]
+    held = {"arm": arm, "arm_radius": np.array([0.05, 0.03])}
+    lift = CloudSequence(**make_lift(FRAMES), **held)
+    motion = CloudSequence(
+        **make_lift(FRAMES) | {"chamfer": None},
+        **held,
+        goal=np.array([[0.5, 0.0, 0.1]]),
+        labels=("carried out", "predicted"),
+    )
+    values = made_up.estimate(
+        posterior=made_up.POSTERIOR,
+        rms_by_frame=[0.002] * FRAMES,
+        verdict={"usable": True, "reasons": []},
+    )
+    content = made_up.content(
+        make_lift(FRAMES),
+        lift=LiftPictures(clouds=lift),
+        estimate=EstimateSummary(
+            values=values, truth={"youngs_modulus": 1850.0, "poissons_ratio": 0.35}
+        ),
+        action=ActionSummary(
+            outcomes=made_up.outcomes(), action_names=("x [m]", "z [m]"), motion=motion
+        ),
+    )
+    path = tmp_path / "report.html"
+    write_report(path, content)
+    return path
+
+
+def drawn(browser, viewer, canvas):
+    """What a canvas shows, as text."""
+    browser.settle()
+    return browser.evaluate(f"document.querySelector('#{viewer} canvas.{canvas}').toDataURL()")
+
+
+def act(browser, element, change, event="input"):
+    """Change an element and say so, as a hand would."""
+    browser.evaluate(
+        f"(() => {{ const e = document.querySelector('{element}'); e.{change};"
+        f"e.dispatchEvent(new Event('{event}', {{bubbles: true}})); }})()"
+    )
+    browser.settle()
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("width", [390, 800, 1160, 1280])
+def test_it_fits_and_is_silent(browser, report, width, dark):
+    browser.open(report, width=width, dark=dark)
+    browser.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    browser.settle()
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    # tables have no scroll bars of their own either
+    wide = "[...document.querySelectorAll('.scroll')].filter((t) => t.scrollWidth > t.clientWidth)"
+    assert browser.evaluate(f"{wide}.length") == 0
+    light = browser.evaluate("getComputedStyle(document.body).backgroundColor") == (
+        "rgb(255, 255, 255)"
+    )
+    assert light is not dark
+
+
+@pytest.mark.parametrize("viewer", ["lift", "motion"])
+def test_one_slider_moves_film_view_and_charts(browser, report, viewer):
+    browser.open(report, width=1280)
+    output = f"document.querySelector('#{viewer} output').textContent"
+    seen = []
+    for frame in (0, FRAMES - 1):
+        act(browser, f"#{viewer} input.time", f"value = {frame}")
+        assert f"frame {frame + 1} of {FRAMES}" in browser.evaluate(output)
+        cursors = f"[...document.querySelectorAll('.cursor[data-scene={viewer}-scene]')]"
+        places = browser.evaluate(f"{cursors}.map((c) => Number(c.getAttribute('x1')))")
+        assert len(places) == (2 if viewer == "lift" else 0)
+        pictures = [drawn(browser, viewer, canvas) for canvas in ("film", "turning")]
+        seen.append([*pictures, *places])
+    assert all(first != last for first, last in zip(*seen, strict=True))
+
+
+def test_play_goes_on_until_pause(browser, report):
+    browser.open(report, width=800)
+    act(browser, "#lift input.time", "value = 0")
+    browser.evaluate("document.querySelector('#lift button.play').click()")
+    frame = "Number(document.querySelector('#lift input.time').value)"
+    playing = (
+        "new Promise((done, fail) => { setTimeout(() => fail('it stands'), 20000);"
+        f"const look = () => {frame} > 0 ? done(true) : requestAnimationFrame(look); look(); }})"
+    )
+    assert browser.evaluate(playing)
+    label = "document.querySelector('#lift button.play').textContent"
+    assert browser.evaluate(label) == "Pause"
+    browser.evaluate("document.querySelector('#lift button.play').click()")
+    assert browser.evaluate(label) == "Play"
+    stood = browser.evaluate(frame)
+    browser.evaluate("new Promise((done) => setTimeout(done, 300))")
+    assert browser.evaluate(frame) == stood
+
+
+@pytest.mark.parametrize("layer", ["recorded", "simulated", "arm", "goal"])
+def test_layers_go_and_come_back(browser, report, layer):
+    browser.open(report, width=800)
+    before = drawn(browser, "motion", "film"), drawn(browser, "motion", "turning")
+    box = f"#motion input[data-layer={layer}]"
+    act(browser, box, "checked = false")
+    without = drawn(browser, "motion", "film"), drawn(browser, "motion", "turning")
+    assert without[0] != before[0] and without[1] != before[1]
+    act(browser, box, "checked = true")
+    assert (drawn(browser, "motion", "film"), drawn(browser, "motion", "turning")) == before
+
+
+@pytest.mark.parametrize("width", [390, 800])
+def test_fade_and_side_by_side(browser, report, width):
+    browser.open(report, width=width)
+    pictures = [drawn(browser, "lift", "film")]
+    for fade in (-1, 1):
+        act(browser, "#lift input.fade", f"value = {fade}")
+        pictures.append(drawn(browser, "lift", "film"))
+    act(browser, "#lift input.fade", "value = 0")
+    act(browser, "#lift select.layout", "value = 'beside'")
+    pictures.append(drawn(browser, "lift", "film"))
+    assert len(set(pictures)) == 4
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_dragging_turns_the_view_and_not_the_film(browser, report):
+    browser.open(report, width=800)
+    before = [drawn(browser, "lift", canvas) for canvas in ("film", "turning")]
+    browser.evaluate(
+        "document.querySelector('#lift canvas.turning').scrollIntoView({behavior: 'instant'})"
+    )
+    box = browser.evaluate(
+        "(() => { const b = document.querySelector('#lift canvas.turning').getBoundingClientRect();"
+        "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+    )
+    for kind, across in (("mousePressed", 0), ("mouseMoved", 60), ("mouseReleased", 60)):
+        browser.call(
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=box[0] + across,
+            y=box[1],
+            button="left",
+            buttons=0 if kind == "mouseReleased" else 1,
+            clickCount=1,
+        )
+    film, turned = (drawn(browser, "lift", canvas) for canvas in ("film", "turning"))
+    assert film == before[0] and turned != before[1]
+
+
+def test_the_button_changes_the_colours_and_is_remembered(browser, report):
+    browser.open(report, width=800)
+    colour = "getComputedStyle(document.body).backgroundColor"
+    light, picture = browser.evaluate(colour), drawn(browser, "lift", "film")
+    browser.evaluate("document.getElementById('theme').click()")
+    assert browser.evaluate(colour) != light and drawn(browser, "lift", "film") != picture
+    dark = browser.evaluate(colour)
+    browser.open(report, width=800)
+    assert browser.evaluate(colour) == dark
+    browser.evaluate("document.getElementById('theme').click()")
+    assert browser.evaluate(colour) == light
+
+
+def test_contents_lead_to_sections(browser, report):
+    browser.open(report, width=1280)
+    links = browser.evaluate(
+        "[...document.querySelectorAll('nav.contents a')].map((a) => [a.textContent,"
+        "document.querySelector(a.hash + ' h2').textContent])"
+    )
+    assert len(links) >= 8 and all(said == title for said, title in links)
