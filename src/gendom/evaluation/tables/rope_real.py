@@ -6,7 +6,7 @@ Nothing of the second reality's truth is used but the score, and two rows that s
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -104,14 +104,10 @@ def rope_real(bench: Workbench, settings: RopeRealSettings) -> dict[str, Any]:
         "searches": searches,
     }
     for name, some in sets.items():
-        kept = bench.kept(
-            f"{task.name}-{name}",
-            lambda some=some: _measured(bench, settings, some, beliefs, policies, world),
-        )
         result[name] = {
             "ropes": [ROPES[k % len(ROPES)] for k in range(len(some))],
             "goals": some.goal.tolist(),
-            **kept,
+            **_measured(bench, settings, name, some, beliefs, policies, world),
         }
     return result
 
@@ -301,72 +297,87 @@ def _seven(task: Task, policy: Policy, ropes: Sequence[Item]) -> Cases:
 def _measured(
     bench: Workbench,
     settings: RopeRealSettings,
+    title: str,
     cases: Cases,
     beliefs: Sequence[Belief],
     policies: dict[str, Policy],
     world: World,
 ) -> dict[str, Any]:
-    """Errors [W] of every row, and what those of ours are made of."""
+    """Errors [W] of every row, and what those of ours are made of; each row is kept."""
     from gendom.reality import RealWorld
 
     held = [beliefs[k % len(beliefs)] for k in range(len(cases))]
     known = [belief.most_likely for belief in held]
-    rows: dict[str, Array] = {}
+    rows: dict[str, list[float | None]] = {}
 
-    def measure(name: str, action: Array, where: World = world) -> Array:
-        bench.on_stage(f"{cases.task.name}, {len(cases)} goals: {name}")
-        found = judge(cases, action, world=where)
-        rows[name] = found.error
-        return found.reached
+    def measure(name: str, act: Callable[[], Array], where: World = world) -> tuple[Array, Array]:
+        """[W, A] actions and [W, G] what they reached."""
 
-    actions = {name: choose(policy, cases, known=known) for name, policy in policies.items()}
-    reached = {name: measure(name, action) for name, action in actions.items()}
-    true = choose(policies["ours"], cases)
-    measure("ours, true parameters", true)
+        def make() -> dict[str, Any]:
+            action = act()
+            found = judge(cases, action, world=where)
+            return {"action": action.tolist(), "reached": _plain(found.reached),
+                    "error": _plain(found.error)}  # fmt: skip
 
-    sim = Simulation(device=bench.device)
-    first = _polished(bench, settings, cases, held, actions["ours"])
+        row = bench.kept(f"{cases.task.name}-{title}-{_slug(name)}", make)
+        rows[name] = row["error"]
+        return np.array(row["action"], dtype=float), np.array(row["reached"], dtype=float)
+
+    done = {
+        name: measure(name, lambda policy=policy: choose(policy, cases, known=known))
+        for name, policy in policies.items()
+    }
+    true, _ = measure("ours, true parameters", lambda: choose(policies["ours"], cases))
     assumed = [Belief.of(_middling(rope), known=_certain(cases.task, rope)) for rope in cases.items]
-    blind = actions["ours, no parameters"]
-    measure("polished, no lift", _polished(bench, settings, cases, _wide(assumed), blind))
-    action = first
+    blind, _ = done["ours, no parameters"]
+    measure("polished, no lift", lambda: _polished(bench, settings, cases, _wide(assumed), blind))
+    ours, reached = done["ours"]
+    action, there = measure("polished", lambda: _polished(bench, settings, cases, held, ours))
     seen: list[list[Execution]] = [[] for _ in cases.items]
-    for k in range(settings.executions + 1):
-        name = "polished" if k == 0 else f"polished, {k} execution{'s' * (k > 1)}"
-        there = measure(name, action)
-        if k == settings.executions:
-            break
+    for k in range(1, settings.executions + 1):
         for w, (a, y) in enumerate(zip(action, there, strict=True)):
             if np.isfinite(y).all():
                 seen[w].append(Execution(action=a, reached=y))
-        learnt = side_by_side(
-            cases.task,
-            sim,
-            [adapting(cases.task, b, e) for b, e in zip(held, seen, strict=True)],
+        action, there = measure(
+            f"polished, {k} execution{'s' * (k > 1)}",
+            lambda start=action: _after(bench, settings, cases, held, seen, start),
         )
-        action = _polished(
-            bench, settings, cases, [a.belief for a in learnt], action,
-            [a.discrepancy for a in learnt],
-        )  # fmt: skip
 
     # what the error of ours is made of, one change at a time
     free = RealWorld(robot=False, jobs=bench.jobs)
-    by_hand = judge(cases, actions["ours"], world=free)
-    simulated = judge(cases, actions["ours"], world=sim)
+    _, by_hand = measure("ours, by a free hand", lambda: ours, free)
+    sim = Simulation(device=bench.device)
+    simulated = judge(cases, ours, world=sim)
     exact = judge(cases, true, world=sim)
+    del rows["ours, by a free hand"]
     made_of = {
-        "arm": _rms(reached["ours"] - by_hand.reached),
-        "simulator": _rms(by_hand.reached - simulated.reached),
+        "arm": _rms(reached - by_hand),
+        "simulator": _rms(by_hand - simulated.reached),
         "estimate": _rms(simulated.error - exact.error),
         "policy": _rms(exact.error),
     }
-    return {
-        "errors": {
-            name: [float(e) if np.isfinite(e) else None for e in error]
-            for name, error in rows.items()
-        },
-        "made_of": made_of,
-    }
+    return {"errors": rows, "made_of": made_of}
+
+
+def _after(
+    bench: Workbench,
+    settings: RopeRealSettings,
+    cases: Cases,
+    beliefs: Sequence[Belief],
+    seen: Sequence[Sequence[Execution]],
+    start: Array,
+) -> Array:
+    """[W, A] actions polished for what executions have taught."""
+    searches = [adapting(cases.task, b, list(e)) for b, e in zip(beliefs, seen, strict=True)]
+    learnt = side_by_side(cases.task, Simulation(device=bench.device), searches)
+    return _polished(
+        bench,
+        settings,
+        cases,
+        [a.belief for a in learnt],
+        start,
+        [a.discrepancy for a in learnt],
+    )
 
 
 def _polished(
@@ -426,6 +437,13 @@ def _stated(belief: Belief) -> dict[str, Any]:
 
 def _slug(name: str) -> str:
     return name.lower().replace(", ", "-").replace(" ", "-").replace("+", "-and-")
+
+
+def _plain(values: Array) -> list[Any]:
+    """For JSON, null where a number is not finite."""
+    if values.ndim > 1:
+        return [_plain(row) for row in values]
+    return [float(x) if np.isfinite(x) else None for x in values]
 
 
 def _rms(values: Array) -> float:
