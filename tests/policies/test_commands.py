@@ -77,12 +77,91 @@ def test_act_foretells_what_will_be_reached(act):
     assert "90 %" in act()[1]
 
 
+def test_act_polishes_for_the_estimated_object(act):
+    plain = json.loads(act("--json")[1])
+    flags = ("--polish", "--damping", "0.004", "--seconds", "60")
+    polished = json.loads(act("--json", *flags)[1])
+    about = polished["polished"]
+    assert about["expected"] < 0.5 * about["before"]
+    assert polished["action"] != plain["action"]
+    assert polished["trajectory"]["position"][-1] != plain["trajectory"]["position"][-1]
+    wanted, there = polished["goal"]["x"], polished["foretold"]["reached"]["x"]
+    assert abs(there - wanted) < abs(plain["foretold"]["reached"]["x"] - wanted)
+    assert "polished expected miss" in act(*flags)[1]
+
+
+@pytest.fixture
+def adapt(tmp_path, capsys):
+    """Run `gendom adapt`; returns exit code, stdout and stderr."""
+
+    def run(*flags, estimate=ESTIMATE, name="estimate.json"):
+        if estimate is not None:
+            write_json(tmp_path / name, estimate)
+        words = ["adapt", "rope-reaching", "--params", str(tmp_path / name), *flags]
+        code = cli.main(words)
+        return code, *capsys.readouterr()
+
+    return run
+
+
+EXECUTION = ("--action", "0.15", "0.1", "--reached", "0.36")
+
+
+def test_adapt_learns_from_executions_one_after_the_other(adapt, act, tmp_path):
+    first, second = tmp_path / "first.json", tmp_path / "second.json"
+    code, out, err = adapt(*EXECUTION, "--out", str(first))
+    assert (code, err) == (0, "") and f"written: {first}" in out
+    assert "damping" in out and "not explained" in out
+    learnt = read_json(first)
+    assert learnt["executions"] == {"rope-reaching": [{"action": [0.15, 0.1], "reached": [0.36]}]}
+    assert learnt["damping"] != pytest.approx(0.004, rel=0.01)
+    low, high = learnt["intervals"]["damping"]
+    assert low < learnt["damping"] < high
+    share = learnt["youngs_modulus"] / ESTIMATE["youngs_modulus"]
+    assert learnt["specific_modulus"] == pytest.approx(1000.0 * share)
+    assert learnt["bending_length"] == pytest.approx(0.02 * share ** (1 / 3))
+
+    # a second one goes on from there, and both are learnt from as if at once
+    more = ("--action", "0.16", "0.1", "--reached", "0.355")
+    assert adapt(*more, "--out", str(second), estimate=None, name="first.json")[0] == 0
+    rows = [{"action": [0.15, 0.1], "reached": [0.36]}, {"action": [0.16, 0.1], "reached": [0.355]}]
+    write_json(tmp_path / "log.json", {"executions": rows})
+    code, out, _ = adapt("--executions", str(tmp_path / "log.json"), "--json")
+    at_once, by_turns = json.loads(out), read_json(second)
+    assert by_turns["executions"]["rope-reaching"] == rows
+    for key in ("youngs_modulus", "damping"):
+        assert by_turns[key] == pytest.approx(at_once[key], rel=1e-6)
+
+    # and what is not explained by parameters moves the polished action
+    flags = ("--json", "--polish", "--seconds", "60")
+    with_it = json.loads(act(*flags, estimate=by_turns)[1])
+    without = json.loads(act(*flags, estimate=by_turns | {"executions": {}})[1])
+    assert with_it["action"] != without["action"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "text"),
+    [
+        ((), "no execution to learn from"),
+        (("--action", "0.15", "0.1"), "--reached: is missing"),
+        (("--action", "0.15", "--reached", "0.36"), "1 numbers of an action"),
+        (("--action", "0.15", "0.1", "--reached", "nan"), "finite"),
+        ((*EXECUTION, "--out", "adapted.txt"), "does not end in .json"),
+    ],
+)
+def test_adapt_refuses(adapt, flags, text):
+    code, out, err = adapt(*flags)
+    assert (code, out) == (2, "")
+    assert text in err and err.count("\n") == 1
+
+
 def test_act_foretells_by_the_level_of_the_interval(act):
     """The same ends at half the probability are those of a wider estimate."""
     spans = []
     for level in (0.9, 0.5):
         intervals = ESTIMATE["intervals"] | {"level": level}
-        out = act("--json", estimate=ESTIMATE | {"intervals": intervals})[1]
+        changed = ESTIMATE | {"intervals": intervals}
+        out = act("--json", "--damping", "0.004", estimate=changed)[1]
         low, high = json.loads(out)["foretold"]["interval_90"]["x"]
         spans.append(high - low)
     assert spans[1] > 1.5 * spans[0]

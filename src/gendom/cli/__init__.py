@@ -28,6 +28,7 @@ COMMANDS = {
     "estimate": ("gendom.cli.estimate", "Young's modulus and Poisson's ratio from a recording"),
     "replay": ("gendom.cli.replay", "simulate a recorded motion and compare it with the clouds"),
     "act": ("gendom.cli.act", "the action that reaches a goal with a given object"),
+    "adapt": ("gendom.cli.adapt", "learn parameters from what actions have reached"),
     "dataset": ("gendom.cli.dataset", "simulate demonstrations"),
     "export": ("gendom.cli.export", "demonstrations in the format of LeRobot"),
     "train": ("gendom.cli.train", "train a policy on demonstrations"),

@@ -3,46 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import tyro
 
-from gendom.cli.arguments import TaskName, read_params
+from gendom.cli.arguments import TaskName
+from gendom.cli.known_object import Held, KnownObject
 from gendom.cli.outputs import tell_written
 from gendom.errors import GendomError, PolicyError
 from gendom.files import check_file, to_json, write_json
-from gendom.materials import ASSUMED, KINDS, LARGEST, PARAMETERS, Item, from_columns, to_columns
-
-if TYPE_CHECKING:
-    from gendom.policies import Policy
-    from gendom.tasks import Task
+from gendom.materials import KINDS, LARGEST, Item, to_columns
+from gendom.tasks import Task
 
 _ACTION = "gendom-action/2"
 
 DRAWS = 64
-"""Objects drawn from an estimate's interval to say what will be reached."""
+"""Objects drawn from an estimate's posterior to say what will be reached."""
 
-# What is missing -> the flags that give it.
-_FLAGS = {
-    "E": "--E and --density",
-    "nu": "--nu",
-    "density": "--density",
-    "damping": "--damping",
-    "friction": "--friction",
-    "length": "--length",
-    "diameter": "--diameter",
-    "side": "--side",
-    "thickness": "--thickness",
-}
+POLISHED_FOR = 8
+"""Objects drawn to polish an action for."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
+class Command(KnownObject):
     """Print the action that reaches a goal with a given object, and the robot's motion.
 
     The object comes from --params, or from --E, --nu, --density and its sizes; each of these flags
@@ -57,35 +44,17 @@ class Command:
     goal: tuple[float, ...] = ()
     """In SI units and the task's frame: rope-reaching x, rope-casting x and z [m]; none for
     cloth-spreading."""
-    params: Path | None = None
-    """File written by gendom estimate."""
-    E: float | None = None
-    """Young's modulus [Pa]."""
-    nu: float | None = None
-    """Poisson's ratio [-]."""
-    density: float | None = None
-    """Mass density [kg/m^3]."""
-    damping: float | None = None
-    """Viscous over elastic stress [s]."""
-    friction: float | None = None
-    """Coefficient of friction [-]."""
-    length: float | None = None
-    """A rope's length [m]."""
-    diameter: float | None = None
-    """A rope's diameter [m]."""
-    side: float | None = None
-    """A cloth's side [m]."""
-    thickness: float | None = None
-    """A cloth's thickness [m]."""
     origin: tuple[float, float, float] | None = None
     """Where the task's frame has its origin in the robot's base frame [m] (default: the task's)."""
     policy: Path | None = None
     """Policy file; by default the one that comes with the package."""
     no_parameters: bool = False
     """Use the policy of the package that does not see the object's parameters."""
-    force: bool = False
-    """Act for a goal or an object outside of what the policy was trained on, too, with the nearest
-    numbers that it was and a warning; and with an estimate that is not usable."""
+    polish: bool = False
+    """Improve the action through the simulator, for the object as uncertain as it is, and for what
+    earlier executions have shown (gendom adapt)."""
+    seconds: float = 10.0
+    """Time for that [s]."""
     no_foretell: bool = False
     """Do not simulate what will be reached."""
     seed: int = 0
@@ -117,8 +86,8 @@ class Command:
                 where=policy.where,
                 fix=f"use a policy for {self.task}, or give {task.name} as the task",
             )
-        held, spread = self._held(task.kind)
-        item, assumed = self._object(task, policy, held)
+        held = self.held(task, needs=policy.description.conditioned_on)
+        item = held.item(task)
         if not self.force and (outside := policy.outside(self.goal, item)):
             raise PolicyError(
                 ", ".join(found.what for found in outside),
@@ -126,14 +95,17 @@ class Command:
                 fix=f"{', '.join(dict.fromkeys(o.fix for o in outside))}, or add --force",
             )
         action = policy.act(self.goal, item, force=self.force)
-        values = np.array(action.values)
+        values, polished = np.array(action.values), None
+        if self.polish:
+            values, polished = self._polished(task, held, values)
+        names = [q.name for q in task.actions]
         result = {
             "format": _ACTION,
             "task": self.task,
             "goal": action.goal,
-            "action": action.action,
+            "action": dict(zip(names, map(float, values), strict=True)),
             "object": {"kind": item.kind, **to_columns(item)},
-            "assumed": assumed,
+            "assumed": held.assumed,
             "policy": {
                 "path": policy.where,
                 "method": policy.description.method,
@@ -144,68 +116,40 @@ class Command:
             "warnings": action.warnings,
             "trajectory": trajectory(task, item, values, self.origin),
         }
-        if not self.no_foretell and "specific_modulus" in held:
-            result["foretold"] = foretold(task, item, values, spread, self.seed)
+        if polished is not None:
+            result["polished"] = polished
+        if not self.no_foretell and "specific_modulus" in held.columns:
+            others = [] if held.posterior is None else held.belief(task).draws(DRAWS, self.seed)
+            result["foretold"] = foretold(task, item, values, others)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         if self.out is not None:
             write_json(self.out, result)
             tell_written(self.out, json=self.json)
         return 0
 
-    def _held(self, kind: str) -> tuple[dict[str, float], tuple[float, float] | None]:
-        """What is known of the object, in SI units by column name, and `read_estimate`'s spread."""
-        held, spread = {}, None
-        if self.params is not None:
-            params = read_params(self.params, force=self.force)
-            held, spread = read_estimate(params, str(self.params), kind)
-        flags = {
-            "youngs_modulus": self.E,
-            "poissons_ratio": self.nu,
-            "density": self.density,
-            "damping": self.damping,
-            "friction": self.friction,
-            "length": self.length,
-            "diameter": self.diameter,
-            "side": self.side,
-            "thickness": self.thickness,
-        }
-        given = {name: value for name, value in flags.items() if value is not None}
-        held |= given
-        if given.keys() & {"youngs_modulus", "density"}:
-            held.pop("specific_modulus", None)  # the file's own, of other numbers
-            spread = None
-        if "specific_modulus" not in held and {"youngs_modulus", "density"} <= held.keys():
-            held["specific_modulus"] = held["youngs_modulus"] / held["density"]
-        return held, spread
+    def _polished(
+        self, task: Task, held: Held, start: np.ndarray
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """A better action, and what is expected of it, ready for JSON."""
+        from gendom.policies.adapt import adapt
+        from gendom.policies.polish import PolishSettings, polish
 
-    def _object(
-        self, task: Task, policy: Policy, held: Mapping[str, float]
-    ) -> tuple[Item, dict[str, float]]:
-        """The object, and what had to be assumed of it.
-
-        Raises:
-            GendomError: Something that the policy sees is missing.
-        """
-        sees = policy.description.conditioned_on
-        missing = [name for name in KINDS[task.kind].sizes if name not in held]
-        # not every recording tells damping and friction
-        missing += [
-            name
-            for name in sees
-            if name not in ("damping", "friction") and PARAMETERS[name].column not in held
-        ]
-        if missing:
-            raise GendomError(
-                "the object is not fully described",
-                where=None if self.params is None else str(self.params),
-                fix=f"give {', '.join(dict.fromkeys(_FLAGS[name] for name in missing))}"
-                + (", or --params with an estimate" if self.params is None else ""),
-            )
-        assumed = {name: value for name, value in ASSUMED.items() if name not in held}
-        known = {**assumed, **held}
-        modulus = known.get("specific_modulus", task.item.material.specific_modulus)
-        known["youngs_modulus"] = modulus * known["density"]
-        return from_columns(task.kind, known), assumed
+        belief = held.belief(task)
+        discrepancy = None
+        if executed := held.executed(task):
+            discrepancy = adapt(task, belief, executed, refine=False).discrepancy
+        items = belief.draws(POLISHED_FOR, self.seed) if belief.names else [belief.item]
+        found = polish(
+            task,
+            np.array(self.goal),
+            items,
+            start,
+            settings=PolishSettings(seconds=self.seconds, seed=self.seed),
+            discrepancy=discrepancy,
+        )
+        about = {"expected": found.expected, "before": found.before,
+                 "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip
+        return found.action, about
 
 
 def trajectory(
@@ -238,88 +182,30 @@ def trajectory(
     }
 
 
-def foretold(
-    task: Task,
-    item: Item,
-    action: np.ndarray,
-    spread: tuple[float, float] | None,
-    seed: int,
-) -> dict[str, Any]:
-    """What the action will reach, simulated: with the object as it is, and over E's 90 % interval.
+def foretold(task: Task, item: Item, action: np.ndarray, others: Sequence[Item]) -> dict[str, Any]:
+    """What the action will reach, simulated: with the object as it is, and the 90 % interval over
+    others that are plausible.
 
     Args:
         task: What is done.
         item: The object.
         action: [A].
-        spread: Mean and standard deviation of ln(E / Pa); None: E is taken as known.
-        seed: Of the draws.
+        others: Plausible ones; none: the object is taken as known.
     """
     from gendom.tasks.world import Simulation
 
-    items = [item]
-    if spread is not None:
-        rng = np.random.default_rng(seed)
-        logs = rng.normal(*spread, DRAWS)
-        material = item.material
-        items += [replace(item, material=replace(material, E=float(np.exp(x)))) for x in logs]
+    items = [item, *others]
     outcomes = Simulation().carry_out(task, items, np.tile(action, (len(items), 1)))
     if outcomes[0].fault is not None:
         return {"fault": outcomes[0].fault}
     found: dict[str, Any] = {"reached": outcomes[0].values}
-    others = [o.values for o in outcomes[1:] if o.fault is None]
-    if others:
-        names = [q.name for q in task.goals] or list(others[0])
+    values = [o.values for o in outcomes[1:] if o.fault is None]
+    if values:
+        names = [q.name for q in task.goals] or list(values[0])
         found["interval_90"] = {
-            name: np.quantile([o[name] for o in others], [0.05, 0.95]).tolist() for name in names
+            name: np.quantile([v[name] for v in values], [0.05, 0.95]).tolist() for name in names
         }
     return found
-
-
-def read_estimate(
-    params: Mapping[str, Any], where: str, kind: str
-) -> tuple[dict[str, float], tuple[float, float] | None]:
-    """The numbers of an estimate that a policy needs, as far as it has them, by column name; and
-    mean and standard deviation of ln(E / Pa).
-
-    Args:
-        params: An estimate's JSON, perhaps of an older version.
-        where: Its file, for complaints.
-        kind: Of the task's object.
-
-    Raises:
-        GendomError: It is of another kind of object, or a number in it is none.
-    """
-    names = ("youngs_modulus", "poissons_ratio", "density", "specific_modulus")
-    found = {name: params.get(name) for name in (*names, "damping", "friction")}
-    described = params.get("object")
-    if isinstance(described, dict):
-        if described.get("kind", kind) != kind:
-            raise GendomError(
-                f"describes a {described['kind']}, the task needs a {kind}",
-                where=where,
-                fix=f"give the estimate of a {kind}",
-            )
-        # a recording's cloth has width and height
-        sizes = {**described, "side": described.get("width")}
-        found |= {name: sizes.get(name) for name in KINDS[kind].sizes}
-    for name, value in found.items():
-        if value is None:
-            continue
-        may_be_zero = name in ("damping", "friction")
-        if not (isinstance(value, (int, float)) and (value > 0.0 or (may_be_zero and value == 0))):
-            raise GendomError(
-                f"{name} must be a positive number, got {value!r}",
-                where=where,
-                fix="estimate again, or give the number by a flag",
-            )
-    known = {name: float(value) for name, value in found.items() if value is not None}
-    intervals = params.get("intervals") or {}
-    ends = intervals.get("youngs_modulus")
-    if not ends:
-        return known, None
-    low, high = math.log(ends[0]), math.log(ends[1])
-    half = NormalDist().inv_cdf(0.5 + intervals.get("level", 0.9) / 2.0)
-    return known, (0.5 * (low + high), 0.5 * (high - low) / half)
 
 
 def result_text(result: dict[str, Any], *, motion: bool) -> str:
@@ -338,6 +224,12 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
         rows.append(
             ("hand", f"{'closes' if event['closed'] else 'opens'} at {event['time']:.4f} s")
         )
+    if "polished" in result:
+        p = result["polished"]
+        rows.append(
+            ("polished", f"expected miss {p['expected']:.2g} (before {p['before']:.2g}), "
+             f"{p['rollouts']} rollouts in {p['seconds']:.1f} s")
+        )  # fmt: skip
     if "foretold" in result:
         rows.append(("foretold", _foretold_text(result["foretold"])))
     if assumed := [f"{n} {v:g}" for n, v in result["assumed"].items() if n in seen]:

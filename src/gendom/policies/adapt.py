@@ -98,6 +98,7 @@ def adapt(
     *,
     world: World | None = None,
     settings: AdaptSettings | None = None,
+    refine: bool = True,
 ) -> Adapted:
     """Update a belief by executions.
 
@@ -107,11 +108,16 @@ def adapt(
         executions: All that were seen of this object.
         world: Where they are simulated (default: our simulator).
         settings: What is expected of the world.
+        refine: Whether parameters are learnt; else the belief holds them already, and only the
+            discrepancy is found.
 
     Raises:
         ParameterError: The task has no goals, or numbers do not agree.
         SimulationError: One of them cannot be simulated.
     """
+    settings = settings or AdaptSettings()
+    if not refine:
+        settings = replace(settings, iterations=0)
     search = adapting(task, belief, executions, settings=settings)
     return side_by_side(task, world or Simulation(), [search])[0]
 
@@ -156,23 +162,26 @@ def adapting(
         return float(r @ r + d @ prior @ d)
 
     vector, h = belief.mean.copy(), settings.step * belief.sd
-    f, H = y, prior
+    (f,) = yield from simulated([vector])
+    if not np.isfinite(f).all():
+        raise SimulationError(
+            "an execution cannot be simulated", fix="check the object's numbers and the action"
+        )
+    H = prior
     for _ in range(settings.iterations):
-        ends = [vector] + [vector + s * h * e for e in np.eye(len(h)) for s in (1.0, -1.0)]
+        ends = [vector + s * h * e for e in np.eye(len(h)) for s in (1.0, -1.0)]
         all_f = yield from simulated(ends)
-        if not np.isfinite(all_f).all():
-            raise SimulationError(
-                "an execution cannot be simulated", fix="check the object's numbers and the action"
-            )
-        f = all_f[0]
-        slopes = (all_f[1::2] - all_f[2::2]) / (2.0 * h[:, None, None])
+        slopes = np.nan_to_num((all_f[0::2] - all_f[1::2]) / (2.0 * h[:, None, None]))
         J = np.stack([whitened(slope) for slope in slopes], axis=1)
         H = J.T @ J + prior
         step = np.linalg.solve(H, J.T @ whitened(y - f) - prior @ (vector - belief.mean))
         # the best of some steps, if it pays
         tried = yield from simulated([vector + share * step for share in SHARES])
-        costs = [cost(g, vector + share * step) for g, share in zip(tried, SHARES, strict=True)]
-        k = int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))
+        costs = [
+            cost(g, vector + share * step) if np.isfinite(g).all() else np.inf
+            for g, share in zip(tried, SHARES, strict=True)
+        ]
+        k = int(np.argmin(costs))
         gained = cost(f, vector) - costs[k]
         if not gained > 0.0:
             break

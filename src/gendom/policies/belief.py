@@ -27,7 +27,8 @@ LIMITS: dict[str, tuple[float, float]] = {
 }
 """Lowest and highest value of each uncertain parameter, in SI units (E: E / density)."""
 
-_OF_POSTERIOR = {"specific_modulus": "E", "nu": "nu", "damping": "damping", "friction": "friction"}
+OF_POSTERIOR = {"specific_modulus": "E", "nu": "nu", "damping": "damping", "friction": "friction"}
+"""Names in the posterior of an estimate's file."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +85,7 @@ class Belief:
         blocks = {n: {n: ASSUMED_SD[n] ** 2} for n in doubtful}
         if posterior is not None:
             try:
-                found = [_OF_POSTERIOR.get(n) for n in posterior["names"]]
+                found = [OF_POSTERIOR.get(n) for n in posterior["names"]]
                 for i, name in enumerate(found):
                     if name is None or name in known:
                         continue

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -50,14 +50,18 @@ class PolishSettings:
     """Wall time after which the best so far is taken [s]."""
     candidates: int = 48
     """Actions looked at beside the policy's, drawn from all that the task allows."""
+    screened: int = 2
+    """Objects that these are looked at with."""
     kept: int = 3
-    """Of these, how many are polished."""
+    """Of these, how many are polished, the policy's among them."""
     iterations: int = 6
     """Steps of each, at most."""
     step: float = 0.002
     """Of central differences [units of similarity]."""
     enough: float = 1e-4
     """Root mean square of the miss at which polishing ends [units of similarity]."""
+    gain: float = 0.02
+    """Share of the mean square below which a step gained too little for another."""
     margin: float = 0.7
     """Share of the task's risk limit that is not punished."""
     caution: float = 0.1
@@ -69,9 +73,15 @@ class PolishSettings:
         for name in ("seconds", "step", "enough", "caution"):
             if not getattr(self, name) > 0.0:
                 raise ParameterError(f"must be positive, got {getattr(self, name)}", where=name)
-        if self.candidates < 0 or self.kept < 1 or self.iterations < 0 or self.seed < 0:
+        if (
+            self.candidates < 0
+            or self.kept < 1
+            or self.screened < 1
+            or self.iterations < 0
+            or self.seed < 0
+        ):
             raise ParameterError(
-                "candidates, iterations and seed must be at least 0, kept at least 1"
+                "candidates, iterations and seed must be at least 0, screened and kept at least 1"
             )
 
 
@@ -239,21 +249,25 @@ def polishing(
     rng = np.random.default_rng(settings.seed)
     others = task.sample_actions(items[0], rng, settings.candidates) / problem.units
     tried = [first, *others]
-    r = yield from problem.residuals(tried)
+    few = replace(problem, items=items[: settings.screened])
+    r = yield from few.residuals(tried)
+    problem.rollouts = few.rollouts
     costs = np.array([float(x @ x) for x in r])
     if not np.isfinite(costs).any():
         raise SimulationError(
             f"no action of {task.name} can be simulated with this {task.kind}",
             fix="check the object's numbers",
         )
-    order = np.argsort(costs, kind="stable")
+    order = [int(k) for k in np.argsort(costs, kind="stable")[: settings.kept]]
+    # the start is polished too: the policy may know better than a few draws
+    chosen = [tried[k] for k in [0, *(k for k in order if k)][: settings.kept]]
     if task.goals:
-        # the start is polished too: the policy may know better than a few draws
-        order = [0, *(k for k in order[: settings.kept] if k)][: settings.kept]
-        points = yield from problem.points([tried[k] for k in order])
+        points = yield from problem.points(chosen)
     else:  # a share that is met or not has no derivative
-        k = int(order[0])
-        points = [_Point(a=tried[k], r=r[k], J=np.zeros((len(r[k]), len(first))), done=True)]
+        r = yield from problem.residuals(chosen)
+        flat = np.zeros((len(r[0]), len(first)))
+        points = [_Point(a=a, r=x, J=flat, done=True) for a, x in zip(chosen, r, strict=True)]
+    before = points[0].cost
     round_seconds = 0.0
     for _ in range(settings.iterations):
         going = [k for k, p in enumerate(points) if not p.done]
@@ -273,7 +287,7 @@ def polishing(
     return Polished(
         action=task.check_action(items[0], best.a * problem.units),
         expected=float(np.sqrt(best.cost)) * unit,
-        before=float(np.sqrt(costs[0])) * unit,
+        before=float(np.sqrt(before)) * unit,
         rollouts=problem.rollouts,
         seconds=time.monotonic() - began,
     )
@@ -294,5 +308,5 @@ def _better(old: _Point, new: _Point, settings: PolishSettings) -> _Point:
         return old
     gained = (old.cost - new.cost) / old.cost
     new.damping = max(0.1 * old.damping, 1e-6)
-    new.done = new.cost < settings.enough**2 or gained < 1e-3
+    new.done = new.cost < settings.enough**2 or gained < settings.gain
     return new

@@ -1,0 +1,160 @@
+"""Learning from executions, in a world solved in closed form."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Cloth, likeness, size_of
+from gendom.policies.adapt import AdaptSettings, Execution, adapt, executions_from, uncertain
+from gendom.policies.belief import Belief
+from gendom.policies.polish import polish
+from gendom.tasks import ClothSpreading
+from policies.ballistic import ROPE, TASK, Throws, reach_of
+
+POSTERIOR = {
+    "names": ["specific_modulus", "grip_height"],
+    "mean": [math.log(8e5 / 900), 0.0],
+    "covariance": [[0.05**2, 0.0], [0.0, 1e-6]],
+}
+KNOWN = ("nu", "friction")
+TRUE = replace(ROPE, material=replace(ROPE.material, E=7.7e5, damping=0.009))
+EXACT = AdaptSettings(discrepancy=1e-5, noise=1e-5)
+
+
+def executed(x, z, *, off=0.0, item=TRUE) -> Execution:
+    L, alike = item.length, likeness(item)
+    reached = L * (reach_of(x, z, alike["E"], alike["damping"]) + off)
+    return Execution(action=L * np.array([x, z]), reached=np.array([reached]))
+
+
+def test_two_exact_executions_tell_what_one_cannot():
+    """E and damping move the reach alike, so the sum is learnt; the prior shares it out."""
+    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), settings=EXACT).belief
+    alike = likeness(found.most_likely)
+    (reached,) = executed(0.4, 0.4).reached / ROPE.length
+    assert reach_of(0.4, 0.4, alike["E"], alike["damping"]) == pytest.approx(reached, abs=1e-5)
+    # nearly all of it is damping, which no lift told
+    assert found.most_likely.material.damping == pytest.approx(0.009, rel=0.2)
+    assert found.most_likely.material.E == pytest.approx(8e5, rel=0.05)
+    damping = belief.names.index("damping")
+    assert found.sd[damping] < 0.3 * belief.sd[damping]
+
+
+def test_belief_is_that_of_the_linear_model():
+    """Near its mean the world is linear: mean and covariance are Kalman's."""
+    belief = Belief.of(ROPE, POSTERIOR, known=(*KNOWN, "damping"))
+    settings = AdaptSettings(discrepancy=0.01, noise=0.002)
+    seen = executed(0.4, 0.4, item=replace(ROPE, material=replace(ROPE.material, E=8.1e5)))
+    found = adapt(TASK, belief, [seen], world=Throws(), settings=settings)
+    slope = 0.6 * 0.4 / 3.0  # the bending length goes by the cube root of E
+    variance = 0.01**2 + 0.002**2
+    gain = 0.05**2 * slope / (slope**2 * 0.05**2 + variance)
+    assert found.belief.mean[0] - belief.mean[0] == pytest.approx(
+        gain * slope * math.log(8.1 / 8.0), rel=1e-3
+    )
+    assert found.belief.sd[0] == pytest.approx(
+        math.sqrt(1.0 / (1.0 / 0.05**2 + slope**2 / variance)), rel=1e-3
+    )
+
+
+def test_what_parameters_cannot_explain_is_expected_again_nearby():
+    tight = {"names": ["specific_modulus"], "mean": [math.log(8e5 / 900)], "covariance": [[1e-8]]}
+    belief = Belief.of(ROPE, tight, known=(*KNOWN, "damping"))
+    seen = executed(0.4, 0.4, off=0.02, item=ROPE)
+    found = adapt(TASK, belief, [seen], world=Throws())
+    assert found.residuals[0, 0] == pytest.approx(0.02 * ROPE.length, rel=1e-2)
+    assert found.discrepancy is not None
+    here, doubt = found.discrepancy(seen.action)
+    assert here[0] == pytest.approx(0.02 * ROPE.length, rel=0.1)
+    far, doubt_far = found.discrepancy(seen.action + 0.3 * ROPE.length)
+    assert abs(far[0]) < 0.01 * here[0]
+    assert doubt < 0.3 * doubt_far
+    # and the next action makes up for it
+    goal = seen.reached[0] - 0.02 * ROPE.length
+    action = polish(
+        TASK, goal, [ROPE], seen.action, world=Throws(), discrepancy=found.discrepancy
+    ).action
+    (outcome,) = Throws(off=0.02).carry_out(TASK, [ROPE], [action])
+    assert abs(outcome.values["x"] - goal) < 0.3 * 0.02 * ROPE.length
+
+
+def test_nothing_seen_changes_nothing():
+    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    found = adapt(TASK, belief, [], world=Throws())
+    assert found.belief is belief and found.discrepancy is None
+
+
+def test_parameters_may_be_left_alone():
+    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), refine=False)
+    assert np.array_equal(found.belief.mean, belief.mean)
+    assert found.discrepancy is not None
+
+
+def test_bad_executions_are_refused():
+    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    wrong = Execution(action=np.array([0.2]), reached=np.array([0.4]))
+    with pytest.raises(ParameterError, match="1 numbers of an action"):
+        adapt(TASK, belief, [wrong], world=Throws())
+    with pytest.raises(ParameterError, match="finite"):
+        Execution(action=np.array([0.2, math.nan]), reached=np.array([0.4]))
+    with pytest.raises(SimulationError, match="cannot be simulated"):
+        adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(fails=True))
+    with pytest.raises(ParameterError, match="no goals"):
+        adapt(ClothSpreading(), belief, [wrong], world=Throws())
+    for rows in ([{"action": [1.0]}], ["x"], [{"action": ["a"], "reached": [1.0]}]):
+        with pytest.raises(ParameterError, match=r"file\.json"):
+            executions_from(rows, "file.json")
+
+
+def test_executions_go_through_json():
+    seen = executed(0.4, 0.4)
+    (again,) = executions_from([seen.to_dict()], "file")
+    assert np.array_equal(again.action, seen.action) and again.reached == seen.reached
+
+
+def test_what_a_task_depends_on():
+    assert uncertain(TASK, ROPE) == ("E", "damping")
+    cloth = Cloth(side=0.3, thickness=0.001)
+    assert uncertain(ClothSpreading(), cloth) == ("E", "nu", "damping", "friction")
+
+
+# ---- beliefs ---------------------------------------------------------------------------------
+
+
+def test_belief_takes_the_posterior_and_doubts_the_rest():
+    belief = Belief.of(ROPE, POSTERIOR, known=("friction",))
+    assert belief.names == ("E", "nu", "damping")
+    assert belief.sd == pytest.approx([0.05, 0.06, 0.86])
+    assert belief.most_likely.material.E == pytest.approx(8e5)
+    drawn = belief.draws(4000, seed=1)
+    logs = np.log([item.material.specific_modulus for item in drawn])
+    assert logs.mean() == pytest.approx(math.log(8e5 / 900), abs=0.003)
+    assert logs.std() == pytest.approx(0.05, rel=0.05)
+    low, high = belief.interval("E")
+    inside = (np.exp(logs) > low) & (np.exp(logs) < high)
+    assert inside.mean() == pytest.approx(0.9, abs=0.02)
+    assert all(size_of(item) == ROPE.length for item in drawn)
+
+
+def test_belief_keeps_correlations_in_any_order():
+    posterior = {"names": ["damping", "x", "specific_modulus"], "mean": [-5.0, 0.0, 7.0],
+                 "covariance": [[0.04, 0.0, 0.01], [0.0, 1.0, 0.0], [0.01, 0.0, 0.09]]}  # fmt: skip
+    belief = Belief.of(ROPE, posterior, known=KNOWN)
+    assert belief.names == ("E", "damping")
+    assert belief.mean == pytest.approx([7.0, -5.0])
+    assert belief.covariance == pytest.approx(np.array([[0.09, 0.01], [0.01, 0.04]]))
+
+
+@pytest.mark.parametrize(
+    "posterior",
+    [{}, {"names": ["specific_modulus"], "mean": [1.0], "covariance": [[-1.0]]},
+     {"names": ["specific_modulus"], "mean": ["x"], "covariance": [[1.0]]}],
+)  # fmt: skip
+def test_broken_posteriors_are_refused(posterior):
+    with pytest.raises(ParameterError):
+        Belief.of(ROPE, posterior, known=KNOWN)

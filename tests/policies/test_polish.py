@@ -1,0 +1,137 @@
+"""Polishing, in a world solved in closed form and in the simulator."""
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Item
+from gendom.policies.belief import Belief
+from gendom.policies.polish import PolishSettings, polish, polishing
+from gendom.policies.rollouts import side_by_side
+from gendom.tasks import RopeCasting
+from gendom.tasks.world import Simulation
+from policies.ballistic import ROPE, TASK, Throws
+
+START = ROPE.length * np.array([0.45, 0.45])
+
+
+def missed(action, goal, item: Item = ROPE, **world) -> float:
+    (outcome,) = Throws(**world).carry_out(TASK, [item], [action])
+    return abs(outcome.values["x"] - goal)
+
+
+def test_known_object_is_reached_exactly():
+    found = polish(TASK, 0.42, [ROPE], START, world=Throws())
+    assert found.before == pytest.approx(missed(START, 0.42), rel=1e-9)
+    assert missed(found.action, 0.42) < 1e-4 * ROPE.length
+    assert found.expected < 1e-4 * ROPE.length < found.before
+    assert TASK.allows(ROPE, found.action)
+
+
+def test_uncertain_object_gets_an_action_that_hardly_depends_on_it():
+    """What is uncertain counts by z: the polished action is low, whatever the start."""
+    belief = Belief.of(ROPE, {"names": ["specific_modulus"], "mean": [math.log(8e5 / 900)],
+                              "covariance": [[0.3**2]]}, known=("nu", "friction"))  # fmt: skip
+    items = belief.draws(16, seed=0)
+    start = ROPE.length * np.array([0.35, 0.6])
+    goal = 0.4
+    safe = polish(TASK, goal, items, start, world=Throws())
+
+    def spread(action):
+        return np.sqrt(np.mean([missed(action, goal, item) ** 2 for item in items]))
+
+    assert safe.expected == pytest.approx(spread(safe.action), rel=1e-6)
+    x, z = np.meshgrid(np.linspace(0.24, 0.9, 67), np.linspace(0.24, 1.0, 77))
+    every = ROPE.length * np.stack([x.ravel(), z.ravel()], axis=1)
+    least = min(spread(a) for a in every if TASK.allows(ROPE, a))
+    assert spread(safe.action) < 1.05 * least < 0.5 * spread(start)
+
+
+def test_risk_is_avoided():
+    start = ROPE.length * np.array([0.3, 0.8])
+    found = polish(TASK, 0.4, [ROPE], start, world=Throws(risky_above=0.5))
+    assert found.action[1] < 0.5 * ROPE.length
+    assert missed(found.action, 0.4) < 1e-3
+
+
+def test_discrepancy_is_made_up_for():
+    found = polish(
+        TASK,
+        0.42,
+        [ROPE],
+        START,
+        world=Throws(),
+        discrepancy=lambda action: (np.array([0.006]), 0.0),
+    )
+    assert missed(found.action, 0.42, off=0.02) < 1e-3
+
+
+def test_doubt_keeps_the_action_near_to_what_was_tried():
+    def doubt(action):
+        return np.zeros(1), float(np.linalg.norm(action - START))
+
+    goal = 0.45
+    far = polish(TASK, goal, [ROPE], START, world=Throws())
+    near = polish(TASK, goal, [ROPE], START, world=Throws(), discrepancy=doubt)
+    assert np.linalg.norm(near.action - START) < np.linalg.norm(far.action - START)
+
+
+def test_many_side_by_side_are_as_one_by_one():
+    goals = (0.38, 0.42, 0.46)
+    together = side_by_side(TASK, Throws(), [polishing(TASK, g, [ROPE], START) for g in goals])
+    for goal, found in zip(goals, together, strict=True):
+        alone = polish(TASK, goal, [ROPE], START, world=Throws())
+        assert np.array_equal(found.action, alone.action)
+        assert found.expected == alone.expected
+
+
+def test_time_is_kept():
+    class Slow(Throws):
+        def carry_out(self, task, items, actions, **_):
+            time.sleep(0.05)
+            return super().carry_out(task, items, actions)
+
+    settings = PolishSettings(seconds=0.12, iterations=50, enough=1e-12)
+    found = polish(TASK, 0.42, [ROPE], START, world=Slow(), settings=settings)
+    assert found.seconds < 0.3
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"goal": (0.4, 0.4)}, "goal"),
+        ({"goal": math.nan}, "goal"),
+        ({"items": []}, "no object"),
+        ({"start": (9.0, 9.0)}, "out of limits"),
+    ],
+)
+def test_bad_input_is_refused(given, text):
+    arguments = {"goal": 0.4, "items": [ROPE], "start": START} | given
+    with pytest.raises(ParameterError, match=text):
+        polish(TASK, world=Throws(), **arguments)
+
+
+def test_settings_are_checked():
+    with pytest.raises(ParameterError, match="seconds"):
+        PolishSettings(seconds=0.0)
+
+
+def test_an_object_that_cannot_be_simulated_is_told():
+    with pytest.raises(SimulationError, match="no action"):
+        polish(TASK, 0.4, [ROPE], START, world=Throws(fails=True))
+
+
+def test_simulated_cast_is_polished_to_a_tenth_of_a_millimetre():
+    task, world = RopeCasting(), Simulation()
+    (there,) = world.carry_out(task, [ROPE], [[0.2]])
+    goal = [there.values["x"], there.values["z"]]
+    found = polish(task, goal, [ROPE], [0.14], world=world)
+    assert found.action[0] == pytest.approx(0.2, abs=1e-4)
+    assert found.expected < 1e-4
+    softer = replace(ROPE, material=replace(ROPE.material, E=4e5))
+    other = polish(task, goal, [softer], [0.14], world=world)
+    assert other.expected > 10.0 * found.expected
