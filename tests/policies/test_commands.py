@@ -359,3 +359,21 @@ def test_train_refuses_a_missing_set_and_unknown_parameters(tmp_path, capsys):
 def test_a_task_that_is_none_is_told_with_those_that_there_are(capsys):
     assert cli.main(["act", "knitting", "--goal", "0.3"]) == 2
     assert "knitting" in (told := capsys.readouterr().err) and "rope-casting" in told
+
+
+def test_policies_that_ship_are_listed(capsys):
+    assert cli.main(["policies", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["policies"]
+    assert {"rope-reaching", "rope-casting", "cloth-spreading"} <= {r["task"] for r in rows}
+    for row in rows:
+        assert row["acted"]["cases"] > 0 and row["demonstrations"] > 0
+        assert [c.split()[:3] for c in row["made_by"]] == [
+            ["gendom", "dataset", row["task"]],
+            ["gendom", "train", row["task"]],
+        ]
+        for command in row["made_by"]:  # they can be parsed: asked for help, they give it
+            assert cli.main([*command.split()[1:], "--help"]) == 0
+    capsys.readouterr()
+    assert cli.main(["policies"]) == 0
+    out = capsys.readouterr().out
+    assert "sees no parameters" in out and "misses by" in out and "bending length over size" in out

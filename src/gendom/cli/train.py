@@ -58,7 +58,7 @@ class Command:
 
     def run(self) -> int:
         from gendom.evaluation import draw_cases, score
-        from gendom.policies.train import Training, train
+        from gendom.policies.train import Training, annotate, train
 
         sees = _conditions(self.condition)
         check_file(self.out, ".onnx")
@@ -79,10 +79,10 @@ class Command:
             progress=True,
             tensorboard=self.tensorboard,
         )
-        summary = summarize(policy)
         if self.cases:
             cases = draw_cases(policy.task(), self.cases, seed=self.seed)
-            summary["acted"] = score(policy, cases).summary()
+            policy = annotate(policy, {"acted": score(policy, cases).summary()})
+        summary = summarize(policy)
         print(to_json(summary) if self.json else summary_text(summary))
         return 0
 
@@ -147,7 +147,7 @@ def summary_text(summary: dict[str, Any]) -> str:
         *errors,
         ("took", f"{training['seconds']:.3g} s"),
     ]
-    if acted := summary.get("acted"):
+    if acted := training.get("acted"):
         figures = acted["error_over_size"]
         rows.append(
             (

@@ -306,6 +306,20 @@ class Policy(Shown):
                 )
             return cls.read(path)
 
+    @staticmethod
+    def shipped() -> list[Policy]:
+        """All policies that come with the package, by file name."""
+        found = []
+        for asset in (resources.files("gendom") / "assets").iterdir():
+            if not asset.name.endswith(".onnx"):
+                continue
+            with resources.as_file(asset) as path:
+                try:
+                    found.append(Policy.read(path))
+                except PolicyError:  # networks of other kinds come with it, too
+                    continue
+        return sorted(found, key=lambda policy: policy.where)
+
     def task(self) -> Task:
         """The task that the policy was trained on.
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from gendom.learning import (  # explains a missing torch
 )
 
 # isort: split
+import onnx
 import torch
 
 from gendom import __version__
@@ -186,6 +187,31 @@ def train(
         policy = _written(lesson, description, path)
     checkpoint.clear()
     return policy
+
+
+def annotate(policy: Policy, figures: Mapping[str, Any]) -> Policy:
+    """Add figures to a policy's description of its training, in its file.
+
+    Args:
+        policy: Read from a file.
+        figures: By name, ready for JSON.
+
+    Returns:
+        The policy as read back.
+
+    Raises:
+        GendomError: The file cannot be written.
+    """
+    about = policy.description
+    about = replace(about, training={**about.training, **figures})
+    path = Path(policy.where)
+    model = onnx.load(str(path))
+    for entry in model.metadata_props:
+        if entry.key == METADATA_KEY:
+            entry.value = about.to_json()
+    with atomic_path(path) as temporary:
+        onnx.save(model, str(temporary))
+    return Policy.read(path)
 
 
 def goal_range(demonstrations: Demonstrations) -> GoalRange:

@@ -41,6 +41,9 @@ ONE = ROPES[0]
 IDENTIFIED_FROM = 20
 """Executions that R2S2R finds its parameters from."""
 
+FEW = 1000
+"""Sets below this are trained on in smaller batches."""
+
 FRAME_RATE = 30.0
 """Of the lift's cameras [1/s]."""
 
@@ -56,6 +59,8 @@ class RopeRealSettings:
     real: int = 100
     """Demonstrations of each rope in the second reality."""
     epochs: int = 150
+    real_epochs: int = 300
+    """Of what is trained on the second reality's demonstrations."""
     executions: int = 3
     """That are learnt from, one after the other, for each goal."""
     draws: int = 8
@@ -171,7 +176,6 @@ def _policies(
         kept = bench.demonstrations(f"{task.name}-{name}", source, settings.real, device="cpu")
         real.append(_as_estimated(kept, item))
     everything = joined(joined(real[0], real[1]), real[2])
-    few = max(epochs, 300)
     ours = {
         "ours": Wanted(demonstrations=simulated, training=Training(epochs=epochs, seed=seed)),
         "ours, no parameters": Wanted(
@@ -187,7 +191,7 @@ def _policies(
         ),
         "sim+real": Wanted(
             demonstrations=simulated,
-            training=Training(epochs=epochs, seed=seed, finetune_epochs=few),
+            training=Training(epochs=epochs, seed=seed, finetune_epochs=settings.real_epochs),
             finetune=everything,
         ),
     }
@@ -200,11 +204,11 @@ def _policies(
         name = f"{task.name}-{_slug(label)}"
         blind[label] = bench.demonstrations(name, Demonstrator(task=only), settings.demonstrations)
     for label, demonstrations in blind.items():
-        small = len(demonstrations) < 1000
+        small = len(demonstrations) < FEW
         ours[label] = Wanted(
             demonstrations=demonstrations,
             training=Training(
-                epochs=few if small else epochs,
+                epochs=settings.real_epochs if small else epochs,
                 batch_size=32 if small else 256,
                 seed=seed,
                 conditioned_on=(),
@@ -215,7 +219,9 @@ def _policies(
     for label, demonstrations in blind.items():
         policies[f"{label}, inverse"], searches[f"{label}, inverse"] = bench.best(
             f"{task.name}-{_slug(label)}-inverse",
-            _inverse_search(demonstrations, few if len(demonstrations) < 1000 else epochs, seed),
+            _inverse_search(
+                demonstrations, settings.real_epochs if len(demonstrations) < FEW else epochs, seed
+            ),
         )
     return policies, searches
 
@@ -224,7 +230,7 @@ def _inverse_search(demonstrations: Demonstrations, epochs: int, seed: int) -> d
     """What a baseline's settings are chosen from."""
     from gendom.policies.train import Training
 
-    small = len(demonstrations) < 1000
+    small = len(demonstrations) < FEW
     return {
         f"{architecture}-{passes}-{decay:g}": Wanted(
             demonstrations=demonstrations,

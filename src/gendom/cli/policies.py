@@ -1,0 +1,92 @@
+"""`gendom policies`: the policies that come with the package."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gendom.files import to_json
+from gendom.materials import PARAMETERS
+
+if TYPE_CHECKING:
+    from gendom.policies import Policy
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """List policies: what they see, what they were trained on, how far they miss, and the commands
+    that made them.
+
+    For example: gendom policies
+    """
+
+    policy: tuple[Path, ...] = ()
+    """Policy files; by default those that come with the package."""
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        from gendom.policies import Policy
+
+        policies = [Policy.read(path) for path in self.policy] or Policy.shipped()
+        rows = [described(policy) for policy in policies]
+        print(to_json({"policies": rows}) if self.json else "\n\n".join(map(_text, rows)))
+        return 0
+
+
+def described(policy: Policy) -> dict[str, Any]:
+    """A policy ready for JSON."""
+    about = policy.description
+    return {
+        "path": policy.where,
+        "task": about.task["name"],
+        "method": about.method,
+        "conditioned_on": about.conditioned_on,
+        "goals": dict(zip(about.goal_names, policy.goal_range().tolist(), strict=True)),
+        "parameters": {n: about.parameters[n] for n in about.conditioned_on},
+        "demonstrations": about.training.get("demonstrations"),
+        "acted": about.training.get("acted"),
+        "made_by": made_by(policy),
+    }
+
+
+def made_by(policy: Policy) -> list[str]:
+    """The commands that make such a policy."""
+    about, training = policy.description, policy.description.training
+    if not training.get("demonstrations"):
+        return []
+    task = about.task["name"]
+    train = ["gendom", "train", task, "--data", "set", "--out", Path(policy.where).name]
+    train += ["--method", about.method]
+    if not about.conditioned_on:
+        train += ["--condition", "none"]
+    elif training.get("conditioned_on"):
+        train += ["--condition", *about.conditioned_on]
+    for flag in ("architecture", "epochs", "seed"):
+        train += [f"--{flag}", str(training[flag])]
+    size = str(training["demonstrations"])
+    return [
+        shlex.join(["gendom", "dataset", task, "--size", size, "--out", "set"]),
+        shlex.join(train),
+    ]
+
+
+def _text(row: dict[str, Any]) -> str:
+    lines = [f"{Path(row['path']).name}: {row['task']}, {row['method']}"]
+    for name, (low, high) in row["parameters"].items():
+        lines.append(f"  sees {name:<9} {low:.3g} to {high:.3g} ({PARAMETERS[name].meaning})")
+    if not row["parameters"]:
+        lines.append("  sees no parameters")
+    for name, (low, high) in row["goals"].items():
+        lines.append(f"  goal {name:<9} {low:.3g} to {high:.3g} sizes")
+    lines.append(f"  trained on     {row['demonstrations']} demonstrations")
+    if acted := row["acted"]:
+        off, of = acted["error_over_size"], "the size" if row["goals"] else "its share"
+        lines.append(
+            f"  misses by      {100.0 * off['mean']:.2g} % of {of} in the mean, "
+            f"{100.0 * off['p95']:.2g} % at the 95th percentile of {acted['cases']} new cases"
+        )
+    lines += [f"  {command}" for command in row["made_by"]]
+    return "\n".join(lines)
