@@ -15,25 +15,23 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from gendom.cli.arguments import iterations_shown
-from gendom.cli.demo_report import action_summary, report_demo
+from gendom.cli.demo_report import WAYS, Run, action_summary, report_demo
 from gendom.cli.estimate import NOT_USABLE, estimate_text
 from gendom.cli.pictures import arm_of_lift, arm_poses, clouds_of, goal_mark
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.files import check_folder, to_json, write_json
-from gendom.materials import ASSUMED, Material, Rope
+from gendom.materials import ASSUMED, PARAMETERS, Material, Rope
 from gendom.progress import each
 
 if TYPE_CHECKING:
     from gendom.estimation import Estimate
     from gendom.policies import Policy
+    from gendom.policies.belief import Belief
     from gendom.reality import RealRope
     from gendom.tasks import Observed, Task
     from gendom.viz import CloudSequence
     from gendom.viz.report import PolicyRun
-
-    Run = tuple[np.ndarray, PolicyRun, PolicyRun]
-    """A goal [G], and what both policies did."""
 
 RECORDING, VIEWS = "demo-rope-lift.npz", "demo-rope-lift.jpg"
 """The demo's recording in the package's assets, and what its cameras saw halfway: made by
@@ -50,6 +48,9 @@ STANDS = 0.003
 
 MOTION_RATE = 30.0
 """Frames a second of the executed motion."""
+
+POLISHED_FOR = 8
+"""Objects drawn from the estimate to polish an action for."""
 
 _log = logging.getLogger(__name__)
 
@@ -168,14 +169,13 @@ class Command:
             runs, shown = _carry_out(rope, policies, goals, found)
         with _timed(seconds, "predict the motion"):
             motion = _predicted(task, shown, known_rope(found), self.device)
-        for goal, ours, without in runs:
+        for run in runs:
+            ours = run.ways["with_parameters"]
             named = zip(task.actions, ours.action, strict=True)
             action = ", ".join(f"{q.name} {value:.3f} {q.unit}" for q, value in named)
-            print(
-                f"goal {_place(goal)} m: {action}, reached {_place(ours.reached)} m, "
-                f"off by {1e3 * _error(ours, goal):.1f} mm "
-                f"(without parameters {1e3 * _error(without, goal):.1f} mm)"
-            )
+            print(f"goal {_place(run.goal)} m: {action}, reached {_place(ours.reached)} m")
+            off = ", ".join(f"{WAYS[w]} {1e3 * run.error(w):.1f} mm" for w in run.ways)
+            print(f"  off by: {off}")
         with _timed(seconds, "pictures and report"):
             write_gif(self.out / "lift.gif", clouds)
             clouds = arm_of_lift(clouds, rope)
@@ -238,50 +238,87 @@ def _carry_out(
     goals: np.ndarray,
     found: Estimate,
 ) -> tuple[list[Run], Executed]:
-    """Both policies' actions for each goal, done by the arm; and our last one to look at."""
+    """What each of `WAYS` reached for each goal, done by the arm; and the policy's last motion.
+
+    Besides the policies' actions one is polished through the simulator for the estimate's
+    posterior, and once more for what that execution has taught.
+    """
+    from gendom.policies.adapt import Execution, adapt
+    from gendom.policies.polish import Discrepancy, polish
+
+    task, known = policies[0].task(), known_rope(found)
+    belief = _belief(task, known, found)
+    runs: list[Run] = []
+    shown = None
+    for goal in each(goals, "the arm acts", "goal"):
+
+        def polished(
+            start: np.ndarray,
+            belief: Belief,
+            discrepancy: Discrepancy | None = None,
+            goal: np.ndarray = goal,
+        ) -> np.ndarray:
+            items = belief.draws(POLISHED_FOR, found.record["seed"])
+            return polish(task, goal, items, start, discrepancy=discrepancy).action
+
+        ours, without = (np.array(p.act(goal, known).values) for p in policies)
+        ways: dict[str, PolicyRun] = {}
+        ways["with_parameters"], shown = _execute(rope, task, ours, goal)
+        ways["without_parameters"], _ = _execute(rope, task, without, goal)
+        action = polished(ours, belief)
+        ways["polished"], _ = _execute(rope, task, action, goal)
+        seen = Execution(action=action, reached=ways["polished"].reached)
+        learnt = adapt(task, belief, [seen])
+        action = polished(action, learnt.belief, learnt.discrepancy)
+        ways["after_one_execution"], _ = _execute(rope, task, action, goal)
+        runs.append(Run(goal=goal, ways=ways))
+    assert shown is not None
+    return runs, shown
+
+
+def _belief(task: Task, known: Rope, found: Estimate) -> Belief:
+    """What the estimate leaves uncertain of what counts for the task."""
+    from gendom.policies.adapt import uncertain
+    from gendom.policies.belief import Belief
+
+    certain = [name for name in PARAMETERS if name not in uncertain(task, known)]
+    return Belief.of(known, found.record["posterior"], known=certain)
+
+
+def _execute(
+    rope: RealRope, task: Task, action: np.ndarray, goal: np.ndarray
+) -> tuple[PolicyRun, Executed]:
+    """One action, done by the arm."""
     from gendom.reality import RealWorld, observe
     from gendom.viz.report import PolicyRun
 
-    task, known = policies[0].task(), known_rope(found)
-    done: list[PolicyRun] = []
-    executed = []
-    every = np.repeat(goals, len(policies), axis=0)
-    for goal in each(every, "the arm acts", "action"):
-        policy = policies[len(done) % len(policies)]
-        action = policy.act(goal, known).values
-        performance = RealWorld().performance(task, rope, action)
-        seen = observe(task, performance, MOTION_RATE * _FINER)
-        values = task.outcome(rope, seen)
-        reached = np.array([values[q.name] for q in task.goals])
-        free = _free(seen)
-        tip = seen.tip[free:]
-        away = tip[:, :1] if len(reached) == 1 else tip[:, [0, 2]] - seen.tip[0, [0, 2]]
-        there = free + int(np.argmin(np.linalg.norm(away - reached, axis=1)))
-        done.append(
-            PolicyRun(
-                action=np.array(action),
-                reached=reached,
-                tip_path=tip,
-                shape_at_release=_filled(seen.points[free]),
-                shape_at_farthest=_filled(seen.points[there]),
-            )
-        )
-        shown = np.arange(0, len(seen.times), _FINER)
-        clock = performance.closes + shown / (MOTION_RATE * _FINER)
-        executed.append(
-            Executed(
-                action=np.array(action),
-                slowed_by=performance.slowed_by,
-                times=seen.times[shown],
-                shapes=[_filled(x) for x in seen.points[shown]],
-                hand=seen.hand[shown],
-                arm=arm_poses(performance, clock, task.T_world_task(rope)),
-                goal=goal_mark(goal, seen),
-                table=-float(task.T_world_task(rope)[2, 3]),
-            )
-        )
-    pairs = zip(goals, done[0::2], done[1::2], strict=True)
-    return list(pairs), executed[-2]
+    performance = RealWorld().performance(task, rope, action)
+    seen = observe(task, performance, MOTION_RATE * _FINER)
+    values = task.outcome(rope, seen)
+    reached = np.array([values[q.name] for q in task.goals])
+    free = _free(seen)
+    tip = seen.tip[free:]
+    away = tip[:, :1] if len(reached) == 1 else tip[:, [0, 2]] - seen.tip[0, [0, 2]]
+    there = free + int(np.argmin(np.linalg.norm(away - reached, axis=1)))
+    run = PolicyRun(
+        action=action,
+        reached=reached,
+        tip_path=tip,
+        shape_at_release=_filled(seen.points[free]),
+        shape_at_farthest=_filled(seen.points[there]),
+    )
+    shown = np.arange(0, len(seen.times), _FINER)
+    clock = performance.closes + shown / (MOTION_RATE * _FINER)
+    return run, Executed(
+        action=action,
+        slowed_by=performance.slowed_by,
+        times=seen.times[shown],
+        shapes=[_filled(x) for x in seen.points[shown]],
+        hand=seen.hand[shown],
+        arm=arm_poses(performance, clock, task.T_world_task(rope)),
+        goal=goal_mark(goal, seen),
+        table=-float(task.T_world_task(rope)[2, 3]),
+    )
 
 
 def _free(seen: Observed) -> int:
@@ -354,25 +391,20 @@ def _predicted(task: Task, executed: Executed, known: Rope, device: str) -> Clou
     )
 
 
-def _error(run: PolicyRun, goal: np.ndarray) -> float:
-    """|reached - goal| [m]."""
-    return float(np.linalg.norm(run.reached - goal))
-
-
 def _outcomes(runs: Sequence[Run]) -> list[dict[str, Any]]:
     return [
         {
-            "goal": goal.tolist(),
+            "goal": run.goal.tolist(),
             **{
                 name: {
-                    "action": run.action.tolist(),
-                    "reached": run.reached.tolist(),
-                    "error": _error(run, goal),
+                    "action": way.action.tolist(),
+                    "reached": way.reached.tolist(),
+                    "error": run.error(name),
                 }
-                for name, run in (("with_parameters", ours), ("without_parameters", without))
+                for name, way in run.ways.items()
             },
         }
-        for goal, ours, without in runs
+        for run in runs
     ]
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +16,32 @@ from gendom.datasets import Recording
 from gendom.installation import version
 
 if TYPE_CHECKING:
-    from gendom.cli.demo import Command, Run
+    from gendom.cli.demo import Command
     from gendom.estimation import Estimate
     from gendom.tasks import Task
     from gendom.viz import CloudSequence
-    from gendom.viz.report import ActionSummary
+    from gendom.viz.report import ActionSummary, PolicyRun
+
+WAYS = {
+    "with_parameters": "with the estimate",
+    "without_parameters": "without parameters",
+    "polished": "polished in the simulator",
+    "after_one_execution": "after one execution",
+}
+"""Ways to act, by their names in actions.json."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """A goal [G], and what each of `WAYS` reached."""
+
+    goal: np.ndarray
+    ways: Mapping[str, PolicyRun]
+
+    def error(self, way: str) -> float:
+        """|reached - goal| [m]."""
+        return float(np.linalg.norm(self.ways[way].reached - self.goal))
+
 
 SCENE = "MuJoCo test scene"
 """What reports call the second reality."""
@@ -95,7 +117,17 @@ def action_summary(task: Task, runs: Sequence[Run], motion: CloudSequence) -> Ac
 
     return ActionSummary(
         outcomes=[
-            ReachOutcome(goal=goal, ours=ours, without=without) for goal, ours, without in runs
+            ReachOutcome(
+                goal=run.goal,
+                ours=run.ways["with_parameters"],
+                without=run.ways["without_parameters"],
+                further={
+                    WAYS[way].capitalize(): done
+                    for way, done in run.ways.items()
+                    if way not in ("with_parameters", "without_parameters")
+                },
+            )
+            for run in runs
         ],
         motion=motion,
         goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -60,6 +60,8 @@ class ReachOutcome:
     """The policy that knows the estimate."""
     without: PolicyRun | None = None
     """The same network without parameters."""
+    further: Mapping[str, PolicyRun] = field(default_factory=dict)
+    """What else was tried for this goal, by what it is called."""
 
     def __post_init__(self):
         _convert(self, "goal", 1, np.atleast_1d(np.asarray(self.goal, dtype=float)))
@@ -67,7 +69,8 @@ class ReachOutcome:
             raise GendomError(
                 f"has shape {list(self.goal.shape)}", where="goal", fix="give [1] or [2]"
             )
-        for name, run in (("ours", self.ours), ("without", self.without)):
+        runs = {"ours": self.ours, "without": self.without, **self.further}
+        for name, run in runs.items():
             if run is not None and run.reached.shape != self.goal.shape:
                 raise GendomError(
                     f"has shape {list(run.reached.shape)}, the goal {list(self.goal.shape)}",
@@ -111,7 +114,7 @@ class ActionSummary:
         sizes = {
             (len(o.goal), len(run.action))
             for o in self.outcomes
-            for run in (o.ours, o.without)
+            for run in (o.ours, o.without, *o.further.values())
             if run is not None
         }
         if len(sizes) > 1:
@@ -150,7 +153,17 @@ def action_section(action: ActionSummary) -> Section:
         parts.append(f"<p>{_verdict(ours, without, len(action.outcomes))}</p>")
     if action.motion is not None:
         parts.append(_motion_viewer(action.motion))
-    parts.append(_outcomes_table(action))
+    outcomes = action.outcomes
+    groups: dict[str, Sequence[PolicyRun | None]]
+    groups = {"With the estimate": [o.ours for o in outcomes]}
+    if any(o.without is not None for o in outcomes):
+        groups["Without parameters"] = [o.without for o in outcomes]
+    parts.append(_outcomes_table(action, groups))
+    labels = dict.fromkeys(label for o in outcomes for label in o.further)
+    if labels:
+        parts.append(
+            _outcomes_table(action, {w: [o.further.get(w) for o in outcomes] for w in labels})
+        )
     names = f"Goal: {action.goal_name}."
     if action.action_names:
         names += f" Action: {', '.join(action.action_names)}."
@@ -164,43 +177,39 @@ def action_section(action: ActionSummary) -> Section:
     return Section(title="The action", body="\n".join(parts))
 
 
-def _outcomes_table(action: ActionSummary) -> str:
-    """A row for each goal and one of means; three columns for each policy."""
-    outcomes = action.outcomes
-    compared = any(o.without is not None for o in outcomes)
-    groups = ["With the estimate", "Without parameters"] if compared else []
-    columns = ["Action", "Reached", "Error"] * max(1, len(groups))
-    titles = "".join(f'<th class="number">{column}</th>' for column in columns)
-    rowspan = ' rowspan="2"' if groups else ""
+def _outcomes_table(action: ActionSummary, groups: Mapping[str, Sequence[PolicyRun | None]]) -> str:
+    """A row for each goal and one of means; three columns for each group of runs."""
+    outcomes, compared = action.outcomes, len(groups) > 1
+    columns = ["Action", "Reached", "Error"]
+    titles = "".join(f'<th class="number">{column}</th>' for column in columns * len(groups))
+    rowspan = ' rowspan="2"' if compared else ""
     head = f'<th{rowspan} class="number">Goal</th>'
-    if groups:
-        head += "".join(f'<th colspan="3" class="group">{group}</th>' for group in groups)
+    if compared:
+        head += "".join(f'<th colspan="3" class="group">{escaped(g)}</th>' for g in groups)
         head += f"</tr><tr>{titles}"
     else:
         head += titles
+
+    def said(column: str, group: str) -> str:
+        return f"{column.lower()}, {group.lower()}" if compared else column.lower()
+
     rows = []
-    for outcome in outcomes:
+    for k, outcome in enumerate(outcomes):
         cells = [number(place_text(outcome.goal), "goal")]
-        runs = (outcome.ours, outcome.without) if compared else (outcome.ours,)
-        for k, run in enumerate(runs):
-            texts = [DASH] * 3
+        for group, runs in groups.items():
+            run, texts = runs[k], [DASH] * 3
             if run is not None:
                 action_text = with_minus(", ".join(f"{a:.3f}" for a in run.action))
-                error = length_text(outcome.error(run))
-                texts = [action_text, place_text(run.reached), error]
-            said = f", {groups[k].lower()}" if groups else ""
-            cells += [
-                number(text, column.lower() + said)
-                for text, column in zip(texts, columns, strict=False)
-            ]
+                texts = [action_text, place_text(run.reached), length_text(outcome.error(run))]
+            cells += [number(t, said(c, group)) for t, c in zip(texts, columns, strict=True)]
         rows.append(f"<tr>{''.join(cells)}</tr>")
     if len(outcomes) > 1:
-        ours, without = action.mean_errors()
-        cells = [cell("mean", "number"), cell("", columns=2)]
-        cells.append(number(length_text(ours), "error, with the estimate" if compared else "error"))
-        if compared:
-            shown = DASH if without is None else length_text(without)
-            cells += [cell("", columns=2), number(shown, "error, without parameters")]
+        cells = [cell("mean", "number")]
+        for group, runs in groups.items():
+            done = [o.error(r) for o, r in zip(outcomes, runs, strict=True) if r is not None]
+            # other means would not compare
+            text = length_text(float(np.mean(done))) if len(done) == len(outcomes) else DASH
+            cells += [cell("", columns=2), number(text, said("error", group))]
         rows.append(f'<tr class="total">{"".join(cells)}</tr>')
     return table([head], rows)
 
