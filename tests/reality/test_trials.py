@@ -8,7 +8,13 @@ import pytest
 
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
-from gendom.errors import GendomError, ParameterError, RobotError, SimulationError
+from gendom.errors import (
+    DeviceError,
+    GendomError,
+    ParameterError,
+    RobotError,
+    SimulationError,
+)
 from gendom.materials import Cloth, Material, Rope, thickness_of, unit_of
 from gendom.reality import (
     OBJECTS,
@@ -247,7 +253,8 @@ def test_the_demo_s_rope_stays_in_its_plane_under_the_arm(release):
     """The demo's releases; a rope without resistance to twist falls by 7 to 57 mm."""
     rope = OBJECTS["rope-cotton"]
     free, arm = (
-        carried_out(RealWorld(robot=robot), REACHING, rope, release)[0] for robot in (False, True)
+        carried_out(RealWorld(robot=robot, timestep=1e-3), REACHING, rope, release)[0]
+        for robot in (False, True)
     )
     assert free["sideways"] < 1e-3
     assert arm["sideways"] < 0.005
@@ -468,8 +475,8 @@ def test_the_arm_spreads_a_cloth():
 
 def test_the_world_s_settings_arrive():
     for world, timestep, density in [
-        (RealWorld(robot=False), 1e-3, 1.2),
-        (RealWorld(robot=False, timestep=2.5e-4, air_density=0.0), 2.5e-4, 0.0),
+        (RealWorld(robot=False), 2.5e-4, 1.2),
+        (RealWorld(robot=False, timestep=1e-3, air_density=0.0), 1e-3, 0.0),
     ]:
         performance = world.performance(REACHING, POLYESTER, STRETCHED)
         assert performance.world.model.opt.timestep == timestep
@@ -563,3 +570,17 @@ def test_bad_actions_end_everything_before_anything_is_done():
     with pytest.raises(ParameterError, match="for 2 objects"):
         RealWorld().carry_out(CASTING, [POLYESTER] * 2, [[0.2]])
     assert done == []
+
+
+def test_several_processes_do_the_same_as_one():
+    actions = REACHING.sample_actions(POLYESTER, np.random.default_rng(0), 2)
+    worlds = (RealWorld(robot=False, timestep=1e-3, jobs=jobs) for jobs in (1, 2))
+    alone, together = (w.carry_out(REACHING, [POLYESTER] * 2, actions) for w in worlds)
+    assert [o.values for o in alone] == [o.values for o in together]
+    assert alone[0].values != alone[1].values
+
+
+def test_another_device_is_refused():
+    with pytest.raises(DeviceError, match="not on cuda"):
+        RealWorld().on("cuda")
+    assert RealWorld().on("cpu") == RealWorld()
