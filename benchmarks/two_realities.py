@@ -5,7 +5,7 @@ the parameters that the object has there: E, nu, density, damping, friction and 
 told the same task and judge what they see by the same rule (`gendom.tasks`).
 
     python benchmarks/two_realities.py [--objects rope-cotton] [--tasks rope-casting]
-        [--engine mpm] [--arm] [--actions 5] [--step 0.00025] [--json]
+        [--engine mpm] [--arm] [--actions 5] [--step 0.001] [--json]
 
 A grip holds a length of the rope, rigid with the gripper. MuJoCo's rods bend at their vertices,
 each for half an edge on either side, the last pinned one too: as a beam, its rope is free from half
@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("--cells-across", type=float, default=1.5, help="of the MPM's grid")
     parser.add_argument("--device", default="cpu", help="of our simulator")
     parser.add_argument("--arm", action="store_true", help="the arm acts, not a free hand")
-    parser.add_argument("--step", type=float, help="MuJoCo's [s]; by default that of the object")
+    parser.add_argument("--step", type=float, help="MuJoCo's [s]; by default 0.25 ms for ropes")
     parser.add_argument("--seed", type=int, default=0, help="of the actions")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()

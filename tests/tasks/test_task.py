@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from importlib import metadata
 
 import numpy as np
 import pytest
@@ -143,7 +144,7 @@ def test_entry_points_bring_tasks(monkeypatch):
             return Dragging
 
     monkeypatch.setattr(tasks, "_registered", dict(tasks._registered))
-    monkeypatch.setattr(tasks.metadata, "entry_points", lambda group: [Point()])
+    monkeypatch.setattr(metadata, "entry_points", lambda group: [Point()])
     tasks._load_others.cache_clear()
     try:
         assert find_task("rope-dragging") is Dragging

@@ -81,7 +81,7 @@ def ablation(bench: Workbench, settings: SimulatedSettings) -> dict[str, Any]:
     data = bench.demonstrations(name, Demonstrator(task=task, world=world), settings.demonstrations)
     wanted = {
         f"{method}, {sees}": _wanted(data, settings, method, SEES[sees], architecture)
-        for method, architecture in (("inverse", "smooth"), ("distal", "smooth"))
+        for method, architecture in (("inverse", "paper"), ("distal", "smooth"))
         for sees in SEES
     }
     policies = _trained(bench, name, settings, wanted)
