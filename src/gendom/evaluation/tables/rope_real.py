@@ -33,10 +33,7 @@ from gendom.tasks.world import Simulation, World
 Array = NDArray[np.float64]
 
 ROPES = ("rope-cotton", "rope-polyester", "rope-polyethylene")
-"""Of the second reality, as the paper's."""
-
-ONE = ROPES[0]
-"""What baselines of one rope see; the paper's red one."""
+"""Of the second reality, as the paper's; baselines of one rope see the first."""
 
 IDENTIFIED_FROM = 20
 """Executions that R2S2R finds its parameters from."""
@@ -65,15 +62,6 @@ class RopeRealSettings:
     """That are learnt from, one after the other, for each goal."""
     draws: int = 8
     """Objects that an action is polished for."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Row:
-    """What one way to act comes to."""
-
-    name: str
-    error: Array
-    """[W] misses [m]; NaN where it failed."""
 
 
 def rope_real(bench: Workbench, settings: RopeRealSettings) -> dict[str, Any]:
@@ -258,7 +246,7 @@ def _identified(
     def make() -> dict[str, Any]:
         seen = []
         for k, demonstrations in enumerate(real):
-            item = _told(demonstrations, task)
+            item = _like_stated(demonstrations, task)
             count = len(range(k, IDENTIFIED_FROM, len(real)))
             units = task.action_units(item), task.goal_units(item)
             seen += [
@@ -274,8 +262,8 @@ def _identified(
     return Identified(**bench.kept(f"{task.name}-{_slug(label)}", make))
 
 
-def _told(demonstrations: Demonstrations, task: Task) -> Item:
-    """An object of the task's size with the parameters that demonstrations say."""
+def _like_stated(demonstrations: Demonstrations, task: Task) -> Item:
+    """An object of the task's size with the parameters that demonstrations have."""
     own = {name: float(values[0]) for name, values in demonstrations.parameters.items()}
     return with_likeness(task.item, own)
 
