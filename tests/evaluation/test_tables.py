@@ -111,6 +111,7 @@ def test_generalization_has_both_domains_and_what_r2s2r_found(bench, monkeypatch
     assert result["identified"]["R2S2R, three ropes"]["misfit"] > 1e-3
 
 
+@pytest.mark.slow
 def test_real_ropes_have_all_rows_and_go_on(bench, monkeypatch):
     """The second reality reaches farther by 0.02: executions teach that."""
     real = Thrown(off=0.02)

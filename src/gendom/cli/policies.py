@@ -19,7 +19,7 @@ class Command:
     """List policies: what they see, what they were trained on, how far they miss, and the commands
     that made them.
 
-    For example: gendom policies
+    For example: gendom policies --json
     """
 
     policy: tuple[Path, ...] = ()

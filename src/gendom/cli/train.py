@@ -117,13 +117,15 @@ def _conditions(words: tuple[str, ...]) -> tuple[str, ...] | None:
 def summarize(policy: Policy) -> dict[str, Any]:
     """What a policy is and how its training went, ready for JSON."""
     about = policy.description
+    acted = about.training.get("acted")
     return {
         "path": policy.where,
         "task": about.task,
         "method": about.method,
         "conditioned_on": about.conditioned_on,
         "parameters": about.parameters,
-        "training": about.training,
+        "training": {k: v for k, v in about.training.items() if k != "acted"},
+        **({} if acted is None else {"acted": acted}),
     }
 
 
@@ -147,7 +149,7 @@ def summary_text(summary: dict[str, Any]) -> str:
         *errors,
         ("took", f"{training['seconds']:.3g} s"),
     ]
-    if acted := training.get("acted"):
+    if acted := summary.get("acted"):
         figures = acted["error_over_size"]
         rows.append(
             (
