@@ -73,6 +73,13 @@ def test_policies_are_trained_unless_they_are_there(bench, monkeypatch):
     assert changed.description.training["epochs"] == 2
 
 
+def test_small_sets_get_small_batches_and_as_many_steps(bench):
+    data = set_of(bench)
+    few = Wanted.suited(data, Training(epochs=2), 60).training
+    assert (few.batch_size, few.epochs) == (32, 11)  # 180 taught, 5.6 batches a pass
+    assert Wanted.suited(data, Training(epochs=40), 60).training.epochs == 40
+
+
 def test_the_best_of_a_search_is_taken_and_all_are_told(bench):
     data = set_of(bench)
     search = {
@@ -86,11 +93,16 @@ def test_the_best_of_a_search_is_taken_and_all_are_told(bench):
 
 def test_ablation_has_all_rows_and_parameters_that_count_help(bench, monkeypatch):
     monkeypatch.setattr(simulated_module, "_world", lambda *_: Thrown())
-    settings = SimulatedSettings(demonstrations=400, epochs=25, goals=(5, 20), seeds=1)
-    rows = ablation(bench, settings)["rows"]
+    settings = SimulatedSettings(
+        demonstrations=400, epochs=25, goals=(5, 20), seeds=1, curve=(25, 500), steps=20
+    )
+    result = ablation(bench, settings)
+    rows, curve = result["rows"], result["by_demonstrations"]
     assert set(rows) == {f"{m}, {s}" for m in ("inverse", "distal")
                          for s in ("both", "E", "nu", "none")} | {"polished, both"}  # fmt: skip
+    assert set(curve) == {"inverse, 25", "distal, 25"}  # no more than there are
     error = {name: row["20"]["mean"] for name, row in rows.items()}
+    assert error["distal, both"] < 0.5 * curve["distal, 25"]["20"]["mean"]
     assert error["polished, both"] < 1e-4 < 1.5 * error["distal, both"] < error["distal, none"]
     low, high = rows["distal, both"]["20"]["interval_95"]
     assert low < error["distal, both"] < high
@@ -100,7 +112,7 @@ def test_ablation_has_all_rows_and_parameters_that_count_help(bench, monkeypatch
 
 def test_generalization_has_both_domains_and_what_r2s2r_found(bench, monkeypatch):
     monkeypatch.setattr(simulated_module, "_world", lambda *_: Thrown())
-    settings = SimulatedSettings(demonstrations=200, epochs=3, goals=(6,), seeds=1)
+    settings = SimulatedSettings(demonstrations=200, epochs=3, goals=(6,), seeds=1, steps=20)
     result = generalization(bench, settings)
     for domain in ("in domain", "outside"):
         rows = result["rows"][domain]
@@ -124,7 +136,7 @@ def test_real_ropes_have_all_rows_and_go_on(bench, monkeypatch):
         posterior = {"names": ["specific_modulus", "damping"],
                      "mean": np.log([1.03 * m.specific_modulus, m.damping]).tolist(),
                      "covariance": [[0.04**2, 0.0], [0.0, 0.1**2]]}  # fmt: skip
-        return Belief.of(rope, posterior, known=("nu", "friction"))
+        return Belief.for_task(task, rope, posterior)
 
     monkeypatch.setattr(rope_real_module, "lifted", lifted)
     monkeypatch.setattr(
@@ -135,7 +147,7 @@ def test_real_ropes_have_all_rows_and_go_on(bench, monkeypatch):
         ),
     )
     settings = RopeRealSettings(
-        goals=3, demonstrations=200, real=20, epochs=3, real_epochs=3, executions=2
+        goals=3, demonstrations=200, real=20, epochs=3, finetune_epochs=3, steps=30, executions=2
     )
     result = rope_real(bench, settings)
     rows = result["drawn"]["errors"]

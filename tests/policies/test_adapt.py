@@ -8,8 +8,8 @@ import pytest
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Cloth, likeness, size_of
-from gendom.policies.adapt import AdaptSettings, Execution, adapt, executions_from, uncertain
-from gendom.policies.belief import Belief
+from gendom.policies.adapt import AdaptSettings, Execution, adapt, executions_from
+from gendom.policies.belief import Belief, uncertain
 from gendom.policies.polish import polish
 from gendom.tasks import ClothSpreading
 from policies.ballistic import ROPE, TASK, Throws, reach_of

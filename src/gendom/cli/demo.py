@@ -21,11 +21,10 @@ from gendom.cli.pictures import arm_of_lift, arm_poses, clouds_of, goal_mark
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.files import check_folder, to_json, write_json
-from gendom.materials import ASSUMED, PARAMETERS, Material, Rope
+from gendom.materials import Item
 from gendom.progress import each
 
 if TYPE_CHECKING:
-    from gendom.estimation import Estimate
     from gendom.policies import Policy
     from gendom.policies.belief import Belief
     from gendom.reality import RealRope
@@ -93,6 +92,7 @@ class Command:
         from gendom.estimation import EstimateSettings, SceneSettings, estimate
         from gendom.evaluation import draw_cases
         from gendom.policies import Policy
+        from gendom.policies.estimates import believed
         from gendom.reality import RealRope, find_object
         from gendom.reality.chain import record_and_perceive
         from gendom.sim import open_device
@@ -166,9 +166,10 @@ class Command:
             print(f"report: {self.out / 'report.html'}")
             return NOT_USABLE
         with _timed(seconds, "act and carry out"):
-            runs, shown = _carry_out(rope, policies, goals, found)
+            belief = believed(found.record, task)
+            runs, shown = _carry_out(rope, policies, goals, belief, self.seed)
         with _timed(seconds, "predict the motion"):
-            motion = _predicted(task, shown, known_rope(found), self.device)
+            motion = _predicted(task, shown, belief.item, self.device)
         for run in runs:
             ours = run.ways["with_parameters"]
             named = zip(task.actions, ours.action, strict=True)
@@ -213,41 +214,22 @@ def _given_goals(numbers: Sequence[float], policy: Policy, rope: RealRope) -> np
     return goals
 
 
-def known_rope(found: Estimate) -> Rope:
-    """The rope as it was estimated."""
-    record = found.record
-    described, density = record["object"], record["density"]
-    return Rope(
-        length=described["length"],
-        diameter=described["diameter"],
-        material=Material(
-            E=found.theta.specific_modulus * density,
-            nu=found.theta.nu,
-            density=density,
-            # a slow lift does not tell
-            damping=(
-                found.theta.damping if record["identifiable"]["damping"] else ASSUMED["damping"]
-            ),
-        ),
-    )
-
-
 def _carry_out(
     rope: RealRope,
     policies: Sequence[Policy],
     goals: np.ndarray,
-    found: Estimate,
+    belief: Belief,
+    seed: int,
 ) -> tuple[list[Run], Executed]:
     """What each of `WAYS` reached for each goal, done by the arm; and the policy's last motion.
 
-    Besides the policies' actions one is polished through the simulator for the estimate's
-    posterior, and once more for what that execution has taught.
+    Besides the policies' actions one is polished through the simulator for what is believed of
+    the rope, and once more for what that execution has taught.
     """
     from gendom.policies.adapt import Execution, adapt
     from gendom.policies.polish import Discrepancy, polish
 
-    task, known = policies[0].task(), known_rope(found)
-    belief = _belief(task, known, found)
+    task = policies[0].task()
     runs: list[Run] = []
     shown = None
     for goal in each(goals, "the arm acts", "goal"):
@@ -258,10 +240,10 @@ def _carry_out(
             discrepancy: Discrepancy | None = None,
             goal: np.ndarray = goal,
         ) -> np.ndarray:
-            items = belief.draws(POLISHED_FOR, found.record["seed"])
+            items = belief.draws(POLISHED_FOR, seed)
             return polish(task, goal, items, start, discrepancy=discrepancy).action
 
-        ours, without = (np.array(p.act(goal, known).values) for p in policies)
+        ours, without = (np.array(p.act(goal, belief.item).values) for p in policies)
         ways: dict[str, PolicyRun] = {}
         ways["with_parameters"], shown = _execute(rope, task, ours, goal)
         ways["without_parameters"], _ = _execute(rope, task, without, goal)
@@ -274,15 +256,6 @@ def _carry_out(
         runs.append(Run(goal=goal, ways=ways))
     assert shown is not None
     return runs, shown
-
-
-def _belief(task: Task, known: Rope, found: Estimate) -> Belief:
-    """What the estimate leaves uncertain of what counts for the task."""
-    from gendom.policies.adapt import uncertain
-    from gendom.policies.belief import Belief
-
-    certain = [name for name in PARAMETERS if name not in uncertain(task, known)]
-    return Belief.of(known, found.record["posterior"], known=certain)
 
 
 def _execute(
@@ -366,7 +339,7 @@ def _filled(vertices: np.ndarray, points: int = 150) -> np.ndarray:
     return np.stack([np.interp(at, knots, vertices[:, axis]) for axis in range(3)], axis=1)
 
 
-def _predicted(task: Task, executed: Executed, known: Rope, device: str) -> CloudSequence:
+def _predicted(task: Task, executed: Executed, known: Item, device: str) -> CloudSequence:
     """The executed motion, and beside it what our simulator makes of the same action."""
     from gendom.tasks.world import Simulation
     from gendom.viz import CloudSequence

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 from gendom.cli.arguments import read_params
 from gendom.errors import GendomError
-from gendom.materials import ASSUMED, KINDS, PARAMETERS, Item, from_columns
+from gendom.materials import ASSUMED, KINDS, PARAMETERS, Item
 
 if TYPE_CHECKING:
     from gendom.policies.adapt import Execution
@@ -52,20 +50,16 @@ class Held:
 
     def item(self, task: Task) -> Item:
         """The object."""
-        known = {**self.assumed, **self.columns}
-        modulus = known.get("specific_modulus", task.item.material.specific_modulus)
-        known["youngs_modulus"] = modulus * known["density"]
-        return from_columns(task.kind, known)
+        from gendom.policies.estimates import item_of
+
+        return item_of(self.columns, task)
 
     def belief(self, task: Task) -> Belief:
         """The object, and how uncertain what counts for the task is."""
-        from gendom.policies.adapt import uncertain
         from gendom.policies.belief import Belief
 
-        item = self.item(task)
-        counts = uncertain(task, item)
-        known = [n for n, p in PARAMETERS.items() if n not in counts or p.column in self.flags]
-        return Belief.of(item, self.posterior, known=known)
+        given = [n for n, p in PARAMETERS.items() if p.column in self.flags]
+        return Belief.for_task(task, self.item(task), self.posterior, known=given)
 
     def executed(self, task: Task) -> list[Execution]:
         """Earlier executions of a task."""
@@ -112,6 +106,8 @@ class KnownObject:
         Raises:
             GendomError: The file cannot be used, or something that is needed is missing.
         """
+        from gendom.policies.estimates import read_estimate
+
         columns: dict[str, float] = {}
         posterior, executions = None, {}
         if self.params is not None:
@@ -154,58 +150,3 @@ class KnownObject:
         return Held(
             columns=columns, posterior=posterior, flags=frozenset(given), executions=executions
         )
-
-
-def read_estimate(
-    params: Mapping[str, Any], where: str, kind: str
-) -> tuple[dict[str, float], Mapping[str, Any] | None]:
-    """The numbers of an estimate that a policy needs, as far as it has them, by column name; and
-    its posterior, None if it says of nothing how sure it is.
-
-    Args:
-        params: An estimate's JSON, perhaps of an older version.
-        where: Its file, for complaints.
-        kind: Of the task's object.
-
-    Raises:
-        GendomError: It is of another kind of object, or a number in it is none.
-    """
-    names = ("youngs_modulus", "poissons_ratio", "density", "specific_modulus")
-    found = {name: params.get(name) for name in (*names, "damping", "friction")}
-    described = params.get("object")
-    if isinstance(described, dict):
-        if described.get("kind", kind) != kind:
-            raise GendomError(
-                f"describes a {described['kind']}, the task needs a {kind}",
-                where=where,
-                fix=f"give the estimate of a {kind}",
-            )
-        # a recording's cloth has width and height
-        sizes = {**described, "side": described.get("width")}
-        found |= {name: sizes.get(name) for name in KINDS[kind].sizes}
-    for name, value in found.items():
-        if value is None:
-            continue
-        may_be_zero = name in ("damping", "friction")
-        if not (isinstance(value, (int, float)) and (value > 0.0 or (may_be_zero and value == 0))):
-            raise GendomError(
-                f"{name} must be a positive number, got {value!r}",
-                where=where,
-                fix="estimate again, or give the number by a flag",
-            )
-    known = {name: float(value) for name, value in found.items() if value is not None}
-    intervals = params.get("intervals") or {}
-    ends = intervals.get("youngs_modulus")
-    if not ends:
-        return known, None
-    if isinstance(params.get("posterior"), dict):
-        return known, params["posterior"]
-    # files of older versions have the interval alone
-    low, high = (math.log(end / known["density"]) for end in ends)
-    half = NormalDist().inv_cdf(0.5 + intervals.get("level", 0.9) / 2.0)
-    variance = (0.5 * (high - low) / half) ** 2
-    return known, {
-        "names": ["specific_modulus"],
-        "mean": [0.5 * (low + high)],
-        "covariance": [[variance]],
-    }

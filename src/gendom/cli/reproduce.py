@@ -20,7 +20,7 @@ SIMULATED = {"small": (2_000, 60, 1), "full": (40_000, 150, 3)}
 """Demonstrations, epochs and trainings of the table ablation; generalization takes the paper's
 number of demonstrations."""
 
-ROPE_REAL = {"small": (2, 4_000, 20, 60, 1), "full": (24, 40_000, 100, 150, 3)}
+ROPE_REAL = {"small": (2, 4_000, 20, 60, 1), "full": (24, 40_000, 100, 150, 5)}
 """Goals of each rope, demonstrations, real ones of each rope, epochs and executions of the table
 rope-real."""
 
@@ -144,6 +144,8 @@ class Command:
             if self.table == "ablation":
                 result = ablation(bench, settings)
                 lines = text.simulated_text(result["rows"], text.ABLATION[self.task])
+                if curve := result["by_demonstrations"]:
+                    lines += f"\n\nby demonstrations\n{text.simulated_text(curve, {})}"
             else:
                 settings = replace(settings, demonstrations=PAPER_DEMONSTRATIONS, goals=(40, 200))
                 result = generalization(bench, settings)

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from gendom.errors import ParameterError, SimulationError
-from gendom.materials import Item
 from gendom.policies.belief import Belief
 from gendom.policies.polish import Discrepancy
 from gendom.policies.rollouts import Asking, Rollouts, side_by_side
@@ -221,16 +220,6 @@ def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
         raise ParameterError(
             f"executions cannot be used ({type(error).__name__} {error})", where=where
         ) from None
-
-
-def uncertain(task: Task, item: Item) -> tuple[str, ...]:
-    """Parameters that the outcome of a task depends on for such an object."""
-    names = ["E", "damping"]
-    if item.kind == "cloth":
-        names.insert(1, "nu")
-    if task.scene(item).table is not None or task.scene(item).self_contact:
-        names.append("friction")
-    return tuple(names)
 
 
 def _check(task: Task, executions: Sequence[Execution]) -> None:

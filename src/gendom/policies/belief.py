@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gendom.errors import ParameterError
 from gendom.materials import ASSUMED_SD, PARAMETERS, Item, from_columns, to_columns
+from gendom.tasks import Task
 
 Array = NDArray[np.float64]
 
@@ -110,6 +111,53 @@ class Belief:
             covariance=covariance.reshape(len(names), len(names)),
         )
 
+    @classmethod
+    def for_task(
+        cls,
+        task: Task,
+        item: Item,
+        posterior: Mapping[str, Any] | None = None,
+        *,
+        known: Sequence[str] = (),
+    ) -> Belief:
+        """As `of`, where only what the task's outcome depends on is uncertain."""
+        counts = uncertain(task, item)
+        certain = [n for n in PARAMETERS if n in known or n not in counts]
+        return cls.of(item, posterior, known=certain)
+
+    def doubting(self, name: str, sd: float) -> Belief:
+        """With one more uncertain parameter, independent of the others, around the object's value.
+
+        Args:
+            name: Of `LIMITS`.
+            sd: Standard deviation, of the logarithm where that counts.
+        """
+        value = to_columns(self.item)[PARAMETERS[name].column]
+        count = len(self.names)
+        covariance = np.zeros((count + 1, count + 1))
+        covariance[:count, :count] = self.covariance
+        covariance[count, count] = sd**2
+        return replace(
+            self,
+            names=(*self.names, name),
+            mean=np.append(self.mean, _transformed(name, value)),
+            covariance=covariance,
+        )
+
+    @classmethod
+    def from_dict(cls, item: Item, saved: Mapping[str, Any]) -> Belief:
+        """Inverse of `to_dict`, of the same object."""
+        mean, covariance = np.array(saved["mean"]), np.array(saved["covariance"])
+        return cls(item=item, names=tuple(saved["names"]), mean=mean, covariance=covariance)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "names": list(self.names),
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance.tolist(),
+        }
+
     @property
     def sd(self) -> Array:
         """[P] standard deviations, of logarithms where these count."""
@@ -147,6 +195,16 @@ class Belief:
             low, high = math.exp(low), math.exp(high)
         floor, ceiling = LIMITS[name]
         return max(float(low), floor), min(float(high), ceiling)
+
+
+def uncertain(task: Task, item: Item) -> tuple[str, ...]:
+    """Parameters that the outcome of a task depends on for such an object."""
+    names = ["E", "damping"]
+    if item.kind == "cloth":
+        names.insert(1, "nu")
+    if task.scene(item).table is not None or task.scene(item).self_contact:
+        names.append("friction")
+    return tuple(names)
 
 
 def _transformed(name: str, value: float) -> float:

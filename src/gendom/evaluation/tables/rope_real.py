@@ -7,20 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from tempfile import TemporaryDirectory
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.datasets import Recording
-from gendom.errors import GendomError
 from gendom.evaluation.protocol import Cases, choose, draw_cases, judge
+from gendom.evaluation.tables.lifted import lifted, stated
 from gendom.evaluation.tables.workbench import Wanted, Workbench
-from gendom.materials import PARAMETERS, Item, Material, Rope, likeness, to_columns
+from gendom.materials import PARAMETERS, Item, likeness, to_columns
 from gendom.policies import Policy
-from gendom.policies.adapt import Execution, adapting, uncertain
+from gendom.policies.adapt import Execution, adapting
 from gendom.policies.belief import Belief
 from gendom.policies.demonstrations import Demonstrations, joined
 from gendom.policies.identify import Identified, identify, with_likeness
@@ -38,11 +36,11 @@ ROPES = ("rope-cotton", "rope-polyester", "rope-polyethylene")
 IDENTIFIED_FROM = 20
 """Executions that R2S2R finds its parameters from."""
 
-FEW = 1000
-"""Sets below this are trained on in smaller batches."""
+CANDIDATES = 16
+"""Actions among which a steady one is looked for."""
 
-FRAME_RATE = 30.0
-"""Of the lift's cameras [1/s]."""
+WITHOUT_LIFT = 3.0 * math.log(0.7 / 0.25) / math.sqrt(12.0)
+"""Standard deviation of ln E before a lift: bending lengths of 0.25 to 0.7 sizes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +54,10 @@ class RopeRealSettings:
     real: int = 100
     """Demonstrations of each rope in the second reality."""
     epochs: int = 150
-    real_epochs: int = 300
-    """Of what is trained on the second reality's demonstrations."""
+    steps: int = 3000
+    """Of the optimiser in each training, at least."""
+    finetune_epochs: int = 300
+    """Of fine-tuning on the second reality's demonstrations."""
     executions: int = 3
     """That are learnt from, one after the other, for each goal."""
     draws: int = 8
@@ -84,8 +84,16 @@ def rope_real(bench: Workbench, settings: RopeRealSettings) -> dict[str, Any]:
     task = find_task(settings.task)()
     ropes = [find_object(name) for name in ROPES]
     beliefs = [lifted(bench, name, task) for name in ROPES]
-    estimates = [belief.most_likely for belief in beliefs]
-    policies, searches = _policies(bench, settings, task, estimates)
+    simulated = bench.demonstrations(
+        f"{task.name}-simulated", Demonstrator(task=task), settings.demonstrations
+    )
+    real = [
+        _real(bench, settings, task, name, belief.most_likely)
+        for name, belief in zip(ROPES, beliefs, strict=True)
+    ]
+    policies = _ours(bench, settings, simulated, joined(joined(real[0], real[1]), real[2]))
+    baselines, searches = _baselines(bench, settings, task, real)
+    policies |= baselines
 
     cases = draw_cases(task, len(ropes) * settings.goals, seed=bench.seed, items=ropes,
                        simulation=Simulation(device=bench.device))  # fmt: skip
@@ -93,7 +101,7 @@ def rope_real(bench: Workbench, settings: RopeRealSettings) -> dict[str, Any]:
     world = RealWorld(jobs=bench.jobs)
     sets = {"drawn": cases} | ({"seven": seven} if seven is not None else {})
     result: dict[str, Any] = {
-        "estimates": {n: _stated(b) for n, b in zip(ROPES, beliefs, strict=True)},
+        "estimates": {n: stated(b) for n, b in zip(ROPES, beliefs, strict=True)},
         "searches": searches,
     }
     for name, some in sets.items():
@@ -105,137 +113,121 @@ def rope_real(bench: Workbench, settings: RopeRealSettings) -> dict[str, Any]:
     return result
 
 
-def lifted(bench: Workbench, name: str, task: Task) -> Belief:
-    """What one lift that ends in a swing tells of a rope of the second reality.
+@dataclass(frozen=True, kw_only=True)
+class Steady(Demonstrator):
+    """Draws actions whose risk, simulated with what is known of the object, is within its limit:
+    what a reality does beyond it teaches nothing."""
 
-    Raises:
-        GendomError: The estimate is not usable.
-    """
-    from gendom.estimation import EstimateSettings, estimate
-    from gendom.reality import find_object
-    from gendom.reality.chain import record_and_perceive
+    known: Item
+    """The object as its estimate says."""
+    foresight: World = field(default_factory=Simulation)
+    """Where it is simulated."""
 
-    rope = find_object(name)
+    def about(self) -> dict[str, Any]:
+        return {**super().about(), "steady_for": to_columns(self.known)}
 
-    def make() -> dict[str, Any]:
-        bench.folder.mkdir(parents=True, exist_ok=True)
-        path = bench.folder / f"lift-{name}.npz"
-        if not path.exists():
-            with TemporaryDirectory(dir=bench.folder) as pictures:
-                recording, _ = record_and_perceive(
-                    rope, pictures, frame_rate=FRAME_RATE, seed=bench.seed, end="swing"
-                )
-            recording.write(path)
-        found = estimate(Recording.read(path), EstimateSettings(starts=3, seed=bench.seed))
-        return found.record
-
-    record = bench.kept(f"estimate-{name}", make)
-    if not record["verdict"]["usable"]:
-        raise GendomError(", ".join(record["verdict"]["reasons"]), where=f"the lift of {name}")
-    described, density = record["object"], record["density"]
-    known = [n for n in PARAMETERS if n not in uncertain(task, rope)]
-    return Belief.of(
-        Rope(
-            length=described["length"],
-            diameter=described["diameter"],
-            material=Material(E=record["youngs_modulus"], nu=record["poissons_ratio"],
-                              density=density, damping=record["damping"]),
-        ),
-        record["posterior"],
-        known=known,
-    )  # fmt: skip
+    def draw(self, rng: np.random.Generator) -> dict[str, float]:
+        drawn = [super(Steady, self).draw(rng) for _ in range(CANDIDATES)]
+        actions = np.array([[d[q.name] for q in self.task.actions] for d in drawn])
+        outcomes = self.foresight.carry_out(self.task, [self.known] * CANDIDATES, actions)
+        steady = (
+            d
+            for d, o in zip(drawn, outcomes, strict=True)
+            if o.fault is None and self.task.within_risk(self.known, o.values)
+        )
+        return next(steady, drawn[0])
 
 
-def _policies(
-    bench: Workbench, settings: RopeRealSettings, task: Task, estimates: Sequence[Item]
-) -> tuple[dict[str, Policy], dict[str, Any]]:
-    """Ours and the baselines', by name; and what was searched for them."""
-    from gendom.policies.train import Training
+def _real(
+    bench: Workbench, settings: RopeRealSettings, task: Task, name: str, known: Item
+) -> Demonstrations:
+    """The second reality's demonstrations of a rope, with the parameters of its estimate in place
+    of the true ones."""
     from gendom.reality import RealWorld, find_object
 
-    seed, epochs = bench.seed, settings.epochs
-    simulated = bench.demonstrations(
-        f"{task.name}-simulated", Demonstrator(task=task), settings.demonstrations
+    source = Steady(
+        task=task, world=RealWorld(jobs=bench.jobs), items=(find_object(name),), known=known
     )
-    real = []
-    for name, item in zip(ROPES, estimates, strict=True):
-        source = Demonstrator(task=task, world=RealWorld(jobs=bench.jobs),
-                              items=(find_object(name),))  # fmt: skip
-        kept = bench.demonstrations(f"{task.name}-{name}", source, settings.real, device="cpu")
-        real.append(_as_estimated(kept, item))
-    everything = joined(joined(real[0], real[1]), real[2])
-    ours = {
-        "ours": Wanted(demonstrations=simulated, training=Training(epochs=epochs, seed=seed)),
-        "ours, no parameters": Wanted(
-            demonstrations=simulated, training=Training(epochs=epochs, seed=seed, conditioned_on=())
-        ),
-        "inverse": Wanted(
-            demonstrations=simulated,
-            training=Training(method="inverse", epochs=epochs, seed=seed),
-        ),
-        "inverse, no parameters": Wanted(
-            demonstrations=simulated,
-            training=Training(method="inverse", epochs=epochs, seed=seed, conditioned_on=()),
-        ),
-        "sim+real": Wanted(
-            demonstrations=simulated,
-            training=Training(epochs=epochs, seed=seed, finetune_epochs=settings.real_epochs),
-            finetune=everything,
-        ),
+    kept = bench.demonstrations(f"{task.name}-{name}", source, settings.real, device="cpu")
+    alike = likeness(known)
+    return replace(kept, parameters={n: np.full(len(kept), alike[n]) for n in PARAMETERS})
+
+
+def _ours(
+    bench: Workbench,
+    settings: RopeRealSettings,
+    simulated: Demonstrations,
+    real: Demonstrations,
+) -> dict[str, Policy]:
+    """Policies trained on simulations of all ropes, by row."""
+    from gendom.policies.train import Training
+
+    plain = Training(epochs=settings.epochs, seed=bench.seed)
+    inverse = replace(plain, method="inverse")
+    tuned = replace(plain, finetune_epochs=settings.finetune_epochs)
+    trainings = {
+        "ours": plain,
+        "ours, no parameters": replace(plain, conditioned_on=()),
+        "inverse": inverse,
+        "inverse, no parameters": replace(inverse, conditioned_on=()),
     }
+    wanted = {n: Wanted.suited(simulated, t, settings.steps) for n, t in trainings.items()}
+    wanted["sim+real"] = Wanted.suited(simulated, tuned, settings.steps, finetune=real)
+    return _named(bench, settings, wanted)
+
+
+def _baselines(
+    bench: Workbench, settings: RopeRealSettings, task: Task, real: Sequence[Demonstrations]
+) -> tuple[dict[str, Policy], dict[str, Any]]:
+    """Policies that see no parameters, trained on real demonstrations or on simulations with
+    R2S2R's parameters: by our method, and by the inverse one with the best of eight settings; and
+    what was searched."""
+    from gendom.policies.train import Training
+
+    everything = joined(joined(real[0], real[1]), real[2])
+    sets = {"pi_RD, ropes": everything, "pi_RD, rope": real[0]}
     searches: dict[str, Any] = {}
-    blind: dict[str, Demonstrations] = {"pi_RD, ropes": everything, "pi_RD, rope": real[0]}
-    for label, group in (("R2S2R, ropes", real), ("R2S2R, rope", real[:1])):
-        found = _identified(bench, task, label, group)
-        searches[label] = {"parameters": found.parameters, "misfit": found.misfit}
+    for row, group in (("R2S2R, ropes", real), ("R2S2R, rope", real[:1])):
+        found = _identified(bench, task, row, group)
+        searches[row] = {"parameters": found.parameters, "misfit": found.misfit}
         only = replace(task, item=with_likeness(task.item, found.parameters), ranges={})
-        name = f"{task.name}-{_slug(label)}"
-        blind[label] = bench.demonstrations(name, Demonstrator(task=only), settings.demonstrations)
-    for label, demonstrations in blind.items():
-        small = len(demonstrations) < FEW
-        ours[label] = Wanted(
-            demonstrations=demonstrations,
-            training=Training(
-                epochs=settings.real_epochs if small else epochs,
-                batch_size=32 if small else 256,
-                seed=seed,
-                conditioned_on=(),
-            ),
+        sets[row] = bench.demonstrations(
+            f"{task.name}-{row}", Demonstrator(task=only), settings.demonstrations
         )
-    made = bench.policies({f"{task.name}-{_slug(n)}": w for n, w in ours.items()})
-    policies = {n: made[f"{task.name}-{_slug(n)}"] for n in ours}
-    for label, demonstrations in blind.items():
-        policies[f"{label}, inverse"], searches[f"{label}, inverse"] = bench.best(
-            f"{task.name}-{_slug(label)}-inverse",
-            _inverse_search(
-                demonstrations, settings.real_epochs if len(demonstrations) < FEW else epochs, seed
+
+    plain = Training(epochs=settings.epochs, seed=bench.seed, conditioned_on=())
+
+    own = {row: Wanted.suited(some, plain, settings.steps) for row, some in sets.items()}
+    policies = _named(bench, settings, own)
+    tried = [
+        (
+            f"{architecture}-{share:g}-{decay:g}",
+            replace(
+                plain,
+                method="inverse",
+                architecture=architecture,
+                epochs=max(round(share * settings.epochs), 1),
+                weight_decay=decay,
             ),
+            round(share * settings.steps),
         )
+        for architecture in ("paper", "smooth")
+        for share in (0.33, 1.0)
+        for decay in (1e-4, 1e-2)
+    ]
+    for row, some in sets.items():
+        name = f"{row}, inverse"
+        search = {which: Wanted.suited(some, t, steps) for which, t, steps in tried}
+        policies[name], searches[name] = bench.best(f"{task.name}-{name}", search)
     return policies, searches
 
 
-def _inverse_search(demonstrations: Demonstrations, epochs: int, seed: int) -> dict[str, Wanted]:
-    """What a baseline's settings are chosen from."""
-    from gendom.policies.train import Training
-
-    small = len(demonstrations) < FEW
-    return {
-        f"{architecture}-{passes}-{decay:g}": Wanted(
-            demonstrations=demonstrations,
-            training=Training(
-                method="inverse",
-                conditioned_on=(),
-                architecture=architecture,
-                epochs=passes,
-                batch_size=32 if small else 256,
-                weight_decay=decay,
-                seed=seed,
-            ),
-        )
-        for architecture in ("paper", "smooth")
-        for passes in (max(epochs // 3, 1), epochs)
-        for decay in (1e-4, 1e-2)
-    }
+def _named(
+    bench: Workbench, settings: RopeRealSettings, wanted: dict[str, Wanted]
+) -> dict[str, Policy]:
+    """Policies by row, trained side by side; the task is part of their files' names."""
+    made = bench.policies({f"{settings.task}-{row}": one for row, one in wanted.items()})
+    return {row: made[f"{settings.task}-{row}"] for row in wanted}
 
 
 def _identified(
@@ -259,22 +251,13 @@ def _identified(
         return {"parameters": found.parameters, "misfit": found.misfit,
                 "executions": found.executions, "rollouts": found.rollouts}  # fmt: skip
 
-    return Identified(**bench.kept(f"{task.name}-{_slug(label)}", make))
+    return Identified(**bench.kept(f"{task.name}-{label}", make))
 
 
 def _like_stated(demonstrations: Demonstrations, task: Task) -> Item:
     """An object of the task's size with the parameters that demonstrations have."""
     own = {name: float(values[0]) for name, values in demonstrations.parameters.items()}
     return with_likeness(task.item, own)
-
-
-def _as_estimated(demonstrations: Demonstrations, item: Item) -> Demonstrations:
-    """With an object's parameters in place of the true ones."""
-    alike = likeness(item)
-    count = len(demonstrations)
-    return replace(
-        demonstrations, parameters={name: np.full(count, alike[name]) for name in PARAMETERS}
-    )
 
 
 def _seven(task: Task, policy: Policy, ropes: Sequence[Item]) -> Cases:
@@ -313,7 +296,7 @@ def _measured(
             return {"action": action.tolist(), "reached": _plain(found.reached),
                     "error": _plain(found.error)}  # fmt: skip
 
-        row = bench.kept(f"{cases.task.name}-{title}-{_slug(name)}", make)
+        row = bench.kept(f"{cases.task.name}-{title}-{name}", make)
         rows[name] = row["error"]
         return np.array(row["action"], dtype=float), np.array(row["reached"], dtype=float)
 
@@ -322,9 +305,12 @@ def _measured(
         for name, policy in policies.items()
     }
     true, _ = measure("ours, true parameters", lambda: choose(policies["ours"], cases))
-    assumed = [Belief.of(_middling(rope), known=_certain(cases.task, rope)) for rope in cases.items]
+    assumed = [
+        Belief.for_task(cases.task, _middling(rope)).doubting("E", WITHOUT_LIFT)
+        for rope in cases.items
+    ]
     blind, _ = done["ours, no parameters"]
-    measure("polished, no lift", lambda: _polished(bench, settings, cases, _wide(assumed), blind))
+    measure("polished, no lift", lambda: _polished(bench, settings, cases, assumed, blind))
     ours, reached = done["ours"]
     action, there = measure("polished", lambda: _polished(bench, settings, cases, held, ours))
     seen: list[list[Execution]] = [[] for _ in cases.items]
@@ -400,37 +386,9 @@ def _polished(
     return np.array([polished.action for polished in found])
 
 
-def _certain(task: Task, item: Item) -> list[str]:
-    return [n for n in PARAMETERS if n not in uncertain(task, item)]
-
-
 def _middling(rope: Item) -> Item:
     """A rope of these sizes and this mass of which nothing else is known."""
     return with_likeness(rope, {"E": 0.45, "damping": 0.02, "nu": 0.3})
-
-
-def _wide(beliefs: Sequence[Belief]) -> list[Belief]:
-    """With E as doubtful as it is before a lift: bending lengths of 0.25 to 0.7 sizes."""
-    found = []
-    for belief in beliefs:
-        names = ("E", *belief.names)
-        m = belief.item.material
-        mean = np.concatenate([[math.log(m.specific_modulus)], belief.mean])
-        sd = np.concatenate([[3.0 * math.log(0.7 / 0.25) / math.sqrt(12.0)], belief.sd])
-        found.append(replace(belief, names=names, mean=mean, covariance=np.diag(sd**2)))
-    return found
-
-
-def _stated(belief: Belief) -> dict[str, Any]:
-    columns = to_columns(belief.most_likely)
-    return {
-        name: {"mean": columns[PARAMETERS[name].column], "interval_90": belief.interval(name)}
-        for name in belief.names
-    }
-
-
-def _slug(name: str) -> str:
-    return name.lower().replace(", ", "-").replace(" ", "-").replace("+", "-and-")
 
 
 def _plain(values: Array) -> list[Any]:

@@ -18,6 +18,7 @@ from gendom.evaluation.tables.workbench import Wanted, Workbench
 from gendom.materials import Item, Material, Rope
 from gendom.policies import Policy
 from gendom.policies.adapt import Execution
+from gendom.policies.demonstrations import Demonstrations
 from gendom.policies.identify import IdentifySettings, identify, with_likeness
 from gendom.policies.polish import PolishSettings, polishing
 from gendom.policies.rollouts import side_by_side
@@ -46,6 +47,9 @@ ROPES = ((1779.38, 0.35), (3276.12, 0.346), (8000.31, 0.36))
 IDENTIFIED_FROM = 20
 """Executions that R2S2R finds its parameters from."""
 
+ARCHITECTURES = {"inverse": "paper", "distal": "smooth"}
+"""The paper's network for its method, ours for ours."""
+
 SEES: dict[str, tuple[str, ...]] = {"both": ("E", "nu"), "E": ("E",), "nu": ("nu",), "none": ()}
 
 
@@ -62,6 +66,10 @@ class SimulatedSettings:
     """Means are taken over the first so many."""
     seeds: int = 3
     """Trainings of each row."""
+    curve: tuple[int, ...] = (100, 300, 1000, 3000, 10_000)
+    """Demonstrations, fewer than all, that `ablation` also trains on."""
+    steps: int = 3000
+    """Of the optimiser in each training, at least."""
     damping: float = 0.001
     """Of all ropes [s]; of the MPM none, whose grid damps about as much."""
 
@@ -74,14 +82,15 @@ def ablation(bench: Workbench, settings: SimulatedSettings) -> dict[str, Any]:
         settings: How much.
 
     Returns:
-        JSON: rows with mean and standard deviation of the error for each number of goals.
+        JSON: rows with mean and standard deviation of the error for each number of goals, and
+        the same of policies that see both, by the number of demonstrations.
     """
     task, world = _task(settings, ABLATION_RANGES), _world(bench, settings)
     name = f"ablation-{task.name}-{settings.engine}"
     data = bench.demonstrations(name, Demonstrator(task=task, world=world), settings.demonstrations)
     wanted = {
         f"{method}, {sees}": _wanted(data, settings, method, SEES[sees], architecture)
-        for method, architecture in (("inverse", "paper"), ("distal", "smooth"))
+        for method, architecture in ARCHITECTURES.items()
         for sees in SEES
     }
     policies = _trained(bench, name, settings, wanted)
@@ -89,7 +98,31 @@ def ablation(bench: Workbench, settings: SimulatedSettings) -> dict[str, Any]:
     rows = _rows(bench, settings, policies, cases, world)
     polished = _polished(cases, policies["distal, both"][0], world)
     rows["polished, both"] = _figures(settings, [polished])
-    return {"rows": rows, "demonstrations": len(data)}
+    return {
+        "rows": rows,
+        "by_demonstrations": _curve(bench, settings, name, data, cases, world),
+        "demonstrations": len(data),
+    }
+
+
+def _curve(
+    bench: Workbench,
+    settings: SimulatedSettings,
+    name: str,
+    data: Demonstrations,
+    cases: Cases,
+    world: Simulation,
+) -> dict[str, Any]:
+    """Rows of policies that see both parameters, trained on the first demonstrations only."""
+    wanted = {
+        f"{method}, {count}": _wanted(
+            data.first(count), settings, method, SEES["both"], architecture
+        )
+        for method, architecture in ARCHITECTURES.items()
+        for count in settings.curve
+        if count < len(data)
+    }
+    return _rows(bench, settings, _trained(bench, name, settings, wanted), cases, world)
 
 
 def generalization(bench: Workbench, settings: SimulatedSettings) -> dict[str, Any]:
@@ -114,13 +147,13 @@ def generalization(bench: Workbench, settings: SimulatedSettings) -> dict[str, A
     ropes = [_rope(task.item, E, nu) for E, nu in ROPES]
     for label, group in (("R2S2R, three ropes", ropes), ("R2S2R, cotton rope", ropes[:1])):
         kept = bench.kept(
-            f"{name}-{_slug(label)}",
+            f"{name}-{label}",
             lambda group=group: _identified(bench, task, group, world),
         )
         found[label] = kept
         only = replace(task, item=with_likeness(task.item, kept["parameters"]), ranges={})
         own = bench.demonstrations(
-            f"{name}-{_slug(label)}-demonstrations",
+            f"{name}-{label}-demonstrations",
             Demonstrator(task=only, world=world),
             settings.demonstrations,
         )
@@ -178,12 +211,10 @@ def _wanted(
 ) -> Wanted:
     from gendom.policies.train import Training
 
-    return Wanted(
-        demonstrations=data,
-        training=Training(
-            method=method, conditioned_on=sees, architecture=architecture, epochs=settings.epochs
-        ),
+    training = Training(
+        method=method, conditioned_on=sees, architecture=architecture, epochs=settings.epochs
     )
+    return Wanted.suited(data, training, settings.steps)
 
 
 def _trained(
@@ -191,7 +222,7 @@ def _trained(
 ) -> dict[str, list[Policy]]:
     """Of each row, one policy a seed."""
     every = {
-        f"{name}-{_slug(row)}-{seed}": replace(one, training=replace(one.training, seed=seed))
+        f"{name}-{row}-{seed}": replace(one, training=replace(one.training, seed=seed))
         for row, one in wanted.items()
         for seed in range(bench.seed, bench.seed + settings.seeds)
     }
@@ -267,7 +298,3 @@ def _figures(settings: SimulatedSettings, errors: Sequence[Array]) -> dict[str, 
             "failed": int((~np.isfinite(some)).sum()),
         }
     return found
-
-
-def _slug(name: str) -> str:
-    return name.lower().replace(", ", "-").replace(" ", "-")

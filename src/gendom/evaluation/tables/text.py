@@ -37,7 +37,7 @@ def simulated_text(rows: Mapping[str, Any], paper: Mapping[str, float]) -> str:
     counts = list(next(iter(rows.values())))
     width = max(map(len, rows))
     head = "".join(f"{n + ' goals':>20}" for n in counts)
-    lines = [f"{'':<{width}}  {'paper':>6}{head}"]
+    lines = [f"{'':<{width}}  {'paper' if paper else '':>6}{head}"]
     for name, figures in rows.items():
         said = next((f"{v:.3f}" for key, v in paper.items() if _is_row(name, key)), "")
         cells = "".join(f"{f['mean']:>11.4f} +- {f['std']:.4f}" for f in figures.values())

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,12 @@ if TYPE_CHECKING:
     from gendom.policies.train import Training
 
 
+FEW = 1000
+"""Sets below this are trained on in batches of `SMALL_BATCH`."""
+
+SMALL_BATCH = 32
+
+
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
     """A policy to be trained."""
@@ -28,10 +35,30 @@ class Wanted:
     training: Training
     finetune: Demonstrations | None = None
 
+    @classmethod
+    def suited(
+        cls,
+        demonstrations: Demonstrations,
+        training: Training,
+        steps: int,
+        *,
+        finetune: Demonstrations | None = None,
+    ) -> Wanted:
+        """With batches for the number of demonstrations, and as many more passes over them as
+        `steps` of the optimiser need."""
+        size = SMALL_BATCH if len(demonstrations) < FEW else training.batch_size
+        taught = (1.0 - training.validation_share) * len(demonstrations)
+        epochs = max(training.epochs, math.ceil(steps / max(taught / size, 1.0)))
+        training = replace(training, batch_size=size, epochs=epochs)
+        return cls(demonstrations=demonstrations, training=training, finetune=finetune)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Workbench:
-    """A folder that keeps everything a table is made from, so that an interrupted one goes on."""
+    """A folder that keeps everything a table is made from, so that an interrupted one goes on.
+
+    Names of what is kept are for people; those of files follow from them.
+    """
 
     folder: Path
     device: str = "cpu"
@@ -44,7 +71,7 @@ class Workbench:
 
     def kept(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """The content of a JSON file, made if it is missing."""
-        path = self.folder / f"{name}.json"
+        path = self.folder / f"{_slug(name)}.json"
         if not path.exists():
             self.on_stage(name)
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -56,8 +83,9 @@ class Workbench:
     ) -> Demonstrations:
         """A set, simulated as far as it is missing."""
         self.on_stage(f"{name}: {size} demonstrations")
-        generate(source, size, self.folder / name, seed=self.seed, device=device or self.device)
-        return Demonstrations.read(self.folder / name)
+        folder = self.folder / _slug(name)
+        generate(source, size, folder, seed=self.seed, device=device or self.device)
+        return Demonstrations.read(folder)
 
     def policies(self, wanted: Mapping[str, Wanted]) -> dict[str, Policy]:
         """Policies by name, trained side by side unless they are there."""
@@ -93,7 +121,7 @@ class Workbench:
         return policies[f"{name}-{min(errors, key=lambda w: errors[w])}"], errors
 
     def _path(self, name: str) -> Path:
-        return self.folder / f"{name}.onnx"
+        return self.folder / f"{_slug(name)}.onnx"
 
     def _there(self, name: str, one: Wanted) -> Policy | None:
         try:
@@ -109,6 +137,10 @@ class Workbench:
         same = all(about.get(k) == (list(v) if isinstance(v, tuple) else v)
                    for k, v in wanted.items())  # fmt: skip
         return policy if same else None
+
+
+def _slug(name: str) -> str:
+    return name.lower().replace(", ", "-").replace(" ", "-").replace("+", "-and-")
 
 
 def _train(one: Wanted, path: str) -> None:
