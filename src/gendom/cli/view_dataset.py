@@ -19,6 +19,7 @@ from gendom.robot import XARM7, JointMotion, follow
 from gendom.robot.shape import arm_shape
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
+from gendom.viz.report.quantities import quantity_text
 from gendom.viz.viewer import (
     ACTION,
     MATERIAL,
@@ -32,7 +33,7 @@ from gendom.viz.viewer import (
 FRAMES = 160
 """That are shown of a motion, at most."""
 
-GOAL_COLOR, ARM_COLOR = "#009E73", "#9a9a9a"
+GOAL_COLOR, ARM_COLOR = "#009E73", "#d0d0d0"
 
 _RANGES = {"nu": (0.05, 0.45), "friction": (0.0, 1.5)}
 """Of parameters that a task does not draw, where differences count."""
@@ -139,7 +140,12 @@ class DatasetModel:
             facts.append(("action", f"{numbers}: the nearest that is allowed"))
         layers = self._layers(case, item, seen)
         scene = task.scene(item)
-        shown = {"times": seen.times - seen.times[0], "table_height": scene.table}
+        base = np.linalg.inv(task.T_world_task(item))[:3, 3]
+        shown = {
+            "times": seen.times - seen.times[0],
+            "table_height": scene.table,
+            "backdrop": base,
+        }
         yield ViewerScene(layers=layers, facts=tuple(facts), **shown)
         arm = self._arm(item, tuple(action))
         if isinstance(arm, str):
@@ -162,7 +168,7 @@ class DatasetModel:
 
     def _facts(self, case: int, item: Item, values: Mapping[str, float]) -> list[tuple[str, str]]:
         units = {q.name: q.unit for q in self.task.goals}
-        facts = [("E", f"{item.material.E:.4g} Pa")]
+        facts = [("E", quantity_text("youngs_modulus", item.material.E))]
         for name, value in values.items():
             unit = units.get(name, "1")
             facts.append(
@@ -222,6 +228,4 @@ def _arm_layer(motion: JointMotion, times: _Array, item: Item, T_world_task: _Ar
     T = np.linalg.inv(T_world_task)
     ends = np.stack([shape.start, shape.end], axis=-2) @ T[:3, :3].T + T[:3, 3]
     vertices, faces = capsules(ends, shape.radius)
-    return MeshLayer(
-        name="arm", color=ARM_COLOR, vertices=vertices, faces=faces, opacity=0.5, framed=False
-    )
+    return MeshLayer(name="arm", color=ARM_COLOR, vertices=vertices, faces=faces, framed=False)

@@ -17,7 +17,11 @@ _Array = NDArray[np.floating]
 
 
 def object_layer(
-    name: str, body: Body, points: _Array, lattice: tuple[int, int] | None
+    name: str,
+    body: Body,
+    points: _Array,
+    lattice: tuple[int, int] | None,
+    opacity: float = 1.0,
 ) -> MeshLayer:
     """A simulated rope or cloth.
 
@@ -26,6 +30,7 @@ def object_layer(
         body: The object.
         points: [T, n, 3] a rope's centre line, or a cloth's middle surface, row by row [m].
         lattice: A cloth's rows and points in a row; None: a rope.
+        opacity: Below 1 where something else is to be seen through it.
     """
     if lattice is not None:
         vertices, faces = points, lattice_triangles(*lattice)
@@ -35,7 +40,13 @@ def object_layer(
     else:  # the sections of particles
         links = np.stack([points[:, :-1], points[:, 1:]], axis=-2)
         vertices, faces = capsules(links, np.full(links.shape[1], 0.5 * body.thickness))
-    return MeshLayer(name=name, color=SIMULATED_COLOR, vertices=vertices, faces=faces)
+    return MeshLayer(
+        name=name,
+        color=SIMULATED_COLOR,
+        vertices=vertices,
+        faces=faces,
+        opacity=opacity,
+    )
 
 
 def gripper_layer(position: _Array, size: float, axis: _Array | None = None) -> MeshLayer:

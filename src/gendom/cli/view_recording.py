@@ -15,7 +15,8 @@ from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.estimation import UNKNOWNS, Scene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
-from gendom.viz.palette import RECORDED_COLOR
+from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
+from gendom.viz.report.quantities import length_text, quantity_text
 from gendom.viz.viewer import (
     MATERIAL,
     SETUP,
@@ -111,7 +112,7 @@ class RecordingModel:
         scene = self.scene
         columns, rows = lattice(scene)
         counts = None if scene.kind == "rope" else (len(rows), len(columns))
-        return object_layer("simulated", scene.body, middle(scene, x), counts)
+        return object_layer("simulated", scene.body, middle(scene, x), counts, SIMULATED_OPACITY)
 
 
 def find_recording(params: Mapping[str, Any], where: Path) -> Path:
@@ -171,7 +172,7 @@ def _parameters(scene: Scene, theta: Theta) -> tuple[Parameter, ...]:
 
 def _facts(scene: Scene, theta: Theta) -> tuple[tuple[str, str], ...]:
     modulus = theta.specific_modulus
-    facts = [("bending length", f"{1e3 * scene.bending_length(modulus):.3g} mm")]
+    facts = [("bending length", length_text(scene.bending_length(modulus)))]
     if scene.recording.object.mass is not None:
-        facts.insert(0, ("E", f"{modulus * scene.density:.4g} Pa"))
+        facts.insert(0, ("E", quantity_text("youngs_modulus", modulus * scene.density)))
     return tuple(facts)

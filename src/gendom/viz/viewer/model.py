@@ -7,10 +7,20 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from gendom.viz.report.quantities import with_minus
 from gendom.viz.viewer.scene import ViewerScene
 
 MATERIAL, ACTION, SETUP = "Material", "Action", "Grip and clock"
 """Groups of parameters."""
+
+_SHOWN = {
+    "1": (1.0, ""),
+    "m": (1e3, "mm"),
+    "s": (1e3, "ms"),
+    "m^2/s^2": (1.0, "m²/s²"),
+    "kg/m^3": (1.0, "kg/m³"),
+}
+"""SI unit -> what values are multiplied by, and the unit, to be read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +50,8 @@ class Parameter:
 
     def text(self, value: float) -> str:
         """A value with its unit."""
-        return f"{value:.4g}{'' if self.unit == '1' else ' ' + self.unit}"
+        factor, unit = _SHOWN.get(self.unit, (1.0, self.unit))
+        return with_minus(f"{factor * value:.3g} {unit}".rstrip())
 
 
 class Model(Protocol):

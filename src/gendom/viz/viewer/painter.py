@@ -15,6 +15,9 @@ FIELD_OF_VIEW = math.radians(35.0)
 """Of the camera, upwards."""
 
 _TURN, _TILT = math.radians(25.0), math.radians(18.0)
+_NARROW = 0.8
+"""Width over height of a window below which the panel lies below what is shown."""
+
 _SQUARES = 10
 """Of the table's grid along the longer side of what is shown."""
 
@@ -145,13 +148,12 @@ def camera_of(scene: ViewerScene, aspect: float = 1.0) -> tuple[Array, Array]:
     low, high = scene.box
     middle, (x, y, _) = 0.5 * (low + high), high - low
     turn = (-0.5 * math.pi if x >= y else 0.0) + _TURN
-    direction = np.array(
-        [
-            math.cos(turn) * math.cos(_TILT),
-            math.sin(turn) * math.cos(_TILT),
-            math.sin(_TILT),
-        ]
-    )
+    towards = np.array([math.cos(turn), math.sin(turn), 0.0])
+    if scene.backdrop is not None and towards @ (scene.backdrop - middle) > 0.0:
+        towards = -towards
+    direction = math.cos(_TILT) * towards + math.sin(_TILT) * np.array([0.0, 0.0, 1.0])
     radius = 0.5 * float(np.linalg.norm(high - low)) + 1e-3
     away = 1.05 * radius / math.sin(0.5 * FIELD_OF_VIEW) / min(aspect, 1.0)
+    if aspect < _NARROW:  # the panel covers the lower part
+        middle = middle - [0.0, 0.0, 0.6 * away * math.tan(0.5 * FIELD_OF_VIEW)]
     return middle + away * direction, middle

@@ -32,7 +32,7 @@ def write_rrd(path: str | os.PathLike, scene: ViewerScene, *, title: str) -> Non
         stream.send_recording_name(title)
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for name, value in scene.facts:
-            stream.log(f"facts/{name}", rr.TextDocument(value), static=True)
+            stream.log(["facts", name], rr.TextDocument(value), static=True)
         _log_table(stream, scene)
         for t, time in enumerate(scene.times):
             stream.set_time("time", duration=float(time))
@@ -53,9 +53,9 @@ def _log_frame(stream: rr.RecordingStream, scene: ViewerScene, t: int) -> None:
                 triangle_indices=layer.faces,
                 albedo_factor=(*rgb(layer.color), round(255 * layer.opacity)),
             )
-        stream.log(f"world/{layer.name}", shape)
+        stream.log(["world", layer.name], shape)
     for name, values in scene.curves.items():
-        stream.log(f"curves/{name}", rr.Scalars(float(values[t])))
+        stream.log(["curves", name], rr.Scalars(float(values[t])))
 
 
 def _log_table(stream: rr.RecordingStream, scene: ViewerScene) -> None:

@@ -80,6 +80,8 @@ class ViewerScene:
     """[T] each: numbers over time, by name and unit."""
     facts: tuple[tuple[str, str], ...] = ()
     """Names and values to read."""
+    backdrop: Array | None = None
+    """[3] a place that the camera is to see behind everything else [m]; None: any."""
 
     def __post_init__(self) -> None:
         T = len(self.times)

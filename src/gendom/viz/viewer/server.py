@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import html
 import io
+import math
 import socket
 import threading
 import time
@@ -17,6 +18,7 @@ from viser import uplot
 
 from gendom.errors import GendomError
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR, rgb
+from gendom.viz.plot import nice_step
 from gendom.viz.viewer.model import Model, Parameter
 from gendom.viz.viewer.painter import FIELD_OF_VIEW, Painter, camera_of, square_size
 from gendom.viz.viewer.resimulation import Resimulation
@@ -35,8 +37,13 @@ _SHORTEST = 3.0
 _RATE = 25.0
 """Frames that are played in a second, at most."""
 
-_POSITIONS = 400
-"""Of a parameter's slider."""
+_POSITIONS = 200
+"""Of a parameter's slider, at least."""
+
+_SIMULATED = "simulated"
+
+_DIGIT = 0.01
+"""Step of a logarithmic slider [decades]."""
 
 
 class _Server(viser.ViserServer):
@@ -67,7 +74,7 @@ class Viewer:
         self._setting = False
         self._closed = threading.Event()
         with _silent():
-            self._server = _Server(HOST, free_port(port), label=model.title)
+            self._server = _Server(HOST, free_port(port), label=model.title, verbose=False)
         self._painter = Painter(self._server.scene)
         self._server.initial_camera.fov = FIELD_OF_VIEW
         self._camera_set = False
@@ -121,6 +128,12 @@ class Viewer:
         """Move the slider of time."""
         self._time.value = frame
 
+    def play(self, playing: bool) -> None:
+        """Let time run, or stop it."""
+        self._playing = playing
+        self._button.label = "Pause" if playing else "Play"
+        self._button.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
+
     def set_case(self, case: int) -> None:
         """Go to another case."""
         with self._lock:
@@ -129,9 +142,8 @@ class Viewer:
             for p in self._model.parameters(case):
                 self._parameters[p.name] = p
                 slider = self._sliders[p.name]
-                low, high = _ends(p)
-                slider.min, slider.max, slider.step = low, high, (high - low) / _POSITIONS
-                slider.value = min(max(p.position(p.value), low), high)
+                slider.min, slider.max, slider.step = _range(p)
+                slider.value = _start(p)
                 slider.label = _label(p, p.value)
             self._setting = False
         self._ask()
@@ -174,10 +186,12 @@ class Viewer:
         with gui.add_folder("Time"):
             self._time = gui.add_slider("frame", 0, 1, 1, 0)
             self._time.on_update(lambda _: self._paint())
-            self._playing = gui.add_checkbox("play", False)
+            self._playing = False
+            self._button = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
+            self._button.on_click(lambda _: self.play(not self._playing))
             self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
             self._chart: viser.GuiUplotHandle | None = None
-            self._chart_folder = gui.add_folder("Curves", visible=False)
+            self._chart_folder = gui.add_folder(None, visible=False)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
         groups = dict.fromkeys(p.group for p in self._parameters.values())
         for group in groups:
@@ -191,14 +205,12 @@ class Viewer:
         self._layers: dict[str, viser.GuiCheckboxHandle] = {}
 
     def _add_slider(self, p: Parameter) -> viser.GuiSliderHandle:
-        low, high = _ends(p)
         slider = self._server.gui.add_slider(
             _label(p, p.value),
-            low,
-            high,
-            (high - low) / _POSITIONS,
-            min(max(p.position(p.value), low), high),
-            hint=f"{p.meaning}{', logarithmic' if p.log else ''}",
+            *_range(p),
+            _start(p),
+            marks=_marks(p) if p.log else None,
+            hint=f"{p.meaning}{'; the number is its logarithm to base 10' if p.log else ''}",
         )
 
         def moved(_: Any) -> None:
@@ -213,7 +225,7 @@ class Viewer:
     def _value(self, name: str) -> float:
         """Of a parameter; exactly that which it began with where its slider was not moved."""
         p, position = self._parameters[name], self._sliders[name].value
-        return p.value if position == p.position(p.value) else p.at(position)
+        return p.value if position == _start(p) else p.at(position)
 
     def _ask(self) -> None:
         self._resimulation.ask(self._case, {name: self._value(name) for name in self._sliders})
@@ -252,7 +264,12 @@ class Viewer:
                 for client in self._server.get_clients().values():
                     self._place_camera(client)
         if seconds > 0.0:
-            self._say(f"simulated in {seconds:.2f} s")
+            done = self._status_text.startswith(_SIMULATED)
+            self._say(
+                f"{self._status_text}, the rest after {seconds:.2f} s"
+                if done
+                else f"{_SIMULATED} in {seconds:.2f} s"
+            )
 
     def _offer_layers(self, scene: ViewerScene) -> None:
         for layer in scene.layers:
@@ -299,14 +316,12 @@ class Viewer:
             legend = ""
             if scene is not None:
                 t = self._frame_of(scene)
-                rows.append(
-                    ("time", f"{scene.times[t]:.2f} s, frame {t + 1} of {scene.num_frames}")
-                )
+                rows.append(("time", f"{scene.times[t]:.2f} s of {scene.times[-1]:.2f} s"))
                 for name, values in scene.curves.items():
                     rows.append((name, f"{values[t]:.1f} now, {np.mean(values):.1f} on average"))
                 rows += scene.facts
                 if scene.table_height is not None:
-                    rows.append(("squares", f"{1e3 * square_size(scene):g} mm"))
+                    rows.append(("squares of table", f"{1e3 * square_size(scene):g} mm"))
                 legend = " ".join(
                     f'<span style="white-space:nowrap"><span style="color:{layer.color}">●</span> '
                     f"{html.escape(layer.name)}</span>"
@@ -341,13 +356,13 @@ class Viewer:
                     self._read()
 
     def _play(self) -> None:
-        """Move the slider of time while the box is ticked, from the end to the beginning."""
+        """Move the slider of time while it runs, from the end to the beginning."""
         last, clock = time.monotonic(), 0.0
         while not self._closed.wait(1.0 / _RATE):
             now = time.monotonic()
             passed, last = now - last, now
             scene = self._scene
-            if not self._playing.value or scene is None:
+            if not self._playing or scene is None:
                 continue
             if scene.frame_at(clock) != self._frame_of(scene):  # somebody moved the slider
                 clock = float(scene.times[self._frame_of(scene)])
@@ -374,7 +389,7 @@ def encode_html(scene: ViewerScene) -> str:
         GendomError: No port is free; one is needed while the page is made.
     """
     with _silent():
-        server = _Server(HOST, free_port(0))
+        server = _Server(HOST, free_port(0), verbose=False)
     try:
         painter = Painter(server.scene)
         where, at = camera_of(scene)
@@ -421,10 +436,28 @@ def free_port(first: int) -> int:
     )
 
 
-def _ends(p: Parameter) -> tuple[float, float]:
-    """Of a parameter's slider."""
+def _range(p: Parameter) -> tuple[float, float, float]:
+    """Lowest and highest position of a parameter's slider, and its step: round numbers."""
     low, high = p.position(p.low), p.position(p.high)
-    return low, max(high, low + 1e-9)
+    step = _DIGIT if p.log else nice_step(max(high - low, 1e-9) / _POSITIONS) / 2.0
+    first, last = math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)
+    digits = max(0, 2 - math.floor(math.log10(step)))
+    return round(first * step, digits), round(max(last, first + 1) * step, digits), step
+
+
+def _start(p: Parameter) -> float:
+    """Where a parameter's slider stands at first."""
+    low, high, step = _range(p)
+    return min(max(low + round((p.position(p.value) - low) / step) * step, low), high)
+
+
+def _marks(p: Parameter) -> tuple[tuple[float, str], ...]:
+    """Round values along a logarithmic slider."""
+    low, high, _ = _range(p)
+    multiples = (1, 2, 5) if high - low < 2.0 else (1,)
+    values = [m * 10.0**k for k in range(math.floor(low), math.ceil(high) + 1) for m in multiples]
+    marks = [(math.log10(value), f"{value:g}") for value in values]
+    return tuple((at, text) for at, text in marks if low <= at <= high)
 
 
 def _label(p: Parameter, value: float) -> str:
