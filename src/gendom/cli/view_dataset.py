@@ -192,7 +192,8 @@ class DatasetModel:
         goal = self._goal(case)
         if goal is not None:
             mark = goal_mark(goal, seen)
-            vertices, faces = capsules(mark[[0, -1]][None, None], [0.015 * size_of(item)])
+            share = 0.015 if len(mark) == 1 else 0.006
+            vertices, faces = capsules(mark[[0, -1]][None, None], [share * size_of(item)])
             layers.append(MeshLayer(name="goal", color=GOAL_COLOR, vertices=vertices, faces=faces))
         return tuple(layers)
 

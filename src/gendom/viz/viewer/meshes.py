@@ -12,13 +12,16 @@ _LATITUDES = np.concatenate([np.linspace(0.0, 0.5, 5), np.linspace(0.5, 1.0, 5)]
 
 
 def tube_faces(rings: int, sides: int) -> NDArray[np.integer]:
-    """[F, 3] triangles of a closed tube: rings of vertices one after another, and its two ends."""
+    """[F, 3] triangles of a closed tube: rings of vertices one after another, and its two ends.
+
+    They are counter-clockwise from outside where rings are so, seen from the last one.
+    """
     at = np.arange(rings * sides).reshape(rings, sides)
     a, b = at[:-1], at[1:]
     c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
     fan = [[0, k, k + 1] for k in range(1, sides - 1)]
-    faces = [np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]
-    ends = [at[0][fan], at[-1][fan][:, ::-1]]
+    faces = [np.stack([a, c, b], axis=-1), np.stack([a, d, c], axis=-1)]
+    ends = [at[0][fan][:, ::-1], at[-1][fan]]
     return np.concatenate([f.reshape(-1, 3) for f in (*faces, *ends)])
 
 
