@@ -18,7 +18,7 @@ from gendom.cli.view_recording import CHAMFER, RecordingModel, find_recording
 from gendom.errors import GendomError, SimulationError
 from gendom.estimation import Scene, Theta, chamfers, replay
 from gendom.files import write_json
-from gendom.viz.viewer import MATERIAL, MeshLayer, PointLayer
+from gendom.viz.viewer import MATERIAL, MeshLayer
 
 
 def layers(scene):
@@ -110,6 +110,7 @@ def test_a_cloth_is_a_lattice_and_says_that_it_takes_longer(cloth_lift):
     seen = cloth_lift.at_rest(4)
     model = RecordingModel(Scene.of(seen, cloth_lift.settings), cloth_lift.truth, "")
     cloth = layers(shown(model)[0])["simulated"]
+    assert isinstance(cloth, MeshLayer)
     rows, columns = model.scene.body.shape
     assert len(cloth.faces) == 2 * (rows - 1) * (columns - 1)
     assert "longer" in model.notes[0] and "yaw" in {p.name for p in model.parameters(0)}
@@ -201,7 +202,7 @@ def casts_model(casts):
 def test_a_demonstration_is_simulated_as_it_was(casts_model):
     """Its own action and parameters reach its own goal."""
     assert casts_model.cases == ("demonstration", 3)
-    before, after = shown(casts_model, 1)
+    before, after = shown(casts_model, 1)  # no other test plans its arm before
     assert list(layers(before)) == ["object", "gripper", "goal"]
     assert list(layers(after)) == ["object", "gripper", "goal", "arm"]
     assert len(after.times) <= FRAMES and after.times[0] == 0.0
@@ -215,6 +216,15 @@ def test_the_arm_s_fingers_are_where_the_rope_is_held(casts_model):
     away = np.linalg.norm(found["arm"].vertices - hand[:, None], axis=-1).min(axis=1)
     assert away.max() < 0.05
     assert not found["arm"].framed
+
+
+def test_the_arm_stays_while_only_the_material_changes(casts_model):
+    """It is planned once for a path, and then shown at once."""
+    shown(casts_model)
+    (scene,) = shown(casts_model, poissons_ratio=0.25)
+    assert "arm" in layers(scene)
+    before, _ = shown(casts_model, way=0.15)
+    assert "arm" not in layers(before)
 
 
 def test_another_action_and_stiffness_go_elsewhere(casts_model):
@@ -305,7 +315,3 @@ def test_it_prints_its_address_and_ends_with_ctrl_c(params):
     process.send_signal(signal.SIGINT)
     rest, said = process.communicate(timeout=30.0)
     assert (process.returncode, rest, said) == (0, "", "")
-
-
-def test_clouds_are_points():
-    assert PointLayer(name="a", color="#000000", points=[], radius=1.0).all_points().shape == (0, 3)

@@ -5,6 +5,7 @@ import math
 import socket
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,13 +60,18 @@ class Square:
         self.simulated = []
 
     def parameters(self, case):
-        shared = {"unit": "m", "meaning": "its height", "group": MATERIAL}
-        return (
-            Parameter(
-                name="height", label="height", low=0.0, high=0.1, value=0.02 * case, **shared
-            ),
-            Parameter(name="E", label="E", low=1.0, high=1e4, value=123.0, log=True, **shared),
+        height = Parameter(
+            name="height",
+            label="height",
+            unit="m",
+            meaning="of the square",
+            group=MATERIAL,
+            low=0.0,
+            high=0.1,
+            value=0.02 * case,
         )
+        E = replace(height, name="E", label="E", low=1.0, high=1e4, value=123.0, log=True)
+        return height, E
 
     def simulate(self, case, values, go_on):
         if values["height"] > 0.09:
@@ -237,6 +243,13 @@ def test_a_slider_simulates_again(viewer):
     assert viewer.wait(10.0)
     assert viewer.scene.curves["height [mm]"][0] == pytest.approx(50.0)
     assert viewer.status.startswith("simulated in ")
+
+
+def test_the_chart_stays_until_there_is_another(viewer):
+    """Nothing jumps while a slider is dragged."""
+    scene = ViewerScene(times=TIMES, layers=(cloud(), square(0.01)), table_height=0.0)
+    viewer._take(scene, 0.01)
+    assert viewer._chart_folder.visible and "height [mm]</td><td>…" in viewer._readout.content
 
 
 def test_a_parameter_that_nobody_moved_keeps_all_its_digits(viewer):

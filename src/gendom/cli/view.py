@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +17,8 @@ from gendom.files import atomic_path, check_file
 
 if TYPE_CHECKING:
     from gendom.viz.viewer import Model, ViewerScene
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +79,7 @@ class Command:
         viewer = Viewer(model, case=self._case(model), port=self.port)
         try:
             if self.port not in (0, viewer.port):
-                print(f"port {self.port} is taken")
+                _log.warning("port %d is taken", self.port)
             print(f"{model.title}: {viewer.url} (Ctrl-C ends it)", flush=True)
             viewer.serve()
         finally:

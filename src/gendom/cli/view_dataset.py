@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from gendom.cli.view_layers import gripper_layer, object_layer
 from gendom.datasets.demonstrations import GOAL, load, read_description
 from gendom.errors import DatasetError, RobotError, SimulationError
 from gendom.materials import PARAMETERS, Item, from_columns, size_of, thickness_of, to_columns
-from gendom.robot import XARM7, JointMotion, follow
+from gendom.robot import XARM7, JointMotion, TcpPath, follow
 from gendom.robot.shape import arm_shape
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
@@ -76,7 +75,7 @@ class DatasetModel:
         self.cases = ("demonstration", len(self._rows))
         cloth = self.task.kind == "cloth"
         self.notes = ("A cloth takes seconds to simulate.",) if cloth else ()
-        self._arm = lru_cache(8)(self._plan_arm)
+        self._planned: dict[tuple, JointMotion | str] = {}
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
         """The action within its limits, and the object's parameters within those drawn."""
@@ -146,8 +145,10 @@ class DatasetModel:
             "table_height": scene.table,
             "backdrop": base,
         }
-        yield ViewerScene(layers=layers, facts=tuple(facts), **shown)
-        arm = self._arm(item, tuple(action))
+        path = task.tool_path(item, action)
+        if _key(path) not in self._planned:
+            yield ViewerScene(layers=layers, facts=tuple(facts), **shown)
+        arm = self._arm(path, item)
         if isinstance(arm, str):
             facts.append(("arm", arm))
         else:
@@ -197,21 +198,28 @@ class DatasetModel:
             layers.append(MeshLayer(name="goal", color=GOAL_COLOR, vertices=vertices, faces=faces))
         return tuple(layers)
 
-    def _plan_arm(self, item: Item, action: tuple[float, ...]) -> JointMotion | str:
-        """The arm's motion that carries out an action, or why there is none."""
-        path = self.task.tool_path(item, np.array(action))
+    def _arm(self, path: TcpPath, item: Item) -> JointMotion | str:
+        """The arm's motion along a path, or why there is none; that of the last one is kept, since
+        objects of one size have the same."""
+        key = _key(path)
+        if key not in self._planned:
+            self._planned = {key: self._plan(path, item)}
+        return self._planned[key]
+
+    def _plan(self, path: TcpPath, item: Item) -> JointMotion | str:
+        moved = path.moved(self.task.T_world_task(item))
         try:
-            motion = follow(
-                XARM7,
-                path.moved(self.task.T_world_task(item)),
-                slow_down=True,
-                opening=thickness_of(item),
-            )
+            motion = follow(XARM7, moved, slow_down=True, opening=thickness_of(item))
         except RobotError as error:
             return error.what
         if motion.slowed_by > _LATE:
             return f"it would take {motion.slowed_by:.2g} times as long"
         return motion
+
+
+def _key(path: TcpPath) -> tuple[bytes, ...]:
+    """The same for the same path alone."""
+    return tuple(a.tobytes() for a in (path.time, path.position, path.quat_xyzw))
 
 
 def _thinned(seen: Observed) -> Observed:

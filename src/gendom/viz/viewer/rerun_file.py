@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
+import rerun as rr  # pyright: ignore[reportMissingImports]
+import rerun.blueprint as rrb  # pyright: ignore[reportMissingImports]
 
 from gendom.files import atomic_path
 from gendom.viz.palette import TABLE_FILL, rgb

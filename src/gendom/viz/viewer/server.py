@@ -190,6 +190,7 @@ class Viewer:
             self._button = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
             self._button.on_click(lambda _: self.play(not self._playing))
             self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
+            self._curves: tuple[str, ...] = ()
             self._chart: viser.GuiUplotHandle | None = None
             self._chart_folder = gui.add_folder(None, visible=False)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
@@ -285,9 +286,11 @@ class Viewer:
             box.visible = name in names
 
     def _draw_curves(self, scene: ViewerScene) -> None:
-        self._chart_folder.visible = bool(scene.curves)
+        """Those of before stay until there are others."""
         if not scene.curves:
             return
+        self._curves = tuple(scene.curves)
+        self._chart_folder.visible = True
         data = tuple(np.asarray(a, dtype=float) for a in (scene.times, *scene.curves.values()))
         if self._chart is not None:
             self._chart.data = data
@@ -317,8 +320,12 @@ class Viewer:
             if scene is not None:
                 t = self._frame_of(scene)
                 rows.append(("time", f"{scene.times[t]:.2f} s of {scene.times[-1]:.2f} s"))
-                for name, values in scene.curves.items():
-                    rows.append((name, f"{values[t]:.1f} now, {np.mean(values):.1f} on average"))
+                for name in self._curves:
+                    values = scene.curves.get(name)
+                    told = (
+                        "…" if values is None else f"{values[t]:.1f} now, {values.mean():.1f} mean"
+                    )
+                    rows.append((name, told))
                 rows += scene.facts
                 if scene.table_height is not None:
                     rows.append(("squares of table", f"{1e3 * square_size(scene):g} mm"))
