@@ -58,6 +58,7 @@ class Square:
     def __init__(self, seconds=0.0):
         self.seconds = seconds
         self.simulated = []
+        self.asked = []
 
     def parameters(self, case):
         height = Parameter(
@@ -74,6 +75,7 @@ class Square:
         return height, E
 
     def simulate(self, case, values, go_on):
+        self.asked.append(case)
         if values["height"] > 0.09:
             raise GendomError("is too high", where="height")
         until = time.monotonic() + self.seconds
@@ -217,6 +219,7 @@ def test_faults_are_told_and_the_next_wish_is_served(run, caplog):
 def test_closing_does_not_wait_for_a_simulation(run):
     made, _, _ = run(Square(seconds=30.0))
     made.ask(0, {"height": 0.01})
+    assert not made.wait(0.2)
     began = time.monotonic()
     made.close()
     assert time.monotonic() - began < 2.0
@@ -274,6 +277,7 @@ def test_another_case_has_its_own_parameters(viewer):
     viewer.set_case(2)
     assert viewer.wait(10.0)
     assert viewer._model.simulated[-1] == {"height": 0.04, "E": 123.0}
+    assert viewer._model.asked[-1] == 2
 
 
 def test_playing_goes_on_until_it_is_stopped(viewer):
@@ -346,7 +350,7 @@ def until(browser, expression, seconds=60.0):
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-def test_the_page_shows_and_obeys(viewer, browser, width):
+def test_the_page_shows_and_obeys(viewer, browser, width, capfd):
     """It is drawn without errors, asks for nothing from elsewhere, and its sliders act."""
     browser.open(viewer.url + "/", width=width)
     text = "document.body.textContent"
@@ -368,6 +372,7 @@ def test_the_page_shows_and_obeys(viewer, browser, width):
             browser.settle()
     assert browser.errors == []
     assert [a for a in browser.requested if not a.startswith((viewer.url, "blob:"))] == []
+    assert capfd.readouterr().out == ""
 
 
 # ---- files ---------------------------------------------------------------------------------------

@@ -61,8 +61,6 @@ class DatasetModel:
 
     def __init__(self, folder: Path):
         about = read_description(folder)
-        self.task: Task = rebuild(about["task"])
-        self._rows = load(folder, part=True).to_pylist()
         made = dict(about["simulation"])
         if made.pop("world", None) is not None:
             raise DatasetError(
@@ -71,6 +69,8 @@ class DatasetModel:
                 fix="give a set that gendom dataset made without --world reality",
             )
         self._world = Simulation(everything=True, **made)
+        self.task: Task = rebuild(about["task"])
+        self._rows = load(folder, part=True).to_pylist()
         self.title = f"{folder.name or folder}: {self.task.name}"
         self.cases = ("demonstration", len(self._rows))
         cloth = self.task.kind == "cloth"
