@@ -242,7 +242,7 @@ class Viewer:
     def _take(self, scene: ViewerScene, seconds: float) -> None:
         """Show a scene in place of another one, at the same time if it has that."""
         with self._lock:
-            before, first = self._scene, self._time.max == 1 and self._time.value == 0
+            before, first = self._scene, not self._camera_set
             time_shown = 0.0 if before is None else float(before.times[self._frame_of(before)])
             self._scene = scene
             with self._server.atomic():
