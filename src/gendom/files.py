@@ -22,7 +22,19 @@ import numpy as np
 
 from gendom.errors import GendomError
 
-FILES = (".csv", ".gif", ".html", ".json", ".mp4", ".npz", ".onnx", ".parquet", ".toml", ".zip")
+FILES = (
+    ".csv",
+    ".gif",
+    ".html",
+    ".json",
+    ".mp4",
+    ".npz",
+    ".onnx",
+    ".parquet",
+    ".rrd",
+    ".toml",
+    ".zip",
+)
 """What no folder's name ends in."""
 
 LEAST_ROOM = 1 << 16

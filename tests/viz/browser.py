@@ -28,6 +28,16 @@ FLAGS = (
 )
 
 
+WEBGL_FLAGS = (
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    # whatever is elsewhere cannot be found
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+)
+"""For pages that draw with WebGL, in place of `--disable-gpu`."""
+
+
 def find_browser() -> str | None:
     """Path of a browser, or None."""
     return next((found for name in NAMES if (found := shutil.which(name))), None)
@@ -37,12 +47,19 @@ class Browser:
     """One page at a time; collects what it logs and asks the network for.
 
     The protocol goes over file descriptors 3 (in) and 4 (out): no port, no packages.
+
+    Args:
+        program: The browser.
+        profile: Folder for its files.
+        webgl: Whether pages can draw with WebGL, in software.
     """
 
-    def __init__(self, program: str, profile: Path):
+    def __init__(self, program: str, profile: Path, *, webgl: bool = False):
         to_browser, self._commands = os.pipe()
         self._answers, from_browser = os.pipe()
         flags = [*FLAGS, f"--user-data-dir={profile}"]
+        if webgl:
+            flags = [flag for flag in flags if flag != "--disable-gpu"] + [*WEBGL_FLAGS]
         # a shell moves the pipes to the descriptors that the browser expects
         redirect = f'exec "$0" "$@" 3<&{to_browser} 4>&{from_browser}'
         self._process = subprocess.Popen(
@@ -58,6 +75,8 @@ class Browser:
         self._session: str | None = None
         self.logged: list[str] = []
         """Errors and warnings of the console, and uncaught exceptions."""
+        self.errors: list[str] = []
+        """Those of them that are no warnings."""
         self.requested: list[str] = []
         """Addresses other than the page's own file and what is inside it."""
         self._loaded = False
@@ -78,14 +97,15 @@ class Browser:
             self._process.wait()
         os.close(self._answers)
 
-    def open(self, path: Path, *, width: int, height: int = 900, dark: bool = False) -> None:
-        """Load a file in a window of a size [CSS pixels]."""
+    def open(self, page: Path | str, *, width: int, height: int = 900, dark: bool = False) -> None:
+        """Load a file, or an address, in a window of a size [CSS pixels]."""
         self.resize(width, height)
         features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.call("Emulation.setEmulatedMedia", features=features)
-        self._address = path.resolve().as_uri()
+        self._address = page if isinstance(page, str) else page.resolve().as_uri()
         self._loaded = False
         self.logged.clear()
+        self.errors.clear()
         self.requested.clear()
         self.call("Page.navigate", url=self._address)
         until = time.monotonic() + 60.0
@@ -155,12 +175,18 @@ class Browser:
         if event == "Page.loadEventFired":
             self._loaded = True
         elif event == "Runtime.exceptionThrown":
-            self.logged.append(json.dumps(params["exceptionDetails"])[:500])
-        elif event == "Runtime.consoleAPICalled" and params["type"] in ("error", "warning"):
-            self.logged.append(json.dumps(params["args"])[:500])
-        elif event == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):
-            self.logged.append(params["entry"]["text"])
+            self._log("error", json.dumps(params["exceptionDetails"])[:500])
+        elif event == "Runtime.consoleAPICalled":
+            self._log(params["type"], json.dumps(params["args"])[:500])
+        elif event == "Log.entryAdded":
+            self._log(params["entry"]["level"], params["entry"]["text"])
         elif event == "Network.requestWillBeSent":
             address = params["request"]["url"]
             if address != self._address and not address.startswith("data:"):
                 self.requested.append(address)
+
+    def _log(self, level: str, text: str) -> None:
+        if level in ("error", "warning"):
+            self.logged.append(text)
+        if level == "error":
+            self.errors.append(text)

@@ -27,6 +27,7 @@ COMMANDS = {
     "demo": ("gendom.cli.demo", "a recorded lift, the estimate, an action and what it reaches"),
     "estimate": ("gendom.cli.estimate", "Young's modulus and Poisson's ratio from a recording"),
     "replay": ("gendom.cli.replay", "simulate a recorded motion and compare it with the clouds"),
+    "view": ("gendom.cli.view", "look at a recording or demonstrations, and simulate them again"),
     "act": ("gendom.cli.act", "the action that reaches a goal with a given object"),
     "adapt": ("gendom.cli.adapt", "learn parameters from what actions have reached"),
     "dataset": ("gendom.cli.dataset", "simulate demonstrations"),
@@ -53,6 +54,8 @@ _EXTRAS = {
     "cv2": "camera",
     "gymnasium": "reality",
     "ray": "cluster",
+    "viser": "viz",
+    "rerun": "rerun",
 }
 
 

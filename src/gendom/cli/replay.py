@@ -154,8 +154,13 @@ def replay_setup(
     if not same:
         theta, said = _found_anew(scene, theta)
         notes += said
+    return of_all_frames(replace(scene, notes=notes), recording), theta
+
+
+def of_all_frames(scene: Scene, recording: Recording) -> Scene:
+    """A scene with every frame of its recording, or of a longer one of the same motion."""
     every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
-    return replace(scene, recording=recording, frames=every, notes=notes), theta
+    return replace(scene, recording=recording, frames=every)
 
 
 def _theta(params: Mapping[str, Any]) -> Theta:

@@ -1,0 +1,240 @@
+"""A set of demonstrations for the viewer: each one's object, action and goal, simulated again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.cli.pictures import goal_mark
+from gendom.cli.view_layers import gripper_layer, object_layer
+from gendom.datasets.demonstrations import GOAL, load, read_description
+from gendom.errors import DatasetError, RobotError, SimulationError
+from gendom.materials import PARAMETERS, Item, from_columns, size_of, thickness_of, to_columns
+from gendom.robot import XARM7, JointMotion, TcpPath, follow
+from gendom.robot.shape import arm_shape
+from gendom.tasks import Observed, Task, rebuild
+from gendom.tasks.world import Simulation
+from gendom.viz.report.quantities import quantity_text
+from gendom.viz.viewer import (
+    ACTION,
+    MATERIAL,
+    Layer,
+    MeshLayer,
+    Parameter,
+    ViewerScene,
+    capsules,
+)
+
+FRAMES = 160
+"""That are shown of a motion, at most."""
+
+GOAL_COLOR, ARM_COLOR = "#009E73", "#d0d0d0"
+
+_RANGES = {"nu": (0.05, 0.45), "friction": (0.0, 1.5)}
+"""Of parameters that a task does not draw, where differences count."""
+
+_FACTOR = 3.0
+"""How far from its value such a parameter goes, where ratios count."""
+
+_LATE = 1.02
+"""How many times longer than asked for the arm may take and still be shown."""
+
+_Array = NDArray[np.float64]
+
+
+class DatasetModel:
+    """Demonstrations of a set, one at a time, with other actions and parameters on request.
+
+    Args:
+        folder: Written by ``gendom dataset``; it need not be finished.
+
+    Raises:
+        DatasetError: There is none, or it comes from a world that is not our simulator.
+        ParameterError: Its task is unknown here.
+    """
+
+    initial = None
+
+    def __init__(self, folder: Path):
+        about = read_description(folder)
+        made = dict(about["simulation"])
+        if made.pop("world", None) is not None:
+            raise DatasetError(
+                "was not made by the simulator, which alone can be viewed",
+                where=str(folder),
+                fix="give a set that gendom dataset made without --world reality",
+            )
+        self._world = Simulation(everything=True, **made)
+        self.task: Task = rebuild(about["task"])
+        self._rows = load(folder, part=True).to_pylist()
+        self.title = f"{folder.name or folder}: {self.task.name}"
+        self.cases = ("demonstration", len(self._rows))
+        cloth = self.task.kind == "cloth"
+        self.notes = ("A cloth takes seconds to simulate.",) if cloth else ()
+        self._planned: dict[tuple, JointMotion | str] = {}
+
+    def parameters(self, case: int) -> tuple[Parameter, ...]:
+        """The action within its limits, and the object's parameters within those drawn."""
+        row, item = self._rows[case], self._item(case)
+        made = []
+        for q, (low, high) in zip(self.task.actions, self.task.limits(item), strict=True):
+            value = float(row[q.name])
+            made.append(
+                Parameter(
+                    name=q.name,
+                    label=q.name.replace("_", " "),
+                    unit=q.unit,
+                    meaning=q.meaning or "a number of the action",
+                    group=ACTION,
+                    low=min(float(low), value),
+                    high=max(float(high), value),
+                    value=value,
+                )
+            )
+        for p in PARAMETERS.values():
+            value = float(row[p.column])
+            if p.log and value == 0.0:
+                continue
+            low, high = self.task.ranges.get(p.name) or (
+                (value / _FACTOR, value * _FACTOR) if p.log else _RANGES[p.name]
+            )
+            made.append(
+                Parameter(
+                    name=p.column,
+                    label="E / density" if p.name == "E" else p.name,
+                    unit=p.unit,
+                    meaning=p.column.replace("_", " "),
+                    group=MATERIAL,
+                    low=min(low, value),
+                    high=max(high, value),
+                    value=value,
+                    log=p.log,
+                )
+            )
+        return tuple(made)
+
+    def simulate(
+        self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
+    ) -> Iterator[ViewerScene]:
+        """The object under that action, then with the arm that would do it."""
+        task, item = self.task, self._item(case, values)
+        wanted = np.array([values[q.name] for q in task.actions])
+        action = task.nearest(item, wanted)
+        (outcome,) = self._world.carry_out(
+            task, [item], [action], keep=True, on_frame=lambda _: go_on()
+        )
+        if outcome.fault is not None or outcome.seen is None:
+            raise SimulationError(
+                f"this object cannot be simulated with this action ({outcome.fault})",
+                fix="move a slider back",
+            )
+        seen = _thinned(outcome.seen)
+        facts = self._facts(case, item, outcome.values)
+        if not np.allclose(action, wanted):
+            numbers = ", ".join(f"{a:.4g}" for a in action)
+            facts.append(("action", f"{numbers}: the nearest that is allowed"))
+        layers = self._layers(case, item, seen)
+        scene = task.scene(item)
+        base = np.linalg.inv(task.T_world_task(item))[:3, 3]
+        shown = {
+            "times": seen.times - seen.times[0],
+            "table_height": scene.table,
+            "backdrop": base,
+        }
+        path = task.tool_path(item, action)
+        if _key(path) not in self._planned:
+            yield ViewerScene(layers=layers, facts=tuple(facts), **shown)
+        arm = self._arm(path, item)
+        if isinstance(arm, str):
+            facts.append(("arm", arm))
+        else:
+            layers += (_arm_layer(arm, seen.times, item, task.T_world_task(item)),)
+        yield ViewerScene(layers=layers, facts=tuple(facts), **shown)
+
+    def _item(self, case: int, values: Mapping[str, float] | None = None) -> Item:
+        """A demonstration's object, with other parameters."""
+        columns = {**self._rows[case], **(values or {})}
+        columns["youngs_modulus"] = columns["specific_modulus"] * columns["density"]
+        names = to_columns(self.task.item)
+        return from_columns(self.task.kind, {name: float(columns[name]) for name in names})
+
+    def _goal(self, case: int) -> _Array | None:
+        """[G] what that demonstration reached; None: it failed, or there are no goals."""
+        values = [self._rows[case].get(GOAL + q.name) for q in self.task.goals]
+        return None if not values or None in values else np.array(values, dtype=float)
+
+    def _facts(self, case: int, item: Item, values: Mapping[str, float]) -> list[tuple[str, str]]:
+        units = {q.name: q.unit for q in self.task.goals}
+        facts = [("E", quantity_text("youngs_modulus", item.material.E))]
+        for name, value in values.items():
+            unit = units.get(name, "1")
+            facts.append(
+                (name.replace("_", " "), f"{value:.4g}{'' if unit == '1' else f' {unit}'}")
+            )
+        goal = self._goal(case)
+        if goal is not None:
+            numbers = ", ".join(f"{g:.4g}" for g in goal)
+            off = self.task.error(item, goal, values)
+            unit = self.task.goals[0].unit
+            facts.append(("goal", f"{numbers} {unit}, missed by {off:.3g} {unit}"))
+        return facts
+
+    def _layers(self, case: int, item: Item, seen: Observed) -> tuple[Layer, ...]:
+        body = self._world.body(self.task, item)[0]
+        lattice = None if item.kind == "rope" else seen.lattice
+        layers: list[Layer] = [
+            object_layer("object", body, seen.points, lattice),
+            gripper_layer(seen.hand[:, None], size_of(item)),
+        ]
+        goal = self._goal(case)
+        if goal is not None:
+            mark = goal_mark(goal, seen)
+            share = 0.015 if len(mark) == 1 else 0.006
+            vertices, faces = capsules(mark[[0, -1]][None, None], [share * size_of(item)])
+            layers.append(MeshLayer(name="goal", color=GOAL_COLOR, vertices=vertices, faces=faces))
+        return tuple(layers)
+
+    def _arm(self, path: TcpPath, item: Item) -> JointMotion | str:
+        """The arm's motion along a path, or why there is none; that of the last one is kept, since
+        objects of one size have the same."""
+        key = _key(path)
+        if key not in self._planned:
+            self._planned = {key: self._plan(path, item)}
+        return self._planned[key]
+
+    def _plan(self, path: TcpPath, item: Item) -> JointMotion | str:
+        moved = path.moved(self.task.T_world_task(item))
+        try:
+            motion = follow(XARM7, moved, slow_down=True, opening=thickness_of(item))
+        except RobotError as error:
+            return error.what
+        if motion.slowed_by > _LATE:
+            return f"it would take {motion.slowed_by:.2g} times as long"
+        return motion
+
+
+def _key(path: TcpPath) -> tuple[bytes, ...]:
+    """The same for the same path alone."""
+    return tuple(a.tobytes() for a in (path.time, path.position, path.quat_xyzw))
+
+
+def _thinned(seen: Observed) -> Observed:
+    """At most `FRAMES` of what was seen."""
+    count = len(seen.times)
+    chosen = np.linspace(0, count - 1, min(count, FRAMES)).round().astype(int)
+    return replace(
+        seen, times=seen.times[chosen], points=seen.points[chosen], hand=seen.hand[chosen]
+    )
+
+
+def _arm_layer(motion: JointMotion, times: _Array, item: Item, T_world_task: _Array) -> MeshLayer:
+    """The arm at times [T] of its motion [s], in a task's frame."""
+    shape = arm_shape(XARM7, motion.at(times), thickness_of(item))
+    T = np.linalg.inv(T_world_task)
+    ends = np.stack([shape.start, shape.end], axis=-2) @ T[:3, :3].T + T[:3, 3]
+    vertices, faces = capsules(ends, shape.radius)
+    return MeshLayer(name="arm", color=ARM_COLOR, vertices=vertices, faces=faces, framed=False)

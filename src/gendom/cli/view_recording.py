@@ -1,0 +1,178 @@
+"""A recording for the viewer: its clouds, and the object simulated with any parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.cli.replay import of_all_frames, replay_setup
+from gendom.cli.view_layers import gripper_layer, object_layer
+from gendom.datasets import Recording
+from gendom.errors import GendomError
+from gendom.estimation import UNKNOWNS, Scene, Theta, chamfers, replay
+from gendom.estimation.replay import lattice, middle
+from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
+from gendom.viz.report.quantities import length_text, quantity_text
+from gendom.viz.viewer import (
+    MATERIAL,
+    SETUP,
+    Layer,
+    Parameter,
+    PointLayer,
+    ViewerScene,
+)
+
+CHAMFER = "Chamfer distance [mm]"
+
+_Array = NDArray[np.floating]
+
+
+class RecordingModel:
+    """A recording that is replayed with the parameters of sliders.
+
+    Args:
+        scene: What was recorded, with all frames that are shown.
+        theta: Parameters at first.
+        title: One line.
+    """
+
+    cases = ("recording", 1)
+
+    def __init__(self, scene: Scene, theta: Theta, title: str):
+        self.scene, self.theta, self.title = scene, theta, title
+        notes = list(scene.notes)
+        if scene.kind == "cloth" or not scene.thin:
+            notes.insert(0, "This takes longer to simulate than a rope as a rod.")
+        self.notes = tuple(notes)
+        self.initial = self._shown(())
+        self._parameters = _parameters(scene, theta)
+
+    @classmethod
+    def of(cls, recording: Recording, title: str) -> RecordingModel:
+        """With the middle of what is believed of an unknown object's parameters.
+
+        Raises:
+            RecordingError: The recording shows too little to place the object.
+        """
+        scene = Scene.of(recording)
+        theta = scene.prior()[1].with_values(scene.guesses[len(scene.guesses) // 2])
+        return cls(of_all_frames(scene, recording), theta, title)
+
+    @classmethod
+    def with_params(
+        cls, recording: Recording, params: Mapping[str, Any], where: str, title: str
+    ) -> RecordingModel:
+        """With the parameters of an estimate; arguments and errors as those of `replay_setup`."""
+        return cls(*replay_setup(recording, params, where, "cpu"), title)
+
+    def parameters(self, case: int) -> tuple[Parameter, ...]:
+        """Those of the object, and of how it is held."""
+        return self._parameters
+
+    def simulate(
+        self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
+    ) -> Iterator[ViewerScene]:
+        """The simulated object, then with its distance from the clouds."""
+        scene, theta = self.scene, self.theta.with_values(values)
+        x = replay(scene, [theta], on_frame=lambda _: go_on())[:, 0]
+        simulated, facts = self._simulated(x), _facts(scene, theta)
+        yield self._shown((simulated,), facts=facts)
+        distance = 1e3 * chamfers(scene, x)[0]
+        yield self._shown((simulated,), facts=facts, curves={CHAMFER: distance})
+
+    def _shown(self, layers: tuple[Layer, ...], **other: Any) -> ViewerScene:
+        scene, frames = self.scene, list(self.scene.frames)
+        recording = self.scene.recording
+        counts = np.diff(recording.offsets)[frames]
+        # small, or a dense cloud would hide the object
+        dot = scene.size * (0.006 if np.median(counts) < 400 else 0.003)
+        recorded = PointLayer(
+            name="recorded",
+            color=RECORDED_COLOR,
+            points=recording.frames(frames),
+            radius=dot,
+        )
+        axis = None if recording.gripper_axis is None else recording.gripper_axis[frames]
+        return ViewerScene(
+            times=recording.time[frames],
+            layers=(
+                recorded,
+                *layers,
+                gripper_layer(recording.gripper_position[frames], scene.size, axis),
+            ),
+            table_height=recording.table_height,
+            **other,
+        )
+
+    def _simulated(self, x: _Array) -> Layer:
+        scene = self.scene
+        columns, rows = lattice(scene)
+        counts = None if scene.kind == "rope" else (len(rows), len(columns))
+        return object_layer("simulated", scene.body, middle(scene, x), counts, SIMULATED_OPACITY)
+
+
+def find_recording(params: Mapping[str, Any], where: Path) -> Path:
+    """The file of the recording that an estimate is of: beside it, or in the folder above.
+
+    Args:
+        params: The estimate's JSON.
+        where: Its file.
+
+    Raises:
+        GendomError: It is not there.
+    """
+    folder = where.absolute().parent
+    for path in [*sorted(folder.glob("*.npz")), *sorted(folder.parent.glob("*.npz"))]:
+        try:
+            recording = Recording.read(path, on_warning=lambda _: None)
+        except GendomError:  # another kind of file
+            continue
+        if recording.begins_with == params.get("begins_with"):
+            return path
+    raise GendomError(
+        "the recording that it is of is neither beside it nor in the folder above",
+        where=str(where),
+        fix=f"name it: gendom view RECORDING --params {where}",
+    )
+
+
+def _parameters(scene: Scene, theta: Theta) -> tuple[Parameter, ...]:
+    """All unknowns that change what is simulated, within the ranges that are searched."""
+    searched = scene.prior()[0].names
+    names = [
+        u.name
+        for u in UNKNOWNS.values()
+        if scene.kind in u.kinds and (u.material or u.name in searched)
+    ]
+    if scene.recording.table_height is None:
+        names.remove("friction")
+    prior = scene.prior(tuple(names))[0]
+    made = []
+    for u, low, high in zip(prior.unknowns, prior.low, prior.high, strict=True):
+        value = getattr(theta, u.name)
+        made.append(
+            Parameter(
+                name=u.name,
+                label=u.symbol,
+                unit=u.unit,
+                meaning=u.meaning,
+                group=MATERIAL if u.material else SETUP,
+                low=min(u.value(low), value),
+                high=max(u.value(high), value),
+                value=value,
+                log=u.log,
+            )
+        )
+    return tuple(made)
+
+
+def _facts(scene: Scene, theta: Theta) -> tuple[tuple[str, str], ...]:
+    modulus = theta.specific_modulus
+    facts = [("bending length", length_text(scene.bending_length(modulus)))]
+    if scene.recording.object.mass is not None:
+        facts.insert(0, ("E", quantity_text("youngs_modulus", modulus * scene.density)))
+    return tuple(facts)

@@ -1,0 +1,484 @@
+"""A viewer in a browser, on viser: this machine's own address, and nothing from elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import html
+import io
+import math
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import viser
+from viser import uplot
+
+from gendom.errors import GendomError
+from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR, rgb
+from gendom.viz.plot import nice_step
+from gendom.viz.viewer.model import Model, Parameter
+from gendom.viz.viewer.painter import FIELD_OF_VIEW, Painter, camera_of, square_size
+from gendom.viz.viewer.resimulation import Resimulation
+from gendom.viz.viewer.scene import ViewerScene
+
+HOST = "127.0.0.1"
+PORTS = 20
+"""That are tried, one after another."""
+
+SPEEDS = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
+"""Times faster than life, as people write it."""
+
+_SHORTEST = 3.0
+"""Time that playing takes at first [s], at least if a speed allows it."""
+
+_RATE = 25.0
+"""Frames that are played in a second, at most."""
+
+_POSITIONS = 200
+"""Of a parameter's slider, at least."""
+
+_SIMULATED = "simulated"
+
+_DIGIT = 0.01
+"""Step of a logarithmic slider [decades]."""
+
+
+class _Server(viser.ViserServer):
+    """Viser's, which does not leave this machine."""
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        """None: nothing is shared through servers of others."""
+        return None
+
+
+class Viewer:
+    """A model in a browser, with sliders for time and parameters.
+
+    Args:
+        model: What is shown.
+        case: That is shown first.
+        port: Of its address; 0: any that is free. Where it is taken one of the next is.
+
+    Raises:
+        GendomError: No port is free, or there is no such port.
+    """
+
+    def __init__(self, model: Model, *, case: int = 0, port: int = 8080):
+        self._model, self._case = model, case
+        self._lock = threading.RLock()
+        self._scene = model.initial
+        self._parameters = {p.name: p for p in model.parameters(case)}
+        self._setting = False
+        self._closed = threading.Event()
+        with _silent():
+            self._server = _Server(HOST, free_port(port), label=model.title, verbose=False)
+        self._painter = Painter(self._server.scene)
+        self._server.initial_camera.fov = FIELD_OF_VIEW
+        self._camera_set = False
+        self._build()
+        self._server.on_client_connect(self._place_camera)
+        self._resimulation = Resimulation(
+            model, on_begin=self._begin, on_scene=self._take, on_fault=self._refuse
+        )
+        if self._scene is not None:
+            self._take(self._scene, 0.0)
+        self._ask()
+        self._player = threading.Thread(target=self._play, name="player", daemon=True)
+        self._player.start()
+
+    # ---- what its owner does with it -------------------------------------------------------------
+
+    @property
+    def url(self) -> str:
+        """Its address."""
+        return f"http://{HOST}:{self._server.get_port()}"
+
+    @property
+    def port(self) -> int:
+        """Of its address."""
+        return self._server.get_port()
+
+    @property
+    def scene(self) -> ViewerScene | None:
+        """What is shown now."""
+        return self._scene
+
+    @property
+    def frame(self) -> int:
+        """Number of the frame that is shown."""
+        return self._time.value
+
+    @property
+    def status(self) -> str:
+        """What was said last of a simulation."""
+        return self._status_text
+
+    def set_value(self, name: str, value: float) -> None:
+        """Move a parameter's slider, as a hand would.
+
+        Raises:
+            KeyError: There is no such parameter.
+        """
+        self._sliders[name].value = self._parameters[name].position(value)
+
+    def set_frame(self, frame: int) -> None:
+        """Move the slider of time."""
+        self._time.value = frame
+
+    def play(self, playing: bool) -> None:
+        """Let time run, or stop it."""
+        self._playing = playing
+        self._button.label = "Pause" if playing else "Play"
+        self._button.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
+
+    def set_case(self, case: int) -> None:
+        """Go to another case."""
+        with self._lock:
+            self._case = case
+            self._setting = True
+            for p in self._model.parameters(case):
+                self._parameters[p.name] = p
+                slider = self._sliders[p.name]
+                slider.min, slider.max, slider.step = _range(p)
+                slider.value = _start(p)
+                slider.label = _label(p, p.value)
+            self._setting = False
+        self._ask()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Until everything that was asked for is simulated, or for a time [s]; whether it is."""
+        return self._resimulation.wait(timeout or threading.TIMEOUT_MAX)
+
+    def serve(self) -> None:
+        """Until Ctrl-C."""
+        with contextlib.suppress(KeyboardInterrupt):
+            while not self._closed.wait(3600.0):
+                pass
+
+    def close(self) -> None:
+        """End everything."""
+        self._closed.set()
+        self._player.join(5.0)
+        self._resimulation.close()
+        with _silent():
+            self._server.stop()
+
+    # ---- what the page holds ---------------------------------------------------------------------
+
+    def _build(self) -> None:
+        gui = self._server.gui
+        gui.configure_theme(
+            control_width="large",
+            show_logo=False,
+            show_share_button=False,
+            brand_color=rgb(RECORDED_COLOR),
+        )
+        gui.main_panel.dock_right()
+        self._status_text, self._fault = "", False
+        self._readout = gui.add_html("")
+        noun, count = self._model.cases
+        if count > 1:
+            chosen = gui.add_slider(noun, 0, count - 1, 1, self._case)
+            chosen.on_update(lambda _: self.set_case(chosen.value))
+        with gui.add_folder("Time"):
+            self._time = gui.add_slider("frame", 0, 1, 1, 0)
+            self._time.on_update(lambda _: self._paint())
+            self._playing = False
+            self._button = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
+            self._button.on_click(lambda _: self.play(not self._playing))
+            self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
+            self._curves: tuple[str, ...] = ()
+            self._chart: viser.GuiUplotHandle | None = None
+            self._chart_folder = gui.add_folder(None, visible=False)
+        self._sliders: dict[str, viser.GuiSliderHandle] = {}
+        groups = dict.fromkeys(p.group for p in self._parameters.values())
+        for group in groups:
+            with gui.add_folder(group, expand_by_default=group == next(iter(groups))):
+                for p in self._parameters.values():
+                    if p.group == group:
+                        self._sliders[p.name] = self._add_slider(p)
+        if self._sliders:
+            gui.add_button("Reset parameters").on_click(lambda _: self.set_case(self._case))
+        self._layers_folder = gui.add_folder("Layers")
+        self._layers: dict[str, viser.GuiCheckboxHandle] = {}
+
+    def _add_slider(self, p: Parameter) -> viser.GuiSliderHandle:
+        slider = self._server.gui.add_slider(
+            _label(p, p.value),
+            *_range(p),
+            _start(p),
+            marks=_marks(p) if p.log else None,
+            hint=f"{p.meaning}{'; the number is its logarithm to base 10' if p.log else ''}",
+        )
+
+        def moved(_: Any) -> None:
+            if self._setting:
+                return
+            slider.label = _label(self._parameters[p.name], self._value(p.name))
+            self._ask()
+
+        slider.on_update(moved)
+        return slider
+
+    def _value(self, name: str) -> float:
+        """Of a parameter; exactly that which it began with where its slider was not moved."""
+        p, position = self._parameters[name], self._sliders[name].value
+        return p.value if position == _start(p) else p.at(position)
+
+    def _ask(self) -> None:
+        self._resimulation.ask(self._case, {name: self._value(name) for name in self._sliders})
+
+    # ---- what simulations say --------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        self._say("simulating …")
+
+    def _refuse(self, why: str) -> None:
+        self._say(why, fault=True)
+
+    def _take(self, scene: ViewerScene, seconds: float) -> None:
+        """Show a scene in place of another one, at the same time if it has that."""
+        with self._lock:
+            before, first = self._scene, not self._camera_set
+            time_shown = 0.0 if before is None else float(before.times[self._frame_of(before)])
+            self._scene = scene
+            with self._server.atomic():
+                self._setting = True
+                self._time.max = max(scene.num_frames - 1, 1)
+                if first:
+                    self._speed.value = _first_speed(scene)
+                    self._time.value = self._time.max // 2
+                else:
+                    self._time.value = scene.frame_at(time_shown)
+                self._setting = False
+                self._offer_layers(scene)
+                self._draw_curves(scene)
+                self._paint()
+            if not self._camera_set:
+                self._camera_set = True
+                where, at = camera_of(scene)
+                camera = self._server.initial_camera
+                camera.position, camera.look_at = where, at
+                for client in self._server.get_clients().values():
+                    self._place_camera(client)
+        if seconds > 0.0:
+            done = self._status_text.startswith(_SIMULATED)
+            self._say(
+                f"{self._status_text}, the rest after {seconds:.2f} s"
+                if done
+                else f"{_SIMULATED} in {seconds:.2f} s"
+            )
+
+    def _offer_layers(self, scene: ViewerScene) -> None:
+        for layer in scene.layers:
+            if layer.name not in self._layers:
+                with self._layers_folder:
+                    box = self._server.gui.add_checkbox(layer.name, True)
+                box.on_update(
+                    lambda _, name=layer.name, box=box: self._painter.show(name, box.value)
+                )
+                self._layers[layer.name] = box
+        names = {layer.name for layer in scene.layers}
+        for name, box in self._layers.items():
+            box.visible = name in names
+
+    def _draw_curves(self, scene: ViewerScene) -> None:
+        """Those of before stay until there are others."""
+        if not scene.curves:
+            return
+        self._curves = tuple(scene.curves)
+        self._chart_folder.visible = True
+        data = tuple(np.asarray(a, dtype=float) for a in (scene.times, *scene.curves.values()))
+        if self._chart is not None:
+            self._chart.data = data
+            return
+        lines = [
+            uplot.Series(label=name, stroke=color, width=2)
+            for name, color in zip(scene.curves, (SIMULATED_COLOR, RECORDED_COLOR), strict=False)
+        ]
+        with self._chart_folder:
+            self._chart = self._server.gui.add_uplot(
+                data,
+                (uplot.Series(label="time [s]"), *lines),
+                scales={"x": uplot.Scale(time=False)},
+                height=150,
+            )
+
+    def _say(self, text: str, *, fault: bool = False) -> None:
+        self._status_text, self._fault = text, fault
+        self._read()
+
+    def _read(self) -> None:
+        """Write what is to be read."""
+        with self._lock:
+            scene = self._scene
+            rows: list[tuple[str, str]] = []
+            legend = ""
+            if scene is not None:
+                t = self._frame_of(scene)
+                rows.append(("time", f"{scene.times[t]:.2f} s of {scene.times[-1]:.2f} s"))
+                for name in self._curves:
+                    values = scene.curves.get(name)
+                    told = (
+                        "…" if values is None else f"{values[t]:.1f} now, {values.mean():.1f} mean"
+                    )
+                    rows.append((name, told))
+                rows += scene.facts
+                if scene.table_height is not None:
+                    rows.append(("squares of table", f"{1e3 * square_size(scene):g} mm"))
+                legend = " ".join(
+                    f'<span style="white-space:nowrap"><span style="color:{layer.color}">●</span> '
+                    f"{html.escape(layer.name)}</span>"
+                    for layer in scene.layers
+                )
+            color = "#b00020" if self._fault else "#6e6e6e"
+            table = "".join(
+                f'<tr><td style="color:#6e6e6e;padding-right:0.8em;vertical-align:top">'
+                f"{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
+                for name, value in rows
+            )
+            notes = "".join(f"<div>{html.escape(note)}</div>" for note in self._model.notes)
+            self._readout.content = (
+                '<div style="font-size:0.8em;line-height:1.45;padding:0.3em 0.8em">'
+                f"<div>{legend}</div><table>{table}</table>"
+                f'<div style="color:{color}">{html.escape(self._status_text)}</div>'
+                f'<div style="color:#6e6e6e">{notes}</div></div>'
+            )
+
+    # ---- time ------------------------------------------------------------------------------------
+
+    def _frame_of(self, scene: ViewerScene) -> int:
+        return min(self._time.value, scene.num_frames - 1)
+
+    def _paint(self) -> None:
+        if self._setting:
+            return
+        with self._lock:
+            if self._scene is not None:
+                with self._server.atomic():
+                    self._painter.paint(self._scene, self._frame_of(self._scene))
+                    self._read()
+
+    def _play(self) -> None:
+        """Move the slider of time while it runs, from the end to the beginning."""
+        last, clock = time.monotonic(), 0.0
+        while not self._closed.wait(1.0 / _RATE):
+            now = time.monotonic()
+            passed, last = now - last, now
+            scene = self._scene
+            if not self._playing or scene is None:
+                continue
+            if scene.frame_at(clock) != self._frame_of(scene):  # somebody moved the slider
+                clock = float(scene.times[self._frame_of(scene)])
+            clock += passed * SPEEDS[self._speed.value]
+            if clock > scene.times[-1] + 0.5 * SPEEDS[self._speed.value]:
+                clock = float(scene.times[0])
+            with self._lock:
+                self._time.value = scene.frame_at(clock)
+
+    def _place_camera(self, client: viser.ClientHandle) -> None:
+        """So that everything is seen in this window, however narrow."""
+        if self._scene is not None:
+            where, at = camera_of(self._scene, client.camera.aspect)
+            client.camera.position, client.camera.look_at = where, at
+
+
+def encode_html(scene: ViewerScene) -> str:
+    """A page that plays a scene by itself, with viser's own player.
+
+    Args:
+        scene: What is shown.
+
+    Raises:
+        GendomError: No port is free; one is needed while the page is made.
+    """
+    with _silent():
+        server = _Server(HOST, free_port(0), verbose=False)
+    try:
+        painter = Painter(server.scene)
+        where, at = camera_of(scene)
+        server.initial_camera.fov = FIELD_OF_VIEW
+        server.initial_camera.position, server.initial_camera.look_at = where, at
+        painter.paint(scene, 0)
+        recorder = server.get_scene_serializer()
+        for frame in range(1, scene.num_frames):
+            recorder.insert_sleep(float(scene.times[frame] - scene.times[frame - 1]))
+            painter.paint(scene, frame)
+        recorder.insert_sleep(1.0)  # time to look at the end
+        return recorder.as_html()
+    finally:
+        with _silent():
+            server.stop()
+
+
+def free_port(first: int) -> int:
+    """The first port that nobody listens on, from a number on; 0: any.
+
+    Raises:
+        GendomError: There is none, or the number is no port.
+    """
+    if not 0 <= first < 65536:
+        raise GendomError(f"is {first}", where="port", fix="give 0 to 65535")
+    if first == 0:
+        return 0
+    for port in range(first, min(first + PORTS, 65536)):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((HOST, port))
+            except PermissionError as error:
+                raise GendomError(
+                    f"{port} is not allowed ({error.strerror})",
+                    where="port",
+                    fix="give 1024 or more",
+                ) from None
+            except OSError:
+                continue
+            return port
+    raise GendomError(
+        f"{first} and the {PORTS - 1} that follow are taken", where="port", fix="give another one"
+    )
+
+
+def _range(p: Parameter) -> tuple[float, float, float]:
+    """Lowest and highest position of a parameter's slider, and its step: round numbers."""
+    low, high = p.position(p.low), p.position(p.high)
+    step = _DIGIT if p.log else nice_step(max(high - low, 1e-9) / _POSITIONS) / 2.0
+    first, last = math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)
+    digits = max(0, 2 - math.floor(math.log10(step)))
+    return round(first * step, digits), round(max(last, first + 1) * step, digits), step
+
+
+def _start(p: Parameter) -> float:
+    """Where a parameter's slider stands at first."""
+    low, high, step = _range(p)
+    return min(max(low + round((p.position(p.value) - low) / step) * step, low), high)
+
+
+def _marks(p: Parameter) -> tuple[tuple[float, str], ...]:
+    """Round values along a logarithmic slider."""
+    low, high, _ = _range(p)
+    multiples = (1, 2, 5) if high - low < 2.0 else (1,)
+    values = [m * 10.0**k for k in range(math.floor(low), math.ceil(high) + 1) for m in multiples]
+    marks = [(math.log10(value), f"{value:g}") for value in values]
+    return tuple((at, text) for at, text in marks if low <= at <= high)
+
+
+def _label(p: Parameter, value: float) -> str:
+    return f"{p.label} {p.text(value)}"
+
+
+def _first_speed(scene: ViewerScene) -> str:
+    """The highest speed up to life's at which playing is not over at once."""
+    lasts = float(scene.times[-1] - scene.times[0])
+    return next((s for s in ("1", "1/2", "1/4") if lasts / SPEEDS[s] >= _SHORTEST), "1/8")
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Viser announces itself on stdout, which belongs to the command."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield

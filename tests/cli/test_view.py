@@ -1,0 +1,315 @@
+"""`gendom view`: what is made of recordings, estimates and demonstrations, and its errors."""
+
+import re
+import signal
+import subprocess
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gendom import cli
+from gendom.cli.replay import of_all_frames
+from gendom.cli.view_dataset import FRAMES, DatasetModel
+from gendom.cli.view_layers import RING
+from gendom.cli.view_recording import CHAMFER, RecordingModel, find_recording
+from gendom.errors import DatasetError, SimulationError
+from gendom.estimation import Scene, Theta, chamfers, replay
+from gendom.files import write_json
+from gendom.viz.viewer import MATERIAL, MeshLayer
+
+
+def layers(scene):
+    return {layer.name: layer for layer in scene.layers}
+
+
+def first_values(model, case=0):
+    return {p.name: p.value for p in model.parameters(case)}
+
+
+def shown(model, case=0, **changes):
+    """All scenes of a case."""
+    return list(model.simulate(case, {**first_values(model, case), **changes}, lambda: None))
+
+
+@pytest.fixture(scope="module")
+def lifted(rope_lift):
+    return rope_lift.seen(frames=12)
+
+
+@pytest.fixture(scope="module")
+def lift_model(rope_lift, lifted):
+    """The rope with its true parameters."""
+    scene = of_all_frames(Scene.of(lifted, rope_lift.settings), lifted)
+    return RecordingModel(scene, rope_lift.truth, "a lift")
+
+
+# ---- recordings ----------------------------------------------------------------------------------
+
+
+def test_a_recording_is_shown_before_anything_is_simulated(lift_model, lifted):
+    found = layers(lift_model.initial)
+    assert list(found) == ["recorded", "gripper"]
+    np.testing.assert_array_equal(found["recorded"].points[3], lifted.frame(3))
+    np.testing.assert_array_equal(lift_model.initial.times, lifted.time)
+    assert lift_model.initial.table_height == 0.0
+
+
+def test_the_object_comes_first_and_then_its_distance(lift_model):
+    scene = lift_model.scene
+    before, after = shown(lift_model)
+    x = replay(scene, [lift_model.theta])[:, 0]
+    np.testing.assert_allclose(layers(before)["simulated"].vertices, scene.body.surface(x))
+    assert before.curves == {}
+    np.testing.assert_allclose(after.curves[CHAMFER], 1e3 * chamfers(scene, x)[0])
+    assert dict(after.facts)["bending length"].endswith(" mm")
+
+
+def test_the_skin_of_a_rope_is_closed_and_faces_outwards(lift_model):
+    """Its volume is that of a tube of eight sides, positive."""
+    body = lift_model.scene.body
+    rope = layers(shown(lift_model)[0])["simulated"]
+    a, b, c = np.moveaxis(rope.vertices[5][rope.faces], 1, 0)
+    volume = np.sum(a * np.cross(b, c)) / 6.0
+    octagon = 0.5 * RING * np.sin(2.0 * np.pi / RING) * (0.5 * body.thickness) ** 2
+    assert volume == pytest.approx(octagon * lift_model.scene.size, rel=0.1)
+
+
+def test_sliders_change_the_motion(lift_model):
+    """A softer rope hangs lower in the last frame, and is farther from the clouds."""
+    true, soft = shown(lift_model)[-1], shown(lift_model, specific_modulus=20.0)[-1]
+    heights = [layers(s)["simulated"].vertices[-1, :, 2].mean() for s in (true, soft)]
+    assert heights[1] < heights[0] - 0.005
+    assert soft.curves[CHAMFER].mean() > 1.5 * true.curves[CHAMFER].mean()
+
+
+def test_parameters_are_those_that_a_recording_is_searched_for(lift_model, lifted):
+    made = {p.name: p for p in lift_model.parameters(0)}
+    assert made["specific_modulus"].log and made["specific_modulus"].group == MATERIAL
+    assert not made["nu"].log and (made["nu"].low, made["nu"].high) == (0.05, 0.45)
+    assert made["grip_height"].group != MATERIAL and "yaw" not in made
+    for p in made.values():
+        assert p.low <= p.value <= p.high
+
+
+def test_values_beyond_what_is_searched_have_room(lift_model):
+    theta = lift_model.theta.with_values({"nu": 0.49})
+    made = {p.name: p for p in RecordingModel(lift_model.scene, theta, "").parameters(0)}
+    assert made["nu"].high == made["nu"].value == 0.49
+
+
+def test_without_a_table_there_is_no_friction(rope_lift):
+    scene = Scene.of(rope_lift.at_rest(4, table_height=None), rope_lift.settings)
+    model = RecordingModel(scene, rope_lift.truth, "")
+    assert "friction" not in {p.name for p in model.parameters(0)}
+
+
+def test_a_cloth_is_a_lattice_and_says_that_it_takes_longer(cloth_lift):
+    seen = cloth_lift.at_rest(4)
+    model = RecordingModel(Scene.of(seen, cloth_lift.settings), cloth_lift.truth, "")
+    cloth = layers(shown(model)[0])["simulated"]
+    assert isinstance(cloth, MeshLayer)
+    rows, columns = model.scene.body.shape
+    assert len(cloth.faces) == 2 * (rows - 1) * (columns - 1)
+    assert "longer" in model.notes[0] and "yaw" in {p.name for p in model.parameters(0)}
+
+
+def test_an_unknown_object_begins_in_the_middle(lifted):
+    model = RecordingModel.of(lifted, "a lift")
+    assert len(model.scene.frames) == lifted.num_frames
+    p = next(p for p in model.parameters(0) if p.name == "specific_modulus")
+    assert p.value == pytest.approx(np.sqrt(p.low * p.high))
+
+
+def test_particles_are_shown_as_a_chain(lifted):
+    from gendom.estimation import SceneSettings
+
+    scene = Scene.of(lifted.head(2), SceneSettings(engine="mpm"))
+    rope = layers(shown(RecordingModel(scene, Theta(specific_modulus=700.0), ""))[0])["simulated"]
+    assert isinstance(rope, MeshLayer) and rope.vertices.shape[0] == 2
+
+
+def test_a_simulation_can_be_given_up(lift_model):
+    class EnoughError(Exception):
+        pass
+
+    def go_on():
+        raise EnoughError
+
+    with pytest.raises(EnoughError):
+        list(lift_model.simulate(0, first_values(lift_model), go_on))
+
+
+# ---- estimates -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def params(rope_lift, lifted, tmp_path):
+    """A recording, and in a folder beside it its estimate."""
+    lifted.write(tmp_path / "lift.npz")
+    record = {
+        "format": "gendom-estimate/1", "theta": asdict(rope_lift.truth), "compared": [0, 11],
+        "object": {"kind": "rope"}, "begins_with": lifted.begins_with,
+        "simulation": {"engine": "thin", "points": 15},
+    }  # fmt: skip
+    write_json(tmp_path / "lift" / "estimate.json", record)
+    return tmp_path / "lift" / "estimate.json"
+
+
+def test_an_estimate_finds_its_recording(params, lifted, rope_lift):
+    """By how it begins; other files are passed over."""
+    rope_lift.seen(frames=4, seed=9).write(params.parent / "another.npz")
+    np.savez(params.parent / "other.npz", x=np.zeros(3))
+    record = {"begins_with": lifted.begins_with}
+    assert find_recording(record, params) == params.parents[1] / "lift.npz"
+
+
+def test_an_estimate_without_its_recording_says_what_to_do(params, capsys):
+    (params.parents[1] / "lift.npz").unlink()
+    assert cli.main(["view", str(params)]) == 2
+    said = capsys.readouterr().err
+    assert "neither beside it nor in the folder above" in said
+    assert f"gendom view RECORDING --params {params}" in said
+
+
+def test_an_estimate_s_parameters_are_those_at_first(params, lifted, rope_lift):
+    from gendom.files import read_json
+
+    model = RecordingModel.with_params(lifted, read_json(params), "here", "a lift")
+    assert model.theta == rope_lift.truth
+
+
+# ---- demonstrations ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def casts(tmp_path_factory):
+    """Three demonstrations."""
+    folder = tmp_path_factory.mktemp("sets") / "casts"
+    assert (
+        cli.main(["--quiet", "dataset", "rope-casting", "--size", "3", "--out", str(folder)]) == 0
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def casts_model(casts):
+    return DatasetModel(casts)
+
+
+def test_a_demonstration_is_simulated_as_it_was(casts_model):
+    """Its own action and parameters reach its own goal."""
+    assert casts_model.cases == ("demonstration", 3)
+    before, after = shown(casts_model, 1)  # no other test plans its arm before
+    assert list(layers(before)) == ["object", "gripper", "goal"]
+    assert list(layers(after)) == ["object", "gripper", "goal", "arm"]
+    assert len(after.times) <= FRAMES and after.times[0] == 0.0
+    assert re.search(r"missed by (0|\d\S*e-\d\d) m", dict(after.facts)["goal"])
+
+
+def test_the_arm_s_fingers_are_where_the_rope_is_held(casts_model):
+    """Within a few centimetres of the tool point at all times."""
+    found = layers(shown(casts_model)[-1])
+    hand = found["gripper"].vertices.mean(axis=1)
+    away = np.linalg.norm(found["arm"].vertices - hand[:, None], axis=-1).min(axis=1)
+    assert away.max() < 0.05
+    assert not found["arm"].framed
+
+
+def test_the_arm_stays_while_only_the_material_changes(casts_model):
+    """It is planned once for a path, and then shown at once."""
+    shown(casts_model)
+    (scene,) = shown(casts_model, poissons_ratio=0.25)
+    assert "arm" in layers(scene)
+    before, _ = shown(casts_model, way=0.15)
+    assert "arm" not in layers(before)
+
+
+def test_another_action_and_stiffness_go_elsewhere(casts_model):
+    own = shown(casts_model)[0]
+    values = first_values(casts_model)
+    stiff = shown(casts_model, specific_modulus=3.0 * values["specific_modulus"])[0]
+    farther = shown(casts_model, way=0.22)[0]
+    tips = [layers(s)["object"].vertices[-1, -1] for s in (own, stiff, farther)]
+    assert all(np.linalg.norm(tips[0] - tip) > 0.01 for tip in tips[1:])
+
+
+def test_sliders_of_demonstrations_stay_within_what_was_drawn(casts_model):
+    made = {p.name: p for p in casts_model.parameters(0)}
+    assert (made["poissons_ratio"].low, made["poissons_ratio"].high) == (0.2, 0.4)
+    assert made["way"].group == "Action" and made["specific_modulus"].log
+    for p in made.values():
+        assert p.low <= p.value <= p.high
+
+
+def test_what_diverges_is_told(casts_model, monkeypatch):
+    from gendom.tasks.world import Outcome, Simulation
+
+    failed = [Outcome(values={}, fault="NaN at 0.1 s")]
+    monkeypatch.setattr(Simulation, "carry_out", lambda *_, **__: failed)
+    with pytest.raises(SimulationError, match=r"NaN at 0.1 s\); move a slider back"):
+        shown(casts_model)
+
+
+def test_params_do_not_go_with_demonstrations(casts, params, capsys):
+    assert cli.main(["view", str(casts), "--params", str(params)]) == 2
+    assert "--params: goes with a recording" in capsys.readouterr().err
+
+
+def test_a_demonstration_that_is_not_there_is_refused(casts, capsys):
+    assert cli.main(["view", str(casts), "--demonstration", "3"]) == 2
+    assert "there is no such demonstration; give 0 to 2" in capsys.readouterr().err
+
+
+def test_a_set_of_another_world_is_refused(casts, tmp_path):
+    from gendom.files import read_json
+
+    about = read_json(casts / "dataset.json")
+    write_json(tmp_path / "dataset.json", about | {"simulation": {"world": "reality"}})
+    with pytest.raises(DatasetError, match="was not made by the simulator"):
+        DatasetModel(tmp_path)
+
+
+# ---- the command ---------------------------------------------------------------------------------
+
+
+def test_places_are_checked_before_the_work(tmp_path, capsys):
+    for flag, name in (("--rrd", "lift.txt"), ("--html", "lift.txt")):
+        assert cli.main(["view", "nowhere.npz", flag, str(tmp_path / name)]) == 2
+        assert f"does not end in .{flag[2:]}" in capsys.readouterr().err
+
+
+def test_a_missing_extra_is_named(params, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    for name in ("server", "painter"):
+        monkeypatch.delitem(sys.modules, f"gendom.viz.viewer.{name}", raising=False)
+    assert cli.main(["view", str(params)]) == 2
+    assert re.search(r"needs viser; install it with: .*\[viz\]", capsys.readouterr().err)
+
+
+def test_files_are_written_instead(params, tmp_path, capsys):
+    pytest.importorskip("viser", reason="needs viser (the extra viz)")
+    page = tmp_path / "lift.html"
+    assert cli.main(["view", str(params), "--html", str(page)]) == 0
+    assert capsys.readouterr().out == f"written: {page}\n"
+    assert page.stat().st_size > 100_000
+    pytest.importorskip("rerun", reason="needs rerun-sdk (the extra rerun)")
+    file = tmp_path / "lift.rrd"
+    assert cli.main(["view", str(params), "--rrd", str(file)]) == 0
+    assert file.read_bytes()[:3] == b"RRF"
+
+
+def test_it_prints_its_address_and_ends_with_ctrl_c(params):
+    pytest.importorskip("viser", reason="needs viser (the extra viz)")
+    words = [sys.executable, "-m", "gendom", "view", str(params), "--port", "0"]
+    process = subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parent
+    )
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert re.fullmatch(r"lift.npz: http://127\.0\.0\.1:\d+ \(Ctrl-C ends it\)\n", line), line
+    process.send_signal(signal.SIGINT)
+    rest, said = process.communicate(timeout=30.0)
+    assert (process.returncode, rest, said) == (0, "", "")

@@ -1,0 +1,422 @@
+"""The viewer without a recording: what it shows, when it simulates, its server and its files."""
+
+import importlib.util
+import math
+import socket
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gendom.errors import GendomError
+from gendom.viz.viewer import (
+    MATERIAL,
+    MeshLayer,
+    Parameter,
+    PointLayer,
+    ViewerScene,
+    capsules,
+    tube_faces,
+)
+from gendom.viz.viewer.resimulation import PATIENCE, Resimulation
+
+ARROW = {"key": "ArrowRight", "code": "ArrowRight", "windowsVirtualKeyCode": 39}
+"""A key, as the browser's protocol describes it."""
+
+TIMES = np.array([0.0, 0.1, 0.3, 0.6])
+
+
+def square(height=0.0, **other):
+    """Two triangles that rise from a height on [m]."""
+    corners = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.4, 0.2, 0.0], [0.0, 0.2, 0.0]])
+    rise = (height + 0.1 * TIMES)[:, None, None] * [0.0, 0.0, 1.0]
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    values = {"name": "simulated", "color": "#E69F00", "vertices": corners + rise, "faces": faces}
+    return MeshLayer(**{**values, **other})
+
+
+def cloud(**other):
+    """Points around the square, and a stray one."""
+    rng = np.random.default_rng(0)
+    points = [rng.uniform(size=(500, 3)) * [0.4, 0.2, 0.1] for _ in TIMES]
+    points[0][0] = [9.0, 9.0, 9.0]
+    values = {"name": "recorded", "color": "#0072B2", "points": points, "radius": 0.002}
+    return PointLayer(**{**values, **other})
+
+
+class Square:
+    """A model whose square lies as high as its slider says."""
+
+    title = "a square"
+    notes = ("It is flat.",)
+    cases = ("square", 3)
+    initial = ViewerScene(times=TIMES, layers=(cloud(),), table_height=0.0)
+
+    def __init__(self, seconds=0.0):
+        self.seconds = seconds
+        self.simulated = []
+        self.asked = []
+
+    def parameters(self, case):
+        height = Parameter(
+            name="height",
+            label="height",
+            unit="m",
+            meaning="of the square",
+            group=MATERIAL,
+            low=0.0,
+            high=0.1,
+            value=0.02 * case,
+        )
+        E = replace(height, name="E", label="E", low=1.0, high=1e4, value=123.0, log=True)
+        return height, E
+
+    def simulate(self, case, values, go_on):
+        self.asked.append(case)
+        if values["height"] > 0.09:
+            raise GendomError("is too high", where="height")
+        until = time.monotonic() + self.seconds
+        while time.monotonic() < until:
+            go_on()
+            time.sleep(0.005)
+        self.simulated.append(values)
+        layers = (cloud(), square(values["height"]))
+        shown = {"times": TIMES, "layers": layers, "table_height": 0.0}
+        yield ViewerScene(**shown)
+        yield ViewerScene(**shown, curves={"height [mm]": 1e3 * values["height"] + TIMES})
+
+
+# ---- scenes --------------------------------------------------------------------------------------
+
+
+def test_a_frame_lasts_until_the_next():
+    scene = Square.initial
+    assert [scene.frame_at(t) for t in (-1.0, 0.0, 0.09, 0.1, 0.59, 5.0)] == [0, 0, 0, 1, 2, 3]
+
+
+def test_the_box_leaves_out_stray_points_and_what_is_not_framed():
+    arm = square(name="arm", framed=False, vertices=np.full((1, 4, 3), 5.0))
+    scene = ViewerScene(times=TIMES, layers=(cloud(), square(0.2), arm))
+    np.testing.assert_allclose(scene.box[1], [0.4, 0.2, 0.26], atol=0.005)
+    np.testing.assert_allclose(scene.box[0], 0.0, atol=0.005)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"layers": (square(vertices=np.zeros((3, 4, 3))),)}, "simulated: has 3 frames"),
+        ({"layers": (), "curves": {"d": np.zeros(2)}}, "d: has 2 numbers"),
+        ({"layers": (square(), square())}, "are simulated, simulated"),
+        ({"layers": (), "times": TIMES[:0]}, "times: is empty"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(values, words):
+    with pytest.raises(GendomError, match=words):
+        ViewerScene(**{"times": TIMES, **values})
+
+
+def test_a_scene_without_points_has_no_box():
+    with pytest.raises(GendomError, match="no points at all"):
+        _ = ViewerScene(times=TIMES, layers=()).box
+
+
+def volume(vertices, faces):
+    """Of what triangles enclose [m^3]; positive where they are counter-clockwise from outside."""
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return float(np.sum(a * np.cross(b, c))) / 6.0
+
+
+def test_tubes_are_closed():
+    """Every edge belongs to two triangles, in opposite directions."""
+    faces = tube_faces(5, 8)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).tolist()
+    assert len(set(map(tuple, edges))) == len(edges)
+    assert {(b, a) for a, b in edges} == set(map(tuple, edges))
+
+
+@pytest.mark.parametrize("length", [0.0, 0.3])
+def test_capsules_have_their_volume(length):
+    """pi r^2 (l + 4 r / 3), less what a polygon of twelve sides lacks."""
+    radius, along = 0.05, np.array([0.6, 0.0, 0.8])
+    start = np.array([0.1, 0.2, 0.3])
+    ends = np.array([[start, start + length * along], [start, start]])[None]
+    vertices, faces = capsules(ends, [radius, 0.01])
+    one = faces[: len(faces) // 2]
+    whole = math.pi * radius**2 * (length + 4.0 * radius / 3.0)
+    assert 0.9 * whole < volume(vertices[0] - start, one) < whole
+    s = np.clip((vertices[0, : one.max() + 1] - start) @ along, 0.0, length)
+    away = np.linalg.norm(vertices[0, : one.max() + 1] - start - s[:, None] * along, axis=1)
+    np.testing.assert_allclose(away, radius, rtol=1e-6)
+
+
+def test_logarithmic_parameters_have_logarithmic_sliders():
+    _, E = Square().parameters(0)
+    assert E.position(100.0) == pytest.approx(2.0) and E.at(2.0) == pytest.approx(100.0)
+    assert Square().parameters(1)[0].text(0.02) == "20 mm"
+
+
+# ---- simulating again ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def run():
+    """A `Resimulation` of a model, and what came of it."""
+    began = []
+
+    def begin(model):
+        scenes, faults = [], []
+        made = Resimulation(
+            model,
+            on_begin=lambda: None,
+            on_scene=lambda scene, _: scenes.append(scene),
+            on_fault=faults.append,
+        )
+        began.append(made)
+        return made, scenes, faults
+
+    yield begin
+    for made in began:
+        made.close()
+
+
+def test_the_last_wish_wins(run):
+    """Those in between are never simulated."""
+    model = Square(seconds=0.1)
+    made, scenes, _ = run(model)
+    for height in (0.01, 0.02, 0.03, 0.04):
+        made.ask(0, {"height": height})
+    assert made.wait(10.0)
+    assert model.simulated[-1] == {"height": 0.04} and len(model.simulated) <= 2
+    assert scenes[-1].curves["height [mm]"][0] == pytest.approx(40.0)
+
+
+def test_a_long_simulation_is_given_up_for_a_newer_wish(run):
+    model = Square(seconds=30.0)
+    made, _, faults = run(model)
+    made.ask(0, {"height": 0.01})
+    time.sleep(0.05)
+    model.seconds = 0.0
+    made.ask(0, {"height": 0.02})
+    assert made.wait(PATIENCE + 5.0)
+    assert model.simulated == [{"height": 0.02}] and faults == []
+
+
+def test_faults_are_told_and_the_next_wish_is_served(run, caplog):
+    model = Square()
+    made, scenes, faults = run(model)
+    made.ask(0, {"height": 0.095})
+    assert made.wait(5.0)
+    made.ask(0, {})  # a fault of the program
+    assert made.wait(5.0)
+    assert faults == ["height: is too high", "internal error: KeyError: 'height'"]
+    made.ask(0, {"height": 0.0})
+    assert made.wait(5.0) and len(scenes) == 2
+
+
+def test_closing_does_not_wait_for_a_simulation(run):
+    made, _, _ = run(Square(seconds=30.0))
+    made.ask(0, {"height": 0.01})
+    assert not made.wait(0.2)
+    began = time.monotonic()
+    made.close()
+    assert time.monotonic() - began < 2.0
+
+
+# ---- in a browser --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def viewer():
+    """Of the square, on any port."""
+    pytest.importorskip("viser", reason="needs viser (the extra viz)")
+    from gendom.viz.viewer.server import Viewer
+
+    made = Viewer(Square(), port=0)
+    assert made.wait(10.0)
+    yield made
+    made.close()
+
+
+def test_a_slider_simulates_again(viewer):
+    assert viewer.scene.curves["height [mm]"][0] == 0.0
+    viewer.set_value("height", 0.05)
+    assert viewer.wait(10.0)
+    assert viewer.scene.curves["height [mm]"][0] == pytest.approx(50.0)
+    assert viewer.status.startswith("simulated in ")
+
+
+def test_the_chart_stays_until_there_is_another(viewer):
+    """Nothing jumps while a slider is dragged."""
+    scene = ViewerScene(times=TIMES, layers=(cloud(), square(0.01)), table_height=0.0)
+    viewer._take(scene, 0.01)
+    assert viewer._chart_folder.visible and "height [mm]</td><td>…" in viewer._readout.content
+
+
+def test_a_parameter_that_nobody_moved_keeps_all_its_digits(viewer):
+    """Its slider stands at a round number."""
+    viewer.set_value("height", 0.05)
+    assert viewer.wait(10.0)
+    assert viewer._model.simulated[-1]["E"] == 123.0
+    viewer.set_value("E", 1000.0)
+    assert viewer.wait(10.0)
+    assert viewer._model.simulated[-1]["E"] == pytest.approx(1000.0)
+
+
+def test_what_cannot_be_simulated_is_told_and_the_last_scene_stays(viewer):
+    before = viewer.scene
+    viewer.set_value("height", 0.1)
+    assert viewer.wait(10.0)
+    assert viewer.status == "height: is too high" and viewer.scene is before
+
+
+def test_another_case_has_its_own_parameters(viewer):
+    viewer.set_value("height", 0.05)
+    viewer.set_case(2)
+    assert viewer.wait(10.0)
+    assert viewer._model.simulated[-1] == {"height": 0.04, "E": 123.0}
+    assert viewer._model.asked[-1] == 2
+
+
+def test_playing_goes_on_until_it_is_stopped(viewer):
+    viewer.set_frame(0)
+    viewer.play(True)
+    until = time.monotonic() + 20.0
+    while viewer.frame == 0:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    viewer.play(False)
+    time.sleep(0.2)
+    stood = viewer.frame
+    time.sleep(0.3)
+    assert viewer.frame == stood
+
+
+def test_only_this_machine_reaches_it(viewer):
+    """Nothing listens on another address of its own either."""
+    socket.create_connection(("127.0.0.1", viewer.port), timeout=5.0).close()
+    with pytest.raises(OSError):
+        socket.create_connection(("127.0.0.2", viewer.port), timeout=1.0)
+    assert viewer._server.request_share_url() is None
+
+
+def test_a_taken_port_makes_room_for_the_next(viewer):
+    from gendom.viz.viewer.server import free_port
+
+    assert viewer.port < free_port(viewer.port) < viewer.port + 20
+    with pytest.raises(GendomError, match="port: is 70000"):
+        free_port(70000)
+
+
+def test_nothing_is_printed(capfd):
+    pytest.importorskip("viser", reason="needs viser (the extra viz)")
+    from gendom.viz.viewer.server import Viewer
+
+    made = Viewer(Square(), port=0)
+    made.close()
+    assert capfd.readouterr().out == ""
+    assert not [t for t in threading.enumerate() if t.name in ("player", "resimulation")]
+
+
+def _headless():
+    spec = importlib.util.spec_from_file_location("browser", Path(__file__).with_name("browser.py"))
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """One that draws with WebGL, in software."""
+    headless = _headless()
+    program = headless.find_browser()
+    if program is None:
+        pytest.skip(f"needs a browser: {', '.join(headless.NAMES)}")
+    opened = headless.Browser(program, tmp_path_factory.mktemp("profile"), webgl=True)
+    yield opened
+    opened.close()
+
+
+def until(browser, expression, seconds=60.0):
+    """The value of an expression once it is something."""
+    ends = time.monotonic() + seconds
+    while not (value := browser.evaluate(expression)):
+        assert time.monotonic() < ends, expression
+        time.sleep(0.1)
+    return value
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_page_shows_and_obeys(viewer, browser, width, capfd):
+    """It is drawn without errors, asks for nothing from elsewhere, and its sliders act."""
+    browser.open(viewer.url + "/", width=width)
+    text = "document.body.textContent"
+    for said in ("a square", "It is flat.", "height [mm]", "recorded", "Reset parameters"):
+        until(browser, f"{text}.includes({said!r})")
+    until(browser, "document.querySelector('canvas') !== null")
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    viewer.set_frame(0)
+    for slider, moved in ((1, lambda: viewer.frame == 1), (2, lambda: viewer._model.simulated[1:])):
+        # the first slider is that of cases
+        thumb = f"document.querySelectorAll('[role=slider]')[{slider}]"
+        until(browser, f"{thumb}.getAttribute('aria-valuenow') === '0'")
+        browser.evaluate(f"{thumb}.focus()")
+        for kind in ("rawKeyDown", "keyUp"):
+            browser.call("Input.dispatchKeyEvent", type=kind, **ARROW)
+        ends = time.monotonic() + 20.0
+        while not moved():
+            assert time.monotonic() < ends, slider
+            browser.settle()
+    assert browser.errors == []
+    assert [a for a in browser.requested if not a.startswith((viewer.url, "blob:"))] == []
+    assert capfd.readouterr().out == ""
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+
+def scene_of_square():
+    return list(Square().simulate(0, {"height": 0.01}, lambda: None))[-1]
+
+
+def test_a_page_plays_by_itself(browser, tmp_path):
+    pytest.importorskip("viser", reason="needs viser (the extra viz)")
+    from gendom.viz.viewer.server import encode_html
+
+    path = tmp_path / "square.html"
+    path.write_text(encode_html(scene_of_square()), encoding="utf-8")
+    browser.open(path, width=800)
+    until(browser, "document.querySelector('canvas') !== null")
+    assert browser.errors == []
+    assert [a for a in browser.requested if not a.startswith(("file:", "blob:"))] == []
+
+
+def test_a_rerun_file_holds_everything(tmp_path):
+    pytest.importorskip("rerun", reason="needs rerun-sdk (the extra rerun)")
+    chunk = pytest.importorskip("rerun.chunk", reason="needs a newer rerun-sdk to read files")
+    from gendom.viz.viewer.rerun_file import write_rrd
+
+    path = tmp_path / "square.rrd"
+    write_rrd(path, scene_of_square(), title="a square")
+    rows = {}
+    for piece in chunk.RrdReader(str(path)).stream():
+        rows[piece.entity_path] = rows.get(piece.entity_path, 0) + piece.num_rows
+    for name in ("/world/recorded", "/world/simulated", "/curves/height\\ \\[mm\\]"):
+        assert rows[name] == len(TIMES), rows
+    assert rows["/world/table"] == 1
+
+
+def test_a_rerun_file_is_whole_or_absent(tmp_path, monkeypatch):
+    pytest.importorskip("rerun", reason="needs rerun-sdk (the extra rerun)")
+    from gendom.viz.viewer import rerun_file
+
+    def fail(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rerun_file, "_log_frame", fail)
+    with pytest.raises(KeyboardInterrupt):
+        rerun_file.write_rrd(tmp_path / "square.rrd", scene_of_square(), title="a square")
+    assert list(tmp_path.iterdir()) == []
