@@ -38,6 +38,15 @@ if TYPE_CHECKING:
 CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=4e5, density=400.0, damping=0.005))
 """What demonstrations are simulated with."""
 
+RANGES = {
+    # bending lengths of 0.06 to 0.16 sides: a shirting to 1 mm of rubber
+    "E": (190.0, 3500.0),
+    "nu": (0.2, 0.45),
+    "damping": (0.002, 0.02),
+    "friction": (0.3, 0.8),
+    "density": (150.0, 1200.0),
+}
+
 STEPS = 16
 """In which a cloth is brought down."""
 
@@ -124,16 +133,7 @@ class ClothSpreading(Task):
     """Of each of the steps down [sqrt(L / g)]."""
 
     item: Item = CLOTH
-    ranges: Mapping[str, tuple[float, float]] = field(
-        default_factory=lambda: {
-            # bending lengths of 0.06 to 0.16 sides: a shirting to 1 mm of rubber
-            "E": (190.0, 3500.0),
-            "nu": (0.2, 0.45),
-            "damping": (0.002, 0.02),
-            "friction": (0.3, 0.8),
-            "density": (150.0, 1200.0),
-        }
-    )
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(RANGES))
 
     def limits(self, item: Item) -> Array:
         return np.array([[0.0, LARGEST_A]])
@@ -265,6 +265,11 @@ class ClothSpreadingAtHeight(ClothSpreading):
     )
     highest: ClassVar[float] = HIGHEST
     step_time: ClassVar[float] = QUICK_STEP_TIME
+
+    ranges: Mapping[str, tuple[float, float]] = field(
+        # bending lengths from 0.05 sides on
+        default_factory=lambda: RANGES | {"E": (100.0, RANGES["E"][1])}
+    )
 
     def limits(self, item: Item) -> Array:
         return np.array([[0.0, LARGEST_A], size_of(item) * np.array([HEIGHT, HIGHEST])])
