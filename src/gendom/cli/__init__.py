@@ -9,7 +9,6 @@ interrupted.
 
 from __future__ import annotations
 
-import difflib
 import logging
 import os
 import sys
@@ -18,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
 
-from gendom.errors import GendomError, ParameterError
+from gendom.errors import GendomError, ParameterError, did_you_mean
 from gendom.installation import how_to_install, version
 from gendom.progress import silence
 
@@ -99,16 +98,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(name: str, words: list[str]) -> int:
-    import tyro
+    from gendom.cli.parsing import parse
 
-    from gendom.cli.arguments import PARSING, described
-
-    command_class = import_module(COMMANDS[name][0]).Command
     try:
-        command = tyro.cli(
-            described(command_class), prog=f"gendom {name}", args=words, config=PARSING
-        )
-    except SystemExit as stop:  # help, or flags that are not understood
+        command = parse(import_module(COMMANDS[name][0]).Command, name, words)
+    except SystemExit as stop:  # help was printed
         return stop.code if isinstance(stop.code, int) else 2
     if (seed := getattr(command, "seed", 0)) < 0:
         raise ParameterError(f"is {seed}", where="--seed", fix="give 0 or more")
@@ -135,8 +129,7 @@ def _usage() -> str:
 
 def _unknown(name: str) -> str:
     kind = "flag" if name.startswith("-") else "command"
-    near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
-    advice = f"did you mean {near[0]!r}?" if near else "see gendom --help"
+    advice = did_you_mean(name, COMMANDS) or "see gendom --help"
     return f"there is no {kind} {name!r}; {advice}"
 
 
