@@ -33,6 +33,7 @@ COMMANDS = {
     "train": ("gendom.cli.train", "train a policy on demonstrations"),
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
     "policies": ("gendom.cli.policies", "the policies that come with the package"),
+    "materials": ("gendom.cli.materials", "what ropes, cables and cloths have, with sources"),
     "reproduce": ("gendom.cli.reproduce", "the paper's tables and the intervals' coverage"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
     "calibrate": ("gendom.cli.calibrate", "where a camera stands, from pictures of a board"),
