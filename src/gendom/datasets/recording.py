@@ -19,10 +19,6 @@ import json
 import logging
 import math
 import os
-import struct
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -32,7 +28,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.datasets.checks import GRASPS, KINDS, NEEDED_SIZES, SIZES, Fault, check
-from gendom.datasets.ply import read_ply_folder
+from gendom.datasets.folder import read_folder
+from gendom.datasets.npz import LOAD_ERRORS
 from gendom.datasets.static import FORMAT_STATIC, recording_of_static
 from gendom.errors import GendomError, RecordingError
 from gendom.files import atomic_path, to_json
@@ -242,8 +239,8 @@ class Recording(Shown):
 
         Args:
             path: A `gendom-recording/1` file, a `gendom-static/1` file (see
-                `gendom.datasets.static`), or a folder of PLY files with gripper.csv and
-                object.toml (see `gendom.datasets.ply.read_ply_folder`).
+                `gendom.datasets.static`), or a folder of clouds (PLY, PCD, NPZ) with
+                gripper.csv and object.toml (see `gendom.datasets.folder.read_folder`).
             on_warning: Called with every fault that does not prevent use; by default they are
                 logged.
 
@@ -252,7 +249,7 @@ class Recording(Shown):
         """
         path = Path(path)
         if path.is_dir():
-            clouds, arrays, meta = read_ply_folder(path)
+            clouds, arrays, meta = read_folder(path)
             arrays["points"] = np.concatenate([np.zeros((0, 3), np.float32), *clouds])
             arrays["offsets"] = np.cumsum([0, *map(len, clouds)])
             where, faults = str(path / "object.toml"), []
@@ -463,22 +460,6 @@ def _check_lengths(arrays: Mapping[str, np.ndarray | None]) -> list[Fault]:
     return faults
 
 
-# What a damaged zip file or array header makes the readers below raise.
-_LOAD_ERRORS = (
-    OSError,
-    EOFError,
-    ValueError,
-    KeyError,
-    RuntimeError,
-    MemoryError,
-    SyntaxError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-
-
 def check_name(path: str | os.PathLike) -> None:
     """Whether a recording can be written under a name; to be asked before much work is done.
 
@@ -497,7 +478,7 @@ def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     def fault(what: str, fix: str) -> RecordingError:
         return RecordingError(what, where=str(path), fix=fix)
 
-    if path.suffix.lower() == ".ply":
+    if path.suffix.lower() in (".ply", ".pcd"):
         raise fault("is a single cloud", "give the folder that holds all frames")
     try:
         with open(path, "rb") as file:
@@ -510,7 +491,7 @@ def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
                 stored = {name: archive[name] for name in names}
     except FileNotFoundError:
         raise fault("no such file", "check the path") from None
-    except _LOAD_ERRORS as error:
+    except LOAD_ERRORS as error:
         if isinstance(error, OSError) and error.strerror:
             raise fault(f"cannot be read ({error.strerror})", "check the file") from None
         if "allow_pickle" in str(error):
