@@ -239,8 +239,9 @@ class Recording(Shown):
 
         Args:
             path: A `gendom-recording/1` file, a `gendom-static/1` file (see
-                `gendom.datasets.static`), or a folder of clouds (PLY, PCD, NPZ) with
-                gripper.csv and object.toml (see `gendom.datasets.folder.read_folder`).
+                `gendom.datasets.static`), a folder of clouds (PLY, PCD, NPZ) with
+                gripper.csv and object.toml (see `gendom.datasets.folder.read_folder`), or a
+                LeRobot data set that `gendom export` made of a recording.
             on_warning: Called with every fault that does not prevent use; by default they are
                 logged.
 
@@ -248,7 +249,12 @@ class Recording(Shown):
             RecordingError: The recording cannot be read or used; one line a fault.
         """
         path = Path(path)
-        if path.is_dir():
+        if path.is_dir() and (path / "meta/info.json").is_file():
+            from gendom.datasets.lerobot import read_lerobot  # late: it needs pyarrow
+
+            arrays, meta = read_lerobot(path)
+            where, faults = str(path), _missing_keys(meta)
+        elif path.is_dir():
             clouds, arrays, meta = read_folder(path)
             arrays["points"] = np.concatenate([np.zeros((0, 3), np.float32), *clouds])
             arrays["offsets"] = np.cumsum([0, *map(len, clouds)])
@@ -294,7 +300,7 @@ class Recording(Shown):
         arrays = {name: getattr(self, name) for name in _STORED_ARRAYS}
         arrays = {name: array for name, array in arrays.items() if array is not None}
         try:
-            meta = to_json(self._meta())
+            meta = to_json(self.meta())
         except GendomError as error:
             raise RecordingError(
                 error.what, where=f"{path}: meta.{error.where}", fix=error.fix
@@ -302,7 +308,8 @@ class Recording(Shown):
         with atomic_path(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, meta=np.array(meta), allow_pickle=False, **arrays)
 
-    def _meta(self) -> dict[str, Any]:
+    def meta(self) -> dict[str, Any]:
+        """All but the arrays, as the file has it."""
         sizes = NEEDED_SIZES.get(self.object.kind, ())
         optional = {"rope": ("diameter",), "cloth": ("thickness",)}.get(self.object.kind, ())
         shown = (*sizes, *optional, "mass")
@@ -458,6 +465,13 @@ def _check_lengths(arrays: Mapping[str, np.ndarray | None]) -> list[Fault]:
             )
         )
     return faults
+
+
+def is_recording(path: str | os.PathLike) -> bool:
+    """Whether a file or folder is meant as a recording, whole or not."""
+    path = Path(path)
+    inside = ("object.toml", "gripper.csv", "meta/info.json")
+    return path.is_file() or any((path / name).is_file() for name in inside)
 
 
 def check_name(path: str | os.PathLike) -> None:
