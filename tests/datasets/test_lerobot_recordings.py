@@ -151,8 +151,9 @@ def test_lerobot_reads_it(uneven, tmp_path, monkeypatch):
         item = found[t]
         count = int(item["observation.num_points"])
         np.testing.assert_array_equal(item["observation.points"][:count], uneven.frame(t))
-        assert item["observation.state"][:3].tolist() == uneven.gripper_position[t, 0].tolist()
-        assert float(item["observation.time"]) == uneven.time[t]
+        state = item["observation.state"][:3].tolist()  # which it hands out as float32
+        assert state == pytest.approx(uneven.gripper_position[t, 0], rel=1e-6)
+        assert float(item["observation.time"]) == pytest.approx(uneven.time[t], rel=1e-6)
         assert item["task"] == "move a rope that is held by: end"
     assert found.meta.stats["observation.points"]["mean"].shape == (24, 3)
     later = reader.LeRobotDataset(
