@@ -29,7 +29,7 @@ COMMANDS = {
     "act": ("gendom.cli.act", "the action that reaches a goal with a given object"),
     "adapt": ("gendom.cli.adapt", "learn parameters from what actions have reached"),
     "dataset": ("gendom.cli.dataset", "simulate demonstrations"),
-    "export": ("gendom.cli.export", "demonstrations in the format of LeRobot"),
+    "export": ("gendom.cli.export", "demonstrations or a recording in the format of LeRobot"),
     "train": ("gendom.cli.train", "train a policy on demonstrations"),
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
     "policies": ("gendom.cli.policies", "the policies that come with the package"),
@@ -39,6 +39,7 @@ COMMANDS = {
     "calibrate": ("gendom.cli.calibrate", "where a camera stands, from pictures of a board"),
     "record": ("gendom.cli.record", "a lift of the second reality, seen by depth cameras"),
     "perceive": ("gendom.cli.perceive", "from depth pictures to a recording"),
+    "import": ("gendom.cli.import_", "from a ROS 2 bag, clouds or LeRobot to a recording"),
     "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
     "validate": ("gendom.cli.validate", "measure the simulator against analytic mechanics"),
     "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
@@ -53,6 +54,7 @@ _EXTRAS = {
     "cv2": "camera",
     "gymnasium": "reality",
     "ray": "cluster",
+    "rosbags": "ros",
 }
 
 
