@@ -128,12 +128,12 @@ def messages(lifted, **changes):
         transform(0.0, "world", "camera", AT, CAMERA),
     ]
     rows = [("/tf_static", tf, made(tf, transforms=still))]
-    # the hand moves evenly and turns; the tool is 10 cm before it
+    # the hand moves evenly
+    turn, offset = Rotation.from_euler("xyz", [3.0, 0.2, 0.7]), np.array([0.01, 0.02, 0.1])
     for time in (0.0, 0.8, 2.0):
-        turn = Rotation.from_euler("z", 0.3 * time)
         tool = np.array([0.4, 0.0, 0.01 + 0.04 * (time - 0.5)])
-        hand = transform(time, "base", "hand", tool - [0.0, 0.0, 0.1], turn)
-        tip = transform(time, "hand", "tool", [0.0, 0.0, 0.1], Rotation.identity())
+        hand = transform(time, "base", "hand", tool - turn.apply(offset), turn)
+        tip = transform(time, "hand", "tool", offset, Rotation.identity())
         rows.append(("/tf", tf, made(tf, transforms=[hand, tip])))
         held = pose(time, "camera", seen(tool))
         rows.append(("/tool_pose", "geometry_msgs/msg/PoseStamped", held))
@@ -177,14 +177,27 @@ def test_other_layouts_of_clouds(lifted, tmp_path, changes):
     check(read_ros_bag(path, path / "object.toml", RosSettings(gripper="tool")), lifted)
 
 
-def test_points_that_were_not_seen_and_those_outside_of_a_box(lifted, tmp_path):
+@pytest.mark.parametrize("box", [None, (-1.0, 1.0, -1.0, 1.0, -1.0, 1.0)])
+def test_points_that_were_not_seen_and_those_outside_of_a_box(lifted, tmp_path, box):
     whole = list(lifted.clouds)
-    far, unseen = np.array([[0.2, 3.0, 0.0]]), np.full((2, 3), np.nan)
-    lifted.clouds[:] = [np.concatenate([unseen, points, far]) for points in whole]
+    more = np.full((2, 3), np.nan) if box is None else np.array([[0.2, 3.0, 0.0]])
+    lifted.clouds[:] = [np.concatenate([more, points]) for points in whole]
     path = bag(tmp_path / "bag", messages(lifted))
-    settings = RosSettings(gripper="tool", workspace=(-1.0, 1.0, -1.0, 1.0, -1.0, 1.0))
+    settings = RosSettings(gripper="tool", workspace=box)
     lifted.clouds[:] = whole
     check(read_ros_bag(path, path / "object.toml", settings), lifted)
+
+
+def test_a_camera_that_turns(lifted, tmp_path):
+    tf, rows = "tf2_msgs/msg/TFMessage", without("/tf_static", "/camera/points")(messages(lifted))
+    for time in (0.0, 2.0):
+        turned = transform(time, "base", "camera", AT, Rotation.from_euler("z", 0.5 * time))
+        rows.append(("/tf", tf, made(tf, transforms=[turned])))
+    for time, points in zip(lifted.times, lifted.clouds, strict=True):
+        own = Rotation.from_euler("z", 0.5 * time).inv().apply(points - AT)
+        rows.append(("/camera/points", "sensor_msgs/msg/PointCloud2", cloud(time, "camera", own)))
+    path = bag(tmp_path / "bag", rows)
+    check(read_ros_bag(path, path / "object.toml", RosSettings(gripper="tool")), lifted)
 
 
 def test_the_world_can_be_any_frame(lifted, tmp_path):
