@@ -166,9 +166,8 @@ def _compressed(data: bytes, header: _Header) -> np.ndarray:
         )
     _check_length(len(data), 8 + packed, "bytes")
     plain = _lzf(data[8 : 8 + packed], size)
-    starts = np.cumsum(
-        [0, *(header.points * header.row[n].itemsize for n in range(len(header.row)))]
-    )
+    each = [kind.itemsize * n for kind, n in zip(header.types, header.counts, strict=True)]
+    starts = np.cumsum([0, *each]) * header.points
     columns = [
         np.frombuffer(plain, header.types[n], header.points, int(starts[n])) for n in header.xyz
     ]

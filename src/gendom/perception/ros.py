@@ -130,12 +130,14 @@ def read_ros_bag(
                 "warning",
             )
         )
+    source = values.pop("source") or f"ROS bag {Path(path).name}"
     extra = {**values.pop("extra"), "ros": {"points": topic, "gripper": settings.gripper}}
     made = Recording.from_frames(
         clouds,
         time=np.array(times) - times[0],
         gripper_position=np.array(positions),
-        **values | {"source": values["source"] or f"ROS bag {Path(path).name}"},
+        **values,
+        source=source,
         extra=extra | {"started": times[0], "world": world},
     )
     found = made.validate()
