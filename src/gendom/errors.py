@@ -6,7 +6,8 @@ without a traceback and exits with code 2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 
@@ -114,3 +115,10 @@ def one_line(what: str, *, where: str | None = None, fix: str | None = None) -> 
     """ "where: what; fix", without the parts left out."""
     line = f"{where}: {what}" if where else what
     return f"{line}; {fix}" if fix else line
+
+
+def did_you_mean(word: str, names: Iterable[str]) -> str:
+    """Which of several names somebody meant, as a question; empty where none is near."""
+    known = {name.strip("-").lower(): name for name in names}
+    near = difflib.get_close_matches(word.strip("-").lower(), known, n=1, cutoff=0.5)
+    return f"did you mean {known[near[0]]!r}?" if near else ""

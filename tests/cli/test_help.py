@@ -11,7 +11,7 @@ import pytest
 import tyro
 
 from gendom import cli
-from gendom.cli.arguments import PARSING, described
+from gendom.cli.parsing import PARSING, described
 
 COMMANDS = sorted(cli.COMMANDS)
 

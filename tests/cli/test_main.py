@@ -97,13 +97,46 @@ def test_flags_reach_the_command_and_its_code_comes_back(command):
     assert cli.main(["act", "--size", "7"]) == 7
 
 
-def test_usage_errors_of_a_command(command, capsys):
+def test_help_of_a_command(command, capsys):
     command(lambda self: 0)
-    assert cli.main(["act", "--size", "many"]) == 2
-    assert cli.main(["act", "--zize", "1"]) == 2
-    assert capsys.readouterr().out == ""
     assert cli.main(["act", "--help"]) == 0
     assert "A number." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("act --gaol 1", "act: there is no flag '--gaol'; did you mean '--goal'?"),
+        ("act rope-casting --gaol 1 2", "act: there is no flag '--gaol'; did you mean '--goal'?"),
+        ("estimate x --qqq=3", "estimate: there is no flag '--qqq'; see gendom estimate --help"),
+        (
+            "estimate x --sead 3 --clock q",
+            "estimate: there is no flag '--sead'; did you mean '--seed'?",
+        ),
+        ("estimate x -s 3", "estimate: there is no flag '-s'; see gendom estimate --help"),
+        ("estimate x y -3", "estimate: 'y -3' is too much; see gendom estimate --help"),
+        ("check", "check: lacks RECORDING; for example: gendom check lift.npz"),
+        ("export x", "export: lacks --out; for example: gendom export casts --out casts-lerobot"),
+        (
+            "dataset",
+            "dataset: lacks TASK, --size, --out; "
+            "for example: gendom dataset rope-casting --size 1000 --out casts",
+        ),
+        ("estimate x --seed", "estimate: --seed: has no value; give a whole number"),
+        ("estimate x --seed --json", "estimate: --seed: has no value; give a whole number"),
+        ("estimate x --starts 2.5", "estimate: --starts: is '2.5'; give a whole number"),
+        ("estimate x --clock=q", "estimate: --clock: is 'q'; give a number"),
+        ("estimate x --cells_across q", "estimate: --cells-across: is 'q'; give a number"),
+        ("perceive x --colour 1 2", "perceive: --colour: is '1 2'; give 3 whole numbers"),
+        ("act rope-casting --goal a b", "act: --goal: is 'a b'; give numbers"),
+        ("estimate x --frames lst", "estimate: --frames: is 'lst'; did you mean 'last'?"),
+        ("estimate x --frames q", "estimate: --frames: is 'q'; choose all, last"),
+        ("estimate x --method adm", "estimate: there is no method 'adm'; did you mean 'adam'?"),
+    ],
+)
+def test_what_is_not_understood_is_one_line(words, line, capsys):
+    assert cli.main(words.split()) == 2
+    assert capsys.readouterr() == ("", f"gendom {line}\n")
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from gendom import cli
-from gendom.datasets import lerobot
 from gendom.datasets.demonstrations import generate, load, read_description
-from gendom.datasets.lerobot import export_lerobot
+from gendom.datasets.lerobot import export_demonstrations, format
 from gendom.errors import DatasetError, GendomError
 from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
@@ -43,7 +42,7 @@ def quick(monkeypatch):
 def made(tmp_path):
     """Folder of a set of 12 with 9 that did not fail, and that of its export."""
     generate(Demonstrator(task=RopeReaching()), 12, tmp_path / "set", seed=3, shard_size=12)
-    export_lerobot(tmp_path / "set", tmp_path / "out")
+    export_demonstrations(tmp_path / "set", tmp_path / "out")
     return tmp_path / "set", tmp_path / "out"
 
 
@@ -127,7 +126,7 @@ def test_statistics(made):
 
 def test_an_action_of_one_number_and_no_goal(tmp_path):
     generate(Demonstrator(task=ClothSpreading()), 6, tmp_path / "set", seed=0)
-    info = export_lerobot(tmp_path / "set", tmp_path / "out")
+    info = export_demonstrations(tmp_path / "set", tmp_path / "out")
     assert info["features"]["observation.state"]["names"][:2] == ["side", "thickness"]
     assert info["features"]["action"] == {
         "dtype": "float32", "shape": [1], "names": ["A"], "units": ["1"],
@@ -137,9 +136,9 @@ def test_an_action_of_one_number_and_no_goal(tmp_path):
 
 
 def test_many_episodes_are_cut_into_files(made, tmp_path, monkeypatch):
-    monkeypatch.setattr(lerobot, "EPISODES_PER_FILE", 2)
-    monkeypatch.setattr(lerobot, "FILES_PER_CHUNK", 3)
-    info = export_lerobot(made[0], tmp_path / "cut")
+    monkeypatch.setattr(format, "EPISODES_PER_FILE", 2)
+    monkeypatch.setattr(format, "FILES_PER_CHUNK", 3)
+    info = export_demonstrations(made[0], tmp_path / "cut")
     assert info["chunks_size"] == 3
     paths = sorted((tmp_path / "cut" / "data").rglob("*.parquet"))
     assert [str(p.relative_to(tmp_path / "cut")) for p in paths] == [
@@ -162,7 +161,7 @@ def test_many_episodes_are_cut_into_files(made, tmp_path, monkeypatch):
 def test_what_is_there_is_left_alone(made):
     before = files(made[1])
     with pytest.raises(GendomError, match="is there already; name a new folder"):
-        export_lerobot(*made)
+        export_demonstrations(*made)
     assert files(made[1]) == before
 
 
@@ -172,14 +171,14 @@ def test_a_full_disk_leaves_nothing(made, tmp_path, monkeypatch):
 
     monkeypatch.setattr(pq, "write_table", fill)
     with pytest.raises(GendomError, match="the disk is full"):
-        export_lerobot(made[0], tmp_path / "new")
+        export_demonstrations(made[0], tmp_path / "new")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "set"]
 
 
 def test_a_set_that_only_failed_is_refused(tmp_path):
     generate(Demonstrator(task=RopeReaching()), 1, tmp_path / "set", seed=3)
     with pytest.raises(DatasetError, match="holds no demonstration that did not fail"):
-        export_lerobot(tmp_path / "set", tmp_path / "out")
+        export_demonstrations(tmp_path / "set", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -206,7 +205,7 @@ def test_lerobot_reads_it(tmp_path, monkeypatch, task):
     )
 
     generate(Demonstrator(task=task()), 12, tmp_path / "set", seed=3, shard_size=12)
-    info = export_lerobot(tmp_path / "set", tmp_path / "out")
+    info = export_demonstrations(tmp_path / "set", tmp_path / "out")
     frames = pq.read_table(tmp_path / "out" / DATA).to_pylist()
     found = reader.LeRobotDataset("gendom/test", root=tmp_path / "out")
     assert (found.num_episodes, found.num_frames, found.fps) == (len(frames), len(frames), 1)

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.materials import Material
+from gendom.materials import Material, library
 from gendom.reality import find_object
 from gendom.reality.objects import RealCloth, RealRope
 
@@ -86,3 +86,28 @@ def test_files_that_are_none(tmp_path):
     (tmp_path / "bad.toml").write_text("kind = ")
     with pytest.raises(ParameterError, match="is not TOML"):
         find_object(str(tmp_path / "bad.toml"))
+
+
+def test_a_material_of_the_library(tmp_path):
+    entries = {"kind": '"rope"', "length": "0.5", "material": '"nylon-rope"'}
+    known = library.get("nylon-rope")
+    item = find_object(written(tmp_path, entries))
+    assert isinstance(item, RealRope)
+    assert item.material == known.material() and item.diameter == known.across.typical
+    assert item.friction == known.friction.typical
+    item = find_object(written(tmp_path, entries | {"mass": "0.03", "nu": "0.3"}))
+    assert item.mass == pytest.approx(0.03) and item.material.nu == 0.3
+    assert item.material.E == known.E.typical
+
+
+@pytest.mark.parametrize(
+    ("material", "said"),
+    [
+        ("nylon-rop", "mine.toml: there is no material 'nylon-rop'; did you mean 'nylon-rope'"),
+        ("denim", "mine.toml: denim is a cloth, and kind is 'rope'"),
+    ],
+)
+def test_a_material_that_cannot_be(tmp_path, material, said):
+    entries = {"kind": '"rope"', "length": "0.5", "material": f'"{material}"'}
+    with pytest.raises(ParameterError, match=said):
+        find_object(written(tmp_path, entries))

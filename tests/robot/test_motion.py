@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gendom.datasets.ply import read_gripper
+from gendom.datasets.folder import read_gripper
 from gendom.errors import RobotError
 from gendom.robot import (
     DOWN,

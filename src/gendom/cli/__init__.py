@@ -9,7 +9,6 @@ interrupted.
 
 from __future__ import annotations
 
-import difflib
 import logging
 import os
 import sys
@@ -18,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
 
-from gendom.errors import GendomError, ParameterError
+from gendom.errors import GendomError, ParameterError, did_you_mean
 from gendom.installation import how_to_install, version
 from gendom.progress import silence
 
@@ -31,15 +30,17 @@ COMMANDS = {
     "act": ("gendom.cli.act", "the action that reaches a goal with a given object"),
     "adapt": ("gendom.cli.adapt", "learn parameters from what actions have reached"),
     "dataset": ("gendom.cli.dataset", "simulate demonstrations"),
-    "export": ("gendom.cli.export", "demonstrations in the format of LeRobot"),
+    "export": ("gendom.cli.export", "demonstrations or a recording in the format of LeRobot"),
     "train": ("gendom.cli.train", "train a policy on demonstrations"),
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
     "policies": ("gendom.cli.policies", "the policies that come with the package"),
+    "materials": ("gendom.cli.materials", "what ropes, cables and cloths have, with sources"),
     "reproduce": ("gendom.cli.reproduce", "the paper's tables and the intervals' coverage"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
     "calibrate": ("gendom.cli.calibrate", "where a camera stands, from pictures of a board"),
     "record": ("gendom.cli.record", "a lift of the second reality, seen by depth cameras"),
     "perceive": ("gendom.cli.perceive", "from depth pictures to a recording"),
+    "import": ("gendom.cli.import_", "from a ROS 2 bag, clouds or LeRobot to a recording"),
     "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
     "validate": ("gendom.cli.validate", "measure the simulator against analytic mechanics"),
     "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
@@ -47,6 +48,7 @@ COMMANDS = {
 
 # Import name -> the extra that brings it.
 _EXTRAS = {
+    "pyarrow": "data",
     "torch": "train",
     "onnx": "train",
     "mujoco": "reality",
@@ -56,6 +58,7 @@ _EXTRAS = {
     "ray": "cluster",
     "viser": "viz",
     "rerun": "rerun",
+    "rosbags": "ros",
 }
 
 
@@ -102,16 +105,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(name: str, words: list[str]) -> int:
-    import tyro
+    from gendom.cli.parsing import parse
 
-    from gendom.cli.arguments import PARSING, described
-
-    command_class = import_module(COMMANDS[name][0]).Command
     try:
-        command = tyro.cli(
-            described(command_class), prog=f"gendom {name}", args=words, config=PARSING
-        )
-    except SystemExit as stop:  # help, or flags that are not understood
+        command = parse(import_module(COMMANDS[name][0]).Command, name, words)
+    except SystemExit as stop:  # help was printed
         return stop.code if isinstance(stop.code, int) else 2
     if (seed := getattr(command, "seed", 0)) < 0:
         raise ParameterError(f"is {seed}", where="--seed", fix="give 0 or more")
@@ -138,8 +136,7 @@ def _usage() -> str:
 
 def _unknown(name: str) -> str:
     kind = "flag" if name.startswith("-") else "command"
-    near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
-    advice = f"did you mean {near[0]!r}?" if near else "see gendom --help"
+    advice = did_you_mean(name, COMMANDS) or "see gendom --help"
     return f"there is no {kind} {name!r}; {advice}"
 
 

@@ -2,50 +2,20 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
 import math
-import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from gendom.errors import GendomError, ParameterError
+from gendom.errors import ParameterError, did_you_mean
 from gendom.files import read_json
 from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Progress
-
-PARSING = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
-"""How flags are read: none has a twin with --no-, and those without a value are left out."""
-
-
-def described(command: type) -> type:
-    """A command's class whose help flows (tyro keeps the line breaks of indented docstrings), and
-    tells those defaults alone that say something."""
-
-    def default_told(default: str) -> str:
-        return "" if default in ("None", "False", "") else f"(default: {default})"
-
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(command))).body
-    assert isinstance(tree, ast.ClassDef)
-    told = {
-        field.target.id: " ".join(text.value.value.split())
-        for field, text in pairwise(tree.body)
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
-        if isinstance(text.value.value, str)
-    }
-    for name, kind in get_type_hints(command, include_extras=True).items():
-        said = tyro.conf.arg(help=told.get(name), help_behavior_hint=default_told)
-        command.__annotations__[name] = Annotated[kind, said]
-    return command
-
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
 
@@ -59,7 +29,7 @@ def _name(metavar: str, known: Callable[[str], str]) -> Any:
 
     Args:
         metavar: As the help lists them.
-        known: From a word to the name, with a ``ValueError`` where there is none.
+        known: From a word to the name, with a ``GendomError`` where there is none.
     """
     return tyro.constructors.PrimitiveConstructorSpec[Any](
         nargs=1,
@@ -73,10 +43,7 @@ def _name(metavar: str, known: Callable[[str], str]) -> Any:
 def _task(word: str) -> str:
     from gendom.tasks import find_task
 
-    try:
-        return find_task(word).name
-    except GendomError as error:
-        raise ValueError(f"{error.what}; {error.fix}") from None
+    return find_task(word).name
 
 
 TaskName = Annotated[str, _name(TASKS_HELP, _task)]
@@ -87,7 +54,8 @@ def _method(word: str) -> str:
     from gendom.estimation import METHODS
 
     if word not in METHODS:
-        raise ValueError(f"there is no method {word!r}; choose from {', '.join(METHODS)}")
+        fix = did_you_mean(word, METHODS) or f"choose from {', '.join(METHODS)}"
+        raise ParameterError(f"there is no method {word!r}", fix=fix)
     return word
 
 

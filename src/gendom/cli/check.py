@@ -24,7 +24,8 @@ class Command:
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """A gendom-recording/1 file (.npz), or a folder of .ply files, gripper.csv, object.toml."""
+    """A gendom-recording/1 file (.npz), or a folder: clouds (.ply, .pcd, .npz), gripper.csv and
+    object.toml (docs/data.md)."""
     json: bool = False
     """Print JSON."""
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Union
 
 import tyro
 
-from gendom.cli.arguments import PARSING, described
+from gendom.cli.parsing import PARSING, described
 
 
 @dataclass(frozen=True, kw_only=True)

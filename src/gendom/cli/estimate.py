@@ -52,7 +52,8 @@ class Command:
     """
 
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """A gendom-recording/1 file (.npz), or a folder of .ply files, gripper.csv, object.toml."""
+    """A gendom-recording/1 file (.npz), or a folder: clouds (.ply, .pcd, .npz), gripper.csv and
+    object.toml (docs/data.md)."""
     out: Path | None = None
     """Folder for estimate.json."""
     report: Path | None = None
@@ -72,6 +73,8 @@ class Command:
     unknowns: tuple[str, ...] = ()
     """What is looked for, such as specific_modulus grip_height; by default what a recording of this
     kind may show."""
+    material: str | None = None
+    """What it is made of, by a name of gendom materials: narrows what is believed beforehand."""
     engine: Literal["thin", "mpm"] = "thin"
     """Of the simulator. thin: ropes as rods, cloths as shells. mpm: material points, slower."""
     points: int | None = None
@@ -118,6 +121,7 @@ class Command:
             level=self.level,
             scene=SceneSettings(
                 engine=self.engine,
+                material=self.material,
                 points=self.points,
                 cells_across=self.cells_across,
                 clock=self.clock,
@@ -235,7 +239,8 @@ class Command:
         words += ["--level", str(self.level), "--engine", self.engine]
         if self.unknowns:
             words += ["--unknowns", *self.unknowns]
-        for flag, value in (("--points", self.points), ("--clock", self.clock)):
+        optional = {"--material": self.material, "--points": self.points, "--clock": self.clock}
+        for flag, value in optional.items():
             words += [] if value is None else [flag, str(value)]
         words += ["--cells-across", str(self.cells_across), "--device", self.device]
         return shlex.join(words)

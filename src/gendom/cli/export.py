@@ -1,4 +1,4 @@
-"""`gendom export`: a set of demonstrations in another project's format."""
+"""`gendom export`: demonstrations or a recording in another project's format."""
 
 from __future__ import annotations
 
@@ -8,21 +8,24 @@ from typing import Any, Literal
 
 import tyro
 
+from gendom.datasets import Recording
+from gendom.datasets.recording import is_recording
 from gendom.files import check_folder, to_json
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Write a set of demonstrations as a LeRobot data set (format v3.0).
+    """Write a set of demonstrations, or a recording, as a LeRobot data set (format v3.0).
 
     A demonstration becomes an episode of one frame; those that failed are left out, and so is what
-    is not yet simulated.
+    is not yet simulated. A recording becomes one episode, which gendom check, estimate and import
+    read back without loss.
 
     For example: gendom export casts --out casts-lerobot
     """
 
-    set: tyro.conf.Positional[Path]
-    """Folder written by gendom dataset."""
+    source: tyro.conf.Positional[Path]
+    """Folder written by gendom dataset, or a recording."""
     out: Path
     """Folder to make."""
     to: Literal["lerobot"] = "lerobot"
@@ -31,10 +34,13 @@ class Command:
     """Print info.json."""
 
     def run(self) -> int:
-        from gendom.datasets.lerobot import export_lerobot
+        from gendom.datasets.lerobot import export_demonstrations, export_recording
 
         check_folder(self.out)
-        info = export_lerobot(self.set, self.out)
+        if is_recording(self.source):
+            info = export_recording(Recording.read(self.source), self.out)
+        else:
+            info = export_demonstrations(self.source, self.out)
         print(to_json(info) if self.json else info_text(info, self.out))
         return 0
 

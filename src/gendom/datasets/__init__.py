@@ -1,7 +1,8 @@
 """Recordings and sets of demonstrations."""
 
 from gendom.datasets.checks import Fault
+from gendom.datasets.pcd import read_pcd
 from gendom.datasets.ply import read_ply, write_ply
 from gendom.datasets.recording import ObjectDescription, Recording
 
-__all__ = ["Fault", "ObjectDescription", "Recording", "read_ply", "write_ply"]
+__all__ = ["Fault", "ObjectDescription", "Recording", "read_pcd", "read_ply", "write_ply"]

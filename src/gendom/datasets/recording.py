@@ -19,10 +19,6 @@ import json
 import logging
 import math
 import os
-import struct
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -32,7 +28,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.datasets.checks import GRASPS, KINDS, NEEDED_SIZES, SIZES, Fault, check
-from gendom.datasets.ply import read_ply_folder
+from gendom.datasets.folder import read_folder
+from gendom.datasets.npz import LOAD_ERRORS
 from gendom.datasets.static import FORMAT_STATIC, recording_of_static
 from gendom.errors import GendomError, RecordingError
 from gendom.files import atomic_path, to_json
@@ -242,8 +239,9 @@ class Recording(Shown):
 
         Args:
             path: A `gendom-recording/1` file, a `gendom-static/1` file (see
-                `gendom.datasets.static`), or a folder of PLY files with gripper.csv and
-                object.toml (see `gendom.datasets.ply.read_ply_folder`).
+                `gendom.datasets.static`), a folder of clouds (PLY, PCD, NPZ) with
+                gripper.csv and object.toml (see `gendom.datasets.folder.read_folder`), or a
+                LeRobot data set that `gendom export` made of a recording.
             on_warning: Called with every fault that does not prevent use; by default they are
                 logged.
 
@@ -251,8 +249,13 @@ class Recording(Shown):
             RecordingError: The recording cannot be read or used; one line a fault.
         """
         path = Path(path)
-        if path.is_dir():
-            clouds, arrays, meta = read_ply_folder(path)
+        if path.is_dir() and (path / "meta/info.json").is_file():
+            from gendom.datasets.lerobot import read_lerobot  # late: it needs pyarrow
+
+            arrays, meta = read_lerobot(path)
+            where, faults = str(path), _missing_keys(meta)
+        elif path.is_dir():
+            clouds, arrays, meta = read_folder(path)
             arrays["points"] = np.concatenate([np.zeros((0, 3), np.float32), *clouds])
             arrays["offsets"] = np.cumsum([0, *map(len, clouds)])
             where, faults = str(path / "object.toml"), []
@@ -297,7 +300,7 @@ class Recording(Shown):
         arrays = {name: getattr(self, name) for name in _STORED_ARRAYS}
         arrays = {name: array for name, array in arrays.items() if array is not None}
         try:
-            meta = to_json(self._meta())
+            meta = to_json(self.meta())
         except GendomError as error:
             raise RecordingError(
                 error.what, where=f"{path}: meta.{error.where}", fix=error.fix
@@ -305,7 +308,8 @@ class Recording(Shown):
         with atomic_path(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, meta=np.array(meta), allow_pickle=False, **arrays)
 
-    def _meta(self) -> dict[str, Any]:
+    def meta(self) -> dict[str, Any]:
+        """All but the arrays, as the file has it."""
         sizes = NEEDED_SIZES.get(self.object.kind, ())
         optional = {"rope": ("diameter",), "cloth": ("thickness",)}.get(self.object.kind, ())
         shown = (*sizes, *optional, "mass")
@@ -463,20 +467,11 @@ def _check_lengths(arrays: Mapping[str, np.ndarray | None]) -> list[Fault]:
     return faults
 
 
-# What a damaged zip file or array header makes the readers below raise.
-_LOAD_ERRORS = (
-    OSError,
-    EOFError,
-    ValueError,
-    KeyError,
-    RuntimeError,
-    MemoryError,
-    SyntaxError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+def is_recording(path: str | os.PathLike) -> bool:
+    """Whether a file or folder is meant as a recording, whole or not."""
+    path = Path(path)
+    inside = ("object.toml", "gripper.csv", "meta/info.json")
+    return path.is_file() or any((path / name).is_file() for name in inside)
 
 
 def check_name(path: str | os.PathLike) -> None:
@@ -497,7 +492,7 @@ def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     def fault(what: str, fix: str) -> RecordingError:
         return RecordingError(what, where=str(path), fix=fix)
 
-    if path.suffix.lower() == ".ply":
+    if path.suffix.lower() in (".ply", ".pcd"):
         raise fault("is a single cloud", "give the folder that holds all frames")
     try:
         with open(path, "rb") as file:
@@ -510,7 +505,7 @@ def _read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
                 stored = {name: archive[name] for name in names}
     except FileNotFoundError:
         raise fault("no such file", "check the path") from None
-    except _LOAD_ERRORS as error:
+    except LOAD_ERRORS as error:
         if isinstance(error, OSError) and error.strerror:
             raise fault(f"cannot be read ({error.strerror})", "check the file") from None
         if "allow_pickle" in str(error):

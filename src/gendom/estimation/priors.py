@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from statistics import NormalDist
 
 import numpy as np
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.estimation.theta import UNKNOWNS, Prior, Theta, prior_of
+from gendom.materials.library import Listed
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "cloth": (0.01, 0.2)}
 """Bending lengths that are looked for, in lengths of a rope or diagonals of a cloth: below it hangs
@@ -21,6 +23,7 @@ def recording_prior(
     *,
     quasi_static: bool,
     wanted: tuple[str, ...] = (),
+    material: Listed | None = None,
 ) -> tuple[Prior, Theta]:
     """What is looked for, its prior, and the estimate that has everything else.
 
@@ -29,9 +32,11 @@ def recording_prior(
         moduli: Ends of the range of E / density [m^2/s^2].
         quasi_static: Whether it is replayed on another clock, or nothing moves.
         wanted: Names; by default what a recording of this kind shows.
+        material: What it is made of, of the library; None: unknown.
 
     Raises:
-        ParameterError: There is no such unknown, or the object has none.
+        ParameterError: There is no such unknown, or the object has none; or the material's is
+            another kind, or an object of this size could not be made of it.
     """
     described = recording.object
     kind = described.kind
@@ -57,9 +62,60 @@ def recording_prior(
         changes["specific_modulus"]["step"] = 0.06
         changes["grip_height"] |= {"step": 2e-3}
         changes["grip_along"] |= {"step": 3e-3}
-    prior = prior_of(wanted or _shown(recording, quasi_static), changes)
     base = Theta(specific_modulus=math.exp(logs.mean()))
+    if material is not None:
+        of_material = material_prior(material, kind, moduli)
+        for name, change in of_material.items():
+            changes[name] = changes.get(name, {}) | change
+        base = base.with_values({name: change["mean"] for name, change in of_material.items()})
+    prior = prior_of(wanted or _shown(recording, quasi_static), changes)
     return prior, prior.theta(prior.mean, base)
+
+
+_NINE_OF_TEN = NormalDist().inv_cdf(0.95)
+"""Deviations on either side of a Gaussian's mean, between which nine of ten lie."""
+
+
+def material_prior(
+    material: Listed, kind: str, moduli: tuple[float, float]
+) -> dict[str, dict[str, float]]:
+    """Means and deviations by unknown, of which a material's ranges hold nine of ten.
+
+    What is typical is the mean, or the median where the logarithm is Gaussian.
+
+    Args:
+        material: Of the library.
+        kind: Of the recorded object.
+        moduli: Ends of the range of E / density that is looked for [m^2/s^2].
+
+    Raises:
+        ParameterError: The material is of another kind, or its E / density is out of that range.
+    """
+    if material.kind != kind:
+        raise ParameterError(
+            f"{material.name} is a {material.kind}, and a {kind} was recorded",
+            where="material",
+            fix=f"gendom materials lists each {kind}",
+        )
+    E, density = material.E, material.density
+    modulus = E.typical / density.typical
+    if not moduli[0] < modulus < moduli[1]:
+        like = "a chain" if modulus < moduli[0] else "a stick"
+        raise ParameterError(
+            f"an object of these sizes, made of {material.name}, would be {like}",
+            where="material",
+            fix="check the recording's sizes with gendom check, or leave the material out",
+        )
+    width = math.hypot(math.log(E.high / E.low), math.log(density.high / density.low))
+    found = {"specific_modulus": {"mean": modulus, "sd": width / 2.0 / _NINE_OF_TEN}}
+    for name in ("nu", "damping", "friction"):
+        unknown, known = UNKNOWNS[name], getattr(material, name)
+        ends = unknown.transformed(known.low), unknown.transformed(known.high)
+        found[name] = {
+            "mean": min(max(known.typical, unknown.low), unknown.high),
+            "sd": (ends[1] - ends[0]) / 2.0 / _NINE_OF_TEN,
+        }
+    return found
 
 
 def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:

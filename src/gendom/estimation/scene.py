@@ -19,7 +19,7 @@ from gendom.estimation.placing import place
 from gendom.estimation.priors import BENDING_RANGE, first_guesses, recording_prior
 from gendom.estimation.scene_settings import SceneSettings
 from gendom.estimation.theta import Prior, Theta
-from gendom.materials import STANDARD_GRAVITY
+from gendom.materials import STANDARD_GRAVITY, library
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.sim import Body
 
@@ -82,14 +82,7 @@ class Scene:
                 fix="give seconds; cut what does not belong to the motion",
             )
         calm, fast = _compared(recording, settings, _hanging(recording, settings, frames))
-        mass, density = recording.object.mass, 1000.0
-        if mass is None:
-            notes.append(
-                "mass not stated: a density of 1000 kg/m^3 assumed, so E is worth no more than "
-                "E / density and the bending length"
-            )
-        else:
-            density = mass / (body.volume * body.num_particles)
+        density = _density(recording, body, settings, notes)
         return cls(
             recording=recording,
             settings=settings,
@@ -232,12 +225,40 @@ class Scene:
             wanted: Names; by default what a recording of this kind shows.
 
         Raises:
-            ParameterError: There is no such unknown, or the object has none.
+            ParameterError: There is no such unknown, or the object has none, or it cannot be of
+                the stated material.
         """
         low, high = (self.specific_modulus(b * self.size) for b in BENDING_RANGE[self.kind])
+        material = self.settings.material
         return recording_prior(
-            self.recording, (low, high), quasi_static=self.quasi_static, wanted=wanted
+            self.recording,
+            (low, high),
+            quasi_static=self.quasi_static,
+            wanted=wanted,
+            material=None if material is None else library.get(material),
         )
+
+
+# ---- material ----------------------------------------------------------------------------------
+
+
+def _density(recording: Recording, body: Body, settings: SceneSettings, notes: list[str]) -> float:
+    """That is simulated [kg/m^3]; what is assumed for it goes to `notes`."""
+    density, made_of = 1000.0, ""
+    if settings.material is not None:
+        listed = library.get(settings.material)
+        density, made_of = listed.density.typical, f" of {listed.name}"
+        notes.append(
+            f"material {listed.name}: E of {listed.E.low:.2g} to {listed.E.high:.2g} Pa and what "
+            "else the library says of it are believed before the recording is seen"
+        )
+    if recording.object.mass is not None:
+        return recording.object.mass / (body.volume * body.num_particles)
+    notes.append(
+        f"mass not stated: a density{made_of} of {density:.4g} kg/m^3 assumed, so E is worth no "
+        "more than E / density and the bending length"
+    )
+    return density
 
 
 # ---- frames and time ---------------------------------------------------------------------------

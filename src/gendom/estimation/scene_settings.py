@@ -1,10 +1,11 @@
-"""How recordings are turned into scenes: resolution, clock and what is compared."""
+"""How recordings are turned into scenes: resolution, clock, material and what is compared."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from gendom.errors import ParameterError
+from gendom.materials import library
 from gendom.sim import ENGINES, check_numbers
 
 
@@ -14,6 +15,9 @@ class SceneSettings:
 
     engine: str = "thin"
     """``thin`` (ropes as rods, cloths as shells) or ``mpm``."""
+    material: str | None = None
+    """What the object is made of, a name of `gendom.materials.library`: priors, and its density
+    where the mass is unknown. None: unknown."""
     points: int | None = None
     """Of a rod, or along the longer side of a shell; None: the engine's own for ropes, 26 for
     cloths (E of MuJoCo's cotton cloth comes out at 0.20 of the true one with 16, at 0.35 to
@@ -55,6 +59,8 @@ class SceneSettings:
     threads: int | None = None
 
     def __post_init__(self) -> None:
+        if self.material is not None:
+            library.get(self.material)
         check_numbers("cells_across", self.cells_across, above=0.0)
         if not 0.5 <= self.cells_across <= 6.0:
             raise ParameterError(

@@ -15,6 +15,7 @@ from gendom.perception.live import RealSenseCamera, record_cameras
 from gendom.perception.perceive import Perceived, PerceptionSettings, perceive, read_seen_by
 from gendom.perception.realsense import RealSenseRecording, RealSenseWriter
 from gendom.perception.robot import CapsulePath, Capsules
+from gendom.perception.ros import RosSettings, is_ros_bag, read_ros_bag
 
 __all__ = [
     "STAGES",
@@ -38,14 +39,17 @@ __all__ = [
     "RealSenseRecording",
     "RealSenseWriter",
     "RobotPath",
+    "RosSettings",
     "Sighting",
     "View",
     "calibrate",
     "find_board",
+    "is_ros_bag",
     "match_frames",
     "perceive",
     "perceive_frame",
     "read_camera",
+    "read_ros_bag",
     "read_seen_by",
     "read_sighting",
     "record_cameras",

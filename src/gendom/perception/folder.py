@@ -32,7 +32,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from gendom.datasets import Fault
-from gendom.datasets.ply import read_gripper, read_object
+from gendom.datasets.folder import read_gripper, read_object
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, read_camera, write_camera
 from gendom.perception.frames import Frame, FrameSource, Pictures

@@ -9,6 +9,9 @@ nu = 0.35
 damping = 0.004                # [s]; default 0.004
 friction = 0.4                 # on the table; default 0.3
 colour = [200, 60, 60]         # sRGB; default grey
+
+material = "cotton-rope", a name of `gendom.materials.library`, stands for all but the length or
+side and the colour: what is typical of it, where the file does not say otherwise.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from typing import Any
 
 from gendom.errors import ParameterError
 from gendom.files import read_toml
-from gendom.materials import ASSUMED, KINDS, Material
+from gendom.materials import ASSUMED, KINDS, Material, library
 from gendom.reality.objects import PLAIN, RealCloth, RealObject, RealRope
 
 DEFAULTS = {name: ASSUMED[name] for name in ("damping", "friction")}
@@ -44,13 +47,18 @@ def read_object(path: str | os.PathLike) -> RealObject:
         raise ParameterError(f"kind is {kind!r}", where=where, fix=f"give {' or '.join(KINDS)}")
     large, small = KINDS[kind].sizes
     colour = table.pop("colour", list(PLAIN))
+    usual = _usual(table.pop("material", None), kind, where)
     known = {large, small, "mass", "density", "E", "nu", *DEFAULTS}
     if unknown := [name for name in table if name not in known]:
         raise ParameterError(
-            f"{unknown[0]} means nothing", where=where, fix=f"have {', '.join(sorted(known))}"
+            f"{unknown[0]} means nothing",
+            where=where,
+            fix=f"have material, {', '.join(sorted(known))}",
         )
     number = {name: _number(value, name, where) for name, value in table.items()}
-    number = {**DEFAULTS, **number}
+    if "mass" in number:
+        usual.pop("density", None)
+    number = {**DEFAULTS, **usual, **number}
     missing = [name for name in (large, small, "E", "nu") if name not in number]
     if ("mass" in number) == ("density" in number):
         missing.append("one of mass and density")
@@ -89,6 +97,19 @@ def read_object(path: str | os.PathLike) -> RealObject:
         return RealRope(**item) if kind == "rope" else RealCloth(**item)
     except ParameterError as error:
         raise ParameterError(error.what, where=where, fix=error.fix) from error
+
+
+def _usual(name: Any, kind: str, where: str) -> dict[str, float]:
+    """What is typical of a material of the library; nothing for None."""
+    if name is None:
+        return {}
+    try:
+        listed = library.get(str(name))
+    except ParameterError as error:
+        raise ParameterError(error.what, where=where, fix=error.fix) from None
+    if listed.kind != kind:
+        raise ParameterError(f"{name} is a {listed.kind}, and kind is {kind!r}", where=where)
+    return {quantity: found.typical for quantity, (_, found) in listed.ranges().items()}
 
 
 def _number(value: Any, name: str, where: str) -> float:

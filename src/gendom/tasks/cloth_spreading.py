@@ -294,37 +294,30 @@ class ClothSpreadingAtHeight(ClothSpreading):
         Where none does, the action that spreads it best, its neighbour included; `spreads` is then
         0.
         """
-        W, K = len(items), len(SEARCHED_STEPS)
-        chosen = np.empty((W, 2))
-        outcomes: list[Outcome | None] = [None] * W
-        best = np.full(W, -np.inf)
-        waiting = np.arange(W)
+        K = len(SEARCHED_STEPS)
+        chosen = np.empty((len(items), 2))
+        outcomes: list[Outcome | None] = [None] * len(items)
+        best = [-math.inf] * len(items)
+        waiting = list(range(len(items)))
         for height in SEARCHED_HEIGHTS:
             tried = [(w, A) for w in waiting for A in SEARCHED_STEPS]
             wanted = np.array([[A, height * size_of(items[w])] for w, A in tried])
             found = world.carry_out(self, [items[w] for w, _ in tried], wanted, on_frame=on_frame)
-            share = np.array([o.values.get("share", np.nan) for o in found]).reshape(-1, K)
-            pairs = np.fmin(share[:, :-1], share[:, 1:])  # an action and its neighbour
+            share = np.array([o.values.get("share", 0.0) for o in found]).reshape(-1, K)
             again = []
             for n, w in enumerate(waiting):
-                works = pairs[n] >= SPREAD
-                k = (
-                    _first(works)
-                    if works.any()
-                    else int(np.argmax(np.nan_to_num(pairs[n], nan=-1.0)))
-                )
-                worth = float(np.nan_to_num(pairs[n, k], nan=-1.0))
-                if works.any() or worth > best[w] or outcomes[w] is None:
-                    best[w], chosen[w] = worth, wanted[n * K + k]
-                    outcome = found[n * K + k]
-                    if outcome.fault is None:
-                        values = {**outcome.values, "spreads": float(works.any())}
-                        outcome = replace(outcome, values=values)
-                    outcomes[w] = outcome
-                if not works.any():
+                pairs = np.minimum(share[n, :-1], share[n, 1:])  # an action and its neighbour
+                works = bool((pairs >= SPREAD).any())
+                k = _first(pairs >= SPREAD) if works else int(np.argmax(pairs))
+                if not works:
                     again.append(w)
-            waiting = np.array(again, dtype=int)
-            if not len(waiting):
+                if pairs[k] <= best[w]:
+                    continue
+                best[w], chosen[w], outcome = pairs[k], wanted[n * K + k], found[n * K + k]
+                values = {**outcome.values, "spreads": float(works)} if outcome.values else {}
+                outcomes[w] = replace(outcome, values=values)
+            waiting = again
+            if not waiting:
                 break
         return chosen, [o for o in outcomes if o is not None]
 

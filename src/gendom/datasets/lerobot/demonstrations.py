@@ -1,0 +1,104 @@
+"""Sets of demonstrations as LeRobot data sets.
+
+A demonstration becomes an episode of one frame, at time 0: an action is a whole motion, chosen
+before it begins, and nothing is observed on the way. Those that failed are left out.
+
+    observation.state  [S] float32: what was reached as the goal, sizes, parameters, in the order of
+                       `gendom.reality.envs`; parameters are those of `PARAMETERS`
+    action             [A] float32: the task's
+
+meta/gendom.json is dataset.json of the set. Beyond what the format asks for, rows of episodes have
+`demonstration`, the number in the set, and `outcome/NAME` for whatever else the task measured.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from gendom.datasets.demonstrations import GOAL, load, read_description, succeeded
+from gendom.datasets.lerobot.format import ACTION, STATE, Units, write_lerobot
+from gendom.errors import DatasetError
+from gendom.materials import KINDS, PARAMETERS
+
+
+def export_demonstrations(folder: str | os.PathLike, out: str | os.PathLike) -> dict[str, Any]:
+    """Write a set of demonstrations, as far as it is finished, as a LeRobot data set.
+
+    Args:
+        folder: Of the set.
+        out: Folder to make; whole or absent.
+
+    Returns:
+        The content of info.json.
+
+    Raises:
+        DatasetError: The folder holds no set, or one without a usable demonstration.
+        GendomError: `out` is there already or cannot be written, or the disk is full.
+    """
+    where = str(folder)
+    about = read_description(folder)
+    table = load(folder, part=True)
+    quantities = _quantities(about, where)
+    names = [name for units in quantities.values() for name in units]
+    apart = {*names, "demonstration", "youngs_modulus", "ok", "fault"}
+    others = [name for name in table.column_names if name not in apart]
+    columns = succeeded(table, ["demonstration", *names, *others], where=where)
+    count = len(columns["demonstration"])
+    if not count:
+        raise DatasetError(
+            "holds no demonstration that did not fail",
+            where=where,
+            fix="simulate more with gendom dataset",
+        )
+    frames = _frames(columns, quantities, where)
+    extra = {f"outcome/{name}": pa.array(columns[name]) for name in others}
+    extra["demonstration"] = pa.array(columns["demonstration"].astype(np.int64))
+    return write_lerobot(
+        out,
+        frames,
+        np.ones(count, np.int64),
+        task=about["task"]["name"],
+        units=quantities,
+        about=about,
+        extra=extra,
+    )
+
+
+def _frames(
+    columns: Mapping[str, NDArray[np.float64]], quantities: Units, where: str
+) -> dict[str, NDArray[Any]]:
+    """[N, K] of the state and the action, one row a frame."""
+    frames: dict[str, NDArray[Any]] = {}
+    for feature, units in quantities.items():
+        frames[feature] = np.stack([columns[name] for name in units], axis=1).astype(np.float32)
+        if not np.isfinite(frames[feature]).all():
+            raise DatasetError(
+                f"{feature} holds numbers that are not finite",
+                where=where,
+                fix="simulate the demonstrations again",
+            )
+    return frames
+
+
+def _quantities(about: Mapping[str, Any], where: str) -> dict[str, dict[str, str]]:
+    """Units by column name, for the state and the action."""
+    try:
+        kind = KINDS[about["kind"]]
+        goals = dict(zip(about["goal_names"], about["goal_units"], strict=True))
+        actions = dict(zip(about["action_names"], about["action_units"], strict=True))
+    except (KeyError, TypeError, ValueError):
+        raise DatasetError(
+            "does not say what its actions and goals are",
+            where=where,
+            fix="make it again with this version of gendom dataset",
+        ) from None
+    state = {GOAL + name: unit for name, unit in goals.items()}
+    state |= dict.fromkeys(kind.sizes, "m")
+    state |= {parameter.column: parameter.unit for parameter in PARAMETERS.values()}
+    return {STATE: state, ACTION: actions}

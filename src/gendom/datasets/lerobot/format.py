@@ -1,0 +1,233 @@
+"""LeRobot data sets, format v3.0: the files, whatever is in their frames.
+
+    meta/info.json                            features with names and units, counts, paths
+    meta/stats.json                           statistics of every feature over all frames
+    meta/tasks.parquet                        the task's name and its number, 0
+    meta/episodes/chunk-000/file-000.parquet  one row an episode: where its frames are, statistics
+    meta/gendom.json                          what the data set was made from
+    data/chunk-000/file-000.parquet           one row a frame
+
+All numbers are in SI units, which info.json has as `units` of a feature beside its `names`. A
+feature of one number is a plain column, as LeRobot's reader wants it.
+
+Source: the documentation of LeRobotDataset v3.0 (huggingface.co/docs/lerobot), and the reader of
+lerobot 0.4.4.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from gendom.files import atomic_folder, to_json
+
+VERSION = "v3.0"
+STATE, ACTION = "observation.state", "action"
+INFO, ABOUT = Path("meta/info.json"), Path("meta/gendom.json")
+
+EPISODES_PER_FILE = 50_000
+"""So that no file exceeds the 100 MB that the format asks for, statistics of episodes included."""
+
+FILES_PER_CHUNK = 1000
+QUANTILES = (0.01, 0.1, 0.5, 0.9, 0.99)
+
+_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+
+Units = Mapping[str, Mapping[str, str]]
+"""Units by the names of its numbers, for each feature that has such."""
+
+
+def write_lerobot(
+    out: str | os.PathLike,
+    frames: Mapping[str, NDArray[Any]],
+    lengths: NDArray[np.integer],
+    *,
+    task: str,
+    units: Units,
+    about: Mapping[str, Any],
+    fps: int = 1,
+    of_all: Mapping[str, Mapping[str, Any]] | None = None,
+    extra: Mapping[str, pa.Array] | None = None,
+) -> dict[str, Any]:
+    """Write a data set.
+
+    Args:
+        out: Folder to make; whole or absent.
+        frames: [N, ...] of each feature, one row a frame, one episode after another; those that
+            count frames and give times are added.
+        lengths: [E] frames of each episode.
+        task: What is done in all of them.
+        units: Of features.
+        about: What meta/gendom.json says.
+        fps: Frames a second; times are counted by it.
+        of_all: Statistics of all frames, for features of whose rows a part does not count.
+        extra: [E] further columns of the episodes.
+
+    Returns:
+        The content of info.json.
+
+    Raises:
+        GendomError: `out` is there already or cannot be written, or the disk is full.
+    """
+    frames = {**frames, **_counted(lengths, fps)}
+    found = {feature: statistics(values) for feature, values in frames.items()}
+    found |= dict(of_all or {})
+    info = {
+        "codebase_version": VERSION,
+        "robot_type": None,
+        "total_episodes": len(lengths),
+        "total_frames": int(lengths.sum()),
+        "total_tasks": 1,
+        "chunks_size": FILES_PER_CHUNK,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": f"0:{len(lengths)}"},
+        "data_path": f"data/{_FILE}",
+        "video_path": None,
+        "features": _features(frames, units),
+    }
+    episodes = _episodes(frames, lengths, task, found, extra or {})
+    rows = pa.table({feature: _column(values) for feature, values in frames.items()})
+    with atomic_folder(out) as root:
+        meta = root / "meta"
+        meta.mkdir()
+        for name, content in (("info", info), ("gendom", about), ("stats", found)):
+            (meta / f"{name}.json").write_text(to_json(content) + "\n", encoding="utf-8")
+        pq.write_table(_tasks(task), meta / "tasks.parquet")
+        _write(root / "data", rows, np.concatenate([[0], np.cumsum(lengths)]))
+        _write(meta / "episodes", episodes, np.arange(len(lengths) + 1))
+    return info
+
+
+def _counted(lengths: NDArray[np.integer], fps: int) -> dict[str, NDArray[Any]]:
+    """[N, 1] of the features that number frames."""
+    starts = np.repeat(np.cumsum(lengths) - lengths, lengths)
+    number = np.arange(int(lengths.sum()))
+    within = (number - starts)[:, None]
+    return {
+        "timestamp": (within / fps).astype(np.float32),
+        "frame_index": within,
+        "episode_index": np.repeat(np.arange(len(lengths)), lengths)[:, None],
+        "index": number[:, None],
+        "task_index": 0 * within,
+    }
+
+
+def _features(frames: Mapping[str, NDArray[Any]], units: Units) -> dict[str, dict[str, Any]]:
+    """What info.json says of them."""
+    features: dict[str, dict[str, Any]] = {
+        feature: {"dtype": str(values.dtype), "shape": list(values.shape[1:]), "names": None}
+        for feature, values in frames.items()
+    }
+    for feature, of in units.items():
+        features[feature] |= {"names": list(of), "units": list(of.values())}
+    return features
+
+
+def statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
+    """Of [N, ...] over N, as the format names them."""
+    x = values.astype(float)
+    found = {"min": x.min(axis=0), "max": x.max(axis=0), "mean": x.mean(axis=0)}
+    found |= {"std": x.std(axis=0), "count": np.array([len(x)])}
+    found |= {_quantile(q): np.quantile(x, q, axis=0) for q in QUANTILES}
+    return {name: value.tolist() for name, value in found.items()}
+
+
+def _quantile(q: float) -> str:
+    return f"q{round(100 * q):02d}"
+
+
+def _tasks(task: str) -> pa.Table:
+    """The one task, as pandas reads it: its text is the index."""
+    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    about = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [
+            {"name": n, "field_name": n, "pandas_type": p, "numpy_type": t, "metadata": None}
+            for n, (p, t) in kinds.items()
+        ],
+    }
+    table = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
+    return table.replace_schema_metadata({"pandas": json.dumps(about)})
+
+
+def _episodes(
+    frames: Mapping[str, NDArray[Any]],
+    lengths: NDArray[np.integer],
+    task: str,
+    whole: Mapping[str, Mapping[str, Any]],
+    extra: Mapping[str, pa.Array],
+) -> pa.Table:
+    """One row an episode; all statistics of one frame are the frame itself."""
+    count = len(lengths)
+    number, ends = np.arange(count), np.cumsum(lengths)
+    file = number // EPISODES_PER_FILE
+    columns: dict[str, Any] = {
+        "episode_index": number,
+        "tasks": _lists(np.full((count, 1), task)),
+        "length": lengths,
+        "dataset_from_index": ends - lengths,
+        "dataset_to_index": ends,
+    }
+    for what in ("data", "meta/episodes"):
+        columns[f"{what}/chunk_index"] = file // FILES_PER_CHUNK
+        columns[f"{what}/file_index"] = file % FILES_PER_CHUNK
+    for feature, values in frames.items():
+        for name, rows in _by_episode(values, lengths, whole[feature]).items():
+            columns[f"stats/{feature}/{name}"] = _lists(rows)
+    return pa.table(columns | dict(extra))
+
+
+def _by_episode(
+    values: NDArray[Any], lengths: NDArray[np.integer], whole: Mapping[str, Any]
+) -> dict[str, NDArray[Any]]:
+    """Statistics [E, ...] of each episode's frames."""
+    if len(lengths) == 1:
+        return {name: np.array(found)[None] for name, found in whole.items()}
+    if (lengths != 1).any():
+        ends = np.cumsum(lengths)
+        parts = [statistics(values[e - n : e]) for e, n in zip(ends, lengths, strict=True)]
+        return {name: np.array([part[name] for part in parts]) for name in parts[0]}
+    x = values.astype(float)
+    found = {name: x for name in ("min", "max", "mean")} | {"std": np.zeros(x.shape)}
+    found |= {"count": np.ones((len(x), 1), np.int64)}
+    return found | {_quantile(q): x for q in QUANTILES}
+
+
+def _lists(values: NDArray[Any]) -> pa.Array:
+    """[N, K, ...] as lists of K, of lists and so on."""
+    if values.ndim == 1:
+        return pa.array(values.tolist()) if values.dtype.kind == "U" else pa.array(values)
+    starts = np.arange(len(values) + 1, dtype=np.int32) * values.shape[1]
+    return pa.ListArray.from_arrays(pa.array(starts), _lists(values.reshape(-1, *values.shape[2:])))
+
+
+def _column(values: NDArray[Any]) -> pa.Array:
+    """[N, K] as lists of the fixed length K, or as plain numbers if K is 1; [N, K, L] as lists of
+    lists."""
+    if values.ndim > 2:
+        return _lists(values)
+    flat = pa.array(values.ravel())
+    return (
+        flat if values.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    )
+
+
+def _write(folder: Path, table: pa.Table, starts: NDArray[np.integer]) -> None:
+    """A table cut into files; episode k has the rows from `starts[k]` to `starts[k + 1]`."""
+    for number, first in enumerate(range(0, len(starts) - 1, EPISODES_PER_FILE)):
+        chunk, file = divmod(number, FILES_PER_CHUNK)
+        path = folder / _FILE.format(chunk_index=chunk, file_index=file)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        begin, end = starts[first], starts[min(first + EPISODES_PER_FILE, len(starts) - 1)]
+        pq.write_table(table.slice(begin, end - begin), path)

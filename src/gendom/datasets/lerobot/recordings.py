@@ -1,0 +1,180 @@
+"""Recordings as LeRobot data sets, and back without loss.
+
+A recording becomes an episode of T frames:
+
+    observation.points      [P, 3] float32: the cloud [m], filled up with zeros to the P points of
+                            the largest frame
+    observation.num_points  int64: how many of them are points; the rest is nothing
+    observation.state       [S] float64: position of each gripper [m], its axis where known, and
+                            whether it is closed, where known
+    observation.time        float64: the recorded time [s]
+    action                  [A] float32: position of each gripper in the next frame [m], and whether
+                            it is closed; for LeRobot's own tools, and not read back
+
+LeRobot counts `timestamp` by frames, `fps` of which make up a second, so that it is right only
+where frames are evenly spaced: `observation.time` is right always. Statistics of points are those
+of the points that there are, the same for each of the P places. meta/gendom.json is the
+recording's `meta`.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from gendom.datasets.lerobot.format import ABOUT, ACTION, INFO, STATE, statistics, write_lerobot
+from gendom.errors import GendomError, RecordingError
+from gendom.files import read_json
+
+if TYPE_CHECKING:
+    from gendom.datasets.recording import Recording
+
+POINTS, NUM_POINTS, TIME = "observation.points", "observation.num_points", "observation.time"
+_DATA = Path("data/chunk-000/file-000.parquet")
+
+
+def export_recording(recording: Recording, out: str | os.PathLike) -> dict[str, Any]:
+    """Write a recording as a LeRobot data set of one episode.
+
+    Args:
+        recording: Of T frames and G grippers.
+        out: Folder to make; whole or absent.
+
+    Returns:
+        The content of info.json.
+
+    Raises:
+        GendomError: `out` is there already or cannot be written, or the disk is full.
+    """
+    counts = np.diff(recording.offsets)
+    T, G = recording.gripper_position.shape[:2]
+    padded = np.zeros((T, int(counts.max()), 3), np.float32)
+    padded[np.arange(padded.shape[1]) < counts[:, None]] = recording.points
+    units = _state_units(recording)
+    state = [recording.gripper_position.reshape(T, -1)]
+    if recording.gripper_axis is not None:
+        state.append(recording.gripper_axis.reshape(T, -1))
+    if recording.gripper_closed is not None:
+        state.append(recording.gripper_closed.astype(float))
+    following = np.minimum(np.arange(T) + 1, T - 1)
+    action = [recording.gripper_position[following].reshape(T, -1), recording.holds[following]]
+    frames = {
+        POINTS: padded,
+        NUM_POINTS: counts.astype(np.int64)[:, None],
+        STATE: np.concatenate(state, axis=1),
+        TIME: recording.time[:, None],
+        ACTION: np.concatenate(action, axis=1).astype(np.float32),
+    }
+    moves = {**_named("position", G, "m"), **_closed(G)}
+    steps = np.diff(recording.time)
+    return write_lerobot(
+        out,
+        frames,
+        np.array([T]),
+        task=_task(recording),
+        units={STATE: units, TIME: {"time": "s"}, ACTION: moves},
+        about=recording.meta(),
+        fps=max(1, round(1.0 / float(np.median(steps)))) if len(steps) else 1,
+        of_all={POINTS: _of_points(recording.points, T, padded.shape[1])},
+    )
+
+
+def _task(recording: Recording) -> str:
+    return f"move a {recording.object.kind} that is held by: {recording.object.grasp}"
+
+
+def _named(what: str, G: int, unit: str) -> dict[str, str]:
+    """Units of three numbers a gripper, by name."""
+    return {f"gripper{g}.{what}.{axis}": unit for g in range(G) for axis in "xyz"}
+
+
+def _closed(G: int) -> dict[str, str]:
+    return {f"gripper{g}.closed": "1" for g in range(G)}
+
+
+def _state_units(recording: Recording) -> dict[str, str]:
+    G = recording.num_grippers
+    units = _named("position", G, "m")
+    units |= {} if recording.gripper_axis is None else _named("axis", G, "1")
+    return units | ({} if recording.gripper_closed is None else _closed(G))
+
+
+def _of_points(points: NDArray[np.float32], T: int, P: int) -> dict[str, Any]:
+    """Statistics of x, y and z, for each of P places."""
+    found = statistics(points)
+    alike = {n: [values] * P for n, values in found.items() if n != "count"}
+    return {**alike, "count": [T]}
+
+
+def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Arrays and meta of the recording that a LeRobot data set was made of.
+
+    Args:
+        folder: As `export_recording` writes it.
+
+    Returns:
+        Arrays by their names in a recording's file, and its `meta`.
+
+    Raises:
+        RecordingError: It was made otherwise, or is incomplete or damaged.
+    """
+    folder = Path(folder)
+
+    def fault(what: str, fix: str = "export it again") -> RecordingError:
+        return RecordingError(what, where=str(folder), fix=fix)
+
+    if not (folder / ABOUT).is_file():
+        raise fault(
+            "is a LeRobot data set that was not made of a recording",
+            "give one that gendom export wrote: others do not tell sizes of what is held",
+        )
+    try:
+        info, meta = read_json(folder / INFO), read_json(folder / ABOUT)
+    except GendomError as error:
+        raise RecordingError(error.what, where=error.where, fix=error.fix) from None
+    if not str(meta.get("format")).startswith("gendom-recording/"):
+        raise fault("holds demonstrations, not a recording", "train a policy on them")
+    if info.get("total_episodes") != 1:
+        raise fault(f"has {info.get('total_episodes')} episodes, not one")
+    try:
+        names = info["features"][STATE]["names"]
+        table = pq.read_table(folder / _DATA)
+        points, counts = table[POINTS], table[NUM_POINTS].to_numpy()
+        state = np.array(table[STATE].to_pylist(), dtype=np.float64)
+        time, order = table[TIME].to_numpy(), table["frame_index"].to_numpy()
+        flat = points.combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
+        padded = np.asarray(flat, dtype=np.float32).reshape(len(table), -1, 3)
+    except (FileNotFoundError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+        said = (str(error) or type(error).__name__).splitlines()[0][:120]
+        raise fault(f"is incomplete or damaged ({said})") from None
+    if len(table) != info.get("total_frames") or (order != np.arange(len(table))).any():
+        raise fault(f"has not the {info.get('total_frames')} frames in order that are announced")
+    if state.ndim != 2 or state.shape[1] != len(names):
+        raise fault(f"{STATE} has shape {list(state.shape)} for {len(names)} names")
+    if (counts < 0).any() or (counts > padded.shape[1]).any():
+        raise fault(f"{NUM_POINTS} is {counts.max()} of {padded.shape[1]} points")
+
+    def columns(what: str) -> NDArray[np.float64] | None:
+        own = [n for n, name in enumerate(names) if f".{what}" in name]
+        return state[:, own] if own else None
+
+    position, axis, closed = (columns(what) for what in ("position", "axis", "closed"))
+    if position is None:
+        raise fault(f"{STATE} has no positions of grippers")
+    arrays = {
+        "points": padded[np.arange(padded.shape[1]) < counts[:, None]],
+        "offsets": np.concatenate([[0], np.cumsum(counts)]),
+        "time": time,
+        "gripper_position": position.reshape(len(table), -1, 3),
+    }
+    if axis is not None:
+        arrays["gripper_axis"] = axis.reshape(len(table), -1, 3)
+    if closed is not None:
+        arrays["gripper_closed"] = closed == 1.0
+    return arrays, meta

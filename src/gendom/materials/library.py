@@ -1,0 +1,188 @@
+"""A library of materials: what ropes, cables and cloths have, with a source for each number.
+
+>>> from gendom.materials import library
+>>> rope = library.get("cotton-rope")
+>>> rope.material().E, rope.E.low, rope.E.source
+(1000000.0, 200000.0, 'kuroki-2023')
+
+The numbers are in library.toml beside this file. E is an effective modulus of bending: that of a
+solid round rope, or of a sheet, which bends as the thing does. That of its fibres is larger by
+orders, and so is that of the rope when it is pulled.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from gendom.errors import ParameterError, did_you_mean
+from gendom.materials.objects import KINDS
+from gendom.materials.parameters import Material
+from gendom.shown import Shown
+
+BASES = ("measured", "computed", "estimate")
+"""Where a range comes from: somebody measured such things; it follows from what its source has;
+or it is a guess, for which a source, where there is one, has the method or numbers near it."""
+
+UNITS = {"E": "Pa", "nu": "1", "density": "kg/m^3", "damping": "s", "friction": "1"}
+"""Quantities of every material, SI; a rope has a ``diameter``, a cloth a ``thickness`` [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """What things of one material have of a quantity, in its SI unit.
+
+    Raises:
+        ParameterError: The numbers are not finite, not above 0 or not in order, the basis is none
+            of `BASES`, or what was measured or computed has no source.
+    """
+
+    low: float
+    typical: float
+    high: float
+    """Nine of ten such things lie between `low` and `high`."""
+    basis: str
+    """One of `BASES`."""
+    how: str
+    """How the numbers come about, in a few words."""
+    source: str = ""
+    """A key of `sources`; empty where there is none."""
+
+    def __post_init__(self) -> None:
+        numbers = (self.low, self.typical, self.high)
+        if not all(math.isfinite(x) for x in numbers):
+            raise ParameterError(f"has {numbers}, which are not all finite")
+        if not 0.0 < self.low <= self.typical <= self.high:
+            raise ParameterError(f"has {numbers}, not above 0 and in order")
+        if self.basis not in BASES:
+            raise ParameterError(f"has the basis {self.basis!r}", fix=f"give {', '.join(BASES)}")
+        if self.basis != "estimate" and not self.source:
+            raise ParameterError(f"is {self.basis}, and has no source", fix="name it")
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Listed(Shown):
+    """A material of the library."""
+
+    name: str
+    kind: str
+    """``rope`` (cables are ropes) or ``cloth``."""
+    about: str
+    E: Range
+    """Young's modulus in bending [Pa]; see the module."""
+    nu: Range
+    """Poisson's ratio [-]."""
+    density: Range
+    """Mass over the volume of the solid rope or sheet, air in between included [kg/m^3]."""
+    damping: Range
+    """As `Material.damping` [s]."""
+    friction: Range
+    """Coefficient of friction on a smooth table [-]."""
+    across: Range
+    """Usual diameter of a rope, or thickness of a cloth [m]."""
+
+    @property
+    def size(self) -> str:
+        """The name of `across`: ``diameter`` or ``thickness``."""
+        return KINDS[self.kind].sizes[1]
+
+    def material(self) -> Material:
+        """What is typical, for a simulation."""
+        return Material(
+            E=self.E.typical,
+            nu=self.nu.typical,
+            density=self.density.typical,
+            damping=self.damping.typical,
+        )
+
+    def ranges(self) -> dict[str, tuple[str, Range]]:
+        """Unit and range by quantity."""
+        named = {name: (unit, getattr(self, name)) for name, unit in UNITS.items()}
+        return {**named, self.size: ("m", self.across)}
+
+    def _shown(self) -> tuple[str, list[tuple[str, ...]]]:
+        rows = [
+            (name, *(f"{x:.4g}" for x in (r.low, r.typical, r.high)), unit, r.basis, r.source)
+            for name, (unit, r) in self.ranges().items()
+        ]
+        return f"{self.name}: {self.about} ({self.kind})", rows
+
+
+def get(name: str) -> Listed:
+    """The material of a name.
+
+    Raises:
+        ParameterError: There is none; the message has the nearest names.
+    """
+    known = materials()
+    if name not in known:
+        fix = did_you_mean(name, known) or "gendom materials lists them"
+        raise ParameterError(f"there is no material {name!r}", fix=fix)
+    return known[name]
+
+
+def materials() -> dict[str, Listed]:
+    """All materials by name."""
+    return _read()[0]
+
+
+def sources() -> dict[str, str]:
+    """Publications by their keys."""
+    return _read()[1]
+
+
+@cache
+def _read() -> tuple[dict[str, Listed], dict[str, str]]:
+    text = files("gendom.materials").joinpath("library.toml").read_text(encoding="utf-8")
+    return parse(tomllib.loads(text))
+
+
+def parse(table: dict[str, Any]) -> tuple[dict[str, Listed], dict[str, str]]:
+    """Materials and sources of a library's TOML.
+
+    Args:
+        table: ``sources`` (texts by key), ``shared`` (ranges by name) and ``materials``: ``kind``,
+            ``about`` and ranges, or names of shared ones, of `UNITS` and of the size across.
+
+    Raises:
+        ParameterError: Something is missing, unknown or out of its range.
+    """
+    cited = dict(table["sources"])
+    shared = {name: _range(row, f"shared.{name}", cited) for name, row in table["shared"].items()}
+    found: dict[str, Listed] = {}
+    for name, row in table["materials"].items():
+        kind = row.get("kind")
+        if kind not in KINDS:
+            raise ParameterError(f"has kind {kind!r}", where=name, fix=f"give {', '.join(KINDS)}")
+        across = KINDS[kind].sizes[1]
+        wanted = {"kind", "about", *UNITS, across}
+        if odd := wanted ^ set(row):
+            verb = "lacks" if odd <= wanted else "has unknown"
+            raise ParameterError(f"{verb} {', '.join(sorted(odd))}", where=name)
+        ranges = {
+            quantity: shared[row[quantity]]
+            if isinstance(row[quantity], str)
+            else _range(row[quantity], f"{name}.{quantity}", cited)
+            for quantity in (*UNITS, across)
+        }
+        found[name] = Listed(
+            name=name, kind=kind, about=row["about"], across=ranges.pop(across), **ranges
+        )
+        found[name].material()  # which refuses what is impossible
+    return found, cited
+
+
+def _range(row: dict[str, Any], where: str, cited: dict[str, str]) -> Range:
+    try:
+        made = Range(**row)
+    except TypeError as error:
+        raise ParameterError(f"is no range ({error})", where=where) from None
+    except ParameterError as error:
+        raise ParameterError(error.what, where=where, fix=error.fix) from None
+    if made.source and made.source not in cited:
+        raise ParameterError(f"has the source {made.source!r}, which is not listed", where=where)
+    return made

@@ -1,0 +1,367 @@
+"""Recordings from ROS 2 bags: clouds of a topic, and the gripper's motion from TF or a topic.
+
+A bag is a folder with metadata.yaml, or one of its files (.db3, .mcap). Read are
+
+    sensor_msgs/msg/PointCloud2    the clouds, of one topic
+    tf2_msgs/msg/TFMessage         /tf and /tf_static: where frames are
+    geometry_msgs/msg/PoseStamped  the gripper, where it is no frame of TF
+
+Clouds and the gripper are brought into one frame, the world's. Times are those of the headers.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from gendom.datasets import Fault, Recording
+from gendom.datasets.folder import read_object
+from gendom.datasets.recording import parse_meta
+from gendom.errors import RecordingError
+
+Array = NDArray[np.float64]
+
+CLOUD, POSE, TF = (
+    "sensor_msgs/msg/PointCloud2",
+    "geometry_msgs/msg/PoseStamped",
+    "tf2_msgs/msg/TFMessage",
+)
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
+
+
+@dataclass(frozen=True, kw_only=True)
+class RosSettings:
+    """What is read of a bag."""
+
+    points: str | None = None
+    """Topic of the clouds; None: the only one."""
+    gripper: str
+    """Frame of the point between the fingertips, or topic of its poses (begins with ``/``)."""
+    world: str | None = None
+    """Frame of the recording, z up; None: the root of TF, or that of the clouds without TF."""
+    workspace: tuple[float, float, float, float, float, float] | None = None
+    """x from, to, y from, to, z from, to in the world [m]; points elsewhere are left out."""
+
+
+def is_ros_bag(path: str | os.PathLike) -> bool:
+    """Whether a path is meant as a ROS 2 bag."""
+    path = Path(path)
+    return path.suffix in (".db3", ".mcap") or (path / "metadata.yaml").is_file()
+
+
+def read_ros_bag(
+    path: str | os.PathLike,
+    object_file: str | os.PathLike,
+    settings: RosSettings,
+    *,
+    on_warning: Callable[[Fault], None] = lambda _: None,
+) -> Recording:
+    """The recording that a bag holds.
+
+    Args:
+        path: The bag.
+        object_file: What is held, as object.toml of a folder (see `gendom.datasets.folder`).
+        settings: What is read.
+        on_warning: Called with what is left out.
+
+    Raises:
+        RecordingError: The bag cannot be read or lacks something, or the recording is not valid.
+        ModuleNotFoundError: There is no rosbags.
+    """
+    where = str(path)
+    values, faults = parse_meta(read_object(Path(object_file)))
+    if faults:
+        raise RecordingError(where=str(object_file), faults=faults)
+    with _opened(path) as bag:
+        topics = {c.topic: c.msgtype for c in bag.connections}
+        topic = _cloud_topic(topics, settings.points, where)
+        frames = _Frames(where)
+        for name in (name for name, kind in topics.items() if kind == TF):
+            for message in _messages(bag, name):
+                for stated in message.transforms:
+                    frames.add(stated, still=name.endswith("tf_static"))
+        frames.settle()
+        poses = None
+        if settings.gripper.startswith("/"):
+            _of_kind(topics, settings.gripper, POSE, where)
+            poses = _Track(f"{where}: {settings.gripper}")
+            for message in _messages(bag, settings.gripper):
+                poses.add(message.header, message.pose.position, message.pose.orientation)
+            poses.settle()
+        world, clouds, times, positions, left_out = settings.world or frames.root, [], [], [], 0
+        for message in _messages(bag, topic):
+            time, frame = _time(message.header), message.header.frame_id
+            world = world or frame
+            try:
+                turn, shift = frames.between(world, frame, time)
+                if poses is None:
+                    _, held = frames.between(world, settings.gripper, time)
+                else:
+                    base, origin = frames.between(world, poses.frame, time)
+                    held = base.apply(poses.at(time)[1]) + origin
+            except _OutOfTimeError:
+                left_out += 1
+                continue
+            cloud = turn.apply(_points(message, f"{where}: {topic}")) + shift
+            clouds.append(_inside(cloud, settings.workspace).astype(np.float32))
+            times.append(time)
+            positions.append(held)
+    if not clouds:
+        raise RecordingError(
+            f"none of {left_out} clouds lies in the time in which the gripper's place is known",
+            where=where,
+            fix="record /tf, or the gripper's poses, as long as the clouds",
+        )
+    if left_out:
+        on_warning(
+            Fault(
+                f"{left_out} of {left_out + len(clouds)} clouds lie outside of the time in which "
+                "frames are known; they are left out",
+                topic,
+                "record /tf as long as the clouds",
+                "warning",
+            )
+        )
+    source = values.pop("source") or f"ROS bag {Path(path).name}"
+    extra = {**values.pop("extra"), "ros": {"points": topic, "gripper": settings.gripper}}
+    made = Recording.from_frames(
+        clouds,
+        time=np.array(times) - times[0],
+        gripper_position=np.array(positions),
+        **values,
+        source=source,
+        extra=extra | {"started": times[0], "world": world},
+    )
+    found = made.validate()
+    if errors := [fault for fault in found if fault.severity == "error"]:
+        raise RecordingError(where=where, faults=errors)
+    for fault in found:
+        on_warning(fault)
+    return made
+
+
+@contextmanager
+def _opened(path: str | os.PathLike) -> Iterator[Any]:
+    """The bag's reader."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    if not Path(path).exists():
+        raise RecordingError("no such file or folder", where=str(path), fix="check the path")
+    try:
+        with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+            yield bag
+    except (RecordingError, ModuleNotFoundError):
+        raise
+    except Exception as error:  # the reader's, and whatever its decoders make of damaged data
+        said = (str(error) or type(error).__name__).splitlines()[0][:160]
+        raise RecordingError(
+            f"cannot be read as a ROS 2 bag ({said})",
+            where=str(path),
+            fix="give the bag's folder, whole; ros2 bag reindex may mend it",
+        ) from error
+
+
+def _messages(bag: Any, topic: str) -> Iterator[Any]:
+    """Of a topic, in the order in which they came."""
+    wanted = [c for c in bag.connections if c.topic == topic]
+    if wanted:
+        for connection, _, data in bag.messages(connections=wanted):
+            yield bag.deserialize(data, connection.msgtype)
+
+
+def _cloud_topic(topics: dict[str, str], wanted: str | None, where: str) -> str:
+    if wanted is not None:
+        _of_kind(topics, wanted, CLOUD, where)
+        return wanted
+    own = [name for name, kind in topics.items() if kind == CLOUD]
+    if not own and any(name.startswith("/device_0/") for name in topics):
+        raise RecordingError(
+            "is a recording of the RealSense SDK, of depth pictures",
+            where=where,
+            fix="turn it into clouds with gendom perceive",
+        )
+    if len(own) != 1:
+        raise RecordingError(
+            f"has {len(own)} topics of clouds" + (f": {', '.join(own)}" if own else ""),
+            where=where,
+            fix="name one with --points" if own else f"record a {CLOUD}",
+        )
+    return own[0]
+
+
+def _of_kind(topics: dict[str, str], name: str, kind: str, where: str) -> None:
+    if topics.get(name) != kind:
+        others = ", ".join(n for n, k in topics.items() if k == kind) or "there is none"
+        raise RecordingError(
+            f"has no topic {name} of {kind}" if name not in topics else f"{name} is no {kind}",
+            where=where,
+            fix=f"give one of: {others}",
+        )
+
+
+def _time(header: Any) -> float:
+    """Since 1970, to a quarter of a microsecond [s]."""
+    return header.stamp.sec + 1e-9 * header.stamp.nanosec
+
+
+class _OutOfTimeError(Exception):
+    """A moving frame's place is not known at a time."""
+
+
+@dataclass
+class _Track:
+    """Where something is over time, in one frame."""
+
+    where: str
+    frame: str = ""
+    still: bool = False
+    """Whether it never moves: what is told of it again is the same."""
+    times: list[float] = field(default_factory=list)
+    places: list[list[float]] = field(default_factory=list)
+
+    def add(self, header: Any, at: Any, q: Any) -> None:
+        if self.frame not in ("", header.frame_id):
+            raise RecordingError(
+                f"is in {header.frame_id} after {self.frame}", where=self.where, fix="keep one"
+            )
+        self.frame = header.frame_id
+        self.times.append(_time(header))
+        self.places.append([at.x, at.y, at.z, q.x, q.y, q.z, q.w])
+
+    def settle(self) -> None:
+        """To be called once when all is there."""
+        if not self.times:
+            raise RecordingError("has no message", where=self.where, fix="record it")
+        times, first = np.unique(self.times, return_index=True)
+        places = np.array(self.places)[first]
+        if not np.isfinite(places).all() or (np.linalg.norm(places[:, 3:], axis=1) < 0.5).any():
+            raise RecordingError("has a pose that is none", where=self.where, fix="record it again")
+        self._times, self._x = times, places[:, :3]
+        self._turns = Rotation.from_quat(places[:, 3:])
+        self._between = Slerp(times, self._turns) if len(times) > 1 else None
+
+    def at(self, time: float) -> tuple[Rotation, Array]:
+        """Turn and shift from its own axes to those of `frame`.
+
+        Raises:
+            _OutOfTimeError: It moves, and `time` lies before its first or after its last place.
+        """
+        if self.still or self._between is None:
+            return self._turns[-1], self._x[-1]
+        if not self._times[0] <= time <= self._times[-1]:
+            raise _OutOfTimeError
+        x = np.array([np.interp(time, self._times, axis) for axis in self._x.T])
+        return self._between(time), x
+
+
+class _Frames:
+    """The tree of TF."""
+
+    def __init__(self, where: str):
+        self.where = where
+        self.tracks: dict[str, _Track] = {}
+
+    def add(self, stated: Any, *, still: bool) -> None:
+        child = stated.child_frame_id.lstrip("/")
+        track = self.tracks.setdefault(child, _Track(f"{self.where}: frame {child}", still=still))
+        track.add(stated.header, stated.transform.translation, stated.transform.rotation)
+
+    def settle(self) -> None:
+        """To be called once when all is there."""
+        for track in self.tracks.values():
+            track.settle()
+
+    @property
+    def root(self) -> str:
+        """The frame in which all others are; empty without TF."""
+        parents = {track.frame.lstrip("/") for track in self.tracks.values()}
+        roots = sorted(parents - set(self.tracks))
+        if len(roots) > 1:
+            raise RecordingError(
+                f"TF has several roots: {', '.join(roots)}",
+                where=self.where,
+                fix="name the frame of the recording with --world",
+            )
+        return roots[0] if roots else ""
+
+    def between(self, to: str, start: str, time: float) -> tuple[Rotation, Array]:
+        """Turn and shift from the axes of `start` to those of `to`.
+
+        Raises:
+            RecordingError: They are in no tree.
+            _OutOfTimeError: One is not known at `time`.
+        """
+        to, start = to.lstrip("/"), start.lstrip("/")
+        up, down = self._lineage(start), self._lineage(to)
+        shared = next((frame for frame in up if frame in down), None)
+        if shared is None:
+            raise RecordingError(
+                f"TF does not say where {start} is in {to}",
+                where=self.where,
+                fix=f"give frames of one tree; it has {', '.join(sorted(self.tracks)) or 'none'}",
+            )
+        turn, shift = self._climb(up[: up.index(shared)], time)
+        back, origin = self._climb(down[: down.index(shared)], time)
+        inverse = back.inv()
+        return inverse * turn, inverse.apply(shift - origin)
+
+    def _lineage(self, frame: str) -> list[str]:
+        found = [frame]
+        while found[-1] in self.tracks:
+            parent = self.tracks[found[-1]].frame.lstrip("/")
+            if parent in found:
+                raise RecordingError(f"TF has a loop at {parent}", where=self.where, fix="mend it")
+            found.append(parent)
+        return found
+
+    def _climb(self, frames: Sequence[str], time: float) -> tuple[Rotation, Array]:
+        """Through each of some frames to its parent."""
+        turn, shift = Rotation.identity(), np.zeros(3)
+        for frame in frames:
+            own, at = self.tracks[frame].at(time)
+            turn, shift = own * turn, own.apply(shift) + at
+        return turn, shift
+
+
+def _points(message: Any, where: str) -> Array:
+    """[n, 3] of a PointCloud2 in its own frame, without those that were not seen."""
+    fields = {f.name: f for f in message.fields}
+    order, count = "<>"[bool(message.is_bigendian)], message.width * message.height
+    try:
+        xyz = [fields[axis] for axis in "xyz"]
+        at = [(f.offset, np.dtype(order + _TYPES[f.datatype])) for f in xyz]
+    except KeyError as error:
+        raise RecordingError(f"a cloud has no {error}", where=where, fix="record x, y, z") from None
+    step, row = message.point_step, message.row_step
+    last = max(offset + kind.itemsize for offset, kind in at)
+    data = np.asarray(message.data, dtype=np.uint8)
+    needed = (message.height - 1) * row + message.width * step if count else 0
+    if last > step or row < message.width * step or len(data) < needed:
+        raise RecordingError(
+            f"a cloud has {len(data)} bytes for {count} points of {step}",
+            where=where,
+            fix="record it again",
+        )
+    if not count:
+        return np.zeros((0, 3))
+    shape, raw = (message.height, message.width), data.tobytes()
+    columns = [np.ndarray(shape, kind, raw, offset, (row, step)) for offset, kind in at]
+    cloud = np.stack(columns, axis=-1).reshape(-1, 3).astype(np.float64)
+    return cloud[np.isfinite(cloud).all(axis=1)]
+
+
+def _inside(cloud: Array, box: tuple[float, ...] | None) -> Array:
+    """The points within a box, all without one."""
+    if box is None:
+        return cloud
+    low, high = np.array(box[::2]), np.array(box[1::2])
+    return cloud[((cloud >= low) & (cloud <= high)).all(axis=1)]

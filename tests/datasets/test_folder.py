@@ -1,0 +1,209 @@
+"""Recordings kept as folders of clouds."""
+
+import numpy as np
+import pytest
+
+from gendom import cli
+from gendom.datasets import Recording, write_ply
+from gendom.errors import RecordingError
+
+
+@pytest.fixture
+def folder(lift, tmp_path):
+    """The lift as a folder, with file names whose natural order is not the alphabetical one."""
+    folder = tmp_path / "take"
+    folder.mkdir()
+    for t in range(5):
+        write_ply(folder / f"frame_{8 + t}.ply", lift.frame(t))
+    rows = ["time,x,y,z,ax,ay,az"]
+    for t in range(5):
+        values = [lift.time[t], *lift.gripper_position[t, 0], *lift.gripper_axis[t, 0]]
+        rows.append(",".join(map(repr, map(float, values))))
+    (folder / "gripper.csv").write_text("\n".join(rows) + "\n")
+    (folder / "object.toml").write_text(
+        'table_height = 0.0\noperator = "nobody"\n'
+        '[object]\nkind = "rope"\nlength = 0.4\nmass = 0.02\ngrasp = "end"\n'
+    )
+    return folder
+
+
+def test_folder_equals_the_recording(lift, folder):
+    recording = Recording.read(folder)
+    for name in ("points", "offsets", "time", "gripper_position", "gripper_axis"):
+        np.testing.assert_array_equal(getattr(recording, name), getattr(lift, name))
+    assert (recording.object.length, recording.object.mass) == (0.4, 0.02)
+    assert recording.table_height == 0.0 and not recording.quasi_static
+    assert recording.extra == {"operator": "nobody"}
+
+
+def as_pcd(path, cloud):
+    head = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS {len(cloud)}\nDATA binary\n"
+    path.write_bytes(head.encode() + cloud.astype("<f4").tobytes())
+
+
+def as_npz(path, cloud):
+    np.savez(path, points=cloud)
+
+
+@pytest.mark.parametrize(("suffix", "write"), [(".pcd", as_pcd), (".npz", as_npz)])
+def test_clouds_in_other_formats(lift, folder, suffix, write, capsys):
+    for t in range(5):
+        (folder / f"frame_{8 + t}.ply").unlink()
+        write(folder / f"frame_{8 + t}{suffix}", lift.frame(t))
+    recording = Recording.read(folder)
+    np.testing.assert_array_equal(recording.points, lift.points)
+    np.testing.assert_array_equal(recording.offsets, lift.offsets)
+    assert cli.main(["check", str(folder)]) == 0
+    assert "points    20 to 24 a frame" in capsys.readouterr().out
+    path = folder / f"frame_9{suffix}"
+    path.write_bytes(path.read_bytes()[:-30])
+    assert cli.main(["check", str(folder)]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"gendom check: {path}: is ") and err.count("\n") == 1
+
+
+def test_recordings_among_the_clouds_are_left_alone(lift, folder):
+    lift.write(folder / "recording.npz")
+    assert Recording.read(folder).num_frames == 5
+
+
+def test_keys_below_the_table_count_too(folder):
+    """TOML gives every key below [object] to that table."""
+    path = folder / "object.toml"
+    path.write_text(
+        '[object]\nkind = "rope"\nlength = 0.4\ntable_height = -0.1\nquasi_static = true'
+    )
+    recording = Recording.read(folder)
+    assert recording.table_height == -0.1 and recording.quasi_static
+    assert recording.object.extra == {}
+
+
+def test_two_grippers(folder):
+    rows = ["time,x0,y0,z0,x1,y1,z1"]
+    rows += [f"{0.1 * t},0.4,0,{0.01 * t},0,0,0" for t in range(5)]
+    (folder / "gripper.csv").write_text("\n".join(rows))
+    recording = Recording.read(folder)
+    assert recording.gripper_position.shape == (5, 2, 3) and recording.gripper_axis is None
+    assert recording.gripper_position[4].tolist() == [[0.4, 0.0, 0.04], [0.0, 0.0, 0.0]]
+
+
+def test_when_the_gripper_is_closed(folder):
+    add_closed(1, 1, 1, 0, 0)(folder)
+    recording = Recording.read(folder)
+    assert recording.gripper_axis is not None and recording.gripper_closed is not None
+    assert recording.gripper_closed[:, 0].tolist() == [True, True, True, False, False]
+
+
+def test_when_each_of_two_grippers_is_closed(folder):
+    rows = ["time,x0,y0,z0,x1,y1,z1,closed0,closed1"]
+    rows += [f"{0.1 * t},0.4,0,{0.01 * t},0,0,0,1,{int(t < 2)}" for t in range(5)]
+    (folder / "gripper.csv").write_text("\n".join(rows))
+    recording = Recording.read(folder)
+    assert recording.gripper_closed is not None
+    assert recording.gripper_closed.T.tolist() == [[True] * 5, [True, True, False, False, False]]
+
+
+def test_missing_table_height_is_a_warning(folder):
+    (folder / "object.toml").write_text('[object]\nkind = "rope"\nlength = 0.4\n')
+    faults = []
+    assert Recording.read(folder, on_warning=faults.append).table_height is None
+    assert [fault.where for fault in faults] == ["table_height"]
+
+
+def rewrite(name, old, new):
+    def spoil(folder):
+        text = (folder / name).read_text()
+        assert old in text
+        (folder / name).write_text(text.replace(old, new, 1))
+
+    return spoil
+
+
+def add_closed(*states):
+    """Add the column `closed`."""
+
+    def add(folder):
+        path = folder / "gripper.csv"
+        rows = zip(path.read_text().splitlines(), ("closed", *states), strict=True)
+        path.write_text("\n".join(f"{row},{state}" for row, state in rows) + "\n")
+
+    return add
+
+
+BAD_FOLDERS = {
+    "no clouds": (
+        lambda f: [p.unlink() for p in f.glob("*.ply")],
+        "{}: holds no .ply, .pcd, .npz file; put one point cloud a frame there",
+    ),
+    "clouds of two kinds": (
+        lambda f: (f / "frame_13.pcd").write_bytes(b""),
+        "{}: holds 5 .ply and 1 .pcd files; keep those of one kind",
+    ),
+    "a cloud less": (
+        lambda f: (f / "frame_9.ply").unlink(),
+        "{}: 4 .ply files but 5 rows in gripper.csv; give one row a frame",
+    ),
+    "no gripper.csv": (
+        lambda f: (f / "gripper.csv").unlink(),
+        "{}/gripper.csv: no such file; write one row a frame under time,x,y,z",
+    ),
+    "no object.toml": (lambda f: (f / "object.toml").unlink(), "{}/object.toml: no such file; "),
+    "not TOML": (rewrite("object.toml", "kind =", "kind"), "{}/object.toml: is not TOML ("),
+    "no length": (
+        rewrite("object.toml", "length = 0.4", ""),
+        "{}: object.length: is missing for a rope; measure it and give metres",
+    ),
+    "a word for a number": (
+        rewrite("gripper.csv", "0.01", "high"),
+        "{}/gripper.csv, line 3, column z: 'high' is no number; give seconds and metres",
+    ),
+    "a value too few": (
+        rewrite("gripper.csv", "0.01,", ""),
+        "{}/gripper.csv, line 3: 6 values under 7 column names; give one value a column",
+    ),
+    "no time column": (
+        rewrite("gripper.csv", "time", "seconds"),
+        "{}/gripper.csv: the header lacks 'time'; use time,x,y,z[,ax,ay,az][,closed], or",
+    ),
+    "half an axis": (
+        rewrite("gripper.csv", "ax,ay,az", "ax,ay,bz"),
+        "{}/gripper.csv: the header lacks 'az'; ",
+    ),
+    "a strange column": (
+        rewrite("gripper.csv", "ax,ay,az", "force,,torque"),
+        "{}/gripper.csv: the header has unknown 'force', '', 'torque'; ",
+    ),
+    "half closed": (
+        add_closed(1, 1, 0.5, 0, 0),
+        "{}/gripper.csv, line 4, column closed: is '0.5'; "
+        "give 1 where the gripper is closed, 0 where it is open",
+    ),
+    "one of two grippers closed": (
+        lambda f: (f / "gripper.csv").write_text("time,x0,y0,z0,x1,y1,z1,closed0\n0,0,0,0,0,0,0,1"),
+        "{}/gripper.csv: the header lacks 'closed1'; use time,x,y,z[,ax,ay,az][,closed], or",
+    ),
+    "empty gripper.csv": (
+        lambda f: (f / "gripper.csv").write_text(""),
+        "{}/gripper.csv: is empty; write the header time,x,y,z",
+    ),
+    "a broken cloud": (
+        lambda f: (f / "frame_10.ply").write_bytes(b"no"),
+        "{}/frame_10.ply: is not a PLY file",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FOLDERS)
+def test_bad_folders(folder, case):
+    spoil, message = BAD_FOLDERS[case]
+    spoil(folder)
+    with pytest.raises(RecordingError) as caught:
+        Recording.read(folder)
+    assert str(caught.value).startswith(message.format(folder))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_gripper_table_without_rows(folder):
+    (folder / "gripper.csv").write_text("time,x,y,z\n")
+    with pytest.raises(RecordingError, match="no rows"):
+        Recording.read(folder)

@@ -1,0 +1,119 @@
+"""The wheel: what is in it, and that it works where there is nothing else of this repository."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import venv
+import zipfile
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from gendom import __version__
+
+REPOSITORY = Path(__file__).parents[1]
+PACKAGE = REPOSITORY / "src" / "gendom"
+
+pytestmark = pytest.mark.slow
+
+LARGEST = 400e6
+"""Of what a core installation brings beside Warp [bytes]."""
+
+
+def run(*words, **options):
+    """Run a program outside of the repository, without what this process has on its paths."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    words = [str(word) for word in words]
+    done = subprocess.run(words, capture_output=True, text=True, env=kept, **options)
+    assert done.returncode == 0, f"{' '.join(words)}:\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    out = tmp_path_factory.mktemp("wheel")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+    run(*pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", out, REPOSITORY, cwd=out)
+    (path,) = out.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def place(wheel, tmp_path_factory):
+    """A new environment that has the wheel, with the versions that the tests run with."""
+    root = tmp_path_factory.mktemp("place")
+    venv.create(root / "venv", with_pip=True)
+    pip = [root / "venv/bin/python", "-m", "pip", "--disable-pip-version-check"]
+    run(*pip, "install", "--quiet", "-c", REPOSITORY / "constraints.txt", wheel, cwd=root)
+    return root
+
+
+@pytest.fixture(scope="module")
+def gendom(place):
+    """The program, run in an empty folder."""
+
+    def call(*words):
+        return run(place / "venv/bin/gendom", *words, cwd=place)
+
+    return call
+
+
+def test_the_wheel_has_every_file_of_the_package(wheel):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    ours = {p.relative_to(PACKAGE.parent).as_posix() for p in PACKAGE.rglob("*") if p.is_file()}
+    ours = {name for name in ours if "__pycache__" not in name}
+    assert ours - names == set()
+    endings = Counter(Path(name).suffix for name in names)
+    assert endings[".onnx"] >= 5 and endings[".h"] >= 3
+    assert {
+        "gendom/py.typed",
+        "gendom/materials/library.toml",
+        "gendom/assets/demo-rope-lift.npz",
+        "gendom/assets/rope-casting.onnx",
+        "gendom/sim/thin/native/rod.h",
+    } <= names
+    assert not [name for name in names if name.startswith(("tests", "docs", "src"))]
+
+
+def test_it_is_not_a_clone(gendom):
+    assert gendom("--version") == f"gendom {__version__}\n"
+    assert "usage: gendom COMMAND" in gendom("--help")
+
+
+def test_policies_and_materials_are_there(gendom):
+    policies = json.loads(gendom("policies", "--json"))["policies"]
+    assert "rope-casting" in {policy["task"] for policy in policies}
+    assert "cotton-rope: soft braided" in gendom("materials", "cotton-rope")
+
+
+def test_it_acts(gendom):
+    rope = "--length 0.5 --diameter 0.012 --E 1e6 --density 900 --nu 0.35"
+    told = gendom("act", "rope-casting", "--goal", "0.35", "0.07", *rope.split(), "--force")
+    assert re.search(r"\d", told)
+
+
+def test_it_reads_the_recording_that_it_brings(place, gendom):
+    code = "from importlib.resources import files; print(files('gendom') / 'assets')"
+    assets = Path(run(place / "venv/bin/python", "-c", code, cwd=place).strip())
+    assert assets.is_relative_to(place)
+    assert "can be used" in gendom("check", assets / "demo-rope-lift.npz")
+
+
+def test_a_core_installation_is_small(place, capsys):
+    """What each package takes up, as its own list of files has it."""
+    code = (
+        "import json; from importlib.metadata import distributions as all\n"
+        "print(json.dumps({d.name: sum(f.locate().stat().st_size for f in d.files or []"
+        " if f.locate().is_file()) for d in all()}))"
+    )
+    sizes = json.loads(run(place / "venv/bin/python", "-c", code, cwd=place))
+    own = {name: size for name, size in sizes.items() if name not in ("pip", "setuptools")}
+    rows = sorted(own.items(), key=lambda row: -row[1])
+    told = ", ".join(f"{name} {1e-6 * size:.0f} MB" for name, size in rows[:8])
+    beside = sum(own.values()) - own["warp-lang"]
+    with capsys.disabled():
+        print(f"\n{1e-6 * sum(own.values()):.0f} MB in all: {told}")
+    assert beside < LARGEST, f"{1e-6 * beside:.0f} MB without Warp: {told}"
