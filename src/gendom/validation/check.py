@@ -50,7 +50,7 @@ class Check:
     expected: float
     measured: float
     error: float
-    """|measured - expected|; divided by |expected| where ``relative``."""
+    """``|measured - expected|``; divided by ``|expected|`` where ``relative``."""
     allowed: float
     """The largest ``error`` with which the row passes."""
     relative: bool
