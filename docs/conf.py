@@ -2,7 +2,25 @@
 
 from importlib import import_module
 
-import gendom
+import numpy.typing
+
+
+class ArrayLike:
+    """Stands for NumPy's, whose union would fill every signature."""
+
+    __module__ = "numpy.typing"
+
+
+class NDArray:
+    """Stands for NumPy's, of which signatures show `ndarray` only; docstrings give the types."""
+
+    def __class_getitem__(cls, item):
+        return numpy.ndarray
+
+
+numpy.typing.ArrayLike, numpy.typing.NDArray = ArrayLike, NDArray
+
+import gendom  # noqa: E402  after the types that its signatures use
 
 project = "GenDOM"
 author = "the GenDOM developers"
@@ -17,11 +35,12 @@ html_copy_source = False
 html_show_sphinx = False
 
 myst_heading_anchors = 4
+highlight_language = "none"  # of blocks that name no language
 default_role = "code"  # single backticks in docstrings
 
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
-autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_default_options = {"members": True}
 napoleon_numpy_docstring = False
 python_use_unqualified_type_names = True
 

@@ -1,10 +1,12 @@
 """What README and docs say can be done: commands, links and pages.
 
 Shell blocks (fenced without a language, or as `sh`) hold commands only. Every command parses.
-Blocks are run from top to bottom of a page, but for those under a comment `<!-- not run: reason -->`.
-Commands in backticks are run where they are complete and not named below.
+Blocks are run from top to bottom of a page, but for those under a comment
+`<!-- not run: reason -->`. Commands in backticks are run where they are complete
+and not named below.
 """
 
+import dataclasses
 import importlib.util
 import re
 import shlex
@@ -108,10 +110,8 @@ INLINE = sorted({code for page in PAGES for code in inline(page)})
 
 @cache
 def flags(name: str) -> frozenset[str]:
-    parser = tyro.extras.get_parser(
-        described(import_module(cli.COMMANDS[name][0]).Command), config=PARSING
-    )
-    return frozenset(s for action in parser._actions for s in action.option_strings)
+    fields = dataclasses.fields(import_module(cli.COMMANDS[name][0]).Command)
+    return frozenset({"--help", *(f"--{field.name.replace('_', '-')}" for field in fields)})
 
 
 def gendom_words(command: str) -> list[str]:

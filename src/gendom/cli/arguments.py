@@ -27,7 +27,7 @@ PARSING = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
 
 def described(command: type) -> type:
     """A command's class whose help flows (tyro keeps the line breaks of indented docstrings), and
-    tells those defaults alone that say something."""
+    shows those defaults only that mean something."""
 
     def default_told(default: str) -> str:
         return "" if default in ("None", "False", "") else f"(default: {default})"

@@ -15,8 +15,8 @@ from gendom.files import check_folder, to_json
 class Command:
     """Write a set of demonstrations as a LeRobot data set (format v3.0).
 
-    A demonstration becomes an episode of one frame; those that failed are left out, and so is what
-    is not yet simulated.
+    A demonstration becomes an episode of one frame; those that failed, and those not yet
+    simulated, are left out.
 
     For example: gendom export casts --out casts-lerobot
     """

@@ -42,7 +42,7 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One measured quantity beside its expected value."""
+    """One measured quantity and its expected value."""
 
     quantity: str
     unit: str
