@@ -220,6 +220,7 @@ def run_command(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     if program == "gendom":
         assert cli.main(words[1:]) == 0, command
         return
+    assert program == "python", command
     words = [sys.executable, str(ROOT / words[1]), *words[2:]]
     run = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, f"{command}\n{run.stderr}"
