@@ -6,6 +6,7 @@ Blocks are run from top to bottom of a page, but for those under a comment
 and not named below.
 """
 
+import ast
 import dataclasses
 import importlib.util
 import re
@@ -287,6 +288,29 @@ def test_every_expensive_pattern_has_a_use():
     named = [*INLINE, *(c for b in ALL for c in b.commands)]
     unused = [p for p in EXPENSIVE if not any(re.fullmatch(p, c) for c in named)]
     assert unused == []
+
+
+PYTHON = [
+    (page, found["body"])
+    for page in PAGES
+    for found in FENCE.finditer(page.read_text())
+    if found["language"] == "python"
+]
+
+
+@pytest.mark.parametrize(("page", "code"), PYTHON, ids=lambda value: getattr(value, "stem", ""))
+def test_imports_of_python_blocks_are_there(page, code):
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gendom"):
+            module = import_module(node.module or "")
+            missing = [n.name for n in node.names if not hasattr(module, n.name)]
+            assert missing == [], node.module
+
+
+def test_the_python_of_the_readme_runs(after_tutorial, monkeypatch):
+    monkeypatch.chdir(after_tutorial)
+    (code,) = [code for page, code in PYTHON if page.name == "README.md"]
+    exec(compile(code, "README.md", "exec"), {})
 
 
 def test_the_readme_keeps_to_one_screen():
