@@ -9,6 +9,7 @@ and not named below.
 import ast
 import dataclasses
 import importlib.util
+import os
 import re
 import shlex
 import shutil
@@ -223,6 +224,7 @@ def run_command(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
         return
     assert program == "python", command
     words = [sys.executable, str(ROOT / words[1]), *words[2:]]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))  # the tested code
     run = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, f"{command}\n{run.stderr}"
 

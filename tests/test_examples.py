@@ -37,13 +37,14 @@ def test_every_example_is_run_here():
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_example_runs(name, tmp_path):
+def test_example_runs(name, tmp_path, monkeypatch):
     written, packages = SCRIPTS[name]
     for package in packages:
         pytest.importorskip(package)
     before = contents(EXAMPLES)
     words = [sys.executable, str(EXAMPLES / f"{name}.py")]
     words += ["--out", "made"] if written else []
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))  # the tested code
     run = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stderr
     assert run.stdout
