@@ -1,8 +1,9 @@
 # Everything from a fresh checkout. Each target makes .venv when it is missing.
 #
-#   make demo    the whole story on the recorded default   make bench   speed of the simulator
-#   make test    the tests (make test ARGS="-m slow")       make clean   remove .venv, caches and demo/
-#   make check   ruff and pyright
+#   make demo    the whole pipeline on the recorded lift    make bench   speed of the simulator
+#   make test    the tests (make test ARGS="-m slow")       make docs    the site, in docs/_build
+#   make check   ruff and pyright                           make clean   remove .venv, caches, demo/
+#                                                                        and docs/_build
 #
 # PYTHON chooses the interpreter (3.11 or newer): make demo PYTHON=python3.12
 
@@ -28,7 +29,7 @@ else ifeq ($(shell $(BIN)/python -c "print(1)" 2>/dev/null),)
 .PHONY: $(PLACE)
 endif
 
-.PHONY: demo test check bench clean
+.PHONY: demo test check bench docs clean
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 
@@ -46,8 +47,13 @@ check: $(FULL)
 bench: $(CORE)
 	@$(BIN)/gendom bench $(ARGS)
 
+# Warnings, such as a link or a reference that leads nowhere, end it.
+docs: $(FULL)
+	@$(BIN)/python -m sphinx -q -W --keep-going -n -b html -d docs/_build/.doctrees docs docs/_build
+	@echo "docs/_build/index.html"
+
 clean:
-	rm -rf $(VENV) build dist demo .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist demo docs/_build .pytest_cache .ruff_cache
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PLACE):
@@ -57,7 +63,7 @@ $(PLACE):
 	@echo "making $(VENV) with $$($(PYTHON) --version)"
 	@rm -rf $(VENV)
 	@$(PYTHON) -m venv $(VENV) || { \
-	  echo "make: no virtual environment came of it; on Debian: apt install python3-venv" >&2; \
+	  echo "make: no virtual environment was made; on Debian: apt install python3-venv" >&2; \
 	  rm -rf $(VENV); exit 2; }
 	@printf '%s\n' "$(CURDIR)" > $@
 
@@ -71,6 +77,6 @@ $(CORE): $(PLACE) pyproject.toml constraints.txt
 $(FULL): $(PLACE) pyproject.toml constraints.txt
 	@echo "installing gendom with test and training tools (torch is large: 1 to 10 minutes)"
 	@touch $(INSTALLING)
-	@$(PIP) install -qq -c constraints.txt -e '.[dev,data,train,reality,camera,cluster,ros,viz]'
+	@$(PIP) install -qq -c constraints.txt -e '.[dev,data,train,reality,camera,cluster,docs,ros,viz]'
 	@rm $(INSTALLING)
 	@touch $(CORE) $@

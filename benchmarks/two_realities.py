@@ -1,4 +1,4 @@
-"""Our simulator beside the second reality (MuJoCo): the same motions of the same objects.
+"""GenDOM's simulator beside MuJoCo (the second reality): the same motions of the same objects.
 
 For each rope some releases of rope reaching and some casts, for each cloth some spreadings, with
 the parameters that the object has there: E, nu, density, damping, friction and air. Both worlds are

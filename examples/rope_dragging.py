@@ -1,4 +1,4 @@
-"""A task of one's own: drag a rope over the table so that its free end comes to a goal.
+"""A task of your own: drag a rope over the table so that its free end comes to a goal.
 
     gendom dataset examples/rope_dragging.py --size 2000 --out drags
     gendom train examples/rope_dragging.py --data drags --out drag.onnx

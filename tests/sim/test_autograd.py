@@ -60,6 +60,32 @@ def test_what_worlds_share_gets_the_sum_of_their_derivatives():
     assert grad(3) == pytest.approx(3.0 * grad(1), rel=1e-12)
 
 
+@pytest.mark.parametrize("engine", ["mpm", "thin"])
+@pytest.mark.parametrize(("name", "value"), [("damping", 0.004), ("velocity_damping", 3.0)])
+def test_damping_is_differentiated(name, value, engine):
+    body, scene = setup()
+    scene["options"] = {"engine": engine}
+
+    def height(number):
+        x = simulate(body, [0.03], E=2e5, nu=0.3, density=1000.0, **{name: number}, **scene)
+        return x[-1, 0, :, 2].sum()
+
+    damping = torch.tensor(value, dtype=torch.float64, requires_grad=True)
+    height(damping).backward()
+    h = 1e-4 * value
+    expected = (height(value + h) - height(value - h)) / (2.0 * h)
+    assert float(damping.grad) == pytest.approx(float(expected), rel=1e-4)
+
+
+def test_initial_positions_of_rods_are_differentiated():
+    body, scene = setup()
+    start = torch.tensor(body.points, dtype=torch.float64, requires_grad=True)
+    scene["options"] = {"engine": "thin"}
+    x = simulate(body, [0.03], E=2e5, nu=0.3, density=1000.0, positions=start, **scene)
+    x[-1, 0, -1, 0].backward()
+    assert start.grad is not None and float(start.grad[-1, 0]) != 0.0
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -3,7 +3,7 @@
 A command's module has a frozen dataclass `Command`: its fields are the flags, their docstrings
 the help, and `run()` does the work and returns the exit code. Results go to stdout, the log and
 all complaints to stderr. Exit codes: 0 done, 1 a fault of the program, 2 a fault of the input,
-3 done, but the recording tells nothing of the object (`gendom estimate`, `gendom demo`), 130
+3 done, but the recording cannot be used (`gendom estimate`, `gendom demo`), 130
 interrupted.
 """
 
@@ -28,17 +28,17 @@ COMMANDS = {
     "replay": ("gendom.cli.replay", "simulate a recorded motion and compare it with the clouds"),
     "view": ("gendom.cli.view", "look at a recording or demonstrations, and simulate them again"),
     "act": ("gendom.cli.act", "the action that reaches a goal with a given object"),
-    "adapt": ("gendom.cli.adapt", "learn parameters from what actions have reached"),
+    "adapt": ("gendom.cli.adapt", "update parameters from executed actions and what they reached"),
     "dataset": ("gendom.cli.dataset", "simulate demonstrations"),
     "export": ("gendom.cli.export", "demonstrations or a recording in the format of LeRobot"),
     "train": ("gendom.cli.train", "train a policy on demonstrations"),
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
-    "policies": ("gendom.cli.policies", "the policies that come with the package"),
-    "materials": ("gendom.cli.materials", "what ropes, cables and cloths have, with sources"),
+    "policies": ("gendom.cli.policies", "the shipped policies"),
+    "materials": ("gendom.cli.materials", "ropes, cables and cloths with parameters and sources"),
     "reproduce": ("gendom.cli.reproduce", "the paper's tables and the intervals' coverage"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
-    "calibrate": ("gendom.cli.calibrate", "where a camera stands, from pictures of a board"),
-    "record": ("gendom.cli.record", "a lift of the second reality, seen by depth cameras"),
+    "calibrate": ("gendom.cli.calibrate", "a camera's pose, from pictures of a board"),
+    "record": ("gendom.cli.record", "a lift in the MuJoCo test scene, seen by depth cameras"),
     "perceive": ("gendom.cli.perceive", "from depth pictures to a recording"),
     "import": ("gendom.cli.import_", "from a ROS 2 bag, clouds or LeRobot to a recording"),
     "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
@@ -127,9 +127,9 @@ def _usage() -> str:
             "",
             *lines,
             "",
-            "gendom help COMMAND tells a command's flags, with an example. All take --debug, which",
+            "gendom help COMMAND lists a command's flags, with an example. All take --debug, which",
             "shows tracebacks, and --quiet: no progress and no notes, results and errors only.",
-            "gendom --version tells the version.",
+            "gendom --version prints the version.",
         ]
     )
 

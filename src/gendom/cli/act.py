@@ -33,32 +33,32 @@ class Command(KnownObject):
     """Print the action that reaches a goal with a given object, and the robot's motion.
 
     The object comes from --params, or from --E, --nu, --density and its sizes; each of these flags
-    also replaces what --params says. With an estimate, the range of what will be reached is
-    printed too.
+    also replaces what --params says. With an estimate, the predicted result has an
+    interval.
 
     For example: gendom act rope-casting --goal 0.35 0.07 --params estimate.json
     """
 
     task: tyro.conf.Positional[TaskName]
-    """What is done."""
+    """The task."""
     goal: tuple[float, ...] = ()
-    """In SI units and the task's frame: rope-reaching x, rope-casting x and z [m]; none for
-    cloth-spreading."""
+    """The goal in SI units and the task's frame: rope-reaching x, rope-casting x and z [m]; none
+    for cloth-spreading."""
     origin: tuple[float, float, float] | None = None
     """Where the task's frame has its origin in the robot's base frame [m] (default: the task's)."""
     policy: Path | None = None
-    """Policy file; by default the one that comes with the package."""
+    """Policy file; by default the shipped one."""
     no_parameters: bool = False
-    """Use the policy of the package that does not see the object's parameters."""
+    """Use the shipped policy that does not see the object's parameters."""
     polish: bool = False
-    """Improve the action through the simulator, for the object as uncertain as it is, and for what
+    """Improve the action through the simulator, for objects drawn from the estimate and with what
     earlier executions have shown (gendom adapt)."""
     seconds: float = 10.0
-    """Time for that [s]."""
+    """Time limit of --polish [s]."""
     no_foretell: bool = False
-    """Do not simulate what will be reached."""
+    """Do not simulate the predicted result."""
     seed: int = 0
-    """Seed of the objects drawn from an estimate's interval."""
+    """Seed of the objects drawn from an estimate."""
     out: Path | None = None
     """Also write the result, with the robot's motion, to this JSON file."""
     json: bool = False
@@ -231,7 +231,7 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
              f"{p['rollouts']} rollouts in {p['seconds']:.1f} s")
         )  # fmt: skip
     if "foretold" in result:
-        rows.append(("foretold", _foretold_text(result["foretold"])))
+        rows.append(("predicts", _foretold_text(result["foretold"])))
     if assumed := [f"{n} {v:g}" for n, v in result["assumed"].items() if n in seen]:
         rows.append(("assumed", ", ".join(assumed)))
     rows.append(("policy", result["policy"]["path"]))

@@ -26,24 +26,24 @@ if TYPE_CHECKING:
 class Command(KnownObject):
     """Update an estimate by executed actions and what they reached.
 
-    Damping and Young's modulus change as far as they explain what was reached; the rest is expected
-    again of actions nearby. gendom act --polish --params takes both from the file that is written.
-    Give it that file, and a further execution, to go on.
+    Damping and Young's modulus change as far as they explain what was reached; the rest of the miss
+    is expected to repeat for similar actions. gendom act --polish --params uses both. To add a
+    further execution, pass the written file as --params.
 
-    For example: gendom adapt rope-casting --params estimate.json --action 0.21 --reached 0.36 0.08
+    For example: gendom adapt rope-casting --params estimate.json --action 0.17 --reached 0.35 0.08
     --out adapted.json
     """
 
     task: tyro.conf.Positional[TaskName]
-    """What was done."""
+    """The task."""
     action: tuple[float, ...] = ()
-    """What was executed, as gendom act printed it [SI]."""
+    """The executed action, as gendom act printed it [SI]."""
     reached: tuple[float, ...] = ()
-    """What it reached, as a goal is given [SI]."""
+    """What it reached, in the form of a goal [SI]."""
     executions: Path | None = None
     """JSON file with a list of executions: {"action": [...], "reached": [...]} each."""
     out: Path | None = None
-    """JSON file to write, an estimate that knows the executions."""
+    """JSON file to write: the updated estimate, with all executions."""
     json: bool = False
     """Print JSON."""
 

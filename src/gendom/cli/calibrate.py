@@ -24,7 +24,7 @@ class Command:
     """Find a camera's pose from pictures of a ChArUco board that the robot holds.
 
     The folder has board.toml, poses.csv and the pictures; see docs/perception.md. Refuses when
-    the poses do not determine the camera's place.
+    the poses do not determine the camera's pose.
 
     For example: gendom calibrate board --camera camera.toml --out camera.toml
     """

@@ -22,7 +22,7 @@ class Command:
     """
 
     shell: tyro.conf.Positional[Literal["bash", "zsh", "fish"]]
-    """Whose script is printed."""
+    """The shell."""
 
     def run(self) -> int:
         from gendom.cli import COMMANDS

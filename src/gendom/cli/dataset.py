@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 class Command:
     """Simulate demonstrations of a task with random objects and actions, to train a policy on.
 
-    Stop it and run it again: it goes on where it stopped. A larger size extends a set.
+    If it is interrupted, run it again: it continues where it stopped. A larger size extends a set.
 
     For example: gendom dataset rope-casting --size 1000 --out casts
     """
 
     task: tyro.conf.Positional[TaskName]
-    """What is demonstrated."""
+    """The task."""
     size: int
     """Number of demonstrations."""
     out: Path
@@ -41,11 +41,12 @@ class Command:
     cluster: str | None = None
     """A Ray cluster that shares the work: local, auto or ray://HOST:PORT (docs/cluster.md)."""
     world: Literal["simulation", "reality"] = "simulation"
-    """Where: our simulator, or the second reality (docs/reality.md)."""
+    """Where: GenDOM's simulator, or the MuJoCo test scene (the second reality, docs/reality.md)."""
     objects: tuple[str, ...] = ()
-    """Objects of the second reality (names or TOML files) to draw from, in place of random ones."""
+    """Objects of the MuJoCo test scene (names or TOML files) to draw from, in place of random
+    ones."""
     jobs: int = 1
-    """Processes that carry out trials in the second reality."""
+    """Processes that carry out trials in the MuJoCo test scene."""
     engine: Literal["thin", "mpm"] = "thin"
     """Ropes as rods and cloths as shells, or particles on a grid."""
     dtype: Literal["float32", "float64"] | None = None

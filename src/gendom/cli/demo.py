@@ -58,9 +58,9 @@ _log = logging.getLogger(__name__)
 class Command:
     """Show every step: a lift, the estimate, the policy's action, what it reaches.
 
-    The object, a rope, lives in a second reality (docs/reality.md): other equations than the
-    estimator's, a robot arm, and two noisy depth cameras. Without arguments the recorded lift and
-    the policies that come with the package are used, and nothing needs OpenGL.
+    The object is a rope in the MuJoCo test scene (the second reality, docs/reality.md): other
+    equations than the estimator's, a robot arm, and two noisy depth cameras. Without arguments the
+    shipped recording and policies are used, and OpenGL is not needed.
 
     For example: gendom demo --task rope-reaching
     """

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from gendom.viz.report import NextStep, Provenance
 
 NOT_USABLE = 3
-"""Exit code where a recording tells nothing of its object."""
+"""Exit code where a recording cannot be used."""
 
 REPORT_SUMMARY = (
     "GenDOM watched this object being moved and found the parameters with which its simulator "
@@ -43,7 +43,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Estimate an object's parameters from one recording: E / density and what else it shows.
+    """Estimate an object's parameters from one recording: E / density and what else it determines.
 
     Ctrl-C ends the search and keeps the best found so far. Exit code 3: the recording cannot be
     used, for the reasons that are printed; no intervals are given then.
@@ -61,28 +61,29 @@ class Command:
     json: bool = False
     """Print the estimate as JSON."""
     method: MethodName = "gauss-newton"
-    """How is searched (docs/estimation.md)."""
+    """Method of the search (docs/estimation.md)."""
     frames: Literal["all", "last"] = "all"
     """Frames that are compared."""
     starts: int = 3
-    """Where the search begins: at what a scan finds best, and at random places."""
+    """Number of starts of the search: the best of a scan first, then random ones."""
     seed: int = 0
-    """Seed of everything that is drawn."""
+    """Seed of all random draws."""
     level: float = 0.9
-    """Probability that the intervals claim."""
+    """Nominal probability of the intervals."""
     unknowns: tuple[str, ...] = ()
-    """What is looked for, such as specific_modulus grip_height; by default what a recording of this
-    kind may show."""
+    """What is estimated, such as specific_modulus grip_height; by default what a recording of this
+    kind may determine."""
     material: str | None = None
-    """What it is made of, by a name of gendom materials: narrows what is believed beforehand."""
+    """Its material, by a name of gendom materials: narrows the priors."""
     engine: Literal["thin", "mpm"] = "thin"
-    """Of the simulator. thin: ropes as rods, cloths as shells. mpm: material points, slower."""
+    """Engine of the simulator. thin: ropes as rods, cloths as shells. mpm: material points,
+    slower."""
     points: int | None = None
-    """Of a rod, or along the longer side of a shell; by default the engine's own."""
+    """Points of a rod, or along the longer side of a shell; by default the engine's choice."""
     cells_across: float = 1.5
     """With mpm: grid cells across a rope's diameter (cloths alike); finer is slower."""
     clock: float | None = None
-    """Recorded seconds for one simulated second; chosen where motion is quasi-static."""
+    """Recorded seconds for each simulated second; by default chosen for quasi-static motions."""
     device: str = "cpu"
     """cpu, cuda or cuda:0 and so on."""
 

@@ -20,30 +20,31 @@ class Command:
     """Let policies act in cases with goals that can be reached, and print the errors.
 
     All policies meet the same objects and goals. Each case is simulated once to find a goal, and
-    once for each policy: in our simulator, or in the second reality (docs/reality.md).
+    once for each policy: in GenDOM's simulator, or in the MuJoCo test scene (the second reality,
+    docs/reality.md).
 
     For example: gendom evaluate rope-casting --policy casting.onnx
     """
 
     task: tyro.conf.Positional[TaskName]
-    """What is done."""
+    """The task."""
     policy: tuple[Path, ...] = ()
-    """Policy files; by default those that come with the package, with and without parameters."""
+    """Policy files; by default the shipped ones, with and without parameters."""
     world: Literal["simulation", "reality"] = "simulation"
     """Where policies act."""
     objects: tuple[str, ...] = ()
-    """Objects of the second reality (names or TOML files) to take by turns, in place of drawn
+    """Objects of the MuJoCo test scene (names or TOML files) to use in turn, in place of random
     ones."""
     free_hand: bool = False
-    """In the second reality, a free hand acts, not the arm."""
+    """In the MuJoCo test scene, a free hand acts, not the arm."""
     jobs: int = 1
-    """Processes that carry out trials in the second reality."""
+    """Processes that carry out trials in the MuJoCo test scene."""
     cases: int = 50
     """Number of objects and goals."""
     seed: int = 0
     """Seed of the cases."""
     device: str = "cpu"
-    """Of our simulator: cpu, cuda or cuda:0 and so on."""
+    """Device of GenDOM's simulator: cpu, cuda or cuda:0 and so on."""
     json: bool = False
     """Print JSON."""
 

@@ -17,9 +17,9 @@ from gendom.files import check_folder, to_json
 class Command:
     """Write a set of demonstrations, or a recording, as a LeRobot data set (format v3.0).
 
-    A demonstration becomes an episode of one frame; those that failed are left out, and so is what
-    is not yet simulated. A recording becomes one episode, which gendom check, estimate and import
-    read back without loss.
+    A demonstration becomes an episode of one frame; those that failed, and those not yet
+    simulated, are left out. A recording becomes one episode, which gendom check, estimate and
+    import read back without loss.
 
     For example: gendom export casts --out casts-lerobot
     """

@@ -81,7 +81,7 @@ class KnownObject:
     density: float | None = None
     """Mass density [kg/m^3]."""
     damping: float | None = None
-    """Viscous over elastic stress [s]."""
+    """Damping time: viscous stress over elastic stress per strain rate [s]."""
     friction: float | None = None
     """Coefficient of friction [-]."""
     length: float | None = None
@@ -93,11 +93,11 @@ class KnownObject:
     thickness: float | None = None
     """A cloth's thickness [m]."""
     force: bool = False
-    """Take an estimate that is not usable, and act for a goal or an object outside of what the
-    policy was trained on, with the nearest numbers that it was and a warning."""
+    """Accept an estimate that is not usable, and goals and objects outside of the policy's training
+    range: it then uses the nearest numbers in range, with a warning."""
 
     def held(self, task: Task, *, needs: tuple[str, ...] = ()) -> Held:
-        """What the file and the flags tell.
+        """What the file and the flags say.
 
         Args:
             task: What is done.
@@ -134,7 +134,7 @@ class KnownObject:
             columns["specific_modulus"] = columns["youngs_modulus"] / columns["density"]
             given["specific_modulus"] = columns["specific_modulus"]
         missing = [name for name in KINDS[task.kind].sizes if name not in columns]
-        # not every recording tells damping and friction
+        # not every recording determines damping and friction
         missing += [
             name
             for name in needs

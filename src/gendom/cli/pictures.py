@@ -62,7 +62,7 @@ def summary_of(found: Estimate, truth: Mapping[str, float] | None = None) -> Est
 
 
 def arm_of_lift(clouds: CloudSequence, rope: RealRope) -> CloudSequence:
-    """A lift of the second reality with the arm that did it, which moves the same each time."""
+    """A lift in the MuJoCo test scene with its arm, which moves the same each time."""
     from gendom.reality.trials import Performance, lift
 
     performance = Performance(lift(rope))

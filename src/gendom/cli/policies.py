@@ -23,7 +23,7 @@ class Command:
     """
 
     policy: tuple[Path, ...] = ()
-    """Policy files; by default those that come with the package."""
+    """Policy files; by default the shipped ones."""
     json: bool = False
     """Print JSON."""
 

@@ -13,18 +13,18 @@ from gendom.progress import bar
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Record the predefined lift of an object of the second reality.
+    """Record the predefined lift of an object in the MuJoCo test scene (the second reality).
 
     A robot arm lifts it under two depth cameras like a D435i, with their noise, their
     calibration's errors and a clock that is ahead. Writes what `gendom perceive` reads; the truth
-    goes into DIR/truth, for evaluation only. docs/reality.md describes it all.
+    goes into DIR/truth, for evaluation only. See docs/reality.md.
 
     For example: gendom record --reality rope-cotton --out lift
     """
 
     reality: str
     """The object: rope-cotton, rope-polyester, rope-polyethylene, cloth-cotton, cloth-rubber..., or
-    a TOML file that describes one's own (docs/reality.md)."""
+    a TOML file that describes your own (docs/own-object.md)."""
     out: Path
     """DIR to write; must not hold a recording."""
     rise: float | None = None

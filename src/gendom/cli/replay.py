@@ -26,7 +26,8 @@ class Command:
     """Simulate a recorded gripper motion and compare it with the recording, frame by frame.
 
     The recording may be longer than the one that was fitted, or another one of the same object. In
-    another one, how the object is held and when it moves are estimated anew, the material is not.
+    another one, how the object is held and when it moves are estimated again, and the material is
+    kept.
 
     For example: gendom replay lift.npz --params lift/estimate.json --gif lift.gif
     """

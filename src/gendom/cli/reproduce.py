@@ -41,19 +41,18 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Measure one of the paper's tables with this package, beside the paper's own numbers; or
-    whether intervals hold.
+    """Reproduce one of the paper's tables, beside the paper's own numbers, or measure the
+    coverage of intervals.
 
-    sim2sim: errors of estimators on lifts that the simulator has made, with exact clouds.
+    sim2sim: errors of estimators on simulated lifts with exact clouds.
     ablation: policies that see both parameters, one or none, on goals of random ropes.
-    generalization: ours and R2S2R on the paper's three ropes and on softer ones.
-    rope-real: three ropes of the second reality, each lifted once before its cameras; ours, the
-    baselines, polished actions and what executions teach, under the arm.
-    coverage: random objects of the second reality are lifted before its cameras and estimated; how
-    far off estimates are, how many intervals hold the truth, which lifts are refused. A lift takes
-    about a minute on a core.
-    What is in --out is not made again, so an interrupted table goes on. Tables of policies need the
-    extra train.
+    generalization: the default policy and R2S2R on the paper's three ropes and on softer ones.
+    rope-real: three ropes of the MuJoCo test scene (the second reality), each lifted once;
+    policies, baselines, polished and adapted actions, carried out by the arm.
+    coverage: random objects of that scene are lifted, recorded and estimated: errors, share of
+    intervals that hold the truth, refused lifts. A lift takes about a minute on a core.
+    Results in --out are kept, so an interrupted table continues. Tables of policies need the extra
+    train.
 
     For example: gendom reproduce sim2sim --method gauss-newton
     """
@@ -65,7 +64,7 @@ class Command:
     scale: Literal["small", "full"] = "small"
     """small: minutes on two cores; full: the paper's counts and more, for a GPU."""
     task: Literal["rope-reaching", "rope-casting"] = "rope-reaching"
-    """Of tables of policies."""
+    """Task of tables of policies."""
     method: tuple[Literal["gauss-newton", "adam", "differential-evolution", "pointnet"], ...] = ()
     """Of sim2sim: only rows of these methods; by default all but differential-evolution."""
     engine: Literal["thin", "mpm"] = "thin"
@@ -77,11 +76,11 @@ class Command:
     lifts: int = 40
     """Of coverage: how many."""
     jobs: int = 2
-    """Processes of the second reality and of training."""
+    """Processes of the MuJoCo test scene and of training."""
     out: Path | None = None
     """Folder that keeps everything a table is made from (default: its name)."""
     seed: int = 0
-    """Seed of everything that is drawn."""
+    """Seed of all random draws."""
     device: str = "cpu"
     """cpu, cuda or cuda:0 and so on."""
     json: bool = False

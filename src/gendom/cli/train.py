@@ -23,22 +23,22 @@ class Command:
     """Train a policy on simulated demonstrations. Needs the extra `train`.
 
     The file appears when the policy is trained and checked; an older one stays until then. Then
-    it acts in fresh simulated cases, and its errors there are printed. Stop it and run it again: it
-    goes on where it stopped.
+    it acts in new simulated cases, and its errors there are printed. If it is interrupted, run it
+    again: it continues where it stopped.
 
     For example: gendom train rope-casting --data casts --out casting.onnx
     """
 
     task: tyro.conf.Positional[TaskName]
-    """What the policy is for."""
+    """The task."""
     data: Path
-    """Folder of demonstrations from gendom dataset; what is there of an unfinished set is taken."""
+    """Folder of demonstrations from gendom dataset; an unfinished set is used as it is."""
     out: Path
     """ONNX file to write."""
     finetune: Path | None = None
     """Folder of further demonstrations, such as real ones, to fine-tune on at the end."""
     method: Literal["distal", "inverse"] | None = None
-    """distal: learn what actions do, then teach the policy through that (default). inverse: regress
+    """distal: learn a forward model, then train the policy through it (default). inverse: regress
     actions on goals, as in the paper (default of tasks without goals)."""
     condition: tuple[str, ...] = ("all",)
     """Parameters that the policy sees: some of E, nu, damping, friction and density, or all (that
@@ -48,7 +48,7 @@ class Command:
     epochs: int = 300
     """Passes over the demonstrations, for each network."""
     cases: int = 200
-    """Fresh cases to act in afterwards; 0: none."""
+    """New cases to act in afterwards; 0: none."""
     seed: int = 0
     """Seed of the training and of the cases."""
     tensorboard: Path | None = None

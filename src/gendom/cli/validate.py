@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Measure the simulator against mechanics that has an answer on paper.
+    """Measure the simulator against problems of mechanics with known solutions.
 
     Exit code 0: every error is within what is allowed. 1: at least one is not.
 

@@ -60,7 +60,7 @@ SHARD_SIZE = {"cpu": 256, "cuda": 4096}
 
 @dataclass(frozen=True, kw_only=True)
 class Outcomes:
-    """What came of W demonstrations."""
+    """The outcomes of W demonstrations."""
 
     columns: Mapping[str, NDArray[np.float64]]
     """[W] results by column name; NaN where a demonstration failed."""

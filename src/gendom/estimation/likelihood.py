@@ -31,7 +31,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseModel:
-    """What clouds differ by from a shape that is right, as standard deviations."""
+    """Differences of clouds from the correct shape, as standard deviations."""
 
     sensor: float = 0.002
     """Noise of independent points [m]; the first guess."""
@@ -68,7 +68,7 @@ class NoiseModel:
 
 
 class Observation:
-    """Clouds of a scene, ready to be compared.
+    """Clouds of a scene, prepared for comparison.
 
     Args:
         scene: What was recorded.

@@ -30,7 +30,8 @@ IDENTIFIABLE = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """Of one kind of object: what deviations are multiplied by, and what is added in squares."""
+    """Calibration of intervals for one kind of object: factors of standard deviations, and what is
+    added to them in squares."""
 
     factor: Mapping[str, float]
     added: Mapping[str, float]
@@ -95,7 +96,7 @@ class Posterior:
         return math.sqrt(float(self.covariance[k, k]))
 
     def determined(self, name: str) -> bool:
-        """Whether the recording tells an unknown."""
+        """Whether the recording determines an unknown."""
         if name not in self.names:
             return False
         return self.sd(name) < IDENTIFIABLE * float(self.prior.sd[self.names.index(name)])

@@ -58,7 +58,7 @@ class EstimateSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """What an estimation has done so far."""
+    """Progress of an estimation."""
 
     stage: str
     iteration: int
@@ -113,7 +113,7 @@ class Found:
 
 
 class Problem:
-    """A scene with unknowns, as a function to be made small.
+    """A scene with unknowns, as a function to minimise.
 
     Args:
         scene: What was recorded.

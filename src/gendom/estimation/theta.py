@@ -20,7 +20,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class Unknown:
-    """One number that is looked for, and what is believed of it before anything is seen.
+    """One number to be estimated, and its prior.
 
     Its transform, log or none, is where the prior is Gaussian and steps are taken; low, high and
     mean are in its unit, sd, step and widest step in the transformed one.
@@ -157,7 +157,7 @@ class Theta:
 
 @dataclass(frozen=True, kw_only=True)
 class Prior:
-    """What is believed of P unknowns, in transformed coordinates."""
+    """Gaussian prior of P unknowns, in transformed coordinates."""
 
     names: tuple[str, ...]
     low: Array

@@ -16,7 +16,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictSettings:
-    """Bounds beyond which a fit is not believed; shares are of the object's size."""
+    """Bounds beyond which a fit is not usable; shares are of the object's size."""
 
     frames: int = 4
     """Fewest frames with points."""
@@ -47,7 +47,7 @@ class VerdictSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """Whether an estimate is of any use."""
+    """Whether an estimate is usable."""
 
     usable: bool
     reasons: tuple[str, ...] = ()
@@ -61,7 +61,7 @@ class Verdict:
 def recording_faults(
     recording: Recording, density: float | None, settings: VerdictSettings | None = None
 ) -> list[str]:
-    """Why a recording tells nothing, whatever the fit.
+    """Why a recording is not usable, independently of the fit.
 
     Args:
         recording: A valid one.

@@ -1,4 +1,4 @@
-"""Measuring policies in the simulator and in the second reality."""
+"""Measuring policies in the simulator and in the MuJoCo test scene."""
 
 from gendom.evaluation.protocol import Cases, Score, choose, draw_cases, judge, score
 

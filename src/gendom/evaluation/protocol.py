@@ -1,7 +1,7 @@
 """How well policies reach their goals, measured in a world on equal cases.
 
 A case is an object and a goal that this object can reach: its parameters and an action are
-drawn as for a demonstration and simulated, and what came of it is the goal (hindsight). The
+drawn as for a demonstration and simulated, and its outcome is the goal (hindsight). The
 policy, told the true parameters, chooses its own action; that is carried out with the same object,
 and what counts is the task's error. Where a task names a risk, actions whose outcome cannot be
 relied on make no goal.
@@ -141,7 +141,7 @@ def score(
     known: Sequence[Item] | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> Score:
-    """Let a policy act in all cases, and see what comes of it.
+    """Let a policy act in all cases, and measure the outcomes.
 
     Args:
         policy: Who acts.

@@ -29,7 +29,7 @@ AIR_DENSITY = 1.2
 
 
 ASSUMED = {"poissons_ratio": 0.35, "density": 1000.0, "damping": 0.004, "friction": 0.3}
-"""What is taken for a number, by column name, that nobody has told: about the middle of what ropes
+"""What is assumed for a number that is not given, by column name: about the middle of what ropes
 and cloths have."""
 
 ASSUMED_SD = {"nu": 0.06, "damping": 0.86, "friction": 0.22}
@@ -39,7 +39,7 @@ count: nu 0.2 to 0.4, damping 1 to 20 ms, friction 0.1 to 0.8."""
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One of the numbers by which objects are alike."""
+    """One of the dimensionless numbers that determine an object's motion."""
 
     name: str
     column: str
@@ -185,7 +185,7 @@ def thickness_of(item: Item) -> float:
 
 
 def unit_of(unit: str, item: Item) -> float:
-    """What a number without a unit is multiplied by to be in SI, for an object of L.
+    """The factor from a dimensionless number to SI units, for an object of size L.
 
     Args:
         unit: ``m``, ``s``, ``m/s`` or ``1``.
@@ -207,7 +207,7 @@ def unit_of_size(unit: str, L: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def likeness(item: Item) -> dict[str, float]:
-    """The numbers without a unit by which an object is like others, by names of `PARAMETERS`."""
+    """The dimensionless numbers of an object, by names of `PARAMETERS`."""
     material = item.material
     L = size_of(item)
     bending = bending_length(material.specific_modulus, item.radius_of_gyration, STANDARD_GRAVITY)

@@ -41,7 +41,7 @@ _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 
 @dataclass(frozen=True, kw_only=True)
 class CloudSettings:
-    """What is kept of the depth."""
+    """Which parts of the depth are kept."""
 
     low: tuple[float, float, float]
     """The workspace's lower corner [m]."""

@@ -86,7 +86,7 @@ class RobotPath:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """What there is to perceive: cameras, the robot's path and what it holds."""
+    """The input of perception: cameras, the robot's path and the object."""
 
     sources: list[FrameSource]
     robot: RobotPath

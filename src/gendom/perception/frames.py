@@ -30,7 +30,7 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Frame:
-    """A moment of which a camera has pictures."""
+    """One frame of a camera: a time and its pictures."""
 
     time: float
     """Time stamp [s] on a clock that all cameras share."""
@@ -58,7 +58,7 @@ class FrameSource(Protocol):
 
 
 class FrameWriter(Protocol):
-    """Where a camera's frames are kept; close it when all are written."""
+    """A writer of a camera's frames; close it when all are written."""
 
     def write(self, time: float, pictures: Pictures) -> None:
         """Append a frame; `time` [s] is later than the one before."""

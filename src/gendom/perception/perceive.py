@@ -58,7 +58,7 @@ SEEN_BY = "seen_by"
 
 @dataclass(frozen=True, kw_only=True)
 class PerceptionSettings:
-    """What is looked for and how frames are put together."""
+    """What to look for, and how frames are combined."""
 
     workspace: tuple[float, float, float, float, float, float] | None = None
     """x0 y0 z0 x1 y1 z1 [m]; None: what the object can reach from the grippers' path."""
@@ -91,7 +91,7 @@ class PerceptionSettings:
 
 @dataclass(frozen=True, eq=False)
 class Perceived:
-    """A recording, and how it came about."""
+    """A recording, and how it was made."""
 
     recording: Recording
     """The object's clouds and the grippers."""

@@ -198,7 +198,7 @@ def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) ->
 
     Raises:
         DeviceError: The SDK is missing.
-        RecordingError: Nothing comes of it.
+        RecordingError: The conversion fails.
     """
     sdk = realsense_sdk()
     if not hasattr(sdk.context, "convert_bag_to_db3"):

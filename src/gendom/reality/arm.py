@@ -1,4 +1,4 @@
-"""The robot in the second reality: bodies and servos made from an arm's published numbers."""
+"""The robot in the MuJoCo test scene: bodies and servos made from an arm's published numbers."""
 
 from __future__ import annotations
 
@@ -29,10 +29,9 @@ _UNTOUCHED = 'contype="0" conaffinity="0"'
 class RobotArm:
     """An arm whose joints follow a motion through servos.
 
-    Links have the mass of their capsules, filled as water. Servos are told the torques that weight
-    and motion of the links ask for beforehand, as real controllers are; what they correct is what
-    the object does. They push the object away; the gripper does not,
-    since what it holds lies between its fingers.
+    Links have the mass of their capsules, filled as water. Servos get feed-forward torques for
+    weight and inertia of the links, as in real controllers; they correct the effect of the object.
+    The links push the object away; the gripper does not: what it holds is between its fingers.
 
     Args:
         arm: Its numbers.

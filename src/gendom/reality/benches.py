@@ -1,4 +1,4 @@
-"""The second reality's objects on the test bench: does the flex bend as its modulus says?
+"""The objects of the MuJoCo test scene on a test bench: does the flex bend as its modulus says?
 
 Each object is clamped at one end and sags under its weight, made stiff enough for small
 deflections: a flex's resistance to bending scales with its modulus, so what is checked is the

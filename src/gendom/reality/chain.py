@@ -1,4 +1,4 @@
-"""From an object of the second reality to a recording, as a user with a real rig would go."""
+"""From an object of the MuJoCo test scene to a recording, as with a real rig."""
 
 from __future__ import annotations
 

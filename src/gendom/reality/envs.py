@@ -1,4 +1,4 @@
-"""Tasks in the second reality as Gymnasium environments.
+"""Tasks in the MuJoCo test scene (the second reality) as Gymnasium environments.
 
     gendom/RopeReaching-v0          release point (x, z) [m]     goal: farthest x of the tip [m]
     gendom/RopeCasting-v0           way of the hand [m]          goal: the tip's highest point [m]
@@ -81,7 +81,7 @@ FRAME_RATE = 10
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
-    """One task of the second reality.
+    """One task in the MuJoCo test scene.
 
     Args:
         task: Its name, or the task itself.

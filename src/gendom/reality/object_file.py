@@ -1,4 +1,4 @@
-"""An object of one's own, as a TOML file:
+"""An object of your own, as a TOML file:
 
 kind = "rope"                  # or "cloth", with side and thickness
 length = 0.28                  # [m]

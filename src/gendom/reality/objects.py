@@ -1,4 +1,4 @@
-"""The objects of the second reality: three ropes and two cloths.
+"""The objects of the MuJoCo test scene (the second reality): three ropes and two cloths.
 
 They carry the names of the paper's. Where their numbers come from:
 
@@ -37,7 +37,7 @@ from gendom.reality.sheet import diagonal_strip, grid
 
 @dataclass(frozen=True, kw_only=True)
 class RealRope(Rope):
-    """A rope of the second reality; its E is that of bending."""
+    """A rope of the MuJoCo test scene; its E is that of bending."""
 
     name: str
     """As on the command line."""
@@ -65,7 +65,7 @@ class RealRope(Rope):
 
 @dataclass(frozen=True, kw_only=True)
 class RealCloth(Cloth):
-    """A cloth of the second reality, or a strip cut from one; its E is that of bending."""
+    """A cloth of the MuJoCo test scene, or a strip cut from one; its E is that of bending."""
 
     name: str
     """As on the command line."""
@@ -210,7 +210,7 @@ PLAIN = (150, 150, 150)
 
 
 def as_real(item: Item) -> RealObject:
-    """An object as one of the second reality, if it is not yet."""
+    """An object as one of the MuJoCo test scene."""
     if isinstance(item, RealRope | RealCloth):
         return item
     own: dict[str, Any] = {f.name: getattr(item, f.name) for f in fields(item)}
@@ -223,7 +223,7 @@ def as_real(item: Item) -> RealObject:
 
 
 def find_object(name: str) -> RealObject:
-    """The object of a name, or of a TOML file (see `gendom.reality.object_file`).
+    """The object with a given name, or from a TOML file (see `gendom.reality.object_file`).
 
     Raises:
         ParameterError: There is none, or the file describes none.

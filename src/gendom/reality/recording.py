@@ -1,4 +1,4 @@
-"""Record the second reality as a real rig would: camera folders, the robot's path, the object.
+"""Record the MuJoCo test scene as a real rig would: camera folders, the robot's path, the object.
 
     DIR/object.toml          what is held, for perception
     DIR/gripper.csv          the hand's measured path, and when it is closed
@@ -51,7 +51,7 @@ class RecordSettings:
     format: str = "png"
     """png: folders of pictures; db3: RealSense recordings, through the vendor's SDK."""
     notes: str = ""
-    """For whoever reads the recording."""
+    """Text for readers of the recording."""
     seed: int = 0
     """Of all the sensors' errors."""
 

@@ -1,4 +1,4 @@
-"""The second reality's model: a table, one object as a MuJoCo flex, an arm and two cameras.
+"""The model of the MuJoCo test scene: a table, one object as a MuJoCo flex, an arm and two cameras.
 
 MuJoCo's equations are not our simulator's: a rope is a discrete elastic rod, a cloth a shell of
 triangles, both integrated implicitly; contacts are its own. See docs/reality.md for how both were

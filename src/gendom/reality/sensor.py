@@ -25,7 +25,7 @@ its noise within 0.5 m; it can be set to this, which reaches 6.5 m."""
 
 @dataclass(frozen=True, kw_only=True)
 class DepthSensor:
-    """What a D435i makes of clean depth.
+    """Errors of a D435i, added to rendered depth.
 
     A value of 0 switches its part off (both `grazing` angles: pi / 2, `max_range`: infinity);
     `DepthSensor.exact` has all of them off. Parts with a probability draw for each pixel and
@@ -245,7 +245,7 @@ class DepthSensor:
 
 @dataclass(frozen=True, kw_only=True)
 class RigErrors:
-    """What is wrong with cameras as a user sets them up, their pictures apart.
+    """Errors of calibration and synchronisation of a pair of cameras.
 
     Raises:
         ParameterError: A value is out of its range.

@@ -1,4 +1,4 @@
-"""What the arm does in the second reality: the predefined lift, and any task.
+"""What the arm does in the MuJoCo test scene: the predefined lift, and any task.
 
 A `Trial` is everything that is fixed beforehand: where the object is, where the tool goes, when
 the hand closes and opens. `Performance` carries it out, on the arm or, for tests, with a free
@@ -82,7 +82,7 @@ class Trial:
 
 
 class Performance:
-    """A trial being carried out.
+    """A trial in progress.
 
     Args:
         trial: What is done.
@@ -299,7 +299,7 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
 
 @dataclass(frozen=True, kw_only=True)
 class RealWorld:
-    """The second reality as a world of tasks, see `gendom.tasks.world.World`."""
+    """The MuJoCo test scene as a world of tasks, see `gendom.tasks.world.World`."""
 
     robot: bool = True
     """Whether the arm acts, or a free hand."""
@@ -344,7 +344,7 @@ class RealWorld:
             DeviceError: It is not the CPU.
         """
         if device != "cpu":
-            raise DeviceError(f"the second reality runs on the CPU, not on {device}")
+            raise DeviceError(f"the MuJoCo test scene runs on the CPU, not on {device}")
         return self
 
     def settings(self) -> dict[str, Any]:

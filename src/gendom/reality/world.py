@@ -1,4 +1,4 @@
-"""The second reality in time: step it, hold the object, let go, look at it."""
+"""The MuJoCo test scene in time: step it, hold the object, release it, render it."""
 
 from __future__ import annotations
 

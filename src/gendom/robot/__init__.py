@@ -51,7 +51,7 @@ ARMS = {XARM7.name: XARM7}
 
 
 def find_arm(name: str) -> Arm:
-    """The arm of a name.
+    """The arm with a given name.
 
     Raises:
         RobotError: There is none.

@@ -31,7 +31,7 @@ _CHUNK = 1024  # configurations at a time, for memory
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
-    """A box that stands around: a camera's housing, a board, a shelf.
+    """A box-shaped obstacle: a camera's housing, a board, a shelf.
 
     Raises:
         RobotError: The pose is none, or a size is not above 0.
@@ -60,7 +60,7 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Post:
-    """A capsule that stands around: a pole, a stand, a cable.
+    """A capsule-shaped obstacle: a pole, a stand, a cable.
 
     Raises:
         RobotError: An end is no point, or the radius is not above 0.
@@ -95,7 +95,7 @@ class Post:
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """What stands around an arm, besides itself."""
+    """The obstacles around an arm."""
 
     table_height: float | None = None
     """z of a table below all of the arm but its base [m]; None: there is none."""
@@ -109,7 +109,7 @@ ALONE = Surroundings()
 
 @dataclass(frozen=True, kw_only=True)
 class Collision:
-    """Two things in one place."""
+    """A collision of two bodies."""
 
     first: str
     """A capsule of the arm."""
@@ -133,7 +133,7 @@ class Collision:
 
 @dataclass(frozen=True, eq=False)
 class Gaps:
-    """How far apart P pairs of things are, at one or more configurations."""
+    """Distances of P pairs of bodies, at one or more configurations."""
 
     pairs: tuple[tuple[str, str], ...]
     """[P] names."""
@@ -144,7 +144,7 @@ class Gaps:
 def gaps(
     arm: Arm, q: ArrayLike, surroundings: Surroundings = ALONE, *, opening: float = 0.0
 ) -> Gaps:
-    """Distances of all that might collide.
+    """Distances of all pairs that might collide.
 
     Args:
         arm: The arm.
@@ -238,7 +238,7 @@ def check_collisions(
     *,
     opening: float = 0.0,
 ) -> None:
-    """Refuse a motion through a collision.
+    """Raise an error for a motion through a collision.
 
     Raises:
         RobotError: It collides: names what, when, how deep, and what to do.

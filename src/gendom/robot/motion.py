@@ -150,7 +150,7 @@ class JointMotion:
         return self.spline(np.clip(time, self.start, self.end), order) * moving[..., None]
 
     def closed_at(self, time: float) -> bool | None:
-        """Whether the gripper was last told to close; None: it was told nothing yet."""
+        """Whether the last gripper event closed it; None: there was none yet."""
         told = [event.closed for event in self.events if event.time <= time]
         return told[-1] if told else None
 

@@ -70,7 +70,7 @@ def pointing(approach: ArrayLike, fingers: ArrayLike) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class GripperEvent:
-    """The gripper is told to close or to open."""
+    """The gripper closes or opens."""
 
     time: float
     """[s]."""

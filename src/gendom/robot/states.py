@@ -23,7 +23,7 @@ from gendom.robot.arm import Arm
 
 @dataclass(frozen=True, eq=False)
 class JointStates:
-    """What a robot's joints measured."""
+    """Measured joint angles of a robot over time."""
 
     time: NDArray[np.float64]
     """[M] increasing [s]."""

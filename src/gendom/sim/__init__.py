@@ -1,4 +1,4 @@
-"""Simulation of ropes and cloths by the material point method, batched over worlds."""
+"""Batched simulation of ropes and cloths, as rods and shells or by the material point method."""
 
 from gendom.materials import AIR_DENSITY
 from gendom.sim.bodies import Body, Weave, cloth, rope

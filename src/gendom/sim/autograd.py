@@ -24,12 +24,14 @@ _NAMES = (
     "yield_stress",
     "stiffness",
     "damping",
+    "velocity_damping",
     "friction",
     "gravity",
     "positions",
     "velocities",
     "gripper_positions",
 )
+_OF_MATERIAL = ("E", "nu", "density", "yield_stress", "damping")
 
 
 def simulate(
@@ -50,12 +52,14 @@ def simulate(
         grippers: Shared by all worlds; ``gripper_positions`` moves their knots.
         table: Its friction is replaced where ``friction`` is given.
         memory: Bound on what is kept for the backward pass [bytes] (default: as ``Rollout``).
-        options: Further arguments of ``Simulator`` (``law``, ``substep``, ``dtype``, ``threads``).
+        options: Further arguments of ``Simulator`` (``engine``, by default ``mpm``; ``law``,
+            ``substep``, ``dtype``, ``threads``).
         given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and, where wanted, ``yield_stress`` [Pa],
-            ``damping`` [1/s], ``friction``: numbers or [W]; ``gravity`` [3] or [W, 3];
-            ``stiffness`` [N] or [W, N]; ``positions`` and ``velocities`` [N, 3] or [W, N, 3];
-            ``gripper_positions`` [G, K, 3] or [W, G, K, 3], K the knots of each gripper's own
-            path. Tensors that require a gradient get one.
+            ``damping`` [s] (``Material.damping``), ``velocity_damping`` [1/s], ``friction``:
+            numbers or [W]; ``gravity`` [3] or [W, 3]; ``stiffness`` [N] or [W, N]; ``positions``
+            and ``velocities`` [N, 3] or [W, N, 3]; ``gripper_positions`` [G, K, 3] or
+            [W, G, K, 3], K the knots of each gripper's own path. Tensors that require a gradient
+            get one.
 
     Returns:
         [T, W, N, 3] positions [m], in the dtype of the simulation.
@@ -73,11 +77,12 @@ def simulate(
     tensors = [torch.as_tensor(given[n], dtype=torch.float64) for n in _NAMES if n in given]
     names = [n for n in _NAMES if n in given]
     scene = (body, np.asarray(times, dtype=float), tuple(grippers), table, memory, options or {})
-    return _Simulation.apply(scene, names, *_spread(names, tensors, body, grippers))  # pyright: ignore[reportReturnType]
+    N = len(body.points) if (options or {}).get("engine") == "thin" else body.num_particles
+    return _Simulation.apply(scene, names, *_spread(names, tensors, N, grippers))  # pyright: ignore[reportReturnType]
 
 
 def _spread(
-    names: list[str], tensors: list[Tensor], body: Body, grippers: Sequence[Gripper]
+    names: list[str], tensors: list[Tensor], N: int, grippers: Sequence[Gripper]
 ) -> list[Tensor]:
     """The tensors with one leading axis of worlds; torch sums its derivatives back."""
     own = {"gravity": 1, "stiffness": 1, "positions": 2, "velocities": 2, "gripper_positions": 3}
@@ -89,7 +94,6 @@ def _spread(
     if len(counts - {1}) > 1:
         raise ParameterError(f"arguments are for different numbers of worlds: {sorted(counts)}")
     W = max(counts, default=1)
-    N = body.num_particles
     shapes = {
         "gravity": (3,),
         "stiffness": (N,),
@@ -118,15 +122,8 @@ class _Simulation(torch.autograd.Function):
         body, times, grippers, table, memory, options = scene
         v = {n: t.detach().cpu().numpy() for n, t in zip(names, tensors, strict=True)}
         W = len(v["E"])
-        materials = [
-            Material(
-                E=float(v["E"][w]),
-                nu=float(v["nu"][w]),
-                density=float(v["density"][w]),
-                **({"yield_stress": float(v["yield_stress"][w])} if "yield_stress" in v else {}),
-            )
-            for w in range(W)
-        ]
+        given = [n for n in _OF_MATERIAL if n in v]
+        materials = [Material(**{n: float(v[n][w]) for n in given}) for w in range(W)]
         every: Any = grippers
         if "gripper_positions" in v:
             every = [
@@ -140,7 +137,8 @@ class _Simulation(torch.autograd.Function):
             if table is None:
                 raise ParameterError("friction without a table: pass table=Table(height=...)")
             table = replace(table, friction=v["friction"])
-        more = {n: v[n] for n in ("stiffness", "damping", "gravity", "positions") if n in v}
+        direct = ("stiffness", "velocity_damping", "gravity", "positions")
+        more = {n: v[n] for n in direct if n in v}
         simulator = Simulator(
             body,
             materials,

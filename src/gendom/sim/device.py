@@ -52,7 +52,7 @@ def list_devices(names: str) -> list[str]:
 
 @contextmanager
 def claimed(name: str) -> Iterator[None]:
-    """Keep a GPU for the simulation of one thread; others wait.
+    """Reserve a GPU for the simulation of one thread; others wait.
 
     What a thread does before and after then goes on beside another's simulation.
     """

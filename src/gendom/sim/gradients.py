@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class Gradients:
-    """Derivatives of a loss by everything that a simulation was given.
+    """Derivatives of a loss with respect to all inputs of a simulation.
 
     Not differentiated: when grippers open and close, the substep's length, and whether a section
     touches the table, sticks or slides.

@@ -12,7 +12,7 @@ MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}
 
 
 class Rollout:
-    """A simulation that remembers enough to be differentiated.
+    """A simulation that is recorded, to be differentiated.
 
     ``forward`` runs it; ``backward`` takes the derivative of any loss by the recorded positions
     and returns that by everything that went in. Where recording every substep would need more

@@ -29,7 +29,7 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """Walls: no velocity outwards beyond them."""
+    """Walls: a box that particles do not leave."""
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]

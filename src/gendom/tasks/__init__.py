@@ -27,7 +27,7 @@ _registered: dict[str, type[Task]] = {}
 
 
 def register(task: type[Task]) -> type[Task]:
-    """Make a task known by its name; also usable as a decorator.
+    """Register a task under its name; also usable as a decorator.
 
     Raises:
         ParameterError: Another task has this name.

@@ -203,7 +203,7 @@ class ClothSpreading(Task):
         *,
         on_frame: Callable[[int], None] | None = None,
     ) -> tuple[Array, list[Outcome]]:
-        """The smallest A that spreads each cloth, and what comes of it; see `SEARCHED`.
+        """The smallest A that spreads each cloth, and its outcome; see `SEARCHED`.
 
         Where none does, the A that spreads it best; `spreads` is then 0.
         """

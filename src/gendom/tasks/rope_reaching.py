@@ -73,8 +73,8 @@ class RopeReaching(Task):
 
     A rope whose ends are clamped close together stands in an arc that is unstable: it falls out of
     the plane, the sooner the stiffer it is and the less straight it hung. Which rope does so at
-    which release can be simulated; how far it then swings cannot be foretold. `sideways` [m], the
-    tip's farthest |y|, shows it.
+    which release can be simulated; how far it then swings is not predictable. `sideways` [m], the
+    tip's farthest way from y = 0, shows it.
     """
 
     name: ClassVar[str] = "rope-reaching"

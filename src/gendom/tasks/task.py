@@ -1,4 +1,4 @@
-"""What a task is: one file that says what is done with an object, and what came of it.
+"""What a task is: one file that defines what is done with an object, and what is measured.
 
 A task knows its object (`Rope` or `Cloth`), its action with limits, where the tool goes for an
 action, and how what was observed is judged. It knows neither simulator nor robot: worlds
@@ -64,7 +64,7 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Risk:
-    """An outcome that tells whether others can be relied on."""
+    """An outcome that shows whether others are reliable."""
 
     name: str
     unit: str
@@ -97,7 +97,7 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observed:
-    """What a world saw of one object; T is the number of times.
+    """What a world observed of one object; T is the number of times.
 
     Positions of a rope run along its centre line from its first end to its last; [:, -1] is its
     tip. Of a cloth they are a lattice, row by row.
@@ -190,7 +190,7 @@ class Task(ABC):
 
     @abstractmethod
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
-        """What came of it: all goals by name, and whatever else is worth keeping, in SI units."""
+        """The outcome: all goals by name, and further figures, in SI units."""
 
     @abstractmethod
     def T_world_task(self, item: Item) -> Array:
@@ -330,7 +330,7 @@ class Task(ABC):
         *,
         on_frame: Callable[[int], None] | None = None,
     ) -> tuple[Array, list[Outcome]]:
-        """Demonstrations with W objects: the actions [W, A] and what came of them.
+        """Demonstrations with W objects: the actions [W, A] and their outcomes.
 
         A task that looks for actions rather than trying those that were drawn does so here.
 

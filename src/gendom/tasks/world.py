@@ -31,7 +31,7 @@ BATCH = 8192
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
-    """What came of one action."""
+    """The outcome of one action."""
 
     values: dict[str, float]
     """As `Task.outcome` gives them; empty where it failed."""

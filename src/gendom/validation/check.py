@@ -42,7 +42,7 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One measured quantity beside its expected value."""
+    """One measured quantity and its expected value."""
 
     quantity: str
     unit: str
@@ -50,7 +50,7 @@ class Check:
     expected: float
     measured: float
     error: float
-    """|measured - expected|; divided by |expected| where ``relative``."""
+    """``|measured - expected|``; divided by ``|expected|`` where ``relative``."""
     allowed: float
     """The largest ``error`` with which the row passes."""
     relative: bool

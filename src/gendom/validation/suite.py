@@ -89,7 +89,7 @@ CASES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What came of a case."""
+    """The result of a case."""
 
     case: Case
     checks: list[Check]

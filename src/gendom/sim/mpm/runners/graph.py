@@ -43,7 +43,7 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
     The grid is rebuilt only where a graph begins. A world that would leave its grid, that has done
     its substeps or that failed stands still for the rest of the graph. Inside a graph nothing but
     the substep's kernels runs: how far a world has travelled is summed from each substep's largest
-    speed by whoever asks.
+    speed by the caller.
 
     Returns:
         Namespace with ``Lap``; ``tally``, ``pose``, ``locate``, ``clear``, ``mark``, ``number``

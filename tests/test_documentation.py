@@ -1,0 +1,371 @@
+"""What README and docs say can be done: commands, links and pages.
+
+Shell blocks (fenced without a language, or as `sh`) hold commands only. Every command parses.
+Blocks are run from top to bottom of a page, but for those under a comment
+`<!-- not run: reason -->`. Commands in backticks are run where they are complete
+and not named below.
+"""
+
+import ast
+import dataclasses
+import importlib.util
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import tyro
+
+from gendom import cli, tasks
+from gendom.cli.arguments import PARSING, described
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted([*ROOT.glob("*.md"), *(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)])
+TUTORIAL = DOCS / "tutorial.md"
+
+pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="no docs beside the tests")
+
+NOT_STARTED = {
+    "make": "its targets are checked; they call what is tested here",
+    "pip": "installs",
+    "git": "needs a network",
+    "cd": "of the shell",
+    "source": "of the shell",
+    "ray": "starts servers",
+    "pytest": "the tests themselves; its paths are checked",
+}
+"""Programs that blocks may call and this test never does."""
+
+EXPENSIVE = {
+    r"gendom demo( .*)?": "a minute; tests/cli/test_demo.py",
+    r"gendom bench( .*)?": "minutes of timing; tests/cli/test_main.py",
+    r"gendom reproduce .*": "minutes to hours",
+    r"gendom evaluate .*": "tests/policies/test_commands.py",
+    r"gendom record .*": "needs OpenGL; tests/reality/test_recording.py",
+    r"gendom validate( .*)?": "seconds to minutes a case; tests/validation has small ones",
+    r"gendom dataset .*": "minutes; the tutorial makes a small one",
+    r"gendom estimate rope_red_lift.npz.*|gendom estimate wire_white_loop.npz": "real recordings; "
+    "tests/estimation/test_real.py",
+    r"gendom calibrate .*|gendom perceive .*": "need pictures; tests/perception/test_commands.py",
+    r"gendom train .*--data REAL.*": "a placeholder",
+}
+"""Complete commands in backticks that are not run, as patterns, with the reason."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A shell block."""
+
+    page: Path
+    line: int
+    commands: tuple[str, ...]
+    skipped: str | None
+    """Why it is not run."""
+
+    def __str__(self) -> str:
+        return f"{self.page.relative_to(ROOT)}:{self.line}"
+
+
+FENCE = re.compile(
+    r"^(?:<!-- not run: (?P<why>[^>]*) -->\n+)?```(?P<language>[^\n]*)\n(?P<body>.*?)^```$",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    text = page.read_text()
+    for found in FENCE.finditer(text):
+        if found["language"] not in ("", "sh"):
+            continue
+        body = found["body"].replace("\\\n", " ")
+        lines = [re.sub(r"\s+# .*$", "", line).strip() for line in body.splitlines()]
+        commands = (c.strip() for line in lines for c in line.split(" && "))
+        yield Block(
+            page=page,
+            line=text[: found.start()].count("\n") + 1,
+            commands=tuple(c for c in commands if c and not c.startswith("#")),
+            skipped=found["why"],
+        )
+
+
+def inline(page: Path) -> Iterator[str]:
+    """Commands in backticks outside of blocks."""
+    text = FENCE.sub("", page.read_text())
+    for code in re.findall(r"`([^`\n]+(?:\n[^`\n]+)?)`", text):
+        words = " ".join(code.split())
+        if re.match(r"(gendom [a-z]|python (examples|benchmarks)/|make( |$))", words):
+            yield words
+
+
+ALL = [block for page in PAGES for block in blocks(page)] if DOCS.is_dir() else []
+INLINE = sorted({code for page in PAGES for code in inline(page)})
+
+
+@cache
+def flags(name: str) -> frozenset[str]:
+    fields = dataclasses.fields(import_module(cli.COMMANDS[name][0]).Command)
+    return frozenset({"--help", *(f"--{field.name.replace('_', '-')}" for field in fields)})
+
+
+def gendom_words(command: str) -> list[str]:
+    """Its words after the program, without redirections and flags that all commands take."""
+    words = shlex.split(command.partition(" > ")[0])[1:]
+    return [w for w in words if w not in ("--debug", "--quiet")]
+
+
+def fault_of_gendom(command: str, *, whole: bool) -> str | None:
+    """What is wrong with a `gendom` command; `whole`: all that it needs must be there."""
+    words = gendom_words(command)
+    if words in ([], ["--version"], ["--help"]) or words == ["help"]:
+        return None
+    if words[0] == "help":
+        words = words[1:] if words[1] == "COMMAND" else [words[1]]
+        return None if words == ["COMMAND"] or words[0] in cli.COMMANDS else "no such command"
+    name, rest = words[0], words[1:]
+    if name not in cli.COMMANDS:
+        return f"there is no command {name!r}"
+    if unknown := [w for w in rest if re.match(r"--[a-zA-Z]", w) and w not in flags(name)]:
+        return f"gendom {name} has no {unknown[0]}"
+    return f"does not parse: {why}" if whole and (why := parse_error(name, rest)) else None
+
+
+def parse_error(name: str, rest: list[str]) -> str | None:
+    command = import_module(cli.COMMANDS[name][0]).Command
+    known = dict(tasks._registered)
+    try:
+        tyro.cli(described(command), args=rest, config=PARSING, console_outputs=False)
+    except SystemExit as stop:
+        return None if stop.code in (0, None) else "see gendom help"
+    finally:  # a task in a file is registered when its name is parsed
+        tasks._registered.clear()
+        tasks._registered.update(known)
+    return None
+
+
+def fault_of(command: str, *, whole: bool = True) -> str | None:
+    """What is wrong with a command of a page."""
+    words = shlex.split(command)
+    program, rest = words[0].removeprefix(".venv/bin/"), words[1:]
+    if program == "gendom":
+        return fault_of_gendom(command, whole=whole)
+    if program == "python":
+        if rest[:1] == ["-m"]:
+            return None
+        script = ROOT / rest[0]
+        if not script.is_file():
+            return f"there is no {rest[0]}"
+        text = script.read_text()
+        if "tyro" in text:  # the fields of a class or the arguments of a function are its flags
+            text = text.replace("-", "_")
+        for word in (w for w in rest[1:] if w.startswith("--")):
+            field = word[2:].replace("-", "_")
+            if f'"{word}"' not in text and not re.search(rf"\b{field}: ", text):
+                return f"{rest[0]} has no {word}"
+        return None
+    if program == "make":
+        folder = ROOT / (rest[rest.index("-C") + 1] if "-C" in rest else ".")
+        targets = re.findall(r"^([a-z]+):", (folder / "Makefile").read_text(), re.MULTILINE)
+        wanted = [w for w in rest if "=" not in w and w not in ("-C", folder.name)]
+        return next((f"there is no target {w}" for w in wanted if w not in targets), None)
+    if program == "pytest":
+        paths = [w.partition("::")[0] for w in rest if w.startswith("tests/")]
+        return next((f"there is no {p}" for p in paths if not (ROOT / p).exists()), None)
+    return None if program in NOT_STARTED else f"is no command that this test knows: {program}"
+
+
+@pytest.mark.parametrize("block", ALL, ids=str)
+def test_commands_of_blocks_parse(block, monkeypatch):
+    monkeypatch.chdir(ROOT)  # where tasks in files are
+    faults = [f"{c}: {fault}" for c in block.commands if (fault := fault_of(c))]
+    assert faults == []
+
+
+@pytest.mark.parametrize("command", INLINE)
+def test_commands_in_backticks_are_known(command):
+    assert fault_of(command, whole=False) is None
+
+
+def test_wrong_commands_are_found(monkeypatch):
+    """The tests above are no good if they find nothing."""
+    monkeypatch.chdir(ROOT)
+    for wrong in (
+        "gendom estmate lift.npz",
+        "gendom estimate lift.npz --start 3",
+        "gendom estimate lift.npz --starts three",
+        "gendom estimate --starts 3",
+        "gendom act rope-throwing",
+        "python examples/10_nothing.py",
+        "python examples/03_estimate.py --into here",
+        "make everything",
+        "pytest tests/test_nothing.py",
+        "frobnicate",
+    ):
+        assert fault_of(wrong) is not None, wrong
+
+
+def run_command(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run one command in a folder."""
+    words = shlex.split(command.partition(" > ")[0])
+    program = words[0].removeprefix(".venv/bin/")
+    if program in NOT_STARTED:
+        return
+    monkeypatch.chdir(folder)
+    if program == "gendom":
+        assert cli.main(words[1:]) == 0, command
+        return
+    assert program == "python", command
+    words = [sys.executable, str(ROOT / words[1]), *words[2:]]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))  # the tested code
+    run = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, f"{command}\n{run.stderr}"
+
+
+@pytest.fixture(scope="session")
+def after_tutorial(tmp_path_factory) -> Path:
+    """A folder in which the tutorial was followed, with what other pages take for granted."""
+    needed = {"torch", "onnx"}
+    if missing := [n for n in needed if importlib.util.find_spec(n) is None]:
+        pytest.skip(f"needs {', '.join(missing)}")
+    folder = tmp_path_factory.mktemp("tutorial")
+    with pytest.MonkeyPatch.context() as patch:
+        for block in (b for b in ALL if b.page == TUTORIAL and b.skipped is None):
+            for command in block.commands:
+                run_command(command, folder, patch)
+    shutil.copy(folder / "mine" / "lift.npz", folder / "lift.npz")
+    shutil.copy(folder / "mine" / "lift.npz", folder / "recording.npz")
+    shutil.copy(folder / "mine" / "estimate.json", folder / "estimate.json")
+    (folder / "lift").mkdir()
+    shutil.copy(folder / "mine" / "estimate.json", folder / "lift" / "estimate.json")
+    return folder
+
+
+def test_the_tutorial_can_be_followed(after_tutorial):
+    written = {p.name for p in (after_tutorial / "mine").iterdir()}
+    names = {"lift.npz", "estimate.json", "report.html", "replay.gif", "action.json"}
+    assert names <= written
+
+
+RUN = [b for b in ALL if b.skipped is None and b.page != TUTORIAL]
+RUN = [b for b in RUN if any(shlex.split(c)[0] not in NOT_STARTED for c in b.commands)]
+
+
+@pytest.mark.parametrize("block", RUN, ids=str)
+def test_blocks_run(block, after_tutorial, monkeypatch):
+    for command in block.commands:
+        run_command(command, after_tutorial, monkeypatch)
+
+
+def complete() -> list[str]:
+    """Commands of `gendom` in backticks that lack nothing, and are not expensive."""
+    found = []
+    for command in INLINE:
+        words = gendom_words(command) if command.startswith("gendom ") else []
+        if not words or words[0] == "help" or words[0] not in cli.COMMANDS:
+            continue
+        if any(re.fullmatch(pattern, command) for pattern in EXPENSIVE):
+            continue
+        if not re.search(r"\b[A-Z]{2,}\b", command) and parse_error(words[0], words[1:]) is None:
+            found.append(command)
+    return found
+
+
+COMPLETE = complete()
+
+
+@pytest.mark.parametrize("command", COMPLETE)
+def test_complete_commands_in_backticks_run(command, after_tutorial, monkeypatch):
+    run_command(command, after_tutorial, monkeypatch)
+
+
+def test_every_expensive_pattern_has_a_use():
+    named = [*INLINE, *(c for b in ALL for c in b.commands)]
+    unused = [p for p in EXPENSIVE if not any(re.fullmatch(p, c) for c in named)]
+    assert unused == []
+
+
+PYTHON = [
+    (page, found["body"])
+    for page in PAGES
+    for found in FENCE.finditer(page.read_text())
+    if found["language"] == "python"
+]
+
+
+@pytest.mark.parametrize(("page", "code"), PYTHON, ids=lambda value: getattr(value, "stem", ""))
+def test_imports_of_python_blocks_are_there(page, code):
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("gendom"):
+            module = import_module(node.module or "")
+            missing = [n.name for n in node.names if not hasattr(module, n.name)]
+            assert missing == [], node.module
+
+
+def test_the_python_of_the_readme_runs(after_tutorial, monkeypatch):
+    monkeypatch.chdir(after_tutorial)
+    (code,) = [code for page, code in PYTHON if page.name == "README.md"]
+    exec(compile(code, "README.md", "exec"), {})
+
+
+def test_the_readme_keeps_to_one_screen():
+    text = (ROOT / "README.md").read_text()
+    (table,) = re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE)
+    assert len(text.splitlines()) <= 60
+    assert len(table.splitlines()) - 2 <= 8  # figures, without the head
+    assert "make demo" in text and "make test" in text
+
+
+# ---- links -----------------------------------------------------------------------------------
+
+
+def anchors(page: Path) -> set[str]:
+    """Those that GitHub and MyST give to headings."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    found = set()
+    for heading in re.findall(r"^#+ (.*)$", text, re.MULTILINE):
+        plain = re.sub(r"[^\w\- ]", "", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower())
+        found.add(plain.strip().replace(" ", "-"))
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_relative_links_and_anchors_resolve(page):
+    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    broken = []
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        place = page.parent / path if path else page
+        if not place.exists() or (anchor and anchor not in anchors(place)):
+            broken.append(target)
+    assert broken == []
+
+
+# ---- the reference ---------------------------------------------------------------------------
+
+
+def test_public_packages_have_a_page():
+    pages = {path.stem for path in (DOCS / "api").glob("gendom.*.md")}
+    packages = {
+        f"gendom.{path.parent.name}"
+        for path in (ROOT / "src" / "gendom").glob("*/__init__.py")
+        if "__all__" in path.read_text()
+    }
+    assert packages <= pages
+
+
+def test_names_of_the_top_level_are_in_the_reference():
+    import gendom
+
+    text = (DOCS / "api" / "index.md").read_text()
+    public = set(gendom.__all__) - {"__version__"}
+    assert {name for name in public if f"`gendom.{name}`" not in text} <= {"GendomError"}

@@ -1,0 +1,101 @@
+"""Every example and notebook runs from top to bottom, and writes where it is told to only."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+NOTEBOOKS = EXAMPLES / "notebooks"
+
+SCRIPTS = {
+    "01_simulate_a_rope": ({"rope.gif"}, ()),
+    "02_your_own_recording": ({"lift.npz"}, ()),
+    "03_estimate": ({"estimate.json", "report.html"}, ()),
+    "04_differentiate_a_drag": (set(), ("torch",)),
+    "05_act_in_mujoco": (set(), ("mujoco",)),
+    "06_gymnasium_loop": (set(), ("mujoco", "gymnasium")),
+    "07_your_own_object": ({"rope.toml"}, ("mujoco",)),
+    "08_train_a_policy": ({"casts", "casting.onnx"}, ("torch", "onnx")),
+}
+"""Example -> what it writes into --out, and packages of extras that it needs."""
+
+
+pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="no examples beside the tests")
+
+
+def contents(folder: Path) -> set[Path]:
+    """Files below a folder, but for caches."""
+    return {p for p in folder.rglob("*") if "__pycache__" not in p.parts}
+
+
+def test_every_example_is_run_here():
+    numbered = {path.stem for path in EXAMPLES.glob("[0-9]*.py")}
+    assert numbered == set(SCRIPTS)
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_example_runs(name, tmp_path, monkeypatch):
+    written, packages = SCRIPTS[name]
+    for package in packages:
+        pytest.importorskip(package)
+    before = contents(EXAMPLES)
+    words = [sys.executable, str(EXAMPLES / f"{name}.py")]
+    words += ["--out", "made"] if written else []
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))  # the tested code
+    run = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout
+    assert contents(EXAMPLES) == before
+    made = tmp_path / "made"
+    assert {p.name for p in made.glob("*")} == written
+    assert {p.name for p in tmp_path.iterdir()} == ({"made"} if written else set())
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+def test_example_is_short_and_says_what_it_shows(path):
+    text = path.read_text()
+    assert len(text.splitlines()) <= 75
+    assert text.startswith('"""')
+    if path.stem in SCRIPTS:
+        assert " s" in text.split('"""')[1]  # its run time
+
+
+NOTEBOOK_NAMES = [path.name for path in sorted(NOTEBOOKS.glob("*.ipynb"))]
+
+
+@pytest.mark.parametrize("name", NOTEBOOK_NAMES)
+def test_notebook_is_kept_without_outputs(name):
+    nbformat = pytest.importorskip("nbformat", reason="needs the extra docs")
+    book = nbformat.read(NOTEBOOKS / name, as_version=4)
+    nbformat.validate(book)
+    for cell in book.cells:
+        if cell.cell_type == "code":
+            assert cell.outputs == [] and cell.execution_count is None
+
+
+QUICK = "01_simulate_a_rope.ipynb"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [n if n == QUICK else pytest.param(n, marks=pytest.mark.slow) for n in NOTEBOOK_NAMES],
+)
+def test_notebook_runs(name, tmp_path, monkeypatch):
+    nbformat = pytest.importorskip("nbformat", reason="needs the extra docs")
+    nbclient = pytest.importorskip("nbclient", reason="needs the extra docs")
+    pytest.importorskip("ipykernel", reason="needs the extra docs")
+    monkeypatch.setenv("PYDEVD_DISABLE_FILE_VALIDATION", "1")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    before = contents(NOTEBOOKS)
+    book = nbformat.read(NOTEBOOKS / name, as_version=4)
+    kernel = nbclient.NotebookClient(
+        book, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    )
+    kernel.execute()
+    outputs = [output for cell in book.cells for output in cell.get("outputs", ())]
+    assert outputs and all(output.output_type != "error" for output in outputs)
+    assert contents(NOTEBOOKS) == before
+    assert list(tmp_path.iterdir()) == []
