@@ -25,7 +25,7 @@ import pytest
 import tyro
 
 from gendom import cli, tasks
-from gendom.cli.arguments import PARSING, described
+from gendom.cli.parsing import PARSING, described
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
