@@ -113,6 +113,21 @@ def test_a_path_that_stays_never_moves(path):
     assert replace(path, position=np.tile(KNOTS[:1], (4, 1)), blend=0.1).moves == math.inf
 
 
+def test_a_gentle_path_has_the_shortest_blend_for_an_acceleration():
+    """From rest to 1 m/s and back: 1.5 dv / blend while the corners are apart."""
+    path = TcpPath(
+        time=np.array([0.0, 1.0, 3.0]),
+        position=np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]]),
+        quat_xyzw=np.array([1.0, 0, 0, 0]),
+        max_blend=0.9,
+    )
+    gentle = path.gentle(3.0)
+    assert gentle.blend == pytest.approx(0.5, rel=2e-3)
+    assert path.peak_acceleration(0.25) == pytest.approx(6.0, rel=1e-3)
+    with pytest.raises(RobotError, match="cannot stay below 1 m/s"):
+        path.gentle(1.0)
+
+
 def test_turning_is_moving():
     path = TcpPath(
         time=np.array([1.0, 2.0]),

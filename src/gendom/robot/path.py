@@ -171,6 +171,35 @@ class TcpPath:
         """[..., 3] its velocity [m/s]."""
         return self._sum(time, blend, _ramp_speed)
 
+    def peak_acceleration(self, blend: float) -> float:
+        """The tool's largest acceleration [m/s^2] where the path is rounded off by `blend` [s]."""
+        jumps, knots = self._jumps
+        near = np.linspace(-0.5, 0.5, 33) * blend
+        time = np.unique(np.add.outer(knots, near))
+        a = self._sum(time, blend, _ramp_acceleration)
+        return float(np.linalg.norm(a, axis=-1).max()) if len(jumps) else 0.0
+
+    def gentle(self, acceleration: float) -> TcpPath:
+        """This path with the shortest `blend` of its own that keeps the tool's acceleration below
+        a limit [m/s^2].
+
+        Raises:
+            RobotError: Its `max_blend` is too short for that, or infinite.
+        """
+        if (
+            not math.isfinite(self.max_blend)
+            or self.peak_acceleration(self.max_blend) > acceleration
+        ):
+            raise _bad(f"cannot stay below {acceleration:g} m/s^2 within its max_blend")
+        low, high = 0.0, self.max_blend
+        while high - low > 1e-3 * high:
+            middle = 0.5 * (low + high)
+            if self.peak_acceleration(middle) > acceleration:
+                low = middle
+            else:
+                high = middle
+        return replace(self, blend=high)
+
     def _sum(self, time: ArrayLike, blend: float, function) -> Array:
         time = np.asarray(time, dtype=float)
         total = np.zeros((*time.shape, 3))
@@ -254,6 +283,12 @@ class TcpPath:
             time=self.time + seconds,
             events=tuple(replace(e, time=e.time + seconds) for e in self.events),
         )
+
+
+def _ramp_acceleration(t: Array, blend: float) -> Array:
+    """R''."""
+    u = np.clip(t / blend + 0.5, 0.0, 1.0)
+    return 6.0 * u * (1.0 - u) / blend
 
 
 def _ramp(t: Array, blend: float) -> Array:

@@ -28,7 +28,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from gendom.errors import ParameterError
-from gendom.materials import Cloth, Item, Material, size_of, thickness_of, unit_of
+from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, size_of, thickness_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
 from gendom.tasks.task import Array, Observed, Quantity, Scene, Task
 
@@ -63,7 +63,7 @@ QUICK_STEP_TIME = 0.14
 """The same of `ClothSpreadingAtHeight`: 20 ms for a side of 0.2 m."""
 
 ACCELERATION = 0.65
-"""Largest of its tool [g]: what arms for loads of some kilograms can do."""
+"""Largest of its tool [g]: what an xArm 7 does there with a cloth of 0.2 m."""
 
 HIGHEST = 1.2
 """It is raised by at most so much [sides]: a cloth of 0.3 m is then still within reach of an arm
@@ -150,16 +150,11 @@ class ClothSpreading(Task):
         """How far an action raises the cloth [sides]."""
         return HEIGHT
 
-    def blend(self, item: Item, action: Array) -> float | None:
-        """Over which the corners of an action's path are rounded off [sqrt(L / g)]; None: as
-        little as an arm needs."""
-        return None
-
     def tool_path(self, item: Item, action: Array) -> TcpPath:
         side, second = size_of(item), unit_of("s", item)
         low = max(0.5 * thickness_of(item), LOWEST)
         down = np.concatenate([[0.0], np.cumsum(step_shares(float(action[0])))])
-        lifted, blend = self.height(item, action), self.blend(item, action)
+        lifted = self.height(item, action)
         raised = self.highest / RISE_SPEED
         begins = raised + SETTLE
         time = np.concatenate(
@@ -175,7 +170,6 @@ class ClothSpreading(Task):
             quat_xyzw=np.array(DOWN),
             events=(GripperEvent(time=-WAIT * second, closed=True),),
             max_blend=second * min(2.0 * WAIT, SETTLE, 2.0 * AFTER),
-            blend=None if blend is None else second * blend,
         )
 
     @property
@@ -277,9 +271,8 @@ class ClothSpreadingAtHeight(ClothSpreading):
     def height(self, item: Item, action: Array) -> float:
         return float(action[1]) / size_of(item)
 
-    def blend(self, item: Item, action: Array) -> float:
-        speed = self.height(item, action) * step_shares(float(action[0])).max() / self.step_time
-        return 1.5 * speed / ACCELERATION  # see `gendom.robot.path`
+    def tool_path(self, item: Item, action: Array) -> TcpPath:
+        return super().tool_path(item, action).gentle(ACCELERATION * STANDARD_GRAVITY)
 
     def demonstrate(
         self,
