@@ -22,10 +22,10 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-import tyro
 
 from gendom import cli, tasks
-from gendom.cli.parsing import PARSING, described
+from gendom.cli.parsing import parse
+from gendom.errors import GendomError
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -142,9 +142,11 @@ def parse_error(name: str, rest: list[str]) -> str | None:
     command = import_module(cli.COMMANDS[name][0]).Command
     known = dict(tasks._registered)
     try:
-        tyro.cli(described(command), args=rest, config=PARSING, console_outputs=False)
+        parse(command, name, rest)
     except SystemExit as stop:
         return None if stop.code in (0, None) else "see gendom help"
+    except GendomError as fault:
+        return str(fault)
     finally:  # a task in a file is registered when its name is parsed
         tasks._registered.clear()
         tasks._registered.update(known)

@@ -22,6 +22,9 @@ SCRIPTS = {
 }
 """Example -> what it writes into --out, and packages of extras that it needs."""
 
+QUICK = ("01_simulate_a_rope", "02_your_own_recording", "05_act_in_mujoco")
+"""Others are slow, and a step of their own in CI."""
+
 
 pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="no examples beside the tests")
 
@@ -36,7 +39,10 @@ def test_every_example_is_run_here():
     assert numbered == set(SCRIPTS)
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
+@pytest.mark.parametrize(
+    "name",
+    [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in SCRIPTS],
+)
 def test_example_runs(name, tmp_path, monkeypatch):
     written, packages = SCRIPTS[name]
     for package in packages:
@@ -76,13 +82,8 @@ def test_notebook_is_kept_without_outputs(name):
             assert cell.outputs == [] and cell.execution_count is None
 
 
-QUICK = "01_simulate_a_rope.ipynb"
-
-
-@pytest.mark.parametrize(
-    "name",
-    [n if n == QUICK else pytest.param(n, marks=pytest.mark.slow) for n in NOTEBOOK_NAMES],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NOTEBOOK_NAMES)
 def test_notebook_runs(name, tmp_path, monkeypatch):
     nbformat = pytest.importorskip("nbformat", reason="needs the extra docs")
     nbclient = pytest.importorskip("nbclient", reason="needs the extra docs")

@@ -123,6 +123,26 @@ def test_generalization_has_both_domains_and_what_r2s2r_found(bench, monkeypatch
     assert result["identified"]["R2S2R, three ropes"]["misfit"] > 1e-3
 
 
+def test_real_demonstrations_are_drawn_where_the_estimate_is_steady():
+    """Releases above 0.55 lengths leave their plane: nearly none of those is drawn."""
+    task, rope = RopeReaching(), find_object("rope-cotton")
+    limit = 0.55
+    source = rope_real_module.Steady(
+        task=task,
+        world=Thrown(),
+        items=(rope,),
+        known=rope,
+        foresight=Thrown(risky_above=limit),
+    )
+    plain = Demonstrator(task=task, world=Thrown(), items=(rope,))
+    heights = [
+        np.array([d.draw(np.random.default_rng(k))["release_z"] for k in range(40)]) / rope.length
+        for d in (source, plain)
+    ]
+    assert (heights[0] <= limit).all() and (heights[1] > limit).any()
+    assert source.about()["steady_for"]["length"] == rope.length
+
+
 @pytest.mark.slow
 def test_real_ropes_have_all_rows_and_go_on(bench, monkeypatch):
     """The second reality reaches farther by 0.02: executions teach that."""

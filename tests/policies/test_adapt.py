@@ -141,6 +141,15 @@ def test_belief_takes_the_posterior_and_doubts_the_rest():
     assert all(size_of(item) == ROPE.length for item in drawn)
 
 
+def test_belief_may_doubt_one_more_parameter():
+    belief = Belief.of(ROPE, None, known=("nu", "friction")).doubting("E", 0.3)
+    assert belief.names == ("damping", "E")
+    assert belief.sd[1] == pytest.approx(0.3) and belief.covariance[0, 1] == 0.0
+    assert belief.most_likely.material.E == pytest.approx(8e5)
+    again = Belief.from_dict(ROPE, belief.to_dict())
+    assert again.names == belief.names and np.array_equal(again.covariance, belief.covariance)
+
+
 def test_belief_keeps_correlations_in_any_order():
     posterior = {"names": ["damping", "x", "specific_modulus"], "mean": [-5.0, 0.0, 7.0],
                  "covariance": [[0.04, 0.0, 0.01], [0.0, 1.0, 0.0], [0.01, 0.0, 0.09]]}  # fmt: skip

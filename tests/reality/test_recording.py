@@ -107,7 +107,7 @@ def test_what_is_recorded_is_where_it_truly_is(clean):
     assert path[-1] - path[0] == pytest.approx([0.0, 0.0, 0.04], abs=1e-3)
 
 
-@pytest.mark.parametrize("end", ["swing", "drop"])
+@pytest.mark.parametrize("end", ["swing", pytest.param("drop", marks=pytest.mark.slow)])
 def test_a_lift_that_ends_in_motion_is_perceived_to_its_end(rendering, tmp_path, end):
     """Cameras are synchronised, so that a falling rope is seen once, not twice."""
     folder = tmp_path / end

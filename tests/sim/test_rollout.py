@@ -132,7 +132,7 @@ def directions(simulator):
         {"damped": 1e-4},
         {"sheet": True, "damped": 3e-3},
         {"law": "fixed-corotated", "damped": 3e-3},
-        {"yields_at": 2.0e3},
+        pytest.param({"yields_at": 2.0e3}, marks=pytest.mark.slow),
         {"yields_at": 2.0e3, "damped": 3e-3},
     ],
     ids=lambda options: " ".join(options) or "elastic",

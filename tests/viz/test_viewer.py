@@ -349,7 +349,7 @@ def until(browser, expression, seconds=60.0):
     return value
 
 
-@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("width", [pytest.param(390, marks=pytest.mark.slow), 1280])
 def test_the_page_shows_and_obeys(viewer, browser, width, capfd):
     """It is drawn without errors, asks for nothing from elsewhere, and its sliders act."""
     browser.open(viewer.url + "/", width=width)

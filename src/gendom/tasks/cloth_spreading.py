@@ -272,7 +272,8 @@ class ClothSpreadingAtHeight(ClothSpreading):
         return float(action[1]) / size_of(item)
 
     def tool_path(self, item: Item, action: Array) -> TcpPath:
-        return super().tool_path(item, action).gentle(ACCELERATION * STANDARD_GRAVITY)
+        path = super().tool_path(item, action).gentle(ACCELERATION * STANDARD_GRAVITY)
+        return path.shifted(-path.moves)  # its first corner is rounded off from 0 on
 
     def demonstrate(
         self,
