@@ -1,5 +1,6 @@
 """Tables of policies, in worlds solved in closed form."""
 
+import functools
 import importlib
 import json
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import pytest
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
+from gendom.cli import main
 from gendom.evaluation.tables import (
     RopeRealSettings,
     SimulatedSettings,
@@ -17,14 +19,14 @@ from gendom.evaluation.tables import (
     ablation,
     generalization,
     rope_real,
-    text,
+    sheets,
 )
 from gendom.evaluation.tables import simulated as simulated_module
 from gendom.evaluation.tables.workbench import Wanted
 from gendom.policies import Policy
 from gendom.policies.belief import Belief
 from gendom.policies.train import Training
-from gendom.reality import find_object
+from gendom.reality import RealRope, find_object
 from gendom.tasks import RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
 from policies.ballistic import Throws
@@ -106,8 +108,30 @@ def test_ablation_has_all_rows_and_parameters_that_count_help(bench, monkeypatch
     assert error["polished, both"] < 1e-4 < 1.5 * error["distal, both"] < error["distal, none"]
     low, high = rows["distal, both"]["20"]["interval_95"]
     assert low < error["distal, both"] < high
-    lines = text.simulated_text(rows, text.ABLATION["rope-reaching"])
+    (sheet, fewer, curve_drawn) = sheets.ablation_sheets(result, "rope-reaching")
+    lines = str(sheet)
     assert "inverse, both" in lines and "0.024" in lines and "20 goals" in lines
+    assert "distal, 25" in str(fewer)
+    assert isinstance(curve_drawn, sheets.Curves)
+    x, y = curve_drawn.lines["distal"]
+    assert x == [25.0, 400.0] and y[1] == error["distal, both"]
+
+
+def test_the_command_writes_json_and_a_page(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(simulated_module, "_world", lambda *_: Thrown())
+    monkeypatch.setattr("gendom.cli.reproduce.SIMULATED", {"small": (60, 1, 1)})
+    monkeypatch.setattr(
+        "gendom.evaluation.tables.SimulatedSettings",
+        functools.partial(SimulatedSettings, steps=20, curve=(30,), goals=(5, 10)),
+    )
+    assert main(["reproduce", "ablation", "--out", str(tmp_path / "made"), "--seed", "3"]) == 0
+    told = capsys.readouterr().out
+    assert "inverse, both" in told and "ablation-rope-reaching.html" in told
+    result = json.loads((tmp_path / "made" / "ablation-rope-reaching.json").read_text())
+    page = (tmp_path / "made" / "ablation-rope-reaching.html").read_text()
+    shown = f"{result['rows']['distal, E']['10']['mean']:.4f}"
+    assert shown in page and shown in told
+    assert "--seed 3" in page and '<svg class="plot"' in page
 
 
 def test_generalization_has_both_domains_and_what_r2s2r_found(bench, monkeypatch):
@@ -118,7 +142,7 @@ def test_generalization_has_both_domains_and_what_r2s2r_found(bench, monkeypatch
         rows = result["rows"][domain]
         assert rows["ours, polished"]["6"]["mean"] < 1e-3
         assert {"ours", "R2S2R, three ropes, inverse", "R2S2R, cotton rope, distal"} <= set(rows)
-        assert "0.0" in text.simulated_text(rows, text.GENERALIZATION[domain])
+        assert "0.0" in str(sheets.simulated_sheet(domain, rows, sheets.GENERALIZATION[domain]))
     assert result["identified"]["R2S2R, cotton rope"]["misfit"] < 1e-3
     assert result["identified"]["R2S2R, three ropes"]["misfit"] > 1e-3
 
@@ -126,6 +150,7 @@ def test_generalization_has_both_domains_and_what_r2s2r_found(bench, monkeypatch
 def test_real_demonstrations_are_drawn_where_the_estimate_is_steady():
     """Releases above 0.55 lengths leave their plane: nearly none of those is drawn."""
     task, rope = RopeReaching(), find_object("rope-cotton")
+    assert isinstance(rope, RealRope)
     limit = 0.55
     source = rope_real_module.Steady(
         task=task,
@@ -178,7 +203,12 @@ def test_real_ropes_have_all_rows_and_go_on(bench, monkeypatch):
     assert mean["polished"] == pytest.approx(0.02 * 0.3, rel=0.5)
     assert result["drawn"]["made_of"]["simulator"] == pytest.approx(0.02 * 0.3, rel=1e-3)
     assert len(result["seven"]["goals"]) == 21
-    lines = text.rope_real_text(json.loads(json.dumps(result)))
+    shown = sheets.rope_real_sheets(json.loads(json.dumps(result)))
+    lines = "\n".join(map(str, shown[:-1]))
+    after = shown[-1]
+    assert isinstance(after, sheets.Curves)
+    assert after.lines["mean"][0] == [0, 1, 2]
+    assert after.lines["mean"][1][0] == pytest.approx(1e3 * mean["polished"])
     assert "polished, 1 execution" in lines and "0.112" in lines
 
     # a second run takes what is there

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from gendom.files import check_folder, to_json, write_json
+from gendom.cli.outputs import tell_written
+from gendom.files import atomic_path, check_folder, to_json, write_json
+from gendom.installation import version
 from gendom.progress import bar
+
+if TYPE_CHECKING:
+    from gendom.evaluation.tables.sheets import Curves, Sheet
 
 SCALES = {"small": (2, 1), "full": (5, 5)}
 """Objects, and starts of each, by scale of the table sim2sim."""
@@ -105,7 +111,7 @@ class Command:
             ablation,
             generalization,
             rope_real,
-            text,
+            sheets,
         )
 
         check_folder(self._folder)
@@ -130,7 +136,7 @@ class Command:
                     executions=executions,
                 ),
             )
-            lines = text.rope_real_text(result)
+            shown = sheets.rope_real_sheets(result)
         else:
             demonstrations, epochs, seeds = SIMULATED[self.scale]
             settings = SimulatedSettings(
@@ -142,16 +148,11 @@ class Command:
             )
             if self.table == "ablation":
                 result = ablation(bench, settings)
-                lines = text.simulated_text(result["rows"], text.ABLATION[self.task])
-                if curve := result["by_demonstrations"]:
-                    lines += f"\n\nby demonstrations\n{text.simulated_text(curve, {})}"
+                shown = sheets.ablation_sheets(result, self.task)
             else:
                 settings = replace(settings, demonstrations=PAPER_DEMONSTRATIONS, goals=(40, 200))
                 result = generalization(bench, settings)
-                lines = "\n\n".join(
-                    f"{domain}\n{text.simulated_text(rows, text.GENERALIZATION[domain])}"
-                    for domain, rows in result["rows"].items()
-                )
+                shown = sheets.generalization_sheets(result)
         result = {
             "table": self.table,
             "task": self.task,
@@ -161,9 +162,45 @@ class Command:
             **result,
             "seconds": time.monotonic() - began,
         }
-        write_json(self._folder / f"{self.table}-{self.task}.json", result)
-        print(to_json(result) if self.json else lines)
+        tables = [str(sheet) for sheet in shown if isinstance(sheet, sheets.Sheet)]
+        print(to_json(result) if self.json else "\n\n".join(tables))
+        name = self._folder / f"{self.table}-{self.task}"
+        write_json(name.with_suffix(".json"), result)
+        with atomic_path(name.with_suffix(".html")) as path:
+            path.write_text(self._page(shown, result["seconds"]), encoding="utf-8")
+        tell_written(name.with_suffix(".html"), json=self.json)
         return 0
+
+    def _page(self, shown: Sequence[Sheet | Curves], seconds: float) -> str:
+        """The tables and curves as one HTML document."""
+        from gendom.evaluation.tables.sheets import Sheet
+        from gendom.viz.report import (
+            Provenance,
+            curves_section,
+            provenance_section,
+            render_page,
+            table_section,
+        )
+
+        made = Provenance(
+            commands=[
+                f"gendom reproduce {self.table} --task {self.task} --scale {self.scale} "
+                f"--engine {self.engine} --seed {self.seed} --device {self.device}"
+            ],
+            version=version(),
+            stage_seconds={"all of it": seconds},
+        )
+        sections = [
+            table_section(s.title, s.head, s.rows)
+            if isinstance(s, Sheet)
+            else curves_section(s.title, s.x, s.y, s.lines, log=s.log)
+            for s in shown
+        ]
+        opening = (
+            "<p>The paper's table, measured with this package, beside the paper's numbers.</p>"
+        )
+        title = f"{self.table}, {self.task}"
+        return render_page(title, opening, [*sections, provenance_section(made)])
 
     def _coverage(self) -> int:
         from gendom.evaluation.coverage import CoverageSettings, coverage, coverage_text, covered

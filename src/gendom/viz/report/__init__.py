@@ -10,8 +10,10 @@ from gendom.viz.report.cameras import CameraViews
 from gendom.viz.report.content import SUMMARY, ReportContent, render_report, write_report
 from gendom.viz.report.lift import LiftPictures
 from gendom.viz.report.next_steps import NextStep
-from gendom.viz.report.provenance import Provenance
+from gendom.viz.report.page import Section, render_page
+from gendom.viz.report.provenance import Provenance, provenance_section
 from gendom.viz.report.summary import ESTIMATE_FORMAT, EstimateSummary
+from gendom.viz.report.tables import curves_section, table_section
 
 __all__ = [
     "ESTIMATE_FORMAT",
@@ -25,6 +27,11 @@ __all__ = [
     "Provenance",
     "ReachOutcome",
     "ReportContent",
+    "Section",
+    "curves_section",
+    "provenance_section",
+    "render_page",
     "render_report",
+    "table_section",
     "write_report",
 ]

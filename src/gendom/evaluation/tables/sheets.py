@@ -1,0 +1,215 @@
+"""What tables of policies show: rows of text and curves, the paper's numbers beside ours."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gendom.evaluation.tables.rope_real import ROPES
+
+ABLATION = {
+    "rope-reaching": {"both": 0.024, "E": 0.034, "nu": 0.062, "none": 0.062},
+    "rope-casting": {"both": 0.065, "E": 0.067, "nu": 0.077, "none": 0.076},
+}
+"""Mean errors in the paper, over 30 goals."""
+
+GENERALIZATION = {
+    "in domain": {"ours": 0.031, "R2S2R, three ropes": 0.082, "R2S2R, cotton rope": 0.047},
+    "outside": {"ours": 0.039, "R2S2R, three ropes": 0.096, "R2S2R, cotton rope": 0.046},
+}
+"""Mean errors in the paper, over 40 goals."""
+
+ROPE_REAL = {
+    "ours": (0.148, 0.106, 0.588),
+    "sim+real": (0.112, 0.076, 0.193),
+    "pi_RD, ropes": (0.426, 0.273, 0.297),
+    "pi_RD, rope": (0.164, 0.512, 0.401),
+    "R2S2R, ropes": (0.318, 0.343, 0.364),
+    "R2S2R, rope": (0.200, 0.464, 0.473),
+}
+"""Sums over seven goals in the paper, of its cotton, polyester and polyethylene rope [m]."""
+
+
+_POLISHED = re.compile(r"polished(, \d+ executions?)?")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sheet:
+    """A table of text: names in the first column, numbers in the others."""
+
+    title: str
+    head: tuple[str, ...]
+    """Of all columns but the first."""
+    rows: Mapping[str, tuple[str, ...]]
+    """By what the first column says."""
+
+    def __str__(self) -> str:
+        """Columns set below each other."""
+        first = max(map(len, (self.title, *self.rows)))
+        widths = [
+            max(len(text) for text in column)
+            for column in zip(self.head, *self.rows.values(), strict=True)
+        ]
+        lines = [(self.title, self.head), *self.rows.items()]
+        return "\n".join(
+            f"{name:<{first}}"
+            + "".join(f"  {text:>{w}}" for text, w in zip(texts, widths, strict=True))
+            for name, texts in lines
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curves:
+    """Lines over a common axis."""
+
+    title: str
+    x: str
+    """What the axis has."""
+    y: str
+    log: bool
+    """Whether both axes are logarithmic."""
+    lines: Mapping[str, tuple[Sequence[float], Sequence[float]]]
+    """Places and values by name."""
+
+
+def simulated_sheet(title: str, rows: Mapping[str, Any], paper: Mapping[str, float]) -> Sheet:
+    """Rows of a simulated table: mean and standard deviation for each number of goals.
+
+    Args:
+        title: Of the sheet.
+        rows: As `gendom.evaluation.tables.ablation` returns them.
+        paper: Means in the paper by a part of the row's name.
+    """
+    counts = next(iter(rows.values()))
+    return Sheet(
+        title=title,
+        head=("paper", *(f"{count} goals" for count in counts)),
+        rows={
+            name: (
+                next((f"{v:.3f}" for key, v in paper.items() if _is_row(name, key)), ""),
+                *(f"{f['mean']:.4f} +- {f['std']:.4f}" for f in figures.values()),
+            )
+            for name, figures in rows.items()
+        },
+    )
+
+
+def _is_row(name: str, key: str) -> bool:
+    """Whether a row is the one that the paper has, whose method is the inverse one."""
+    return name in (f"inverse, {key}", f"{key}, inverse")
+
+
+def ablation_sheets(result: Mapping[str, Any], task: str) -> list[Sheet | Curves]:
+    """The table, and the error by the number of demonstrations."""
+    found: list[Sheet | Curves] = [
+        simulated_sheet("errors, a rope being 0.5 long", result["rows"], ABLATION[task])
+    ]
+    if fewer := result["by_demonstrations"]:
+        found.append(simulated_sheet("by demonstrations", fewer, {}))
+        found.append(_by_demonstrations(result))
+    return found
+
+
+def _by_demonstrations(result: Mapping[str, Any]) -> Curves:
+    """Of policies that see both, over the largest number of goals."""
+    lines: dict[str, tuple[list[float], list[float]]] = {}
+    whole = {
+        f"{row.partition(', ')[0]}, {result['demonstrations']}": figures
+        for row, figures in result["rows"].items()
+        if row.endswith(", both") and not row.startswith("polished")
+    }
+    for row, figures in {**result["by_demonstrations"], **whole}.items():
+        method, count = row.split(", ")
+        x, y = lines.setdefault(method, ([], []))
+        x.append(float(count))
+        y.append(list(figures.values())[-1]["mean"])
+    return Curves(
+        title="error by the number of demonstrations",
+        x="demonstrations",
+        y="mean error, a rope being 0.5 long",
+        log=True,
+        lines=lines,
+    )
+
+
+def generalization_sheets(result: Mapping[str, Any]) -> list[Sheet | Curves]:
+    """A table for each domain."""
+    return [
+        simulated_sheet(domain, rows, GENERALIZATION[domain])
+        for domain, rows in result["rows"].items()
+    ]
+
+
+def rope_real_sheets(result: Mapping[str, Any]) -> list[Sheet | Curves]:
+    """Estimates, misses of drawn goals, sums over seven goals, what errors are made of, and how
+    they fall with executions."""
+    drawn = result["drawn"]
+    names = list(next(iter(result["estimates"].values())))
+    sheets: list[Sheet | Curves] = [
+        Sheet(
+            title="estimates (E over density; SI)",
+            head=tuple(names),
+            rows={
+                rope: tuple(f"{said[n]['mean']:.4g}" for n in names)
+                for rope, said in result["estimates"].items()
+            },
+        ),
+        Sheet(
+            title=f"{len(drawn['ropes'])} goals, missed by [mm]",
+            head=("mean", "median", "std", "worst", "failed"),
+            rows={row: _figures(errors) for row, errors in drawn["errors"].items()},
+        ),
+        Sheet(
+            title="made of [mm]",
+            head=tuple(drawn["made_of"]),
+            rows={"ours": tuple(f"{1e3 * value:.1f}" for value in drawn["made_of"].values())},
+        ),
+    ]
+    if seven := result.get("seven"):
+        short = [rope.removeprefix("rope-") for rope in ROPES]
+        sheets.append(
+            Sheet(
+                title="seven goals, sums [m]",
+                head=(*short, *(f"paper, {rope}" for rope in short)),
+                rows={
+                    row: (
+                        *(f"{_sum(errors, seven['ropes'], rope):.3f}" for rope in ROPES),
+                        *(f"{x:.3f}" for x in ROPE_REAL.get(row, ())),
+                        *[""] * (0 if row in ROPE_REAL else len(ROPES)),
+                    )
+                    for row, errors in seven["errors"].items()
+                },
+            )
+        )
+    after = [
+        e for row, e in drawn["errors"].items() if row.startswith("polished") and "lift" not in row
+    ]
+    lines = {
+        name: (list(range(len(after))), [1e3 * float(of(np.array(e, dtype=float))) for e in after])
+        for name, of in (("mean", np.nanmean), ("median", np.nanmedian))
+    }
+    sheets.append(
+        Curves(
+            title="polished, after executions", x="executions", y="missed by [mm]", log=False,
+            lines=lines,
+        )
+    )  # fmt: skip
+    return sheets
+
+
+def _figures(errors: Sequence[float | None]) -> tuple[str, ...]:
+    e = 1e3 * np.array(errors, dtype=float)
+    done = e[np.isfinite(e)]
+    figures = (done.mean(), np.median(done), done.std(), done.max()) if len(done) else ("",) * 4
+    texts = (f"{x:.1f}" if x != "" else "" for x in figures)
+    return (*texts, str(len(e) - len(done)))
+
+
+def _sum(errors: Sequence[float | None], ropes: Sequence[str], rope: str) -> float:
+    """Over one rope's goals; NaN if one failed."""
+    own = [e for e, name in zip(errors, ropes, strict=True) if name == rope]
+    return float(np.sum(np.array(own, dtype=float)))
