@@ -87,10 +87,10 @@ def simulated_sheet(title: str, rows: Mapping[str, Any], paper: Mapping[str, flo
     counts = next(iter(rows.values()))
     return Sheet(
         title=title,
-        head=("paper", *(f"{count} goals" for count in counts)),
+        head=(*(["paper"] if paper else []), *(f"{count} goals" for count in counts)),
         rows={
             name: (
-                next((f"{v:.3f}" for key, v in paper.items() if _is_row(name, key)), ""),
+                *([_paper_text(name, paper)] if paper else []),
                 *(f"{f['mean']:.4f} +- {f['std']:.4f}" for f in figures.values()),
             )
             for name, figures in rows.items()
@@ -98,18 +98,21 @@ def simulated_sheet(title: str, rows: Mapping[str, Any], paper: Mapping[str, flo
     )
 
 
-def _is_row(name: str, key: str) -> bool:
-    """Whether a row is the one that the paper has, whose method is the inverse one."""
-    return name in (f"inverse, {key}", f"{key}, inverse")
+def _paper_text(name: str, paper: Mapping[str, float]) -> str:
+    """What the paper has for a row: its method is the inverse one."""
+    rows = (
+        f"{v:.3f}" for key, v in paper.items() if name in (f"inverse, {key}", f"{key}, inverse")
+    )
+    return next(rows, "")
 
 
 def ablation_sheets(result: Mapping[str, Any], task: str) -> list[Sheet | Curves]:
     """The table, and the error by the number of demonstrations."""
     found: list[Sheet | Curves] = [
-        simulated_sheet("errors, a rope being 0.5 long", result["rows"], ABLATION[task])
+        simulated_sheet("Errors, a rope being 0.5 long", result["rows"], ABLATION[task])
     ]
     if fewer := result["by_demonstrations"]:
-        found.append(simulated_sheet("by demonstrations", fewer, {}))
+        found.append(simulated_sheet("By demonstrations", fewer, {}))
         found.append(_by_demonstrations(result))
     return found
 
@@ -128,7 +131,7 @@ def _by_demonstrations(result: Mapping[str, Any]) -> Curves:
         x.append(float(count))
         y.append(list(figures.values())[-1]["mean"])
     return Curves(
-        title="error by the number of demonstrations",
+        title="Error by the number of demonstrations",
         x="demonstrations",
         y="mean error, a rope being 0.5 long",
         log=True,
@@ -139,7 +142,7 @@ def _by_demonstrations(result: Mapping[str, Any]) -> Curves:
 def generalization_sheets(result: Mapping[str, Any]) -> list[Sheet | Curves]:
     """A table for each domain."""
     return [
-        simulated_sheet(domain, rows, GENERALIZATION[domain])
+        simulated_sheet(domain.capitalize(), rows, GENERALIZATION[domain])
         for domain, rows in result["rows"].items()
     ]
 
@@ -151,7 +154,7 @@ def rope_real_sheets(result: Mapping[str, Any]) -> list[Sheet | Curves]:
     names = list(next(iter(result["estimates"].values())))
     sheets: list[Sheet | Curves] = [
         Sheet(
-            title="estimates (E over density; SI)",
+            title="Estimates (E over density; SI)",
             head=tuple(names),
             rows={
                 rope: tuple(f"{said[n]['mean']:.4g}" for n in names)
@@ -164,7 +167,7 @@ def rope_real_sheets(result: Mapping[str, Any]) -> list[Sheet | Curves]:
             rows={row: _figures(errors) for row, errors in drawn["errors"].items()},
         ),
         Sheet(
-            title="made of [mm]",
+            title="Made of [mm]",
             head=tuple(drawn["made_of"]),
             rows={"ours": tuple(f"{1e3 * value:.1f}" for value in drawn["made_of"].values())},
         ),
@@ -173,7 +176,7 @@ def rope_real_sheets(result: Mapping[str, Any]) -> list[Sheet | Curves]:
         short = [rope.removeprefix("rope-") for rope in ROPES]
         sheets.append(
             Sheet(
-                title="seven goals, sums [m]",
+                title="Seven goals, sums [m]",
                 head=(*short, *(f"paper, {rope}" for rope in short)),
                 rows={
                     row: (
@@ -194,7 +197,7 @@ def rope_real_sheets(result: Mapping[str, Any]) -> list[Sheet | Curves]:
     }
     sheets.append(
         Curves(
-            title="polished, after executions", x="executions", y="missed by [mm]", log=False,
+            title="Polished, after executions", x="executions", y="missed by [mm]", log=False,
             lines=lines,
         )
     )  # fmt: skip

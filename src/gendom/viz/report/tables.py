@@ -26,7 +26,7 @@ def table_section(
         note: Below it.
     """
     below = f'<p class="note">{escaped(note)}</p>' if note else ""
-    cells = ["<th></th>", *(f"<th>{escaped(text)}</th>" for text in head)]
+    cells = ["<th></th>", *(f'<th class="number">{escaped(text)}</th>' for text in head)]
     body = [
         "<tr>"
         + cell(escaped(name))
@@ -62,4 +62,4 @@ def curves_section(
     )
     for k, (name, (x, y)) in enumerate(lines.items()):
         plot.line(x, y, f"start-{k % LINES + 1}", name, dots=True)
-    return Section(title=title, body=chart_figure(title, [plot]))
+    return Section(title=title, body=chart_figure(y_label, [plot]))
