@@ -117,6 +117,7 @@ def test_ablation_has_all_rows_and_parameters_that_count_help(bench, monkeypatch
     assert x == [25.0, 400.0] and y[1] == error["distal, both"]
 
 
+@pytest.mark.slow
 def test_the_command_writes_json_and_a_page(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(simulated_module, "_world", lambda *_: Thrown())
     monkeypatch.setattr("gendom.cli.reproduce.SIMULATED", {"small": (60, 1, 1)})

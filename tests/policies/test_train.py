@@ -94,6 +94,7 @@ def test_risky_actions_are_avoided_and_what_they_reach_is_not_learnt(distal, tmp
     assert mean_error(careful) < 0.03
 
 
+@pytest.mark.slow
 def test_parameters_that_are_not_seen_are_missed(distal, tmp_path):
     blind = train(toy(1200), tmp_path / "none.onnx", Training(epochs=60, conditioned_on=()))
     half = train(toy(1200), tmp_path / "half.onnx", Training(epochs=60, conditioned_on=("nu",)))
@@ -230,7 +231,7 @@ def test_checkpoint_of_another_training_is_not_used(tmp_path, monkeypatch):
     assert np.array_equal(other.actions(goals, given), fresh.actions(goals, given))
 
 
-@pytest.mark.parametrize("method", ["distal", "inverse"])
+@pytest.mark.parametrize("method", [pytest.param("distal", marks=pytest.mark.slow), "inverse"])
 def test_fine_tuning_follows_a_world_that_reaches_farther(tmp_path, method):
     settings = Training(epochs=60, method=method, finetune_epochs=100)
     real = toy(300, seed=7)

@@ -22,7 +22,7 @@ def test_a_rope_sags_as_a_beam(name):
     ("name", "diagonal"),
     [
         ("cloth-cotton", True),
-        ("cloth-rubber", False),
+        pytest.param("cloth-rubber", False, marks=pytest.mark.slow),
         pytest.param("cloth-cotton", False, marks=pytest.mark.slow),
         pytest.param("cloth-rubber", True, marks=pytest.mark.slow),
     ],

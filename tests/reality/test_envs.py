@@ -231,6 +231,7 @@ def simulated(monkeypatch):
     return calls
 
 
+@pytest.mark.slow
 def test_drawn_casting_goals_can_be_reached(simulated):
     """By the action that was drawn, and all over what a polyester rope does."""
     env = make("RopeCasting", objects=["rope-polyester"])

@@ -142,6 +142,7 @@ def crumpled(n, **options):
     return np.concatenate([heap, pulled.run(np.linspace(0.02, 2.2, 110))[:, 0]]), body.shape
 
 
+@pytest.mark.slow
 def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart():
     x, shape = crumpled(16)
     assert max(crossings(f, shape) for f in x) == 0
