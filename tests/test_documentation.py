@@ -250,6 +250,7 @@ def after_tutorial(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_tutorial_can_be_followed(after_tutorial):
     written = {p.name for p in (after_tutorial / "mine").iterdir()}
     names = {"lift.npz", "estimate.json", "report.html", "replay.gif", "action.json"}
@@ -260,6 +261,7 @@ RUN = [b for b in ALL if b.skipped is None and b.page != TUTORIAL]
 RUN = [b for b in RUN if any(shlex.split(c)[0] not in NOT_STARTED for c in b.commands)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", RUN, ids=str)
 def test_blocks_run(block, after_tutorial, monkeypatch):
     for command in block.commands:
@@ -283,6 +285,7 @@ def complete() -> list[str]:
 COMPLETE = complete()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMPLETE)
 def test_complete_commands_in_backticks_run(command, after_tutorial, monkeypatch):
     run_command(command, after_tutorial, monkeypatch)
@@ -311,6 +314,7 @@ def test_imports_of_python_blocks_are_there(page, code):
             assert missing == [], node.module
 
 
+@pytest.mark.slow
 def test_the_python_of_the_readme_runs(after_tutorial, monkeypatch):
     monkeypatch.chdir(after_tutorial)
     (code,) = [code for page, code in PYTHON if page.name == "README.md"]
