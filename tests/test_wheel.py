@@ -70,7 +70,7 @@ def test_the_wheel_has_every_file_of_the_package(wheel):
     assert endings[".onnx"] >= 5 and endings[".h"] >= 3
     assert {
         "gendom/py.typed",
-        "gendom/materials/library.toml",
+        "gendom/materials/catalogue.toml",
         "gendom/assets/demo-rope-lift.npz",
         "gendom/assets/rope-casting.onnx",
         "gendom/sim/thin/native/rod.h",

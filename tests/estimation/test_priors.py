@@ -8,11 +8,11 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.estimation import EstimateSettings, Scene, SceneSettings, estimate
-from gendom.materials import library
+from gendom.materials import catalogue
 
 
 def test_a_material_narrows_what_is_believed(rope_lift):
-    known = library.get("cotton-rope")
+    known = catalogue.get("cotton-rope")
     wide, _ = Scene.of(rope_lift.at_rest(), rope_lift.settings).prior()
     settings = replace(rope_lift.settings, material="cotton-rope")
     narrow, base = Scene.of(rope_lift.at_rest(), settings).prior()
@@ -36,7 +36,7 @@ def test_what_is_not_looked_for_is_typical(rope_lift):
     settings = replace(rope_lift.settings, material="rubber-cord")
     prior, base = Scene.of(rope_lift.at_rest(), settings).prior(("delay",))
     assert prior.names == ("delay",)
-    assert base.friction == library.get("rubber-cord").friction.typical
+    assert base.friction == catalogue.get("rubber-cord").friction.typical
     assert base.nu == 0.45  # the stiffest that is looked for
 
 

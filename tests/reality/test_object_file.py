@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.materials import Material, library
+from gendom.materials import Material, catalogue
 from gendom.reality import find_object
 from gendom.reality.objects import RealCloth, RealRope
 
@@ -88,9 +88,9 @@ def test_files_that_are_none(tmp_path):
         find_object(str(tmp_path / "bad.toml"))
 
 
-def test_a_material_of_the_library(tmp_path):
+def test_a_material_of_the_catalogue(tmp_path):
     entries = {"kind": '"rope"', "length": "0.5", "material": '"nylon-rope"'}
-    known = library.get("nylon-rope")
+    known = catalogue.get("nylon-rope")
     item = find_object(written(tmp_path, entries))
     assert isinstance(item, RealRope)
     assert item.material == known.material() and item.diameter == known.across.typical

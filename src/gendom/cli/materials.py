@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from gendom.files import to_json
-from gendom.materials import library
+from gendom.materials import catalogue
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +29,9 @@ class Command:
     """Print a table in Markdown, with every number and a list of sources."""
 
     def run(self) -> int:
-        chosen = [library.get(name) for name in self.names or library.materials()]
+        chosen = [catalogue.get(name) for name in self.names or catalogue.materials()]
         if self.json:
-            print(to_json({"materials": [_row(m) for m in chosen], "sources": library.sources()}))
+            print(to_json({"materials": [_row(m) for m in chosen], "sources": catalogue.sources()}))
         elif self.markdown:
             print(_table(chosen))
         elif self.names:
@@ -41,14 +41,14 @@ class Command:
         return 0
 
 
-def _row(material: library.Listed) -> dict:
+def _row(material: catalogue.Listed) -> dict:
     about = {"name": material.name, "kind": material.kind, "about": material.about}
     return about | {
         name: {"unit": unit, **asdict(found)} for name, (unit, found) in material.ranges().items()
     }
 
 
-def _list(chosen: Sequence[library.Listed]) -> str:
+def _list(chosen: Sequence[catalogue.Listed]) -> str:
     """One line each."""
     wide = max(len(m.name) for m in chosen)
     lines = [f"{'':<{wide}}  {'kind':<5}  {'E in bending [Pa]':<27}  density [kg/m^3]"]
@@ -59,7 +59,7 @@ def _list(chosen: Sequence[library.Listed]) -> str:
     return "\n".join([*lines, "gendom materials NAME tells all numbers, and where they are from."])
 
 
-def _whole(material: library.Listed) -> str:
+def _whole(material: catalogue.Listed) -> str:
     """Every number with its source."""
     lines = [f"{material.name}: {material.about} ({material.kind})"]
     cited = []
@@ -69,12 +69,12 @@ def _whole(material: library.Listed) -> str:
         source = f" [{found.source}]" if found.source else ""
         lines.append(f"  {name:<9}  {numbers:<34}  {found.basis}{source}: {found.how}")
         cited += [found.source] if found.source and found.source not in cited else []
-    return "\n".join([*lines, *(f"  [{key}] {library.sources()[key]}" for key in cited)])
+    return "\n".join([*lines, *(f"  [{key}] {catalogue.sources()[key]}" for key in cited)])
 
 
-def _table(chosen: Sequence[library.Listed]) -> str:
+def _table(chosen: Sequence[catalogue.Listed]) -> str:
     """All numbers, each with its source, and the sources."""
-    units = [f"{name} [{unit}]" if unit != "1" else name for name, unit in library.UNITS.items()]
+    units = [f"{name} [{unit}]" if unit != "1" else name for name, unit in catalogue.UNITS.items()]
     heads = ["material", *units, "across [m]"]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     cited, bases = [], {"measured": "", "computed": ", c", "estimate": ", e"}
@@ -87,5 +87,5 @@ def _table(chosen: Sequence[library.Listed]) -> str:
             said = f"{mark}{bases[found.basis]}".removeprefix(", ")
             cells.append(f"{found.typical:.4g} ({found.low:.4g} to {found.high:.4g}) {said}")
         lines.append(f"| {' | '.join(cells)} |")
-    listed = (f"{n}. {library.sources()[key]}" for n, key in enumerate(cited, start=1))
+    listed = (f"{n}. {catalogue.sources()[key]}" for n, key in enumerate(cited, start=1))
     return "\n".join([*lines, "", *listed])

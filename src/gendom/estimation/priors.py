@@ -10,7 +10,7 @@ import numpy as np
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.estimation.theta import UNKNOWNS, Prior, Theta, prior_of
-from gendom.materials.library import Listed
+from gendom.materials.catalogue import Listed
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "cloth": (0.01, 0.2)}
 """Bending lengths that are looked for, in lengths of a rope or diagonals of a cloth: below it hangs
@@ -32,7 +32,7 @@ def recording_prior(
         moduli: Ends of the range of E / density [m^2/s^2].
         quasi_static: Whether it is replayed on another clock, or nothing moves.
         wanted: Names; by default what a recording of this kind shows.
-        material: What it is made of, of the library; None: unknown.
+        material: What it is made of, of the catalogue; None: unknown.
 
     Raises:
         ParameterError: There is no such unknown, or the object has none; or the material's is
@@ -84,7 +84,7 @@ def material_prior(
     What is typical is the mean, or the median where the logarithm is Gaussian.
 
     Args:
-        material: Of the library.
+        material: Of the catalogue.
         kind: Of the recorded object.
         moduli: Ends of the range of E / density that is looked for [m^2/s^2].
 

@@ -19,7 +19,7 @@ from gendom.estimation.placing import place
 from gendom.estimation.priors import BENDING_RANGE, first_guesses, recording_prior
 from gendom.estimation.scene_settings import SceneSettings
 from gendom.estimation.theta import Prior, Theta
-from gendom.materials import STANDARD_GRAVITY, library
+from gendom.materials import STANDARD_GRAVITY, catalogue
 from gendom.materials.parameters import bending_length, specific_modulus_of
 from gendom.sim import Body
 
@@ -235,7 +235,7 @@ class Scene:
             (low, high),
             quasi_static=self.quasi_static,
             wanted=wanted,
-            material=None if material is None else library.get(material),
+            material=None if material is None else catalogue.get(material),
         )
 
 
@@ -246,11 +246,11 @@ def _density(recording: Recording, body: Body, settings: SceneSettings, notes: l
     """That is simulated [kg/m^3]; what is assumed for it goes to `notes`."""
     density, made_of = 1000.0, ""
     if settings.material is not None:
-        listed = library.get(settings.material)
+        listed = catalogue.get(settings.material)
         density, made_of = listed.density.typical, f" of {listed.name}"
         notes.append(
             f"material {listed.name}: E of {listed.E.low:.2g} to {listed.E.high:.2g} Pa and what "
-            "else the library says of it are believed before the recording is seen"
+            "else the catalogue says of it are believed before the recording is seen"
         )
     if recording.object.mass is not None:
         return recording.object.mass / (body.volume * body.num_particles)

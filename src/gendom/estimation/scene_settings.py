@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gendom.errors import ParameterError
-from gendom.materials import library
+from gendom.materials import catalogue
 from gendom.sim import ENGINES, check_numbers
 
 
@@ -16,7 +16,7 @@ class SceneSettings:
     engine: str = "thin"
     """``thin`` (ropes as rods, cloths as shells) or ``mpm``."""
     material: str | None = None
-    """What the object is made of, a name of `gendom.materials.library`: priors, and its density
+    """What the object is made of, a name of `gendom.materials.catalogue`: priors, and its density
     where the mass is unknown. None: unknown."""
     points: int | None = None
     """Of a rod, or along the longer side of a shell; None: the engine's own for ropes, 26 for
@@ -60,7 +60,7 @@ class SceneSettings:
 
     def __post_init__(self) -> None:
         if self.material is not None:
-            library.get(self.material)
+            catalogue.get(self.material)
         check_numbers("cells_across", self.cells_across, above=0.0)
         if not 0.5 <= self.cells_across <= 6.0:
             raise ParameterError(

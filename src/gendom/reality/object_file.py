@@ -10,7 +10,7 @@ damping = 0.004                # [s]; default 0.004
 friction = 0.4                 # on the table; default 0.3
 colour = [200, 60, 60]         # sRGB; default grey
 
-material = "cotton-rope", a name of `gendom.materials.library`, stands for all but the length or
+material = "cotton-rope", a name of `gendom.materials.catalogue`, stands for all but the length or
 side and the colour: what is typical of it, where the file does not say otherwise.
 """
 
@@ -23,7 +23,7 @@ from typing import Any
 
 from gendom.errors import ParameterError
 from gendom.files import read_toml
-from gendom.materials import ASSUMED, KINDS, Material, library
+from gendom.materials import ASSUMED, KINDS, Material, catalogue
 from gendom.reality.objects import PLAIN, RealCloth, RealObject, RealRope
 
 DEFAULTS = {name: ASSUMED[name] for name in ("damping", "friction")}
@@ -100,11 +100,11 @@ def read_object(path: str | os.PathLike) -> RealObject:
 
 
 def _usual(name: Any, kind: str, where: str) -> dict[str, float]:
-    """What is typical of a material of the library; nothing for None."""
+    """What is typical of a material of the catalogue; nothing for None."""
     if name is None:
         return {}
     try:
-        listed = library.get(str(name))
+        listed = catalogue.get(str(name))
     except ParameterError as error:
         raise ParameterError(error.what, where=where, fix=error.fix) from None
     if listed.kind != kind:

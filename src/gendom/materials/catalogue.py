@@ -1,11 +1,11 @@
-"""A library of materials: what ropes, cables and cloths have, with a source for each number.
+"""A catalogue of materials: what ropes, cables and cloths have, with a source for each number.
 
->>> from gendom.materials import library
->>> rope = library.get("cotton-rope")
+>>> from gendom.materials import catalogue
+>>> rope = catalogue.get("cotton-rope")
 >>> rope.material().E, rope.E.low, rope.E.source
 (1000000.0, 200000.0, 'kuroki-2023')
 
-The numbers are in library.toml beside this file. E is an effective modulus of bending: that of a
+The numbers are in catalogue.toml beside this file. E is an effective modulus of bending: that of a
 solid round rope, or of a sheet, which bends as the thing does. That of its fibres is larger by
 orders, and so is that of the rope when it is pulled.
 """
@@ -66,7 +66,7 @@ class Range:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Listed(Shown):
-    """A material of the library."""
+    """A material of the catalogue."""
 
     name: str
     kind: str
@@ -137,12 +137,12 @@ def sources() -> dict[str, str]:
 
 @cache
 def _read() -> tuple[dict[str, Listed], dict[str, str]]:
-    text = files("gendom.materials").joinpath("library.toml").read_text(encoding="utf-8")
+    text = files("gendom.materials").joinpath("catalogue.toml").read_text(encoding="utf-8")
     return parse(tomllib.loads(text))
 
 
 def parse(table: dict[str, Any]) -> tuple[dict[str, Listed], dict[str, str]]:
-    """Materials and sources of a library's TOML.
+    """Materials and sources of a catalogue's TOML.
 
     Args:
         table: ``sources`` (texts by key), ``shared`` (ranges by name) and ``materials``: ``kind``,

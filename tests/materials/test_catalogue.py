@@ -1,4 +1,4 @@
-"""The library of materials: what is in it, what it refuses, and the table of the docs."""
+"""The catalogue of materials: what is in it, what it refuses, and the table of the docs."""
 
 import copy
 import json
@@ -11,26 +11,26 @@ import pytest
 
 from gendom import cli
 from gendom.errors import ParameterError
-from gendom.materials import STANDARD_GRAVITY, Cloth, Rope, bending_length, library
+from gendom.materials import STANDARD_GRAVITY, Cloth, Rope, bending_length, catalogue
 
 DOCS = Path(__file__).parents[2] / "docs" / "materials.md"
 
 
 @pytest.fixture
 def table():
-    """The library's TOML, to be changed."""
-    text = files("gendom.materials").joinpath("library.toml").read_text(encoding="utf-8")
+    """The catalogue's TOML, to be changed."""
+    text = files("gendom.materials").joinpath("catalogue.toml").read_text(encoding="utf-8")
     return copy.deepcopy(tomllib.loads(text))
 
 
 def test_a_material_for_a_simulation():
-    known = library.get("cotton-rope")
+    known = catalogue.get("cotton-rope")
     rope = Rope(length=0.3, diameter=known.across.typical, material=known.material())
     assert rope.material.E == known.E.typical and rope.material.density == known.density.typical
-    assert known.size == "diameter" and library.get("denim").size == "thickness"
+    assert known.size == "diameter" and catalogue.get("denim").size == "thickness"
 
 
-@pytest.mark.parametrize("material", library.materials().values(), ids=lambda m: m.name)
+@pytest.mark.parametrize("material", catalogue.materials().values(), ids=lambda m: m.name)
 def test_numbers_are_those_of_things_that_hang(material):
     """Bending lengths between those of the limpest cloth and the stiffest cable, and every number
     is one that objects take."""
@@ -68,7 +68,7 @@ def test_every_source_and_shared_range_is_used(table):
         ("cotton-rope.E", "unit", "Pa", "cotton-rope.E: is no range"),
     ],
 )
-def test_what_is_wrong_with_a_library_is_told(table, where, key, value, said):
+def test_what_is_wrong_with_a_catalogue_is_told(table, where, key, value, said):
     entry = table["materials"]
     for name in where.split("."):
         entry = entry[name]
@@ -76,20 +76,20 @@ def test_what_is_wrong_with_a_library_is_told(table, where, key, value, said):
     if value is None:
         del entry[key]
     with pytest.raises(ParameterError, match=said):
-        library.parse(table)
+        catalogue.parse(table)
 
 
 def test_an_unknown_name_has_a_near_one():
     with pytest.raises(ParameterError, match=r"'coton-rop'; did you mean 'cotton-rope'\?"):
-        library.get("coton-rop")
+        catalogue.get("coton-rop")
     with pytest.raises(ParameterError, match="no material 'q'; gendom materials lists them"):
-        library.get("q")
+        catalogue.get("q")
 
 
 def test_the_command(capsys):
     assert cli.main(["materials"]) == 0
     out = capsys.readouterr().out
-    assert all(f"\n{name} " in out for name in library.materials())
+    assert all(f"\n{name} " in out for name in catalogue.materials())
     assert cli.main(["materials", "cotton-rope", "hookup-wire"]) == 0
     out = capsys.readouterr().out
     assert "  E          1e+06 Pa (2e+05 to 4e+06) " in out and "computed [kuroki-2023]: " in out
