@@ -218,6 +218,26 @@ def write_json(path: str | os.PathLike, value: Mapping[str, Any]) -> None:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
+def read_bytes(path: str | os.PathLike, error: type[GendomError] = GendomError) -> bytes:
+    """All of a file.
+
+    Args:
+        path: Named by a person.
+        error: Raised for every fault.
+
+    Raises:
+        GendomError: As `error`: the file is missing or cannot be read.
+    """
+    try:
+        return Path(path).read_bytes()
+    except FileNotFoundError:
+        raise error("no such file", where=str(path), fix="check the path") from None
+    except OSError as fault:
+        raise error(
+            f"cannot be read ({fault.strerror})", where=str(path), fix="check the path"
+        ) from None
+
+
 def read_json(path: str | os.PathLike) -> dict[str, Any]:
     """The JSON object in `path`.
 
@@ -225,14 +245,9 @@ def read_json(path: str | os.PathLike) -> dict[str, Any]:
         GendomError: The file is missing, unreadable, no JSON, or no object.
     """
     path = Path(path)
+    content = read_bytes(path)
     try:
-        value = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except FileNotFoundError:
-        raise GendomError("no such file", where=str(path), fix="check the path") from None
-    except OSError as error:
-        raise GendomError(
-            f"cannot be read ({error.strerror})", where=str(path), fix="check the path"
-        ) from None
+        value = json.loads(content.decode("utf-8"), parse_constant=_refuse_constant)
     except json.JSONDecodeError as error:
         raise GendomError(
             f"is not JSON ({error.msg} in line {error.lineno})",

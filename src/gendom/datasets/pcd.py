@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from gendom.errors import RecordingError
+from gendom.files import read_bytes
 
 _MAX_HEADER = 1 << 16
 _KINDS = {"I": "i", "U": "u", "F": "f"}
@@ -67,14 +68,7 @@ def read_pcd(path: str | os.PathLike) -> np.ndarray:
         RecordingError: The file is missing, no PCD, cut short, damaged, or without x, y, z.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise RecordingError("no such file", where=str(path), fix="check the path") from None
-    except OSError as error:
-        raise RecordingError(
-            f"cannot be read ({error.strerror})", where=str(path), fix="check the path"
-        ) from None
+    data = read_bytes(path, RecordingError)
     try:
         header = _parse_header(data)
         points = _DECODERS[header.encoding](data[header.start :], header)

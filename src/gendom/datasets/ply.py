@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from gendom.errors import RecordingError
-from gendom.files import atomic_path
+from gendom.files import atomic_path, read_bytes
 
 _TYPES = {
     "char": "i1",
@@ -79,14 +79,7 @@ def read_ply(path: str | os.PathLike) -> np.ndarray:
         RecordingError: The file is missing, no PLY, cut short, or without x, y, z.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise RecordingError("no such file", where=str(path), fix="check the path") from None
-    except OSError as error:
-        raise RecordingError(
-            f"cannot be read ({error.strerror})", where=str(path), fix="check the path"
-        ) from None
+    data = read_bytes(path, RecordingError)
     try:
         encoding, elements, start = _parse_header(data)
         if encoding == "ascii":

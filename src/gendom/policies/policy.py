@@ -20,13 +20,13 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, PolicyError
+from gendom.files import read_bytes
 from gendom.materials import PARAMETERS, Item, likeness
 from gendom.shown import Shown
 
@@ -235,14 +235,7 @@ class Policy(Shown):
         import onnxruntime
 
         where = str(path)
-        try:
-            content = Path(path).read_bytes()
-        except FileNotFoundError:
-            raise PolicyError("no such file", where=where, fix="check the path") from None
-        except OSError as error:
-            raise PolicyError(
-                f"cannot be read ({error.strerror})", where=where, fix="check the path"
-            ) from None
+        content = read_bytes(path, PolicyError)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1  # the network is too small for more
         options.log_severity_level = 4
