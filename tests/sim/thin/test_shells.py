@@ -52,6 +52,29 @@ def test_bending_is_independent_of_the_plane():
     assert pliant[1] == pytest.approx(0.1 * plain[1])
 
 
+@pytest.mark.parametrize("diagonal", [False, True])
+def test_a_sharp_bend_about_the_diagonal_is_no_shear(diagonal):
+    """A limp sheet that is rolled up, its edges as long as at rest, springs open with the energy of
+    its bending; with cells that resist bends about their diagonals, with a multiple of it."""
+    n, spacing, kink = 21, 0.01, 0.35
+    limp = Material(E=6e5, nu=0.3, density=400.0)
+    body = cloth(width=0.2, height=0.2, thickness=5e-4, dx=0.02, points=(n, n))
+    i, j = (body.points[:, :2] / spacing).round().T
+    # a polygon of equal sides, which lattice lines or diagonals of cells go around
+    side = spacing / np.sqrt(2.0) if diagonal else spacing
+    turn, along = (kink * (i + j), side * (i - j)) if diagonal else (kink * i, spacing * j)
+    R = side / (2.0 * np.sin(kink / 2.0))
+    x = np.stack([R * np.sin(turn), along, -R * np.cos(turn)], axis=1)
+    s = Simulator(body, [limp], positions=x, gravity=(0, 0, 0), air_density=0.0, cfl=0.2)
+    bending = bending_energy(s)
+    assert membrane_energy(s) < 1e-6 * bending
+    mass, most = s.engine.mass[0], 0.0
+    for t in np.linspace(0.002, 0.06, 30):
+        s.run([t])
+        most = max(most, 0.5 * float(mass @ np.sum(s.velocities()[0].astype(float) ** 2, axis=1)))
+    assert 0.05 * bending < most < bending
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_cloth_takes_the_curvature_that_it_has_by_nature(axis):
     """In space a strip rolls up until it is free of stress: arched towards the third axis."""

@@ -59,7 +59,7 @@ class ShellModel:
                 quarter,
                 quarter,
                 quarter,
-                4.0 * quarter,
+                16.0 * quarter,
                 area * inner_x / lx**4,
                 area * inner_y / ly**4,
                 area * both / (lx * ly) ** 2,

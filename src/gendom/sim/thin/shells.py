@@ -18,7 +18,7 @@ class Shells(ThinEngine):
     """W shells of one shape."""
 
     kind = "shell"
-    state_rows, state_bars, scratch_rows, scratch_bars = 17, 17, 24, 33
+    state_rows, state_bars, scratch_rows, scratch_bars = 14, 14, 24, 33
     lanes_on_cuda = 256
     stiffened = (slice(4, 5), slice(5, 6))
 

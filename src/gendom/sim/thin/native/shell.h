@@ -1,12 +1,14 @@
 // A shell: points x_p on a lattice of rows and columns, `pitch` numbers apart from row to row, with
 // a row of numbers that are no points before and after.
 //
-// A cell between four points a b / c d has the strains of its four corners,
+// A cell between four points a b / c d has the strains
 //
 //     E11 = (u.u / lx^2 - 1) / 2 of edges u along a row, E22 of edges v along a column,
-//     E12 = u.v / (2 lx ly) where they meet,
+//     E12 = S(u.v) / (2 lx ly) of its mean edges u, v.
 //
-// each for a quarter of its area. Bending is quadratic in second differences, as of a thin plate that
+// A cell whose edges keep their lengths can bend about either diagonal. That is no shear, although it
+// changes u.v by up to t.t / 4, with t = a - b - c + d. S(F) is what F has beyond this; without it,
+// sheets that bend over less than some ten cells resist it in the plane. Bending is quadratic in second differences, as of a thin plate that
 // hardly stretches (Bergou et al. 2006, "A quadratic bending model for inextensible surfaces"):
 //
 //     D / 2 (|x_xx|^2 + 2 nu x_xx.x_yy + |x_yy|^2) of points, D (1 - nu) |x_xy|^2 of cells.
@@ -18,7 +20,7 @@
 namespace gendom {
 
 // Rows of a state, of what all worlds share, of stiffness, of inertia, of the scratch.
-enum { SHELL_X = 0, SHELL_V = 3, LAG_ROW = 6, LAG_COLUMN = 8, LAG_CORNER = 10, LAG_BEND = 14 };
+enum { SHELL_X = 0, SHELL_V = 3, LAG_ROW = 6, LAG_COLUMN = 8, LAG_SHEAR = 10, LAG_BEND = 11 };
 enum { NEXT = 0, BELOW = 1, CELL = 2, REST_BEND = 3 };
 enum { C11 = 0, C22 = 1, C12 = 2, G12 = 3, BXX = 4, BYY = 5, BXY = 6, TWIST = 7 };
 enum { POINT_PER_MASS = 0, POINT_DRAG = 1, STIFFER_X = 2, STIFFER_Y = 3 };
@@ -28,8 +30,10 @@ enum { F_BOTTOM = 0, F_TOP = 3, F_LEFT = 6, F_RIGHT = 9, M_XX = 12, M_YY = 15, M
 template <typename T> struct shell_cell {
     typedef typename number_of<T>::type real;
     vec<T> u[2], v[2];  // bottom and top, left and right
-    T lx2, ly2, lxy;    // 1 / lx^2, 1 / ly^2, 1 / (lx ly)
-    T row[2], column[2], corner[4];  // corners a b c d
+    vec<T> mean_u, mean_v, twist;
+    T lx2, ly2, lxy;  // 1 / lx^2, 1 / ly^2, 1 / (lx ly)
+    T row[2], column[2], shear;
+    T is_sheared, sign;  // sign 0 where it is not
 
     template <typename Rows>
     CUDA_CALLABLE inline shell_cell(const Rows& s, int p, int pitch, real per_x, real per_y)
@@ -43,35 +47,46 @@ template <typename T> struct shell_cell {
             row[k] = half * (lx2 * dot(u[k], u[k]) - one);
             column[k] = half * (ly2 * dot(v[k], v[k]) - one);
         }
-        for (int k = 0; k < 4; ++k) corner[k] = half * lxy * dot(u[k / 2], v[k % 2]);
+        mean_u = half * (u[0] + u[1]), mean_v = half * (v[0] + v[1]), twist = v[1] - v[0];
+        const T F = dot(mean_u, mean_v), free = half * half * dot(twist, twist);
+        is_sheared = is_above(larger(F, -F), free);
+        sign = is_sheared * (T(real(2)) * is_above(F, T(real(0))) - one);
+        shear = half * lxy * (is_sheared * F - sign * free);
+    }
+
+    // Derivatives of of_shear * shear by the four edges, given how edges' mean and twist change it.
+    CUDA_CALLABLE inline void shear_edges(const T& of_shear, const vec<T>& to_u, const vec<T>& to_v,
+                                          const vec<T>& to_twist, vec<T> by_u[2], vec<T> by_v[2]) const {
+        const T quarter = T(real(0.25)) * lxy * of_shear;
+        const vec<T> turned = quarter * sign * to_twist;
+        for (int k = 0; k < 2; ++k) by_u[k] = by_u[k] + quarter * is_sheared * to_v;
+        by_v[0] = by_v[0] + quarter * is_sheared * to_u + turned;
+        by_v[1] = by_v[1] + quarter * is_sheared * to_u - turned;
     }
 
     // Derivatives of sum(strain * of) by the four edges.
-    CUDA_CALLABLE inline void edges(const T of_row[2], const T of_column[2], const T of_corner[4],
+    CUDA_CALLABLE inline void edges(const T of_row[2], const T of_column[2], const T& of_shear,
                                     vec<T> by_u[2], vec<T> by_v[2]) const {
-        const T half = T(real(0.5));
         for (int k = 0; k < 2; ++k) {
-            const T* row_corners = of_corner + 2 * k;
-            by_u[k] = of_row[k] * lx2 * u[k] +
-                      half * lxy * (row_corners[0] * v[0] + row_corners[1] * v[1]);
-            by_v[k] = of_column[k] * ly2 * v[k] +
-                      half * lxy * (of_corner[k] * u[0] + of_corner[2 + k] * u[1]);
+            by_u[k] = of_row[k] * lx2 * u[k];
+            by_v[k] = of_column[k] * ly2 * v[k];
         }
+        shear_edges(of_shear, mean_u, mean_v, twist, by_u, by_v);
     }
 };
 
-// Stress times a quarter of the area, for strains (or any combination of them).
+// Stress times area, for strains (or any combination of them): of rows and columns a quarter of it.
 template <typename T> struct shell_stiffness {
     T c11, c22, c12, g12;
 
-    CUDA_CALLABLE inline void stress(const T row[2], const T column[2], const T corner[4],
-                                     T of_row[2], T of_column[2], T of_corner[4]) const {
+    CUDA_CALLABLE inline void stress(const T row[2], const T column[2], const T& shear, T of_row[2],
+                                     T of_column[2], T& of_shear) const {
         const T rows = row[0] + row[1], columns = column[0] + column[1];
         for (int k = 0; k < 2; ++k) {
             of_row[k] = (c11 + c11) * row[k] + c12 * columns;
             of_column[k] = (c22 + c22) * column[k] + c12 * rows;
         }
-        for (int k = 0; k < 4; ++k) of_corner[k] = g12 * corner[k];
+        of_shear = g12 * shear;
     }
 };
 
@@ -134,7 +149,7 @@ CUDA_CALLABLE inline real shell_forces(const Body& body, int w, const wp::array_
     for (EACH_IN(p, body.first, body.end)) {
         const shell_cell<T> cell(s, p, pitch, body.per_x, body.per_y);
         const T exists = shape.template get<T>(CELL, p);
-        T row_e[2], column_e[2], corner_e[4];
+        T row_e[2], column_e[2];
         const auto stressed = [&](const T& strain, int lag) {
             const T late = strain - s.template get<T>(lag, p);
             to.put(lag, p, s.template get<T>(lag, p) + a * late);
@@ -147,13 +162,13 @@ CUDA_CALLABLE inline real shell_forces(const Body& body, int w, const wp::array_
             worst = larger(worst, both);
             sum += both;
         }
-        for (int e = 0; e < 4; ++e) corner_e[e] = stressed(cell.corner[e], LAG_CORNER + e);
+        const T shear_e = stressed(cell.shear, LAG_SHEAR);
         const shell_stiffness<T> C = {k.template get<T>(C11, p), k.template get<T>(C22, p),
                                       k.template get<T>(C12, p), k.template get<T>(G12, p)};
-        T of_row[2], of_column[2], of_corner[4];
-        C.stress(row_e, column_e, corner_e, of_row, of_column, of_corner);
+        T of_row[2], of_column[2], of_shear;
+        C.stress(row_e, column_e, shear_e, of_row, of_column, of_shear);
         vec<T> by_u[2], by_v[2];
-        cell.edges(of_row, of_column, of_corner, by_u, by_v);
+        cell.edges(of_row, of_column, of_shear, by_u, by_v);
         out.put3(F_BOTTOM, p, by_u[0]), out.put3(F_TOP, p, by_u[1]);
         out.put3(F_LEFT, p, by_v[0]), out.put3(F_RIGHT, p, by_v[1]);
 

@@ -3,7 +3,7 @@
 
 namespace gendom {
 
-enum { SHELL_X_BAR = 0, SHELL_V_BAR = 3, LAG_ROW_BAR = 6, LAG_COLUMN_BAR = 8, LAG_CORNER_BAR = 10, LAG_BEND_BAR = 14 };
+enum { SHELL_X_BAR = 0, SHELL_V_BAR = 3, LAG_ROW_BAR = 6, LAG_COLUMN_BAR = 8, LAG_SHEAR_BAR = 10, LAG_BEND_BAR = 11 };
 enum {
     C11_BAR = 0, C22_BAR = 1, C12_BAR = 2, G12_BAR = 3, BXX_BAR = 4, BYY_BAR = 5, BXY_BAR = 6,
     TWIST_BAR = 7, REST_BEND_BAR = 8, POINT_PER_MASS_BAR = 12, POINT_DRAG_BAR = 13, SHELL_GRAVITY_BAR = 15, SHELL_DAMPING_BAR = 18, SHELL_FRICTION_BAR = 19,
@@ -63,34 +63,34 @@ CUDA_CALLABLE inline void shell_forces_adjoint(const Body& body, const Bars& bar
         // the forces by_u, by_v pull the first ends of edges along, and second ends back
         const shell_cell<T> cell(s, p, pitch, body.per_x, body.per_y);
         const vec<T> u_bar[2] = {fa - fb, fc - fd}, v_bar[2] = {fa - fc, fb - fd};
-        T row_e[2], column_e[2], corner_e[4], row_late[2], column_late[2], corner_late[4];
+        T row_e[2], column_e[2], row_late[2], column_late[2];
         for (int e = 0; e < 2; ++e) {
             row_late[e] = cell.row[e] - s.template get<T>(LAG_ROW + e, p);
             column_late[e] = cell.column[e] - s.template get<T>(LAG_COLUMN + e, p);
             row_e[e] = cell.row[e] + c * row_late[e];
             column_e[e] = cell.column[e] + c * column_late[e];
         }
-        for (int e = 0; e < 4; ++e) {
-            corner_late[e] = cell.corner[e] - s.template get<T>(LAG_CORNER + e, p);
-            corner_e[e] = cell.corner[e] + c * corner_late[e];
-        }
+        const T shear_late = cell.shear - s.template get<T>(LAG_SHEAR, p);
+        const T shear_e = cell.shear + c * shear_late;
         const shell_stiffness<T> C = {k.template get<T>(C11, p), k.template get<T>(C22, p),
                                       k.template get<T>(C12, p), k.template get<T>(G12, p)};
-        T of_row[2], of_column[2], of_corner[4];
-        C.stress(row_e, column_e, corner_e, of_row, of_column, of_corner);
+        T of_row[2], of_column[2], of_shear;
+        C.stress(row_e, column_e, shear_e, of_row, of_column, of_shear);
         // strains' variations that these would make: the bars of the stresses
         const T half = T(real(0.5));
-        T row_v[2], column_v[2], corner_v[4];
+        T row_v[2], column_v[2];
         for (int e = 0; e < 2; ++e) {
             row_v[e] = cell.lx2 * dot(cell.u[e], u_bar[e]);
             column_v[e] = cell.ly2 * dot(cell.v[e], v_bar[e]);
         }
-        for (int e = 0; e < 4; ++e)
-            corner_v[e] = half * cell.lxy *
-                          (dot(cell.u[e / 2], v_bar[e % 2]) + dot(cell.v[e % 2], u_bar[e / 2]));
-        T row_s[2], column_s[2], corner_s[4];
-        C.stress(row_v, column_v, corner_v, row_s, column_s, corner_s);
-        T row_b[2], column_b[2], corner_b[4];
+        const vec<T> mean_u_bar = half * (u_bar[0] + u_bar[1]), twist_bar = v_bar[1] - v_bar[0];
+        const vec<T> mean_v_bar = half * (v_bar[0] + v_bar[1]);
+        const T F_v = dot(cell.mean_u, mean_v_bar) + dot(cell.mean_v, mean_u_bar);
+        const T shear_v = half * cell.lxy *
+                          (cell.is_sheared * F_v - cell.sign * half * dot(cell.twist, twist_bar));
+        T row_s[2], column_s[2], shear_s;
+        C.stress(row_v, column_v, shear_v, row_s, column_s, shear_s);
+        T row_b[2], column_b[2];
         const auto strain_bar = [&](const T& s_bar, const T& late, int lag_row) {
             const T lag_bar = b.template get<T>(lag_row, p);
             b.put(lag_row, p, left * lag_bar - c * s_bar);
@@ -101,15 +101,14 @@ CUDA_CALLABLE inline void shell_forces_adjoint(const Body& body, const Bars& bar
             row_b[e] = strain_bar(row_s[e], row_late[e], LAG_ROW_BAR + e);
             column_b[e] = strain_bar(column_s[e], column_late[e], LAG_COLUMN_BAR + e);
         }
-        for (int e = 0; e < 4; ++e)
-            corner_b[e] = strain_bar(corner_s[e], corner_late[e], LAG_CORNER_BAR + e);
+        const T shear_b = strain_bar(shear_s, shear_late, LAG_SHEAR_BAR);
         vec<T> by_u[2], by_v[2];
-        cell.edges(row_b, column_b, corner_b, by_u, by_v);
-        for (int e = 0; e < 2; ++e) {  // and as the edges turn under their stresses
-            by_u[e] = by_u[e] + of_row[e] * cell.lx2 * u_bar[e] +
-                      half * cell.lxy * (of_corner[2 * e] * v_bar[0] + of_corner[2 * e + 1] * v_bar[1]);
-            by_v[e] = by_v[e] + of_column[e] * cell.ly2 * v_bar[e] +
-                      half * cell.lxy * (of_corner[e] * u_bar[0] + of_corner[2 + e] * u_bar[1]);
+        cell.edges(row_b, column_b, shear_b, by_u, by_v);
+        // and as the edges turn under their stresses
+        cell.shear_edges(of_shear, mean_u_bar, mean_v_bar, twist_bar, by_u, by_v);
+        for (int e = 0; e < 2; ++e) {
+            by_u[e] = by_u[e] + of_row[e] * cell.lx2 * u_bar[e];
+            by_v[e] = by_v[e] + of_column[e] * cell.ly2 * v_bar[e];
             at.put3(U_BAR + 3 * e, p, by_u[e]);
             at.put3(V_EDGE_BAR + 3 * e, p, by_v[e]);
         }
@@ -118,9 +117,7 @@ CUDA_CALLABLE inline void shell_forces_adjoint(const Body& body, const Bars& bar
         by.add(C22_BAR, p, two * (column_v[0] * column_e[0] + column_v[1] * column_e[1]));
         by.add(C12_BAR, p, (row_v[0] + row_v[1]) * (column_e[0] + column_e[1]) +
                                (column_v[0] + column_v[1]) * (row_e[0] + row_e[1]));
-        T sheared = T(real(0));
-        for (int e = 0; e < 4; ++e) sheared += corner_v[e] * corner_e[e];
-        by.add(G12_BAR, p, sheared);
+        by.add(G12_BAR, p, shear_v * shear_e);
 
         // bending: the pull has minus second differences of the moments
         const shell_bend<T> bend(s, shape, p, pitch);
