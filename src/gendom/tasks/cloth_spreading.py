@@ -82,6 +82,11 @@ WAIT, SETTLE, AFTER = 3.0, 7.0, 7.0
 """Still before it is raised, at the top for the cloth to hang still, and at the end, for it to come
 to rest [sqrt(L / g)]."""
 
+OFF_CENTRE = (0.015, 0.0065)
+"""How far beside its centre a cloth is held, along its sides [sides]: 3 mm for a side of 0.2 m, as hands
+err. Held exactly there it would hang symmetrically, which is unstable: rounding would decide how it
+folds."""
+
 FINGERS = 0.0125
 """Half the breadth of the fingers: how much of the centre they hold [m]."""
 
@@ -162,7 +167,7 @@ class ClothSpreading(Task):
         )
         height = np.concatenate([[0.0, 0.0, 1.0], 1.0 - down, [0.0]])
         position = np.zeros((len(time), 3))
-        position[:, :2] = 0.5 * side
+        position[:, :2] = side * (0.5 + np.array(OFF_CENTRE))
         position[:, 2] = low + lifted * side * height
         return TcpPath(
             time=second * time,
