@@ -27,8 +27,8 @@ KEYS = {
     "chamfer_last_surface", "chamfer_mean", "chamfer_mean_surface", "compared", "damping",
     "density", "density_assumed", "device", "format", "frames", "friction", "history",
     "identifiable", "interrupted", "intervals", "iterations", "method", "noise", "notes", "object",
-    "poissons_ratio", "posterior", "rms", "rms_by_frame", "rms_registered", "seconds", "seed",
-    "simulation", "specific_modulus", "starts", "stiffness_slope", "theta", "verdict",
+    "poissons_ratio", "posterior", "recordings", "rms", "rms_by_frame", "rms_registered", "seconds",
+    "seed", "simulation", "specific_modulus", "starts", "stiffness_slope", "theta", "verdict",
     "youngs_modulus",
 }  # fmt: skip
 

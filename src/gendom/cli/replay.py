@@ -133,11 +133,13 @@ def replay_setup(
     from gendom.estimation import Scene
 
     try:
-        theta = _theta(params)
-        settings = _settings(params, device, engine)
+        own = of_recording(params, recording)
+        same = own is not None and "theta" in own
+        own = own or params
+        theta = _theta(params, own)
+        settings = _settings(own, device, engine)
         kind = params["object"]["kind"]
-        same = params.get("begins_with") == recording.begins_with and "theta" in params
-        fitted = 1 + max(map(int, params["compared"])) if same else recording.num_frames
+        fitted = 1 + max(map(int, own["compared"])) if same else recording.num_frames
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(
             f"cannot be used: {type(error).__name__} {error}",
@@ -159,19 +161,30 @@ def replay_setup(
     return of_all_frames(replace(scene, notes=notes), recording), theta
 
 
+def of_recording(params: Mapping[str, Any], recording: Recording) -> Mapping[str, Any] | None:
+    """What an estimate says of a recording alone; None where it is of others."""
+    # files of older versions are of one
+    for own in params.get("recordings", [params]):
+        if own.get("begins_with") == recording.begins_with:
+            return own
+    return None
+
+
 def of_all_frames(scene: Scene, recording: Recording) -> Scene:
     """A scene with every frame of its recording, or of a longer one of the same motion."""
     every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
     return replace(scene, recording=recording, frames=every)
 
 
-def _theta(params: Mapping[str, Any]) -> Theta:
+def _theta(params: Mapping[str, Any], own: Mapping[str, Any]) -> Theta:
+    """An estimate's material, and how one of its recordings was held and when."""
     from gendom.estimation import Theta
     from gendom.estimation.result import KEYS
 
     values = params.get("theta")
     if values is None:  # older versions' files
         values = {name: params[key] for name, key in KEYS.items() if params.get(key) is not None}
+    values = {**values, **(own.get("theta") or {})}
     return Theta(**{name: float(value) for name, value in values.items()})
 
 

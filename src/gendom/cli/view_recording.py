@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.cli.replay import of_all_frames, replay_setup
+from gendom.cli.replay import of_all_frames, of_recording, replay_setup
 from gendom.cli.view_layers import gripper_layer, object_layer
 from gendom.datasets import Recording
 from gendom.errors import GendomError
@@ -116,7 +116,7 @@ class RecordingModel:
 
 
 def find_recording(params: Mapping[str, Any], where: Path) -> Path:
-    """The file of the recording that an estimate is of: beside it, or in the folder above.
+    """The file of a recording that an estimate is of: beside it, or in the folder above.
 
     Args:
         params: The estimate's JSON.
@@ -131,7 +131,7 @@ def find_recording(params: Mapping[str, Any], where: Path) -> Path:
             recording = Recording.read(path, on_warning=lambda _: None)
         except GendomError:  # another kind of file
             continue
-        if recording.begins_with == params.get("begins_with"):
+        if of_recording(params, recording) is not None:
             return path
     raise GendomError(
         "the recording that it is of is neither beside it nor in the folder above",

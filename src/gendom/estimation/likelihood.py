@@ -14,6 +14,7 @@ estimated from the recording itself, by expectation and maximisation (Dempster e
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -351,6 +352,41 @@ class Comparison:
             loss=float((share * 2.0 * c**2 * (root - 1.0)).sum()),
             count=float(rows.counts.sum() / noise.patch),
         )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Comparisons:
+    """Clouds of all recordings of an object beside simulated shapes."""
+
+    parts: tuple[Comparison, ...]
+    """One for each recording."""
+    shown: tuple[NDArray[np.intp], ...]
+    """[P_k] each: the unknowns that its shapes change with."""
+    unknowns: int
+    """P."""
+
+    @property
+    def rms(self) -> float:
+        """`Comparison.rms` of all, each recording counting alike [m]."""
+        return math.sqrt(sum(c.rms**2 for c in self.parts) / len(self.parts))
+
+    def follow(self, other: Comparisons) -> None:
+        """Begin the registrations where those of comparisons nearby have ended."""
+        for mine, theirs in zip(self.parts, other.parts, strict=True):
+            mine.follow(theirs)
+
+    def value(self, noise: Sequence[NoiseModel]) -> float:
+        """-2 log likelihood with each recording's noise, up to what that alone says."""
+        return sum(c.fit(n).value for c, n in zip(self.parts, noise, strict=True))
+
+    def slopes(self, noise: Sequence[NoiseModel]) -> tuple[Array, Array]:
+        """Half of that value's slope [P] and curvature [P, P]."""
+        gradient, hessian = np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
+        for comparison, k, own in zip(self.parts, self.shown, noise, strict=True):
+            fit = comparison.fit(own)
+            gradient[k] += fit.gradient
+            hessian[np.ix_(k, k)] += fit.hessian
+        return gradient, hessian
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError
+from gendom.estimation.likelihood import Comparison, NoiseModel
 from gendom.estimation.posterior import Posterior
-from gendom.estimation.problem import Found, Problem
+from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import replay
 from gendom.estimation.scene import Scene
 from gendom.estimation.theta import UNKNOWNS, Theta
@@ -36,24 +37,96 @@ KEYS = {
 `youngs_modulus` and `bending_stiffness` follow from the first."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordingFit:
+    """The best fit beside one recording."""
+
+    name: str
+    """Empty where it is the only one."""
+    scene: Scene
+    theta: Theta
+    """The material, and how the object is held here and when."""
+    positions: Array
+    """[T, N, 3] particles or points at the scene's frames [m]."""
+    chamfer: Array
+    """[T] distance to all of the object [m]."""
+    chamfer_surface: Array
+    """[T] to the part that cameras could see [m]."""
+
+    @classmethod
+    def of(cls, part: Part, theta: Theta) -> RecordingFit:
+        x = replay(part.scene, [theta])[:, 0]
+        whole, surface = chamfers(part.scene, x)
+        return cls(
+            name=part.name,
+            scene=part.scene,
+            theta=theta,
+            positions=x,
+            chamfer=whole,
+            chamfer_surface=surface,
+        )
+
+    def record(self, comparison: Comparison, noise: NoiseModel) -> dict[str, Any]:
+        """What the file says of this recording alone."""
+        scene, fit = self.scene, comparison.fit(noise)
+        return {
+            "theta": {n: v for n, v in asdict(self.theta).items() if not UNKNOWNS[n].material},
+            "chamfer_last": float(self.chamfer[-1]),
+            "chamfer_mean": float(self.chamfer.mean()),
+            "chamfer_last_surface": float(self.chamfer_surface[-1]),
+            "chamfer_mean_surface": float(self.chamfer_surface.mean()),
+            "rms": comparison.rms,
+            "rms_by_frame": [float(np.sqrt((r**2).mean())) for r in comparison.residuals],
+            "rms_registered": fit.rms,
+            "noise": {"sensor": noise.sensor, "model": noise.model},
+            "calibration": {
+                "shift": fit.a[-7:-4].tolist(),
+                "turn": fit.a[-4:-1].tolist(),
+                "skin": float(fit.a[-1]),
+            },
+            "compared": list(scene.frames),
+            "begins_with": scene.recording.begins_with,
+            "simulation": {
+                **asdict(scene.settings),
+                "points_simulated": len(scene.initial),
+                "clock": scene.clock,
+                "velocity_damping": scene.velocity_damping,
+            },
+            "notes": list(scene.notes),
+        }
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Estimate(Shown):
-    """The result of one recording."""
+    """The result of one or more recordings of an object."""
 
     theta: Theta
-    """The most likely parameters."""
+    """The most likely parameters; how the object is held and when is that of the first recording.
+    """
     posterior: Posterior
     verdict: Verdict
     record: dict[str, Any] = field(repr=False)
     """The JSON document, format ``gendom-estimate/1``: SI units; ``intervals`` and ``bounds``, the
     range that was searched, hold [low, high] by the names of the values; ``intervals`` is null
-    where the verdict is not usable. Files of older versions lack some keys."""
-    scene: Scene | None = field(default=None, repr=False)
-    """None of one that was read from a file."""
-    positions: Array | None = field(default=None, repr=False)
-    """[T, N, 3] particles or points of the best fit at the scene's frames [m]; None likewise."""
-    chamfer: Array | None = field(default=None, repr=False)
-    """[T] distance to all of the object [m]."""
+    where the verdict is not usable; ``recordings`` holds what is each recording's own, of which the
+    first's is above, too. Files of older versions lack some keys."""
+    fits: tuple[RecordingFit, ...] = field(default=(), repr=False)
+    """One for each recording; empty of an estimate that was read from a file."""
+
+    @property
+    def scene(self) -> Scene | None:
+        """Of the first recording; None of one that was read from a file."""
+        return self.fits[0].scene if self.fits else None
+
+    @property
+    def positions(self) -> Array | None:
+        """[T, N, 3] of the first recording, see `RecordingFit`."""
+        return self.fits[0].positions if self.fits else None
+
+    @property
+    def chamfer(self) -> Array | None:
+        """[T] likewise."""
+        return self.fits[0].chamfer if self.fits else None
 
     @property
     def usable(self) -> bool:
@@ -92,7 +165,9 @@ class Estimate(Shown):
             verdict = Verdict(
                 usable=bool(read["verdict"]["usable"]), reasons=tuple(read["verdict"]["reasons"])
             )
-            posterior = Posterior.from_dict(read["posterior"], theta)
+            # files of older versions are of one recording
+            own = [theta.with_values(r["theta"]) for r in read.get("recordings", [read])]
+            posterior = Posterior.from_dict(read["posterior"], own)
         except (KeyError, TypeError, ValueError) as error:
             raise ParameterError(
                 f"cannot be used: {type(error).__name__} {error}",
@@ -181,18 +256,44 @@ def bending_stiffness(scene: Scene, theta: Theta) -> float:
 
 
 def result_of(
-    problem: Problem, found: Found, posterior: Posterior, verdict: Verdict, seconds: float
+    problem: Problem,
+    found: Found,
+    posterior: Posterior,
+    alone: Sequence[Posterior],
+    verdict: Verdict,
+    seconds: float,
 ) -> Estimate:
-    """Everything about a finished search."""
+    """Everything about a finished search.
+
+    Args:
+        problem: What was looked for.
+        found: What came out.
+        posterior: Of all recordings.
+        alone: Of each by itself; empty where that was not looked for.
+        verdict: Whether it is usable.
+        seconds: For how long was searched.
+    """
     scene, settings, theta = problem.scene, problem.settings, posterior.theta
-    x = replay(scene, [theta])[:, 0]
-    whole, surface = chamfers(scene, x)
     comparison = found.best.comparison
     assert comparison is not None
-    fit = comparison.fit(found.noise)
+    fits = tuple(
+        RecordingFit.of(part, own)
+        for part, own in zip(problem.parts, posterior.thetas, strict=True)
+    )
+    own = [
+        fit.record(*compared)
+        for fit, *compared in zip(fits, comparison.parts, found.noise, strict=True)
+    ]
     described = scene.recording.object
     intervals, bounds, known = _ranges(problem, posterior)
     record: dict[str, Any] = {
+        **own[0],
+        "theta": asdict(theta),
+        "recordings": [
+            {"name": fit.name, **r, "alone": _by_itself(alone[k : k + 1], settings.level)}
+            for k, (fit, r) in enumerate(zip(fits, own, strict=True))
+        ],
+        "notes": list(dict.fromkeys(note for fit in fits for note in fit.scene.notes)),
         "format": FORMAT,
         "youngs_modulus": theta.specific_modulus * scene.density,
         "poissons_ratio": theta.nu,
@@ -208,24 +309,11 @@ def result_of(
         "intervals": {"level": settings.level, **intervals} if verdict.usable else None,
         "bounds": bounds,
         "identifiable": known,
-        "theta": asdict(theta),
         "posterior": posterior.to_dict(),
-        "chamfer_last": float(whole[-1]),
-        "chamfer_mean": float(whole.mean()),
-        "chamfer_last_surface": float(surface[-1]),
-        "chamfer_mean_surface": float(surface.mean()),
-        "rms": comparison.rms,
-        "rms_by_frame": [float(np.sqrt((r**2).mean())) for r in comparison.residuals],
-        "rms_registered": fit.rms,
-        "noise": {"sensor": found.noise.sensor, "model": found.noise.model},
-        "calibration": {
-            "shift": fit.a[-7:-4].tolist(), "turn": fit.a[-4:-1].tolist(), "skin": float(fit.a[-1]),
-        },
         "iterations": sum(s.iterations for s in found.starts),
         "seconds": seconds,
         "method": settings.method,
         "frames": settings.frames,
-        "compared": list(scene.frames),
         "seed": settings.seed,
         "device": scene.settings.device,
         "interrupted": found.interrupted,
@@ -238,14 +326,6 @@ def result_of(
             "thickness": scene.body.thickness if described.kind == "cloth" else None,
             "mass": described.mass,
         },
-        "begins_with": scene.recording.begins_with,
-        "simulation": {
-            **asdict(scene.settings),
-            "points_simulated": len(scene.initial),
-            "clock": scene.clock,
-            "velocity_damping": scene.velocity_damping,
-        },
-        "notes": list(scene.notes),
         "starts": [
             {
                 "initial": _named(problem, s.initial),
@@ -275,10 +355,16 @@ def result_of(
         posterior=posterior,
         verdict=verdict,
         record=record,
-        scene=scene,
-        positions=x,
-        chamfer=whole,
+        fits=fits,
     )
+
+
+def _by_itself(alone: Sequence[Posterior], level: float) -> dict[str, Any] | None:
+    """What one recording says of E / density by itself, None where it was not asked."""
+    name = "specific_modulus"
+    if not alone or name not in alone[0].names:
+        return None
+    return {name: alone[0].theta.specific_modulus, "interval": list(alone[0].interval(name, level))}
 
 
 def _ranges(
@@ -316,8 +402,9 @@ def _ranges(
 
 
 def _named(problem: Problem, vector: Sequence[float] | Array) -> dict[str, float]:
-    theta = problem.theta(vector)
-    found = {f.name: getattr(theta, f.name) for f in fields(theta) if f.name in problem.prior.names}
+    theta, prior = problem.theta(vector), problem.prior
+    names = {prior.names[k] for k in prior.of(0)}
+    found = {f.name: getattr(theta, f.name) for f in fields(theta) if f.name in names}
     return {
         "youngs_modulus": theta.specific_modulus * problem.scene.density,
         "specific_modulus": theta.specific_modulus,

@@ -155,11 +155,18 @@ class Theta:
         return replace(self, **values)
 
 
+NUMBERS = ("low", "high", "mean", "sd", "step", "widest")
+"""Fields of `Prior` that are arrays."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Prior:
-    """Gaussian prior of P unknowns, in transformed coordinates."""
+    """Gaussian prior of P unknowns of an object and its recordings, in transformed coordinates."""
 
     names: tuple[str, ...]
+    """A recording's own unknowns are named once for each recording."""
+    owners: tuple[int | None, ...]
+    """Which recording has each; None: the object, so that all recordings share it."""
     low: Array
     high: Array
     mean: Array
@@ -171,14 +178,37 @@ class Prior:
     def unknowns(self) -> list[Unknown]:
         return [UNKNOWNS[name] for name in self.names]
 
-    def vector(self, theta: Theta) -> Array:
-        """[P] transformed values of an estimate."""
-        return np.array([u.transformed(getattr(theta, u.name)) for u in self.unknowns])
+    def of(self, recording: int) -> list[int]:
+        """Indices of the unknowns that a recording shares or has."""
+        return [k for k, owner in enumerate(self.owners) if owner in (None, recording)]
 
-    def theta(self, vector: Sequence[float] | Array, base: Theta) -> Theta:
-        """The estimate with these transformed values [P], others as in ``base``."""
-        values = zip(self.unknowns, vector, strict=True)
-        return base.with_values({u.name: u.value(float(x)) for u, x in values})
+    def taken(self, which: Sequence[int] | NDArray[np.intp]) -> Prior:
+        """Prior of unknowns with these indices, those of one recording."""
+        numbers = {name: getattr(self, name)[which] for name in NUMBERS}
+        names = tuple(self.names[k] for k in which)
+        return Prior(names=names, owners=owners_of(names), **numbers)
+
+    def index(self, name: str, recording: int = 0) -> int:
+        """Of an unknown, of this recording if each has its own.
+
+        Raises:
+            ValueError: It is not among them.
+        """
+        own = self.of(recording)
+        return own[[self.names[k] for k in own].index(name)]
+
+    def vector(self, *thetas: Theta) -> Array:
+        """[P] transformed values of an estimate, one for each recording."""
+        own = [thetas[owner or 0] for owner in self.owners]
+        return np.array(
+            [u.transformed(getattr(t, u.name)) for u, t in zip(self.unknowns, own, strict=True)]
+        )
+
+    def theta(self, vector: Sequence[float] | Array, base: Theta, recording: int = 0) -> Theta:
+        """A recording's estimate with these transformed values [P], others as in ``base``."""
+        own = self.of(recording)
+        values = ((UNKNOWNS[self.names[k]], float(vector[k])) for k in own)
+        return base.with_values({u.name: u.value(x) for u, x in values})
 
     def clipped(self, vector: Array) -> Array:
         return np.clip(vector, self.low, self.high)
@@ -203,10 +233,34 @@ def prior_of(names: Iterable[str], changes: Mapping[str, Mapping[str, float]]) -
         chosen.append(replace(UNKNOWNS[name], **changes.get(name, {})))
     return Prior(
         names=tuple(u.name for u in chosen),
+        owners=owners_of(u.name for u in chosen),
         low=np.array([u.transformed(u.low) for u in chosen]),
         high=np.array([u.transformed(u.high) for u in chosen]),
         mean=np.array([u.transformed(u.mean) for u in chosen]),
         sd=np.array([u.sd for u in chosen]),
         step=np.array([u.step for u in chosen]),
         widest=np.array([u.widest for u in chosen]),
+    )
+
+
+def owners_of(names: Iterable[str]) -> tuple[int | None, ...]:
+    """`Prior.owners` of the unknowns of one recording."""
+    return tuple(None if UNKNOWNS[name].material else 0 for name in names)
+
+
+def joint_prior(priors: Sequence[Prior]) -> Prior:
+    """Prior of what several recordings of one object show: the material's unknowns once, as the
+    first recording that shows them has them, and each recording's own."""
+    chosen: dict[tuple[str, int | None], tuple[Prior, int]] = {}
+    for recording, prior in enumerate(priors):
+        for k, (name, owner) in enumerate(zip(prior.names, prior.owners, strict=True)):
+            chosen.setdefault((name, None if owner is None else recording), (prior, k))
+
+    def numbers(field: str) -> Array:
+        return np.array([getattr(prior, field)[k] for prior, k in chosen.values()])
+
+    return Prior(
+        names=tuple(name for name, _ in chosen),
+        owners=tuple(owner for _, owner in chosen),
+        **{field: numbers(field) for field in NUMBERS},
     )

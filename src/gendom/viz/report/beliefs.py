@@ -60,7 +60,7 @@ def beliefs_section(summary: EstimateSummary) -> Section | None:
 
 def _chart(summary: EstimateSummary, posterior: Mapping[str, Any], k: int) -> str:
     name = str(posterior["names"][k])
-    title: str = _RECORDING.get(name, name.replace("_", " "))
+    title: str = _RECORDING.get(name, name.replace("_", " ")) + _of_which(posterior, k)
     key, title = _MATERIAL.get(name, ("", title))
     unit = summary.units.get(name, "")
     factor, unit = _SHOWN_UNITS.get(unit, (1.0, unit))
@@ -95,6 +95,13 @@ def _chart(summary: EstimateSummary, posterior: Mapping[str, Any], k: int) -> st
     return chart_figure(title, [main] if strip is None else [main, strip], note)
 
 
+def _of_which(posterior: Mapping[str, Any], k: int) -> str:
+    """Which recording an unknown is of, where there are several."""
+    owners = posterior.get("recordings") or [None]
+    several = any(owner not in (None, 0) for owner in owners)
+    return f", recording {owners[k] + 1}" if several and owners[k] is not None else ""
+
+
 def _interval(
     summary: EstimateSummary, posterior: Mapping[str, Any], k: int, stage: str = ""
 ) -> tuple[float, float]:
@@ -113,7 +120,7 @@ def _numbers_table(summary: EstimateSummary, posterior: Mapping[str, Any]) -> st
     for k, name in enumerate(posterior["names"]):
         unit = summary.units.get(name, "")
         label = name.replace("_", " ") + (f" [{unit}]" if unit not in ("", "1") else "")
-        label = label.replace("^2", "²")
+        label = label.replace("^2", "²") + _of_which(posterior, k)
         cells = [cell(escaped(label), "name")]
         for stage, said in (("prior_", "prior"), ("", "posterior")):
             low, high = _interval(summary, posterior, k, stage)
