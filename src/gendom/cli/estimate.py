@@ -178,7 +178,7 @@ class Command:
                 summary=REPORT_SUMMARY if found.usable else NOT_USABLE_SUMMARY,
                 recording_source=_sentences(self._named, recording.source, recording.notes),
                 lift=LiftPictures(
-                    clouds=clouds_of(first.scene, first.positions, first.chamfer),
+                    clouds=clouds_of(first.scene, first.positions, first.theta, first.chamfer),
                     view=view_of(first.scene),
                     note=note,
                 ),

@@ -70,7 +70,7 @@ class Command:
         frames = list(scene.frames)
         with bar("replaying", len(frames), "frame", even=True) as show:
             x = replay(scene, [theta], on_frame=show)[:, 0]
-        whole, surface = chamfers(scene, x)
+        whole, surface = chamfers(scene, x, theta)
         record: dict[str, Any] = {
             "format": "gendom-replay/1",
             "recording": str(self.recording),
@@ -101,7 +101,7 @@ class Command:
         if self.gif is not None:
             from gendom.viz import write_gif
 
-            write_gif(self.gif, clouds_of(scene, x, whole), view=view_of(scene))
+            write_gif(self.gif, clouds_of(scene, x, theta, whole), view=view_of(scene))
             tell_written(self.gif, json=self.json)
         return 0
 

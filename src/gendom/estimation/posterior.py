@@ -120,6 +120,26 @@ class Posterior:
         )
         return u.value(low), u.value(high)
 
+    def product(self, powers: Mapping[str, float], level: float) -> tuple[float, float]:
+        """Ends of the interval of a product of powers of positive unknowns of the object, over
+        which their doubt is one; those that were not looked for are as they are known."""
+        centre, low, high = 0.0, 0.0, 0.0
+        slope = np.zeros(len(self.names))
+        for name, power in powers.items():
+            if name not in self.names:
+                centre += power * math.log(getattr(self.bases[0], name))
+                continue
+            k = self.prior.index(name)
+            slope[k] = power
+            ends = sorted((power * self.prior.low[k], power * self.prior.high[k]))
+            low, high = low + ends[0], high + ends[1]
+        half = float(norm.ppf(0.5 + level / 2.0)) * math.sqrt(slope @ self.covariance @ slope)
+        at = float(slope @ self.mean)
+        return (
+            math.exp(centre + float(np.clip(at - half, low, high))),
+            math.exp(centre + float(np.clip(at + half, low, high))),
+        )
+
     def draws(self, count: int, seed: int, recording: int = 0) -> Sequence[Theta]:
         """A recording's estimates drawn from it, within the ranges that were searched."""
         rng = np.random.default_rng(seed)

@@ -17,7 +17,7 @@ from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Ob
 from gendom.estimation.replay import replay
 from gendom.estimation.scene import Scene
 from gendom.estimation.scene_settings import SceneSettings
-from gendom.estimation.theta import Prior, Theta, joint_prior
+from gendom.estimation.theta import UNKNOWNS, Prior, Theta, joint_prior
 
 Array = NDArray[np.floating]
 
@@ -195,7 +195,7 @@ class Problem:
                     name=names[k],
                 )
             )
-        self.parts = tuple(parts)
+        self.parts: tuple[Part, ...] = tuple(parts)
         self._on_progress = on_progress
 
     @property
@@ -310,12 +310,14 @@ class Problem:
         prior, part = self.prior, self.parts[recording]
         moved = [n for n, k in enumerate(part.shown) if derivatives and (free is None or k in free)]
         steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
+        along = self._along(part.shown[moved])
         worlds = [
-            v if n < 0 else v + np.eye(len(v))[part.shown[n]] * h
+            v if n < 0 else v + along[part.shown[n]] * h[part.shown[n]]
             for v, h in zip(vectors, steps, strict=True)
             for n in (-1, *moved)
         ]
         x = self.positions(worlds, recording)
+        thickness = np.array([self.theta(v, recording).thickness for v in worlds])
         found: list[Comparison | None] = []
         each = 1 + len(moved)
         for n, h in enumerate(steps):
@@ -323,12 +325,28 @@ class Problem:
             if not np.isfinite(own).all():
                 found.append(None)
                 continue
-            every = own[:, :1]
-            if derivatives:
-                every = np.repeat(own[:, :1], 1 + len(part.shown), axis=1)
-                every[:, [1 + k for k in moved]] = own[:, 1:]
-            found.append(part.observation.compare(every, h[part.shown] if derivatives else None))
+            # shapes of what is not free are those of the point itself
+            which = np.zeros(1 + len(part.shown), dtype=int)
+            which[[1 + k for k in moved]] = 1 + np.arange(len(moved))
+            which = which if derivatives else which[:1]
+            found.append(
+                part.observation.compare(
+                    own[:, which],
+                    h[part.shown] if derivatives else None,
+                    thickness[n * each + which],
+                    np.linalg.inv(along[np.ix_(part.shown, part.shown)]),
+                )
+            )
         return found
+
+    def _along(self, moved: NDArray[np.intp]) -> Array:
+        """[P, P] the direction in which each unknown's step goes, where these are moved."""
+        along, own = np.eye(len(self.prior.names)), [self.prior.names[k] for k in moved]
+        for k, u in zip(moved, (UNKNOWNS[name] for name in own), strict=True):
+            for name, share in u.steps_with:
+                if name in own:
+                    along[k, moved[own.index(name)]] = share
+        return along
 
     def compares(self, comparison: Comparisons) -> bool:
         """Whether a comparison is with all that there is here, not with an easier problem's."""

@@ -56,7 +56,7 @@ class RecordingFit:
     @classmethod
     def of(cls, part: Part, theta: Theta) -> RecordingFit:
         x = replay(part.scene, [theta])[:, 0]
-        whole, surface = chamfers(part.scene, x)
+        whole, surface = chamfers(part.scene, x, theta)
         return cls(
             name=part.name,
             scene=part.scene,
@@ -198,6 +198,7 @@ def table_rows(record: dict[str, Any]) -> list[tuple[str, str, str]]:
         ("damping", "damping", "s", ".2g"),
         ("friction", "friction", "", ".2f"),
         ("stiffness_slope", "d ln(E) / d(s/L)", "", ".2f"),
+        ("thickness", "diameter" if rope else "thickness", "m", ".4g"),
         ("density", "density", "kg/m^3", ".4g"),
     )
     rows = []
@@ -216,7 +217,7 @@ def table_rows(record: dict[str, Any]) -> list[tuple[str, str, str]]:
     return rows
 
 
-def chamfers(scene: Scene, x: Array) -> tuple[Array, Array]:
+def chamfers(scene: Scene, x: Array, theta: Theta) -> tuple[Array, Array]:
     """Chamfer distance a frame, to all of the object and to what the cameras could see [T] [m].
 
     What lies outside the recorded space (`Scene.floor`) cannot have points near it and does not
@@ -226,12 +227,13 @@ def chamfers(scene: Scene, x: Array) -> tuple[Array, Array]:
     Args:
         scene: What was recorded.
         x: [T, N, 3] positions at its frames [m].
+        theta: Of these, how thick the object is.
     """
     whole, surface = [], []
     cameras = scene.recording.camera_positions
     for t, here in zip(scene.frames, x, strict=True):
         cloud = scene.recording.frame(t).astype(float)
-        skin = scene.body.surface(here)
+        skin = scene.body_of(theta).surface(here)
         every = skin if scene.thin else here
         whole.append(chamfer(cloud, every, of_b=_inside(scene, every)))
         if scene.kind == "rope" or cameras is not None:
@@ -247,9 +249,14 @@ def _inside(scene: Scene, points: Array) -> NDArray[np.bool_]:
     return above if above.any() else np.ones(len(points), dtype=bool)
 
 
+def _bending_length(scene: Scene, theta: Theta) -> float:
+    """[m]."""
+    return scene.bending_length(theta.specific_modulus, theta.thickness)
+
+
 def bending_stiffness(scene: Scene, theta: Theta) -> float:
     """E I of a rope's section [N m^2], D of a cloth per width [N m]."""
-    E, h = theta.specific_modulus * scene.density, scene.body.thickness
+    E, h = theta.specific_modulus * scene.density_of(theta), theta.thickness * scene.body.thickness
     if scene.kind == "rope":
         return E * math.pi * h**4 / 64.0
     return E * h**3 / (12.0 * (1.0 - theta.nu**2))
@@ -281,10 +288,11 @@ def result_of(
         for part, own in zip(problem.parts, posterior.thetas, strict=True)
     )
     own = [
-        fit.record(*compared)
-        for fit, *compared in zip(fits, comparison.parts, found.noise, strict=True)
+        fit.record(compared, noise)
+        for fit, compared, noise in zip(fits, comparison.parts, found.noise, strict=True)
     ]
     described = scene.recording.object
+    thickness = theta.thickness * scene.body.thickness
     intervals, bounds, known = _ranges(problem, posterior)
     record: dict[str, Any] = {
         **own[0],
@@ -295,16 +303,17 @@ def result_of(
         ],
         "notes": list(dict.fromkeys(note for fit in fits for note in fit.scene.notes)),
         "format": FORMAT,
-        "youngs_modulus": theta.specific_modulus * scene.density,
+        "youngs_modulus": theta.specific_modulus * scene.density_of(theta),
         "poissons_ratio": theta.nu,
         "damping": theta.damping if "damping" in posterior.names else None,
         "friction": theta.friction if "friction" in posterior.names else None,
-        "density": scene.density,
+        "density": scene.density_of(theta),
         "density_assumed": described.mass is None,
         "specific_modulus": theta.specific_modulus,
-        "bending_length": scene.bending_length(theta.specific_modulus),
+        "bending_length": _bending_length(scene, theta),
         "bending_stiffness": bending_stiffness(scene, theta),
         "stiffness_slope": theta.stiffness_slope if "stiffness_slope" in posterior.names else None,
+        "thickness": thickness if "thickness" in posterior.names else None,
         "verdict": {"usable": verdict.usable, "reasons": list(verdict.reasons)},
         "intervals": {"level": settings.level, **intervals} if verdict.usable else None,
         "bounds": bounds,
@@ -322,15 +331,15 @@ def result_of(
             "length": described.length,
             "width": described.width,
             "height": described.height,
-            "diameter": scene.body.thickness if described.kind == "rope" else None,
-            "thickness": scene.body.thickness if described.kind == "cloth" else None,
+            "diameter": thickness if described.kind == "rope" else None,
+            "thickness": thickness if described.kind == "cloth" else None,
             "mass": described.mass,
         },
         "starts": [
             {
                 "initial": _named(problem, s.initial),
                 "final": _named(problem, s.vector),
-                "bending_length": scene.bending_length(problem.theta(s.vector).specific_modulus),
+                "bending_length": _bending_length(scene, problem.theta(s.vector)),
                 "loss": math.nan if s.comparison is None else s.comparison.rms,
                 "converged": bool(s.done),
             }
@@ -375,25 +384,34 @@ def _ranges(
     intervals: dict[str, list[float]] = {}
     bounds: dict[str, list[float]] = {}
     known: dict[str, bool] = {}
+    mass = scene.mass_power if scene.recording.object.mass is not None else 0
+    # of a known weight, bending stiffness goes with the square; else the weight grows, too
+    weight = 2 if mass else 2 + scene.mass_power
     for k, name in enumerate(posterior.names):
         u = UNKNOWNS[name]
         if not u.material:
             continue
         key = KEYS.get(name, name)
-        intervals[key] = list(posterior.interval(name, level))
+        unit = scene.body.thickness if name == "thickness" else 1.0
+        intervals[key] = [unit * end for end in posterior.interval(name, level)]
         bounds[key] = [
-            u.value(float(posterior.prior.low[k])),
-            u.value(float(posterior.prior.high[k])),
+            unit * u.value(float(posterior.prior.low[k])),
+            unit * u.value(float(posterior.prior.high[k])),
         ]
         known[key] = posterior.determined(name)
         if name != "specific_modulus":
             continue
-        share = bending_stiffness(scene, posterior.theta) / posterior.theta.specific_modulus
-        for ends in (intervals, bounds):
-            both = ends[key]
-            ends["youngs_modulus"] = [s * scene.density for s in both]
-            ends["bending_length"] = [scene.bending_length(s) for s in both]
-            ends["bending_stiffness"] = [s * share for s in both]
+        theta = posterior.theta
+        for of, value, thicker, power in (
+            # what goes with which powers of E / density and thickness
+            ("youngs_modulus", theta.specific_modulus * scene.density_of(theta), -mass, 1.0),
+            ("bending_length", _bending_length(scene, theta), 2.0, 1.0 / 3.0),
+            ("bending_stiffness", bending_stiffness(scene, theta), weight, 1.0),
+        ):
+            powers = {name: power, "thickness": power * thicker}
+            here = math.prod(getattr(theta, n) ** p for n, p in powers.items())
+            intervals[of] = [value / here * end for end in posterior.product(powers, level)]
+            bounds[of] = [value * (end / theta.specific_modulus) ** power for end in bounds[key]]
         known["youngs_modulus"] = known[key]
     for name in ("specific_modulus", "nu", "friction", "damping"):
         known.setdefault(KEYS[name], False)
@@ -406,7 +424,7 @@ def _named(problem: Problem, vector: Sequence[float] | Array) -> dict[str, float
     names = {prior.names[k] for k in prior.of(0)}
     found = {f.name: getattr(theta, f.name) for f in fields(theta) if f.name in names}
     return {
-        "youngs_modulus": theta.specific_modulus * problem.scene.density,
+        "youngs_modulus": theta.specific_modulus * problem.scene.density_of(theta),
         "specific_modulus": theta.specific_modulus,
         "poissons_ratio": theta.nu,
         "friction": theta.friction,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -151,9 +151,33 @@ class Scene:
         share = 4.0 if self.kind == "rope" else math.sqrt(12.0)
         return self.body.thickness / share
 
-    def bending_length(self, specific_modulus: float) -> float:
-        """[m]."""
-        return bending_length(specific_modulus, self.radius_of_gyration, STANDARD_GRAVITY)
+    def bending_length(self, specific_modulus: float, thickness: float = 1.0) -> float:
+        """[m], of an object so many times as thick as stated."""
+        k = thickness * self.radius_of_gyration
+        return bending_length(specific_modulus, k, STANDARD_GRAVITY)
+
+    @property
+    def mass_power(self) -> int:
+        """With which power of its thickness the object's volume goes."""
+        return 2 if self.kind == "rope" else 1
+
+    def density_of(self, theta: Theta) -> float:
+        """Of an object that is as thick as estimated; of a stated mass, where there is one
+        [kg/m^3]."""
+        if self.recording.object.mass is None:
+            return self.density
+        return self.density / theta.thickness**self.mass_power
+
+    def rise(self, theta: Theta) -> float:
+        """How much higher the middle of an object lies on its table than one as thick as stated
+        [m]."""
+        if self.recording.table_height is None or len(self.held) > 1:
+            return 0.0
+        return 0.5 * (theta.thickness - 1.0) * self.body.thickness
+
+    def body_of(self, theta: Theta) -> Body:
+        """As thick as estimated, to be shown; what is simulated is as thick as stated."""
+        return replace(self.body, thickness=theta.thickness * self.body.thickness)
 
     def specific_modulus(self, bending: float) -> float:
         """E / density [m^2/s^2] of an object with this bending length [m]."""

@@ -40,6 +40,9 @@ class Unknown:
     """Of differences."""
     widest: float
     """Of a search."""
+    steps_with: tuple[tuple[str, float], ...] = ()
+    """Unknowns that take so many of its steps, transformed, in a difference: what they make up for
+    must not be left to differences of large changes."""
     kinds: tuple[str, ...] = ("rope", "cloth")
     """Objects that have it."""
     material: bool = False
@@ -83,6 +86,13 @@ UNKNOWNS: dict[str, Unknown] = {
             "stiffness_slope", "d ln(E) / d(s / L)", "1", "how E varies along a rope",
             low=-3.0, high=3.0, mean=0.0, sd=1.0, step=0.05, widest=0.5, kinds=("rope",),
             material=True,
+        ),
+        # a ruler on a rope that gives way: half a millimetre of a centimetre
+        _unknown(
+            "thickness", "thickness / stated", "1",
+            "diameter of a rope, thickness of a cloth, over the stated one",
+            log=True, low=0.5, high=2.0, mean=1.0, sd=0.05, step=0.02, widest=0.1, material=True,
+            steps_with=(("specific_modulus", -2.0),),
         ),
         _unknown(
             "delay", "delay", "s", "how late clouds show the stated motion of the gripper",
@@ -130,6 +140,7 @@ class Theta:
     damping: float = 0.0045
     friction: float = 0.45
     stiffness_slope: float = 0.0
+    thickness: float = 1.0
     delay: float = 0.0
     grip_height: float = 0.0
     grip_along: float = 0.0
@@ -145,6 +156,8 @@ class Theta:
                 raise ParameterError(f"{field.name} must be a finite number, got {value}")
         if not -1.0 < self.nu < 0.5:
             raise ParameterError(f"nu must lie in (-1, 0.5), got {self.nu}")
+        if self.thickness <= 0.0:
+            raise ParameterError(f"thickness must be above 0, got {self.thickness}")
         for name in ("friction", "damping"):
             if getattr(self, name) < 0.0:
                 raise ParameterError(

@@ -144,7 +144,7 @@ def _faults(part: Part, comparison: Comparison, noise: NoiseModel, s: VerdictSet
     scene, observation = part.scene, part.observation
     density = None if scene.recording.object.mass is None else scene.density
     reasons = recording_faults(scene.recording, density, s)
-    rows = observation.rows(comparison.here)
+    rows = comparison.rows
     own = observation.counts.shape[1]
     real = observation.counts > 0.0
     away = np.abs(rows.rho[:, :own])[real]

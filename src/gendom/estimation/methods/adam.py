@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.errors import SimulationError
+from gendom.errors import ParameterError, SimulationError
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.estimation.replay import lattice, middle, simulator_of
@@ -153,6 +153,10 @@ class DensityLoss:
         settings = settings or AdamSettings()
         self.problem = problem
         self.part = problem.only()
+        if "thickness" in problem.prior.names:
+            raise ParameterError(
+                "compares objects as thick as stated", where="method adam", fix="use gauss-newton"
+            )
         scene = self.part.scene
         clouds = [scene.recording.frame(t).astype(float) for t in scene.frames]
         path = scene.recording.gripper_position.reshape(-1, 3)

@@ -20,6 +20,7 @@ _MATERIAL = {
     "damping": ("damping", "Damping"),
     "friction": ("friction", "Friction on the table"),
     "stiffness_slope": ("stiffness_slope", "d ln E / d(s / L)"),
+    "thickness": ("", "Thickness over the stated one"),
 }
 
 _RECORDING = {
@@ -98,8 +99,11 @@ def _chart(summary: EstimateSummary, posterior: Mapping[str, Any], k: int) -> st
 def _of_which(posterior: Mapping[str, Any], k: int) -> str:
     """Which recording an unknown is of, where there are several."""
     owners = posterior.get("recordings") or [None]
-    several = any(owner not in (None, 0) for owner in owners)
-    return f", recording {owners[k] + 1}" if several and owners[k] is not None else ""
+    several, owner = (
+        any(other not in (None, 0) for other in owners),
+        owners[min(k, len(owners) - 1)],
+    )
+    return f", recording {owner + 1}" if several and owner is not None else ""
 
 
 def _interval(
