@@ -83,6 +83,9 @@ class Command:
     kind may determine."""
     material: str | None = None
     """Its material, by a name of gendom materials: narrows the priors."""
+    camera_pose: Literal["stated", "unknown"] | None = None
+    """unknown: the cameras are not calibrated to the robot, and where they are is found, too; by
+    default as each recording says (cameras_calibrated, docs/recordings.md)."""
     engine: Literal["thin", "mpm"] = "thin"
     """Engine of the simulator. thin: ropes as rods, cloths as shells. mpm: material points,
     slower."""
@@ -127,6 +130,7 @@ class Command:
             starts=self.starts,
             unknowns=self.unknowns,
             frames=self.frames,
+            camera_pose=self.camera_pose,
             seed=self.seed,
             level=self.level,
             scene=SceneSettings(
@@ -261,7 +265,12 @@ class Command:
         words += ["--level", str(self.level), "--engine", self.engine]
         if self.unknowns:
             words += ["--unknowns", *self.unknowns]
-        optional = {"--material": self.material, "--points": self.points, "--clock": self.clock}
+        optional = {
+            "--camera-pose": self.camera_pose,
+            "--material": self.material,
+            "--points": self.points,
+            "--clock": self.clock,
+        }
         for flag, value in optional.items():
             words += [] if value is None else [flag, str(value)]
         words += ["--cells-across", str(self.cells_across), "--device", self.device]

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 import tyro
+from numpy.typing import NDArray
 
 from gendom.cli.arguments import iterations_shown, read_params
 from gendom.cli.outputs import tell_written
@@ -140,6 +142,7 @@ def replay_setup(
         settings = _settings(own, device, engine)
         kind = params["object"]["kind"]
         fitted = 1 + max(map(int, own["compared"])) if same else recording.num_frames
+        registration = (own.get("calibration") or {}).get("registration") if same else None
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(
             f"cannot be used: {type(error).__name__} {error}",
@@ -153,11 +156,15 @@ def replay_setup(
             fix="estimate from a recording of the same object",
         )
     # the object lies as it was taken to lie from the frames that were fitted
-    scene = Scene.of(recording.head(min(fitted, recording.num_frames)), settings)
-    notes = scene.notes
+    first = recording.head(min(fitted, recording.num_frames))
+    said: tuple[str, ...] = ()
     if not same:
-        theta, said = _found_anew(scene, theta)
-        notes += said
+        theta, said, registration = _found_anew(Scene.of(first, settings), theta)
+    if registration is not None:
+        registration = np.array(registration, dtype=float)
+        recording = recording.moved(registration)
+    scene = Scene.of(first, settings, registration)
+    notes = scene.notes + said
     return of_all_frames(replace(scene, notes=notes), recording), theta
 
 
@@ -203,8 +210,11 @@ def _settings(params: Mapping[str, Any], device: str, engine: str | None) -> Sce
     )
 
 
-def _found_anew(scene: Scene, theta: Theta) -> tuple[Theta, tuple[str, ...]]:
-    """Parameters for another recording of the same object, and what there is to say of them."""
+def _found_anew(
+    scene: Scene, theta: Theta
+) -> tuple[Theta, tuple[str, ...], NDArray[np.floating] | None]:
+    """Parameters for another recording of the same object, what there is to say of them, and its
+    `Scene.registration`."""
     from gendom.estimation import UNKNOWNS, EstimateSettings, estimate
 
     prior, base = scene.prior()
@@ -212,11 +222,11 @@ def _found_anew(scene: Scene, theta: Theta) -> tuple[Theta, tuple[str, ...]]:
     known = base.with_values(material)
     own = tuple(n for n in prior.names if not UNKNOWNS[n].material)
     if not own:
-        return known, ()
+        return known, (), None
     settings = EstimateSettings(unknowns=own, starts=1, scene=scene.settings)
     with iterations_shown() as show:
         found = estimate(scene.recording, settings, on_progress=show, known=known)
     listed = ", ".join(own).replace("_", " ")
     said = [f"found anew in this recording: {listed}"]
     said += [f"not as this recording shows it: {reason}" for reason in found.verdict.reasons]
-    return found.theta, tuple(said)
+    return found.theta, tuple(said), found.fits[0].scene.registration

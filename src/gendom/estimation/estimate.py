@@ -19,9 +19,9 @@ from gendom.estimation.problem import (
     Progress,
     recording_names,
 )
+from gendom.estimation.registration import register
 from gendom.estimation.result import Estimate, result_of
 from gendom.estimation.scene import Scene
-from gendom.estimation.scene_settings import SceneSettings
 from gendom.estimation.theta import Theta
 from gendom.estimation.verdict import judge
 
@@ -65,7 +65,7 @@ def estimate(
     if isinstance(recordings, Recording):
         recordings = [recordings]
     names = names or recording_names(len(recordings))
-    scenes = [_scene(r, settings.scene, n) for r, n in zip(recordings, names, strict=True)]
+    scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
     problem = Problem(scenes, settings, on_progress, known, names)
     found = METHODS[settings.method](problem)
     calibration = calibration or Calibration.of(problem.scene.kind)
@@ -104,10 +104,16 @@ def _alone(
     return posteriors
 
 
-def _scene(recording: Recording, settings: SceneSettings, name: str) -> Scene:
-    """Of a recording, which its faults name."""
+def _scene(
+    recording: Recording, settings: EstimateSettings, known: Theta | None, name: str
+) -> Scene:
+    """Of a recording, which its faults name; its clouds moved where cameras' poses are unknown."""
+    unknown = settings.camera_pose == "unknown"
+    if settings.camera_pose is None:
+        unknown = not recording.cameras_calibrated
     try:
-        return Scene.of(recording, settings)
+        registration = register(recording, settings, known) if unknown else None
+        return Scene.of(recording, settings.scene, registration)
     except RecordingError as error:
         where = ": ".join(filter(None, (name, error.where)))
         raise RecordingError(

@@ -46,6 +46,11 @@ class NoiseModel:
     """Of the cameras' calibration [m]."""
     turn: float = 0.01
     """Likewise [rad]."""
+    unknown_shift: float = 0.05
+    """The same of cameras with unknown poses [m]: what a tape measure and the eye leave, after a
+    coarse registration."""
+    unknown_turn: float = 0.1
+    """Likewise [rad]."""
     skin: float = 0.002
     """Of the distance of points from the true skin [m]: hairs, edges of pixels."""
     place_scale: float = 0.3
@@ -60,6 +65,10 @@ class NoiseModel:
     """Points of a frame that are compared, at most; four times as many of a cloth."""
     rounds: int = 3
     """How often points and places are paired anew in a registration."""
+
+    def of_unknown_cameras(self) -> NoiseModel:
+        """With the wide prior of cameras whose poses are unknown."""
+        return replace(self, shift=self.unknown_shift, turn=self.unknown_turn)
 
     @property
     def fixed(self) -> Array:

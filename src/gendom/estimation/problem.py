@@ -37,6 +37,9 @@ class EstimateSettings:
     """Names of `UNKNOWNS` that are looked for; by default what the recording may show."""
     frames: str = "all"
     """``all`` or ``last``: the frames that are compared."""
+    camera_pose: str | None = None
+    """``stated``: the cameras' errors are those of a calibration; ``unknown``: where they are has
+    to be found, too. None: as each recording says."""
     max_iterations: int = 25
     """Batches that a search may simulate."""
     seed: int = 0
@@ -51,6 +54,10 @@ class EstimateSettings:
             raise ParameterError(f"starts must be at least 1, got {self.starts}")
         if self.frames not in ("all", "last"):
             raise ParameterError(f"frames must be 'all' or 'last', got {self.frames!r}")
+        if self.camera_pose not in (None, "stated", "unknown"):
+            raise ParameterError(
+                f"is {self.camera_pose!r}", where="camera_pose", fix="give stated or unknown"
+            )
         if not 0.0 < self.level < 1.0:
             raise ParameterError(f"level must lie between 0 and 1, got {self.level}")
         if self.max_iterations < 2:
@@ -182,7 +189,7 @@ class Problem:
         self.settings = settings
         believed = [scene.prior(settings.unknowns) for scene in scenes]
         self.prior: Prior = joint_prior([prior for prior, _ in believed])
-        parts = []
+        parts, noise = [], settings.noise
         for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True)):
             if known is not None:
                 base = prior.theta(prior.mean, known)
@@ -191,7 +198,7 @@ class Problem:
                     scene=scene,
                     base=base,
                     shown=np.array([self.prior.index(n, k) for n in prior.names], dtype=np.intp),
-                    noise=settings.noise,
+                    noise=noise if scene.registration is None else noise.of_unknown_cameras(),
                     name=names[k],
                 )
             )

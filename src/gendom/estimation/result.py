@@ -83,9 +83,10 @@ class RecordingFit:
                 "shift": fit.a[-7:-4].tolist(),
                 "turn": fit.a[-4:-1].tolist(),
                 "skin": float(fit.a[-1]),
+                "registration": None if (T := scene.registration) is None else T.tolist(),
             },
             "compared": list(scene.frames),
-            "begins_with": scene.recording.begins_with,
+            "begins_with": scene.begins_with,
             "simulation": {
                 **asdict(scene.settings),
                 "points_simulated": len(scene.initial),

@@ -55,22 +55,46 @@ class Scene:
     """Recorded seconds for one simulated second."""
     density: float
     """That is simulated [kg/m^3]."""
+    begins_with: str = ""
+    """`Recording.begins_with`, before any registration."""
+    registration: Array | None = None
+    """[4, 4] by which the recording's clouds were moved [m]; None: cameras are where they say."""
     notes: tuple[str, ...] = field(default=())
     """What was assumed."""
 
     @classmethod
-    def of(cls, recording: Recording, settings: SceneSettings | None = None) -> Scene:
+    def of(
+        cls,
+        recording: Recording,
+        settings: SceneSettings | None = None,
+        registration: Array | None = None,
+    ) -> Scene:
         """The scene of a recording.
+
+        Args:
+            recording: What was recorded.
+            settings: How it is simulated.
+            registration: [4, 4] what brings clouds of cameras with unknown poses to the robot's
+                frame [m]; None: they are there.
 
         Raises:
             RecordingError: The recording shows too little to place the object.
             ParameterError: Settings do not fit it.
         """
         settings = settings or SceneSettings()
+        begins_with = recording.begins_with if recording.frame_valid.any() else ""
+        notes: list[str] = []
+        if registration is not None:
+            middle = recording.points.mean(axis=0, dtype=float)
+            shift = np.linalg.norm(registration[:3, :3] @ middle + registration[:3, 3] - middle)
+            turn = math.degrees(Rotation.from_matrix(registration[:3, :3]).magnitude())
+            recording = recording.moved(registration)
+            notes.append(
+                f"camera poses unknown: clouds moved by {1e3 * shift:.0f} mm and {turn:.1f} degrees"
+            )
         frames = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
         if not frames:
             raise RecordingError("no frame holds a point", where="points", fix="record again")
-        notes: list[str] = []
         placed = place(recording, settings, frames, notes)
         body = placed.body
         clock = _choose_clock(recording, settings)
@@ -95,6 +119,8 @@ class Scene:
             calm=calm,
             clock=clock,
             density=density,
+            begins_with=begins_with,
+            registration=registration,
             notes=tuple(notes),
         )
 
