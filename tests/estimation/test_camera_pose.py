@@ -52,7 +52,7 @@ def test_modulus_and_motion_come_back(rope_lift, lifted, uncalibrated, found):
     """E within its interval, which is hardly wider than with calibrated cameras; points to within
     what is known of the grip, several millimetres of 30 and more."""
     assert found.usable, found.verdict.reasons
-    low, high = found.interval("specific_modulus")
+    low, high = found.record["intervals"]["specific_modulus"]
     assert low < rope_lift.truth.specific_modulus < high < 1.5 * low
     lost = np.linalg.norm(uncalibrated.points - lifted.points, axis=1)
     left = np.linalg.norm(back(uncalibrated, found) - lifted.points, axis=1)

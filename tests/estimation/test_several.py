@@ -36,14 +36,14 @@ def together(lifts, settings):
 
 
 def width(found):
-    low, high = found.interval("specific_modulus")
+    low, high = found.record["intervals"]["specific_modulus"]
     return np.log(high / low)
 
 
 def test_two_lifts_tell_more_than_one(rope_lift, alone, together):
     """The interval is narrower than either one's, and holds the truth."""
     assert together.usable, together.verdict.reasons
-    low, high = together.interval("specific_modulus")
+    low, high = together.record["intervals"]["specific_modulus"]
     assert low < rope_lift.truth.specific_modulus < high
     assert all(found.usable for found in alone)
     # independent clouds: precisions add up
@@ -115,6 +115,7 @@ def test_what_one_recording_cannot_show_the_other_may(rope_lift, settings):
     k = problem.prior.names.index("damping")
     vector = problem.prior.vector(*problem.bases)
     comparison = problem.compare([vector])[0]
+    assert comparison is not None
     assert comparison.parts[0].J.shape[-1] == len(shown[0])
     # both are simulated with what is one
     vector[k] += 0.5

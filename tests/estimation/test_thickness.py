@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ def settings(rope_lift):
 def test_a_thicker_object_moves_as_one_of_that_thickness(rope_lift, weighed):
     """Bending, height on the table and weight are those of the rope that has it."""
     recording = rope_lift.at_rest(8)
-    mass = {} if weighed else {"mass": None}
+    mass: dict[str, Any] = {} if weighed else {"mass": None}
     right = Scene.of(stated(recording, **mass), rope_lift.settings)
     wrong = Scene.of(stated(recording, 1.0 / RATIO, **mass), rope_lift.settings)
     theta = rope_lift.truth
@@ -70,7 +71,7 @@ def test_exact_clouds_bring_the_diameter_back(rope_lift, thin_stated, settings):
     assert found.theta.specific_modulus == pytest.approx(modulus, rel=0.06)
     record = found.record
     assert record["thickness"] == record["object"]["diameter"] == pytest.approx(0.012, rel=0.02)
-    low, high = found.interval("thickness")
+    low, high = found.record["intervals"]["thickness"]
     assert low < record["thickness"] < high
     assert record["density"] == pytest.approx(1000.0, rel=0.05)
     assert record["youngs_modulus"] == pytest.approx(record["density"] * record["specific_modulus"])
@@ -93,19 +94,21 @@ def test_where_clouds_cannot_tell_the_interval_says_so(rope_lift, thin_stated, s
     )
 
     def width(estimated, key):
-        low, high = estimated.interval(key)
+        low, high = estimated.record["intervals"][key]
         return math.log(high / low)
 
     assert width(found, "specific_modulus") > 1.3 * width(without, "specific_modulus")
     assert width(found, "bending_stiffness") < 0.8 * width(found, "specific_modulus")
     truth = rope_lift.truth.specific_modulus * 1000.0 * math.pi * 0.012**4 / 64.0
-    low, high = found.interval("bending_stiffness")
+    low, high = found.record["intervals"]["bending_stiffness"]
     assert low < truth < high
-    low, high = found.interval("youngs_modulus")
+    low, high = found.record["intervals"]["youngs_modulus"]
     assert low < rope_lift.truth.specific_modulus * 1000.0 < high
     assert low < found.record["youngs_modulus"] < high
     # who believes the ruler is wrong, and sure of it
-    assert without.interval("youngs_modulus")[0] > rope_lift.truth.specific_modulus * 1000.0
+    assert (
+        without.record["intervals"]["youngs_modulus"][0] > rope_lift.truth.specific_modulus * 1000.0
+    )
     assert width(found, "youngs_modulus") > 1.3 * width(found, "specific_modulus")
 
 
@@ -115,6 +118,7 @@ def test_what_stiffness_makes_up_for_says_nothing_of_thickness(rope_lift):
     names = ("specific_modulus", "thickness")
     problem = Problem([scene], EstimateSettings(unknowns=names))
     (compared,) = problem.compare([problem.prior.vector(rope_lift.truth)])
+    assert compared is not None
     J = compared.parts[0].J
     fast = np.abs(J[..., 0]).max()
     assert np.abs(J[..., 1] - 2.0 * J[..., 0]).max() < 0.0065 < 0.05 * fast

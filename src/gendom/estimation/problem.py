@@ -241,7 +241,7 @@ class Problem:
         Raises:
             ParameterError: There are several.
         """
-        if len(self.parts) > 1:
+        if len(self.parts) != 1:
             raise ParameterError(
                 f"reads one recording, got {len(self.parts)}",
                 where=f"method {self.settings.method}",

@@ -81,7 +81,7 @@ def first_shift(recording: Recording) -> Array:
         RecordingError: The gripper never lifts the object.
     """
     T, size = np.eye(4), recording.object.size or 0.0
-    frames = np.flatnonzero(recording.frame_valid)
+    frames = [t for t in range(recording.num_frames) if recording.frame_valid[t]]
     rise = recording.gripper_position[:, :, 2].min(axis=1)
     lifted = [t for t in frames if rise[t] - rise[frames[0]] > LIFTED * size]
     if not lifted or recording.num_grippers > 1:

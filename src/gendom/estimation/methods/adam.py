@@ -280,10 +280,9 @@ class DensityLoss:
             s.iterations += 1
             if values[w] < s.value:
                 s.value, s.vector = values[w], d.vector
-                s.comparison = problem.joined(
-                    [self.part.observation.compare(x[:, w : w + 1], None)]
-                )
-                s.history.append((s.iterations, d.vector.copy(), s.comparison.rms))
+                compared = self.part.observation.compare(x[:, w : w + 1], None)
+                s.comparison = problem.joined([compared])
+                s.history.append((s.iterations, d.vector.copy(), compared.rms))
 
 
 def _slopes(problem: Problem, descents: Sequence[_Descent], gradients: Gradients) -> Array:
