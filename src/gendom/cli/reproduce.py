@@ -17,7 +17,7 @@ from gendom.installation import version
 from gendom.progress import bar
 
 if TYPE_CHECKING:
-    from gendom.evaluation.tables.sheets import Curves, Sheet
+    from gendom.evaluation.tables.sheets import Curves, Ranks, Sheet
 
 SCALES = {"small": (2, 1), "full": (5, 5)}
 """Objects, and starts of each, by scale of the table sim2sim."""
@@ -41,6 +41,15 @@ SIM2SIM = (
 )
 """Its rows: methods, and the frames that they see."""
 
+
+PAPERS_TABLE = "The paper's table, measured with this package, beside the paper's numbers."
+
+RANKS = (
+    "Random objects, each lifted once and estimated without calibration. Where posteriors are "
+    "right, the truth has any rank among their values as often as any other: bars end within the "
+    "band. Bars that are high on both sides mean posteriors that are too narrow, bars that are "
+    "high on one side a bias."
+)
 
 _log = logging.getLogger(__name__)
 
@@ -166,46 +175,76 @@ class Command:
         print(to_json(result) if self.json else "\n\n".join(tables))
         name = self._folder / f"{self.table}-{self.task}"
         write_json(name.with_suffix(".json"), result)
-        with atomic_path(name.with_suffix(".html")) as path:
-            path.write_text(self._page(shown, result["seconds"]), encoding="utf-8")
-        tell_written(name.with_suffix(".html"), json=self.json)
+        self._write_page(
+            name.with_suffix(".html"),
+            shown,
+            title=f"{self.table}, {self.task}",
+            about=PAPERS_TABLE,
+            flags=f"--task {self.task} --scale {self.scale} --engine {self.engine} "
+            f"--seed {self.seed} --device {self.device}",
+            seconds=result["seconds"],
+        )
         return 0
 
-    def _page(self, shown: Sequence[Sheet | Curves], seconds: float) -> str:
-        """The tables and curves as one HTML document."""
-        from gendom.evaluation.tables.sheets import Sheet
+    def _write_page(
+        self,
+        path: Path,
+        shown: Sequence[Sheet | Curves | Ranks],
+        *,
+        title: str,
+        about: str,
+        flags: str,
+        seconds: float,
+    ) -> None:
+        """Write tables, curves and ranks as one HTML document.
+
+        Args:
+            path: The file.
+            shown: In this order.
+            title: Of the page.
+            about: Below it; plain text.
+            flags: With which the table was made.
+            seconds: That it took [s].
+        """
+        from gendom.evaluation.tables.sheets import Curves, Sheet
         from gendom.viz.report import (
             Provenance,
             curves_section,
             provenance_section,
+            ranks_section,
             render_page,
             table_section,
         )
 
         made = Provenance(
-            commands=[
-                f"gendom reproduce {self.table} --task {self.task} --scale {self.scale} "
-                f"--engine {self.engine} --seed {self.seed} --device {self.device}"
-            ],
+            commands=[f"gendom reproduce {self.table} {flags}"],
             version=version(),
             stage_seconds={"all of it": seconds},
         )
-        sections = [
-            table_section(s.title, s.head, s.rows)
-            if isinstance(s, Sheet)
-            else curves_section(s.title, s.x, s.y, s.lines, log=s.log)
-            for s in shown
-        ]
-        opening = (
-            "<p>The paper's table, measured with this package, beside the paper's numbers.</p>"
-        )
-        title = f"{self.table}, {self.task}"
-        return render_page(title, opening, [*sections, provenance_section(made)])
+        sections = []
+        for s in shown:
+            if isinstance(s, Sheet):
+                sections.append(table_section(s.title, s.head, s.rows))
+            elif isinstance(s, Curves):
+                sections.append(curves_section(s.title, s.x, s.y, s.lines, log=s.log))
+            else:
+                sections.append(ranks_section(s.title, s.counts, s.band, s.band_label))
+        with atomic_path(path) as temporary:
+            page = render_page(title, f"<p>{about}</p>", [*sections, provenance_section(made)])
+            temporary.write_text(page, encoding="utf-8")
+        tell_written(path, json=self.json)
 
     def _coverage(self) -> int:
-        from gendom.evaluation.coverage import CoverageSettings, coverage, coverage_text, covered
+        from gendom.evaluation.coverage import (
+            CoverageSettings,
+            coverage,
+            coverage_sheets,
+            coverage_text,
+            covered,
+        )
 
         check_folder(self._folder)
+        began = time.monotonic()
         settings = CoverageSettings(
             kind=self.kind, end=self.end, lifts=self.lifts, seed=self.seed, jobs=self.jobs
         )
@@ -214,7 +253,16 @@ class Command:
         table = covered(rows, settings.level)
         result = {"table": self.table, **asdict(settings), "unknowns": [asdict(c) for c in table]}
         print(to_json(result) if self.json else coverage_text(rows, table))
-        write_json(self._folder / f"table-{self.kind}-{self.end}.json", {**result, "rows": rows})
+        name = self._folder / f"table-{self.kind}-{self.end}"
+        write_json(name.with_suffix(".json"), {**result, "rows": rows})
+        self._write_page(
+            name.with_suffix(".html"),
+            coverage_sheets(rows, table),
+            title=f"coverage, {self.kind}, {self.end}",
+            about=RANKS,
+            flags=f"--kind {self.kind} --end {self.end} --lifts {self.lifts} --seed {self.seed}",
+            seconds=time.monotonic() - began,
+        )
         return 0
 
     def _sim2sim(self) -> int:

@@ -1,4 +1,4 @@
-"""What tables of policies show: rows of text and curves, the paper's numbers beside ours."""
+"""What tables show: rows of text, curves and ranks, the paper's numbers beside ours."""
 
 from __future__ import annotations
 
@@ -74,6 +74,19 @@ class Curves:
     """Whether both axes are logarithmic."""
     lines: Mapping[str, tuple[Sequence[float], Sequence[float]]]
     """Places and values by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranks:
+    """A histogram of where truths lie in their posteriors."""
+
+    title: str
+    counts: tuple[int, ...]
+    """Of ranks in equal parts of 0 to 1."""
+    band: tuple[int, int]
+    """In which counts of uniform ranks lie."""
+    band_label: str
+    """What it says."""
 
 
 def simulated_sheet(title: str, rows: Mapping[str, Any], paper: Mapping[str, float]) -> Sheet:
