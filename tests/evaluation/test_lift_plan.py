@@ -10,7 +10,7 @@ import pytest
 from gendom.cli import main
 from gendom.cli.plan_lift import plan_text
 from gendom.errors import ParameterError, RobotError
-from gendom.estimation import EstimateSettings, SceneSettings, estimate
+from gendom.estimation import EstimateSettings, SceneSettings, estimate, replay
 from gendom.evaluation import lift_plan
 from gendom.evaluation.lift_plan import (
     SHOWN,
@@ -81,7 +81,6 @@ def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
 def test_other_lifts_are_of_the_same_objects(monkeypatch):
     """Parameters drawn for one lift are those for another, also where it has fewer unknowns."""
     truths = []
-    replay = lift_plan.replay
 
     def kept(scene, thetas, **settings):
         truths.append(thetas[0])
@@ -108,7 +107,7 @@ def test_a_material_narrows_what_is_believed():
 def foretold(end, carried_out, *sds):
     return Foreseen(
         motion=predefined_lift("rope", end),
-        sd=tuple(None if s is None else dict.fromkeys(SHOWN, s) for s in sds),
+        sd=tuple(None if s is None else {name: s for name in SHOWN} for s in sds),
         carried_out=carried_out,
         faults=(),
     )

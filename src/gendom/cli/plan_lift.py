@@ -144,7 +144,7 @@ class Command:
 def plan_text(plan: LiftPlan) -> str:
     """A plan for people."""
     from gendom.evaluation.lift_plan import rolls
-    from gendom.evaluation.tables.sheets import Sheet
+    from gendom.evaluation.sheet import Sheet
 
     level, drawn = plan.settings.level, plan.settings.draws
 

@@ -21,7 +21,7 @@ from scipy.stats import binom, norm
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.estimation import Calibration, EstimateSettings, SceneSettings, estimate
-from gendom.evaluation.tables.sheets import Ranks, Sheet
+from gendom.evaluation.sheet import Ranks, Sheet
 from gendom.files import write_json
 from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.materials.parameters import specific_modulus_of
@@ -164,7 +164,7 @@ def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
                 item, pictures, frame_rate=FRAME_RATE[settings.end], seed=seed, end=settings.end
             )
         _thinned(recording, CLOUD_POINTS[settings.kind], seed).write(path)
-    row: dict[str, Any] = {"seed": seed, "truth": _truth(item)}
+    row: dict[str, Any] = {"seed": seed, "truth": truth_of(item)}
     try:
         found = estimate(
             Recording.read(path, on_warning=lambda _: None),
@@ -199,7 +199,7 @@ def _thinned(recording: Recording, most: int, seed: int) -> Recording:
     )
 
 
-def _truth(item: RealObject) -> dict[str, float]:
+def truth_of(item: RealObject) -> dict[str, float]:
     """By names of `gendom.estimation.UNKNOWNS`; a cloth's E is that of a beam as stiff as it."""
     m = item.material
     wide = 1.0 if isinstance(item, RealRope) else 1.0 - m.nu**2

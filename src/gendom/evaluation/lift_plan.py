@@ -81,13 +81,12 @@ class ObjectClass:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ParameterError(f"is {self.kind!r}", where="kind", fix="give rope or cloth")
-        names = dict(zip(("size", "thickness"), KINDS[self.kind].sizes, strict=True))
-        for name in ("size", "thickness", "mass"):
-            ends = getattr(self, name)
+        ranges = (self.size, self.thickness, self.mass)
+        for where, ends in zip((*KINDS[self.kind].sizes, "mass"), ranges, strict=True):
             if ends is not None and not 0.0 < ends[0] <= ends[1] < math.inf:
                 raise ParameterError(
                     f"is {ends[0]:g} to {ends[1]:g}",
-                    where=names.get(name, name),
+                    where=where,
                     fix="give one number above 0, or the lower end and then the higher one",
                 )
         if self.material is not None and catalogue.get(self.material).kind != self.kind:
@@ -119,7 +118,8 @@ class ObjectClass:
         listed = None if self.material is None else catalogue.get(self.material)
         density = 1000.0 if listed is None else listed.density.typical
         kind = KINDS[self.kind]
-        made = kind(**dict(zip(kind.sizes, (size, thickness), strict=True)))
+        sizes: dict[str, Any] = dict(zip(kind.sizes, (size, thickness), strict=True))
+        made = kind(**sizes)
         if self.mass is not None:
             mass = self.mass[0] + shares[2] * (self.mass[1] - self.mass[0])
             density = made.material.density * mass / made.mass
@@ -422,7 +422,7 @@ def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recordin
         table_height=0.0,
         gripper_source="measured",
         quasi_static=trial.quasi_static,
-        camera_positions=np.array([c.T_world_camera[:3, 3] for c in lift_cameras(item)]),
+        camera_positions=np.array([c.position for c in lift_cameras(item)]),
         source="gendom.evaluation.lift_plan",
     )
 

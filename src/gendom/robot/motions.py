@@ -91,7 +91,7 @@ class LiftMotion:
                 where=str(path),
                 fix=fix,
             )
-        found = said.get("lift")
+        found: Any = said.get("lift")
         try:
             return cls(
                 kind=found["kind"],
