@@ -26,10 +26,7 @@ def way_down(step_time: float, height: float, acceleration: float) -> ClothSprea
 
     class WayDown(ClothSpreading):
         step_time = steps
-        highest = raised
-
-        def height(self, item, action):
-            return raised
+        height = raised
 
         def tool_path(self, item, action):
             path = super().tool_path(item, action)

@@ -12,6 +12,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
 from gendom.cli import main
+from gendom.evaluation.sheet import Curves
 from gendom.evaluation.tables import (
     RopeRealSettings,
     SimulatedSettings,
@@ -112,7 +113,7 @@ def test_ablation_has_all_rows_and_parameters_that_count_help(bench, monkeypatch
     lines = str(sheet)
     assert "inverse, both" in lines and "0.024" in lines and "20 goals" in lines
     assert "distal, 25" in str(fewer)
-    assert isinstance(curve_drawn, sheets.Curves)
+    assert isinstance(curve_drawn, Curves)
     x, y = curve_drawn.lines["distal"]
     assert x == [25.0, 400.0] and y[1] == error["distal, both"]
 
@@ -207,7 +208,7 @@ def test_real_ropes_have_all_rows_and_go_on(bench, monkeypatch):
     shown = sheets.rope_real_sheets(json.loads(json.dumps(result)))
     lines = "\n".join(map(str, shown[:-1]))
     after = shown[-1]
-    assert isinstance(after, sheets.Curves)
+    assert isinstance(after, Curves)
     assert after.lines["mean"][0] == [0, 1, 2]
     assert after.lines["mean"][1][0] == pytest.approx(1e3 * mean["polished"])
     assert "polished, 1 execution" in lines and "0.112" in lines

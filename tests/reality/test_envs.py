@@ -32,14 +32,12 @@ ALL = [
     "RopeCasting",
     "RopeCastingAtSpeed",
     "ClothSpreading",
-    "ClothSpreadingAtHeight",
 ]
 NUMBERS = {
     "RopeReaching": {"action": 2, "goal": 1},
     "RopeCasting": {"action": 1, "goal": 2},
     "RopeCastingAtSpeed": {"action": 2, "goal": 2},
     "ClothSpreading": {"action": 1},
-    "ClothSpreadingAtHeight": {"action": 2},
 }
 """How many numbers an action and a goal have."""
 

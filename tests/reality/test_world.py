@@ -170,7 +170,9 @@ def test_a_folded_cloth_lies_on_itself():
 
     def arc(t):
         turned = np.pi * np.clip((t - 0.05) / 0.6, 0.0, 1.0)
-        up = np.array([0.0, 0.0, 0.4 * np.linalg.norm(last - first) * np.sin(turned) + 0.001 * turned])
+        up = np.array(
+            [0.0, 0.0, 0.4 * np.linalg.norm(last - first) * np.sin(turned) + 0.001 * turned]
+        )
         return first + 0.4 * (1.0 - np.cos(turned)) * (last - first) + up
 
     world.follow(arc)

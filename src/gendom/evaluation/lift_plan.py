@@ -370,17 +370,17 @@ def foreseen(
     if not np.isfinite(x).all():
         return believed, None
     shown = _seen(scene, x, settings.noise.sensor, rng)
-    problem = Problem(replace(scene, recording=_showing(lying, scene.frames, shown)), settings)
+    problem = Problem([replace(scene, recording=_showing(lying, scene.frames, shown))], settings)
     comparison = problem.compare([truth])[0]
     if comparison is None:
         return believed, None
     start = Start(initial=truth, vector=truth, comparison=comparison)
-    noise = estimated_noise(comparison, settings.noise)
+    noise = estimated_noise(comparison, problem.first_noise())
     posterior = Posterior.calibrated(
         prior,
         truth,
         np.linalg.inv(problem.slopes(start, noise)[1]),
-        base,
+        problem.bases,
         Calibration.of(scene.kind),
     )
     # what such a recording does not show stays as it is believed

@@ -4,7 +4,6 @@
     gendom/RopeCasting-v0           way of the hand [m]          goal: the tip's highest point [m]
     gendom/RopeCastingAtSpeed-v0    and its speed [m/s]          the same
     gendom/ClothSpreading-v0        the paper's acceleration A   no goal but to be spread
-    gendom/ClothSpreadingAtHeight-v0  and the height [m]         the same
 
 and one for every task of other packages. Importing `gendom.reality` registers them;
 `gymnasium.make("gendom.reality:gendom/RopeReaching-v0")` does both. A step is one action carried

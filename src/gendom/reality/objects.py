@@ -1,7 +1,8 @@
 """The objects of the MuJoCo test scene (the second reality): three ropes and two cloths, these
 in two sizes.
 
-They carry the names of the paper's, whose cloths have sides of 0.2 m. Where their numbers come from:
+They carry the names of the paper's, whose cloths have sides of 0.2 m. Where their
+numbers come from:
 
 Ropes. E / density and nu are the paper's estimates for its three real ropes (table "real2sim":
 1779, 3276 and 8000 with nu 0.35, 0.346, 0.36), which hold for a rope 0.5 long under gravity 12,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gendom.errors import ParameterError
-from gendom.tasks.cloth_spreading import ClothSpreading, ClothSpreadingAtHeight
+from gendom.tasks.cloth_spreading import ClothSpreading
 from gendom.tasks.rope_casting import RopeCasting, RopeCastingAtSpeed
 from gendom.tasks.rope_reaching import RopeReaching
 from gendom.tasks.task import Observed, Quantity, Risk, Scene, Task
@@ -44,7 +44,6 @@ for _task in (
     RopeCasting,
     RopeCastingAtSpeed,
     ClothSpreading,
-    ClothSpreadingAtHeight,
 ):
     register(_task)
 
@@ -129,7 +128,6 @@ def rebuild(description: Mapping[str, Any]) -> Task:
 
 __all__ = [
     "ClothSpreading",
-    "ClothSpreadingAtHeight",
     "Observed",
     "Quantity",
     "Risk",

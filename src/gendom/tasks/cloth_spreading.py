@@ -12,9 +12,7 @@ all others are scaled to keep the height.
 
 The paper's height is 0.16 m for cloths of 0.2 m, 0.8 of the side; so it is here for every cloth.
 
-What opens a limp cloth is a way down that is about as quick as free fall: its skirt then stays
-behind and lands outside of what is held. `ClothSpreadingAtHeight` goes down as quickly as an arm
-can, and from higher, which leaves more way for that.
+No way down opens a limp cloth: see docs/tasks.md for what was measured.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from gendom.errors import ParameterError
-from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, size_of, thickness_of, unit_of
+from gendom.materials import Cloth, Item, Material, size_of, thickness_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
 from gendom.tasks.task import Array, Observed, Quantity, Risk, Scene, Task
 
@@ -59,22 +57,6 @@ LARGEST_A = 0.65
 STEP_TIME = 0.28
 """Of each step [sqrt(L / g)]: 40 ms for a side of 0.2 m. The paper gives none."""
 
-QUICK_STEP_TIME = 0.14
-"""The same of `ClothSpreadingAtHeight`: 20 ms for a side of 0.2 m."""
-
-ACCELERATION = 0.65
-"""Largest of its tool [g]: what an xArm 7 does there with a cloth of 0.2 m."""
-
-HIGHEST = 1.2
-"""It is raised by at most so much [sides]: a cloth of 0.3 m is then still within reach of an arm
-with one of 0.7 m."""
-
-SEARCHED_HEIGHTS = (HEIGHT, 1.0, HIGHEST)
-"""Among which the lowest is looked for from which it is spread."""
-
-SEARCHED_STEPS = tuple(round(0.13 * k, 2) for k in range(6))
-"""Values of A that are tried from each height."""
-
 RISE_SPEED = 0.14
 """At which a cloth is raised [sqrt(g L)]: 0.2 m/s for a side of 0.2 m."""
 
@@ -83,9 +65,9 @@ WAIT, SETTLE, AFTER = 3.0, 7.0, 7.0
 to rest [sqrt(L / g)]."""
 
 OFF_CENTRE = (0.015, 0.0065)
-"""How far beside its centre a cloth is held, along its sides [sides]: 3 mm for a side of 0.2 m, as hands
-err. Held exactly there it would hang symmetrically, which is unstable: rounding would decide how it
-folds."""
+"""How far beside its centre a cloth is held, along its sides [sides]: 3 mm for a side of 0.2 m, as
+hands err. Held exactly there it would hang symmetrically, which is unstable: rounding would decide
+how it folds."""
 
 FINGERS = 0.0125
 """Half the breadth of the fingers: how much of the centre they hold [m]."""
@@ -122,7 +104,8 @@ class ClothSpreading(Task):
     Action: A [-], the paper's acceleration, 0 to 0.65. There is no goal but to be spread: policies
     give the A for an object. `share` is how much of the cloth lies spread, smooth and free of
     wrinkles (see `spread_share`), `unspread` how much does not, `covered` how much of the table it
-    covers over its own area: the paper's extended ratio. An object's best A is the smallest that reaches a share of 0.75.
+    covers over its own area: the paper's extended ratio. An object's best A is the smallest that
+    reaches a share of 0.75.
     """
 
     name: ClassVar[str] = "cloth-spreading"
@@ -133,8 +116,8 @@ class ClothSpreading(Task):
     goals: ClassVar[tuple[Quantity, ...]] = ()
     risk: ClassVar[Risk | None] = Risk(name="unspread", unit="1", limit=1.0 - SPREAD)
     watches: ClassVar[str] = "all"
-    highest: ClassVar[float] = HEIGHT
-    """To which a cloth is raised at most [sides]; every rise takes as long."""
+    height: ClassVar[float] = HEIGHT
+    """To which a cloth is raised [sides]."""
     step_time: ClassVar[float] = STEP_TIME
     """Of each of the steps down [sqrt(L / g)]."""
 
@@ -152,16 +135,11 @@ class ClothSpreading(Task):
             self_contact=True,
         )
 
-    def height(self, item: Item, action: Array) -> float:
-        """How far an action raises the cloth [sides]."""
-        return HEIGHT
-
     def tool_path(self, item: Item, action: Array) -> TcpPath:
         side, second = size_of(item), unit_of("s", item)
         low = max(0.5 * thickness_of(item), LOWEST)
         down = np.concatenate([[0.0], np.cumsum(step_shares(float(action[0])))])
-        lifted = self.height(item, action)
-        raised = self.highest / RISE_SPEED
+        raised = self.height / RISE_SPEED
         begins = raised + SETTLE
         time = np.concatenate(
             [[-WAIT, 0.0, raised], begins + self.step_time * np.arange(STEPS + 1), [self.end]]
@@ -169,7 +147,7 @@ class ClothSpreading(Task):
         height = np.concatenate([[0.0, 0.0, 1.0], 1.0 - down, [0.0]])
         position = np.zeros((len(time), 3))
         position[:, :2] = side * (0.5 + np.array(OFF_CENTRE))
-        position[:, 2] = low + lifted * side * height
+        position[:, 2] = low + self.height * side * height
         return TcpPath(
             time=second * time,
             position=position,
@@ -181,7 +159,7 @@ class ClothSpreading(Task):
     @property
     def end(self) -> float:
         """When all is over [sqrt(L / g)]."""
-        return self.highest / RISE_SPEED + SETTLE + STEPS * self.step_time + AFTER
+        return self.height / RISE_SPEED + SETTLE + STEPS * self.step_time + AFTER
 
     def times(self, item: Item) -> Array:
         return unit_of("s", item) * np.array([self.end])
@@ -249,78 +227,6 @@ class ClothSpreading(Task):
         T = np.eye(4)
         T[:3, 3] = [START, -0.5 * size_of(item), 0.0]
         return T
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClothSpreadingAtHeight(ClothSpreading):
-    """Cloth spreading, as quick as an arm can, with the height as a second number of the action.
-
-    An object's best action is the lowest height from which two neighbouring values of A spread it,
-    and the smaller of these: what works once only, works by luck.
-    """
-
-    name: ClassVar[str] = "cloth-spreading-at-height"
-    actions: ClassVar[tuple[Quantity, ...]] = (
-        *ClothSpreading.actions,
-        Quantity(name="height", unit="m", meaning="to which the cloth is raised"),
-    )
-    highest: ClassVar[float] = HIGHEST
-    step_time: ClassVar[float] = QUICK_STEP_TIME
-
-    ranges: Mapping[str, tuple[float, float]] = field(
-        # bending lengths from 0.05 sides on
-        default_factory=lambda: RANGES | {"E": (100.0, RANGES["E"][1])}
-    )
-
-    def limits(self, item: Item) -> Array:
-        return np.array([[0.0, LARGEST_A], size_of(item) * np.array([HEIGHT, HIGHEST])])
-
-    def height(self, item: Item, action: Array) -> float:
-        return float(action[1]) / size_of(item)
-
-    def tool_path(self, item: Item, action: Array) -> TcpPath:
-        path = super().tool_path(item, action).gentle(ACCELERATION * STANDARD_GRAVITY)
-        return path.shifted(-path.moves)  # its first corner is rounded off from 0 on
-
-    def demonstrate(
-        self,
-        world: World,
-        items: Sequence[Item],
-        actions: Array,
-        *,
-        on_frame: Callable[[int], None] | None = None,
-    ) -> tuple[Array, list[Outcome]]:
-        """The lowest height, and the smallest A there, that spread each cloth reliably.
-
-        Where none does, the action that spreads it best, its neighbour included; `spreads` is then
-        0.
-        """
-        K = len(SEARCHED_STEPS)
-        chosen = np.empty((len(items), 2))
-        outcomes: list[Outcome | None] = [None] * len(items)
-        best = [-math.inf] * len(items)
-        waiting = list(range(len(items)))
-        for height in SEARCHED_HEIGHTS:
-            tried = [(w, A) for w in waiting for A in SEARCHED_STEPS]
-            wanted = np.array([[A, height * size_of(items[w])] for w, A in tried])
-            found = world.carry_out(self, [items[w] for w, _ in tried], wanted, on_frame=on_frame)
-            share = np.array([o.values.get("share", 0.0) for o in found]).reshape(-1, K)
-            again = []
-            for n, w in enumerate(waiting):
-                pairs = np.minimum(share[n, :-1], share[n, 1:])  # an action and its neighbour
-                works = bool((pairs >= SPREAD).any())
-                k = _first(pairs >= SPREAD) if works else int(np.argmax(pairs))
-                if not works:
-                    again.append(w)
-                if pairs[k] <= best[w]:
-                    continue
-                best[w], chosen[w], outcome = pairs[k], wanted[n * K + k], found[n * K + k]
-                values = {**outcome.values, "spreads": float(works)} if outcome.values else {}
-                outcomes[w] = replace(outcome, values=values)
-            waiting = again
-            if not waiting:
-                break
-        return chosen, [o for o in outcomes if o is not None]
 
 
 def _first(passed: np.ndarray) -> int:

@@ -8,6 +8,7 @@ import pytest
 from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import Simulator, Weave, cloth
+from gendom.sim.thin.shells import Shells
 from gendom.validation.shells import bending_energy, membrane_energy
 
 MATERIAL = Material(E=1.0e6, nu=0.0)
@@ -68,6 +69,7 @@ def test_a_sharp_bend_about_the_diagonal_is_no_shear(diagonal):
     s = Simulator(body, [limp], positions=x, gravity=(0, 0, 0), air_density=0.0, cfl=0.2)
     bending = bending_energy(s)
     assert membrane_energy(s) < 1e-6 * bending
+    assert isinstance(s.engine, Shells)
     mass, most = s.engine.mass[0], 0.0
     for t in np.linspace(0.002, 0.06, 30):
         s.run([t])
