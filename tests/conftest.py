@@ -38,9 +38,10 @@ class SimulatedLift:
     lowest: float
     """Of the gripper [m]."""
 
-    def recording(self, clouds, **changes) -> Recording:
-        """These clouds, seen while the gripper goes up."""
-        time = np.linspace(0.0, 2.0, len(clouds))
+    def recording(self, clouds, swing: float = 0.0, **changes) -> Recording:
+        """These clouds, seen while the gripper goes up and then jerks ``swing`` metres on."""
+        time = np.linspace(0.0, 2.8 if swing else 2.0, len(clouds))
+        onwards = swing * np.clip((time - 1.6) / 0.15, 0.0, 1.0)
         share = np.clip(time / 1.6, 0.0, 1.0)
         height = self.lowest + self.rise * (3.0 * share**2 - 2.0 * share**3)
         values = {
@@ -53,7 +54,7 @@ class SimulatedLift:
         return Recording.from_frames(
             clouds,
             time=time,
-            gripper_position=np.stack([0.0 * time, 0.0 * time, height], axis=1),
+            gripper_position=np.stack([onwards, 0.0 * time, height], axis=1),
             **{**values, **changes},
         )
 
@@ -61,7 +62,7 @@ class SimulatedLift:
         """The lift, its clouds as if the object had stayed on the table."""
         return self.recording([self.lying] * frames, **changes)
 
-    def seen(self, *, frames=12, points=120, noise=1e-3, seed=0, **truth) -> Recording:
+    def seen(self, *, frames=12, points=120, noise=1e-3, seed=0, swing=0.0, **truth) -> Recording:
         """The simulated lift, as the cameras see it.
 
         Args:
@@ -69,10 +70,11 @@ class SimulatedLift:
             points: Of each cloud.
             noise: Standard deviation of each coordinate [m].
             seed: Of points and noise.
+            swing: How far the gripper jerks at the end [m].
             truth: Changes to the parameters.
         """
         rng = np.random.default_rng(seed)
-        scene = Scene.of(self.at_rest(frames), self.settings)
+        scene = Scene.of(self.at_rest(frames, swing=swing), self.settings)
         scene = replace(scene, frames=tuple(range(frames)))  # not only those worth comparing
         clouds = []
         for x in replay(scene, [self.truth.with_values(truth)])[:, 0]:
@@ -81,7 +83,7 @@ class SimulatedLift:
                 skin = skin[visible(skin, camera_positions=CAMERAS)]
             skin = skin[rng.choice(len(skin), size=min(points, len(skin)), replace=False)]
             clouds.append(skin + noise * rng.normal(size=skin.shape))
-        return self.recording(clouds)
+        return self.recording(clouds, swing=swing)
 
 
 def filled(scene: Scene, x: np.ndarray) -> np.ndarray:

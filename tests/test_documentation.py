@@ -50,6 +50,7 @@ EXPENSIVE = {
     r"gendom bench( .*)?": "minutes of timing; tests/cli/test_main.py",
     r"gendom reproduce .*": "minutes to hours",
     r"gendom evaluate .*": "tests/policies/test_commands.py",
+    r"gendom plan-lift .*": "two minutes; tests/evaluation/test_lift_plan.py",
     r"gendom record .*": "needs OpenGL; tests/reality/test_recording.py",
     r"gendom validate( .*)?": "seconds to minutes a case; tests/validation has small ones",
     r"gendom dataset .*": "minutes; the tutorial makes a small one",
@@ -113,7 +114,9 @@ INLINE = sorted({code for page in PAGES for code in inline(page)})
 @cache
 def flags(name: str) -> frozenset[str]:
     fields = dataclasses.fields(import_module(cli.COMMANDS[name][0]).Command)
-    return frozenset({"--help", *(f"--{field.name.replace('_', '-')}" for field in fields)})
+    return frozenset(
+        {"--help", *(f"--{field.name.rstrip('_').replace('_', '-')}" for field in fields)}
+    )
 
 
 def gendom_words(command: str) -> list[str]:

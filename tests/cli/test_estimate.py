@@ -71,6 +71,43 @@ def test_a_good_lift(lift, tmp_path, capsys):
         assert cli.main(shlex.split(step)) == 0, step
 
 
+def test_two_lifts(rope_lift, lift, tmp_path, capsys):
+    """One estimate, with what each says by itself; its file is taken by what takes estimates."""
+    other, out, report = tmp_path / "other.npz", tmp_path / "out", tmp_path / "report.html"
+    rope_lift.seen(seed=1, grip_height=0.004).write(other)
+    words = ["estimate", str(lift), str(other), *QUICK, "--out", str(out), "--report", str(report)]
+    assert cli.main(words) == 0
+    printed = capsys.readouterr().out
+    lines = [line.split(maxsplit=1) for line in printed.splitlines()]
+    assert [line[1] for line in lines if line[0] == "recording"] == [str(lift), str(other)]
+    assert len(re.findall(r"^by itself +E / density [67]\d\d", printed, re.M)) == 2
+    page = report.read_text(encoding="utf-8")
+    assert f"The first of 2: {lift}." in page and "lift.npz, other.npz" in page
+    assert "Grip height, correction, recording 2" in page
+    steps = re.findall("<pre>gendom (.*)</pre>", page[page.index('id="what-to-try-next"') :])
+    assert [step.split()[0] for step in steps] == ["check", "replay", "act"]
+    for step in steps:
+        assert cli.main(shlex.split(step)) == 0, step
+    params = ["--params", str(out / "estimate.json")]
+    capsys.readouterr()
+    assert cli.main(["replay", str(other), *params, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    own = read_json(out / "estimate.json")["recordings"][1]
+    assert record["notes"] == [] and record["chamfer_mean"] == pytest.approx(own["chamfer_mean"])
+
+
+def test_no_recording_is_refused(capsys):
+    assert cli.main(["estimate", "--starts", "1"]) == 2
+    assert "RECORDING" in capsys.readouterr().err
+
+
+def test_objects_that_differ_are_refused(rope_lift, lift, tmp_path, capsys):
+    seen, path = rope_lift.seen(), tmp_path / "longer.npz"
+    replace(seen, object=replace(seen.object, length=0.3)).write(path)
+    assert cli.main(["estimate", str(lift), str(path), *QUICK]) == 2
+    assert f"longer.npz: length is 0.3, in {lift} 0.25" in capsys.readouterr().err
+
+
 def test_json_is_all_of_stdout(lift, tmp_path, capsys):
     words = ["estimate", str(lift), *QUICK, "--json", "--out", str(tmp_path)]
     words += ["--unknowns", "specific_modulus", "--level", "0.5"]

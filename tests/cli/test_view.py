@@ -63,7 +63,7 @@ def test_the_object_comes_first_and_then_its_distance(lift_model):
     x = replay(scene, [lift_model.theta])[:, 0]
     np.testing.assert_allclose(layers(before)["simulated"].vertices, scene.body.surface(x))
     assert before.curves == {}
-    np.testing.assert_allclose(after.curves[CHAMFER], 1e3 * chamfers(scene, x)[0])
+    np.testing.assert_allclose(after.curves[CHAMFER], 1e3 * chamfers(scene, x, lift_model.theta)[0])
     assert dict(after.facts)["bending length"].endswith(" mm")
 
 

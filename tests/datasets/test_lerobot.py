@@ -29,7 +29,7 @@ def quick(monkeypatch):
         rope = task.name == "rope-reaching"
         return [
             Outcome(
-                values={"x": 2.0 * a[0], "sideways": 0.01 * k} if rope else {"share": 0.8},
+                values={"x": 2.0 * a[0], "sideways": 0.01 * k} if rope else {"share": 0.8, "unspread": 0.2},
                 fault=None if k % 5 else "diverged",
             )
             for k, a in enumerate(np.asarray(actions))

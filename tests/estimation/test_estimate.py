@@ -27,9 +27,9 @@ KEYS = {
     "chamfer_last_surface", "chamfer_mean", "chamfer_mean_surface", "compared", "damping",
     "density", "density_assumed", "device", "format", "frames", "friction", "history",
     "identifiable", "interrupted", "intervals", "iterations", "method", "noise", "notes", "object",
-    "poissons_ratio", "posterior", "rms", "rms_by_frame", "rms_registered", "seconds", "seed",
-    "simulation", "specific_modulus", "starts", "stiffness_slope", "theta", "verdict",
-    "youngs_modulus",
+    "poissons_ratio", "posterior", "recordings", "rms", "rms_by_frame", "rms_registered", "seconds",
+    "seed", "simulation", "specific_modulus", "starts", "stiffness_slope", "theta", "thickness",
+    "verdict", "youngs_modulus",
 }  # fmt: skip
 
 
@@ -174,7 +174,7 @@ def test_chamfer_is_that_of_the_best_fit(lifted, result):
     record, scene = estimated.record, estimated.scene
     skin = scene.body.surface(estimated.positions[3])
     assert estimated.chamfer[3] == chamfer(lifted.frame(scene.frames[3]), skin)
-    whole, surface = chamfers(scene, estimated.positions)
+    whole, surface = chamfers(scene, estimated.positions, estimated.theta)
     assert np.array_equal(whole, estimated.chamfer)
     assert len(whole) == len(record["rms_by_frame"]) == len(record["compared"])
     assert record["chamfer_last"] == whole[-1]

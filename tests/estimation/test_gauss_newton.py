@@ -12,7 +12,7 @@ NAMES = ("specific_modulus", "grip_height", "delay")
 @pytest.fixture(scope="module")
 def problem(rope_lift):
     settings = EstimateSettings(starts=2, unknowns=NAMES, scene=rope_lift.settings)
-    return Problem(Scene.of(rope_lift.seen(), rope_lift.settings), settings)
+    return Problem([Scene.of(rope_lift.seen(), rope_lift.settings)], settings)
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +64,6 @@ def test_it_keeps_what_it_did(rope_lift, problem, found):
     chosen = stages[[s is found.best for s in found.starts].index(True)]
     assert chosen[-1] == "fine" and sorted(chosen) == chosen
     assert sum(set(names) == {"coarse"} for names in stages) == 1
-    assert found.noise.sensor == pytest.approx(1e-3, rel=0.2)
+    assert found.noise[0].sensor == pytest.approx(1e-3, rel=0.2)
     modulus = problem.theta(found.best.vector).specific_modulus
     assert modulus == pytest.approx(rope_lift.truth.specific_modulus, rel=0.05)

@@ -19,7 +19,7 @@ def posterior(sd=(0.1, 0.01), calibration=None):
     covariance[0, 1] = covariance[1, 0] = 0.5 * sd[0] * sd[1]
     mean = np.array([math.log(500.0), 0.44])
     calibration = calibration or Calibration.none()
-    return Posterior.calibrated(prior, mean, covariance, BASE, calibration)
+    return Posterior.calibrated(prior, mean, covariance, [BASE], calibration)
 
 
 def test_intervals_are_those_of_a_gaussian():
@@ -61,7 +61,7 @@ def test_calibration_widens_but_not_beyond_the_prior():
 
 def test_a_posterior_comes_back_from_its_record():
     known = posterior()
-    again = Posterior.from_dict(known.to_dict(), known.theta)
+    again = Posterior.from_dict(known.to_dict(), known.thetas)
     assert again.names == known.names and again.theta == known.theta
     assert np.array_equal(again.covariance, known.covariance)
     assert again.interval("nu", 0.5) == known.interval("nu", 0.5)

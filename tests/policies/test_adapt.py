@@ -10,6 +10,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Cloth, likeness, size_of
 from gendom.policies.adapt import AdaptSettings, Execution, adapt, executions_from
 from gendom.policies.belief import Belief, uncertain
+from gendom.policies.estimates import _posterior
 from gendom.policies.polish import polish
 from gendom.tasks import ClothSpreading
 from policies.ballistic import ROPE, TASK, Throws, reach_of
@@ -167,3 +168,22 @@ def test_belief_keeps_correlations_in_any_order():
 def test_broken_posteriors_are_refused(posterior):
     with pytest.raises(ParameterError):
         Belief.of(ROPE, posterior, known=KNOWN)
+
+
+def test_what_recordings_have_each_is_kept():
+    """Of an estimate from several recordings, whose own unknowns share a name."""
+    old = {
+        "names": ["specific_modulus", "grip_height", "grip_height"],
+        "recordings": [None, 0, 1],
+        "log": [True, False, False],
+        "mean": [math.log(900.0), 0.001, 0.002],
+        "prior_mean": [5.0, 0.0, 0.0],
+        "prior_sd": [4.0, 0.01, 0.01],
+        "low": [1.0, -0.1, -0.1],
+        "high": [9.0, 0.1, 0.1],
+        "covariance": np.diag([1e-2, 1e-6, 4e-6]).tolist(),
+    }
+    found = _posterior(old, Belief.of(ROPE, old, known=["nu", "damping", "friction"]))
+    assert found["names"] == old["names"] and found["recordings"] == old["recordings"]
+    assert found["mean"][1:] == [0.001, 0.002]
+    assert np.diag(found["covariance"]) == pytest.approx([1e-2, 1e-6, 4e-6])

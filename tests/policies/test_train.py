@@ -94,6 +94,29 @@ def test_risky_actions_are_avoided_and_what_they_reach_is_not_learnt(distal, tmp
     assert mean_error(careful) < 0.03
 
 
+def test_without_goals_only_what_succeeded_is_learnt(tmp_path):
+    """Soft objects need more of the action; a fifth failed, whatever was done."""
+    rng, count = np.random.default_rng(0), 400
+    E = rng.uniform(0.06, 0.16, count)
+    failed = rng.uniform(size=count) < 0.2
+    action, one = 0.6 - 3.0 * E, np.ones(count)
+    action[failed] = 0.65
+    d = Demonstrations(
+        task={"name": "cloth-spreading", **ClothSpreading().settings()},
+        action_names=("A",),
+        goal_names=(),
+        goal=np.empty((count, 0)),
+        action=action[:, None],
+        parameters={"E": E, "nu": 0.3 * one, "damping": one, "friction": one, "density": one},
+        risk=np.where(failed, 0.9, 0.1),
+    )
+    policy = train(d, tmp_path / "p.onnx", Training(epochs=100, method="inverse"))
+    assert policy.description.training["demonstrations"] == (~failed).sum()
+    at = np.linspace(0.07, 0.15, 5)
+    asked = policy.actions(np.empty((5, 0)), {"E": at})[:, 0]
+    assert asked == pytest.approx(0.6 - 3.0 * at, abs=0.02)
+
+
 @pytest.mark.slow
 def test_parameters_that_are_not_seen_are_missed(distal, tmp_path):
     blind = train(toy(1200), tmp_path / "none.onnx", Training(epochs=60, conditioned_on=()))

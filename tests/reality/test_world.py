@@ -162,6 +162,29 @@ def test_what_is_let_go_falls():
     assert world.vertices()[:, 2].max() < 1.5 * COTTON.diameter
 
 
+def test_a_folded_cloth_lies_on_itself():
+    """Its corner is carried over the opposite one, and let go."""
+    cloth = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), side=0.12, vertices=13)
+    world = Reality(cloth, lying(cloth), timestep=0.002)
+    first, last = world.vertices()[[0, -1]]
+
+    def arc(t):
+        turned = np.pi * np.clip((t - 0.05) / 0.6, 0.0, 1.0)
+        up = np.array([0.0, 0.0, 0.4 * np.linalg.norm(last - first) * np.sin(turned) + 0.001 * turned])
+        return first + 0.4 * (1.0 - np.cos(turned)) * (last - first) + up
+
+    world.follow(arc)
+    world.step_to(0.05)
+    world.attach(0.012)
+    world.step_to(0.7)
+    world.release()
+    world.step_to(1.2)
+    x = world.vertices()
+    across = (x - first) @ (last - first) / np.linalg.norm(last - first)
+    assert across[0] > 0.1 and across[-1] < 0.18  # it is still folded
+    assert x[0, 2] - x[-1, 2] > 0.8 * 2.0 * rest_height(cloth)
+
+
 def test_a_hand_that_closes_on_nothing_says_how_far_off_it_is():
     world = Reality(COTTON, lying())
     world.follow(lambda t: (0.35, 0.0, 0.108))

@@ -54,7 +54,8 @@ def test_beyond_the_paper_s_largest_no_step_goes_up_and_the_height_stays():
 def test_the_height_is_0_16_m_for_the_paper_s_cloths():
     position = TASK.tool_path(TASK.item, np.array([0.2])).position
     assert np.ptp(position[:, 2]) == pytest.approx(0.16)
-    assert position[0, :2] == pytest.approx([0.1, 0.1])
+    # beside the centre, as a hand errs: 3 mm and 1.3 mm
+    assert position[0, :2] == pytest.approx([0.103, 0.1013])
     assert position[-1, 2] == position[0, 2]
 
 
@@ -111,7 +112,7 @@ class Formula(Simulation):
             0.9 if a >= i.friction - 1e-9 else 0.2 + 0.1 * a
             for i, a in zip(items, np.ravel(actions), strict=True)
         ]
-        return [Outcome(values={"share": s, "covered": s}) for s in shares]
+        return [Outcome(values={"share": s, "unspread": 1.0 - s, "covered": s}) for s in shares]
 
 
 def test_the_smallest_A_that_spreads_is_found_with_few_trials():
@@ -138,7 +139,7 @@ class Reliable(Simulation):
             good = h >= 0.8 + item.material.nu - 1e-9 and item.friction - 1e-9 <= A
             lucky = h < 0.9 and abs(A - 0.13) < 1e-9
             shares.append(0.9 if good or lucky else 0.2 + 0.1 * h)
-        return [Outcome(values={"share": s, "covered": s}) for s in shares]
+        return [Outcome(values={"share": s, "unspread": 1.0 - s, "covered": s}) for s in shares]
 
 
 def test_the_lowest_height_and_the_smallest_A_that_spread_reliably_are_found():

@@ -38,6 +38,7 @@ COMMANDS = {
     "reproduce": ("gendom.cli.reproduce", "the paper's tables and the intervals' coverage"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
     "calibrate": ("gendom.cli.calibrate", "a camera's pose, from pictures of a board"),
+    "plan-lift": ("gendom.cli.plan_lift", "which lift shows an object's parameters best"),
     "record": ("gendom.cli.record", "a lift in the MuJoCo test scene, seen by depth cameras"),
     "perceive": ("gendom.cli.perceive", "from depth pictures to a recording"),
     "import": ("gendom.cli.import_", "from a ROS 2 bag, clouds or LeRobot to a recording"),

@@ -158,8 +158,7 @@ def trajectory(
     """The tool's motion in the robot's base frame, ready for JSON.
 
     Returns:
-        time [K] [s]; position [K][3] [m] and quat_xyzw [4] or [K][4] of the tool; events, when the
-        hand closes and opens; frame, and T_base_task [4][4], by which the task was placed.
+        As `TcpPath.to_dict`, and T_base_task [4][4], by which the task was placed.
     """
     T = task.T_world_task(item)
     if origin is not None:
@@ -170,16 +169,7 @@ def trajectory(
                 f"is {' '.join(f'{x:g}' for x in origin)} m", where="--origin", fix="give metres"
             )
         T[:3, 3] = origin
-    path = task.tool_path(item, action).moved(T)
-    times, position = path.sampled()
-    return {
-        "frame": "robot base, z up",
-        "T_base_task": T.tolist(),
-        "time": times.tolist(),
-        "position": position.tolist(),
-        "quat_xyzw": path.quat_xyzw.tolist(),
-        "events": [{"time": e.time, "closed": e.closed} for e in path.events],
-    }
+    return {"T_base_task": T.tolist(), **task.tool_path(item, action).moved(T).to_dict()}
 
 
 def foretold(task: Task, item: Item, action: np.ndarray, others: Sequence[Item]) -> dict[str, Any]:

@@ -155,7 +155,7 @@ class Command:
         write_json(self.out / "estimate.json", found.record)
         recording.write(self.out / "recording.npz")
         assert found.scene is not None and found.positions is not None
-        clouds = clouds_of(found.scene, found.positions, found.chamfer)
+        clouds = clouds_of(found.scene, found.positions, found.theta, found.chamfer)
         if not found.usable:
             for reason in found.verdict.reasons:
                 _log.error("not usable: %s", reason)

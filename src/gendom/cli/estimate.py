@@ -1,4 +1,4 @@
-"""`gendom estimate`: an object's parameters from one recording."""
+"""`gendom estimate`: an object's parameters from one or more recordings."""
 
 from __future__ import annotations
 
@@ -43,7 +43,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Estimate an object's parameters from one recording: E / density and what else it determines.
+    """Estimate an object's parameters from recordings: E / density and what else they determine.
+
+    Several recordings are of one object: its material is the same in all of them, how it is held
+    and when it moves is each one's own. If one of them cannot be used, the estimate is not usable,
+    and the reason names it.
 
     Ctrl-C ends the search and keeps the best found so far. Exit code 3: the recording cannot be
     used, for the reasons that are printed; no intervals are given then.
@@ -54,6 +58,10 @@ class Command:
     recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
     """A gendom-recording/1 file (.npz), or a folder: clouds (.ply, .pcd, .npz), gripper.csv and
     object.toml (docs/data.md)."""
+    more: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[RECORDING ...]")
+    ] = ()
+    """More recordings of the same object."""
     out: Path | None = None
     """Folder for estimate.json."""
     report: Path | None = None
@@ -75,6 +83,9 @@ class Command:
     kind may determine."""
     material: str | None = None
     """Its material, by a name of gendom materials: narrows the priors."""
+    camera_pose: Literal["stated", "unknown"] | None = None
+    """unknown: the cameras are not calibrated to the robot, and where they are is found, too; by
+    default as each recording says (cameras_calibrated, docs/recordings.md)."""
     engine: Literal["thin", "mpm"] = "thin"
     """Engine of the simulator. thin: ropes as rods, cloths as shells. mpm: material points,
     slower."""
@@ -94,10 +105,11 @@ class Command:
         settings = self.settings()
         self._check_places()
         open_device(self.device)
-        recording = Recording.read(self.recording)
+        recordings = [Recording.read(path) for path in self.recordings]
+        names = tuple(map(str, self.recordings)) if len(recordings) > 1 else ()
         try:
             with iterations_shown() as show:
-                found = estimate(recording, settings, on_progress=show)
+                found = estimate(recordings, settings, names=names, on_progress=show)
         except (RecordingError, SimulationError) as error:
             return self._refused(str(error).splitlines())
         print(to_json(found.record) if self.json else estimate_text(found))
@@ -118,6 +130,7 @@ class Command:
             starts=self.starts,
             unknowns=self.unknowns,
             frames=self.frames,
+            camera_pose=self.camera_pose,
             seed=self.seed,
             level=self.level,
             scene=SceneSettings(
@@ -158,17 +171,20 @@ class Command:
         from gendom.cli.pictures import clouds_of, summary_of, view_of
         from gendom.viz.report import LiftPictures, ReportContent, write_report
 
-        assert self.report is not None and found.scene is not None and found.positions is not None
-        record, recording = found.record, found.scene.recording
+        assert self.report is not None and found.fits
+        record, first = found.record, found.fits[0]
+        recording = first.scene.recording
+        note = "" if len(found.fits) == 1 else f"The first of {len(found.fits)}: {first.name}."
         write_report(
             self.report,
             ReportContent(
-                title=f"GenDOM: the parameters of a {found.scene.kind}",
+                title=f"GenDOM: the parameters of a {first.scene.kind}",
                 summary=REPORT_SUMMARY if found.usable else NOT_USABLE_SUMMARY,
-                recording_source=_sentences(self.recording.name, recording.source, recording.notes),
+                recording_source=_sentences(self._named, recording.source, recording.notes),
                 lift=LiftPictures(
-                    clouds=clouds_of(found.scene, found.positions, found.chamfer),
-                    view=view_of(found.scene),
+                    clouds=clouds_of(first.scene, first.positions, first.theta, first.chamfer),
+                    view=view_of(first.scene),
+                    note=note,
                 ),
                 estimate=summary_of(found),
                 provenance=self._provenance({"estimate": record["seconds"]}, record["notes"]),
@@ -186,7 +202,7 @@ class Command:
             ReportContent(
                 title="GenDOM: a recording that cannot be used",
                 summary="Nothing was estimated from this recording, for the reasons above.",
-                recording_source=_sentences(self.recording.name),
+                recording_source=_sentences(self._named),
                 refused=reasons,
                 provenance=self._provenance({}, []),
                 next_steps=self._next_steps(None),
@@ -211,7 +227,7 @@ class Command:
         """Commands that go on from what was written."""
         from gendom.viz.report import NextStep
 
-        words = ["gendom", "check", self.recording]
+        words = ["gendom", "check", self.recordings[0]]
         steps = [NextStep(command=_shell(words), purpose="See what the recording holds.")]
         if found is None or self.report is None:
             return steps
@@ -220,7 +236,7 @@ class Command:
             purpose = "Write the estimate to a file, which other commands take."
             return [*steps, NextStep(command=_shell(words), purpose=purpose)]
         params = ["--params", self.out / "estimate.json"]
-        words = ["gendom", "replay", self.recording, *params, "--gif", self.out / "replay.gif"]
+        words = ["gendom", "replay", self.recordings[0], *params, "--gif", self.out / "replay.gif"]
         words += [] if found.usable else ["--force"]
         purpose = "Simulate the recorded motion, every frame of it, with the estimate."
         steps.append(NextStep(command=_shell(words), purpose=purpose))
@@ -233,14 +249,28 @@ class Command:
             steps.append(NextStep(command=_shell(words), purpose=purpose))
         return steps
 
+    @property
+    def recordings(self) -> tuple[Path, ...]:
+        """All of them."""
+        return self.recording, *self.more
+
+    @property
+    def _named(self) -> str:
+        return ", ".join(path.name for path in self.recordings)
+
     def _command_line(self) -> str:
         """The words that give the same estimate again."""
-        words = ["gendom", "estimate", str(self.recording), "--method", self.method]
+        words = ["gendom", "estimate", *map(str, self.recordings), "--method", self.method]
         words += ["--frames", self.frames, "--starts", str(self.starts), "--seed", str(self.seed)]
         words += ["--level", str(self.level), "--engine", self.engine]
         if self.unknowns:
             words += ["--unknowns", *self.unknowns]
-        optional = {"--material": self.material, "--points": self.points, "--clock": self.clock}
+        optional = {
+            "--camera-pose": self.camera_pose,
+            "--material": self.material,
+            "--points": self.points,
+            "--clock": self.clock,
+        }
         for flag, value in optional.items():
             words += [] if value is None else [flag, str(value)]
         words += ["--cells-across", str(self.cells_across), "--device", self.device]
@@ -271,18 +301,27 @@ def estimate_text(found: Estimate) -> str:
     record = found.record
     rows = [("verdict", "usable" if found.usable else "not usable")]
     rows += [(name, ", ".join(filter(None, (value, said)))) for name, value, said in found.rows()]
+    for own in record["recordings"]:
+        if own["name"]:
+            rows.append(("recording", own["name"]))
+        if own["name"] and own["alone"] is not None:
+            alone, ends = own["alone"]["specific_modulus"], own["alone"]["interval"]
+            said = f"E / density {alone:.4g} m^2/s^2, in [{ends[0]:.4g}, {ends[1]:.4g}]"
+            rows.append(("by itself", said))
+        rows += [
+            (
+                "distance",
+                f"of the clouds from the best fit {1e3 * own['rms']:.1f} mm (root mean square)",
+            ),
+            (
+                "Chamfer",
+                f"last frame {1e3 * own['chamfer_last']:.1f} mm, mean "
+                f"{1e3 * own['chamfer_mean']:.1f} mm; seen surface "
+                f"{1e3 * own['chamfer_last_surface']:.1f} and "
+                f"{1e3 * own['chamfer_mean_surface']:.1f} mm",
+            ),
+        ]
     rows += [
-        (
-            "distance",
-            f"of the clouds from the best fit {1e3 * record['rms']:.1f} mm (root mean square)",
-        ),
-        (
-            "Chamfer",
-            f"last frame {1e3 * record['chamfer_last']:.1f} mm, mean "
-            f"{1e3 * record['chamfer_mean']:.1f} mm; seen surface "
-            f"{1e3 * record['chamfer_last_surface']:.1f} and "
-            f"{1e3 * record['chamfer_mean_surface']:.1f} mm",
-        ),
         (
             "search",
             f"{record['method']}, {record['iterations']} iterations, {record['seconds']:.1f} s, "

@@ -102,7 +102,7 @@ def _flags(command: type) -> list[str]:
     (positional,) = tyro.conf.Positional[int].__metadata__  # pyright: ignore[reportAttributeAccessIssue]
     hints = get_type_hints(command, include_extras=True)
     named = [
-        field.name
+        field.name.rstrip("_")  # a flag may be a word of Python's
         for field in fields(command)
         if not any(mark is positional for mark in getattr(hints[field.name], "__metadata__", ()))
     ]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gendom.materials import thickness_of
 
 if TYPE_CHECKING:
-    from gendom.estimation import Estimate, Scene
+    from gendom.estimation import Estimate, Scene, Theta
     from gendom.reality import RealRope
     from gendom.reality.trials import Performance
     from gendom.tasks import Observed
@@ -20,13 +20,17 @@ if TYPE_CHECKING:
 
 
 def clouds_of(
-    scene: Scene, x: NDArray[np.floating], chamfer: NDArray[np.floating] | None
+    scene: Scene,
+    x: NDArray[np.floating],
+    theta: Theta,
+    chamfer: NDArray[np.floating] | None,
 ) -> CloudSequence:
     """Recorded clouds and simulated skins.
 
     Args:
         scene: What was recorded.
         x: [T, N, 3] positions at its frames [m].
+        theta: With which these were simulated.
         chamfer: [T] distance of both [m].
     """
     from gendom.viz import CloudSequence
@@ -34,7 +38,7 @@ def clouds_of(
     recording, frames = scene.recording, list(scene.frames)
     return CloudSequence(
         recorded=recording.frames(frames),
-        simulated=list(scene.body.surface(x)),
+        simulated=list(scene.body_of(theta).surface(x)),
         times=recording.time[frames],
         table_height=recording.table_height,
         gripper=recording.gripper_position[frames],

@@ -29,8 +29,10 @@ class Command:
     """DIR to write; must not hold a recording."""
     rise: float | None = None
     """How high to lift in metres; by default 0.75 of a rope's length or a cloth's side."""
-    end: Literal["hold", "swing", "drop"] = "hold"
-    """At the top: hold it still, swing it by one quick move, or let it drop."""
+    end: Literal["hold", "swing", "drop"] | None = None
+    """At the top: hold it still (the default), swing it by one quick move, or let it drop."""
+    motion: Path | None = None
+    """A motion.json of gendom plan-lift, in place of --rise and --end."""
     frame_rate: float = 30.0
     """Frames a second."""
     no_noise: bool = False
@@ -52,8 +54,10 @@ class Command:
             find_object,
             lift,
             lift_cameras,
+            lifted_by,
             record,
         )
+        from gendom.robot import LiftMotion
 
         if not 0.0 < self.frame_rate <= 90.0:
             raise ParameterError(
@@ -61,7 +65,16 @@ class Command:
             )
         check_folder(self.out)
         item = find_object(self.reality)
-        trial = lift(item, rise=self.rise, end=self.end)
+        if self.motion is None:
+            trial = lift(item, rise=self.rise, end=self.end or "hold")
+        elif self.rise is None and self.end is None:
+            trial = lifted_by(item, LiftMotion.read(self.motion))
+        else:
+            raise ParameterError(
+                "says how high and with which end",
+                where="--motion",
+                fix="leave out --rise and --end",
+            )
         performance = Performance(trial, cameras=lift_cameras(item))
         performance.step_to(performance.closes)
         seconds = performance.end - performance.closes

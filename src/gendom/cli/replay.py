@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 import tyro
+from numpy.typing import NDArray
 
 from gendom.cli.arguments import iterations_shown, read_params
 from gendom.cli.outputs import tell_written
@@ -70,7 +72,7 @@ class Command:
         frames = list(scene.frames)
         with bar("replaying", len(frames), "frame", even=True) as show:
             x = replay(scene, [theta], on_frame=show)[:, 0]
-        whole, surface = chamfers(scene, x)
+        whole, surface = chamfers(scene, x, theta)
         record: dict[str, Any] = {
             "format": "gendom-replay/1",
             "recording": str(self.recording),
@@ -101,7 +103,7 @@ class Command:
         if self.gif is not None:
             from gendom.viz import write_gif
 
-            write_gif(self.gif, clouds_of(scene, x, whole), view=view_of(scene))
+            write_gif(self.gif, clouds_of(scene, x, theta, whole), view=view_of(scene))
             tell_written(self.gif, json=self.json)
         return 0
 
@@ -133,11 +135,14 @@ def replay_setup(
     from gendom.estimation import Scene
 
     try:
-        theta = _theta(params)
-        settings = _settings(params, device, engine)
+        own = of_recording(params, recording)
+        same = own is not None and "theta" in own
+        own = own or params
+        theta = _theta(params, own)
+        settings = _settings(own, device, engine)
         kind = params["object"]["kind"]
-        same = params.get("begins_with") == recording.begins_with and "theta" in params
-        fitted = 1 + max(map(int, params["compared"])) if same else recording.num_frames
+        fitted = 1 + max(map(int, own["compared"])) if same else recording.num_frames
+        registration = (own.get("calibration") or {}).get("registration") if same else None
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(
             f"cannot be used: {type(error).__name__} {error}",
@@ -151,12 +156,25 @@ def replay_setup(
             fix="estimate from a recording of the same object",
         )
     # the object lies as it was taken to lie from the frames that were fitted
-    scene = Scene.of(recording.head(min(fitted, recording.num_frames)), settings)
-    notes = scene.notes
+    first = recording.head(min(fitted, recording.num_frames))
+    said: tuple[str, ...] = ()
     if not same:
-        theta, said = _found_anew(scene, theta)
-        notes += said
+        theta, said, registration = _found_anew(Scene.of(first, settings), theta)
+    if registration is not None:
+        registration = np.array(registration, dtype=float)
+        recording = recording.moved(registration)
+    scene = Scene.of(first, settings, registration)
+    notes = scene.notes + said
     return of_all_frames(replace(scene, notes=notes), recording), theta
+
+
+def of_recording(params: Mapping[str, Any], recording: Recording) -> Mapping[str, Any] | None:
+    """What an estimate says of a recording alone; None where it is of others."""
+    # files of older versions are of one
+    for own in params.get("recordings", [params]):
+        if own.get("begins_with") == recording.begins_with:
+            return own
+    return None
 
 
 def of_all_frames(scene: Scene, recording: Recording) -> Scene:
@@ -165,13 +183,15 @@ def of_all_frames(scene: Scene, recording: Recording) -> Scene:
     return replace(scene, recording=recording, frames=every)
 
 
-def _theta(params: Mapping[str, Any]) -> Theta:
+def _theta(params: Mapping[str, Any], own: Mapping[str, Any]) -> Theta:
+    """An estimate's material, and how one of its recordings was held and when."""
     from gendom.estimation import Theta
     from gendom.estimation.result import KEYS
 
     values = params.get("theta")
     if values is None:  # older versions' files
         values = {name: params[key] for name, key in KEYS.items() if params.get(key) is not None}
+    values = {**values, **(own.get("theta") or {})}
     return Theta(**{name: float(value) for name, value in values.items()})
 
 
@@ -190,8 +210,11 @@ def _settings(params: Mapping[str, Any], device: str, engine: str | None) -> Sce
     )
 
 
-def _found_anew(scene: Scene, theta: Theta) -> tuple[Theta, tuple[str, ...]]:
-    """Parameters for another recording of the same object, and what there is to say of them."""
+def _found_anew(
+    scene: Scene, theta: Theta
+) -> tuple[Theta, tuple[str, ...], NDArray[np.floating] | None]:
+    """Parameters for another recording of the same object, what there is to say of them, and its
+    `Scene.registration`."""
     from gendom.estimation import UNKNOWNS, EstimateSettings, estimate
 
     prior, base = scene.prior()
@@ -199,11 +222,11 @@ def _found_anew(scene: Scene, theta: Theta) -> tuple[Theta, tuple[str, ...]]:
     known = base.with_values(material)
     own = tuple(n for n in prior.names if not UNKNOWNS[n].material)
     if not own:
-        return known, ()
+        return known, (), None
     settings = EstimateSettings(unknowns=own, starts=1, scene=scene.settings)
     with iterations_shown() as show:
         found = estimate(scene.recording, settings, on_progress=show, known=known)
     listed = ", ".join(own).replace("_", " ")
     said = [f"found anew in this recording: {listed}"]
     said += [f"not as this recording shows it: {reason}" for reason in found.verdict.reasons]
-    return found.theta, tuple(said)
+    return found.theta, tuple(said), found.fits[0].scene.registration

@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
@@ -17,7 +17,7 @@ from gendom.installation import version
 from gendom.progress import bar
 
 if TYPE_CHECKING:
-    from gendom.evaluation.tables.sheets import Curves, Sheet
+    from gendom.evaluation.sheet import Curves, Ranks, Sheet
 
 SCALES = {"small": (2, 1), "full": (5, 5)}
 """Objects, and starts of each, by scale of the table sim2sim."""
@@ -30,6 +30,9 @@ ROPE_REAL = {"small": (2, 4_000, 20, 60, 1), "full": (24, 40_000, 100, 150, 5)}
 """Goals of each rope, demonstrations, real ones of each rope, epochs and executions of the table
 rope-real."""
 
+REAL2SIM = {"small": (1, 12), "full": (3, 25)}
+"""Starts and iterations of the table real2sim."""
+
 PAPER_DEMONSTRATIONS = 2_271
 
 SIM2SIM = (
@@ -41,6 +44,15 @@ SIM2SIM = (
 )
 """Its rows: methods, and the frames that they see."""
 
+
+PAPERS_TABLE = "The paper's table, measured with this package, beside the paper's numbers."
+
+RANKS = (
+    "Random objects, each lifted once and estimated without calibration. Where posteriors are "
+    "right, the truth has any rank among their values as often as any other: bars end within the "
+    "band. Bars that are high on both sides mean posteriors that are too narrow, bars that are "
+    "high on one side a bias."
+)
 
 _log = logging.getLogger(__name__)
 
@@ -55,6 +67,8 @@ class Command:
     generalization: the default policy and R2S2R on the paper's three ropes and on softer ones.
     rope-real: three ropes of the MuJoCo test scene (the second reality), each lifted once;
     policies, baselines, polished and adapted actions, carried out by the arm.
+    real2sim: those ropes and two cloths, each lifted once and estimated by every method; Chamfer
+    distances beside the paper's.
     coverage: random objects of that scene are lifted, recorded and estimated: errors, share of
     intervals that hold the truth, refused lifts. A lift takes about a minute on a core.
     Results in --out are kept, so an interrupted table continues. Tables of policies need the extra
@@ -64,7 +78,7 @@ class Command:
     """
 
     table: tyro.conf.Positional[
-        Literal["sim2sim", "ablation", "generalization", "rope-real", "coverage"]
+        Literal["sim2sim", "real2sim", "ablation", "generalization", "rope-real", "coverage"]
     ]
     """Which table."""
     scale: Literal["small", "full"] = "small"
@@ -72,9 +86,12 @@ class Command:
     task: Literal["rope-reaching", "rope-casting"] = "rope-reaching"
     """Task of tables of policies."""
     method: tuple[Literal["gauss-newton", "adam", "differential-evolution", "pointnet"], ...] = ()
-    """Of sim2sim: only rows of these methods; by default all but differential-evolution."""
+    """Of sim2sim and real2sim: only rows of these methods; by default all, but of sim2sim not
+    differential-evolution."""
+    objects: tuple[str, ...] = ()
+    """Of real2sim: only these, names as gendom record --reality takes them."""
     engine: Literal["thin", "mpm"] = "thin"
-    """Of everything simulated but rope-real and coverage. mpm: the paper's, slower."""
+    """Of everything simulated but real2sim, rope-real and coverage. mpm: the paper's, slower."""
     kind: Literal["rope", "cloth"] = "rope"
     """Of coverage: what is lifted."""
     end: Literal["hold", "swing", "drop"] = "hold"
@@ -95,6 +112,8 @@ class Command:
     def run(self) -> int:
         if self.table == "sim2sim":
             return self._sim2sim()
+        if self.table == "real2sim":
+            return self._real2sim()
         if self.table == "coverage":
             return self._coverage()
         return self._policies()
@@ -153,59 +172,135 @@ class Command:
                 settings = replace(settings, demonstrations=PAPER_DEMONSTRATIONS, goals=(40, 200))
                 result = generalization(bench, settings)
                 shown = sheets.generalization_sheets(result)
-        result = {
-            "table": self.table,
-            "task": self.task,
-            "scale": self.scale,
-            "engine": self.engine,
-            "seed": self.seed,
-            **result,
-            "seconds": time.monotonic() - began,
-        }
-        tables = [str(sheet) for sheet in shown if isinstance(sheet, sheets.Sheet)]
-        print(to_json(result) if self.json else "\n\n".join(tables))
-        name = self._folder / f"{self.table}-{self.task}"
-        write_json(name.with_suffix(".json"), result)
-        with atomic_path(name.with_suffix(".html")) as path:
-            path.write_text(self._page(shown, result["seconds"]), encoding="utf-8")
-        tell_written(name.with_suffix(".html"), json=self.json)
+        self._tell(
+            {"task": self.task, "engine": self.engine, **result},
+            shown,
+            name=f"{self.table}-{self.task}",
+            title=f"{self.table}, {self.task}",
+            flags=f"--task {self.task} --engine {self.engine}",
+            seconds=time.monotonic() - began,
+        )
         return 0
 
-    def _page(self, shown: Sequence[Sheet | Curves], seconds: float) -> str:
-        """The tables and curves as one HTML document."""
-        from gendom.evaluation.tables.sheets import Sheet
+    def _real2sim(self) -> int:
+        from gendom.evaluation.tables import Real2SimSettings, Workbench, real2sim, sheets
+
+        check_folder(self._folder)
+        began = time.monotonic()
+        bench = Workbench(
+            folder=self._folder,
+            device=self.device,
+            jobs=self.jobs,
+            seed=self.seed,
+            on_stage=_log.info,
+        )
+        starts, iterations = REAL2SIM[self.scale]
+        settings = Real2SimSettings(methods=self.method, starts=starts, iterations=iterations)
+        if self.objects:
+            settings = replace(settings, objects=self.objects)
+        result = real2sim(bench, settings)
+        flags = f"--method {' '.join(self.method)} " if self.method else ""
+        self._tell(
+            result,
+            sheets.real2sim_sheets(result),
+            name=self.table,
+            title=self.table,
+            flags=f"{flags}--objects {' '.join(settings.objects)}",
+            seconds=time.monotonic() - began,
+        )
+        return 0
+
+    def _tell(
+        self,
+        result: dict[str, Any],
+        shown: Sequence[Sheet | Curves],
+        *,
+        name: str,
+        title: str,
+        flags: str,
+        seconds: float,
+    ) -> None:
+        """Print one of the paper's tables, and write it as JSON and as a page."""
+        from gendom.evaluation.sheet import Sheet
+
+        result = {
+            "table": self.table,
+            "scale": self.scale,
+            "seed": self.seed,
+            **result,
+            "seconds": seconds,
+        }
+        tables = [str(sheet) for sheet in shown if isinstance(sheet, Sheet)]
+        print(to_json(result) if self.json else "\n\n".join(tables))
+        write_json(self._folder / f"{name}.json", result)
+        self._write_page(
+            self._folder / f"{name}.html",
+            shown,
+            title=title,
+            about=PAPERS_TABLE,
+            flags=f"{flags} --scale {self.scale} --seed {self.seed} --device {self.device}",
+            seconds=seconds,
+        )
+
+    def _write_page(
+        self,
+        path: Path,
+        shown: Sequence[Sheet | Curves | Ranks],
+        *,
+        title: str,
+        about: str,
+        flags: str,
+        seconds: float,
+    ) -> None:
+        """Write tables, curves and ranks as one HTML document.
+
+        Args:
+            path: The file.
+            shown: In this order.
+            title: Of the page.
+            about: Below it; plain text.
+            flags: With which the table was made.
+            seconds: That it took [s].
+        """
+        from gendom.evaluation.sheet import Curves, Sheet
         from gendom.viz.report import (
             Provenance,
             curves_section,
             provenance_section,
+            ranks_section,
             render_page,
             table_section,
         )
 
         made = Provenance(
-            commands=[
-                f"gendom reproduce {self.table} --task {self.task} --scale {self.scale} "
-                f"--engine {self.engine} --seed {self.seed} --device {self.device}"
-            ],
+            commands=[f"gendom reproduce {self.table} {flags}"],
             version=version(),
             stage_seconds={"all of it": seconds},
         )
-        sections = [
-            table_section(s.title, s.head, s.rows)
-            if isinstance(s, Sheet)
-            else curves_section(s.title, s.x, s.y, s.lines, log=s.log)
-            for s in shown
-        ]
-        opening = (
-            "<p>The paper's table, measured with this package, beside the paper's numbers.</p>"
-        )
-        title = f"{self.table}, {self.task}"
-        return render_page(title, opening, [*sections, provenance_section(made)])
+        sections = []
+        for s in shown:
+            if isinstance(s, Sheet):
+                sections.append(table_section(s.title, s.head, s.rows))
+            elif isinstance(s, Curves):
+                sections.append(curves_section(s.title, s.x, s.y, s.lines, log=s.log))
+            else:
+                sections.append(ranks_section(s.title, s.counts, s.band, s.band_label))
+        with atomic_path(path) as temporary:
+            page = render_page(title, f"<p>{about}</p>", [*sections, provenance_section(made)])
+            temporary.write_text(page, encoding="utf-8")
+        tell_written(path, json=self.json)
 
     def _coverage(self) -> int:
-        from gendom.evaluation.coverage import CoverageSettings, coverage, coverage_text, covered
+        from gendom.evaluation.coverage import (
+            CoverageSettings,
+            coverage,
+            coverage_sheets,
+            coverage_text,
+            covered,
+        )
 
         check_folder(self._folder)
+        began = time.monotonic()
         settings = CoverageSettings(
             kind=self.kind, end=self.end, lifts=self.lifts, seed=self.seed, jobs=self.jobs
         )
@@ -214,7 +309,16 @@ class Command:
         table = covered(rows, settings.level)
         result = {"table": self.table, **asdict(settings), "unknowns": [asdict(c) for c in table]}
         print(to_json(result) if self.json else coverage_text(rows, table))
-        write_json(self._folder / f"table-{self.kind}-{self.end}.json", {**result, "rows": rows})
+        name = self._folder / f"table-{self.kind}-{self.end}"
+        write_json(name.with_suffix(".json"), {**result, "rows": rows})
+        self._write_page(
+            name.with_suffix(".html"),
+            coverage_sheets(rows, table),
+            title=f"coverage, {self.kind}, {self.end}",
+            about=RANKS,
+            flags=f"--kind {self.kind} --end {self.end} --lifts {self.lifts} --seed {self.seed}",
+            seconds=time.monotonic() - began,
+        )
         return 0
 
     def _sim2sim(self) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.cli.replay import of_all_frames, replay_setup
+from gendom.cli.replay import of_all_frames, of_recording, replay_setup
 from gendom.cli.view_layers import gripper_layer, object_layer
 from gendom.datasets import Recording
 from gendom.errors import GendomError
@@ -79,9 +79,9 @@ class RecordingModel:
         """The simulated object, then with its distance from the clouds."""
         scene, theta = self.scene, self.theta.with_values(values)
         x = replay(scene, [theta], on_frame=lambda _: go_on())[:, 0]
-        simulated, facts = self._simulated(x), _facts(scene, theta)
+        simulated, facts = self._simulated(x, theta), _facts(scene, theta)
         yield self._shown((simulated,), facts=facts)
-        distance = 1e3 * chamfers(scene, x)[0]
+        distance = 1e3 * chamfers(scene, x, theta)[0]
         yield self._shown((simulated,), facts=facts, curves={CHAMFER: distance})
 
     def _shown(self, layers: tuple[Layer, ...], **other: Any) -> ViewerScene:
@@ -108,15 +108,17 @@ class RecordingModel:
             **other,
         )
 
-    def _simulated(self, x: _Array) -> Layer:
+    def _simulated(self, x: _Array, theta: Theta) -> Layer:
         scene = self.scene
         columns, rows = lattice(scene)
         counts = None if scene.kind == "rope" else (len(rows), len(columns))
-        return object_layer("simulated", scene.body, middle(scene, x), counts, SIMULATED_OPACITY)
+        return object_layer(
+            "simulated", scene.body_of(theta), middle(scene, x), counts, SIMULATED_OPACITY
+        )
 
 
 def find_recording(params: Mapping[str, Any], where: Path) -> Path:
-    """The file of the recording that an estimate is of: beside it, or in the folder above.
+    """The file of a recording that an estimate is of: beside it, or in the folder above.
 
     Args:
         params: The estimate's JSON.
@@ -131,7 +133,7 @@ def find_recording(params: Mapping[str, Any], where: Path) -> Path:
             recording = Recording.read(path, on_warning=lambda _: None)
         except GendomError:  # another kind of file
             continue
-        if recording.begins_with == params.get("begins_with"):
+        if of_recording(params, recording) is not None:
             return path
     raise GendomError(
         "the recording that it is of is neither beside it nor in the folder above",
@@ -172,7 +174,8 @@ def _parameters(scene: Scene, theta: Theta) -> tuple[Parameter, ...]:
 
 def _facts(scene: Scene, theta: Theta) -> tuple[tuple[str, str], ...]:
     modulus = theta.specific_modulus
-    facts = [("bending length", length_text(scene.bending_length(modulus)))]
+    bending = scene.bending_length(modulus, theta.thickness)
+    facts = [("bending length", length_text(bending))]
     if scene.recording.object.mass is not None:
-        facts.insert(0, ("E", quantity_text("youngs_modulus", modulus * scene.density)))
+        facts.insert(0, ("E", quantity_text("youngs_modulus", modulus * scene.density_of(theta))))
     return tuple(facts)

@@ -37,6 +37,7 @@ _TOP_KEYS = (
     "quasi_static",
     "robot",
     "camera_positions",
+    "cameras_calibrated",
     "source",
     "notes",
 )
@@ -54,7 +55,7 @@ def read_folder(
             object; and closed: 1 where the gripper holds it, 0 where not) for one gripper, or
             time,x0,y0,z0,x1,y1,z1,... (and ax0,ay0,az0,...; closed0,closed1,...);
         object.toml: table [object] with the sizes, and table_height, gripper_source,
-            quasi_static, source, notes, camera_positions and anything else.
+            quasi_static, source, notes, camera_positions, cameras_calibrated and anything else.
 
     Returns:
         clouds (T arrays [n, 3]), arrays (time [T], gripper_position [T, G, 3], perhaps

@@ -9,7 +9,8 @@ On disk it is `gendom-recording/1`, a NumPy `.npz` without pickles:
     gripper_axis      float64 [T, G, 3]  optional: unit vector along the object at the clamp
     gripper_closed    bool    [T, G]     optional: whether it holds the object; always if left out
     meta              JSON text          object, table_height, gripper_source, quasi_static,
-                                         source, notes, camera_positions, and anything else
+                                         source, notes, camera_positions, cameras_calibrated,
+                                         and anything else
 """
 
 from __future__ import annotations
@@ -110,6 +111,9 @@ class Recording(Shown):
     """True: inertia plays no part and the clock may be rescaled."""
     camera_positions: np.ndarray | None = None
     """[K, 3] float64 [m]; None: unknown."""
+    cameras_calibrated: bool = True
+    """False: where the cameras are in the gripper's frame is not known, so points and
+    `camera_positions` are in another one, upright to within a few degrees."""
     source: str = ""
     notes: str = ""
     extra: dict[str, Any] = field(default_factory=dict)
@@ -183,6 +187,14 @@ class Recording(Shown):
         for name in ("time", "gripper_position", "gripper_axis", "gripper_closed"):
             if values[name] is not None:
                 values[name] = values[name][:n]
+        return Recording(**values)
+
+    def moved(self, T: np.ndarray) -> Recording:
+        """With points and cameras moved by T [4, 4] [m], the grippers where they were."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name in ("points", "camera_positions"):
+            if values[name] is not None:
+                values[name] = values[name] @ T[:3, :3].T + T[:3, 3]
         return Recording(**values)
 
     @classmethod
@@ -329,6 +341,8 @@ class Recording(Shown):
         }
         if self.camera_positions is not None:
             meta["camera_positions"] = self.camera_positions
+        if not self.cameras_calibrated:
+            meta["cameras_calibrated"] = False
         return {**meta, **{k: v for k, v in self.extra.items() if k not in meta}}
 
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
@@ -601,6 +615,9 @@ def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
             )
             cameras = None
     values["camera_positions"] = cameras
+    values["cameras_calibrated"] = take(
+        rest, "cameras_calibrated", True, lambda v: isinstance(v, bool), "true or false"
+    )
     values["extra"] = rest
     return values, faults
 

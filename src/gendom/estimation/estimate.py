@@ -1,17 +1,25 @@
-"""From one recording to the object's parameters: `estimate`."""
+"""From recordings of one object to its parameters: `estimate`."""
 
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from gendom.datasets import Recording
-from gendom.errors import ParameterError
+from gendom.errors import ParameterError, RecordingError
 from gendom.estimation.methods import METHODS
+from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
 from gendom.estimation.posterior import Calibration, Posterior
-from gendom.estimation.problem import EstimateSettings, Problem, Progress
+from gendom.estimation.problem import (
+    EstimateSettings,
+    Found,
+    Problem,
+    Progress,
+    recording_names,
+)
+from gendom.estimation.registration import register
 from gendom.estimation.result import Estimate, result_of
 from gendom.estimation.scene import Scene
 from gendom.estimation.theta import Theta
@@ -19,28 +27,32 @@ from gendom.estimation.verdict import judge
 
 
 def estimate(
-    recording: Recording,
+    recordings: Recording | Sequence[Recording],
     settings: EstimateSettings | None = None,
     *,
+    names: Sequence[str] = (),
     on_progress: Callable[[Progress], None] | None = None,
     calibration: Calibration | None = None,
     known: Theta | None = None,
 ) -> Estimate:
-    """Estimate an object's parameters from one recording.
+    """Estimate an object's parameters from one or more recordings of it.
 
-    Ctrl-C ends the search and keeps the best found so far. Whether the result is of any use is in
-    its ``verdict``.
+    Its material is one, all else that is unknown is each recording's own. Ctrl-C ends the search
+    and keeps the best found so far. Whether the result is of any use is in its ``verdict``: one
+    recording that is not usable makes the whole result so, and is named.
 
     Args:
-        recording: A lift, or any motion with grippers that hold the object.
+        recordings: Lifts, or any motions with grippers that hold the object.
         settings: Method, starts, frames, seed, resolution.
+        names: Of the recordings, for people; by default recording 1 and so on.
         on_progress: Called after each iteration.
         calibration: Of the intervals (default: the shipped one).
         known: Values of everything that is not looked for; by default those of the priors.
 
     Raises:
-        RecordingError: If the recording shows too little to place the object.
-        ParameterError: If there is no such method, or it cannot do this.
+        RecordingError: If a recording shows too little to place the object.
+        ParameterError: If there is no such method, it cannot do this, or the recordings are of
+            different objects.
         SimulationError: If every start diverges.
         KeyboardInterrupt: If interrupted before anything was found.
     """
@@ -50,17 +62,60 @@ def estimate(
             f"there is no method {settings.method!r}", fix=f"choose one of {', '.join(METHODS)}"
         )
     began = clock.perf_counter()
-    problem = Problem(Scene.of(recording, settings.scene), settings, on_progress, known)
+    if isinstance(recordings, Recording):
+        recordings = [recordings]
+    names = names or recording_names(len(recordings))
+    scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
+    problem = Problem(scenes, settings, on_progress, known, names)
     found = METHODS[settings.method](problem)
+    calibration = calibration or Calibration.of(problem.scene.kind)
+    posterior = _posterior(problem, found, calibration)
+    alone = _alone(problem, found, posterior, calibration)
+    verdict = judge(problem, found, alone)
+    return result_of(problem, found, posterior, alone, verdict, clock.perf_counter() - began)
+
+
+def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Posterior:
     covariance = found.covariance
     if covariance is None:
         covariance = np.linalg.inv(problem.slopes(found.best, found.noise)[1])
-    posterior = Posterior.calibrated(
-        problem.prior,
-        found.best.vector,
-        covariance,
-        problem.base,
-        calibration or Calibration.of(problem.scene.kind),
+    return Posterior.calibrated(
+        problem.prior, found.best.vector, covariance, problem.bases, calibration
     )
-    verdict = judge(problem, found)
-    return result_of(problem, found, posterior, verdict, clock.perf_counter() - began)
+
+
+def _alone(
+    problem: Problem, found: Found, posterior: Posterior, calibration: Calibration
+) -> list[Posterior]:
+    """What each recording says by itself, from where all have ended together; nothing of a search
+    that was interrupted.
+
+    With its own noise: beside another object's recordings one passes for a noisy one.
+    """
+    if len(problem.parts) == 1:
+        return [posterior]
+    if found.interrupted:
+        return []
+    posteriors = []
+    for recording, part in enumerate(problem.parts):
+        alone = problem.alone(recording)
+        settings = GaussNewtonSettings(initial=(found.best.vector[part.shown],))
+        posteriors.append(_posterior(alone, gauss_newton(alone, settings), calibration))
+    return posteriors
+
+
+def _scene(
+    recording: Recording, settings: EstimateSettings, known: Theta | None, name: str
+) -> Scene:
+    """Of a recording, which its faults name; its clouds moved where cameras' poses are unknown."""
+    unknown = settings.camera_pose == "unknown"
+    if settings.camera_pose is None:
+        unknown = not recording.cameras_calibrated
+    try:
+        registration = register(recording, settings, known) if unknown else None
+        return Scene.of(recording, settings.scene, registration)
+    except RecordingError as error:
+        where = ": ".join(filter(None, (name, error.where)))
+        raise RecordingError(
+            error.what, where=where or None, fix=error.fix, faults=error.faults
+        ) from None

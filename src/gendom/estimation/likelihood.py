@@ -14,6 +14,7 @@ estimated from the recording itself, by expectation and maximisation (Dempster e
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -45,6 +46,11 @@ class NoiseModel:
     """Of the cameras' calibration [m]."""
     turn: float = 0.01
     """Likewise [rad]."""
+    unknown_shift: float = 0.05
+    """The same of cameras with unknown poses [m]: what a tape measure and the eye leave, after a
+    coarse registration."""
+    unknown_turn: float = 0.1
+    """Likewise [rad]."""
     skin: float = 0.002
     """Of the distance of points from the true skin [m]: hairs, edges of pixels."""
     place_scale: float = 0.3
@@ -59,6 +65,10 @@ class NoiseModel:
     """Points of a frame that are compared, at most; four times as many of a cloth."""
     rounds: int = 3
     """How often points and places are paired anew in a registration."""
+
+    def of_unknown_cameras(self) -> NoiseModel:
+        """With the wide prior of cameras whose poses are unknown."""
+        return replace(self, shift=self.unknown_shift, turn=self.unknown_turn)
 
     @property
     def fixed(self) -> Array:
@@ -134,25 +144,40 @@ class Observation:
         strong = (both**2).mean(axis=0)
         return both[:, strong > 0.02]
 
-    def compare(self, x: Array, steps: Array | None) -> Comparison:
+    def compare(
+        self,
+        x: Array,
+        steps: Array | None,
+        thickness: Array | None = None,
+        along: Array | None = None,
+    ) -> Comparison:
         """How clouds differ from a simulated shape, and how that changes with parameters.
 
         Args:
             x: [T, 1 + P, N, 3] positions at the frames, of the point itself and of its neighbours.
             steps: [P] how far those are away in the transformed parameters; None: no neighbours.
+            thickness: [1 + P] of these objects over the stated one; None: as stated.
+            along: [P, P] from derivatives along the directions in which the neighbours are away to
+                those by the parameters; None: they are the same.
         """
         m = middle(self.scene, x)
         here = m[:, 0]
         J = np.zeros((*here.shape, 0))
+        radius = self.shape.radius * (np.ones(m.shape[1]) if thickness is None else thickness)
+        widens = np.zeros(0)
         if steps is not None:
             J = np.moveaxis(m[:, 1:] - here[:, None], 1, -1) / steps
-        return Comparison(self, here, J)
+            widens = (radius[1:] - radius[0]) / steps
+            if along is not None:
+                J, widens = J @ along.T, along @ widens
+        return Comparison(self, here, J, float(radius[0]), widens)
 
-    def rows(self, shape: Array) -> Rows:
-        """Where points belong on shapes [T, n, 3], and what of those lies bare."""
+    def rows(self, shape: Array, r: float) -> Rows:
+        """Where points belong on shapes [T, n, 3] of half a thickness r [m], and what of those lies
+        bare."""
         if self.markers is not None:
             return self._marker_rows(shape)
-        r, T = self.shape.radius, len(shape)
+        T = len(shape)
         index, weight, foot = self.shape.nearest(shape, self.points)
         e = self.points - foot
         size = np.linalg.norm(e, axis=2)
@@ -189,6 +214,7 @@ class Observation:
             weight=np.concatenate([weight, every[1]], axis=1),
             point=np.concatenate([self.points, near], axis=1),
             counts=np.concatenate([self.counts, bare * stands_for], axis=1),
+            on_skin=True,
         )
 
     def _marker_rows(self, shape: Array) -> Rows:
@@ -204,6 +230,7 @@ class Observation:
             weight=np.broadcast_to(weight, (T, *weight.shape)),
             point=np.repeat(self.points, 3, axis=1),
             counts=np.repeat(self.counts, 3, axis=1) * self.noise.patch,
+            on_skin=False,
         )
 
 
@@ -223,15 +250,17 @@ class Rows:
     """[T, m, 3] of the cloud [m]."""
     counts: Array
     """[T, m] how many points each stands for."""
+    on_skin: bool
+    """Whether points are on the skin, not on the middle."""
 
-    def slopes(self, J: Array) -> Array:
+    def slopes(self, J: Array, widens: Array) -> Array:
         """[T, m, P] by how much residuals fall with parameters that change shapes by J
-        [T, n, 3, P]."""
+        [T, n, 3, P] and half their thickness by ``widens`` [P]."""
         found = np.zeros((*self.rho.shape, J.shape[3]))
         for p in range(J.shape[3]):
             moved = _taken(J[..., p], self.index)
             found[..., p] = np.einsum("tmk,tmka,tma->tm", self.weight, moved, self.normal)
-        return found
+        return found + widens if self.on_skin else found
 
     def fixed(self, centre: Array) -> Array:
         """[T, m, 7] likewise with a shift, a turn about a centre [3] [m], and the skin."""
@@ -246,12 +275,18 @@ class Comparison:
         observation: The clouds.
         here: [T, n, 3] the shape [m].
         J: [T, n, 3, P] how it changes with the transformed parameters [m].
+        radius: Half its thickness [m].
+        widens: [P] how that changes with the transformed parameters [m].
     """
 
-    def __init__(self, observation: Observation, here: Array, J: Array):
+    def __init__(
+        self, observation: Observation, here: Array, J: Array, radius: float, widens: Array
+    ):
         self.observation = observation
         self.here = here
         self.J = J
+        self.radius = radius
+        self.widens = widens
         self._last: Fit | None = None
         self._first = np.zeros(0)
 
@@ -261,9 +296,14 @@ class Comparison:
             self._first = other._last.a
 
     @cached_property
+    def rows(self) -> Rows:
+        """Of the shape as it is."""
+        return self.observation.rows(self.here, self.radius)
+
+    @cached_property
     def residuals(self) -> list[Array]:
         """T arrays of points' distances from the skin [m]."""
-        rows = self.observation.rows(self.here)
+        rows = self.rows
         own = self.observation.counts.shape[1]
         return [r[:own][k[:own] > 0.0] for r, k in zip(rows.rho, rows.counts, strict=True)]
 
@@ -271,7 +311,7 @@ class Comparison:
     def rms(self) -> float:
         """Robust root mean square distance of points from the skin, and of what lies bare from the
         points [m]."""
-        rows, c = self.observation.rows(self.here), self.observation.noise.straying
+        rows, c = self.rows, self.observation.noise.straying
         squares = 2.0 * c**2 * (np.sqrt(1.0 + (rows.rho / c) ** 2) - 1.0)
         return math.sqrt(float((rows.counts * squares).sum() / max(rows.counts.sum(), 1e-9)))
 
@@ -322,7 +362,7 @@ class Comparison:
         """Of the shape displaced by ``a`` [S + 7]; J [T, n, 3, P] as that of the comparison."""
         o = self.observation
         U, B, P, c = o.in_time, o.in_place, J.shape[3], noise.straying
-        rows = o.rows(self._displaced(a))
+        rows = o.rows(self._displaced(a), self.radius)
         rho = rows.rho - a[-1]
         root = np.sqrt(1.0 + (rho / c) ** 2)
         share = rows.counts / noise.patch / noise.sensor**2
@@ -331,7 +371,9 @@ class Comparison:
         psi = np.einsum("tmk,tmkq->tmq", rows.weight, B[rows.index])
         G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*rho.shape, -1)
         # by parameters, rigid motion and skin; and what is left
-        D = np.concatenate([rows.slopes(J), rows.fixed(o.centre), rho[..., None]], axis=2)
+        D = np.concatenate(
+            [rows.slopes(J, self.widens[:P]), rows.fixed(o.centre), rho[..., None]], axis=2
+        )
         dd = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
         Gt = np.swapaxes(G, 1, 2)
         dq, qq = Gt @ (w * D), Gt @ (w * G)
@@ -351,6 +393,41 @@ class Comparison:
             loss=float((share * 2.0 * c**2 * (root - 1.0)).sum()),
             count=float(rows.counts.sum() / noise.patch),
         )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Comparisons:
+    """Clouds of all recordings of an object beside simulated shapes."""
+
+    parts: tuple[Comparison, ...]
+    """One for each recording."""
+    shown: tuple[NDArray[np.intp], ...]
+    """[P_k] each: the unknowns that its shapes change with."""
+    unknowns: int
+    """P."""
+
+    @property
+    def rms(self) -> float:
+        """`Comparison.rms` of all, each recording counting alike [m]."""
+        return math.sqrt(sum(c.rms**2 for c in self.parts) / len(self.parts))
+
+    def follow(self, other: Comparisons) -> None:
+        """Begin the registrations where those of comparisons nearby have ended."""
+        for mine, theirs in zip(self.parts, other.parts, strict=True):
+            mine.follow(theirs)
+
+    def value(self, noise: Sequence[NoiseModel]) -> float:
+        """-2 log likelihood with each recording's noise, up to what that alone says."""
+        return sum(c.fit(n).value for c, n in zip(self.parts, noise, strict=True))
+
+    def slopes(self, noise: Sequence[NoiseModel]) -> tuple[Array, Array]:
+        """Half of that value's slope [P] and curvature [P, P]."""
+        gradient, hessian = np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
+        for comparison, k, own in zip(self.parts, self.shown, noise, strict=True):
+            fit = comparison.fit(own)
+            gradient[k] += fit.gradient
+            hessian[np.ix_(k, k)] += fit.hessian
+        return gradient, hessian
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from gendom.estimation.theta import UNKNOWNS, Prior, Theta
+from gendom.estimation.theta import UNKNOWNS, Prior, Theta, owners_of
 
 Array = NDArray[np.floating]
 
@@ -48,6 +48,10 @@ class Calibration:
     def none(cls) -> Calibration:
         return cls(factor={}, added={})
 
+    def sd(self, name: str, own: float) -> float:
+        """Standard deviation of a transformed unknown, from the likelihood's own."""
+        return math.hypot(self.factor.get(name, 1.0) * own, self.added.get(name, 0.0))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Posterior:
@@ -58,27 +62,27 @@ class Posterior:
     """[P] transformed."""
     covariance: Array
     """[P, P]."""
-    base: Theta
-    """Everything that was not looked for."""
+    bases: tuple[Theta, ...]
+    """For each recording everything that was not looked for."""
 
     @classmethod
     def calibrated(
-        cls, prior: Prior, mean: Array, covariance: Array, base: Theta, calibration: Calibration
+        cls,
+        prior: Prior,
+        mean: Array,
+        covariance: Array,
+        bases: Sequence[Theta],
+        calibration: Calibration,
     ) -> Posterior:
         """With deviations as they prove to be, but no wider than the prior's."""
         own = np.sqrt(np.diag(covariance))
-        sd = np.array(
-            [
-                math.hypot(calibration.factor.get(n, 1.0) * s, calibration.added.get(n, 0.0))
-                for n, s in zip(prior.names, own, strict=True)
-            ]
-        )
+        sd = np.array([calibration.sd(n, s) for n, s in zip(prior.names, own, strict=True)])
         share = np.minimum(sd, np.maximum(prior.sd, own)) / own
         return cls(
             prior=prior,
             mean=mean,
             covariance=covariance * share[:, None] * share,
-            base=base,
+            bases=tuple(bases),
         )
 
     @property
@@ -87,40 +91,67 @@ class Posterior:
 
     @property
     def theta(self) -> Theta:
-        """The most likely values."""
-        return self.prior.theta(self.mean, self.base)
+        """The most likely values, of the first recording where each has its own."""
+        return self.thetas[0]
 
-    def sd(self, name: str) -> float:
+    @property
+    def thetas(self) -> tuple[Theta, ...]:
+        """The most likely values of each recording."""
+        return tuple(self.prior.theta(self.mean, b, k) for k, b in enumerate(self.bases))
+
+    def sd(self, name: str, recording: int = 0) -> float:
         """Standard deviation of a transformed unknown."""
-        k = self.names.index(name)
+        k = self.prior.index(name, recording)
         return math.sqrt(float(self.covariance[k, k]))
 
     def determined(self, name: str) -> bool:
-        """Whether the recording determines an unknown."""
+        """Whether the recordings determine an unknown of the object, or the first its own."""
         if name not in self.names:
             return False
-        return self.sd(name) < IDENTIFIABLE * float(self.prior.sd[self.names.index(name)])
+        return self.sd(name) < IDENTIFIABLE * float(self.prior.sd[self.prior.index(name)])
 
-    def interval(self, name: str, level: float) -> tuple[float, float]:
+    def interval(self, name: str, level: float, recording: int = 0) -> tuple[float, float]:
         """Ends of the central interval of an unknown, within the range that was searched."""
-        k, u = self.names.index(name), UNKNOWNS[name]
-        half = float(norm.ppf(0.5 + level / 2.0)) * self.sd(name)
+        k, u = self.prior.index(name, recording), UNKNOWNS[name]
+        half = float(norm.ppf(0.5 + level / 2.0)) * self.sd(name, recording)
         low, high = (
             float(np.clip(self.mean[k] + sign * half, self.prior.low[k], self.prior.high[k]))
             for sign in (-1.0, 1.0)
         )
         return u.value(low), u.value(high)
 
-    def draws(self, count: int, seed: int) -> Sequence[Theta]:
-        """Estimates drawn from it, within the ranges that were searched."""
+    def product(self, powers: Mapping[str, float], level: float) -> tuple[float, float]:
+        """Ends of the interval of a product of powers of positive unknowns of the object, over
+        which their doubt is one; those that were not looked for are as they are known."""
+        centre, low, high = 0.0, 0.0, 0.0
+        slope = np.zeros(len(self.names))
+        for name, power in powers.items():
+            if name not in self.names:
+                centre += power * math.log(getattr(self.bases[0], name))
+                continue
+            k = self.prior.index(name)
+            slope[k] = power
+            ends = sorted((power * self.prior.low[k], power * self.prior.high[k]))
+            low, high = low + ends[0], high + ends[1]
+        half = float(norm.ppf(0.5 + level / 2.0)) * math.sqrt(slope @ self.covariance @ slope)
+        at = float(slope @ self.mean)
+        return (
+            math.exp(centre + float(np.clip(at - half, low, high))),
+            math.exp(centre + float(np.clip(at + half, low, high))),
+        )
+
+    def draws(self, count: int, seed: int, recording: int = 0) -> Sequence[Theta]:
+        """A recording's estimates drawn from it, within the ranges that were searched."""
         rng = np.random.default_rng(seed)
         drawn = rng.multivariate_normal(self.mean, self.covariance, size=count)
-        return [self.prior.theta(self.prior.clipped(v), self.base) for v in drawn]
+        base = self.bases[recording]
+        return [self.prior.theta(self.prior.clipped(v), base, recording) for v in drawn]
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON: names, transformed means and covariance."""
+        """For JSON: names, whose they are, transformed means and covariance."""
         return {
             "names": list(self.names),
+            "recordings": list(self.prior.owners),
             "log": [UNKNOWNS[n].log for n in self.names],
             "mean": self.mean.tolist(),
             "covariance": self.covariance.tolist(),
@@ -131,8 +162,8 @@ class Posterior:
         }
 
     @classmethod
-    def from_dict(cls, read: Mapping[str, Any], base: Theta) -> Posterior:
-        """Inverse of `to_dict`.
+    def from_dict(cls, read: Mapping[str, Any], bases: Sequence[Theta]) -> Posterior:
+        """Inverse of `to_dict`; files of older versions are of one recording.
 
         Raises:
             KeyError, TypeError, ValueError: It is none.
@@ -141,6 +172,10 @@ class Posterior:
         numbers = {k: np.array(read[k], dtype=float) for k in ("mean", "low", "high")}
         prior = Prior(
             names=names,
+            owners=tuple(
+                None if owner is None else int(owner)
+                for owner in read.get("recordings", owners_of(names))
+            ),
             low=numbers["low"],
             high=numbers["high"],
             mean=np.array(read["prior_mean"], dtype=float),
@@ -149,4 +184,4 @@ class Posterior:
             widest=np.array([UNKNOWNS[n].widest for n in names]),
         )
         covariance = np.array(read["covariance"], dtype=float).reshape(len(names), len(names))
-        return cls(prior=prior, mean=numbers["mean"], covariance=covariance, base=base)
+        return cls(prior=prior, mean=numbers["mean"], covariance=covariance, bases=tuple(bases))

@@ -7,7 +7,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from gendom.datasets import Recording
+from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import ParameterError
 from gendom.estimation.theta import UNKNOWNS, Prior, Theta, prior_of
 from gendom.materials.catalogue import Listed
@@ -55,6 +55,8 @@ def recording_prior(
         "grip_height": {"sd": 0.002 if measured else (0.02 if kind == "cloth" else 0.01)},
         "delay": {"sd": 0.02 if measured else 0.1, "mean": 0.0 if measured else 0.05},
         "grip_along": {"sd": 0.002 if described.grasp_inset is not None else 0.008},
+        # what is assumed is hardly known to within a factor of two
+        "thickness": {} if _thickness_stated(described) else {"sd": 0.5},
     }  # fmt: skip
     if kind == "cloth":
         inset = (0.002, 0.01) if described.grasp_inset is not None else (0.01, 0.02)
@@ -72,6 +74,11 @@ def recording_prior(
         base = base.with_values({name: change["mean"] for name, change in of_material.items()})
     prior = prior_of(wanted or _shown(recording, quasi_static), changes)
     return prior, prior.theta(prior.mean, base)
+
+
+def _thickness_stated(described: ObjectDescription) -> bool:
+    stated = described.diameter if described.kind == "rope" else described.thickness
+    return stated is not None
 
 
 _NINE_OF_TEN = NormalDist().inv_cdf(0.95)

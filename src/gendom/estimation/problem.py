@@ -13,13 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError, SimulationError
-from gendom.estimation.likelihood import Comparison, NoiseModel, Observation
+from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Observation
 from gendom.estimation.replay import replay
 from gendom.estimation.scene import Scene
 from gendom.estimation.scene_settings import SceneSettings
-from gendom.estimation.theta import Prior, Theta
+from gendom.estimation.theta import UNKNOWNS, Prior, Theta, joint_prior
 
 Array = NDArray[np.floating]
+
+SIZES_OF_OBJECT = ("length", "diameter", "width", "height", "thickness", "mass")
+"""Fields of an object's description that all of its recordings share."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +37,9 @@ class EstimateSettings:
     """Names of `UNKNOWNS` that are looked for; by default what the recording may show."""
     frames: str = "all"
     """``all`` or ``last``: the frames that are compared."""
+    camera_pose: str | None = None
+    """``stated``: the cameras' errors are those of a calibration; ``unknown``: where they are has
+    to be found, too. None: as each recording says."""
     max_iterations: int = 25
     """Batches that a search may simulate."""
     seed: int = 0
@@ -48,6 +54,10 @@ class EstimateSettings:
             raise ParameterError(f"starts must be at least 1, got {self.starts}")
         if self.frames not in ("all", "last"):
             raise ParameterError(f"frames must be 'all' or 'last', got {self.frames!r}")
+        if self.camera_pose not in (None, "stated", "unknown"):
+            raise ParameterError(
+                f"is {self.camera_pose!r}", where="camera_pose", fix="give stated or unknown"
+            )
         if not 0.0 < self.level < 1.0:
             raise ParameterError(f"level must lie between 0 and 1, got {self.level}")
         if self.max_iterations < 2:
@@ -77,7 +87,7 @@ class Start:
     """[P] transformed."""
     vector: Array
     """[P] transformed."""
-    comparison: Comparison | None = None
+    comparison: Comparisons | None = None
     value: float = math.inf
     """Of what the method makes small."""
     damping: float = 1e-3
@@ -103,8 +113,8 @@ class Found:
 
     best: Start
     starts: Sequence[Start]
-    noise: NoiseModel
-    """With which its comparison is to be read."""
+    noise: tuple[NoiseModel, ...]
+    """Of each recording, with which its comparison is to be read."""
     interrupted: bool = False
     covariance: Array | None = None
     """[P, P] transformed, of methods that state their own; None: that of the likelihood."""
@@ -112,62 +122,139 @@ class Found:
     """More of it, for the result's record."""
 
 
-class Problem:
-    """A scene with unknowns, as a function to minimise.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """One recording of a problem."""
 
-    Args:
-        scene: What was recorded.
-        settings: How it is estimated.
-        on_progress: Called by methods after each iteration.
-        known: Values of everything that is not looked for; by default those of the priors.
-
-    Raises:
-        ParameterError: The scene has none of the wanted unknowns.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        settings: EstimateSettings,
-        on_progress: Callable[[Progress], None] | None = None,
-        known: Theta | None = None,
-    ):
-        if settings.frames == "last":
-            scene = replace(scene, frames=scene.frames[-1:], calm=scene.frames[-1:])
-        self.scene = scene
-        self.settings = settings
-        self.prior: Prior
-        self.prior, self.base = scene.prior(settings.unknowns)
-        if known is not None:
-            self.base = self.prior.theta(self.prior.mean, known)
-        self._on_progress = on_progress
+    scene: Scene
+    base: Theta
+    """Everything that is not looked for."""
+    shown: NDArray[np.intp]
+    """[P_k] the problem's unknowns of which it shows something."""
+    noise: NoiseModel
+    """First guess."""
+    name: str
+    """For people; empty where it is the only one."""
 
     @cached_property
-    def easier(self) -> Problem:
+    def observation(self) -> Observation:
+        return Observation(self.scene, self.noise)
+
+    def said(self, reason: str) -> str:
+        """With the name of the recording that it is true of."""
+        return f"{self.name}: {reason}" if self.name else reason
+
+    @cached_property
+    def easier(self) -> Part:
         """The same to begin with: of a rope the frames alone in which nothing moves fast, where
         there are enough (what it does fast depends on the way that it was before); a cloth with
         fewer points."""
         scene, settings = self.scene, self.scene.settings
         if scene.kind == "cloth" and scene.thin and settings.points is None:
             coarse = Scene.of(scene.recording, replace(settings, points=settings.coarse_points))
-            return self._with(replace(coarse, frames=scene.frames, calm=scene.calm))
+            return replace(self, scene=replace(coarse, frames=scene.frames, calm=scene.calm))
         if len(scene.calm) == len(scene.frames) or len(scene.calm) < 6:
             return self
-        return self._with(replace(scene, frames=scene.calm))
+        return replace(self, scene=replace(scene, frames=scene.calm))
 
-    def _with(self, scene: Scene) -> Problem:
-        part = copy.copy(self)
-        for cached in ("observation", "easier"):
-            part.__dict__.pop(cached, None)
-        part.scene = scene
-        return part
+
+class Problem:
+    """Scenes of one object with unknowns, as a function to minimise.
+
+    The material's unknowns are the object's, all others each recording's own.
+
+    Args:
+        scenes: What was recorded, one or more times.
+        settings: How it is estimated.
+        on_progress: Called by methods after each iteration.
+        known: Values of everything that is not looked for; by default those of the priors.
+        names: Of the recordings, for people.
+
+    Raises:
+        ParameterError: A scene has none of the wanted unknowns, or the objects differ.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        settings: EstimateSettings,
+        on_progress: Callable[[Progress], None] | None = None,
+        known: Theta | None = None,
+        names: Sequence[str] = (),
+    ):
+        names = names or recording_names(len(scenes))
+        _check_one_object(scenes, names)
+        if settings.frames == "last":
+            scenes = [replace(s, frames=s.frames[-1:], calm=s.frames[-1:]) for s in scenes]
+        self.settings = settings
+        believed = [scene.prior(settings.unknowns) for scene in scenes]
+        self.prior: Prior = joint_prior([prior for prior, _ in believed])
+        parts, noise = [], settings.noise
+        for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True)):
+            if known is not None:
+                base = prior.theta(prior.mean, known)
+            parts.append(
+                Part(
+                    scene=scene,
+                    base=base,
+                    shown=np.array([self.prior.index(n, k) for n in prior.names], dtype=np.intp),
+                    noise=noise if scene.registration is None else noise.of_unknown_cameras(),
+                    name=names[k],
+                )
+            )
+        self.parts: tuple[Part, ...] = tuple(parts)
+        self._on_progress = on_progress
+
+    @property
+    def scene(self) -> Scene:
+        """The first recording's; the object, the engine and the resolution are those of all."""
+        return self.parts[0].scene
+
+    @property
+    def bases(self) -> tuple[Theta, ...]:
+        """For each recording everything that is not looked for."""
+        return tuple(part.base for part in self.parts)
 
     @cached_property
-    def observation(self) -> Observation:
-        return Observation(self.scene, self.settings.noise)
+    def easier(self) -> Problem:
+        """The same with easier parts, see there."""
+        parts = tuple(part.easier for part in self.parts)
+        if parts == self.parts:
+            return self
+        easier = copy.copy(self)
+        easier.__dict__.pop("easier", None)
+        easier.parts = parts
+        return easier
 
-    def theta(self, vector: Sequence[float] | Array) -> Theta:
-        return self.prior.theta(vector, self.base)
+    def alone(self, recording: int) -> Problem:
+        """The same of one recording."""
+        alone, part, k = copy.copy(self), self.parts[recording], self.parts[recording].shown
+        alone.__dict__.pop("easier", None)
+        alone.prior = self.prior.taken(k)
+        alone.parts = (replace(part, shown=np.arange(len(k)), name=""),)
+        alone._on_progress = None
+        return alone
+
+    def only(self) -> Part:
+        """The one recording.
+
+        Raises:
+            ParameterError: There are several.
+        """
+        if len(self.parts) != 1:
+            raise ParameterError(
+                f"reads one recording, got {len(self.parts)}",
+                where=f"method {self.settings.method}",
+                fix="use gauss-newton",
+            )
+        return self.parts[0]
+
+    def first_noise(self, **changes: Any) -> tuple[NoiseModel, ...]:
+        """First guess of each recording's noise, with changes."""
+        return tuple(replace(part.noise, **changes) for part in self.parts)
+
+    def theta(self, vector: Sequence[float] | Array, recording: int = 0) -> Theta:
+        return self.prior.theta(vector, self.parts[recording].base, recording)
 
     def tell(self, stage: str, iteration: int, most: int, best: Start) -> None:
         """Report progress."""
@@ -183,9 +270,11 @@ class Problem:
                 )
             )
 
-    def positions(self, vectors: Sequence[Array]) -> Array:
-        """[T, W, N, 3] positions at transformed parameters, NaN where a world diverges [m]."""
-        return replay(self.scene, [self.theta(v) for v in vectors], keep_going=True)
+    def positions(self, vectors: Sequence[Array], recording: int = 0) -> Array:
+        """[T, W, N, 3] positions in a recording at transformed parameters, NaN where a world
+        diverges [m]."""
+        thetas = [self.theta(v, recording) for v in vectors]
+        return replay(self.parts[recording].scene, thetas, keep_going=True)
 
     def compare(
         self,
@@ -193,8 +282,9 @@ class Problem:
         *,
         derivatives: bool = True,
         free: Sequence[int] | None = None,
-    ) -> list[Comparison | None]:
-        """Comparisons at transformed parameters, None where a world diverges, from one batch.
+    ) -> list[Comparisons | None]:
+        """Comparisons at transformed parameters, None where a world diverges, from one batch for
+        each recording.
 
         Args:
             vectors: [P] each.
@@ -202,18 +292,39 @@ class Problem:
             free: Indices of the parameters that matter (default: all); shapes are taken not to
                 change with the others.
         """
-        P = len(self.prior.names)
-        moved = [] if not derivatives else list(range(P) if free is None else free)
-        steps = [
-            np.where(v + self.prior.step > self.prior.high, -self.prior.step, self.prior.step)
-            for v in vectors
+        columns = [
+            self._compared(recording, vectors, derivatives, free)
+            for recording in range(len(self.parts))
         ]
+        return [self.joined(row) for row in zip(*columns, strict=True)]
+
+    def joined(self, parts: Sequence[Comparison | None]) -> Comparisons | None:
+        """What recordings' comparisons say together; None where one could not be simulated."""
+        whole = tuple(c for c in parts if c is not None)
+        if len(whole) < len(self.parts):
+            return None
+        shown = tuple(part.shown for part in self.parts)
+        return Comparisons(parts=whole, shown=shown, unknowns=len(self.prior.names))
+
+    def _compared(
+        self,
+        recording: int,
+        vectors: Sequence[Array],
+        derivatives: bool,
+        free: Sequence[int] | None,
+    ) -> list[Comparison | None]:
+        """`compare` of one recording, by the unknowns of which it shows something."""
+        prior, part = self.prior, self.parts[recording]
+        moved = [n for n, k in enumerate(part.shown) if derivatives and (free is None or k in free)]
+        steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
+        along = self._along(part.shown[moved])
         worlds = [
-            v if k < 0 else v + np.eye(P)[k] * h[k]
+            v if n < 0 else v + along[part.shown[n]] * h[part.shown[n]]
             for v, h in zip(vectors, steps, strict=True)
-            for k in (-1, *moved)
+            for n in (-1, *moved)
         ]
-        x = self.positions(worlds)
+        x = self.positions(worlds, recording)
+        thickness = np.array([self.theta(v, recording).thickness for v in worlds])
         found: list[Comparison | None] = []
         each = 1 + len(moved)
         for n, h in enumerate(steps):
@@ -221,28 +332,87 @@ class Problem:
             if not np.isfinite(own).all():
                 found.append(None)
                 continue
-            every = own[:, :1]
-            if derivatives:
-                every = np.repeat(own[:, :1], 1 + P, axis=1)
-                every[:, [1 + k for k in moved]] = own[:, 1:]
-            found.append(self.observation.compare(every, h if derivatives else None))
+            # shapes of what is not free are those of the point itself
+            which = np.zeros(1 + len(part.shown), dtype=int)
+            which[[1 + k for k in moved]] = 1 + np.arange(len(moved))
+            which = which if derivatives else which[:1]
+            found.append(
+                part.observation.compare(
+                    own[:, which],
+                    h[part.shown] if derivatives else None,
+                    thickness[n * each + which],
+                    np.linalg.inv(along[np.ix_(part.shown, part.shown)]),
+                )
+            )
         return found
 
-    def value(self, vector: Array, comparison: Comparison, noise: NoiseModel) -> float:
+    def _along(self, moved: NDArray[np.intp]) -> Array:
+        """[P, P] the direction in which each unknown's step goes, where these are moved."""
+        along, own = np.eye(len(self.prior.names)), [self.prior.names[k] for k in moved]
+        for k, u in zip(moved, (UNKNOWNS[name] for name in own), strict=True):
+            for name, share in u.steps_with:
+                if name in own:
+                    along[k, moved[own.index(name)]] = share
+        return along
+
+    def compares(self, comparison: Comparisons) -> bool:
+        """Whether a comparison is with all that there is here, not with an easier problem's."""
+        parts = zip(comparison.parts, self.parts, strict=True)
+        return all(c.observation is part.observation for c, part in parts)
+
+    def value(self, vector: Array, comparison: Comparisons, noise: Sequence[NoiseModel]) -> float:
         """-2 log of likelihood times prior, up to what the noise alone says."""
         off = (vector - self.prior.mean) / self.prior.sd
-        return comparison.fit(noise).value + float(off @ off)
+        return comparison.value(noise) + float(off @ off)
 
-    def slopes(self, start: Start, noise: NoiseModel) -> tuple[Array, Array]:
+    def slopes(self, start: Start, noise: Sequence[NoiseModel]) -> tuple[Array, Array]:
         """Half of that value's slope [P] and curvature [P, P]."""
         assert start.comparison is not None
-        fit, precision = start.comparison.fit(noise), self.prior.sd**-2.0
-        off = start.vector - self.prior.mean
-        return fit.gradient + precision * off, fit.hessian + np.diag(precision)
+        gradient, hessian = start.comparison.slopes(noise)
+        precision, off = self.prior.sd**-2.0, start.vector - self.prior.mean
+        return gradient + precision * off, hessian + np.diag(precision)
 
     def nothing_runs(self) -> SimulationError:
+        frames = ", ".join(str(len(part.scene.frames)) for part in self.parts)
         return SimulationError(
             "no start could be simulated",
-            where=f"{self.settings.method}, {len(self.scene.frames)} frames",
+            where=f"{self.settings.method}, {frames} frames",
             fix="check the recording's units and gripper path with gendom check",
         )
+
+
+def recording_names(count: int) -> tuple[str, ...]:
+    """What recordings are called that have no name."""
+    return ("",) if count == 1 else tuple(f"recording {k + 1}" for k in range(count))
+
+
+def _check_one_object(scenes: Sequence[Scene], names: Sequence[str]) -> None:
+    """Refuse recordings of which the descriptions differ.
+
+    Raises:
+        ParameterError: They do, or there is no recording.
+    """
+    if not scenes:
+        raise ParameterError("there is no recording", fix="give one or more")
+    if len(names) != len(scenes):
+        raise ParameterError(f"{len(scenes)} recordings have {len(names)} names", where="names")
+    first = scenes[0].recording.object
+    for scene, name in zip(scenes[1:], names[1:], strict=True):
+        other = scene.recording.object
+        if other.kind != first.kind:
+            raise ParameterError(
+                f"shows a {other.kind}, {names[0]} a {first.kind}",
+                where=name,
+                fix="estimate each object by itself",
+            )
+        for size in SIZES_OF_OBJECT:
+            a, b = getattr(first, size), getattr(other, size)
+            if a == b or (a is not None and b is not None and math.isclose(a, b, rel_tol=1e-6)):
+                continue
+            here, there = ("not stated" if v is None else f"{v:g}" for v in (b, a))
+            raise ParameterError(
+                f"{size} is {here}, in {names[0]} {there}",
+                where=name,
+                fix="state the same for all recordings if they show one object, else estimate "
+                "each by itself",
+            )

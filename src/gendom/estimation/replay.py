@@ -19,9 +19,14 @@ Array = NDArray[np.floating]
 
 
 def material_of(scene: Scene, theta: Theta) -> Material:
-    """The object's material for these parameters."""
+    """The object's material for these parameters.
+
+    A scene's body is as thick as stated. With its mass, E of one that is r times as thick has to be
+    r^2 times as much for it to bend alike: stiffness over weight goes with the square of the radius
+    of gyration, of ropes and of sheets.
+    """
     return Material(
-        E=theta.specific_modulus * scene.density,
+        E=theta.specific_modulus * theta.thickness**2 * scene.density,
         nu=theta.nu,
         density=scene.density,
         damping=theta.damping,
@@ -79,8 +84,10 @@ def replay(
         SimulationError: A world diverges, unless told to keep going.
     """
     simulator, times = simulator_of(scene, thetas)
-    x = simulator.run(times, keep_going=keep_going, on_frame=on_frame)
-    return x.astype(float)
+    x = simulator.run(times, keep_going=keep_going, on_frame=on_frame).astype(float)
+    # what is thicker lies higher: as if the table were, and grippers were lower
+    x[..., 2] += np.array([scene.rise(theta) for theta in thetas])[:, None]
+    return x
 
 
 def middle(scene: Scene, x: Array) -> Array:
@@ -150,7 +157,7 @@ def _grippers(scene: Scene, theta: Theta) -> list[Gripper]:
         time, path = time + delay, path.copy()
         if len(scene.held) == 1:
             path[:, :2] += held[:2] - path[0, :2]
-            path[:, 2] += theta.grip_height
+            path[:, 2] += theta.grip_height - scene.rise(theta)
             if recording.table_height is not None:
                 path[:, 2] = np.maximum(path[:, 2], held[2])
         knots, at = time, path

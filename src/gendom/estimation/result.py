@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError
+from gendom.estimation.likelihood import Comparison, NoiseModel
 from gendom.estimation.posterior import Posterior
-from gendom.estimation.problem import Found, Problem
+from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import replay
 from gendom.estimation.scene import Scene
 from gendom.estimation.theta import UNKNOWNS, Theta
@@ -36,24 +37,97 @@ KEYS = {
 `youngs_modulus` and `bending_stiffness` follow from the first."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordingFit:
+    """The best fit beside one recording."""
+
+    name: str
+    """Empty where it is the only one."""
+    scene: Scene
+    theta: Theta
+    """The material, and how the object is held here and when."""
+    positions: Array
+    """[T, N, 3] particles or points at the scene's frames [m]."""
+    chamfer: Array
+    """[T] distance to all of the object [m]."""
+    chamfer_surface: Array
+    """[T] to the part that cameras could see [m]."""
+
+    @classmethod
+    def of(cls, part: Part, theta: Theta) -> RecordingFit:
+        x = replay(part.scene, [theta])[:, 0]
+        whole, surface = chamfers(part.scene, x, theta)
+        return cls(
+            name=part.name,
+            scene=part.scene,
+            theta=theta,
+            positions=x,
+            chamfer=whole,
+            chamfer_surface=surface,
+        )
+
+    def record(self, comparison: Comparison, noise: NoiseModel) -> dict[str, Any]:
+        """What the file says of this recording alone."""
+        scene, fit = self.scene, comparison.fit(noise)
+        return {
+            "theta": {n: v for n, v in asdict(self.theta).items() if not UNKNOWNS[n].material},
+            "chamfer_last": float(self.chamfer[-1]),
+            "chamfer_mean": float(self.chamfer.mean()),
+            "chamfer_last_surface": float(self.chamfer_surface[-1]),
+            "chamfer_mean_surface": float(self.chamfer_surface.mean()),
+            "rms": comparison.rms,
+            "rms_by_frame": [float(np.sqrt((r**2).mean())) for r in comparison.residuals],
+            "rms_registered": fit.rms,
+            "noise": {"sensor": noise.sensor, "model": noise.model},
+            "calibration": {
+                "shift": fit.a[-7:-4].tolist(),
+                "turn": fit.a[-4:-1].tolist(),
+                "skin": float(fit.a[-1]),
+                "registration": None if (T := scene.registration) is None else T.tolist(),
+            },
+            "compared": list(scene.frames),
+            "begins_with": scene.begins_with,
+            "simulation": {
+                **asdict(scene.settings),
+                "points_simulated": len(scene.initial),
+                "clock": scene.clock,
+                "velocity_damping": scene.velocity_damping,
+            },
+            "notes": list(scene.notes),
+        }
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Estimate(Shown):
-    """The result of one recording."""
+    """The result of one or more recordings of an object."""
 
     theta: Theta
-    """The most likely parameters."""
+    """The most likely parameters; how the object is held and when is that of the first recording.
+    """
     posterior: Posterior
     verdict: Verdict
     record: dict[str, Any] = field(repr=False)
     """The JSON document, format ``gendom-estimate/1``: SI units; ``intervals`` and ``bounds``, the
     range that was searched, hold [low, high] by the names of the values; ``intervals`` is null
-    where the verdict is not usable. Files of older versions lack some keys."""
-    scene: Scene | None = field(default=None, repr=False)
-    """None of one that was read from a file."""
-    positions: Array | None = field(default=None, repr=False)
-    """[T, N, 3] particles or points of the best fit at the scene's frames [m]; None likewise."""
-    chamfer: Array | None = field(default=None, repr=False)
-    """[T] distance to all of the object [m]."""
+    where the verdict is not usable; ``recordings`` holds what is each recording's own, of which the
+    first's is above, too. Files of older versions lack some keys."""
+    fits: tuple[RecordingFit, ...] = field(default=(), repr=False)
+    """One for each recording; empty of an estimate that was read from a file."""
+
+    @property
+    def scene(self) -> Scene | None:
+        """Of the first recording; None of one that was read from a file."""
+        return self.fits[0].scene if self.fits else None
+
+    @property
+    def positions(self) -> Array | None:
+        """[T, N, 3] of the first recording, see `RecordingFit`."""
+        return self.fits[0].positions if self.fits else None
+
+    @property
+    def chamfer(self) -> Array | None:
+        """[T] likewise."""
+        return self.fits[0].chamfer if self.fits else None
 
     @property
     def usable(self) -> bool:
@@ -92,7 +166,9 @@ class Estimate(Shown):
             verdict = Verdict(
                 usable=bool(read["verdict"]["usable"]), reasons=tuple(read["verdict"]["reasons"])
             )
-            posterior = Posterior.from_dict(read["posterior"], theta)
+            # files of older versions are of one recording
+            own = [theta.with_values(r["theta"]) for r in read.get("recordings", [read])]
+            posterior = Posterior.from_dict(read["posterior"], own)
         except (KeyError, TypeError, ValueError) as error:
             raise ParameterError(
                 f"cannot be used: {type(error).__name__} {error}",
@@ -123,6 +199,7 @@ def table_rows(record: dict[str, Any]) -> list[tuple[str, str, str]]:
         ("damping", "damping", "s", ".2g"),
         ("friction", "friction", "", ".2f"),
         ("stiffness_slope", "d ln(E) / d(s/L)", "", ".2f"),
+        ("thickness", "diameter" if rope else "thickness", "m", ".4g"),
         ("density", "density", "kg/m^3", ".4g"),
     )
     rows = []
@@ -141,7 +218,7 @@ def table_rows(record: dict[str, Any]) -> list[tuple[str, str, str]]:
     return rows
 
 
-def chamfers(scene: Scene, x: Array) -> tuple[Array, Array]:
+def chamfers(scene: Scene, x: Array, theta: Theta) -> tuple[Array, Array]:
     """Chamfer distance a frame, to all of the object and to what the cameras could see [T] [m].
 
     What lies outside the recorded space (`Scene.floor`) cannot have points near it and does not
@@ -151,12 +228,13 @@ def chamfers(scene: Scene, x: Array) -> tuple[Array, Array]:
     Args:
         scene: What was recorded.
         x: [T, N, 3] positions at its frames [m].
+        theta: Of these, how thick the object is.
     """
     whole, surface = [], []
     cameras = scene.recording.camera_positions
     for t, here in zip(scene.frames, x, strict=True):
         cloud = scene.recording.frame(t).astype(float)
-        skin = scene.body.surface(here)
+        skin = scene.body_of(theta).surface(here)
         every = skin if scene.thin else here
         whole.append(chamfer(cloud, every, of_b=_inside(scene, every)))
         if scene.kind == "rope" or cameras is not None:
@@ -172,60 +250,80 @@ def _inside(scene: Scene, points: Array) -> NDArray[np.bool_]:
     return above if above.any() else np.ones(len(points), dtype=bool)
 
 
+def _bending_length(scene: Scene, theta: Theta) -> float:
+    """[m]."""
+    return scene.bending_length(theta.specific_modulus, theta.thickness)
+
+
 def bending_stiffness(scene: Scene, theta: Theta) -> float:
     """E I of a rope's section [N m^2], D of a cloth per width [N m]."""
-    E, h = theta.specific_modulus * scene.density, scene.body.thickness
+    E, h = theta.specific_modulus * scene.density_of(theta), theta.thickness * scene.body.thickness
     if scene.kind == "rope":
         return E * math.pi * h**4 / 64.0
     return E * h**3 / (12.0 * (1.0 - theta.nu**2))
 
 
 def result_of(
-    problem: Problem, found: Found, posterior: Posterior, verdict: Verdict, seconds: float
+    problem: Problem,
+    found: Found,
+    posterior: Posterior,
+    alone: Sequence[Posterior],
+    verdict: Verdict,
+    seconds: float,
 ) -> Estimate:
-    """Everything about a finished search."""
+    """Everything about a finished search.
+
+    Args:
+        problem: What was looked for.
+        found: What came out.
+        posterior: Of all recordings.
+        alone: Of each by itself; empty where that was not looked for.
+        verdict: Whether it is usable.
+        seconds: For how long was searched.
+    """
     scene, settings, theta = problem.scene, problem.settings, posterior.theta
-    x = replay(scene, [theta])[:, 0]
-    whole, surface = chamfers(scene, x)
     comparison = found.best.comparison
     assert comparison is not None
-    fit = comparison.fit(found.noise)
+    fits = tuple(
+        RecordingFit.of(part, own)
+        for part, own in zip(problem.parts, posterior.thetas, strict=True)
+    )
+    own = [
+        fit.record(compared, noise)
+        for fit, compared, noise in zip(fits, comparison.parts, found.noise, strict=True)
+    ]
     described = scene.recording.object
+    thickness = theta.thickness * scene.body.thickness
     intervals, bounds, known = _ranges(problem, posterior)
     record: dict[str, Any] = {
+        **own[0],
+        "theta": asdict(theta),
+        "recordings": [
+            {"name": fit.name, **r, "alone": _by_itself(alone[k : k + 1], settings.level)}
+            for k, (fit, r) in enumerate(zip(fits, own, strict=True))
+        ],
+        "notes": list(dict.fromkeys(note for fit in fits for note in fit.scene.notes)),
         "format": FORMAT,
-        "youngs_modulus": theta.specific_modulus * scene.density,
+        "youngs_modulus": theta.specific_modulus * scene.density_of(theta),
         "poissons_ratio": theta.nu,
         "damping": theta.damping if "damping" in posterior.names else None,
         "friction": theta.friction if "friction" in posterior.names else None,
-        "density": scene.density,
+        "density": scene.density_of(theta),
         "density_assumed": described.mass is None,
         "specific_modulus": theta.specific_modulus,
-        "bending_length": scene.bending_length(theta.specific_modulus),
+        "bending_length": _bending_length(scene, theta),
         "bending_stiffness": bending_stiffness(scene, theta),
         "stiffness_slope": theta.stiffness_slope if "stiffness_slope" in posterior.names else None,
+        "thickness": thickness if "thickness" in posterior.names else None,
         "verdict": {"usable": verdict.usable, "reasons": list(verdict.reasons)},
         "intervals": {"level": settings.level, **intervals} if verdict.usable else None,
         "bounds": bounds,
         "identifiable": known,
-        "theta": asdict(theta),
         "posterior": posterior.to_dict(),
-        "chamfer_last": float(whole[-1]),
-        "chamfer_mean": float(whole.mean()),
-        "chamfer_last_surface": float(surface[-1]),
-        "chamfer_mean_surface": float(surface.mean()),
-        "rms": comparison.rms,
-        "rms_by_frame": [float(np.sqrt((r**2).mean())) for r in comparison.residuals],
-        "rms_registered": fit.rms,
-        "noise": {"sensor": found.noise.sensor, "model": found.noise.model},
-        "calibration": {
-            "shift": fit.a[-7:-4].tolist(), "turn": fit.a[-4:-1].tolist(), "skin": float(fit.a[-1]),
-        },
         "iterations": sum(s.iterations for s in found.starts),
         "seconds": seconds,
         "method": settings.method,
         "frames": settings.frames,
-        "compared": list(scene.frames),
         "seed": settings.seed,
         "device": scene.settings.device,
         "interrupted": found.interrupted,
@@ -234,23 +332,15 @@ def result_of(
             "length": described.length,
             "width": described.width,
             "height": described.height,
-            "diameter": scene.body.thickness if described.kind == "rope" else None,
-            "thickness": scene.body.thickness if described.kind == "cloth" else None,
+            "diameter": thickness if described.kind == "rope" else None,
+            "thickness": thickness if described.kind == "cloth" else None,
             "mass": described.mass,
         },
-        "begins_with": scene.recording.begins_with,
-        "simulation": {
-            **asdict(scene.settings),
-            "points_simulated": len(scene.initial),
-            "clock": scene.clock,
-            "velocity_damping": scene.velocity_damping,
-        },
-        "notes": list(scene.notes),
         "starts": [
             {
                 "initial": _named(problem, s.initial),
                 "final": _named(problem, s.vector),
-                "bending_length": scene.bending_length(problem.theta(s.vector).specific_modulus),
+                "bending_length": _bending_length(scene, problem.theta(s.vector)),
                 "loss": math.nan if s.comparison is None else s.comparison.rms,
                 "converged": bool(s.done),
             }
@@ -275,10 +365,16 @@ def result_of(
         posterior=posterior,
         verdict=verdict,
         record=record,
-        scene=scene,
-        positions=x,
-        chamfer=whole,
+        fits=fits,
     )
+
+
+def _by_itself(alone: Sequence[Posterior], level: float) -> dict[str, Any] | None:
+    """What one recording says of E / density by itself, None where it was not asked."""
+    name = "specific_modulus"
+    if not alone or name not in alone[0].names:
+        return None
+    return {name: alone[0].theta.specific_modulus, "interval": list(alone[0].interval(name, level))}
 
 
 def _ranges(
@@ -289,25 +385,34 @@ def _ranges(
     intervals: dict[str, list[float]] = {}
     bounds: dict[str, list[float]] = {}
     known: dict[str, bool] = {}
+    mass = scene.mass_power if scene.recording.object.mass is not None else 0
+    # of a known weight, bending stiffness goes with the square; else the weight grows, too
+    weight = 2 if mass else 2 + scene.mass_power
     for k, name in enumerate(posterior.names):
         u = UNKNOWNS[name]
         if not u.material:
             continue
         key = KEYS.get(name, name)
-        intervals[key] = list(posterior.interval(name, level))
+        unit = scene.body.thickness if name == "thickness" else 1.0
+        intervals[key] = [unit * end for end in posterior.interval(name, level)]
         bounds[key] = [
-            u.value(float(posterior.prior.low[k])),
-            u.value(float(posterior.prior.high[k])),
+            unit * u.value(float(posterior.prior.low[k])),
+            unit * u.value(float(posterior.prior.high[k])),
         ]
         known[key] = posterior.determined(name)
         if name != "specific_modulus":
             continue
-        share = bending_stiffness(scene, posterior.theta) / posterior.theta.specific_modulus
-        for ends in (intervals, bounds):
-            both = ends[key]
-            ends["youngs_modulus"] = [s * scene.density for s in both]
-            ends["bending_length"] = [scene.bending_length(s) for s in both]
-            ends["bending_stiffness"] = [s * share for s in both]
+        theta = posterior.theta
+        for of, value, thicker, power in (
+            # what goes with which powers of E / density and thickness
+            ("youngs_modulus", theta.specific_modulus * scene.density_of(theta), -mass, 1.0),
+            ("bending_length", _bending_length(scene, theta), 2.0, 1.0 / 3.0),
+            ("bending_stiffness", bending_stiffness(scene, theta), weight, 1.0),
+        ):
+            powers = {name: power, "thickness": power * thicker}
+            here = math.prod(getattr(theta, n) ** p for n, p in powers.items())
+            intervals[of] = [value / here * end for end in posterior.product(powers, level)]
+            bounds[of] = [value * (end / theta.specific_modulus) ** power for end in bounds[key]]
         known["youngs_modulus"] = known[key]
     for name in ("specific_modulus", "nu", "friction", "damping"):
         known.setdefault(KEYS[name], False)
@@ -316,10 +421,11 @@ def _ranges(
 
 
 def _named(problem: Problem, vector: Sequence[float] | Array) -> dict[str, float]:
-    theta = problem.theta(vector)
-    found = {f.name: getattr(theta, f.name) for f in fields(theta) if f.name in problem.prior.names}
+    theta, prior = problem.theta(vector), problem.prior
+    names = {prior.names[k] for k in prior.of(0)}
+    found = {f.name: getattr(theta, f.name) for f in fields(theta) if f.name in names}
     return {
-        "youngs_modulus": theta.specific_modulus * problem.scene.density,
+        "youngs_modulus": theta.specific_modulus * problem.scene.density_of(theta),
         "specific_modulus": theta.specific_modulus,
         "poissons_ratio": theta.nu,
         "friction": theta.friction,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -55,22 +55,46 @@ class Scene:
     """Recorded seconds for one simulated second."""
     density: float
     """That is simulated [kg/m^3]."""
+    begins_with: str = ""
+    """`Recording.begins_with`, before any registration."""
+    registration: Array | None = None
+    """[4, 4] by which the recording's clouds were moved [m]; None: cameras are where they say."""
     notes: tuple[str, ...] = field(default=())
     """What was assumed."""
 
     @classmethod
-    def of(cls, recording: Recording, settings: SceneSettings | None = None) -> Scene:
+    def of(
+        cls,
+        recording: Recording,
+        settings: SceneSettings | None = None,
+        registration: Array | None = None,
+    ) -> Scene:
         """The scene of a recording.
+
+        Args:
+            recording: What was recorded.
+            settings: How it is simulated.
+            registration: [4, 4] what brings clouds of cameras with unknown poses to the robot's
+                frame [m]; None: they are there.
 
         Raises:
             RecordingError: The recording shows too little to place the object.
             ParameterError: Settings do not fit it.
         """
         settings = settings or SceneSettings()
+        begins_with = recording.begins_with if recording.frame_valid.any() else ""
+        notes: list[str] = []
+        if registration is not None:
+            middle = recording.points.mean(axis=0, dtype=float)
+            shift = np.linalg.norm(registration[:3, :3] @ middle + registration[:3, 3] - middle)
+            turn = math.degrees(Rotation.from_matrix(registration[:3, :3]).magnitude())
+            recording = recording.moved(registration)
+            notes.append(
+                f"camera poses unknown: clouds moved by {1e3 * shift:.0f} mm and {turn:.1f} degrees"
+            )
         frames = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
         if not frames:
             raise RecordingError("no frame holds a point", where="points", fix="record again")
-        notes: list[str] = []
         placed = place(recording, settings, frames, notes)
         body = placed.body
         clock = _choose_clock(recording, settings)
@@ -95,6 +119,8 @@ class Scene:
             calm=calm,
             clock=clock,
             density=density,
+            begins_with=begins_with,
+            registration=registration,
             notes=tuple(notes),
         )
 
@@ -151,9 +177,33 @@ class Scene:
         share = 4.0 if self.kind == "rope" else math.sqrt(12.0)
         return self.body.thickness / share
 
-    def bending_length(self, specific_modulus: float) -> float:
-        """[m]."""
-        return bending_length(specific_modulus, self.radius_of_gyration, STANDARD_GRAVITY)
+    def bending_length(self, specific_modulus: float, thickness: float = 1.0) -> float:
+        """[m], of an object so many times as thick as stated."""
+        k = thickness * self.radius_of_gyration
+        return bending_length(specific_modulus, k, STANDARD_GRAVITY)
+
+    @property
+    def mass_power(self) -> int:
+        """With which power of its thickness the object's volume goes."""
+        return 2 if self.kind == "rope" else 1
+
+    def density_of(self, theta: Theta) -> float:
+        """Of an object that is as thick as estimated; of a stated mass, where there is one
+        [kg/m^3]."""
+        if self.recording.object.mass is None:
+            return self.density
+        return self.density / theta.thickness**self.mass_power
+
+    def rise(self, theta: Theta) -> float:
+        """How much higher the middle of an object lies on its table than one as thick as stated
+        [m]."""
+        if self.recording.table_height is None or len(self.held) > 1:
+            return 0.0
+        return 0.5 * (theta.thickness - 1.0) * self.body.thickness
+
+    def body_of(self, theta: Theta) -> Body:
+        """As thick as estimated, to be shown; what is simulated is as thick as stated."""
+        return replace(self.body, thickness=theta.thickness * self.body.thickness)
 
     def specific_modulus(self, bending: float) -> float:
         """E / density [m^2/s^2] of an object with this bending length [m]."""

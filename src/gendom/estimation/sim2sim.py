@@ -198,7 +198,7 @@ def sim2sim_problem(
         scene=scene.settings,
         **{"max_iterations": ITERATIONS, **other},
     )
-    problem = Problem(scene, chosen, known=truth_of(float(np.mean(E_RANGE)), 0.3))
+    problem = Problem([scene], chosen, known=truth_of(float(np.mean(E_RANGE)), 0.3))
     logs = np.log([specific_modulus(E) for E in E_RANGE])
     low, high = np.array([logs, NU_RANGE]).T
     # the paper knows no more than these ranges; without noise differences may be small

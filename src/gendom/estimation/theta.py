@@ -40,6 +40,9 @@ class Unknown:
     """Of differences."""
     widest: float
     """Of a search."""
+    steps_with: tuple[tuple[str, float], ...] = ()
+    """Unknowns that take so many of its steps, transformed, in a difference: what they make up for
+    must not be left to differences of large changes."""
     kinds: tuple[str, ...] = ("rope", "cloth")
     """Objects that have it."""
     material: bool = False
@@ -83,6 +86,13 @@ UNKNOWNS: dict[str, Unknown] = {
             "stiffness_slope", "d ln(E) / d(s / L)", "1", "how E varies along a rope",
             low=-3.0, high=3.0, mean=0.0, sd=1.0, step=0.05, widest=0.5, kinds=("rope",),
             material=True,
+        ),
+        # a ruler on a rope that gives way: half a millimetre of a centimetre
+        _unknown(
+            "thickness", "thickness / stated", "1",
+            "diameter of a rope, thickness of a cloth, over the stated one",
+            log=True, low=0.5, high=2.0, mean=1.0, sd=0.05, step=0.02, widest=0.1, material=True,
+            steps_with=(("specific_modulus", -2.0),),
         ),
         _unknown(
             "delay", "delay", "s", "how late clouds show the stated motion of the gripper",
@@ -130,6 +140,7 @@ class Theta:
     damping: float = 0.0045
     friction: float = 0.45
     stiffness_slope: float = 0.0
+    thickness: float = 1.0
     delay: float = 0.0
     grip_height: float = 0.0
     grip_along: float = 0.0
@@ -145,6 +156,8 @@ class Theta:
                 raise ParameterError(f"{field.name} must be a finite number, got {value}")
         if not -1.0 < self.nu < 0.5:
             raise ParameterError(f"nu must lie in (-1, 0.5), got {self.nu}")
+        if self.thickness <= 0.0:
+            raise ParameterError(f"thickness must be above 0, got {self.thickness}")
         for name in ("friction", "damping"):
             if getattr(self, name) < 0.0:
                 raise ParameterError(
@@ -155,11 +168,18 @@ class Theta:
         return replace(self, **values)
 
 
+NUMBERS = ("low", "high", "mean", "sd", "step", "widest")
+"""Fields of `Prior` that are arrays."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Prior:
-    """Gaussian prior of P unknowns, in transformed coordinates."""
+    """Gaussian prior of P unknowns of an object and its recordings, in transformed coordinates."""
 
     names: tuple[str, ...]
+    """A recording's own unknowns are named once for each recording."""
+    owners: tuple[int | None, ...]
+    """Which recording has each; None: the object, so that all recordings share it."""
     low: Array
     high: Array
     mean: Array
@@ -171,14 +191,37 @@ class Prior:
     def unknowns(self) -> list[Unknown]:
         return [UNKNOWNS[name] for name in self.names]
 
-    def vector(self, theta: Theta) -> Array:
-        """[P] transformed values of an estimate."""
-        return np.array([u.transformed(getattr(theta, u.name)) for u in self.unknowns])
+    def of(self, recording: int) -> list[int]:
+        """Indices of the unknowns that a recording shares or has."""
+        return [k for k, owner in enumerate(self.owners) if owner in (None, recording)]
 
-    def theta(self, vector: Sequence[float] | Array, base: Theta) -> Theta:
-        """The estimate with these transformed values [P], others as in ``base``."""
-        values = zip(self.unknowns, vector, strict=True)
-        return base.with_values({u.name: u.value(float(x)) for u, x in values})
+    def taken(self, which: Sequence[int] | NDArray[np.intp]) -> Prior:
+        """Prior of unknowns with these indices, those of one recording."""
+        numbers = {name: getattr(self, name)[which] for name in NUMBERS}
+        names = tuple(self.names[k] for k in which)
+        return Prior(names=names, owners=owners_of(names), **numbers)
+
+    def index(self, name: str, recording: int = 0) -> int:
+        """Of an unknown, of this recording if each has its own.
+
+        Raises:
+            ValueError: It is not among them.
+        """
+        own = self.of(recording)
+        return own[[self.names[k] for k in own].index(name)]
+
+    def vector(self, *thetas: Theta) -> Array:
+        """[P] transformed values of an estimate, one for each recording."""
+        own = [thetas[owner or 0] for owner in self.owners]
+        return np.array(
+            [u.transformed(getattr(t, u.name)) for u, t in zip(self.unknowns, own, strict=True)]
+        )
+
+    def theta(self, vector: Sequence[float] | Array, base: Theta, recording: int = 0) -> Theta:
+        """A recording's estimate with these transformed values [P], others as in ``base``."""
+        own = self.of(recording)
+        values = ((UNKNOWNS[self.names[k]], float(vector[k])) for k in own)
+        return base.with_values({u.name: u.value(x) for u, x in values})
 
     def clipped(self, vector: Array) -> Array:
         return np.clip(vector, self.low, self.high)
@@ -203,10 +246,34 @@ def prior_of(names: Iterable[str], changes: Mapping[str, Mapping[str, float]]) -
         chosen.append(replace(UNKNOWNS[name], **changes.get(name, {})))
     return Prior(
         names=tuple(u.name for u in chosen),
+        owners=owners_of(u.name for u in chosen),
         low=np.array([u.transformed(u.low) for u in chosen]),
         high=np.array([u.transformed(u.high) for u in chosen]),
         mean=np.array([u.transformed(u.mean) for u in chosen]),
         sd=np.array([u.sd for u in chosen]),
         step=np.array([u.step for u in chosen]),
         widest=np.array([u.widest for u in chosen]),
+    )
+
+
+def owners_of(names: Iterable[str]) -> tuple[int | None, ...]:
+    """`Prior.owners` of the unknowns of one recording."""
+    return tuple(None if UNKNOWNS[name].material else 0 for name in names)
+
+
+def joint_prior(priors: Sequence[Prior]) -> Prior:
+    """Prior of what several recordings of one object show: the material's unknowns once, as the
+    first recording that shows them has them, and each recording's own."""
+    chosen: dict[tuple[str, int | None], tuple[Prior, int]] = {}
+    for recording, prior in enumerate(priors):
+        for k, (name, owner) in enumerate(zip(prior.names, prior.owners, strict=True)):
+            chosen.setdefault((name, None if owner is None else recording), (prior, k))
+
+    def numbers(field: str) -> Array:
+        return np.array([getattr(prior, field)[k] for prior, k in chosen.values()])
+
+    return Prior(
+        names=tuple(name for name, _ in chosen),
+        owners=tuple(owner for _, owner in chosen),
+        **{field: numbers(field) for field in NUMBERS},
     )

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.datasets import Recording
-from gendom.estimation.problem import Found, Problem
+from gendom.estimation.likelihood import Comparison, NoiseModel
+from gendom.estimation.posterior import Posterior
+from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.theta import UNKNOWNS
 
 Array = NDArray[np.floating]
@@ -42,7 +47,8 @@ class VerdictSettings:
     """Largest share of points that lie under the stated table: by 1 cm and more, of a rope by a
     quarter of its diameter (and 4 mm) and more."""
     nuisance: float = 5.0
-    """Most deviations by which a camera, gripper or clock may differ from what is stated."""
+    """Most deviations by which a camera, gripper or clock may differ from what is stated, and
+    recordings of one object from each other."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,21 +113,38 @@ def recording_faults(
     return found
 
 
-def judge(problem: Problem, found: Found, settings: VerdictSettings | None = None) -> Verdict:
-    """Of a fit.
+def judge(
+    problem: Problem,
+    found: Found,
+    alone: Sequence[Posterior],
+    settings: VerdictSettings | None = None,
+) -> Verdict:
+    """Of a fit. What is true of one of several recordings is said with its name.
 
     Args:
         problem: What was looked for.
         found: What came out.
+        alone: What each recording says by itself; empty where that is not compared.
         settings: Bounds.
     """
-    s, scene = settings or VerdictSettings(), problem.scene
+    s, compared = settings or VerdictSettings(), found.best.comparison
+    assert compared is not None
+    reasons = []
+    for k, (part, comparison) in enumerate(zip(problem.parts, compared.parts, strict=True)):
+        said = _faults(part, comparison, found.noise[k], s)
+        said += _pressed(problem, found.best.vector, k, s)
+        reasons += [part.said(reason) for reason in said]
+    reasons += _at_end(problem, found.best.vector)
+    reasons += _disagreeing(problem, alone, s)
+    return Verdict(usable=not reasons, reasons=tuple(reasons))
+
+
+def _faults(part: Part, comparison: Comparison, noise: NoiseModel, s: VerdictSettings) -> list[str]:
+    """Why a recording, or its fit, is not usable."""
+    scene, observation = part.scene, part.observation
     density = None if scene.recording.object.mass is None else scene.density
     reasons = recording_faults(scene.recording, density, s)
-    comparison = found.best.comparison
-    assert comparison is not None
-    observation = problem.observation
-    rows = observation.rows(comparison.here)
+    rows = comparison.rows
     own = observation.counts.shape[1]
     real = observation.counts > 0.0
     away = np.abs(rows.rho[:, :own])[real]
@@ -141,25 +164,51 @@ def judge(problem: Problem, found: Found, settings: VerdictSettings | None = Non
             reasons.append(
                 f"clouds show nothing where {share:.0%} of the object should be: is its size right?"
             )
-    if found.noise.model > s.displaced * scene.size:
+    if noise.model > s.displaced * scene.size:
         reasons.append(
-            f"the object moves {1e3 * found.noise.model:.0f} mm otherwise than any simulated one"
+            f"the object moves {1e3 * noise.model:.0f} mm otherwise than any simulated one"
         )
-    reasons += _pressed(problem, found.best.vector, s)
-    return Verdict(usable=not reasons, reasons=tuple(reasons))
+    return reasons
 
 
-def _pressed(problem: Problem, vector: Array, s: VerdictSettings) -> list[str]:
-    """Unknowns at the ends of their ranges, or far from what is believed of them."""
+def _at_end(problem: Problem, vector: Array) -> list[str]:
+    """Whether the modulus ends where the search does."""
+    prior = problem.prior
+    if "specific_modulus" not in prior.names:
+        return []
+    k = prior.index("specific_modulus")
+    if min(vector[k] - prior.low[k], prior.high[k] - vector[k]) < 1e-3:
+        return ["E / density lies at the end of the range that was searched"]
+    return []
+
+
+def _pressed(problem: Problem, vector: Array, recording: int, s: VerdictSettings) -> list[str]:
+    """A recording's own unknowns that are far from what is believed of them."""
     prior, said = problem.prior, []
-    for k, name in enumerate(prior.names):
-        u, x = UNKNOWNS[name], float(vector[k])
-        if name == "specific_modulus":
-            if min(x - prior.low[k], prior.high[k] - x) < 1e-3:
-                said.append("E / density lies at the end of the range that was searched")
-        elif not u.material and abs(x - prior.mean[k]) > s.nuisance * prior.sd[k]:
+    for k in prior.of(recording):
+        u, x = UNKNOWNS[prior.names[k]], float(vector[k])
+        if not u.material and abs(x - prior.mean[k]) > s.nuisance * prior.sd[k]:
             said.append(
                 f"{u.symbol} would have to be {u.value(x):.3g} {u.unit} ({u.meaning}): the stated "
                 "motion or size is wrong"
             )
     return said
+
+
+def _disagreeing(problem: Problem, alone: Sequence[Posterior], s: VerdictSettings) -> list[str]:
+    """Recordings that are not of one E / density: the two that are the most deviations apart."""
+    name = "specific_modulus"
+    if name not in problem.prior.names:
+        return []
+    at = [float(p.mean[p.prior.index(name)]) for p in alone]
+    sd = [p.sd(name) for p in alone]
+    pairs = combinations(range(len(at)), 2)
+    apart = ((abs(at[a] - at[b]) / math.hypot(sd[a], sd[b]), a, b) for a, b in pairs)
+    deviations, a, b = max(apart, default=(0.0, 0, 0))
+    if deviations <= s.nuisance:
+        return []
+    (one, low), (other, high) = ((problem.parts[n].name, math.exp(at[n])) for n in (a, b))
+    return [
+        f"{one} and {other} do not show one object: by themselves they say that E / density is "
+        f"{low:.3g} and {high:.3g} m^2/s^2, {deviations:.0f} standard deviations apart"
+    ]

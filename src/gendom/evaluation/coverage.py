@@ -16,11 +16,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import binom, norm
 
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.estimation import UNKNOWNS, Calibration, EstimateSettings, SceneSettings, estimate
+from gendom.evaluation.sheet import Ranks, Sheet
 from gendom.files import write_json
 from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.materials.parameters import specific_modulus_of
@@ -32,6 +33,13 @@ CLOUD_POINTS = {"rope": 320, "cloth": 1400}
 
 FRAME_RATE = {"hold": 10.0, "swing": 30.0, "drop": 30.0}
 """Of the cameras by how a lift ends [1/s]."""
+
+
+BAND = 0.95
+"""Probability with which all bars of uniform ranks lie within their band."""
+
+BINS, A_BIN = (4, 20), 5
+"""Bars of a histogram of ranks, at least and at most, and how many ranks each should hold."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +164,7 @@ def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
                 item, pictures, frame_rate=FRAME_RATE[settings.end], seed=seed, end=settings.end
             )
         _thinned(recording, CLOUD_POINTS[settings.kind], seed).write(path)
-    row: dict[str, Any] = {"seed": seed, "truth": _truth(item)}
+    row: dict[str, Any] = {"seed": seed, "truth": truth_of(item)}
     try:
         found = estimate(
             Recording.read(path, on_warning=lambda _: None),
@@ -191,7 +199,7 @@ def _thinned(recording: Recording, most: int, seed: int) -> Recording:
     )
 
 
-def _truth(item: RealObject) -> dict[str, float]:
+def truth_of(item: RealObject) -> dict[str, float]:
     """By names of `gendom.estimation.UNKNOWNS`; a cloth's E is that of one as stiff with the
     Poisson's ratio that cloths are estimated with."""
     m = item.material
@@ -222,6 +230,29 @@ class Covered:
     """Share of intervals that hold the truth."""
     factor: float
     """By which deviations have to be multiplied so that `level` of them would; at least 1."""
+    ranks: tuple[float, ...]
+    """[N] shares of the posteriors that lie below the truth: uniform where those are right."""
+    counts: tuple[int, ...]
+    """How many ranks lie in each of equal parts of 0 to 1."""
+    band: tuple[int, int]
+    """Between which all of those lie with the probability `BAND` where ranks are uniform."""
+
+    @property
+    def uniform(self) -> bool:
+        """Whether ranks may be uniform, as far as their number tells."""
+        return self.band[0] <= min(self.counts) and max(self.counts) <= self.band[1]
+
+
+def rank_band(count: int, bins: int) -> tuple[int, int]:
+    """Least and most of so many uniform ranks that lie in one of several equal parts, for all parts
+    together with the probability `BAND` or more.
+
+    After Talts et al. (2018), "Validating Bayesian inference algorithms with simulation-based
+    calibration", with the bars' misses shared out among them (Bonferroni).
+    """
+    miss = (1.0 - BAND) / (2.0 * bins)
+    low, high = binom.ppf([miss, 1.0 - miss], count, 1.0 / bins)
+    return int(low), int(high)
 
 
 def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
@@ -247,6 +278,8 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
         if not off:
             continue
         error, deviation = np.abs(off), np.array(sd)
+        ranks = norm.cdf(-np.array(off) / deviation)
+        bins = min(max(len(off) // A_BIN, BINS[0]), BINS[1])
         found.append(
             Covered(
                 name=name,
@@ -257,26 +290,52 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
                 half_width=float(np.median(z * deviation)),
                 covered=float(np.mean(error < z * deviation)),
                 factor=max(1.0, float(np.quantile(error / deviation, level)) / z),
+                ranks=tuple(map(float, ranks)),
+                counts=tuple(map(int, np.histogram(ranks, bins, range=(0.0, 1.0))[0])),
+                band=rank_band(len(off), bins),
             )
         )
     return found
 
 
+def coverage_sheets(
+    rows: Sequence[dict[str, Any]], table: Sequence[Covered]
+) -> list[Sheet | Ranks]:
+    """The table of `covered`, and the histogram of each unknown's ranks."""
+    usable = sum(bool(r.get("verdict", {}).get("usable")) for r in rows)
+    sheet = Sheet(
+        title=f"{len(rows)} lifts, {usable} usable",
+        head=("error, median", "90 % below", "bias", "half width", "covered", "factor", "ranks"),
+        rows={
+            c.name: (
+                f"{c.median_error:.4f}",
+                f"{c.ninety_error:.4f}",
+                f"{c.bias:+.4f}",
+                f"{c.half_width:.4f}",
+                f"{c.covered:.0%}",
+                f"{c.factor:.2f}",
+                "in the band" if c.uniform else "not uniform",
+            )
+            for c in table
+        },
+    )
+    ranks = [
+        Ranks(
+            title=f"Ranks of {c.name}",
+            counts=c.counts,
+            band=c.band,
+            band_label=f"{100.0 * BAND:g} % band of uniform ranks",
+        )
+        for c in table
+    ]
+    return [sheet, *ranks]
+
+
 def coverage_text(rows: Sequence[dict[str, Any]], table: Sequence[Covered]) -> str:
     """For people."""
-    usable = sum(bool(r.get("verdict", {}).get("usable")) for r in rows)
-    lines = [f"{len(rows)} lifts, {usable} usable"]
+    lines = [str(coverage_sheets(rows, table)[0])]
     for row in rows:
         reasons = row.get("fault") or "; ".join(row.get("verdict", {}).get("reasons", ()))
         if reasons:
             lines.append(f"  seed {row['seed']}: {reasons}")
-    lines.append(
-        f"{'unknown':<18}{'error, median':>14}{'90 % below':>12}{'bias':>9}{'half width':>12}"
-        f"{'covered':>9}{'factor':>8}"
-    )
-    lines += [
-        f"{c.name:<18}{c.median_error:>14.4f}{c.ninety_error:>12.4f}{c.bias:>+9.4f}"
-        f"{c.half_width:>12.4f}{c.covered:>9.0%}{c.factor:>8.2f}"
-        for c in table
-    ]
     return "\n".join(lines)

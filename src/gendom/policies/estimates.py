@@ -181,9 +181,12 @@ def _posterior(old: Mapping[str, Any] | None, belief: Belief) -> dict[str, Any]:
         "high": [end(n, 1) for n in belief.names],
         "log": [PARAMETERS[n].log for n in belief.names],
     }
+    if "recordings" in old:
+        own["recordings"] = [None] * count
     for key, values in own.items():
+        # those of several recordings share names
         there = dict(zip(old["names"], old.get(key) or [], strict=False))
-        kept = [there[old["names"][k]] for k in others]
+        kept = [old[key][k] for k in others]
         # the prior stays that of the recording
         first = [
             there.get(name, value) if key.startswith("prior") else value

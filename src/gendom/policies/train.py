@@ -138,6 +138,8 @@ def train(
     training = training or Training()
     began = time.monotonic()
     path = Path(path)
+    if not demonstrations.goal_names:
+        demonstrations = _steady(demonstrations)  # an action that failed teaches no other goal
     sees = _seen(demonstrations, training)
     if finetune is not None:
         _check_alike(demonstrations, finetune)

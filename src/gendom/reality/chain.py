@@ -13,7 +13,8 @@ from gendom.datasets import Recording
 from gendom.perception import PerceptionSettings, perceive, read_sighting
 from gendom.reality.objects import RealObject
 from gendom.reality.recording import RecordSettings, record
-from gendom.reality.trials import Performance, lift, lift_cameras
+from gendom.reality.trials import Performance, lift_cameras, lifted_by, predefined_lift
+from gendom.robot import LiftMotion
 
 Sight = tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]
 """Colour [height, width, 3] and depth [height, width] [m], 0 where there is none."""
@@ -26,6 +27,7 @@ def record_and_perceive(
     frame_rate: float = 15.0,
     seed: int = 0,
     end: str = "hold",
+    motion: LiftMotion | None = None,
 ) -> tuple[Recording, list[Sight]]:
     """Lift an object under two noisy cameras and perceive it by its colour.
 
@@ -35,20 +37,22 @@ def record_and_perceive(
             written to recording.npz inside.
         frame_rate: [1/s].
         seed: Of all noise.
-        end: How the lift ends, one of `gendom.robot.LIFT_ENDS`.
+        end: How the predefined lift ends, one of `gendom.robot.LIFT_ENDS`.
+        motion: How it is lifted instead.
 
     Returns:
         The perceived recording, and what each camera saw halfway, see `halfway`.
 
     Raises:
         DeviceError: MuJoCo is not installed, or nothing can be rendered.
-        RobotError: There is no such end, or it is beyond the arm.
+        RobotError: There is no such end, the motion is for another kind, or beyond the arm.
         GendomError: The folder cannot be written.
     """
     folder = Path(folder)
+    trial = lifted_by(item, motion or predefined_lift(item.kind, end))
     for part in ("cameras", "truth"):
         shutil.rmtree(folder / part, ignore_errors=True)
-    performance = Performance(lift(item, end=end), cameras=lift_cameras(item))
+    performance = Performance(trial, cameras=lift_cameras(item))
     performance.step_to(performance.closes)
     with performance.world:
         record(

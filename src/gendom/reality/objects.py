@@ -1,6 +1,7 @@
-"""The objects of the MuJoCo test scene (the second reality): three ropes and two cloths.
+"""The objects of the MuJoCo test scene (the second reality): three ropes and two cloths, these
+in two sizes.
 
-They carry the names of the paper's. Where their numbers come from:
+They carry the names of the paper's, whose cloths have sides of 0.2 m. Where their numbers come from:
 
 Ropes. E / density and nu are the paper's estimates for its three real ropes (table "real2sim":
 1779, 3276 and 8000 with nu 0.35, 0.346, 0.36), which hold for a rope 0.5 long under gravity 12,
@@ -148,17 +149,29 @@ def _rope(
     return RealRope(name=name, length=length, diameter=diameter, material=material, **rest)
 
 
-def _cotton() -> RealCloth:
+def _cloths(suffix: str, *, side: float, vertices: int) -> tuple[RealCloth, RealCloth]:
+    """The cotton and the rubber cloth, cut to a size."""
     thickness, nu = 0.5e-3, 0.3
     E = 7e-6 * 12.0 * (1.0 - nu**2) / thickness**3
-    return RealCloth(
-        name="cloth-cotton",
-        side=0.3,
+    cotton = RealCloth(
+        name=f"cloth-cotton{suffix}",
+        side=side,
         thickness=thickness,
         material=Material(E=E, nu=nu, density=400.0, damping=0.01),
         friction=0.5,
         colour=(40, 70, 150),
+        vertices=vertices,
     )
+    rubber = RealCloth(
+        name=f"cloth-rubber{suffix}",
+        side=side,
+        thickness=1e-3,
+        material=Material(E=2e6, nu=0.45, density=1100.0, damping=0.004),
+        friction=0.7,
+        colour=(30, 130, 70),
+        vertices=vertices,
+    )
+    return cotton, rubber
 
 
 OBJECTS: dict[str, RealObject] = {
@@ -191,15 +204,8 @@ OBJECTS: dict[str, RealObject] = {
             friction=0.25,
             colour=(225, 190, 30),
         ),
-        _cotton(),
-        RealCloth(
-            name="cloth-rubber",
-            side=0.3,
-            thickness=1e-3,
-            material=Material(E=2e6, nu=0.45, density=1100.0, damping=0.004),
-            friction=0.7,
-            colour=(30, 130, 70),
-        ),
+        *_cloths("", side=0.3, vertices=31),
+        *_cloths("-200mm", side=0.2, vertices=21),
     )
 }
 """The objects by name."""

@@ -38,7 +38,7 @@ CLOTH_RADIUS = 0.0005
 TABLE = (0.45, 0.0, 0.9, 1.4)
 """Centre x, y and sizes along x and y of the table [m]; its top is z = 0."""
 
-# Bits of contact: what an object touches, beside itself.
+# Bits of contact.
 _OBJECT, _FIXED = 1, 2
 
 
@@ -259,9 +259,11 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
     turned = layout.rotation().as_quat(scalar_first=True)
     place = f'pos="{_row(centre)}" quat="{_row(turned)}" mass="{item.mass!r}"'
     colour = _row([*(c / 255.0 for c in item.colour), 1.0])
-    # Hard contact: two time steps to settle. The table's friction takes precedence.
+    # Hard contact: two time steps to settle. The table's friction takes precedence. Cloths touch
+    # themselves, too.
+    touched = _FIXED if isinstance(item, RealRope) else _FIXED | _OBJECT
     contact = (
-        f'<contact contype="{_OBJECT}" conaffinity="{_FIXED}" selfcollide="auto"'
+        f'<contact contype="{_OBJECT}" conaffinity="{touched}" selfcollide="auto"'
         f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1"/>'
     )
     E, nu = item.material.E, item.material.nu

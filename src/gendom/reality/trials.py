@@ -25,7 +25,16 @@ from gendom.reality.arm import RobotArm, surroundings
 from gendom.reality.objects import RealCloth, RealObject, RealRope, as_real
 from gendom.reality.scene import Layout, default_cameras, rest_height
 from gendom.reality.world import FINGER_WIDTH, Reality
-from gendom.robot import XARM7, Deviation, TcpPath, follow, motions, pointing_down
+from gendom.robot import (
+    XARM7,
+    Deviation,
+    JointMotion,
+    LiftMotion,
+    TcpPath,
+    follow,
+    motions,
+    pointing_down,
+)
 from gendom.tasks import Observed, Task
 from gendom.tasks.world import Outcome, check_actions
 
@@ -38,6 +47,10 @@ RISE = 0.75
 ROPE_TIMESTEP = 0.00025
 """MuJoCo's timestep in trials with ropes [s]: at its default of 1 ms a rope of 2.5 ms is damped
 like one of 3.5 ms, at this one like one of 2.8 ms."""
+
+CLOTH_TIMESTEP = 0.002
+"""The same in tasks with cloths [s]: at the default of 4 ms a rubber cloth of 0.2 m that is brought down
+by A = 0.2 covers 0.60 of its area, at this one 0.80, as at 1 ms."""
 
 TIP_HEIGHT = 0.002
 """The lowest that the tool point goes above the table [m]: the pads reach 1.1 mm below it."""
@@ -111,13 +124,7 @@ class Performance:
         thick = thickness_of(trial.item)
         self.motion = None
         if robot:
-            self.motion = follow(
-                XARM7,
-                trial.path,
-                slow_down=True,
-                surroundings=surroundings(cameras),
-                opening=thick,
-            )
+            self.motion = arm_motion(trial, cameras)
         arm = None if self.motion is None else RobotArm(XARM7, self.motion, opening=thick)
         self.world = Reality(
             trial.item,
@@ -146,12 +153,7 @@ class Performance:
     @property
     def end(self) -> float:
         """When everything is over [s]: later than in the trial where the arm takes longer."""
-        last = self.events[-1]
-        end = self.trial.end + last.time - self.trial.path.events[-1].time
-        if self.motion is None or not last.closed:
-            return end
-        # The hand still moves after it has closed, and an arm that is slowed down for longer.
-        return max(end, self.motion.end - 0.5 * self.motion.blend)
+        return end_of(self.trial, self.motion)
 
     @property
     def slowed_by(self) -> float:
@@ -192,6 +194,53 @@ class Performance:
         return np.array(seen)
 
 
+def arm_motion(trial: Trial, cameras: Sequence[Camera] = ()) -> JointMotion:
+    """How the xArm 7 carries out a trial beside fixed cameras.
+
+    Raises:
+        RobotError: It cannot within its limits, or would touch itself, the table or a camera.
+    """
+    return follow(
+        XARM7,
+        trial.path,
+        slow_down=True,
+        surroundings=surroundings(cameras),
+        opening=thickness_of(trial.item),
+    )
+
+
+def end_of(trial: Trial, motion: JointMotion | None) -> float:
+    """When everything is over [s]: later than in the trial where the arm takes longer.
+
+    Args:
+        trial: What is done.
+        motion: How the arm does it; None: a free hand.
+    """
+    if motion is None:
+        return trial.end
+    last = motion.events[-1]
+    end = trial.end + last.time - trial.path.events[-1].time
+    if not last.closed:
+        return end
+    # The hand still moves after it has closed, and an arm that is slowed down for longer.
+    return max(end, motion.end - 0.5 * motion.blend)
+
+
+def predefined_lift(kind: str, end: str = "hold") -> LiftMotion:
+    """How objects of a kind are lifted where nothing else is asked for.
+
+    Raises:
+        RobotError: There is no such end.
+    """
+    rope = kind == "rope"
+    return LiftMotion(
+        kind=kind,
+        rise=FREE_RISE if rope and end == "swing" else RISE,
+        speed=ROPE_LIFT_SPEED if rope else CLOTH_LIFT_SPEED,
+        end=end,
+    )
+
+
 def lift(
     item: RealObject,
     *,
@@ -219,16 +268,16 @@ def lift(
     origin = np.array([START, 0.0, height])
     rope = isinstance(item, RealRope)
     if rope:
-        layout, size = Layout(origin=origin), item.length
+        layout = Layout(origin=origin)
     else:
         half = np.sqrt(0.5)
         layout = Layout(origin=origin, along=(half, -half, 0.0), across=(half, half, 0.0))
-        size = item.side
-    share = FREE_RISE if rope and end == "swing" else RISE
+    usual = predefined_lift(item.kind, end)
+    speed = usual.speed if speed is None else speed
     path = motions.lift(
         origin + np.array([FINGER_WIDTH / 2.0, 0.0, max(TIP_HEIGHT - height, 0.0)]),
-        height=share * size if rise is None else rise,
-        speed=(ROPE_LIFT_SPEED if rope else CLOTH_LIFT_SPEED) if speed is None else speed,
+        height=usual.rise * size_of(item) if rise is None else rise,
+        speed=speed,
         quat_xyzw=pointing_down(),
         wait=SETTLE,
         after=SETTLE if end == "hold" else None,
@@ -242,10 +291,25 @@ def lift(
         # A corner's vertices are farther from its middle than an end's.
         reach=_rope_reach(item) if rope else FINGER_WIDTH,
         end=path.end,
-        quasi_static=rope and end == "hold",
+        quasi_static=rope and end == "hold" and speed <= ROPE_LIFT_SPEED,
         timestep=ROPE_TIMESTEP if rope else None,
         quick=end != "hold",
     )
+
+
+def lifted_by(item: RealObject, motion: LiftMotion) -> Trial:
+    """The lift of an object by a motion for its kind.
+
+    Raises:
+        RobotError: The motion is for the other kind.
+    """
+    if motion.kind != item.kind:
+        raise RobotError(
+            f"is for a {motion.kind}, and {item.name} is a {item.kind}",
+            where="motion",
+            fix=f"plan one with gendom plan-lift {item.kind}",
+        )
+    return lift(item, rise=motion.rise * size_of(item), speed=motion.speed, end=motion.end)
 
 
 def _rope_reach(item: RealRope) -> float:
@@ -293,7 +357,7 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
         grasp="center" if task.kind == "cloth" else "end",
         reach=scene.grip,
         end=START_DELAY - closes + float(task.times(item)[-1]),
-        timestep=ROPE_TIMESTEP if task.kind == "rope" else None,
+        timestep=ROPE_TIMESTEP if task.kind == "rope" else CLOTH_TIMESTEP,
     )
 
 

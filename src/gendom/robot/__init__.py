@@ -32,7 +32,7 @@ from gendom.robot.kinematics import (
     tcp_pose,
 )
 from gendom.robot.motion import JointMotion, LimitUse
-from gendom.robot.motions import LIFT_ENDS, lift
+from gendom.robot.motions import LIFT_ENDS, MOTION_FORMAT, LiftMotion, lift
 from gendom.robot.path import (
     DOWN,
     Deviation,
@@ -66,6 +66,7 @@ __all__ = [
     "ARMS",
     "DOWN",
     "LIFT_ENDS",
+    "MOTION_FORMAT",
     "XARM7",
     "Arm",
     "ArmShape",
@@ -78,6 +79,7 @@ __all__ = [
     "JointMotion",
     "JointStates",
     "KnuckleCapsule",
+    "LiftMotion",
     "LimitUse",
     "LinkCapsule",
     "ParallelGripper",

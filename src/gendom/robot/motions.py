@@ -13,11 +13,15 @@ Positions are those of the point between the fingertips, in the robot's base fra
 from __future__ import annotations
 
 import math
+import os
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import RobotError
+from gendom.files import read_json
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
 
 Array = NDArray[np.float64]
@@ -34,6 +38,73 @@ SWING_STROKE = 0.25
 
 LIVELY_REST = 1.0
 """How long the arm stands still while the object swings or falls [s]."""
+
+
+MOTION_FORMAT = "gendom-motion/1"
+"""Of files that hold a `LiftMotion`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiftMotion:
+    """A predefined lift of objects of one kind and any size.
+
+    Raises:
+        RobotError: A number is out of its range, or there is no such end.
+    """
+
+    kind: str
+    """``rope`` or ``cloth``."""
+    rise: float
+    """How high, in lengths of a rope or sides of a cloth."""
+    speed: float
+    """[m/s]."""
+    end: str = "hold"
+    """One of `LIFT_ENDS`."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("rope", "cloth"):
+            raise _bad(f"kind is {self.kind!r}", fix="give rope or cloth")
+        _positive(rise=self.rise, speed=self.speed)
+        _known_end(self.end)
+
+    def __str__(self) -> str:
+        size = "lengths" if self.kind == "rope" else "sides"
+        return f"{self.end}, {self.rise:g} {size} at {self.speed:g} m/s"
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"kind": self.kind, "rise": self.rise, "speed": self.speed, "end": self.end}
+
+    @classmethod
+    def read(cls, path: str | os.PathLike) -> LiftMotion:
+        """The motion in a ``gendom-motion/1`` file, as ``gendom plan-lift`` writes it.
+
+        Raises:
+            GendomError: The file cannot be read.
+            RobotError: It holds no such motion.
+        """
+        said = read_json(path)
+        fix = "give motion.json of gendom plan-lift"
+        if said.get("format") != MOTION_FORMAT:
+            raise RobotError(
+                f"has format {said.get('format')!r}, not {MOTION_FORMAT!r}",
+                where=str(path),
+                fix=fix,
+            )
+        found: Any = said.get("lift")
+        try:
+            return cls(
+                kind=found["kind"],
+                rise=float(found["rise"]),
+                speed=float(found["speed"]),
+                end=found["end"],
+            )
+        except (KeyError, TypeError, ValueError):
+            raise RobotError(
+                "its lift lacks a kind, rise, speed or end", where=str(path), fix=fix
+            ) from None
+        except RobotError as error:
+            raise RobotError(error.what, where=f"{path}: lift", fix=error.fix) from None
 
 
 def lift(
@@ -72,8 +143,7 @@ def lift(
     """
     start = _point(start, "start")
     _positive(height=height, speed=speed, wait=wait)
-    if end not in LIFT_ENDS:
-        raise _bad(f"end is {end!r}", fix=f"choose {', '.join(LIFT_ENDS)}")
+    _known_end(end)
     if after is None:
         after = 0.0 if end == "hold" else LIVELY_REST
     rise = height / speed
@@ -118,6 +188,11 @@ def _horizontal(value: ArrayLike, name: str) -> Array:
     if direction[2] != 0.0 or abs(np.linalg.norm(direction) - 1.0) > 1e-9:
         raise _bad(f"{name} is {direction.tolist()}", fix="give a horizontal unit vector")
     return direction
+
+
+def _known_end(end: str) -> None:
+    if end not in LIFT_ENDS:
+        raise _bad(f"end is {end!r}", fix=f"choose {', '.join(LIFT_ENDS)}")
 
 
 def _positive(**values: float) -> None:

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -152,6 +153,22 @@ class TcpPath:
         # two that differ by rounding would be a jump
         times = times[np.append(np.diff(times) > 1e-9, True)]
         return times, self.position_at(times, self.blend)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON and robots that play it: its own blend sampled; the frame is the base's.
+
+        Returns:
+            time [K] [s]; position [K][3] [m] and quat_xyzw [4] or [K][4] of the tool; events, when
+            the hand closes and opens.
+        """
+        times, position = self.sampled()
+        return {
+            "frame": "robot base, z up",
+            "time": times.tolist(),
+            "position": position.tolist(),
+            "quat_xyzw": self.quat_xyzw.tolist(),
+            "events": [{"time": e.time, "closed": e.closed} for e in self.events],
+        }
 
     @property
     def start(self) -> float:

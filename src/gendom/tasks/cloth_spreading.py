@@ -30,7 +30,7 @@ from PIL import Image, ImageDraw
 from gendom.errors import ParameterError
 from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, size_of, thickness_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
-from gendom.tasks.task import Array, Observed, Quantity, Scene, Task
+from gendom.tasks.task import Array, Observed, Quantity, Risk, Scene, Task
 
 if TYPE_CHECKING:
     from gendom.tasks.world import Outcome, World
@@ -82,6 +82,11 @@ WAIT, SETTLE, AFTER = 3.0, 7.0, 7.0
 """Still before it is raised, at the top for the cloth to hang still, and at the end, for it to come
 to rest [sqrt(L / g)]."""
 
+OFF_CENTRE = (0.015, 0.0065)
+"""How far beside its centre a cloth is held, along its sides [sides]: 3 mm for a side of 0.2 m, as hands
+err. Held exactly there it would hang symmetrically, which is unstable: rounding would decide how it
+folds."""
+
 FINGERS = 0.0125
 """Half the breadth of the fingers: how much of the centre they hold [m]."""
 
@@ -116,8 +121,8 @@ class ClothSpreading(Task):
 
     Action: A [-], the paper's acceleration, 0 to 0.65. There is no goal but to be spread: policies
     give the A for an object. `share` is how much of the cloth lies spread, smooth and free of
-    wrinkles (see `spread_share`), `covered` how much of the table it covers over its own area: the
-    paper's extended ratio. An object's best A is the smallest that reaches a share of 0.75.
+    wrinkles (see `spread_share`), `unspread` how much does not, `covered` how much of the table it
+    covers over its own area: the paper's extended ratio. An object's best A is the smallest that reaches a share of 0.75.
     """
 
     name: ClassVar[str] = "cloth-spreading"
@@ -126,6 +131,7 @@ class ClothSpreading(Task):
         Quantity(name="A", unit="1", meaning="acceleration of the way down"),
     )
     goals: ClassVar[tuple[Quantity, ...]] = ()
+    risk: ClassVar[Risk | None] = Risk(name="unspread", unit="1", limit=1.0 - SPREAD)
     watches: ClassVar[str] = "all"
     highest: ClassVar[float] = HEIGHT
     """To which a cloth is raised at most [sides]; every rise takes as long."""
@@ -162,7 +168,7 @@ class ClothSpreading(Task):
         )
         height = np.concatenate([[0.0, 0.0, 1.0], 1.0 - down, [0.0]])
         position = np.zeros((len(time), 3))
-        position[:, :2] = 0.5 * side
+        position[:, :2] = side * (0.5 + np.array(OFF_CENTRE))
         position[:, 2] = low + lifted * side * height
         return TcpPath(
             time=second * time,
@@ -183,7 +189,8 @@ class ClothSpreading(Task):
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
         x = seen.points[-1] / size_of(item)
         triangles = lattice_triangles(*seen.lattice)
-        return {"share": spread_share(x, triangles), "covered": covered_area(x, triangles)}
+        share, covered = spread_share(x, triangles), covered_area(x, triangles)
+        return {"share": share, "unspread": 1.0 - share, "covered": covered}
 
     def error(self, item: Item, goal: Array, values: Mapping[str, float]) -> float:
         """What is missing of the share that is asked for [-]."""

@@ -64,12 +64,13 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Risk:
-    """An outcome that shows whether others are reliable."""
+    """An outcome that shows whether an action is one to learn from."""
 
     name: str
     unit: str
     limit: float
-    """Beyond it what was reached depends on the smallest disturbance [units of similarity]."""
+    """Beyond it what was reached depends on the smallest disturbance, or the task has failed [units
+    of similarity]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

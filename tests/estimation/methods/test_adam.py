@@ -30,11 +30,11 @@ def test_slopes_by_how_it_is_held_are_differences(short_lift):
     """Unknowns without a reverse mode, here the grip's height."""
     problem = short_lift()
     wide = type(problem)(
-        problem.scene,
+        [problem.scene],
         type(problem.settings)(
             unknowns=("specific_modulus", "grip_height"), scene=problem.settings.scene
         ),
-        known=problem.base,
+        known=problem.bases[0],
     )
     loss = DensityLoss(wide)
     vector = wide.prior.vector(truth_of(3300.0, 0.25))

@@ -33,10 +33,10 @@ def test_a_method_brings_back_the_modulus(short_lift, method, off, iterations):
     found = method(problem)
     theta = problem.theta(found.best.vector)
     assert paper_E(theta.specific_modulus) == pytest.approx(E, abs=off)
-    assert found.best.comparison.J.shape[-1] == 2
+    assert found.best.comparison.parts[0].J.shape[-1] == 2
     assert not found.interrupted
     assert 0 < told[-1].iteration <= told[-1].most
-    assert found.noise.sensor < 1e-3
+    assert found.noise[0].sensor < 1e-3
 
 
 @pytest.mark.parametrize("method", [adam, few_members], ids=["adam", "differential-evolution"])
@@ -74,7 +74,7 @@ def test_evolution_is_seeded(short_lift):
 
 def test_adam_begins_where_it_is_told(short_lift):
     problem = short_lift(max_iterations=2)
-    start = problem.prior.vector(problem.base)
+    start = problem.prior.vector(*problem.bases)
     found = adam(problem, AdamSettings(initial=(start,), steps=1))
     np.testing.assert_array_equal(found.starts[0].initial, start)
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.errors import SimulationError
+from gendom.errors import ParameterError, SimulationError
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.estimation.replay import lattice, middle, simulator_of
@@ -110,7 +110,7 @@ def adam(problem: Problem, settings: AdamSettings | None = None) -> Found:
     return Found(
         best=best,
         starts=starts,
-        noise=estimated_noise(best.comparison, problem.settings.noise),
+        noise=estimated_noise(best.comparison, problem.first_noise()),
         interrupted=interrupted,
         extra={"density_loss": best.value},
     )
@@ -152,7 +152,12 @@ class DensityLoss:
     def __init__(self, problem: Problem, settings: AdamSettings | None = None):
         settings = settings or AdamSettings()
         self.problem = problem
-        scene = problem.scene
+        self.part = problem.only()
+        if "thickness" in problem.prior.names:
+            raise ParameterError(
+                "compares objects as thick as stated", where="method adam", fix="use gauss-newton"
+            )
+        scene = self.part.scene
         clouds = [scene.recording.frame(t).astype(float) for t in scene.frames]
         path = scene.recording.gripper_position.reshape(-1, 3)
         around = np.concatenate([*clouds, scene.initial, path])
@@ -164,18 +169,18 @@ class DensityLoss:
     def shown(self, x: Array) -> Array:
         """[T, M, 3] points that stand for the object at positions [T, N, 3]: recorded markers, or
         its skin [m]."""
-        markers = self.problem.observation.markers
+        markers = self.part.observation.markers
         if markers is None:
-            return np.asarray(self.problem.scene.body.surface(x), dtype=float)
+            return np.asarray(self.part.scene.body.surface(x), dtype=float)
         index, weight = markers
-        m = middle(self.problem.scene, x)
+        m = middle(self.part.scene, x)
         return np.einsum("mk,tmka->tma", weight, m[:, index])
 
     def seen(self, points: Array) -> list[NDArray[np.bool_]]:
         """T masks [M] of the points [T, M, 3] that a recording would show."""
-        scene = self.problem.scene
+        scene = self.part.scene
         masks = [np.ones(points.shape[1], dtype=bool) for _ in points]
-        if self.problem.observation.markers is not None:
+        if self.part.observation.markers is not None:
             return masks
         cameras = scene.recording.camera_positions
         for mask, p in zip(masks, points, strict=True):
@@ -192,9 +197,9 @@ class DensityLoss:
     def value_and_slope(self, x: Array, seen: Sequence[NDArray[np.bool_]]) -> tuple[float, Array]:
         """That, and its derivative by the positions [T, N, 3] [1/m]."""
         value, bar = self._compare(self.shown(x), seen, derivative=True)
-        markers = self.problem.observation.markers
+        markers = self.part.observation.markers
         if markers is None:
-            return value, self.problem.scene.body.surface_transpose(x, bar)
+            return value, self.part.scene.body.surface_transpose(x, bar)
         return value, self._markers_transpose(x, bar, *markers)
 
     def _compare(
@@ -218,7 +223,7 @@ class DensityLoss:
         self, x: Array, bar: Array, index: NDArray[np.intp], weight: Array
     ) -> Array:
         """[T, N, 3] derivative by positions, from that by markers [T, m, 3]."""
-        scene = self.problem.scene
+        scene = self.part.scene
         shares = np.zeros((len(index), middle(scene, x).shape[1]))
         for k in range(index.shape[1]):
             shares[np.arange(len(index)), index[:, k]] += weight[:, k]
@@ -275,8 +280,9 @@ class DensityLoss:
             s.iterations += 1
             if values[w] < s.value:
                 s.value, s.vector = values[w], d.vector
-                s.comparison = problem.observation.compare(x[:, w : w + 1], None)
-                s.history.append((s.iterations, d.vector.copy(), s.comparison.rms))
+                compared = self.part.observation.compare(x[:, w : w + 1], None)
+                s.comparison = problem.joined([compared])
+                s.history.append((s.iterations, d.vector.copy(), compared.rms))
 
 
 def _slopes(problem: Problem, descents: Sequence[_Descent], gradients: Gradients) -> Array:

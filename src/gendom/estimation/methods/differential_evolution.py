@@ -9,7 +9,7 @@ robot casting with real2sim2real self-supervised learning".
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,13 +50,15 @@ def differential_evolution(
         KeyboardInterrupt: If interrupted before anything was found.
     """
     settings = settings or DifferentialEvolutionSettings()
-    prior, stated = problem.prior, problem.settings.noise
-    noise = replace(stated, sensor=settings.noise, model=stated.least_model, rounds=1)
+    prior = problem.prior
+    noise = problem.first_noise(
+        sensor=settings.noise, model=problem.settings.noise.least_model, rounds=1
+    )
     most = problem.settings.max_iterations
     reach = settings.reach * prior.sd
     low = np.maximum(prior.low, prior.mean - reach)
     high = np.minimum(prior.high, prior.mean + reach)
-    middle = prior.vector(problem.base)
+    middle = prior.vector(*problem.bases)
     best = Start(initial=middle, vector=middle)
 
     def values(x: Array) -> Array:
@@ -103,7 +105,7 @@ def differential_evolution(
     return Found(
         best=best,
         starts=[best],
-        noise=estimated_noise(best.comparison, stated),
+        noise=estimated_noise(best.comparison, problem.first_noise()),
         interrupted=interrupted,
         extra={"generations": best.iterations, "population": settings.population * len(middle)},
     )

@@ -11,7 +11,7 @@ are estimated in turns with steps.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,8 +54,10 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         KeyboardInterrupt: If interrupted before anything was found.
     """
     settings = settings or GaussNewtonSettings()
-    stated = problem.settings.noise
-    afar = replace(stated, sensor=settings.afar, model=stated.least_model, rounds=1)
+    stated = problem.first_noise()
+    afar = problem.first_noise(
+        sensor=settings.afar, model=problem.settings.noise.least_model, rounds=1
+    )
     noise, most = afar, problem.settings.max_iterations
     names = problem.prior.names
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
@@ -96,7 +98,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         best = best_of(starts)
         if best is None:
             raise
-        if best.comparison is None or best.comparison.observation is not problem.observation:
+        if best.comparison is None or not problem.compares(best.comparison):
             _compare_all(problem, best)
     return Found(best=best, starts=starts, noise=noise, interrupted=interrupted)
 
@@ -111,7 +113,7 @@ def _compare_all(problem: Problem, start: Start) -> None:
 def _step(
     problem: Problem,
     going: Sequence[Start],
-    noise: NoiseModel,
+    noise: Sequence[NoiseModel],
     least: float,
     settings: GaussNewtonSettings,
     free: Sequence[int] | None = None,
@@ -144,7 +146,7 @@ def _step(
 
 
 def _propose(
-    problem: Problem, start: Start, noise: NoiseModel, among: Sequence[int] | None
+    problem: Problem, start: Start, noise: Sequence[NoiseModel], among: Sequence[int] | None
 ) -> tuple[Array, float]:
     """Where to try next, and what the quadratic model says is to be won there."""
     prior = problem.prior

@@ -60,7 +60,7 @@ def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Foun
         SimulationError: What it says cannot be simulated.
     """
     settings = settings or PointNetSettings()
-    scene, prior = problem.scene, problem.prior
+    scene, prior = problem.only().scene, problem.prior
     session, description = read_network(settings.path)
     lift = lift_of(scene)
     for name, value in description["lift"].items():
@@ -74,7 +74,7 @@ def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Foun
     (mean,), (log_variance,) = session.run(
         ["mean", "log_variance"], grouped(normalised(scene, cloud, scene.frames[-1])[None])
     )
-    initial = prior.vector(problem.base)
+    initial = prior.vector(*problem.bases)
     vector, covariance = initial.copy(), np.diag(prior.sd**2)
     # the modulus goes with the bending length cubed
     modulus = math.log(scene.specific_modulus(math.exp(float(mean[0])) * scene.size))
@@ -101,7 +101,7 @@ def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Foun
     return Found(
         best=best,
         starts=[best],
-        noise=estimated_noise(comparison, problem.settings.noise),
+        noise=estimated_noise(comparison, problem.first_noise()),
         covariance=covariance,
     )
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.estimation.likelihood import Comparison, NoiseModel
+from gendom.estimation.likelihood import Comparisons, NoiseModel
 from gendom.estimation.problem import Problem, Start
 
 Array = NDArray[np.floating]
@@ -24,16 +24,12 @@ def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) 
     if initial:
         return [Start(initial=v, vector=v) for v in initial]
     prior, rng = problem.prior, np.random.default_rng(problem.settings.seed)
-    middle, k = prior.vector(problem.base), None
+    middle, k = prior.vector(*problem.bases), None
     found = [middle]
     if "specific_modulus" in prior.names:
         k = prior.names.index("specific_modulus")
         scan = np.linspace(prior.low[k], prior.high[k], scanned + 2)[1:-1]
-        bases = [prior.vector(problem.base.with_values(guess)) for guess in problem.scene.guesses]
-        vectors = [np.where(np.arange(len(b)) == k, x, b) for b in bases for x in scan]
-        compared = problem.compare(vectors, derivatives=False)
-        rms = [np.inf if c is None else c.rms for c in compared]
-        found = [vectors[n] for n in np.argsort(rms)]
+        found = _scanned(problem, k, scan)
     starts = [Start(initial=found[0], vector=found[0])]
     while len(starts) < problem.settings.starts:
         drawn = prior.mean + prior.sd * rng.standard_normal(len(middle))
@@ -45,14 +41,50 @@ def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) 
     return starts
 
 
+def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
+    """[P] vectors with each modulus [S] of a scan as unknown k, the best ones first.
+
+    Recordings do not depend on each other's guesses: beside a modulus, each has that which suits
+    it best, then the next best.
+    """
+    prior, parts = problem.prior, problem.parts
+    most = max(len(part.scene.guesses) for part in parts)
+    bases = []
+    for n in range(most):
+        guesses = [part.scene.guesses[n % len(part.scene.guesses)] for part in parts]
+        thetas = [b.with_values(g) for b, g in zip(problem.bases, guesses, strict=True)]
+        bases.append(prior.vector(*thetas))
+    vectors = np.repeat(np.array(bases)[:, None], len(scan), axis=1)
+    vectors[:, :, k] = scan
+    rms = np.full((len(parts), most, len(scan)), np.inf)
+    for n, compared in enumerate(
+        problem.compare(list(vectors.reshape(-1, len(bases[0]))), derivatives=False)
+    ):
+        if compared is not None:
+            rms[:, n // len(scan), n % len(scan)] = [c.rms for c in compared.parts]
+    order = np.argsort(rms, axis=1, kind="stable")
+    for recording in range(len(parts)):
+        own = [n for n, owner in enumerate(prior.owners) if owner == recording]
+        chosen = np.take_along_axis(vectors, order[recording][..., None], axis=0)
+        vectors = np.where(np.isin(np.arange(vectors.shape[2]), own), chosen, vectors)
+    total = np.square(np.take_along_axis(rms, order, axis=1)).sum(axis=0)
+    return list(vectors.reshape(-1, vectors.shape[2])[np.argsort(total, axis=None)])
+
+
 def best_of(starts: Sequence[Start]) -> Start | None:
     """The start with the least value, None where none could be simulated."""
     tried = [s for s in starts if s.comparison is not None]
     return min(tried, key=lambda s: s.value) if tried else None
 
 
-def estimated_noise(comparison: Comparison, noise: NoiseModel, rounds: int = 6) -> NoiseModel:
-    """Noise that makes clouds more likely, by rounds of expectation and maximisation."""
-    for _ in range(rounds):
-        noise = comparison.fit(noise).better_noise()
-    return noise
+def estimated_noise(
+    comparison: Comparisons, noise: Sequence[NoiseModel], rounds: int = 6
+) -> tuple[NoiseModel, ...]:
+    """Noise of each recording that makes its clouds more likely, by rounds of expectation and
+    maximisation."""
+    found = []
+    for part, own in zip(comparison.parts, noise, strict=True):
+        for _ in range(rounds):
+            own = part.fit(own).better_noise()
+        found.append(own)
+    return tuple(found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gendom.datasets import Recording
 from gendom.errors import GendomError
@@ -13,11 +13,40 @@ from gendom.policies.belief import Belief
 from gendom.policies.estimates import believed
 from gendom.tasks import Task
 
+if TYPE_CHECKING:
+    from gendom.reality import RealObject
+    from gendom.robot import LiftMotion
+
 FRAME_RATE = 30.0
 """Of the lift's cameras [1/s]."""
 
 ENDS = {"rope": "swing", "cloth": "hold"}
 """How lifts end, by kind: a swing shows a rope's damping."""
+
+
+def recorded(
+    bench: Workbench, label: str, item: RealObject, *, frame_rate: float, motion: LiftMotion
+) -> Recording:
+    """A lift before two noisy cameras, recorded unless it is there.
+
+    Args:
+        bench: Keeps it.
+        label: Name of its file.
+        item: What is lifted.
+        frame_rate: [1/s].
+        motion: How.
+    """
+    from gendom.reality.chain import record_and_perceive
+
+    bench.folder.mkdir(parents=True, exist_ok=True)
+    path = bench.folder / f"{label}.npz"
+    if not path.exists():
+        with TemporaryDirectory(dir=bench.folder) as pictures:
+            recording, _ = record_and_perceive(
+                item, pictures, frame_rate=frame_rate, seed=bench.seed, motion=motion
+            )
+        recording.write(path)
+    return Recording.read(path)
 
 
 def lifted(bench: Workbench, name: str, task: Task) -> Belief:
@@ -27,22 +56,14 @@ def lifted(bench: Workbench, name: str, task: Task) -> Belief:
         GendomError: The estimate is not usable.
     """
     from gendom.estimation import EstimateSettings, estimate
-    from gendom.reality import find_object
-    from gendom.reality.chain import record_and_perceive
+    from gendom.reality import find_object, predefined_lift
 
     item = find_object(name)
 
     def make() -> dict[str, Any]:
-        bench.folder.mkdir(parents=True, exist_ok=True)
-        path = bench.folder / f"lift-{name}.npz"
-        if not path.exists():
-            with TemporaryDirectory(dir=bench.folder) as pictures:
-                recording, _ = record_and_perceive(
-                    item, pictures, frame_rate=FRAME_RATE, seed=bench.seed, end=ENDS[item.kind]
-                )
-            recording.write(path)
-        settings = EstimateSettings(starts=3, seed=bench.seed)
-        return estimate(Recording.read(path), settings).record
+        motion = predefined_lift(item.kind, ENDS[item.kind])
+        recording = recorded(bench, f"lift-{name}", item, frame_rate=FRAME_RATE, motion=motion)
+        return estimate(recording, EstimateSettings(starts=3, seed=bench.seed)).record
 
     record = bench.kept(f"estimate-{name}", make)
     if not record["verdict"]["usable"]:

@@ -1,14 +1,14 @@
-"""What tables of policies show: rows of text and curves, the paper's numbers beside ours."""
+"""What the paper's tables show, its numbers beside ours."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from gendom.evaluation.sheet import Curves, Sheet
 from gendom.evaluation.tables.rope_real import ROPES
 
 ABLATION = {
@@ -34,46 +34,15 @@ ROPE_REAL = {
 """Sums over seven goals in the paper, of its cotton, polyester and polyethylene rope [m]."""
 
 
+REAL2SIM = {
+    "adam": {"rope-cotton": 0.034, "rope-polyester": 0.060, "rope-polyethylene": 0.053},
+    "pointnet": {"rope-cotton": 0.092, "rope-polyester": 0.067, "rope-polyethylene": 0.057},
+}
+"""Chamfer distances of the paper by method, of clouds that are twice as large as the ropes: adam is
+its own, pointnet its PointNet++."""
+
+
 _POLISHED = re.compile(r"polished(, \d+ executions?)?")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sheet:
-    """A table of text: names in the first column, numbers in the others."""
-
-    title: str
-    head: tuple[str, ...]
-    """Of all columns but the first."""
-    rows: Mapping[str, tuple[str, ...]]
-    """By what the first column says."""
-
-    def __str__(self) -> str:
-        """Columns set below each other."""
-        first = max(map(len, (self.title, *self.rows)))
-        widths = [
-            max(len(text) for text in column)
-            for column in zip(self.head, *self.rows.values(), strict=True)
-        ]
-        lines = [(self.title, self.head), *self.rows.items()]
-        return "\n".join(
-            f"{name:<{first}}"
-            + "".join(f"  {text:>{w}}" for text, w in zip(texts, widths, strict=True))
-            for name, texts in lines
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Curves:
-    """Lines over a common axis."""
-
-    title: str
-    x: str
-    """What the axis has."""
-    y: str
-    log: bool
-    """Whether both axes are logarithmic."""
-    lines: Mapping[str, tuple[Sequence[float], Sequence[float]]]
-    """Places and values by name."""
 
 
 def simulated_sheet(title: str, rows: Mapping[str, Any], paper: Mapping[str, float]) -> Sheet:
@@ -216,3 +185,41 @@ def _sum(errors: Sequence[float | None], ropes: Sequence[str], rope: str) -> flo
     """Over one rope's goals; NaN if one failed."""
     own = [e for e, name in zip(errors, ropes, strict=True) if name == rope]
     return float(np.sum(np.array(own, dtype=float)))
+
+
+def real2sim_sheets(result: Mapping[str, Any]) -> list[Sheet]:
+    """A table for each object."""
+    found = []
+    for name, rows in result["objects"].items():
+        found.append(
+            Sheet(
+                title=name,
+                head=(
+                    "E [Pa]",
+                    "truth [Pa]",
+                    "error of ln E",
+                    "Chamfer [mm]",
+                    "paper, halved [mm]",
+                    "note",
+                ),
+                rows={label: _real2sim_texts(name, row) for label, row in rows.items()},
+            )
+        )
+    return found
+
+
+def _real2sim_texts(name: str, row: Mapping[str, Any]) -> tuple[str, ...]:
+    papers = REAL2SIM.get(row["method"], {}).get(name)
+    if row["frames"] == "last" and row["method"] != "pointnet":
+        papers = None  # the paper's own fits all frames
+    paper = "" if papers is None else f"{1e3 * papers / 2.0:.1f}"
+    if "skipped" in row:
+        return ("", f"{row['truth']:.3g}", "", "", paper, f"skipped: {row['skipped']}")
+    return (
+        f"{row['youngs_modulus']:.3g}",
+        f"{row['truth']:.3g}",
+        f"{row['error']:+.3f}",
+        f"{1e3 * row['chamfer_last']:.1f}",
+        paper,
+        "" if row["usable"] else f"not usable: {row['reasons'][0]}",
+    )

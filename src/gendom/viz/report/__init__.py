@@ -13,7 +13,7 @@ from gendom.viz.report.next_steps import NextStep
 from gendom.viz.report.page import Section, render_page
 from gendom.viz.report.provenance import Provenance, provenance_section
 from gendom.viz.report.summary import ESTIMATE_FORMAT, EstimateSummary
-from gendom.viz.report.tables import curves_section, table_section
+from gendom.viz.report.tables import curves_section, ranks_section, table_section
 
 __all__ = [
     "ESTIMATE_FORMAT",
@@ -30,6 +30,7 @@ __all__ = [
     "Section",
     "curves_section",
     "provenance_section",
+    "ranks_section",
     "render_page",
     "render_report",
     "table_section",

@@ -20,6 +20,7 @@ _MATERIAL = {
     "damping": ("damping", "Damping"),
     "friction": ("friction", "Friction on the table"),
     "stiffness_slope": ("stiffness_slope", "d ln E / d(s / L)"),
+    "thickness": ("", "Thickness over the stated one"),
 }
 
 _RECORDING = {
@@ -60,7 +61,7 @@ def beliefs_section(summary: EstimateSummary) -> Section | None:
 
 def _chart(summary: EstimateSummary, posterior: Mapping[str, Any], k: int) -> str:
     name = str(posterior["names"][k])
-    title: str = _RECORDING.get(name, name.replace("_", " "))
+    title: str = _RECORDING.get(name, name.replace("_", " ")) + _of_which(posterior, k)
     key, title = _MATERIAL.get(name, ("", title))
     unit = summary.units.get(name, "")
     factor, unit = _SHOWN_UNITS.get(unit, (1.0, unit))
@@ -95,6 +96,16 @@ def _chart(summary: EstimateSummary, posterior: Mapping[str, Any], k: int) -> st
     return chart_figure(title, [main] if strip is None else [main, strip], note)
 
 
+def _of_which(posterior: Mapping[str, Any], k: int) -> str:
+    """Which recording an unknown is of, where there are several."""
+    owners = posterior.get("recordings") or [None]
+    several, owner = (
+        any(other not in (None, 0) for other in owners),
+        owners[min(k, len(owners) - 1)],
+    )
+    return f", recording {owner + 1}" if several and owner is not None else ""
+
+
 def _interval(
     summary: EstimateSummary, posterior: Mapping[str, Any], k: int, stage: str = ""
 ) -> tuple[float, float]:
@@ -113,7 +124,7 @@ def _numbers_table(summary: EstimateSummary, posterior: Mapping[str, Any]) -> st
     for k, name in enumerate(posterior["names"]):
         unit = summary.units.get(name, "")
         label = name.replace("_", " ") + (f" [{unit}]" if unit not in ("", "1") else "")
-        label = label.replace("^2", "²")
+        label = label.replace("^2", "²") + _of_which(posterior, k)
         cells = [cell(escaped(label), "name")]
         for stage, said in (("prior_", "prior"), ("", "posterior")):
             low, high = _interval(summary, posterior, k, stage)

@@ -16,6 +16,7 @@ _ROWS = (
     ("friction", "Friction on the table <i>μ</i>"),
     ("damping", "Damping"),
     ("stiffness_slope", "d ln <i>E</i> / d(<i>s</i> / <i>L</i>)"),
+    ("thickness", "Diameter or thickness"),
     ("density", "Density <i>ρ</i>"),
     ("specific_modulus", "Specific modulus <i>E</i> / <i>ρ</i>"),
     ("bending_length", "Bending length"),

@@ -27,7 +27,7 @@ def quantity_text(key: str, value: float) -> str:
     if key == "youngs_modulus":
         factor, unit = pascal_unit(value)
         return with_minus(f"{value * factor:.4g} {unit}")
-    if key == "bending_length":
+    if key in ("bending_length", "thickness"):
         return length_text(value)
     if key in RATIOS:
         return with_minus(f"{value:.3f}")
@@ -43,7 +43,7 @@ def interval_text(key: str, interval: tuple[float, float]) -> str:
     factor, unit = 1.0, {"density": "kg/m³", "specific_modulus": "m²/s²"}.get(key, "")
     if key == "youngs_modulus":
         factor, unit = pascal_unit(high)
-    elif key == "bending_length":
+    elif key in ("bending_length", "thickness"):
         factor, unit = 1e3, "mm"
     elif key == "damping":
         factor, unit = 1e3, "ms"

@@ -1,4 +1,4 @@
-"""Sections with tables of text and with curves, such as those of `gendom reproduce`."""
+"""Sections with tables of text, curves and ranks, such as those of `gendom reproduce`."""
 
 from __future__ import annotations
 
@@ -63,3 +63,27 @@ def curves_section(
     for k, (name, (x, y)) in enumerate(lines.items()):
         plot.line(x, y, f"start-{k % LINES + 1}", name, dots=True)
     return Section(title=title, body=chart_figure(y_label, [plot]))
+
+
+def ranks_section(
+    title: str, counts: Sequence[int], band: tuple[int, int], band_label: str
+) -> Section:
+    """A histogram of ranks between 0 and 1, and a band in which its bars should end.
+
+    Args:
+        title: Of the section.
+        counts: [B] heights of the bars.
+        band: Its lower and upper end.
+        band_label: What it is; plain text.
+    """
+    edges = np.repeat(np.linspace(0.0, 1.0, len(counts) + 1), 2)[1:-1]
+    heights = np.repeat(np.asarray(counts, dtype=float), 2)
+    plot = Plot(
+        x=Axis(low=0.0, high=1.0, label="share of the posterior below the truth"),
+        y=Axis(low=0.0, high=1.1 * max(*counts, band[1])),
+    )
+    plot.area(edges, heights, "posterior", "lifts")
+    plot.line(edges, heights, "posterior")
+    plot.level(band[0], "truth", band_label)
+    plot.level(band[1], "truth")
+    return Section(title=title, body=chart_figure("lifts by rank", [plot]))

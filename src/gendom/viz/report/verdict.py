@@ -13,6 +13,7 @@ _NAMES = {
     "damping": "damping",
     "friction": "friction",
     "stiffness_slope": "the change of stiffness along the rope",
+    "thickness": "the thickness",
 }
 
 

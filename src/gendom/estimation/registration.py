@@ -1,0 +1,130 @@
+"""Clouds of cameras whose poses are unknown, moved to where the robot is.
+
+A recording then says how the gripper moved in the robot's frame, and how points lie to each other,
+but not where they are in that frame. What is held hangs from the gripper: that gives a first shift.
+Then a simulated object is placed where the clouds show it, and clouds are moved onto it, in turns.
+What is left is a nuisance of the likelihood, with a wide prior.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gendom.datasets import Recording
+from gendom.errors import RecordingError
+from gendom.estimation.likelihood import Comparison, NoiseModel
+from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
+from gendom.estimation.problem import EstimateSettings, Problem
+from gendom.estimation.scene import Scene
+from gendom.estimation.theta import Theta
+
+Array = NDArray[np.floating]
+
+LIFTED = 0.3
+"""Rise of the gripper from which the held point is the highest, in the object's size."""
+
+TOP = 0.05
+"""Share of a cloud's points that are its top."""
+
+SCANNED = 8
+"""Moduli of the objects that clouds are moved onto."""
+
+ROUNDS = 5
+"""Of placing the object and moving the clouds, at most."""
+
+ARRIVED = (0.002, 0.005)
+"""Motion after which they have arrived: [m] at the clouds' centre, and [rad]; so little is linear,
+as the likelihood takes it to be."""
+
+AFAR = {"sensor": 0.005, "rounds": 8}
+"""Noise [m] and pairings with which clouds are moved."""
+
+
+def register(recording: Recording, settings: EstimateSettings, known: Theta | None = None) -> Array:
+    """[4, 4] the motion that brings clouds to where the robot's frame has the object [m].
+
+    A turn about the vertical through the gripper that no sideways motion shows stays as recorded.
+
+    Args:
+        recording: Clouds of cameras with unknown poses, the gripper's path in the robot's frame.
+        settings: How it will be estimated.
+        known: Values of everything that is not looked for; by default those of the priors.
+
+    Raises:
+        RecordingError: It shows too little to place the object.
+        SimulationError: Nothing of it can be simulated.
+    """
+    T, vector = first_shift(recording), None
+    for _ in range(ROUNDS):
+        scene = Scene.of(recording, settings.scene, registration=T)
+        problem = Problem([scene], settings, known=known)
+        if vector is None:
+            vector, comparison, noise = _scanned(problem.easier)
+        else:
+            found = gauss_newton(problem, GaussNewtonSettings(initial=(vector,)))
+            assert found.best.comparison is not None
+            vector, comparison = found.best.vector, found.best.comparison.parts[0]
+            noise = found.noise[0]
+        change, moved = _motion(comparison, noise)
+        T = change @ T
+        if moved[0] < ARRIVED[0] and moved[1] < ARRIVED[1]:
+            break
+    return T
+
+
+def first_shift(recording: Recording) -> Array:
+    """[4, 4] a shift of the tops of lifted clouds to the gripper [m].
+
+    Raises:
+        RecordingError: The gripper never lifts the object.
+    """
+    T, size = np.eye(4), recording.object.size or 0.0
+    frames = [t for t in range(recording.num_frames) if recording.frame_valid[t]]
+    rise = recording.gripper_position[:, :, 2].min(axis=1)
+    lifted = [t for t in frames if rise[t] - rise[frames[0]] > LIFTED * size]
+    if not lifted or recording.num_grippers > 1:
+        raise RecordingError(
+            "clouds of cameras with unknown poses need a gripper that lifts the object by "
+            f"{LIFTED:.0%} of its size",
+            where="gripper_position",
+            fix="calibrate the cameras (gendom calibrate), or lift higher",
+        )
+    away = []
+    for t in lifted:
+        cloud = recording.frame(t).astype(float)
+        top = np.argsort(cloud[:, 2])[-max(1, round(TOP * len(cloud))) :]
+        away.append(recording.gripper_position[t, 0] - cloud[top].mean(axis=0))
+    T[:3, 3] = np.median(away, axis=0)
+    return T
+
+
+def _scanned(problem: Problem) -> tuple[Array, Comparison, NoiseModel]:
+    """Of a scan over the modulus and all guesses of how the object is held, what fits best after
+    registration: [P] transformed, and with which noise."""
+    prior, part = problem.prior, problem.parts[0]
+    vectors = [prior.vector(part.base.with_values(guess)) for guess in part.scene.guesses]
+    if "specific_modulus" in prior.names:
+        k = prior.index("specific_modulus")
+        scan = np.linspace(prior.low[k], prior.high[k], SCANNED + 2)[1:-1]
+        vectors = [np.where(np.arange(len(v)) == k, x, v) for v in vectors for x in scan]
+    (noise,) = problem.first_noise(**AFAR)
+    compared = [
+        (c.parts[0].fit(noise).value, n, c.parts[0])
+        for n, c in enumerate(problem.compare(vectors, derivatives=False))
+        if c is not None
+    ]
+    if not compared:
+        raise problem.nothing_runs()
+    _, n, best = min(compared)
+    return vectors[n], best, noise
+
+
+def _motion(comparison: Comparison, noise: NoiseModel) -> tuple[Array, tuple[float, float]]:
+    """[4, 4] that moves clouds onto a shape [m], and how far: at their centre [m], and [rad]."""
+    shift, turn = np.split(comparison.fit(noise).a[-7:-1], 2)
+    centre, T = comparison.observation.centre, np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    T[:3, 3] = centre + shift - T[:3, :3] @ centre
+    return T, (float(np.linalg.norm(shift)), float(np.linalg.norm(turn)))

@@ -1,0 +1,93 @@
+"""Whether intervals hold, from posteriors made by hand."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from gendom.cli import main
+from gendom.evaluation.coverage import coverage_text, covered, rank_band
+
+
+def rows_of(lifts, *, stated=1.0, bias=0.0, seed=0):
+    """Lifts whose ln E is found with a deviation of 0.05, and said to have `stated` times that."""
+    rng, sd = np.random.default_rng(seed), 0.05
+    return [
+        {
+            "seed": n,
+            "truth": {"specific_modulus": truth, "nu": 0.3, "damping": 0.005, "friction": 0.4},
+            "verdict": {"usable": True, "reasons": []},
+            "posterior": {
+                "names": ["specific_modulus"],
+                "log": [True],
+                "mean": [math.log(truth) + bias + sd * rng.standard_normal()],
+                "covariance": [[(stated * sd) ** 2]],
+            },
+        }
+        for n, truth in enumerate(rng.uniform(100.0, 4000.0, lifts))
+    ]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_ranks_of_right_posteriors_stay_in_the_band(seed):
+    (found,) = covered(rows_of(100, seed=seed), 0.9)
+    assert found.uniform and len(found.ranks) == sum(found.counts) == 100
+    assert "in the band" in coverage_text(rows_of(100, seed=seed), [found])
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    ("wrong", "piles"),
+    [({"stated": 0.35}, (0, -1)), ({"bias": 0.06}, (0,)), ({"bias": -0.06}, (-1,))],
+)
+def test_ranks_of_narrow_or_shifted_posteriors_leave_it(wrong, piles, seed):
+    """Too narrow: both ends are too high. An estimate that is too large: truths rank low."""
+    (found,) = covered(rows_of(100, seed=seed, **wrong), 0.9)
+    assert not found.uniform
+    for end in piles:
+        assert found.counts[end] > found.band[1]
+    assert "not uniform" in coverage_text(rows_of(100, seed=seed, **wrong), [found])
+
+
+def test_ranks_of_wide_posteriors_leave_it_in_the_middle():
+    (found,) = covered(rows_of(200, stated=3.0), 0.9)
+    assert max(found.counts) > found.band[1]
+    assert found.counts[0] == found.counts[-1] == 0 < found.band[0]
+
+
+def test_a_rank_is_the_share_of_the_posterior_below_the_truth():
+    """0.05 above the mean of a posterior whose deviation is 0.05: Phi(1)."""
+    (row,) = rows_of(1)
+    row["posterior"]["mean"] = [math.log(row["truth"]["specific_modulus"]) - 0.05]
+    (found,) = covered([row], 0.9)
+    assert found.ranks == pytest.approx((0.8413,), abs=1e-4)
+    assert found.counts == (0, 0, 0, 1)
+
+
+@pytest.mark.parametrize(("count", "bins"), [(40, 8), (100, 20), (21, 4)])
+def test_the_band_holds_uniform_ranks_as_often_as_it_says(count, bins):
+    low, high = rank_band(count, bins)
+    ranks = np.random.default_rng(0).random((4000, count))
+    counts = np.array([np.histogram(r, bins, range=(0.0, 1.0))[0] for r in ranks])
+    inside = ((counts >= low) & (counts <= high)).all(axis=1).mean()
+    assert 0.95 <= inside + 0.01 and inside < 0.999
+    narrower = ((counts >= low + 1) & (counts <= high - 1)).all(axis=1).mean()
+    assert narrower < 0.95
+
+
+def test_the_command_writes_ranks_and_a_page(tmp_path, monkeypatch, capsys):
+    """Rows that are kept are not made again."""
+    rows = rows_of(40, stated=0.4)
+    for row in rows:
+        (tmp_path / f"rope-swing-{row['seed']:04d}.json").write_text(json.dumps(row))
+    words = ["reproduce", "coverage", "--end", "swing", "--jobs", "1", "--out", str(tmp_path)]
+    assert main(words) == 0
+    told = capsys.readouterr().out
+    assert "40 lifts, 40 usable" in told and "not uniform" in told
+    result = json.loads((tmp_path / "table-rope-swing.json").read_text())
+    (unknown,) = result["unknowns"]
+    assert len(unknown["ranks"]) == 40 and unknown["band"] == list(rank_band(40, 8))
+    page = (tmp_path / "table-rope-swing.html").read_text()
+    assert "95 % band of uniform ranks" in page and '<svg class="plot"' in page
+    assert "--end swing --lifts 40" in page
