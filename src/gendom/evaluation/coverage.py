@@ -20,7 +20,7 @@ from scipy.stats import binom, norm
 
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
-from gendom.estimation import UNKNOWNS, Calibration, EstimateSettings, SceneSettings, estimate
+from gendom.estimation import Calibration, EstimateSettings, SceneSettings, estimate
 from gendom.evaluation.sheet import Ranks, Sheet
 from gendom.files import write_json
 from gendom.materials import STANDARD_GRAVITY, Material
@@ -200,12 +200,9 @@ def _thinned(recording: Recording, most: int, seed: int) -> Recording:
 
 
 def truth_of(item: RealObject) -> dict[str, float]:
-    """By names of `gendom.estimation.UNKNOWNS`; a cloth's E is that of one as stiff with the
-    Poisson's ratio that cloths are estimated with."""
+    """By names of `gendom.estimation.UNKNOWNS`; a cloth's E is that of a beam as stiff as it."""
     m = item.material
-    wide = 1.0
-    if not isinstance(item, RealRope):
-        wide = (1.0 - m.nu**2) / (1.0 - UNKNOWNS["nu"].mean ** 2)
+    wide = 1.0 if isinstance(item, RealRope) else 1.0 - m.nu**2
     return {
         "specific_modulus": m.specific_modulus / wide,
         "nu": m.nu,
