@@ -307,6 +307,22 @@ def test_a_held_corner_hangs_as_steep_as_told(cloth_lift):
     assert drop[1] > drop[0] + 0.005
 
 
+def test_a_held_corner_turns_as_its_axis(cloth_lift):
+    """By an axis that turns down by half a radian, and not by one that stays level."""
+    frames, held = 6, replace(cloth_lift.object, grasp_radius=0.06)
+    turns = []
+    for angle in (0.0, 0.5):
+        down = np.linspace(0.0, angle, frames)[:, None]
+        axes = np.cos(down) * [0.5**0.5, 0.5**0.5, 0.0] - np.sin(down) * [0.0, 0.0, 1.0]
+        scene = Scene.of(
+            cloth_lift.at_rest(frames, object=held, gripper_axis=axes), cloth_lift.settings
+        )
+        x = replay(scene, [cloth_lift.truth.with_values({"grip_tilt": 0.0})])[-1, 0]
+        along = x[scene.body.shape[1] + 1] - x[0]
+        turns.append(math.atan2(-along[2], math.hypot(along[0], along[1])))
+    assert turns == pytest.approx([0.0, 0.5], abs=0.01)
+
+
 def test_a_dynamic_recording_keeps_its_clock(rope_lift):
     """Only quasi-static recordings are replayed faster than they were made."""
     slow = 20.0 * rope_lift.at_rest().time
@@ -315,6 +331,16 @@ def test_a_dynamic_recording_keeps_its_clock(rope_lift):
         seen = type(seen)(**vars(seen) | {"time": slow})
         assert (Scene.of(seen).clock == 1.0) == (not quasi_static)
     assert Scene.of(seen, SceneSettings(clock=2.0)).clock == 2.0
+
+
+def test_a_cloth_is_held_as_far_inside_its_corner_as_stated(cloth_lift):
+    inset = 0.015
+    inside = replace(cloth_lift.object, grasp_inset=inset)
+    scene = Scene.of(cloth_lift.at_rest(object=inside), cloth_lift.settings)
+    to_grip = scene.held[0] - scene.body.points[0]
+    np.testing.assert_allclose(to_grip, inset * scene.inwards[0], atol=1e-9)
+    corner = Scene.of(cloth_lift.at_rest(), cloth_lift.settings)
+    np.testing.assert_allclose(corner.held[0], corner.body.points[0], atol=1e-9)
 
 
 def test_rope_is_placed_where_it_is_seen(rope_lift):

@@ -80,3 +80,18 @@ def test_the_record_tells_of_it(rope_lift):
     k = record["posterior"]["names"].index("specific_modulus")
     assert record["posterior"]["prior_mean"][k] == pytest.approx(math.log(1e6 / 800.0))
     assert record["notes"][0].startswith("material cotton-rope")
+
+
+def test_what_is_stated_of_a_held_corner_narrows_what_is_believed(cloth_lift):
+    """How far inside the corner it is held, and the axis as which it turns."""
+    inside = replace(cloth_lift.object, grasp_inset=0.01)
+    axes = np.tile([1.0, 0.0, 0.0], (3, 1))
+    stated = cloth_lift.at_rest(object=inside, gripper_axis=axes)
+    found = []
+    for recording in (stated, cloth_lift.at_rest()):
+        scene = Scene.of(recording, cloth_lift.settings)
+        prior, _ = scene.prior()
+        named = dict(zip(prior.names, zip(prior.mean, prior.sd, strict=True), strict=True))
+        found.append((named["grip_along"][1], *named["grip_tilt"], len(scene.guesses)))
+    assert found[0] == (0.002, 0.0, 0.1, 1)
+    assert found[1] == (0.01, 0.8, 0.6, 3)

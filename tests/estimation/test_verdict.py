@@ -81,6 +81,20 @@ def test_a_good_lift_of_a_cloth_is_usable(cloth_lift):
     assert found.usable, found.verdict.reasons
 
 
+def test_a_cloth_that_moves_like_none_is_refused(cloth_lift):
+    """One that bulges by 12 mm as it is lifted, more than twice its E would move it."""
+    seen = cloth_lift.seen()
+    clouds = []
+    for k in range(seen.num_frames):
+        cloud = seen.frame(k).astype(float)
+        share = np.sin(np.pi * k / (seen.num_frames - 1)) * np.sin(10.0 * np.pi * cloud[:, 1])
+        clouds.append(cloud + 0.012 * share[:, None] * [1.0, 0.0, 1.0])
+    found = estimate(
+        cloth_lift.recording(clouds), EstimateSettings(starts=1, scene=cloth_lift.settings)
+    )
+    assert any("otherwise than any simulated one" in reason for reason in found.verdict.reasons)
+
+
 def one_frame(recording):
     return replace(recording.head(1), quasi_static=True)
 

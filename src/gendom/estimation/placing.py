@@ -224,7 +224,10 @@ def _place_cloth(
         low = float(np.percentile(_early_points(recording, frames, 0.05 * longer)[:, 2], 5))
     mid = low + thickness / 2.0
     corner = described.grasp == "corner"
-    local = np.zeros(2) if corner else np.array([width, height]) / 2.0
+    diagonal = np.array([width, height]) / math.hypot(width, height)
+    local = np.array([width, height]) / 2.0
+    if corner:
+        local = (described.grasp_inset or 0.0) * diagonal
     turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
     spacing = longer / ((settings.points or 26) - 1)
     counts = (1 + max(2, round(width / spacing)), 1 + max(2, round(height / spacing)))
@@ -237,7 +240,7 @@ def _place_cloth(
         yaw=yaw,
         points=counts,
     )
-    inwards = np.append(turn @ np.array([width, height]) / math.hypot(width, height), 0.0)
+    inwards = np.append(turn @ diagonal, 0.0)
     return Placed(
         body=body,
         initial=_points_of(body, settings),

@@ -59,11 +59,13 @@ def recording_prior(
         "thickness": {} if _thickness_stated(described) else {"sd": 0.5},
     }  # fmt: skip
     if kind == "cloth":
-        changes["grip_along"] |= {"sd": 0.01 if measured else 0.02, "low": -0.02}
-        changes["grip_tilt"] = {"sd": 0.6}
+        inset = (0.002, 0.01) if described.grasp_inset is not None else (0.01, 0.02)
+        changes["grip_along"] = {"sd": inset[0 if measured else 1], "low": -0.02, "step": 3e-3}
+        if recording.gripper_axis is not None:
+            # the corner turns as its axis does
+            changes["grip_tilt"] = {"mean": 0.0, "sd": 0.1}
         changes["specific_modulus"]["step"] = 0.06
         changes["grip_height"] |= {"step": 2e-3}
-        changes["grip_along"] |= {"step": 3e-3}
     base = Theta(specific_modulus=math.exp(logs.mean()))
     if material is not None:
         of_material = material_prior(material, kind, moduli)
@@ -148,8 +150,11 @@ def first_guesses(recording: Recording) -> list[dict[str, float]]:
     Where a cloth's corner was sent by commands, a level one at the stated point and one that
     hangs at fingertips below it look alike from afar, and a search from one stays there.
     """
-    if recording.object.kind != "cloth" or recording.object.grasp != "corner":
+    described = recording.object
+    if described.kind != "cloth" or described.grasp != "corner":
         return [{}]
+    if recording.gripper_axis is not None:
+        return [{}]  # it says how the corner hangs
     hanging = {"grip_tilt": 1.4}
     if recording.gripper_source != "measured":
         hanging |= {"grip_along": 0.02, "grip_height": -0.02, "delay": 0.1}

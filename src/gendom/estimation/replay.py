@@ -215,18 +215,18 @@ def held_reach(scene: Scene, theta: Theta | None = None) -> float:
 def _turns(scene: Scene, g: int, theta: Theta, knots: Array, at: Array) -> Array | None:
     """[K, 4] how a gripper turns, or None.
 
-    As its recorded axis does, without turning about it; a pinched corner does not stay level: it
-    hangs once the gripper has risen by its reach.
+    As its recorded axis does, without turning about it; a pinched corner does not stay level beside
+    it: it hangs once the gripper has risen by its reach.
     """
+    turned, turns = None, scene.turns[g]
+    if turns is not None:
+        t = turns[0] + theta.delay / scene.clock
+        turned = Slerp(t, turns[1])(np.clip(knots, t[0], t[-1]))
     if scene.kind == "cloth" and scene.recording.object.grasp == "corner":
         rise = at[:, 2] - scene.held[g, 2]
         inwards = Rotation.from_euler("z", theta.yaw).apply(scene.inwards[g])
         axis = np.cross(inwards, [0.0, 0.0, -1.0])
         angle = theta.grip_tilt * np.clip(rise / (2.0 * held_reach(scene, theta)), 0.0, 1.0)
-        return Rotation.from_rotvec(angle[:, None] * axis).as_quat()
-    turns = scene.turns[g]
-    if turns is None:
-        return None
-    times, turned = turns
-    t = times + theta.delay / scene.clock
-    return Slerp(t, turned)(np.clip(knots, t[0], t[-1])).as_quat()
+        tilted = Rotation.from_rotvec(angle[:, None] * axis)
+        turned = tilted if turned is None else turned * tilted
+    return None if turned is None else turned.as_quat()

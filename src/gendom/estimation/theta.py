@@ -114,7 +114,7 @@ UNKNOWNS: dict[str, Unknown] = {
         ),
         _unknown(
             "grip_tilt", "grip tilt", "rad",
-            "how far the held corner turns from level as it is lifted",
+            "how far the held corner turns from level, or its recorded axis, as it is lifted",
             low=-0.3, high=2.2, mean=0.8, sd=0.6, step=0.05, widest=0.4, kinds=("cloth",),
         ),
         _unknown(
