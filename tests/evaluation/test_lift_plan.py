@@ -181,7 +181,8 @@ def test_the_command_writes_what_record_reads(tmp_path, capsys):
     assert "drop, 0.4 lengths at 0.1 m/s" in told and "best for friction" in told
     plan = json.loads((out / "plan.json").read_text())
     chosen = plan["rows"][plan["chosen"]]
-    assert chosen["gain"] >= 1.0 and f"{chosen['gain']:.2f}" in told
+    hold, only = (row["sd"][0]["friction"] for row in plan["rows"])
+    assert chosen["gain"] == pytest.approx(hold / only) and f"{chosen['gain']:.2f}" in told
     assert LiftMotion.read(out / "motion.json").to_dict() == chosen["lift"]
     path = json.loads((out / "motion.json").read_text())["trajectory"]
     rise = chosen["lift"]["rise"] * 0.25
