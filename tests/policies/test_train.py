@@ -111,7 +111,8 @@ def test_without_goals_only_what_succeeded_is_learnt(tmp_path):
         risk=np.where(failed, 0.9, 0.1),
     )
     policy = train(d, tmp_path / "p.onnx", Training(epochs=100, method="inverse"))
-    assert policy.description.training["demonstrations"] == (~failed).sum()
+    trained = policy.description.training
+    assert (trained["demonstrations"], trained["failed"]) == (count, failed.sum())
     at = np.linspace(0.07, 0.15, 5)
     asked = policy.actions(np.empty((5, 0)), {"E": at})[:, 0]
     assert asked == pytest.approx(0.6 - 3.0 * at, abs=0.02)

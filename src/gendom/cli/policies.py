@@ -47,6 +47,7 @@ def described(policy: Policy) -> dict[str, Any]:
         "goals": dict(zip(about.goal_names, policy.goal_range().tolist(), strict=True)),
         "parameters": {n: about.parameters[n] for n in about.conditioned_on},
         "demonstrations": about.training.get("demonstrations"),
+        "failed": about.training.get("failed", 0),
         "acted": about.training.get("acted"),
         "made_by": made_by(policy),
     }
@@ -81,7 +82,8 @@ def _text(row: dict[str, Any]) -> str:
         lines.append("  sees no parameters")
     for name, (low, high) in row["goals"].items():
         lines.append(f"  goal {name:<9} {low:.3g} to {high:.3g} sizes")
-    lines.append(f"  trained on     {row['demonstrations']} demonstrations")
+    failed = f", of which {row['failed']} failed" if row["failed"] else ""
+    lines.append(f"  trained on     {row['demonstrations']} demonstrations{failed}")
     if acted := row["acted"]:
         off, of = acted["error_over_size"], "the size" if row["goals"] else "its share"
         lines.append(

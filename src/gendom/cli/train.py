@@ -142,6 +142,7 @@ def summary_text(summary: dict[str, Any]) -> str:
         (
             "trained",
             f"on {training['demonstrations']} demonstrations, "
+            + (f"of which {training['failed']} failed, " if training["failed"] else "")
             + (f"fine-tuned on {training['finetuned_on']}, " if training["finetuned_on"] else "")
             + f"seed {training['seed']}",
         ),

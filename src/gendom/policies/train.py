@@ -138,6 +138,7 @@ def train(
     training = training or Training()
     began = time.monotonic()
     path = Path(path)
+    given = len(demonstrations)
     if not demonstrations.goal_names:
         demonstrations = _steady(demonstrations)  # an action that failed teaches no other goal
     sees = _seen(demonstrations, training)
@@ -165,7 +166,8 @@ def train(
         errors = teacher(training.method)(lesson)
         figures = {
             **asdict(training),
-            "demonstrations": len(demonstrations),
+            "demonstrations": given,
+            "failed": given - len(demonstrations),
             "finetuned_on": 0 if finetune is None else len(finetune),
             "held_out": len(lesson.held_out),
             "errors": errors,
