@@ -56,7 +56,8 @@ def spread_of(task: Task, name: str, count: int, given: argparse.Namespace) -> f
     for a, b in zip(low, high, strict=True):
         if a.fault or b.fault:
             continue
-        if not all(task.within_risk(i, o.values) for i, o in zip(ends, (a, b), strict=True)):
+        both = zip(ends, (a, b), strict=True)
+        if task.goals and not all(task.within_risk(i, o.values) for i, o in both):
             continue
         if task.goals:
             units = task.goal_units(task.item)
