@@ -114,7 +114,7 @@ def test_help_of_a_command(command, capsys):
             "estimate: there is no flag '--sead'; did you mean '--seed'?",
         ),
         ("estimate x -s 3", "estimate: there is no flag '-s'; see gendom estimate --help"),
-        ("estimate x y -3", "estimate: 'y -3' is too much; see gendom estimate --help"),
+        ("check x y -3", "check: 'y -3' is too much; see gendom check --help"),
         ("check", "check: lacks RECORDING; for example: gendom check lift.npz"),
         ("export x", "export: lacks --out; for example: gendom export casts --out casts-lerobot"),
         (

@@ -305,7 +305,13 @@ def test_it_prints_its_address_and_ends_with_ctrl_c(params):
     pytest.importorskip("viser", reason="needs viser (the extra viz)")
     words = [sys.executable, "-m", "gendom", "view", str(params), "--port", "0"]
     process = subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parent
+        words,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parent,
+        # what a shell runs in the background ignores Ctrl-C, and so do its children
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert process.stdout is not None
     line = process.stdout.readline()
