@@ -305,17 +305,12 @@ def test_it_prints_its_address_and_ends_with_ctrl_c(params):
     pytest.importorskip("viser", reason="needs viser (the extra viz)")
     words = [sys.executable, "-m", "gendom", "view", str(params), "--port", "0"]
     process = subprocess.Popen(
-        words,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=Path(__file__).parent,
-        # what a shell runs in the background ignores Ctrl-C, and so do its children
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parent
     )
     assert process.stdout is not None
     line = process.stdout.readline()
     assert re.fullmatch(r"lift.npz: http://127\.0\.0\.1:\d+ \(Ctrl-C ends it\)\n", line), line
     process.send_signal(signal.SIGINT)
-    rest, said = process.communicate(timeout=30.0)
+    # a first simulation, which may have to be compiled, ends before
+    rest, said = process.communicate(timeout=180.0)
     assert (process.returncode, rest, said) == (0, "", "")

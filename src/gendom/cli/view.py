@@ -80,8 +80,7 @@ class Command:
         try:
             if self.port not in (0, viewer.port):
                 _log.warning("port %d is taken", self.port)
-            print(f"{model.title}: {viewer.url} (Ctrl-C ends it)", flush=True)
-            viewer.serve()
+            viewer.serve(f"{model.title}: {viewer.url} (Ctrl-C ends it)")
         finally:
             viewer.close()
         return 0

@@ -152,9 +152,10 @@ class Viewer:
         """Until everything that was asked for is simulated, or for a time [s]; whether it is."""
         return self._resimulation.wait(timeout or threading.TIMEOUT_MAX)
 
-    def serve(self) -> None:
-        """Until Ctrl-C."""
+    def serve(self, greeting: str) -> None:
+        """Print a line, and go on until Ctrl-C."""
         with contextlib.suppress(KeyboardInterrupt):
+            print(greeting, flush=True)
             while not self._closed.wait(3600.0):
                 pass
 
