@@ -73,6 +73,7 @@ def test_where_the_cameras_stood_does_not_matter(lifted, settings, found):
     assert again.theta.specific_modulus == pytest.approx(modulus, rel=0.01)
 
 
+@pytest.mark.slow
 def test_taken_as_they_are_such_clouds_mislead(rope_lift, uncalibrated, settings):
     """Without a search for the motion the truth is not in the interval, or there is none."""
     blind = estimate(uncalibrated, replace(settings, camera_pose="stated"))

@@ -122,6 +122,7 @@ def test_what_one_recording_cannot_show_the_other_may(rope_lift, settings):
     assert problem.theta(vector, 0).damping == problem.theta(vector, 1).damping
 
 
+@pytest.mark.slow
 def test_a_hold_and_a_swing_give_modulus_and_damping(rope_lift, lifts, settings, alone):
     """The hold says nothing of damping; with the swing, both come back, the modulus better than
     from either."""
@@ -181,6 +182,7 @@ def test_a_recording_that_is_not_usable_is_named(rope_lift, lifts, settings):
         estimate([lifts[0], empty], settings)
 
 
+@pytest.mark.slow
 def test_lifts_of_two_ropes_are_told_apart(rope_lift, lifts, settings):
     """A rope three times as stiff, of the same sizes, is none that both could be."""
     modulus = 3.0 * rope_lift.truth.specific_modulus

@@ -35,6 +35,7 @@ def test_clouds_are_exact(shows):
     assert np.all((problem.prior.low < truth) & (truth < problem.prior.high))
 
 
+@pytest.mark.slow
 def test_one_estimate_is_far_better_than_the_papers():
     row = sim2sim("gauss-newton", truths=1, starts=1)
     assert row.E < 0.1 and row.nu < 1e-3 and row.chamfer < 1e-6

@@ -94,6 +94,7 @@ def test_the_best_of_a_search_is_taken_and_all_are_told(bench):
     assert policy.description.training["epochs"] == 40
 
 
+@pytest.mark.slow
 def test_ablation_has_all_rows_and_parameters_that_count_help(bench, monkeypatch):
     monkeypatch.setattr(simulated_module, "_world", lambda *_: Thrown())
     settings = SimulatedSettings(

@@ -107,6 +107,7 @@ def adapt(tmp_path, capsys):
 EXECUTION = ("--action", "0.15", "0.1", "--reached", "0.36")
 
 
+@pytest.mark.slow
 def test_adapt_learns_from_executions_one_after_the_other(adapt, act, tmp_path):
     first, second = tmp_path / "first.json", tmp_path / "second.json"
     code, out, err = adapt(*EXECUTION, "--out", str(first))

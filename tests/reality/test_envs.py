@@ -64,10 +64,7 @@ class NotYetRaised(ClothSpreading):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        n if n in ("RopeReaching", "RopeCasting") else pytest.param(n, marks=pytest.mark.slow)
-        for n in ALL
-    ],
+    [n if n == "RopeCasting" else pytest.param(n, marks=pytest.mark.slow) for n in ALL],
 )
 def test_gymnasium_finds_nothing_to_blame(name):
     with warnings.catch_warnings():
@@ -247,6 +244,7 @@ def test_drawn_casting_goals_can_be_reached(simulated):
         assert env.step(action)[1] > -0.003
 
 
+@pytest.mark.slow
 def test_drawn_reaching_goals_keep_to_the_risk_s_limit(simulated, monkeypatch):
     """Of the releases that are drawn most fall out of the plane; the one that makes the goal does
     not, and so the second reality's rope gets there too."""

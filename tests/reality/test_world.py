@@ -121,7 +121,9 @@ def test_a_cloths_vertices_weigh_what_they_stand_for(diagonal):
     assert m[1:-1].sum(axis=1) == pytest.approx((cloth.vertices - 1) * square)
 
 
-@pytest.mark.parametrize("name", ["rope-cotton", "cloth-cotton", "cloth-rubber"])
+@pytest.mark.parametrize(
+    "name", ["rope-cotton", pytest.param("cloth-cotton", marks=pytest.mark.slow), "cloth-rubber"]
+)
 def test_friction_is_coulombs(name):
     """On a slope objects stick below atan(mu) and slide at g (sin a - mu cos a) above."""
     item = find_object(name)

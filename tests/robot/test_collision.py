@@ -195,6 +195,7 @@ def test_a_camera_in_the_way_is_named_and_one_beside_it_is_not():
     follow(XARM7, path, surroundings=Surroundings(obstacles=(aside,)))
 
 
+@pytest.mark.slow
 def test_nothing_slips_through_between_two_looks():
     """A wire of 1 mm across the way of a quick hand, which passes it within some milliseconds."""
     motion = joint_move(

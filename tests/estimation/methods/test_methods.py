@@ -66,6 +66,7 @@ def test_an_interruption_before_anything_was_found_is_passed_on(short_lift, meth
         method(problem)
 
 
+@pytest.mark.slow
 def test_evolution_is_seeded(short_lift):
     ends = [few_members(short_lift(max_iterations=3, seed=s)).best.vector for s in (1, 1, 2)]
     np.testing.assert_array_equal(ends[0], ends[1])
