@@ -125,14 +125,14 @@ def crumpled(n, **options):
         time=[0, 0.4, 0.9], position=[top, top, top * [1, 1, 0.1]], radius=0.012, hold_until=0.95
     )
     s = Simulator(
-        body, [Material(E=4e5, density=400.0, damping=0.01)], engine="thin", grippers=[let_down],
+        body, [Material(E=1e5, density=400.0, damping=0.01)], engine="thin", grippers=[let_down],
         table=Table(height=0.0, friction=0.4), self_contact=True, **options,
     )  # fmt: skip
     heap = s.run(np.linspace(0.02, 1.5, 75))[:, 0]
     corners = heap[-1][[0, -1]]
     up, apart = np.array([0, 0, 1.2 * size]), np.array([[-0.48, -0.48, 0], [0.48, 0.48, 0]]) * size
     pulled = Simulator(
-        body, [Material(E=4e5, density=400.0, damping=0.01)], engine="thin",
+        body, [Material(E=1e5, density=400.0, damping=0.01)], engine="thin",
         grippers=[
             Gripper(time=[0, 1.0, 2.0], position=[at, at + up, to + up], radius=0.0004)
             for at, to in zip(corners, apart, strict=True)
