@@ -21,7 +21,6 @@ from gendom.estimation.replay import middle
 from gendom.files import write_json
 from gendom.reality import OBJECTS, RealObject, RealRope, find_object
 from gendom.reality.chain import record_and_perceive
-from gendom.reality.scene import CLOTH_RADIUS
 from gendom.viz import encode_sights
 
 FINER = 8
@@ -110,8 +109,7 @@ def to_surface(
     item: RealObject, cloud: NDArray[np.floating], shape: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """[n] how far outside of the true surface the points of a cloud are [m]."""
-    thick = item.diameter / 2.0 if isinstance(item, RealRope) else CLOTH_RADIUS
-    return KDTree(shape).query(cloud)[0] - thick
+    return KDTree(shape).query(cloud)[0] - item.radius
 
 
 if __name__ == "__main__":

@@ -77,7 +77,9 @@ def test_every_method_has_a_row_or_a_reason(estimated, settings, tmp_path):
     assert rows["pointnet"]["skipped"].startswith("needs torch; install it with: ")
     (cloth,) = result["objects"][SHEET].values()
     m = find_object(SHEET).material
-    assert cloth["truth"] == pytest.approx(m.E / (1.0 - m.nu**2)) and not cloth["usable"]
+    # as stiff a sheet at the nu of 0.3 that estimates assume
+    assert cloth["truth"] == pytest.approx(m.E * (1.0 - 0.3**2) / (1.0 - m.nu**2))
+    assert not cloth["usable"]
 
 
 def test_ropes_are_lifted_as_high_as_in_the_paper_s_simulation(estimated, settings, tmp_path):

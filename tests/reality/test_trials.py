@@ -447,9 +447,15 @@ def test_the_cloth_is_gripped_over_the_fingers_breadth():
     world = performance.world
     corner = np.array([0.32, -0.15, 0.0])
     held = (world.vertices()[world.held] - corner)[:, :2] / COTTON_CLOTH.spacing
-    # points 10 mm apart, within 12.5 mm of (15.45, 15.195): neither (14, 15) nor (15, 14)
-    near = {(15, 15), (15, 16), (16, 15), (16, 16)}
+    # the hand is at (154.5, 151.95) mm, fingers reach 12.5 mm and points are 7.5 mm apart
+    reach = 12.5 + 0.525 * 7.5
+    near = {
+        (i, j)
+        for i, j in itertools.product(range(41), repeat=2)
+        if math.hypot(7.5 * i - 154.5, 7.5 * j - 151.95) < reach
+    }
     assert {(round(i), round(j)) for i, j in held} == near
+    assert len(near) == 14
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from gendom.errors import DeviceError, ParameterError, SimulationError
+from gendom.materials import STANDARD_GRAVITY
 from gendom.reality import (
     OBJECTS,
     Layout,
@@ -18,16 +19,15 @@ from gendom.reality import (
     RealRope,
     default_cameras,
     find_object,
-    rest_height,
     stretch,
 )
-from gendom.reality.scene import load_mujoco
+from gendom.reality.scene import SHEET_STRETCH, load_mujoco
 
 COTTON = cast(RealRope, OBJECTS["rope-cotton"])
 
 
 def lying(item: RealObject = COTTON) -> Layout:
-    return Layout(origin=(0.35, 0.0, rest_height(item)))
+    return Layout(origin=(0.35, 0.0, item.radius))
 
 
 def grasped(seconds=0.0, **kwargs):
@@ -38,7 +38,7 @@ def grasped(seconds=0.0, **kwargs):
 
 
 def lift(world, seconds):
-    world.follow(lambda t: (0.3625, 0.0, rest_height(COTTON) + 0.1 * max(t - 0.05, 0.0)))
+    world.follow(lambda t: (0.3625, 0.0, COTTON.radius + 0.1 * max(t - 0.05, 0.0)))
     world.step_to(0.05)
     world.attach()
     world.step_to(0.05 + seconds)
@@ -59,7 +59,7 @@ def seeing():
 @pytest.mark.parametrize("name", OBJECTS)
 def test_objects_rest_on_the_table(name):
     item = OBJECTS[name]
-    world = Reality(item, Layout(origin=(0.35, -0.1, rest_height(item))))
+    world = Reality(item, Layout(origin=(0.35, -0.1, item.radius)))
     before = world.vertices()
     world.step_to(0.2)
     # Contact gives way by some hundredths of a millimetre, by far less under a rope.
@@ -145,8 +145,8 @@ def test_what_is_held_follows_the_hand_without_stretching():
     held = world.held
     assert len(held) >= 2
     moved = world.vertices()[held].mean(axis=0)
-    assert world.hand[2] == pytest.approx(rest_height(COTTON) + 0.1, abs=1e-4)
-    assert moved[2] == pytest.approx(rest_height(COTTON) + 0.1, abs=1e-3)
+    assert world.hand[2] == pytest.approx(COTTON.radius + 0.1, abs=1e-4)
+    assert moved[2] == pytest.approx(COTTON.radius + 0.1, abs=1e-3)
     assert abs(stretch(COTTON, world.vertices())) < 0.005
 
 
@@ -186,7 +186,7 @@ def test_a_folded_cloth_lies_on_itself():
     x = world.vertices()
     across = (x - first) @ (last - first) / np.linalg.norm(last - first)
     assert across[0] > 0.1 and across[-1] < 0.18  # it is still folded
-    assert x[0, 2] - x[-1, 2] > 0.8 * 2.0 * rest_height(cloth)
+    assert x[0, 2] - x[-1, 2] > 0.8 * 2.0 * cloth.radius
 
 
 def test_a_hand_that_closes_on_nothing_says_how_far_off_it_is():
@@ -238,7 +238,7 @@ def test_both_cameras_see_the_rope_where_it_is(seeing):
         points = rays @ T[:3, :3].T + T[:3, 3]
         assert len(points) > 200
         inside = (points[:, 0] > x[0, 0]) & (points[:, 0] < x[-1, 0])
-        off = np.hypot(points[inside, 1], points[inside, 2] - rest_height(COTTON))
+        off = np.hypot(points[inside, 1], points[inside, 2] - COTTON.radius)
         assert np.median(np.abs(off - COTTON.diameter / 2)) < 5e-4
 
 
@@ -248,7 +248,7 @@ def test_a_backend_that_cannot_render_is_named(run_python):
         "import os; os.environ['MUJOCO_GL'] = 'nothing'\n"
         "from gendom.reality import *\n"
         "rope = find_object('rope-cotton')\n"
-        "layout = Layout(origin=(0.35, 0.0, rest_height(rope)))\n"
+        "layout = Layout(origin=(0.35, 0.0, rope.radius))\n"
         "world = Reality(rope, layout, cameras=default_cameras())\n"
         "world.step_to(0.01)\n"
         "try:\n world.render(0)\nexcept Exception as e: print(type(e).__name__, e)"
@@ -283,3 +283,35 @@ def test_a_world_that_diverges_is_told_and_leaves_no_file(tmp_path, monkeypatch)
     with pytest.raises(SimulationError, match="the second reality diverged"):
         world.step_to(0.01)
     assert list(tmp_path.iterdir()) == []  # MuJoCo would write MUJOCO_LOG.TXT
+
+
+@pytest.mark.parametrize("vertices", [21, 26, 31])
+def test_a_cloth_is_free_from_where_the_fingers_end(vertices):
+    """Between the last vertices that are held and the next it bends as half an edge does."""
+    cloth = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=vertices)
+    world = Reality(cloth, lying(cloth))
+    world.follow(lambda t: (0.36, 0.01, cloth.radius))
+    world.step_to(0.02)
+    reach = 0.025
+    held = world.attach(reach)
+    x = world.vertices()
+    distance = np.linalg.norm(x - world.hand, axis=1)
+    half = cloth.spacing / 2.0
+    assert set(held) >= set(np.flatnonzero(distance <= reach + 0.95 * half))
+    assert set(held).isdisjoint(np.flatnonzero(distance > reach + 1.15 * half))
+
+
+def test_a_stiff_sheet_is_softened_in_its_plane_only():
+    """So that its own weight, hanging by a side, lengthens it by SHEET_STRETCH."""
+    cloth = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=11)
+    softest = cloth.material.density * STANDARD_GRAVITY * cloth.side / (2.0 * SHEET_STRETCH)
+
+    def stiffness(E):
+        """In the plane and of bending, over those of 1 Pa."""
+        item = replace(cloth, material=replace(cloth.material, E=E))
+        model = Reality(item, lying(item), table=False).model
+        return np.abs(model.flex_stiffness).max() / E, np.abs(model.flex_bending).max() / E
+
+    plain, softened = stiffness(0.5 * softest), stiffness(20.0 * softest)
+    assert softened[0] == pytest.approx(plain[0] / 20.0)
+    assert softened[1] == pytest.approx(plain[1])

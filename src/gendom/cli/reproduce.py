@@ -18,6 +18,7 @@ from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.evaluation.sheet import Curves, Ranks, Sheet
+    from gendom.evaluation.tables import Workbench
 
 SCALES = {"small": (2, 1), "full": (5, 5)}
 """Objects, and starts of each, by scale of the table sim2sim."""
@@ -122,26 +123,31 @@ class Command:
     def _folder(self) -> Path:
         return self.out or Path(self.table)
 
-    def _policies(self) -> int:
-        from gendom.evaluation.tables import (
-            RopeRealSettings,
-            SimulatedSettings,
-            Workbench,
-            ablation,
-            generalization,
-            rope_real,
-            sheets,
-        )
+    def _bench(self) -> Workbench:
+        """Where tables of several stages are made."""
+        from gendom.evaluation.tables import Workbench
 
         check_folder(self._folder)
-        began = time.monotonic()
-        bench = Workbench(
+        return Workbench(
             folder=self._folder,
             device=self.device,
             jobs=self.jobs,
             seed=self.seed,
             on_stage=_log.info,
         )
+
+    def _policies(self) -> int:
+        from gendom.evaluation.tables import (
+            RopeRealSettings,
+            SimulatedSettings,
+            ablation,
+            generalization,
+            rope_real,
+            sheets,
+        )
+
+        bench = self._bench()
+        began = time.monotonic()
         if self.table == "rope-real":
             goals, demonstrations, real, epochs, executions = ROPE_REAL[self.scale]
             result = rope_real(
@@ -183,17 +189,10 @@ class Command:
         return 0
 
     def _real2sim(self) -> int:
-        from gendom.evaluation.tables import Real2SimSettings, Workbench, real2sim, sheets
+        from gendom.evaluation.tables import Real2SimSettings, real2sim, sheets
 
-        check_folder(self._folder)
+        bench = self._bench()
         began = time.monotonic()
-        bench = Workbench(
-            folder=self._folder,
-            device=self.device,
-            jobs=self.jobs,
-            seed=self.seed,
-            on_stage=_log.info,
-        )
         starts, iterations = REAL2SIM[self.scale]
         settings = Real2SimSettings(methods=self.method, starts=starts, iterations=iterations)
         if self.objects:

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
-from gendom.estimation.scene_settings import SceneSettings
+from gendom.estimation.scene_settings import SHELL_POINTS, SceneSettings
 from gendom.sim import Body, cloth, rope
 
 Array = NDArray[np.floating]
@@ -229,7 +229,7 @@ def _place_cloth(
     if corner:
         local = (described.grasp_inset or 0.0) * diagonal
     turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-    spacing = longer / ((settings.points or 26) - 1)
+    spacing = longer / ((settings.points or SHELL_POINTS) - 1)
     counts = (1 + max(2, round(width / spacing)), 1 + max(2, round(height / spacing)))
     body = cloth(
         width=width,

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.estimation.scene import Scene
 from gendom.estimation.theta import Theta
-from gendom.materials import Material
+from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.sim import Gripper, Simulator, Table
 
 Array = NDArray[np.floating]
@@ -25,11 +25,14 @@ def material_of(scene: Scene, theta: Theta) -> Material:
     r^2 times as much for it to bend alike: stiffness over weight goes with the square of the radius
     of gyration, of ropes and of sheets.
     """
+    E, membrane = theta.specific_modulus * theta.thickness**2 * scene.density, None
+    if scene.kind == "cloth" and scene.thin:
+        width, height = (scene.recording.object.width, scene.recording.object.height)
+        assert width is not None and height is not None
+        weight = scene.density * STANDARD_GRAVITY * max(width, height)
+        membrane = min(E, weight / (2.0 * scene.settings.stretch))
     return Material(
-        E=theta.specific_modulus * theta.thickness**2 * scene.density,
-        nu=theta.nu,
-        density=scene.density,
-        damping=theta.damping,
+        E=E, nu=theta.nu, density=scene.density, damping=theta.damping, membrane=membrane
     )
 
 

@@ -20,13 +20,14 @@ from scipy.stats import binom, norm
 
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
-from gendom.estimation import Calibration, EstimateSettings, SceneSettings, estimate
+from gendom.estimation import Calibration, EstimateSettings, SceneSettings, Theta, estimate
 from gendom.evaluation.sheet import Ranks, Sheet
 from gendom.files import write_json
 from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.materials.parameters import specific_modulus_of
 from gendom.reality import RealCloth, RealObject, RealRope
 from gendom.reality.chain import record_and_perceive
+from gendom.reality.objects import vertices_of
 
 CLOUD_POINTS = {"rope": 320, "cloth": 1400}
 """Points of a frame that are kept, twice what an estimate compares."""
@@ -110,7 +111,7 @@ def draw_object(kind: str, seed: int) -> RealObject:
         ),
         friction=friction,
         colour=(40, 70, 190),
-        vertices=25,
+        vertices=vertices_of(side),
     )
 
 
@@ -200,9 +201,11 @@ def _thinned(recording: Recording, most: int, seed: int) -> Recording:
 
 
 def truth_of(item: RealObject) -> dict[str, float]:
-    """By names of `gendom.estimation.UNKNOWNS`; a cloth's E is that of a beam as stiff as it."""
+    """By names of `gendom.estimation.UNKNOWNS`. Lifts show a cloth's rigidity
+    E t^3 / (12 (1 - nu^2)) alone: its E is the one that gives this with the nu that estimates
+    assume."""
     m = item.material
-    wide = 1.0 if isinstance(item, RealRope) else 1.0 - m.nu**2
+    wide = 1.0 if isinstance(item, RealRope) else (1.0 - m.nu**2) / (1.0 - Theta.nu**2)
     return {
         "specific_modulus": m.specific_modulus / wide,
         "nu": m.nu,

@@ -30,12 +30,14 @@ class Material(Shown):
     is damped at the ratio w tau / 2; static shapes are not changed."""
     yield_stress: float = math.inf
     """Von Mises yield stress of the deviatoric Hencky stress [Pa]; infinite means elastic."""
+    membrane: float | None = None
+    """Young's modulus of a shell in its plane [Pa]; E is then that of its bending. None: E."""
 
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
-        units = {"E": "Pa", "density": "kg/m^3", "damping": "s", "yield_stress": "Pa"}
-        rows = [
-            (f.name, f"{getattr(self, f.name):g} {units.get(f.name, '')}") for f in fields(self)
-        ]
+        pascals = dict.fromkeys(("E", "yield_stress", "membrane"), "Pa")
+        units = {"density": "kg/m^3", "damping": "s", **pascals}
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        rows = [(n, f"{v:g} {units.get(n, '')}") for n, v in values.items() if v is not None]
         return "Material", [(name, value.strip()) for name, value in rows]
 
     def __post_init__(self) -> None:
@@ -56,6 +58,13 @@ class Material(Shown):
             )
         if not self.yield_stress > 0.0:
             raise ParameterError(f"yield_stress must be positive [Pa], got {self.yield_stress}")
+        if self.membrane is not None and not 0.0 < self.membrane < math.inf:
+            raise ParameterError(f"membrane must be positive and finite [Pa], got {self.membrane}")
+
+    @property
+    def in_plane(self) -> float:
+        """Young's modulus of a shell in its plane [Pa]."""
+        return self.E if self.membrane is None else self.membrane
 
     @property
     def lame(self) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from gendom.reality.air import Air
 from gendom.reality.benches import Bench, cantilever, stretch
 from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, as_real, find_object
 from gendom.reality.recording import RecordSettings, record
-from gendom.reality.scene import Layout, build_model, default_cameras, looking_at, rest_height
+from gendom.reality.scene import Layout, build_model, default_cameras, looking_at
 from gendom.reality.sensor import DepthSensor, RigErrors
 from gendom.reality.trials import (
     Performance,
@@ -57,7 +57,6 @@ __all__ = [
     "observe",
     "predefined_lift",
     "record",
-    "rest_height",
     "stretch",
     "task_trial",
 ]

@@ -24,7 +24,7 @@ from typing import Any
 from gendom.errors import ParameterError
 from gendom.files import read_toml
 from gendom.materials import ASSUMED, KINDS, Material, catalogue
-from gendom.reality.objects import PLAIN, RealCloth, RealObject, RealRope
+from gendom.reality.objects import PLAIN, RealCloth, RealObject, RealRope, vertices_of
 
 DEFAULTS = {name: ASSUMED[name] for name in ("damping", "friction")}
 """Of numbers that a file may leave out."""
@@ -94,7 +94,9 @@ def read_object(path: str | os.PathLike) -> RealObject:
         "colour": tuple(colour),
     }
     try:
-        return RealRope(**item) if kind == "rope" else RealCloth(**item)
+        if kind == "rope":
+            return RealRope(**item)
+        return RealCloth(vertices=vertices_of(item[large]), **item)
     except ParameterError as error:
         raise ParameterError(error.what, where=where, fix=error.fix) from error
 

@@ -28,12 +28,14 @@ _log = logging.getLogger(__name__)
 ROPE_STEP, CLOTH_STEP = 0.001, 0.004
 """Time steps [s]."""
 
-SHEET_BENDING = 0.825
-"""MuJoCo's bending rigidity of a sheet over that of plate theory, between that of strips cut along
-the sides and along the diagonals (`gendom.reality.benches`)."""
+SHEET_BENDING = 0.915
+"""MuJoCo's bending rigidity of a sheet over that of plate theory: between that of strips cut along
+the sides, 0.82, and along the diagonals, 1.02 (`gendom.reality.benches`)."""
 
-CLOTH_RADIUS = 0.0005
-"""Half the thickness with which a cloth touches and is seen [m]."""
+SHEET_STRETCH = 0.002
+"""By which a sheet's own weight lengthens it at most, hanging by a side: sheets that are stiffer in
+their plane are made as soft as that, because what resists stretching resists bends over a few
+triangles, too (docs/reality.md)."""
 
 TABLE = (0.45, 0.0, 0.9, 1.4)
 """Centre x, y and sizes along x and y of the table [m]; its top is z = 0."""
@@ -75,11 +77,6 @@ class Layout:
         """Turns the flex's own axes into the world's."""
         x, y = np.asarray(self.along), np.asarray(self.across)
         return Rotation.from_matrix(np.stack([x, y, np.cross(x, y)], axis=1))
-
-
-def rest_height(item: RealObject) -> float:
-    """Height of the middle of an object that lies on the table [m]."""
-    return item.diameter / 2.0 if isinstance(item, RealRope) else CLOTH_RADIUS
 
 
 def default_cameras(
@@ -272,7 +269,7 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
         n, dx = item.vertices, item.length / (item.vertices - 1)
         return (
             f'<flexcomp name="object" type="grid" dim="1" count="{n} 1 1" spacing="{dx} {dx} {dx}"'
-            f' {place} radius="{item.diameter / 2}" rgba="{colour}">'
+            f' {place} radius="{item.radius}" rgba="{colour}">'
             # A rope hardly stretches: its edges are held by constraints, not springs.
             f'<edge equality="true" solref="{2 * step} 1" solimp="0.99 0.999 0.001"/>'
             f'<elasticity young="{float(E)!r}" poisson="{nu}" damping="{damping}"'
@@ -283,15 +280,17 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
     flat = Layout(origin=(0.0, 0.0, 0.0))
     points = rest_shape(item, flat)
     points -= points.mean(axis=0)
-    # Rigidity E t^3 is raised to what MuJoCo's bending takes away, stiffness E t in the plane is
-    # kept.
-    thicker = (1.0 / SHEET_BENDING) ** 0.5
+    # Stiffness E t in the plane is lowered, rigidity E t^3 raised to what MuJoCo's bending takes
+    # away.
+    weight = item.material.density * STANDARD_GRAVITY * item.side
+    softer = min(1.0, weight / (2.0 * SHEET_STRETCH * E))
+    thicker = (1.0 / (SHEET_BENDING * softer)) ** 0.5
     return (
         f'<flexcomp name="object" type="direct" dim="2" point="{_row(points)}"'
         f' element="{" ".join(map(str, item.sheet[1].ravel()))}"'
-        f' {place} radius="{CLOTH_RADIUS}" rgba="{colour}">'
-        f'<elasticity young="{float(E / thicker)!r}" poisson="{nu}" damping="{damping}"'
-        f' thickness="{item.thickness * thicker!r}" elastic2d="both"/>'
+        f' {place} radius="{item.radius}" rgba="{colour}">'
+        f'<elasticity young="{float(softer * E / thicker)!r}" poisson="{nu}" damping="{damping}"'
+        f' thickness="{float(item.thickness * thicker)!r}" elastic2d="both"/>'
         f"{contact}</flexcomp>",
         len(points),
     )

@@ -23,7 +23,7 @@ from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
 from gendom.perception.camera import Camera
 from gendom.reality.arm import RobotArm, surroundings
 from gendom.reality.objects import RealCloth, RealObject, RealRope, as_real
-from gendom.reality.scene import Layout, default_cameras, rest_height
+from gendom.reality.scene import Layout, default_cameras
 from gendom.reality.world import FINGER_WIDTH, Reality
 from gendom.robot import (
     XARM7,
@@ -264,7 +264,7 @@ def lift(
     Raises:
         RobotError: Rise or speed is no number above 0, or there is no such end.
     """
-    height = rest_height(item)
+    height = item.radius
     origin = np.array([START, 0.0, height])
     rope = isinstance(item, RealRope)
     if rope:
@@ -343,7 +343,7 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
     origin = np.array(scene.origin, dtype=float)
     if scene.table is not None:
         # what MuJoCo's objects touch the table with may be thicker
-        origin[2] = max(origin[2], scene.table + rest_height(item))
+        origin[2] = max(origin[2], scene.table + item.radius)
     R = T[:3, :3]
     return Trial(
         item=item,

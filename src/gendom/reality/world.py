@@ -212,10 +212,8 @@ class Reality:
         """
         x = self.vertices()
         distance = np.linalg.norm(x - self.hand, axis=1)
-        half = 0.0
-        if isinstance(self.item, RealRope):
-            # a twentieth more: the hand may be a little above
-            half = 0.525 * self.item.length / (self.item.vertices - 1)
+        # a twentieth more: the hand may be a little above
+        half = 0.525 * self.item.spacing
         near = np.flatnonzero(distance <= reach + half + 1e-9)
         if len(near) == 0:
             raise SimulationError(

@@ -99,6 +99,12 @@ class Simulator(Shown):
                 f"unknown engine {engine!r}", fix=f"choose one of {', '.join(ENGINES)}"
             )
         thin = engine == "thin"
+        if not (thin and body.kind == "cloth") and any(m.membrane is not None for m in materials):
+            raise ParameterError(
+                f"only shells have a membrane's modulus, not a {body.kind} of the {engine} engine",
+                where="materials",
+                fix="leave membrane out, or take engine='thin' for a cloth",
+            )
         dtype = dtype or ("float64" if thin else "float32")
         if dtype not in ("float32", "float64"):
             raise ParameterError(f"dtype must be float32 or float64, got {dtype!r}")

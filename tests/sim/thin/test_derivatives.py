@@ -65,7 +65,12 @@ def simulator(body, p, **options):
     knots = [0, 0.02, 0.05]
     s = Simulator(
         body,
-        [Material(**{name: float(p[name]) for name in ("E", "nu", "density", "damping")})],
+        [
+            Material(
+                **{name: float(p[name]) for name in ("E", "nu", "density", "damping")},
+                membrane=p.get("membrane"),
+            )
+        ],
         engine="thin",
         grippers=[
             Gripper(time=knots, position=first, radius=radius[0], hold_until=0.045),
@@ -124,6 +129,18 @@ def test_every_derivative_is_that_of_central_differences(body):
         by = getattr(found, name)[0]
         by = by[1] if name == "gripper_rotations" else by
         assert np.sum(by * direction) == pytest.approx(differences, rel=2e-5), name
+
+
+def test_a_membrane_of_its_own_does_not_change_with_E():
+    p = given(CLOTH) | {"membrane": 1e5}
+    weights = np.random.default_rng(1).normal(size=(len(TIMES), 1, len(CLOTH.points), 3))
+    _, found = gradients(CLOTH, p, weights)
+    h = 0.05
+    up, down = (
+        float(np.sum(simulator(CLOTH, p | {"E": p["E"] + k * h}).run(TIMES) * weights))
+        for k in (1, -1)
+    )
+    assert found.E[0] == pytest.approx((up - down) / (2.0 * h), rel=2e-5)
 
 
 @BODIES

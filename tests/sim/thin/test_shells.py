@@ -1,5 +1,6 @@
 """What cloths are made of: threads, natural curvature, free edges."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import Simulator, Weave, cloth
+from gendom.sim import Simulator, Weave, cloth, rope
 from gendom.sim.thin.shells import Shells
 from gendom.validation.shells import bending_energy, membrane_energy
 
@@ -15,12 +16,12 @@ MATERIAL = Material(E=1.0e6, nu=0.0)
 SIZES: dict[str, Any] = {"width": 0.2, "height": 0.15, "thickness": 0.002, "dx": 0.02}
 
 
-def stretched(weave, gradient):
+def stretched(weave, gradient, material=MATERIAL):
     """Membrane energy of a plane deformation [J]."""
     body = cloth(**SIZES, points=(9, 7), weave=weave)
     x = body.points.copy()
     x[:, :2] += body.points[:, :2] @ np.asarray(gradient).T
-    return membrane_energy(Simulator(body, [MATERIAL], positions=x))
+    return membrane_energy(Simulator(body, [material], positions=x))
 
 
 @pytest.mark.parametrize(
@@ -38,19 +39,44 @@ def test_threads_have_their_own_stiffness(name, gradient):
         assert stretched(Weave(**{other: 3.0}), gradient) == pytest.approx(plain, rel=1e-3)
 
 
+def rolled(weave=None, material=MATERIAL):
+    """Membrane and bending energy of a cloth on a cylinder [J], and its longest step [s]."""
+    R, body = 0.4, cloth(**SIZES, points=(15, 12), weave=weave)
+    u = body.points[:, 0] / R
+    x = np.stack([R * np.sin(u), body.points[:, 1], R * (1.0 - np.cos(u))], axis=1)
+    s = Simulator(body, [material], positions=x)
+    assert isinstance(s.engine, Shells)
+    return (
+        membrane_energy(s),
+        bending_energy(s),
+        s.engine.model.longest_step([material], np.ones((1, 1))),
+    )
+
+
 def test_bending_is_independent_of_the_plane():
-    R = 0.4
-
-    def energies(weave):
-        body = cloth(**SIZES, points=(15, 12), weave=weave)
-        u = body.points[:, 0] / R
-        x = np.stack([R * np.sin(u), body.points[:, 1], R * (1.0 - np.cos(u))], axis=1)
-        s = Simulator(body, [MATERIAL], positions=x)
-        return membrane_energy(s), bending_energy(s)
-
-    plain, pliant = energies(Weave()), energies(Weave(bending=0.1))
+    plain, pliant = rolled(Weave()), rolled(Weave(bending=0.1))
     assert pliant[0] == plain[0]
     assert pliant[1] == pytest.approx(0.1 * plain[1])
+
+
+def test_the_membrane_may_have_a_modulus_of_its_own():
+    """It then takes longer steps, and the bending stays."""
+    soft, gradient = replace(MATERIAL, membrane=0.25 * MATERIAL.E), [[1e-4, 2e-5], [0.0, 5e-5]]
+    assert stretched(Weave(), gradient, soft) == pytest.approx(0.25 * stretched(Weave(), gradient))
+    plain, softer = rolled(), rolled(material=soft)
+    assert softer[0] == pytest.approx(0.25 * plain[0])
+    assert softer[1] == plain[1]
+    assert softer[2] == pytest.approx(2.0 * plain[2])
+
+
+@pytest.mark.parametrize("body", ["rope", "cloth"])
+def test_only_shells_have_a_membrane(body):
+    made = cloth(**SIZES) if body == "cloth" else rope(diameter=0.01, length=0.2)
+    engine = "mpm" if body == "cloth" else "thin"
+    with pytest.raises(ParameterError, match="only shells have a membrane"):
+        Simulator(made, [replace(MATERIAL, membrane=1e5)], engine=engine)
+    with pytest.raises(ParameterError, match="membrane must be positive"):
+        replace(MATERIAL, membrane=0.0)
 
 
 @pytest.mark.parametrize("diagonal", [False, True])

@@ -102,10 +102,10 @@ class ShellModel:
         return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, slopes[:, :, None])
 
     def scales(self, materials: Sequence[Material]) -> NDArray[np.float64]:
-        """[W, 8, 1] E h, E h^3 / 12."""
-        E, h = np.array([m.E for m in materials]), self.thickness
-        scale = np.concatenate([np.full(4, h), np.full(4, h**3 / 12.0)])
-        return (E[:, None] * scale)[:, :, None]
+        """[W, 8, 1] E h with the modulus in the plane, E h^3 / 12."""
+        h = self.thickness
+        rows = [4 * [m.in_plane * h] + 4 * [m.E * h**3 / 12.0] for m in materials]
+        return np.array(rows)[:, :, None]
 
     def longest_step(
         self, materials: Sequence[Material], share: NDArray[np.floating]
@@ -116,12 +116,12 @@ class ShellModel:
         """
         lx, ly = self.spacing
         k2 = 4.0 / lx**2 + 4.0 / ly**2
-        E = np.array([m.E for m in materials]) * share.max(axis=1)
+        E, in_plane = np.array([[m.E, m.in_plane] for m in materials]).T * share.max(axis=1)
         nu = np.array([m.nu for m in materials])
         density = np.array([m.density for m in materials])
         # a border's joints may be eight times as stiff
         across = 8.0 * self.thickness**2 / 12.0 * k2**2
-        fastest = E / (1.0 - nu**2) / density
-        fastest = fastest * np.maximum(self.stiffest * k2, self.bending * across)
+        fastest = np.maximum(in_plane * self.stiffest * k2, E * self.bending * across)
+        fastest = fastest / (1.0 - nu**2) / density
         damped = np.array([m.damping > 0.0 for m in materials])
         return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)

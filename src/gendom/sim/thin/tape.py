@@ -397,10 +397,14 @@ class ShellTape(ThinTape):
         by_stiffness = m[:, :8] * e.share[:, None]
         _, slopes = e.model.factors(nu)
         by_nu = by_stiffness * slopes * e.model.scales(s.materials) * e.model.shares
-        share_bar = np.sum(m[:, :8] * e.modulus, axis=1)
+        by_modulus = m[:, :8] * e.modulus
+        share_bar = np.sum(by_modulus, axis=1)
+        # a membrane with a modulus of its own does not change with E
+        own = np.array([material.membrane is not None for material in s.materials])
+        by_modulus[own, :4] = 0.0
         by_mass = m[:, PER_MASS] / e.mass
         return (
-            np.sum(share_bar * e.share, axis=1) / E,
+            np.sum(np.sum(by_modulus, axis=1) * e.share, axis=1) / E,
             by_nu.sum(axis=(1, 2)),
             share_bar,
             -by_mass.sum(axis=1) / density,
