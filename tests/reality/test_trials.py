@@ -1,5 +1,7 @@
 """The lift and the tasks, by the arm and by a free hand."""
 
+import itertools
+import math
 from dataclasses import dataclass, replace
 from typing import cast
 
