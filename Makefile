@@ -37,7 +37,7 @@ demo: $(CORE)
 	@$(BIN)/gendom demo $(ARGS)
 
 test: $(FULL)
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
 
 check: $(FULL)
 	@$(BIN)/ruff check

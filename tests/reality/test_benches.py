@@ -19,17 +19,17 @@ def test_a_rope_sags_as_a_beam(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "diagonal", "error"),
+    ("name", "diagonal"),
     [
-        ("cloth-cotton", True, -0.12),
-        pytest.param("cloth-rubber", False, 0.11, marks=pytest.mark.slow),
-        pytest.param("cloth-cotton", False, 0.11, marks=pytest.mark.slow),
-        pytest.param("cloth-rubber", True, -0.12, marks=pytest.mark.slow),
+        ("cloth-cotton", True),
+        pytest.param("cloth-rubber", False, marks=pytest.mark.slow),
+        pytest.param("cloth-cotton", False, marks=pytest.mark.slow),
+        pytest.param("cloth-rubber", True, marks=pytest.mark.slow),
     ],
 )
-def test_a_strip_of_cloth_sags_nearly_as_a_plate(name, diagonal, error):
-    """However it is cut, to a tenth: a cloth that hangs by a corner bends along its diagonal."""
-    assert cantilever(OBJECTS[name], diagonal=diagonal).error == pytest.approx(error, abs=0.03)
+def test_a_strip_of_cloth_sags_as_a_plate(name, diagonal):
+    """However it is cut: a cloth that hangs by a corner bends along its diagonal."""
+    assert cantilever(OBJECTS[name], diagonal=diagonal).error == pytest.approx(0.0, abs=0.05)
 
 
 def test_a_rope_of_more_points_is_closer_to_the_beam():

@@ -21,16 +21,17 @@ from gendom.errors import DeviceError, ParameterError
 from gendom.installation import how_to_install
 from gendom.materials import STANDARD_GRAVITY
 from gendom.perception.camera import Camera
-from gendom.reality.objects import RealObject, RealRope
+from gendom.reality.objects import RealCloth, RealObject, RealRope
 
 _log = logging.getLogger(__name__)
 
 ROPE_STEP, CLOTH_STEP = 0.001, 0.004
 """Time steps [s]."""
 
-SHEET_BENDING = 0.915
-"""MuJoCo's bending rigidity of a sheet over that of plate theory: between that of strips cut along
-the sides, 0.82, and along the diagonals, 1.02 (`gendom.reality.benches`)."""
+SIDE_HINGES, DIAGONAL_HINGES = 4.0 / 3.0, 2.0 / 3.0
+"""Factors of MuJoCo's bending stiffness over the edges of a sheet's squares and over their
+diagonals, with which it bends over any direction with the rigidity of a plate
+(`gendom.reality.sheet`)."""
 
 SHEET_STRETCH = 0.002
 """By which a sheet's own weight lengthens it at most, hanging by a side: sheets that are stiffer in
@@ -229,6 +230,8 @@ def build_model(
             f"MuJoCo refuses the scene ({error})", where=item.name, fix="check its sizes"
         ) from None
     _weigh(model, item)
+    if isinstance(item, RealCloth):
+        _bend_alike(model, item)
     return model
 
 
@@ -238,6 +241,20 @@ def _weigh(model: Any, item: RealObject) -> None:
     # Their inertia moves nothing: they slide and do not turn.
     model.body_mass[model.flex_vertbodyid] = item.vertex_masses
     mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _softened(cloth: RealCloth) -> float:
+    """What is left of a sheet's stiffness in its plane."""
+    m = cloth.material
+    return min(1.0, m.density * STANDARD_GRAVITY * cloth.side / (2.0 * SHEET_STRETCH * m.E))
+
+
+def _bend_alike(model: Any, cloth: RealCloth) -> None:
+    """Give a sheet, softened or not, its rigidity in every direction."""
+    length = np.linalg.norm(np.diff(cloth.sheet[0][model.flex_edge], axis=1), axis=(1, 2))
+    diagonal = length > 1.2 * cloth.spacing
+    hinges = model.flex_bending.reshape(len(length), -1)
+    hinges *= np.where(diagonal, DIAGONAL_HINGES, SIDE_HINGES)[:, None] / _softened(cloth)
 
 
 def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:
@@ -280,17 +297,12 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
     flat = Layout(origin=(0.0, 0.0, 0.0))
     points = rest_shape(item, flat)
     points -= points.mean(axis=0)
-    # Stiffness E t in the plane is lowered, rigidity E t^3 raised to what MuJoCo's bending takes
-    # away.
-    weight = item.material.density * STANDARD_GRAVITY * item.side
-    softer = min(1.0, weight / (2.0 * SHEET_STRETCH * E))
-    thicker = (1.0 / (SHEET_BENDING * softer)) ** 0.5
     return (
         f'<flexcomp name="object" type="direct" dim="2" point="{_row(points)}"'
         f' element="{" ".join(map(str, item.sheet[1].ravel()))}"'
         f' {place} radius="{item.radius}" rgba="{colour}">'
-        f'<elasticity young="{float(softer * E / thicker)!r}" poisson="{nu}" damping="{damping}"'
-        f' thickness="{float(item.thickness * thicker)!r}" elastic2d="both"/>'
+        f'<elasticity young="{float(_softened(item) * E)!r}" poisson="{nu}" damping="{damping}"'
+        f' thickness="{float(item.thickness)!r}" elastic2d="both"/>'
         f"{contact}</flexcomp>",
         len(points),
     )

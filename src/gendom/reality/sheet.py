@@ -1,9 +1,18 @@
 """The triangles of a cloth.
 
-Squares are halved along one diagonal and the other by turns. Halved all alike, a sheet of MuJoCo
-4.0 resists bending along the diagonals 3.4 times as much as across them (2.1 and 0.6 of plate
-theory), and a cloth that is lifted by a corner bends along one. By turns it is 0.82 along the sides
-and 1.02 along the diagonals.
+Squares are halved along one diagonal and the other by turns: halved all alike, a sheet of MuJoCo
+4.0 resists bending along the diagonals 3.4 times as much as across them.
+
+Its bending energy of a square of side h, w up: hinges over the edges see the curvature
+(w_up + w_down - 2 w) / h^2 of the vertices where no diagonal ends, those over the diagonals see
++-(twist). A vertex where diagonals end can be higher or lower than its neighbours by any u h^2 / 4,
+so with stiffness a over the edges and g a / 4 over the diagonals the energy an area is
+
+    a / 2 min_u [(w_xx + u)^2 + (w_yy + u)^2 + g (w_xy^2 + u^2)]
+    = a / 2 [w_xx^2 + w_yy^2 - (w_xx + w_yy)^2 / (2 + g) + g w_xy^2].
+
+That is a plate's for g = 2 alone, with a rigidity of 3 a / 4 and a Poisson's ratio (of bending) of
+-1/3. MuJoCo has g = 4: 5 a / 6 over the sides, 4 a / 3 over the diagonals.
 """
 
 from __future__ import annotations

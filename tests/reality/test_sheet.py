@@ -1,0 +1,78 @@
+"""The triangles of a cloth, with the bending stiffness that MuJoCo takes."""
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs the extra reality")
+
+import mujoco
+
+from gendom.reality import OBJECTS, Layout, RealCloth
+from gendom.reality.benches import SHEET_NU
+from gendom.reality.scene import build_model
+
+CLOTH = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=33)
+
+
+@pytest.fixture(scope="module")
+def hinges():
+    """Vertices [H, 4] and matrices [H, 4, 4] [N/m] of the inner edges."""
+    model = build_model(CLOTH, Layout(origin=(0.0, 0.0, 0.5)), table=False, gravity=(0, 0, 0))
+    matrices = model.flex_bending.reshape(-1, 17)[:, :16].reshape(-1, 4, 4)
+    vertices = np.concatenate([model.flex_edge, model.flex_edgeflap], axis=1)
+    inner = model.flex_edgeflap.min(axis=1) >= 0
+    return model, vertices[inner], matrices[inner]
+
+
+def stiffness(hinges):
+    """K [V, V] [N/m] of lifts out of the plane."""
+    _, vertices, matrices = hinges
+    K = np.zeros((len(CLOTH.sheet[0]),) * 2)
+    np.add.at(K, (vertices[:, :, None], vertices[:, None, :]), matrices)
+    return K
+
+
+def bent(hinges, xx, yy, xy):
+    """Energy an area [J/m^2] of the middle of a sheet whose border follows curvatures [1/m]."""
+    _, vertices, matrices = hinges
+    points = CLOTH.sheet[0]
+    x, y = (points - CLOTH.side / 2.0).T
+    w = 0.5 * (xx * x**2 + yy * y**2) + xy * x * y
+    # the border, too, with diagonals' ends lower by what costs least
+    w -= (-1.0) ** np.indices(CLOTH.counts).sum(axis=0).ravel() * (xx + yy) * CLOTH.spacing**2 / 16
+    K = stiffness(hinges)
+    free = np.maximum(np.abs(x), np.abs(y)) < CLOTH.side / 2.0 - 1.5 * CLOTH.spacing
+    w[free] = np.linalg.solve(K[np.ix_(free, free)], -K[np.ix_(free, ~free)] @ w[~free])
+    # of the 16 x 16 squares in the middle; half of the edges on their border is of others
+    middle = np.abs(points[vertices[:, :2]].mean(axis=1) - CLOTH.side / 2.0).max(axis=1)
+    share = np.where(np.isclose(middle, 8.0 * CLOTH.spacing), 0.5, 1.0)
+    share[middle > 8.25 * CLOTH.spacing] = 0.0
+    lifts = w[vertices]
+    energy = 0.5 * np.einsum("h,hi,hij,hj->", share, lifts, matrices, lifts)
+    return energy / (16.0 * CLOTH.spacing) ** 2
+
+
+@pytest.mark.parametrize("degrees", [0.0, 22.5, 45.0, 70.0, 90.0, 135.0])
+def test_a_sheet_bends_alike_in_every_direction(hinges, degrees):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    energy = bent(hinges, c * c, s * s, c * s)
+    assert energy == pytest.approx(0.5 * CLOTH.rigidity, rel=1e-3)
+
+
+def test_a_sheet_twists_and_bulges_with_one_poisson_s_ratio(hinges):
+    assert bent(hinges, 0.0, 0.0, 1.0) == pytest.approx((1 - SHEET_NU) * CLOTH.rigidity, rel=1e-3)
+    assert bent(hinges, 1.0, 1.0, 0.0) == pytest.approx((1 + SHEET_NU) * CLOTH.rigidity, rel=1e-3)
+
+
+def test_mujoco_applies_these_forces(hinges):
+    model = hinges[0]
+    data = mujoco.MjData(model)
+    w = 1e-7 * np.random.default_rng(0).normal(size=len(CLOTH.sheet[0]))
+    data.qpos.reshape(-1, 3)[:, 2] = w
+    mujoco.mj_forward(model, data)
+    force = data.qfrc_spring.reshape(-1, 3)[:, 2]
+    expected = -stiffness(hinges) @ w
+    assert np.abs(force - expected).max() < 1e-3 * np.abs(expected).max()
