@@ -123,6 +123,8 @@ class ClothSpreading(Task):
 
     item: Item = CLOTH
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(RANGES))
+    off_centre: Sequence[float] = OFF_CENTRE
+    """[2] how far beside its centre a cloth is held, along its sides [sides]."""
 
     def limits(self, item: Item) -> Array:
         return np.array([[0.0, LARGEST_A]])
@@ -146,7 +148,7 @@ class ClothSpreading(Task):
         )
         height = np.concatenate([[0.0, 0.0, 1.0], 1.0 - down, [0.0]])
         position = np.zeros((len(time), 3))
-        position[:, :2] = side * (0.5 + np.array(OFF_CENTRE))
+        position[:, :2] = side * (0.5 + np.array(self.off_centre))
         position[:, 2] = low + self.height * side * height
         return TcpPath(
             time=second * time,

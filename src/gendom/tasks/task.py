@@ -348,6 +348,7 @@ class Task(ABC):
     def settings(self) -> dict[str, Any]:
         """What rebuilds this task, ready for JSON; see `from_settings`."""
         own = {f.name: getattr(self, f.name) for f in fields(self)}
+        own = {n: list(v) if isinstance(v, tuple) else v for n, v in own.items()}
         own["item"] = to_columns(self.item)
         own["ranges"] = {name: list(ends) for name, ends in self.ranges.items()}
         return own

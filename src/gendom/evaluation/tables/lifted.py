@@ -17,8 +17,11 @@ if TYPE_CHECKING:
     from gendom.reality import RealObject
     from gendom.robot import LiftMotion
 
-FRAME_RATE = 30.0
-"""Of the lift's cameras [1/s]."""
+FRAME_RATE = {"rope": 30.0, "cloth": 10.0}
+"""Of the lift's cameras by kind [1/s]."""
+
+STARTS = {"rope": 3, "cloth": 1}
+"""Of the estimate by kind; one of a cloth takes minutes."""
 
 ENDS = {"rope": "swing", "cloth": "hold"}
 """How lifts end, by kind: a swing shows a rope's damping."""
@@ -62,8 +65,11 @@ def lifted(bench: Workbench, name: str, task: Task) -> Belief:
 
     def make() -> dict[str, Any]:
         motion = predefined_lift(item.kind, ENDS[item.kind])
-        recording = recorded(bench, f"lift-{name}", item, frame_rate=FRAME_RATE, motion=motion)
-        return estimate(recording, EstimateSettings(starts=3, seed=bench.seed)).record
+        rate = FRAME_RATE[item.kind]
+        recording = recorded(bench, f"lift-{name}", item, frame_rate=rate, motion=motion)
+        return estimate(
+            recording, EstimateSettings(starts=STARTS[item.kind], seed=bench.seed)
+        ).record
 
     record = bench.kept(f"estimate-{name}", make)
     if not record["verdict"]["usable"]:

@@ -33,6 +33,11 @@ ROPE_REAL = {
 }
 """Sums over seven goals in the paper, of its cotton, polyester and polyethylene rope [m]."""
 
+CLOTH_REAL = {
+    "ours": {"cloth-cotton-200mm": 0.78, "cloth-rubber-200mm": 0.98},
+    "ours, no parameters": {"cloth-cotton-200mm": 0.52, "cloth-rubber-200mm": 0.97},
+}
+"""Extended ratios in the paper, of its cotton and its rubber cloth."""
 
 REAL2SIM = {
     "adam": {"rope-cotton": 0.034, "rope-polyester": 0.060, "rope-polyethylene": 0.053},
@@ -185,6 +190,37 @@ def _sum(errors: Sequence[float | None], ropes: Sequence[str], rope: str) -> flo
     """Over one rope's goals; NaN if one failed."""
     own = [e for e, name in zip(errors, ropes, strict=True) if name == rope]
     return float(np.sum(np.array(own, dtype=float)))
+
+
+def cloth_real_sheets(result: Mapping[str, Any]) -> list[Sheet]:
+    """A table for each cloth."""
+    found = []
+    for name, rows in result["cloths"].items():
+        refused = result["estimates"][name].get("refused")
+        found.append(
+            Sheet(
+                title=f"{name}{f', estimate refused: {refused}' if refused else ''}",
+                head=("A", "extended ratio", "std", "paper", "share spread", "std", "failed"),
+                rows={row: _spread_texts(name, row, figures) for row, figures in rows.items()},
+            )
+        )
+    return found
+
+
+def _spread_texts(name: str, row: str, figures: Mapping[str, Any]) -> tuple[str, ...]:
+    texts: dict[str, tuple[str, str]] = {}
+    for key in ("covered", "share"):
+        values = np.array(figures[key], dtype=float)
+        done = values[np.isfinite(values)]
+        texts[key] = (f"{done.mean():.2f}", f"{done.std():.2f}") if len(done) else ("", "")
+    paper = CLOTH_REAL.get(row, {}).get(name)
+    return (
+        f"{figures['A']:.2f}",
+        *texts["covered"],
+        "" if paper is None else f"{paper:.2f}",
+        *texts["share"],
+        str(sum(value is None for value in figures["covered"])),
+    )
 
 
 def real2sim_sheets(result: Mapping[str, Any]) -> list[Sheet]:
