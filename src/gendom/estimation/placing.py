@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+from scipy.spatial import KDTree
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
@@ -15,6 +18,15 @@ from gendom.estimation.scene_settings import SHELL_POINTS, SceneSettings
 from gendom.sim import Body, cloth, rope
 
 Array = NDArray[np.floating]
+
+FLAT = 0.03
+"""How far a cloth at rest and its flat outline may differ for it to lie flat [longer sides]."""
+
+OUTLINE_POINTS = 2000
+"""Of a cloud that are compared with an outline, about."""
+
+EDGE_BINS = 16
+"""Along an edge of a cloth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,26 +264,80 @@ def _place_cloth(
 def _cloth_yaw(recording: Recording, frames: tuple[int, ...], width: float, height: float) -> float:
     """Turn of the flat cloth about the held point.
 
-    Held by a corner it hangs evenly about its diagonal, so the diagonal points to where the
-    lifted cloud is. Held elsewhere, the turn whose footprint holds the low points best.
+    Of a cloth that lies flat before it is lifted, the turn of its outline. Held by a corner it
+    hangs evenly about its diagonal, so otherwise the diagonal points to where the lifted cloud is.
+    Held elsewhere, the turn whose outline holds the low points best.
     """
+    described, sides = recording.object, np.array([width, height])
     grip = recording.gripper_position[frames[0], 0]
-    if recording.object.grasp == "corner":
+    longer, corner = float(sides.max()), described.grasp == "corner"
+    first = -0.5 * sides
+    if corner:
+        first = -(described.grasp_inset or 0.0) * sides / math.hypot(width, height)
+    lying = _early_points(recording, frames, 0.01 * longer)[:, :2] - grip[:2]
+    yaw, off = _outline_yaw(lying, first, sides, filled=True)
+    if off < FLAT * longer:
+        return _along_edges(lying, yaw)
+    if corner:
         later = frames[len(frames) // 2 :]
         towards = [recording.frame(t)[:, :2].mean(axis=0) - grip[:2] for t in later]
         x, y = np.median(np.array(towards, dtype=float), axis=0)
         return math.atan2(y, x) - math.atan2(height, width)
     points = np.concatenate([recording.frame(t) for t in frames]).astype(float)
     base = recording.table_height if recording.table_height is not None else points[:, 2].min()
-    low = points[points[:, 2] < base + 0.15 * max(width, height)]
+    low = points[points[:, 2] < base + 0.15 * longer]
     flat = (low if len(low) > 50 else points)[:, :2] - grip[:2]
+    return _outline_yaw(flat, first, sides, filled=False)[0]
 
-    def outside(yaw: float) -> float:
+
+def _outline_yaw(points: Array, first: Array, sides: Array, *, filled: bool) -> tuple[float, float]:
+    """The turn with which a rectangle holds points [n, 2] best, and how badly [m].
+
+    Args:
+        points: Seen from the point that it turns about.
+        first: [2] its first corner from there, not turned.
+        sides: [2].
+        filled: Whether points are to fill it, too: then what counts is the mean distance of points
+            from it and of it from points, else the former.
+    """
+    every = math.ceil(len(points) / OUTLINE_POINTS)
+    points, grid = points[::every], (np.indices((12, 12)).reshape(2, -1).T + 0.5) / 12.0
+    tree, inside = KDTree(points), first + grid * sides
+
+    def off(yaw: float) -> float:
         c, s = math.cos(yaw), math.sin(yaw)
-        local = np.abs(flat @ np.array([[c, -s], [s, c]])) - np.array([width, height]) / 2
-        return float(np.linalg.norm(np.maximum(local, 0.0), axis=1).mean())
+        turn = np.array([[c, -s], [s, c]])
+        beyond = np.abs(points @ turn - first - sides / 2.0) - sides / 2.0
+        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1).mean()
+        return float(outside + (tree.query(inside @ turn.T)[0].mean() if filled else 0.0))
 
-    return float(min(np.linspace(0.0, math.pi, 72, endpoint=False), key=outside))
+    coarse = min(np.radians(np.arange(-180.0, 180.0, 2.5)), key=off)
+    found = minimize_scalar(off, bounds=(coarse - 0.05, coarse + 0.05), method="bounded")
+    return float(found.x), float(found.fun)
+
+
+def _along_edges(points: Array, yaw: float) -> float:
+    """The turn of a rectangle by the slopes of its four edges, as points [n, 2] that fill it show
+    them, from a turn that is nearly right."""
+    for _ in range(3):
+        c, s = math.cos(yaw), math.sin(yaw)
+        local = points @ np.array([[c, -s], [s, c]])
+        slopes = []
+        for axis in (0, 1):
+            along, across = local[:, axis], local[:, 1 - axis]
+            # corners are round
+            low, high = np.quantile(along, [0.1, 0.9])
+            ends = np.linspace(float(low), float(high), EDGE_BINS + 1)
+            bins = [across[(along >= a) & (along < b)] for a, b in pairwise(ends)]
+            kept = [k for k, one in enumerate(bins) if len(one) > 10]
+            if len(kept) < EDGE_BINS / 2:
+                return yaw
+            middle = 0.5 * (ends[:-1] + ends[1:])[kept]
+            for share in (0.01, 0.99):
+                edge = [np.quantile(bins[k], share) for k in kept]
+                slopes.append((1 - 2 * axis) * np.polyfit(middle, edge, 1)[0])
+        yaw += math.atan(float(np.median(slopes)))
+    return yaw
 
 
 def _early_points(recording: Recording, frames: tuple[int, ...], size: float) -> Array:
