@@ -1,10 +1,10 @@
-"""Which particles cameras see: spheres, ropes, several cameras."""
+"""Which parts cameras see: spheres, ropes, folded sheets, several cameras."""
 
 import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.observation import visible
+from gendom.observation import visible, visible_on_sheet
 from gendom.sim import rope
 
 
@@ -77,3 +77,51 @@ def test_shapes_that_do_not_fit():
         visible(np.zeros((0, 3)))
     with pytest.raises(ParameterError, match="camera_positions"):
         visible(np.eye(3), camera_positions=[[1.0, 2.0]])
+
+
+def folded(turn, n=41):
+    """Points, normals and spacing of a sheet of 0.2 x 0.4 m: one half level at z = 0, the other
+    turned up and over about y by an angle [rad]."""
+    u, v = (
+        g.ravel() for g in np.meshgrid(np.linspace(-0.2, 0.2, 2 * n - 1), np.linspace(0, 0.2, n))
+    )
+    over = u > 0.0
+    c, s = np.cos(turn), np.sin(turn)
+    x = np.stack([np.where(over, u * c, u), v, np.where(over, u * s, 0.0)], axis=1)
+    normal = np.where(over[:, None], [-s, 0.0, c], [0.0, 0.0, 1.0])
+    return x, normal, over, 0.2 / (n - 1)
+
+
+def test_what_a_sheet_hides_of_itself_is_not_seen():
+    """The half that is folded over, 40 mm above at its end, hides the lower one from above."""
+    x, normal, over, spacing = folded(np.pi - 0.2)
+    camera = [[-0.1, 0.1, 1.0]]
+    seen = visible_on_sheet(x, normal, x, spacing=spacing, camera_positions=camera)
+    apart = 0.2 * -x[:, 0]  # of both halves
+    well = apart > 0.01
+    assert seen[over].mean() > 0.98 and not seen[~over & well].any()
+    below = [[-0.1, 0.1, -1.0]]
+    other = visible_on_sheet(x, normal, x, spacing=spacing, camera_positions=below)
+    assert other[~over].mean() > 0.98 and not other[over & well].any()
+    both = visible_on_sheet(x, normal, x, spacing=spacing, camera_positions=[*camera, *below])
+    assert np.array_equal(both, seen | other)
+
+
+def test_what_is_seen_aslant_is_not_measured():
+    """From above a half that stands nearly upright is not, one that leans by 45 degrees is."""
+    for turn, shown in ((np.radians(85.0), False), (np.radians(45.0), True)):
+        x, normal, over, spacing = folded(turn)
+        seen = visible_on_sheet(x, normal, x, spacing=spacing)
+        assert seen[over].all() if shown else not seen[over].any()
+        assert seen[~over & (x[:, 0] < -0.01)].all()
+
+
+def test_bad_shapes_of_a_sheet_are_refused():
+    good = np.zeros((4, 3))
+    for points, normals, sheet in (
+        (good, good[:2], good),
+        (good[:, :2],) * 3,
+        (good, good, good[:0]),
+    ):
+        with pytest.raises(ParameterError, match="points and normals"):
+            visible_on_sheet(points, normals, sheet, spacing=0.01)

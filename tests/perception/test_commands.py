@@ -64,7 +64,9 @@ def test_recording_of_a_rope(lift, perceive):
     np.testing.assert_allclose(recording.time, np.arange(6) / 30)
     np.testing.assert_allclose(recording.gripper_position[:, 0, 2], 0.2 + 0.01 * np.arange(6))
     assert recording.camera_positions is not None
-    np.testing.assert_allclose(recording.camera_positions, [[0.0, -0.65, 0.47], [0.1, 0.65, 0.47]])
+    # moved by what the depth noise leaves of the table's tilt
+    positions = [[0.0, -0.65, 0.47], [0.1, 0.65, 0.47]]
+    np.testing.assert_allclose(recording.camera_positions, positions, atol=1e-3)
     assert recording.table_height == 0.0 and recording.gripper_source == "measured"
     for t, rope in enumerate(ropes):
         error = rope.distance(recording.frame(t).astype(float))

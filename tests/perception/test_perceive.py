@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
@@ -151,6 +152,43 @@ def test_table_height_is_measured_where_it_is_unknown(live):
     meta = {"object": META["object"]}
     found = perceive(live(2, meta), SETTINGS)
     assert found.recording.table_height == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("degrees", "rise", "told"), [(0.3, 0.003, 0), (1.5, -0.007, 2)])
+def test_cameras_are_levelled_by_the_table(live, world, degrees, rise, told):
+    """Their calibration is off in opposite ways; what lies on the table lies there again."""
+    rod = world.Rope(np.array([[-0.2, 0.0, 0.005], [0.2, 0.0, 0.005]]))
+
+    def heights(degrees, rise, level=True):
+        """[2] of the rod to each camera [m], warnings, and how cameras were moved."""
+        found, warnings = live(2), []
+        for sign, source in zip((1.0, -1.0), found.sources, strict=True):
+            real, T = source.camera, np.eye(4)
+            turn = Rotation.from_euler("xy", [sign * degrees, 0.5 * degrees], degrees=True)
+            T[:3, :3], T[2, 3] = turn.as_matrix(), sign * rise
+            source._render = lambda t, real=real: world.Scene([world.Plane(), rod]).pictures(
+                real, seed=t
+            )
+            source.camera = real.at(T @ real.T_world_camera)
+        held = np.array([[[-0.2, 0.0, 0.005]], [[-0.2, 0.0, 0.3]]])
+        found = replace(found, robot=RobotPath(np.array([0.0, 1.0]), held))
+        p = perceive(found, replace(SETTINGS, level=level), on_warning=warnings.append)
+        points = [p.recording.points[p.seen_by == 1 << k] for k in (0, 1)]
+        told = sum("it is moved to where that is right" in str(w) for w in warnings)
+        return (
+            np.array([np.median(x[:, 2]) for x in points]),
+            told,
+            p.recording.extra["perception"]["levelled"],
+        )
+
+    exact, none, _ = heights(0.0, 0.0, level=False)
+    level, said, moved = heights(degrees, rise)
+    stated, _, unmoved = heights(degrees, rise, level=False)
+    assert np.abs(level - exact).max() < 7e-4 < 2e-3 < np.abs(stated - exact).max()
+    assert (none, said) == (0, told)
+    assert moved["left"]["rise"] == pytest.approx(-rise, abs=1e-3)
+    assert moved["right"]["turn"] == pytest.approx(np.radians(1.118 * degrees), abs=2e-3)
+    assert unmoved == {}
 
 
 def test_wrong_table_height_is_refused(live):

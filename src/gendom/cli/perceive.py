@@ -53,6 +53,8 @@ class Command:
     """Weight of lightness in it; 1 for a black, grey or white object."""
     no_table: bool = False
     """Do not look for a table and remove it."""
+    no_level: bool = False
+    """Leave cameras where their calibration says, though the table they see is not level."""
     sync_tolerance: float = PerceptionSettings.sync_tolerance
     """Largest difference of the time stamps of frames that belong together, in seconds."""
     voxel: float = 0.005
@@ -75,6 +77,7 @@ class Command:
             colour_tolerance=self.colour_tolerance,
             lightness_weight=self.lightness_weight,
             find_table=not self.no_table,
+            level=not self.no_level,
             sync_tolerance=self.sync_tolerance,
             cloud={"voxel": self.voxel, "min_cluster": self.min_cluster},
         )

@@ -25,7 +25,7 @@ from scipy.spatial import KDTree
 
 from gendom.estimation.replay import held_reach, lattice, middle
 from gendom.estimation.scene import Scene
-from gendom.observation import visible
+from gendom.observation import visible, visible_on_sheet
 
 Array = NDArray[np.floating]
 
@@ -201,10 +201,13 @@ class Observation:
         bare = (out > 0.0) & self.in_view
         if self.scene.floor is not None:
             bare &= c[..., 2] > self.scene.floor
+        # what the object itself hides need not show
         cameras = self.scene.recording.camera_positions
-        for t in np.flatnonzero(bare.any(axis=1)) if self.shape.rope else ():
-            # what the object itself hides need not show
-            bare[t] &= visible(c[t], camera_positions=cameras)
+        for t in np.flatnonzero(bare.any(axis=1)):
+            if self.shape.rope:
+                bare[t] &= visible(c[t], camera_positions=cameras)
+            elif cameras is not None:
+                bare[t] &= self.shape.open_to(cameras, shape[t], c[t])
         stands_for = np.minimum(self.counts.sum(axis=1) / len(own), 1.0)[:, None]
         every = np.broadcast_to(own, (T, *own.shape)), np.broadcast_to(share, (T, *share.shape))
         return Rows(
@@ -547,6 +550,17 @@ class _Shape:
         near = np.stack([KDTree(a).query(b)[1] for a, b in zip(places, points, strict=True)])
         foot = np.take_along_axis(places, near[..., None], axis=1)
         return index[near], weight[near], foot
+
+    def open_to(self, cameras: Array, x: Array, places: Array) -> NDArray[np.bool_]:
+        """[m] which samples of a sheet [n, 3], at these places [m, 3], a camera sees."""
+        index, weight = self.fine
+        return visible_on_sheet(
+            places,
+            self.normals(x[None], self.samples[0][None])[0],
+            np.einsum("mk,mka->ma", weight, x[index]),
+            spacing=self.spacing,
+            camera_positions=cameras,
+        )
 
     def normals(self, x: Array, index: NDArray[np.intp]) -> Array:
         """[T, m, 3] unit normals of sheets' [T, n, 3] cells with corners [T, m, 4]."""

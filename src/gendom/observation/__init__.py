@@ -2,6 +2,6 @@
 
 from gendom.observation.chamfer import chamfer
 from gendom.observation.density import DensityGrid, density_distance
-from gendom.observation.visibility import visible
+from gendom.observation.visibility import visible, visible_on_sheet
 
-__all__ = ["DensityGrid", "chamfer", "density_distance", "visible"]
+__all__ = ["DensityGrid", "chamfer", "density_distance", "visible", "visible_on_sheet"]

@@ -1,4 +1,6 @@
-"""Which particles a camera could see."""
+"""Which parts of an object a camera could see."""
+
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +13,13 @@ FROM_ABOVE = 20.0
 
 FLIP_RADIUS = 30.0
 """Radius of the spherical flip, in distances of the farthest point."""
+
+PIXEL = 1.5
+"""Width of the pixels in which parts of a sheet hide others, in the distance of its points: no
+nearer part shows gaps."""
+
+GRAZING = 75.0
+"""Angle of sight to a sheet's normal beyond which depth cameras measure nothing [degrees]."""
 
 
 def visible(points: ArrayLike, *, camera_positions: ArrayLike | None = None) -> NDArray[np.bool_]:
@@ -33,13 +42,7 @@ def visible(points: ArrayLike, *, camera_positions: ArrayLike | None = None) -> 
     p = np.asarray(points, dtype=float)
     if p.ndim != 2 or p.shape[1] != 3 or len(p) == 0:
         raise ParameterError(f"points must be [n > 0, 3], got {p.shape}")
-    if camera_positions is None:
-        size = max(float(np.ptp(p, axis=0).max()), 1e-6)
-        cameras = np.atleast_2d(p.mean(axis=0) + np.array([0.0, 0.0, FROM_ABOVE * size]))
-    else:
-        cameras = np.atleast_2d(np.asarray(camera_positions, dtype=float))
-        if cameras.shape[1] != 3:
-            raise ParameterError(f"camera_positions must be [K, 3], got {cameras.shape}")
+    cameras = _viewpoints(p, camera_positions)
     seen = np.zeros(len(p), dtype=bool)
     for camera in cameras:
         ray = p - camera
@@ -53,3 +56,76 @@ def visible(points: ArrayLike, *, camera_positions: ArrayLike | None = None) -> 
             continue
         seen[hull.vertices[hull.vertices < len(p)]] = True
     return seen
+
+
+def visible_on_sheet(
+    points: ArrayLike,
+    normals: ArrayLike,
+    sheet: ArrayLike,
+    *,
+    spacing: float,
+    camera_positions: ArrayLike | None = None,
+) -> NDArray[np.bool_]:
+    """Mark the points on a sheet that lie open to a camera: seen no more aslant than `GRAZING`, and
+    with nothing of the sheet before them, by depth in pixels.
+
+    Args:
+        points: [n, 3] [m].
+        normals: [n, 3] unit normals there, of either sign.
+        sheet: [m, 3] points all over the sheet [m].
+        spacing: Between neighbours of these [m].
+        camera_positions: [K, 3] optical centres [m], or None for a view from far above.
+
+    Returns:
+        [n] True where a camera sees the point.
+
+    Raises:
+        ParameterError: If shapes do not fit.
+    """
+    p, n, q = (np.asarray(x, dtype=float) for x in (points, normals, sheet))
+    if any(x.ndim != 2 or x.shape[1] != 3 for x in (p, n, q)) or len(p) != len(n) or len(q) == 0:
+        raise ParameterError(
+            "points and normals must be [n, 3], the sheet [m > 0, 3], "
+            f"got {p.shape}, {n.shape} and {q.shape}"
+        )
+    steepest = math.cos(math.radians(GRAZING))
+    seen = np.zeros(len(p), dtype=bool)
+    for camera in _viewpoints(q, camera_positions):
+        middle = q.mean(axis=0) - camera
+        away = float(np.linalg.norm(middle))
+        _, _, axes = np.linalg.svd(middle[None] / away)
+        to_sheet, to_points = (q - camera) @ axes.T, (p - camera) @ axes.T
+        sign = np.sign(to_sheet[:, 0].mean())
+        depth, own = sign * to_sheet[:, 0], sign * to_points[:, 0]
+        pixel = PIXEL * spacing / away
+        low = (to_sheet[:, 1:] / depth[:, None]).min(axis=0)
+        at = ((to_sheet[:, 1:] / depth[:, None] - low) / pixel).astype(np.int64)
+        size = at.max(axis=0) + 1
+        nearest = np.full(size.prod(), np.inf)
+        np.minimum.at(nearest, at[:, 0] * size[1] + at[:, 1], depth)
+        here = np.floor((to_points[:, 1:] / own[:, None] - low) / pixel).astype(np.int64)
+        inside = np.all((here >= 0) & (here < size), axis=1)
+        here = np.clip(here, 0, size - 1)
+        ray = p - camera
+        cosine = np.abs((ray * n).sum(axis=1)) / np.linalg.norm(ray, axis=1)
+        # so much depth has the sheet itself within a pixel
+        slope = np.sqrt(1.0 - np.minimum(cosine, 1.0) ** 2) / np.maximum(cosine, steepest)
+        margin = spacing * (1.0 + 1.5 * PIXEL * slope)
+        open_ = own <= nearest[here[:, 0] * size[1] + here[:, 1]] + margin
+        seen |= (open_ | ~inside) & (cosine > steepest)
+    return seen
+
+
+def _viewpoints(points: NDArray[np.float64], positions: ArrayLike | None) -> NDArray[np.float64]:
+    """[K, 3] optical centres [m].
+
+    Raises:
+        ParameterError: If shapes do not fit.
+    """
+    if positions is None:
+        size = max(float(np.ptp(points, axis=0).max()), 1e-6)
+        return np.atleast_2d(points.mean(axis=0) + np.array([0.0, 0.0, FROM_ABOVE * size]))
+    cameras = np.atleast_2d(np.asarray(positions, dtype=float))
+    if cameras.shape[1] != 3:
+        raise ParameterError(f"camera_positions must be [K, 3], got {cameras.shape}")
+    return cameras

@@ -1,7 +1,9 @@
 """Which colours are the object's.
 
 Colours are compared in CIE L*a*b*, where a distance of about 2 is just visible, with lightness
-counted less: shading changes it along one rope, hue and saturation much less so.
+counted less: shading changes it along one rope, hue and saturation much less so. What lies in
+shadow has less of all three: where light falls to q^3 of what it was, (L* + 16, a*, b*) falls to q
+of it, as the definition of L*a*b* has it. Colours on that line are the object's, too.
 """
 
 from __future__ import annotations
@@ -17,6 +19,13 @@ TOLERANCE = 25.0
 """Largest distance from the reference colour in L*a*b*, lightness weighed."""
 LIGHTNESS_WEIGHT = 0.4
 """How much a difference of lightness counts beside one of a* or b*."""
+
+DARKEST = 0.45
+"""Of (L* + 16, a*, b*) in shadow: a tenth of the light."""
+
+COLOURED = 0.6
+"""How far from it a colour in shadow may be, at most, in the saturation it has there: grey is no
+shadow of a colour."""
 
 _BITS = 6  # of each channel in the table of colours; 2^18 answers, found in a millisecond
 _WHITE = np.array([0.95047, 1.0, 1.08883])  # D65
@@ -60,7 +69,8 @@ class ObjectColour:
         tolerance: float = TOLERANCE,
         lightness_weight: float = LIGHTNESS_WEIGHT,
     ) -> ObjectColour:
-        """Colours within a distance of L*, a*, b* `reference` [3]; see `lab` for one of RGB.
+        """Colours within a distance of L*, a*, b* `reference` [3], and what they are in shadow
+        unless lightness counts in full; see `lab` for one of RGB.
 
         Raises:
             ParameterError: The tolerance is not above 0 or the weight is negative.
@@ -73,8 +83,15 @@ class ObjectColour:
         middle = (np.arange(1 << _BITS) + 0.5) * (256 >> _BITS) - 0.5
         rgb = np.stack(np.meshgrid(middle, middle, middle, indexing="ij"), axis=-1).reshape(-1, 3)
         at = np.asarray(reference, dtype=np.float64)
-        difference = (lab(rgb) - at) * [lightness_weight, 1.0, 1.0]
-        return cls(at, (difference**2).sum(axis=1) <= tolerance**2)
+        weight, black = np.array([lightness_weight, 1.0, 1.0]), np.array([-16.0, 0.0, 0.0])
+        colours = lab(rgb)
+        own = (((colours - at) * weight) ** 2).sum(axis=1) <= tolerance**2
+        if lightness_weight < 1.0:
+            ray, seen = (at - black) * weight, (colours - black) * weight
+            q = np.clip(seen @ ray / (ray @ ray), DARKEST, 1.0)
+            near = q * min(tolerance, COLOURED * float(np.hypot(at[1], at[2])))
+            own |= np.linalg.norm(seen - q[:, None] * ray, axis=1) < near
+        return cls(at, own)
 
     def match(self, rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
         """[n] True where a colour [n, 3] is the object's."""

@@ -48,6 +48,7 @@ _AGREEMENT_STRIDE = 5  # beyond the first of them, one frame of so many is compa
 _AGREEMENT_POINTS = 30
 _AGREEMENT_SHARE = 0.03  # of the pixels that the object would fill; fewer may be the table's noise
 _SHARE_FRAMES = 10  # frames on which the seen share is measured
+_LEVELLED = 0.005, math.radians(1.0)  # [m], [rad]; beyond, a camera ought to be calibrated again
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
 
@@ -74,6 +75,9 @@ class PerceptionSettings:
     """Weight of lightness in that; 1 for black, grey or white objects."""
     find_table: bool = True
     """Fit the table and remove it."""
+    level: bool = True
+    """Turn and raise each camera so that the table it sees is level and at one height: where the
+    object's description says, or where cameras see it in the mean."""
     sync_tolerance: float = SYNC_TOLERANCE
     """Largest difference of the time stamps in a set of frames [s]."""
     cloud: dict[str, Any] = field(default_factory=dict)
@@ -186,6 +190,7 @@ class _Perception:
         self.seen = np.zeros(len(self.names), dtype=np.int64)  # points of each camera
         self.unreadable: list[RecordingError] = []
         self.off_path = 0
+        self.levelled: dict[str, dict[str, float]] = {}
 
     def run(self) -> Perceived:
         matching = Matching()
@@ -294,6 +299,9 @@ class _Perception:
                 where=self.sighting.where,
                 fix="calibrate the cameras again, or correct table_height",
             )
+        if heights and self.settings.level:
+            mean = sum(heights.values()) / len(heights)
+            self._level(pictures, middle, mean if expected is None else expected)
         lacking = [name for name in self.names if name not in heights]
         if lacking and known:  # nobody said or saw that there is one: then there is none
             level = "" if expected is None else f" at z = {expected:g} m"
@@ -305,6 +313,31 @@ class _Perception:
                     "warning",
                 )
             )
+
+    def _level(self, pictures: list[Pictures], middle: np.ndarray, height: float) -> None:
+        """Move every camera so that its table is level and at this height [m]."""
+        for k, (view, seen) in enumerate(zip(self.views, pictures, strict=True)):
+            if view.table is None:
+                continue
+            rise = height - view.table.height(middle[0], middle[1])
+            tilt = math.acos(min(float(view.table.normal[2]), 1.0))
+            T = view.table.levelled(middle[0], middle[1], height)
+            level = View(view.camera.at(T @ view.camera.calibrated()), self.cloud_settings)
+            level.find_table(seen.depth, height)
+            if level.table is None:
+                continue
+            self.views[k] = level
+            self.levelled[view.camera.name] = {"rise": rise, "turn": tilt}
+            if abs(rise) > _LEVELLED[0] or tilt > _LEVELLED[1]:
+                self.on_warning(
+                    Fault(
+                        f"sees the table {-1e3 * rise:+.0f} mm too high and tilted by "
+                        f"{math.degrees(tilt):.1f} degrees; it is moved to where that is right",
+                        f"camera {view.camera.name!r}",
+                        "calibrate it again (gendom calibrate), or --no-level",
+                        "warning",
+                    )
+                )
 
     def _find_colour(self, pictures: list[Pictures]) -> ObjectColour | None:
         chosen = self.settings
@@ -510,6 +543,7 @@ class _Perception:
             "cameras": self.names,
             "settings": asdict(self.cloud_settings),
             "colour_lab": None if self.colour is None else self.colour.reference,
+            "levelled": self.levelled,
             "depth_noise": [None if v.table is None else v.table.noise for v in self.views],
         }
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 _SEARCH = 0.06  # [m]; how far from the expected height the table is looked for
 _WINDOW = 0.03  # [m]; heights around the most frequent one that begin the fit
@@ -29,6 +30,18 @@ class Table:
     def height(self, x: float, y: float) -> float:
         """z of the plane at a place [m]."""
         return float((self.offset - self.normal[:2] @ [x, y]) / self.normal[2])
+
+    def levelled(self, x: float, y: float, height: float) -> npt.NDArray[np.float64]:
+        """The motion [4, 4] that makes the plane level and brings its point at a place [m] to a
+        height [m], by the smallest turn."""
+        place = np.array([x, y, self.height(x, y)])
+        axis = np.cross(self.normal, [0.0, 0.0, 1.0])
+        sine, cosine = np.linalg.norm(axis), self.normal[2]
+        turn = axis * (np.arctan2(sine, cosine) / max(sine, 1e-12))
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        T[:3, 3] = [x, y, height] - T[:3, :3] @ place
+        return T
 
 
 def fit_table(
