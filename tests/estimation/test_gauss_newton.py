@@ -1,10 +1,12 @@
 """Gauss-Newton steps on a simulated lift."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gendom.estimation import METHODS, EstimateSettings, Problem, Scene
-from gendom.estimation.methods.gauss_newton import gauss_newton
+from gendom.estimation.methods.gauss_newton import gauss_newton, refined
 
 NAMES = ("specific_modulus", "grip_height", "delay")
 
@@ -67,3 +69,34 @@ def test_it_keeps_what_it_did(rope_lift, problem, found):
     assert found.noise[0].sensor == pytest.approx(1e-3, rel=0.2)
     modulus = problem.theta(found.best.vector).specific_modulus
     assert modulus == pytest.approx(rope_lift.truth.specific_modulus, rel=0.05)
+
+
+@pytest.fixture
+def plain_cloth(cloth_lift):
+    """Its scene with the engine's own points."""
+    return Scene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=None))
+
+
+@pytest.mark.parametrize(("share", "points"), [(0.16, 33), (0.09, 33), (0.05, 51), (0.01, 57)])
+def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift, plain_cloth, share, points):
+    """No more than 0.4 bending lengths apart, as far as that goes."""
+    modulus = plain_cloth.specific_modulus(share * 0.2)
+    finer = plain_cloth.finer(cloth_lift.truth.with_values({"specific_modulus": modulus}))
+    assert finer.body.shape == (points, points)
+    assert finer.frames == plain_cloth.frames and finer.clock == plain_cloth.clock
+    assert (finer is plain_cloth) == (points == 33)
+    chosen = Scene.of(cloth_lift.at_rest(8), cloth_lift.settings)
+    assert chosen.finer(cloth_lift.truth.with_values({"specific_modulus": modulus})) is chosen
+
+
+def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, problem, found):
+    """From where a coarser one ended to the end that the finer one's own search finds."""
+    coarse = replace(rope_lift.settings, points=7)
+    settings = replace(problem.settings, scene=coarse)
+    rough = gauss_newton(Problem([Scene.of(rope_lift.seen(), coarse)], settings))
+    before = rough.best.vector.copy()
+    again = refined(problem, rough)
+    assert problem.compares(again.best.comparison)
+    sd = np.sqrt(np.diag(np.linalg.inv(problem.slopes(found.best, found.noise)[1])))
+    off = np.abs(again.best.vector - found.best.vector) / sd
+    assert off.max() < 0.2 < (np.abs(before - found.best.vector) / sd).max()

@@ -8,11 +8,10 @@ import pytest
 
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
-import mujoco
 
 from gendom.reality import OBJECTS, Layout, RealCloth
 from gendom.reality.benches import SHEET_NU
-from gendom.reality.scene import build_model
+from gendom.reality.scene import build_model, load_mujoco
 
 CLOTH = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=33)
 
@@ -69,6 +68,7 @@ def test_a_sheet_twists_and_bulges_with_one_poisson_s_ratio(hinges):
 
 def test_mujoco_applies_these_forces(hinges):
     model = hinges[0]
+    mujoco = load_mujoco()
     data = mujoco.MjData(model)
     w = 1e-7 * np.random.default_rng(0).normal(size=len(CLOTH.sheet[0]))
     data.qpos.reshape(-1, 3)[:, 2] = w

@@ -10,7 +10,7 @@ import numpy as np
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation.methods import METHODS
-from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
+from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
 from gendom.estimation.posterior import Calibration, Posterior
 from gendom.estimation.problem import (
     EstimateSettings,
@@ -68,6 +68,9 @@ def estimate(
     scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
     problem = Problem(scenes, settings, on_progress, known, names)
     found = METHODS[settings.method](problem)
+    finer = problem.finer(found.best.vector)
+    if finer is not problem and settings.method == "gauss-newton" and not found.interrupted:
+        problem, found = finer, refined(finer, found)
     calibration = calibration or Calibration.of(problem.scene.kind)
     posterior = _posterior(problem, found, calibration)
     alone = _alone(problem, found, posterior, calibration)

@@ -226,6 +226,16 @@ class Problem:
         easier.parts = parts
         return easier
 
+    def finer(self, vector: Array) -> Problem:
+        """The same with scenes as fine as what was found needs, see `Scene.finer`."""
+        scenes = [p.scene.finer(self.theta(vector, k)) for k, p in enumerate(self.parts)]
+        if all(s is p.scene for s, p in zip(scenes, self.parts, strict=True)):
+            return self
+        finer = copy.copy(self)
+        finer.__dict__.pop("easier", None)
+        finer.parts = tuple(replace(p, scene=s) for s, p in zip(scenes, self.parts, strict=True))
+        return finer
+
     def alone(self, recording: int) -> Problem:
         """The same of one recording."""
         alone, part, k = copy.copy(self), self.parts[recording], self.parts[recording].shown

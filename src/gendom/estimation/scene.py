@@ -17,7 +17,12 @@ from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.placing import place
 from gendom.estimation.priors import BENDING_RANGE, first_guesses, recording_prior
-from gendom.estimation.scene_settings import SceneSettings
+from gendom.estimation.scene_settings import (
+    MOST_SHELL_POINTS,
+    SHELL_POINTS,
+    SHELL_SPACING,
+    SceneSettings,
+)
 from gendom.estimation.theta import Prior, Theta
 from gendom.materials import STANDARD_GRAVITY, catalogue
 from gendom.materials.parameters import bending_length, specific_modulus_of
@@ -200,6 +205,27 @@ class Scene:
         if self.recording.table_height is None or len(self.held) > 1:
             return 0.0
         return 0.5 * (theta.thickness - 1.0) * self.body.thickness
+
+    def finer(self, theta: Theta) -> Scene:
+        """The same with points near enough to each other for a cloth that bends so easily, unless
+        it has them or their number was chosen."""
+        settings, described = self.settings, self.recording.object
+        if self.kind != "cloth" or not self.thin or settings.points is not None:
+            return self
+        bends = self.bending_length(theta.specific_modulus, theta.thickness)
+        longer = max(described.width or 0.0, described.height or 0.0)
+        points = min(math.ceil(longer / (SHELL_SPACING * bends)) + 1, MOST_SHELL_POINTS)
+        if points <= SHELL_POINTS:
+            return self
+        fine = Scene.of(self.recording, replace(settings, points=points))
+        return replace(
+            fine,
+            frames=self.frames,
+            calm=self.calm,
+            begins_with=self.begins_with,
+            registration=self.registration,
+            notes=(*self.notes, f"simulated with {points} points along its longer side"),
+        )
 
     def body_of(self, theta: Theta) -> Body:
         """As thick as estimated, to be shown; what is simulated is as thick as stated."""

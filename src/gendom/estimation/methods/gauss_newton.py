@@ -11,7 +11,7 @@ are estimated in turns with steps.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,18 +81,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
             start.coarse = start.iterations
         if free is not None or problem.easier is not problem:
             _compare_all(problem, best)
-        while iteration < most:
-            iteration += 1
-            assert best.comparison is not None
-            noise = estimated_noise(best.comparison, noise, settings.expectations)
-            best.value = problem.value(best.vector, best.comparison, noise)
-            best.done = False
-            _step(problem, [best], noise, settings.gain[1], settings)
-            problem.tell("noise", iteration, most, best)
-            if best.done:
-                break
-        assert best.comparison is not None
-        noise = estimated_noise(best.comparison, noise, settings.expectations)
+        noise = _near(problem, best, noise, settings, iteration, most)
     except KeyboardInterrupt:
         interrupted = True
         best = best_of(starts)
@@ -100,7 +89,52 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
             raise
         if best.comparison is None or not problem.compares(best.comparison):
             _compare_all(problem, best)
+        assert best.comparison is not None
+        noise = estimated_noise(best.comparison, noise, settings.expectations)
     return Found(best=best, starts=starts, noise=noise, interrupted=interrupted)
+
+
+def refined(problem: Problem, found: Found, settings: GaussNewtonSettings | None = None) -> Found:
+    """What was found, searched once more about its end in a finer problem.
+
+    Raises:
+        SimulationError: It cannot be simulated there.
+    """
+    settings = settings or GaussNewtonSettings()
+    best, noise = found.best, found.noise
+    _compare_all(problem, best)
+    best.damping = settings.damping[0]
+    most = max(1, round((1.0 - settings.share_afar) * problem.settings.max_iterations))
+    try:
+        noise = _near(problem, best, noise, settings, 0, most)
+    except KeyboardInterrupt:
+        found = replace(found, interrupted=True)
+    return replace(found, best=best, noise=noise)
+
+
+def _near(
+    problem: Problem,
+    best: Start,
+    noise: tuple[NoiseModel, ...],
+    settings: GaussNewtonSettings,
+    iteration: int,
+    most: int,
+) -> tuple[NoiseModel, ...]:
+    """Steps of a start by all unknowns, in turns with the noise, which is returned."""
+    # a simulated cloth is farther from a real one than its clouds' noise: little gains are none
+    least = settings.gain[0 if problem.scene.kind == "cloth" else 1]
+    while iteration < most:
+        iteration += 1
+        assert best.comparison is not None
+        noise = estimated_noise(best.comparison, noise, settings.expectations)
+        best.value = problem.value(best.vector, best.comparison, noise)
+        best.done = False
+        _step(problem, [best], noise, least, settings)
+        problem.tell("noise", iteration, most, best)
+        if best.done:
+            break
+    assert best.comparison is not None
+    return estimated_noise(best.comparison, noise, settings.expectations)
 
 
 def _compare_all(problem: Problem, start: Start) -> None:
