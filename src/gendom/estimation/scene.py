@@ -215,7 +215,7 @@ class Scene:
         bends = self.bending_length(theta.specific_modulus, theta.thickness)
         longer = max(described.width or 0.0, described.height or 0.0)
         points = min(math.ceil(longer / (SHELL_SPACING * bends)) + 1, MOST_SHELL_POINTS)
-        if points <= SHELL_POINTS:
+        if points <= 1.1 * SHELL_POINTS:
             return self
         fine = Scene.of(self.recording, replace(settings, points=points))
         return replace(
