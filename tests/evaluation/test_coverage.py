@@ -56,6 +56,23 @@ def test_ranks_of_wide_posteriors_leave_it_in_the_middle():
     assert found.counts[0] == found.counts[-1] == 0 < found.band[0]
 
 
+@pytest.mark.parametrize("stated", [0.1, 0.35])
+def test_what_is_added_makes_intervals_hold(stated):
+    """Errors have a deviation of 0.05, of which a part is stated; the rest is found."""
+    rows = rows_of(2000, stated=stated)
+    (found,) = covered(rows, 0.9)
+    assert found.added == pytest.approx(0.05 * math.sqrt(1.0 - stated**2), rel=0.05)
+    assert found.covered < 0.5
+    for row in rows:
+        row["posterior"]["covariance"] = [[(stated * 0.05) ** 2 + found.added**2]]
+    assert covered(rows, 0.9)[0].covered == pytest.approx(0.9, abs=1e-3)
+    assert f"{found.added:.4f}" in coverage_text(rows, [found])
+
+
+def test_nothing_is_added_to_wide_posteriors():
+    assert covered(rows_of(500, stated=2.0), 0.9)[0].added == 0.0
+
+
 def test_a_rank_is_the_share_of_the_posterior_below_the_truth():
     """0.05 above the mean of a posterior whose deviation is 0.05: Phi(1)."""
     (row,) = rows_of(1)

@@ -59,6 +59,7 @@ def test_recording_of_a_rope(lift, perceive):
     code, printed, out = perceive(folder, *RED, "--frames")
     assert code == 0 and printed.err == ""
     assert "warning" not in printed.out
+    assert "levelled by the table: left " in printed.out and "; right " in printed.out
     assert len([line for line in printed.out.splitlines() if line.startswith("    0.")]) == 6
     recording = Recording.read(out)
     np.testing.assert_allclose(recording.time, np.arange(6) / 30)

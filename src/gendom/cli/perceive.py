@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -132,6 +133,7 @@ def _summary(perceived: Perceived) -> dict[str, Any]:
         },
         "seen_share": perceived.seen_share,
         "disagreement": perceived.disagreement,
+        "levelled": perceived.recording.extra["perception"]["levelled"],
     }
 
 
@@ -143,6 +145,12 @@ def _text(perceived: Perceived, warnings: list[Fault]) -> str:
         lines.append(f"  {stage:<10}{row['min']:>9}{row['median']:>9.0f}{row['max']:>9}")
     shares = ", ".join(f"{name} {100 * s:.0f} %" for name, s in summary["seen_by"].items())
     lines.append(f"  points seen by: {shares}")
+    if moved := summary["levelled"]:
+        by = (
+            f"{name} {1e3 * m['rise']:+.1f} mm, {math.degrees(m['turn']):.2f} degrees"
+            for name, m in moved.items()
+        )
+        lines.append(f"  levelled by the table: {'; '.join(by)}")
     if perceived.disagreement is not None:
         lines.append(f"  cameras place the object {1e3 * perceived.disagreement:.1f} mm apart")
     lines.append(f"  about {100 * perceived.seen_share:.0f} % of the object is seen")

@@ -230,6 +230,8 @@ class Covered:
     """Share of intervals that hold the truth."""
     factor: float
     """By which deviations have to be multiplied so that `level` of them would; at least 1."""
+    added: float
+    """What has to be added to deviations instead, in squares."""
     ranks: tuple[float, ...]
     """[N] shares of the posteriors that lie below the truth: uniform where those are right."""
     counts: tuple[int, ...]
@@ -290,12 +292,19 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
                 half_width=float(np.median(z * deviation)),
                 covered=float(np.mean(error < z * deviation)),
                 factor=max(1.0, float(np.quantile(error / deviation, level)) / z),
+                added=_added(error / z, deviation, level),
                 ranks=tuple(map(float, ranks)),
                 counts=tuple(map(int, np.histogram(ranks, bins, range=(0.0, 1.0))[0])),
                 band=rank_band(len(off), bins),
             )
         )
     return found
+
+
+def _added(wanted: np.ndarray, deviation: np.ndarray, level: float) -> float:
+    """What, added to deviations in squares, makes `level` of them what is wanted or more."""
+    missing = np.sqrt(np.maximum(wanted**2 - deviation**2, 0.0))
+    return float(np.quantile(missing, level))
 
 
 def coverage_sheets(
@@ -305,7 +314,16 @@ def coverage_sheets(
     usable = sum(bool(r.get("verdict", {}).get("usable")) for r in rows)
     sheet = Sheet(
         title=f"{len(rows)} lifts, {usable} usable",
-        head=("error, median", "90 % below", "bias", "half width", "covered", "factor", "ranks"),
+        head=(
+            "error, median",
+            "90 % below",
+            "bias",
+            "half width",
+            "covered",
+            "factor",
+            "or added",
+            "ranks",
+        ),
         rows={
             c.name: (
                 f"{c.median_error:.4f}",
@@ -314,6 +332,7 @@ def coverage_sheets(
                 f"{c.half_width:.4f}",
                 f"{c.covered:.0%}",
                 f"{c.factor:.2f}",
+                f"{c.added:.4f}",
                 "in the band" if c.uniform else "not uniform",
             )
             for c in table
