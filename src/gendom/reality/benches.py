@@ -41,8 +41,8 @@ class Bench:
     """Measured [m]."""
     expected: float
     """q L^4 / (8 B) [m] with weight a length q and rigidity B: E I of a rope, of a strip its width
-    times that of its sheet, less what it bends across, (1 - `SHEET_NU`^2). Source: Timoshenko,
-    "Strength of Materials"."""
+    times that of its sheet times 1 - nu^2, because it is free to bend across, with `SHEET_NU` for
+    nu. Source: Timoshenko, "Strength of Materials"."""
 
     @property
     def error(self) -> float:
