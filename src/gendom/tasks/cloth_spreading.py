@@ -123,7 +123,7 @@ class ClothSpreading(Task):
 
     item: Item = CLOTH
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(RANGES))
-    off_centre: Sequence[float] = OFF_CENTRE
+    off_centre: tuple[float, float] = OFF_CENTRE
     """[2] how far beside its centre a cloth is held, along its sides [sides]."""
 
     def limits(self, item: Item) -> Array:

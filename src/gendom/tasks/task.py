@@ -360,7 +360,9 @@ class Task(ABC):
         Raises:
             KeyError, TypeError, ParameterError: They are not those of this task.
         """
-        given = dict(settings)
+        given: dict[str, Any] = {
+            n: tuple(v) if isinstance(v, list) else v for n, v in settings.items()
+        }
         given["item"] = from_columns(cls.kind, given["item"])
         given["ranges"] = {name: (ends[0], ends[1]) for name, ends in given["ranges"].items()}
         return cls(**given)

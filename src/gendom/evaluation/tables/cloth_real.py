@@ -181,7 +181,7 @@ def _trial(
     bench = Workbench(**own)
 
     def make() -> dict[str, Any]:
-        task = ClothSpreading(off_centre=place)
+        task = ClothSpreading(off_centre=(place[0], place[1]))
         (outcome,) = RealWorld().carry_out(task, [find_object(name)], [[A]])
         return {key: outcome.values.get(key) for key in SEEN} | {"fault": outcome.fault}
 
