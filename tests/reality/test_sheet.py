@@ -10,8 +10,8 @@ pytest.importorskip("mujoco", reason="needs the extra reality")
 
 
 from gendom.reality import OBJECTS, Layout, RealCloth
-from gendom.reality.benches import SHEET_NU
 from gendom.reality.scene import build_model, load_mujoco
+from gendom.reality.sheet import SHEET_NU
 
 CLOTH = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=33)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -206,40 +206,39 @@ class Command:
     def _cloth_real(self) -> int:
         from gendom.evaluation.tables import ClothRealSettings, cloth_real, sheets
 
-        bench = self._bench()
-        began = time.monotonic()
         trials, demonstrations, draws = CLOTH_REAL[self.scale]
         settings = ClothRealSettings(trials=trials, demonstrations=demonstrations, draws=draws)
         if self.objects:
             settings = replace(settings, cloths=self.objects)
-        result = cloth_real(bench, settings)
-        self._tell(
-            result,
-            sheets.cloth_real_sheets(result),
-            name=self.table,
-            title=self.table,
-            flags=f"--objects {' '.join(settings.cloths)}",
-            seconds=time.monotonic() - began,
-        )
-        return 0
+        return self._of_objects(cloth_real, settings, settings.cloths, sheets.cloth_real_sheets)
 
     def _real2sim(self) -> int:
         from gendom.evaluation.tables import Real2SimSettings, real2sim, sheets
 
-        bench = self._bench()
-        began = time.monotonic()
         starts, iterations = REAL2SIM[self.scale]
         settings = Real2SimSettings(methods=self.method, starts=starts, iterations=iterations)
         if self.objects:
             settings = replace(settings, objects=self.objects)
-        result = real2sim(bench, settings)
+        return self._of_objects(real2sim, settings, settings.objects, sheets.real2sim_sheets)
+
+    def _of_objects(
+        self,
+        make: Callable[[Workbench, Any], dict[str, Any]],
+        settings: Any,
+        objects: Sequence[str],
+        sheets_of: Callable[[dict[str, Any]], Sequence[Sheet]],
+    ) -> int:
+        """Make a table of named objects, and tell it."""
+        bench = self._bench()
+        began = time.monotonic()
+        result = make(bench, settings)
         flags = f"--method {' '.join(self.method)} " if self.method else ""
         self._tell(
             result,
-            sheets.real2sim_sheets(result),
+            sheets_of(result),
             name=self.table,
             title=self.table,
-            flags=f"{flags}--objects {' '.join(settings.objects)}",
+            flags=f"{flags}--objects {' '.join(objects)}",
             seconds=time.monotonic() - began,
         )
         return 0

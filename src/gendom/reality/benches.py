@@ -15,6 +15,7 @@ import numpy as np
 from gendom.materials import STANDARD_GRAVITY
 from gendom.reality.objects import RealCloth, RealObject, RealRope
 from gendom.reality.scene import Layout
+from gendom.reality.sheet import SHEET_NU
 from gendom.reality.world import Reality
 
 SAG = 0.02
@@ -23,10 +24,6 @@ SAG = 0.02
 STRIP = 8
 """Spacings across the strip that is cut from a cloth. Wider ones sag less, as plates do near a
 clamp; along the diagonal the borders of 6 and 10 are softer than the rest."""
-
-SHEET_NU = -1.0 / 3.0
-"""Poisson's ratio of the sheets' bending (`gendom.reality.sheet`); that of the material counts in
-their rigidity and their plane."""
 
 STEP = 0.001
 """Time step [s]. With a cloth's 4 ms the clamp of a stiffened strip gives way by 1.4 mm."""

@@ -20,6 +20,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+SHEET_NU = -1.0 / 3.0
+"""Poisson's ratio of bending; that of the material counts in a sheet's rigidity and its plane."""
+
 
 def grid(
     along: int, across: int, spacing: float
