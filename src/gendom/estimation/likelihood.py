@@ -29,6 +29,9 @@ from gendom.observation import visible, visible_on_sheet
 
 Array = NDArray[np.floating]
 
+FEET = 48
+"""Places along the longer side of a cloth that points may belong to, about."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseModel:
@@ -64,7 +67,9 @@ class NoiseModel:
     cloud_points: int = 160
     """Points of a frame that are compared, at most; four times as many of a cloth."""
     rounds: int = 3
-    """How often points and places are paired anew in a registration."""
+    """How often points and places are paired anew in a registration, at most."""
+    registered: float = 0.1
+    """It ends where a step wins no more than this in -2 log likelihood."""
 
     def of_unknown_cameras(self) -> NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
@@ -298,6 +303,22 @@ class Comparison:
         if other._last is not None:
             self._first = other._last.a
 
+    def take_slopes(self, other: Comparison, step: Array, weight: Array) -> None:
+        """Have the slopes of a comparison nearby, changed by the least that agrees with both shapes
+        (Broyden 1965).
+
+        Args:
+            other: Of the same frames; of a shape with as many points if there is a step.
+            step: [P] from there to here, transformed.
+            weight: [P] of the parameters' changes, squared, in what is the least.
+        """
+        J = self.observation.shape.taken_from(other.observation.shape, other.J)
+        size = float(step @ (weight * step))
+        if size > 0.0:
+            missing = self.here - other.here - J @ step
+            J = J + missing[..., None] * (weight * step / size)
+        self.J, self.widens, self._last = J, other.widens, None
+
     @cached_property
     def rows(self) -> Rows:
         """Of the shape as it is."""
@@ -335,7 +356,11 @@ class Comparison:
         for _ in range(noise.rounds):
             sums = self._sums(a, noise, self.J[..., :0])
             factor = cho_factor(sums.M + np.diag(precision), lower=True)
-            a = a + cho_solve(factor, sums.slope - precision * a)
+            downhill = sums.slope - precision * a
+            step = cho_solve(factor, downhill)
+            a = a + step
+            if step @ downhill < noise.registered:
+                break
         sums = self._sums(a, noise, self.J)
         M = sums.M + np.diag(precision)
         factor = cho_factor(M, lower=True)
@@ -348,6 +373,7 @@ class Comparison:
             hessian=sums.hessian - sums.cross.T @ cho_solve(factor, sums.cross),
             a=a,
             M=M,
+            slope=sums.slope,
             smooth=S,
             loss=sums.loss * noise.sensor**2,
             count=sums.count,
@@ -419,6 +445,11 @@ class Comparisons:
         for mine, theirs in zip(self.parts, other.parts, strict=True):
             mine.follow(theirs)
 
+    def take_slopes(self, other: Comparisons, step: Array, weight: Array) -> None:
+        """`Comparison.take_slopes` of all, from comparisons a step [P] away."""
+        for mine, theirs, k in zip(self.parts, other.parts, self.shown, strict=True):
+            mine.take_slopes(theirs, step[k], weight[k])
+
     def value(self, noise: Sequence[NoiseModel]) -> float:
         """-2 log likelihood with each recording's noise, up to what that alone says."""
         return sum(c.fit(n).value for c, n in zip(self.parts, noise, strict=True))
@@ -469,6 +500,8 @@ class Fit:
     """[S + 7] displacement's coefficients [m], rigid motion [m, rad], skin [m]."""
     M: Array
     """Precision of that."""
+    slope: Array
+    """[S + 7] how residuals' squares, in their variance, fall with it."""
     smooth: int
     """S."""
     loss: float
@@ -481,19 +514,33 @@ class Fit:
         """Distance of points from the registered skin [m]."""
         return math.sqrt(self.loss / max(self.count, 1e-9))
 
-    def better_noise(self) -> NoiseModel:
-        """Noise that makes the clouds more likely."""
-        noise, S = self.noise, self.smooth
-        spread = np.linalg.inv(self.M)
-        own = np.diag(spread)
-        of_model = float(self.a[:S] @ self.a[:S] + own[:S].sum()) / S
-        used = S - float(own[:S].sum()) / noise.model**2 + 7.0 - float(own[S:] @ noise.fixed)
-        of_sensor = self.loss / max(self.count - used, 0.1 * self.count)
-        return replace(
-            noise,
-            model=max(math.sqrt(of_model), noise.least_model),
-            sensor=max(math.sqrt(of_sensor), noise.least_sensor),
-        )
+    def better_noise(self, rounds: int) -> NoiseModel:
+        """Noise that makes the clouds more likely, by rounds of expectation and maximisation with
+        the points belonging where they do now."""
+        noise, S, a = self.noise, self.smooth, self.a
+        # of the residuals alone, in m^2
+        D = (self.M - np.diag(self._precision(noise))) * noise.sensor**2
+        slope = self.slope * noise.sensor**2
+        for _ in range(rounds):
+            precision = self._precision(noise)
+            spread = np.linalg.inv(D / noise.sensor**2 + np.diag(precision))
+            a = spread @ (slope + D @ self.a) / noise.sensor**2
+            off = a - self.a
+            loss = max(self.loss - float((2.0 * slope - D @ off) @ off), 0.0)
+            own = np.diag(spread)
+            of_model = float(a[:S] @ a[:S] + own[:S].sum()) / S
+            used = S - float(own[:S].sum()) / noise.model**2 + 7.0 - float(own[S:] @ noise.fixed)
+            of_sensor = loss / max(self.count - used, 0.1 * self.count)
+            noise = replace(
+                noise,
+                model=max(math.sqrt(of_model), noise.least_model),
+                sensor=max(math.sqrt(of_sensor), noise.least_sensor),
+            )
+        return noise
+
+    def _precision(self, noise: NoiseModel) -> Array:
+        """[S + 7] of displacement, motion and skin before anything is seen."""
+        return np.concatenate([np.full(self.smooth, noise.model**-2), noise.fixed])
 
 
 def _taken(J: Array, index: NDArray[np.intp]) -> Array:
@@ -509,7 +556,7 @@ class _Shape:
     def __init__(self, scene: Scene):
         self.rope = scene.kind == "rope"
         self.radius = scene.body.thickness / 2.0
-        a, b = lattice(scene)
+        self.lattice = a, b = lattice(scene)
         if self.rope:
             k = np.arange(len(a) - 1)
             parts = (np.arange(2) + 0.5) / 2.0
@@ -518,16 +565,30 @@ class _Shape:
             self.samples = index, np.stack([1.0 - u, u], axis=1)
             self.spacing = float(a[1] - a[0])
             return
-        self.spacing = float(max(a[1] - a[0], b[1] - b[0])) / 3.0
+        parts = max(2, round(FEET / max(len(a) - 1, len(b) - 1)))
+        self.spacing = float(max(a[1] - a[0], b[1] - b[0])) / parts
         number = np.arange(len(a) * len(b)).reshape(len(b), len(a))
         corners = [number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]]
         cells = np.stack([c.ravel() for c in corners], axis=1)
-        ticks = (np.arange(3) + 0.5) / 3.0
+        ticks = (np.arange(parts) + 0.5) / parts
         v, u = (x.ravel() for x in np.meshgrid(ticks, ticks, indexing="ij"))
         shares = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v], axis=1)
         index = np.repeat(cells, len(shares), axis=0)
         self.fine = index, np.tile(shares, (len(cells), 1))
         self.samples = cells, np.full((len(cells), 4), 0.25)
+
+    def taken_from(self, other: _Shape, values: Array) -> Array:
+        """[T, n, ...] at this shape's points, of values at those of another of the same object,
+        between which they are linear."""
+        if [len(k) for k in self.lattice] == [len(k) for k in other.lattice]:
+            return values
+        Ka, Kb = (
+            np.stack([np.interp(ours, theirs, e) for e in np.eye(len(theirs))], axis=1)
+            for ours, theirs in zip(self.lattice, other.lattice, strict=True)
+        )
+        T, _, *rest = values.shape
+        rows = values.reshape(T, Kb.shape[1], Ka.shape[1], -1)
+        return np.einsum("ij,kl,tjlp->tikp", Kb, Ka, rows, optimize=True).reshape(T, -1, *rest)
 
     def nearest(self, x: Array, points: Array) -> tuple[NDArray[np.intp], Array, Array]:
         """Middle points around the feet of points [T, m, 3] on shapes [T, n, 3], [T, m, k], their
@@ -547,7 +608,7 @@ class _Shape:
             return np.stack([k, k + 1], axis=2), np.concatenate([1.0 - share, share], axis=2), foot
         index, weight = self.fine
         places = np.einsum("mk,tmka->tma", weight, x[:, index])
-        near = np.stack([KDTree(a).query(b)[1] for a, b in zip(places, points, strict=True)])
+        near = np.stack([_tree(a).query(b)[1] for a, b in zip(places, points, strict=True)])
         foot = np.take_along_axis(places, near[..., None], axis=1)
         return index[near], weight[near], foot
 
@@ -569,6 +630,11 @@ class _Shape:
         across = q[..., 2, :] - q[..., 0, :] + q[..., 3, :] - q[..., 1, :]
         n = np.cross(along, across)
         return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-18)
+
+
+def _tree(points: Array) -> KDTree:
+    """For as many questions as it has points: a tree that is built fast."""
+    return KDTree(points, balanced_tree=False, compact_nodes=False)
 
 
 def _gap(tree: KDTree) -> float:

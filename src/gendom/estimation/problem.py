@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -94,6 +95,10 @@ class Start:
     """Levenberg's and Marquardt's."""
     iterations: int = 0
     done: bool = False
+    renew: bool = False
+    """Whether its comparison's derivatives, a neighbour's, do not tell enough any more."""
+    exact: bool = False
+    """Whether they are its own."""
     history: list[tuple[int, Array, float]] = field(default_factory=list)
     """Iteration, vector, and root mean square distance [m]."""
     coarse: int | None = None
@@ -370,10 +375,29 @@ class Problem:
         parts = zip(comparison.parts, self.parts, strict=True)
         return all(c.observation is part.observation for c, part in parts)
 
+    def like(self, comparison: Comparisons) -> bool:
+        """Whether a comparison, of this problem or an easier one, is of the same frames."""
+        parts = zip(comparison.parts, self.parts, strict=True)
+        return all(c.observation.scene.frames == part.scene.frames for c, part in parts)
+
     def value(self, vector: Array, comparison: Comparisons, noise: Sequence[NoiseModel]) -> float:
         """-2 log of likelihood times prior, up to what the noise alone says."""
         off = (vector - self.prior.mean) / self.prior.sd
         return comparison.value(noise) + float(off @ off)
+
+    def values(
+        self,
+        vectors: Sequence[Array],
+        comparisons: Sequence[Comparisons | None],
+        noise: Sequence[NoiseModel],
+    ) -> list[float]:
+        """`value` of each, infinite where it could not be simulated."""
+
+        def one(vector: Array, comparison: Comparisons | None) -> float:
+            return math.inf if comparison is None else self.value(vector, comparison, noise)
+
+        with ThreadPoolExecutor(max_workers=self.settings.scene.threads) as pool:
+            return list(pool.map(one, vectors, comparisons))
 
     def slopes(self, start: Start, noise: Sequence[NoiseModel]) -> tuple[Array, Array]:
         """Half of that value's slope [P] and curvature [P, P]."""

@@ -59,7 +59,7 @@ def simulator_of(scene: Scene, thetas: Sequence[Theta]) -> tuple[Simulator, Arra
         stiffness=_stiffness(scene, thetas),
         positions=np.stack([_laid(scene, theta) for theta in thetas]),
         start_time=begin,
-        dtype=scene.settings.dtype,
+        dtype=scene.dtype,
         device=scene.settings.device,
         threads=scene.settings.threads,
     )

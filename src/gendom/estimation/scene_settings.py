@@ -67,7 +67,7 @@ class SceneSettings:
     fast_frames: int = 60
     """Frames that are compared elsewhere, at most."""
     dtype: str | None = None
-    """``float32`` or ``float64``; None: the engine's own."""
+    """``float32`` or ``float64``; None: the first for cloths as shells, else the engine's own."""
     device: str = "cpu"
     threads: int | None = None
 

@@ -1,11 +1,13 @@
 """`gauss-newton`: damped Gauss-Newton steps from several starts at once, then the noise.
 
 Parameters go down on -2 log of likelihood times prior, all starts in one batch of worlds;
-derivatives are differences between worlds side by side. The step is Levenberg's and Marquardt's
-(Nocedal and Wright 2006, chapter 10). From afar only what moves shapes most is free, and clouds are
-compared as they are, those in which nothing moves fast where there are enough; about the best
-start's end everything is free, the model's displacement is registered, and noise and displacement
-are estimated in turns with steps.
+derivatives are differences between worlds side by side, carried along while they tell enough
+(Broyden 1965). The step is Levenberg's and Marquardt's (Nocedal and Wright 2006, chapter 10), with
+several dampings and once by the object's own unknowns alone: what is held changes in jumps, and
+those have no part in them. From afar only what moves shapes most is free, and clouds are compared
+as they are, those in which nothing moves fast where there are enough; about the best start's end
+everything is free, the model's displacement is registered, and noise and displacement are estimated
+in turns with steps.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 from gendom.estimation.likelihood import NoiseModel
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
 from gendom.estimation.problem import Found, Problem, Start
+from gendom.estimation.theta import UNKNOWNS
 
 Array = NDArray[np.floating]
 
@@ -40,10 +43,19 @@ class GaussNewtonSettings:
     """Share of the iterations that may be spent there."""
     gain: tuple[float, float] = (2.0, 0.2)
     """A start has arrived when a step can win no more than this, afar and near."""
+    gain_of_cloths: float = 10.0
+    """The same near of a cloth: a simulated one is farther from a real one than the noise of its
+    clouds."""
+    holds: float = 0.5
+    """Derivatives are made anew where a step wins less than this share of what they promised."""
+    tried: int = 3
+    """Dampings of a proposal, side by side."""
+    apart: float = 30.0
+    """Their ratio."""
     damping: tuple[float, float] = (1e-3, 1e3)
     """Levenberg's and Marquardt's: the least, and that at which a start is given up."""
     expectations: int = 6
-    """Rounds of expectation and maximisation between two steps."""
+    """Rounds of expectation and maximisation at each of two registrations between two steps."""
 
 
 def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) -> Found:
@@ -63,7 +75,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
     if problem.scene.kind == "cloth":
         free = None
-    starts = first_starts(problem, settings.scanned, settings.initial)
+    starts = first_starts(problem.easier, settings.scanned, settings.initial)
     interrupted, iteration = False, 0
     try:
         while iteration < max(1, round(settings.share_afar * most)):
@@ -121,8 +133,7 @@ def _near(
     most: int,
 ) -> tuple[NoiseModel, ...]:
     """Steps of a start by all unknowns, in turns with the noise, which is returned."""
-    # a simulated cloth is farther from a real one than its clouds' noise: little gains are none
-    least = settings.gain[0 if problem.scene.kind == "cloth" else 1]
+    least = settings.gain_of_cloths if problem.scene.kind == "cloth" else settings.gain[1]
     while iteration < most:
         iteration += 1
         assert best.comparison is not None
@@ -133,15 +144,25 @@ def _near(
         problem.tell("noise", iteration, most, best)
         if best.done:
             break
+    else:
+        _renew(problem, [best], noise, None)
     assert best.comparison is not None
     return estimated_noise(best.comparison, noise, settings.expectations)
 
 
 def _compare_all(problem: Problem, start: Start) -> None:
-    """Compare a start of an easier problem with all there is, by all unknowns."""
-    start.comparison = problem.compare([start.vector])[0]
+    """Compare a start of an easier problem with all there is, by all unknowns.
+
+    Of the same frames, shapes change with parameters about as they did with fewer points.
+    """
+    former, start.exact, start.renew = start.comparison, True, False
+    slopes = former is not None and problem.like(former) and problem.scene.kind == "cloth"
+    start.comparison = problem.compare([start.vector], derivatives=not slopes)[0]
     if start.comparison is None:
         raise problem.nothing_runs()
+    if former is not None and slopes:
+        start.comparison.take_slopes(former, *np.zeros((2, len(start.vector))))
+        start.exact = False
 
 
 def _step(
@@ -152,49 +173,110 @@ def _step(
     settings: GaussNewtonSettings,
     free: Sequence[int] | None = None,
 ) -> None:
-    """One proposal of every start, in one batch; a start is done where it can win no more than
-    ``least``."""
-    proposals, gains = [], []
-    for s in going:
-        proposal, gain = (
-            (s.vector, np.inf) if s.comparison is None else _propose(problem, s, noise, free)
-        )
-        proposals.append(proposal)
-        gains.append(gain)
-    compared = problem.compare(proposals, free=free)
-    for s, proposal, gain, comparison in zip(going, proposals, gains, compared, strict=True):
+    """Proposals of every start, in one batch, of which it takes the best; a start is done where it
+    can win no more than ``least``.
+
+    Derivatives are carried along while steps win what they promise; they are a start's own before
+    one is refused, and at the end.
+    """
+    _renew(problem, [s for s in going if s.comparison is None or s.renew], noise, free)
+    going = [s for s in going if not s.done]
+    proposed = [_propose(problem, s, noise, settings, free) for s in going]
+    tried = iter(problem.compare([p.vector for row in proposed for p in row], derivatives=False))
+    for s, row in zip(going, proposed, strict=True):
+        former = s.comparison
+        assert former is not None
         s.iterations += 1
-        value = np.inf
-        if comparison is not None:
-            if s.comparison is not None:
-                comparison.follow(s.comparison)
-            value = problem.value(proposal, comparison, noise)
-        if comparison is not None and value < s.value:
-            s.done = gain < least or s.value - value < least
-            s.vector, s.comparison, s.value = proposal, comparison, value
-            s.damping = max(s.damping / 10.0, settings.damping[0])
-            s.history.append((s.iterations, proposal.copy(), comparison.rms))
+        compared = [next(tried) for _ in row]
+        for comparison in compared:
+            if comparison is not None:
+                comparison.follow(former)
+        values = problem.values([p.vector for p in row], compared, noise)
+        best = int(np.argmin(values))
+        p, closer = row[best], compared[best]
+        if closer is not None and values[best] < s.value:
+            won = s.value - values[best]
+            little = won < least
+            closer.take_slopes(former, p.vector - s.vector, p.weight)
+            s.done, s.renew = little and s.exact, little or won < settings.holds * p.gain
+            s.vector, s.comparison, s.value, s.exact = p.vector, closer, values[best], False
+            s.damping = max(p.damping / 10.0, settings.damping[0])
+            s.history.append((s.iterations, p.vector.copy(), closer.rms))
+        elif s.exact:
+            s.damping *= settings.apart**settings.tried
+            s.done = row[0].gain < least or s.damping > settings.damping[1]
         else:
-            s.damping *= 10.0
-            s.done = gain < least or s.comparison is None or s.damping > settings.damping[1]
+            s.renew = True
+
+
+def _renew(
+    problem: Problem,
+    starts: Sequence[Start],
+    noise: Sequence[NoiseModel],
+    free: Sequence[int] | None,
+) -> None:
+    """Give starts derivatives of their own; one that cannot be simulated is done."""
+    if not starts:
+        return
+    compared = problem.compare([s.vector for s in starts], free=free)
+    for s, comparison in zip(starts, compared, strict=True):
+        former, s.exact, s.renew = s.comparison, True, False
+        if comparison is None:
+            # a neighbour that cannot be simulated leaves those that it has
+            s.done = former is None
+            continue
+        if former is None:
+            s.history.append((s.iterations, s.vector.copy(), comparison.rms))
+        else:
+            comparison.follow(former)
+        s.comparison, s.value = comparison, problem.value(s.vector, comparison, noise)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Proposal:
+    """Where to try next."""
+
+    vector: Array
+    """[P] transformed."""
+    gain: float
+    """What the quadratic model says is to be won there."""
+    weight: Array
+    """[P] that model's curvature along each unknown."""
+    damping: float
+    """Levenberg's and Marquardt's."""
 
 
 def _propose(
-    problem: Problem, start: Start, noise: Sequence[NoiseModel], among: Sequence[int] | None
-) -> tuple[Array, float]:
-    """Where to try next, and what the quadratic model says is to be won there."""
+    problem: Problem,
+    start: Start,
+    noise: Sequence[NoiseModel],
+    settings: GaussNewtonSettings,
+    among: Sequence[int] | None,
+) -> list[_Proposal]:
+    """Steps of several dampings, and one by the object's own unknowns alone."""
     prior = problem.prior
     gradient, H = problem.slopes(start, noise)
     # a parameter pressed against its bound is held there
     low, high = start.vector <= prior.low, start.vector >= prior.high
     free = np.isin(np.arange(len(low)), range(len(low)) if among is None else among)
     free &= ~((low & (gradient > 0)) | (high & (gradient < 0)))
-    step = np.zeros(len(free))
-    if free.any():
-        Hf = H[np.ix_(free, free)]
-        damped = Hf + start.damping * np.diag(np.diag(Hf))
-        step[free] = -np.linalg.solve(damped, gradient[free])
-    step *= min(1.0, float(np.min(prior.widest / np.maximum(np.abs(step), 1e-300))))
-    proposal = prior.clipped(start.vector + step)
-    step = proposal - start.vector
-    return proposal, float(-2.0 * gradient @ step - step @ H @ step)
+    own = free & np.array([UNKNOWNS[name].material for name in prior.names])
+    dampings = start.damping * settings.apart ** np.arange(settings.tried)
+    tries = [(free, damping) for damping in dampings]
+    if own.any() and (own != free).any():
+        tries.append((own, start.damping))
+    proposals = []
+    for which, damping in tries:
+        step = np.zeros(len(free))
+        if which.any():
+            Hf = H[np.ix_(which, which)]
+            damped = Hf + damping * np.diag(np.diag(Hf))
+            step[which] = -np.linalg.solve(damped, gradient[which])
+        step *= min(1.0, float(np.min(prior.widest / np.maximum(np.abs(step), 1e-300))))
+        vector = prior.clipped(start.vector + step)
+        step = vector - start.vector
+        gain = float(-2.0 * gradient @ step - step @ H @ step)
+        proposals.append(
+            _Proposal(vector=vector, gain=gain, weight=np.diag(H).copy(), damping=damping)
+        )
+    return proposals

@@ -80,11 +80,10 @@ def best_of(starts: Sequence[Start]) -> Start | None:
 def estimated_noise(
     comparison: Comparisons, noise: Sequence[NoiseModel], rounds: int = 6
 ) -> tuple[NoiseModel, ...]:
-    """Noise of each recording that makes its clouds more likely, by rounds of expectation and
-    maximisation."""
-    found = []
-    for part, own in zip(comparison.parts, noise, strict=True):
-        for _ in range(rounds):
-            own = part.fit(own).better_noise()
-        found.append(own)
+    """Noise of each recording that makes its clouds more likely: twice registered, with so many
+    rounds of expectation and maximisation each time."""
+    found = list(noise)
+    for k, part in enumerate(comparison.parts):
+        for _ in range(2):
+            found[k] = part.fit(found[k]).better_noise(rounds)
     return tuple(found)
