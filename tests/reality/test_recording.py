@@ -25,6 +25,7 @@ from gendom.reality import (
     record,
 )
 from gendom.reality.world import FINGER_WIDTH
+from gendom.robot import XARM7, tcp_pose
 
 ROPE = cast(RealRope, OBJECTS["rope-polyester"])
 RATE = 4.0
@@ -254,20 +255,50 @@ def test_a_folder_that_cannot_be_made(rendering, tmp_path):
         recorded(tmp_path / "file")
 
 
-def test_the_arms_joints_are_recorded(rendering, tmp_path):
+def with_arm(folder, **errors):
+    """A short lift by the arm: its motion, and what it measured of its joints and its hand."""
     performance = Performance(lift(ROPE, rise=0.02), cameras=lift_cameras(ROPE)[:1])
     performance.step_to(performance.closes)
-    folder = tmp_path / "arm"
     with performance.world:
-        record(performance, folder, RecordSettings(frame_rate=1.0))
-    joints = np.loadtxt(folder / "joints.csv", delimiter=",", skiprows=1)
-    hand = np.loadtxt(folder / "gripper.csv", delimiter=",", skiprows=1)
+        record(performance, folder, RecordSettings(frame_rate=1.0), errors=RigErrors(**errors))
+    tables = (folder / "joints.csv", folder / "gripper.csv")
+    return performance, *(np.loadtxt(t, delimiter=",", skiprows=1) for t in tables)
+
+
+def test_the_arms_joints_are_recorded(rendering, tmp_path):
+    performance, joints, hand = with_arm(tmp_path / "arm")
     # 1.4 s, and a tenth for cameras whose clocks are ahead
     assert joints.shape[1] == 8 and len(joints) == len(hand) == 151
     assert performance.motion is not None
     ideal = performance.motion.at(performance.closes + joints[:, 0])
     assert np.abs(joints[:, 1:] - ideal).max() < 2e-3
     np.testing.assert_allclose(np.linalg.norm(hand[:, 4:7], axis=1), 1.0, atol=1e-5)
+
+
+def test_a_robots_clock_and_encoders_are_wrong_where_asked_for(rendering, tmp_path):
+    """By what was asked for; the hand is where wrong joints have it, pictures are as they were."""
+    _, joints, hand = with_arm(tmp_path / "right")
+    _, off, moved = with_arm(tmp_path / "wrong", robot_clock=-0.03, encoders=1e-3)
+    np.testing.assert_allclose(off[:, 0], joints[:, 0] - 0.03, atol=2e-6)
+    np.testing.assert_array_equal(moved[:, 0], off[:, 0])
+    noise = off[:, 1:] - joints[:, 1:]
+    assert noise.std() == pytest.approx(1e-3, rel=0.1) and abs(noise.mean()) < 1e-4
+    wrong = tcp_pose(XARM7, off[:, 1:]) - tcp_pose(XARM7, joints[:, 1:])
+    np.testing.assert_allclose(moved[:, 1:4] - hand[:, 1:4], wrong[:, :3, 3], atol=5e-6)
+    assert np.abs(moved[:, 1:4] - hand[:, 1:4]).max() > 3e-4
+    times = [
+        [frame.time for frame in source] for source in read_sighting(tmp_path / "wrong").sources
+    ]
+    assert times == [[0.0, 1.0]]
+    assert files(tmp_path / "wrong", "cameras/*/*/*.png") == files(
+        tmp_path / "right", "cameras/*/*/*.png"
+    )
+
+
+@pytest.mark.parametrize("wrong", [{"robot_clock": 0.2}, {"encoders": -1.0}, {"encoders": np.nan}])
+def test_errors_that_cannot_be(wrong):
+    with pytest.raises(ParameterError, match=next(iter(wrong))):
+        RigErrors(**wrong)
 
 
 def test_realsense_recordings_are_perceived_alike(sdk, rendering, tmp_path):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from gendom.errors import ParameterError
 from gendom.files import check_folder
+from gendom.materials import AIR_DENSITY
 from gendom.progress import bar
 
 
@@ -39,7 +41,15 @@ class Command:
     """Cameras without noise."""
     no_errors: bool = False
     """A rig without its errors: 2 mm and 0.3 degrees of calibration, 20 ms between the cameras (1
-    ms with --end swing or drop: those are joined by a cable)."""
+    ms with --end swing or drop: those are joined by a cable), and the two below."""
+    robot_clock: float = 0.0
+    """Seconds by which the robot's clock is ahead of the first camera's, -0.1 to 0.1."""
+    encoder_noise: float = 0.0
+    """Noise of the robot's measured joint angles in radians."""
+    grip_force: float = math.inf
+    """Newtons that the fingers hold at most: pulled harder, the object slips."""
+    air_density: float = AIR_DENSITY
+    """Of the still air in kg/m^3; 0: none."""
     format: Literal["png", "db3"] = "png"
     """png: folders of pictures. db3: RealSense recordings; needs the extra camera."""
     seed: int = 0
@@ -75,7 +85,14 @@ class Command:
                 where="--motion",
                 fix="leave out --rise and --end",
             )
-        performance = Performance(trial, cameras=lift_cameras(item))
+        performance = Performance(
+            trial,
+            cameras=lift_cameras(item),
+            air_density=self.air_density,
+            grip_force=self.grip_force,
+        )
+        usual = RigErrors.synchronised() if trial.quick else RigErrors()
+        errors = replace(usual, robot_clock=self.robot_clock, encoders=self.encoder_noise)
         performance.step_to(performance.closes)
         seconds = performance.end - performance.closes
         with performance.world, bar("recording", round(seconds, 1), "second") as show:
@@ -89,7 +106,7 @@ class Command:
                     notes=f"The predefined lift of {item.name}, seed {self.seed}.",
                 ),
                 sensor=DepthSensor.exact() if self.no_noise else DepthSensor(),
-                errors=RigErrors.none() if self.no_errors else None,
+                errors=RigErrors.none() if self.no_errors else errors,
                 on_frame=lambda moment: show(round(moment, 1)),
             )
         r, g, b = item.colour

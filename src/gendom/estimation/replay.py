@@ -211,7 +211,10 @@ def held_reach(scene: Scene, theta: Theta | None = None) -> float:
         )
     if scene.kind == "rope":
         return stated or 0.75 * scene.body.thickness
-    least = 0.4 * scene.body.dx if not scene.thin else 0.6 * scene.size / math.sqrt(2.0) / 14.0
+    least = 0.4 * scene.body.dx
+    if scene.thin:
+        side = scene.size / math.sqrt(2.0)
+        least = 0.6 * side / (scene.settings.coarse_points - 1)
     return max((stated or 0.02) + (0.0 if theta is None else theta.grip_reach), least)
 
 

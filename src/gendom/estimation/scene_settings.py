@@ -35,7 +35,7 @@ class SceneSettings:
     """A cloth's own weight lengthens it by this at most, hanging by a side: what E makes stiffer in
     its plane is simulated as soft as that. Then steps are longer: two to four times for cloths that
     bend over 25 to 45 mm and are 0.5 to 1 mm thick."""
-    coarse_points: int = 15
+    coarse_points: int = 21
     """Along the longer side of a shell, where a search begins."""
     cells_across: float = 1.5
     """Grid cells across a rope's diameter; cloths scale with it. Of the MPM."""

@@ -55,6 +55,9 @@ E / density."""
 AIMS = (*SHOWN, "all")
 """What a motion may be chosen for."""
 
+CLOTH_POINTS = 15
+"""Along a cloth's longer side: to compare motions, so few will do."""
+
 FASTER = 2.0
 """How much faster than predefined an object is also lifted, where no speeds are given."""
 
@@ -354,8 +357,7 @@ def foreseen(
     Raises:
         ParameterError: The object cannot be of that material.
     """
-    # to compare motions, the shell that the estimator begins with will do
-    coarse = SceneSettings.coarse_points if lying.object.kind == "cloth" else None
+    coarse = CLOTH_POINTS if lying.object.kind == "cloth" else None
     settings = EstimateSettings(scene=SceneSettings(material=material, points=coarse, threads=1))
     scene = Scene.of(lying, settings.scene)
     prior, base = scene.prior()

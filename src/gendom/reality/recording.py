@@ -27,9 +27,10 @@ from gendom.errors import GendomError, ParameterError
 from gendom.files import atomic_path, write_json
 from gendom.perception import PngWriter, RealSenseWriter
 from gendom.perception.realsense import realsense_sdk
-from gendom.reality.sensor import DepthSensor, RigErrors
+from gendom.reality.sensor import MOST_CLOCK, DepthSensor, RigErrors
 from gendom.reality.trials import Performance
 from gendom.reality.world import Reality
+from gendom.robot import tcp_pose
 
 PATH_RATE = 100.0
 """Of the robot's measured path [1/s]."""
@@ -111,9 +112,9 @@ def record(
     if errors is None:
         errors = RigErrors.synchronised() if performance.trial.quick else RigErrors()
     # One stream of random numbers for each use: more frames do not change the calibration.
-    rig, *eyes = [
+    rig, *eyes, encoders = [
         np.random.default_rng(s)
-        for s in np.random.SeedSequence(settings.seed).spawn(1 + len(world.cameras))
+        for s in np.random.SeedSequence(settings.seed).spawn(2 + len(world.cameras))
     ]
     believed = errors.believed(world.cameras, rig)
     began = world.time
@@ -130,11 +131,11 @@ def record(
         ) from None
     writers = [_WRITERS[settings.format](folder / "cameras" / c.name, c) for c in believed]
     _write_object(folder / "object.toml", performance, settings)
-    path, truth = _Rows(folder, world), []
+    path, truth = _Rows(folder, world, errors, encoders), []
     frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
     frames = frames / settings.frame_rate
     # A little longer than the frames: some clocks are ahead.
-    samples = np.arange(int((seconds + 0.1) * PATH_RATE + 1e-9) + 1) / PATH_RATE
+    samples = np.arange(int((seconds + MOST_CLOCK) * PATH_RATE + 1e-9) + 1) / PATH_RATE
 
     def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
         pictures = sensor.observe(*clean, world.cameras[c], eyes[c])
@@ -163,8 +164,12 @@ def record(
 class _Rows:
     """The robot's path as it is measured, each row on disk at once."""
 
-    def __init__(self, folder: Path, world: Reality):
+    def __init__(
+        self, folder: Path, world: Reality, errors: RigErrors, encoders: np.random.Generator
+    ):
         self._world = world
+        self._errors = errors
+        self._encoders = encoders
         header = ["time", "x", "y", "z", "ax", "ay", "az", "closed"]
         self._hand = _NumberFile(folder / "gripper.csv", header)
         self._joints = None
@@ -173,10 +178,14 @@ class _Rows:
             self._joints = _NumberFile(folder / "joints.csv", ["time", *names])
 
     def add(self, moment: float) -> None:
-        world = self._world
-        self._hand.add([moment, *world.hand, *world.hand_axis, len(world.held) > 0])
+        world, hand = self._world, self._world.hand
+        moment = self._errors.stamp_of_robot(moment)
         if self._joints is not None:
-            self._joints.add([moment, *world.robot.measured(world.data)])
+            arm, q = world.robot.arm, world.robot.measured(world.data)
+            wrong = q + self._errors.encoders * self._encoders.standard_normal(len(q))
+            hand = hand + tcp_pose(arm, wrong)[:3, 3] - tcp_pose(arm, q)[:3, 3]
+            self._joints.add([moment, *wrong])
+        self._hand.add([moment, *hand, *world.hand_axis, len(world.held) > 0])
 
     def close(self) -> None:
         for file in (self._hand, self._joints):
@@ -239,6 +248,7 @@ def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
             "damping": item.material.damping,
             "friction": item.friction,
             "air_density": world.air.density,
+            "grip_force": world.grip_force if math.isfinite(world.grip_force) else None,
             # JSON has no infinity: an unlimited range is null.
             "sensor": {k: v if math.isfinite(v) else None for k, v in asdict(sensor).items()},
             "errors": asdict(errors),

@@ -8,6 +8,7 @@ with z^2 (Keselman et al., "Intel RealSense Stereoscopic Depth Cameras", 2017, s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -21,6 +22,11 @@ from gendom.perception import Camera, Pictures
 DEPTH_UNIT = 1e-4
 """Metres a count to give a simulated camera. The D400 series' own default, 1e-3, is coarser than
 its noise within 0.5 m; it can be set to this, which reaches 6.5 m."""
+
+
+MOST_CLOCK = 0.1
+"""Most that the robot's clock may differ from the first camera's [s]: the robot's path is recorded
+for so much longer than the cameras see."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,7 +251,7 @@ class DepthSensor:
 
 @dataclass(frozen=True, kw_only=True)
 class RigErrors:
-    """Errors of calibration and synchronisation of a pair of cameras.
+    """Errors of calibration and synchronisation of a pair of cameras and a robot.
 
     Raises:
         ParameterError: A value is out of its range.
@@ -256,12 +262,21 @@ class RigErrors:
     rotation: float = np.radians(0.3)
     """RMS angle of the error of its direction [rad]."""
     clock_offset: float = 0.02
-    """How much the clocks of all cameras but the first are ahead of the robot's [s]."""
+    """How much the clocks of all cameras but the first are ahead of the first's [s]."""
+    robot_clock: float = 0.0
+    """How much the robot's clock is ahead of the first camera's [s]."""
+    encoders: float = 0.0
+    """Noise of the robot's measured joint angles, of each joint and sample [rad]; a hand without a
+    robot has none."""
 
     def __post_init__(self):
-        for name in ("translation", "rotation"):
-            if not getattr(self, name) >= 0.0:
+        for name in ("translation", "rotation", "encoders"):
+            if not 0.0 <= getattr(self, name) < math.inf:
                 raise ParameterError(f"{name} is {getattr(self, name)}", fix="give 0 or more")
+        if not abs(self.robot_clock) <= MOST_CLOCK:
+            raise ParameterError(
+                f"robot_clock is {self.robot_clock}", fix=f"give {MOST_CLOCK:g} s or less"
+            )
 
     @classmethod
     def none(cls) -> RigErrors:
@@ -291,6 +306,10 @@ class RigErrors:
     def stamp(self, camera: int, time: float) -> float:
         """The time stamp [s] that the camera of that number gives to a moment [s]."""
         return time + (self.clock_offset if camera > 0 else 0.0)
+
+    def stamp_of_robot(self, time: float) -> float:
+        """Likewise of the robot's."""
+        return time + self.robot_clock
 
 
 def calibration_error(

@@ -102,12 +102,13 @@ class Performance:
         robot: True: the xArm 7 does it; False: a free hand.
         cameras: Fixed cameras.
         air_density: Of the still air [kg/m^3]; 0: none.
+        grip_force: That the fingers hold at most before the object slips [N]; infinite: all.
         timestep: MuJoCo's [s]; None for the trial's.
 
     Raises:
         RobotError: The arm cannot follow the path within its limits, or would touch itself, the
             table or a camera.
-        ParameterError: `air_density` is negative or not finite.
+        ParameterError: `air_density` is negative or not finite, or `grip_force` not above 0.
         DeviceError: MuJoCo is not installed.
     """
 
@@ -118,6 +119,7 @@ class Performance:
         robot: bool = True,
         cameras: Sequence[Camera] = (),
         air_density: float = AIR_DENSITY,
+        grip_force: float = math.inf,
         timestep: float | None = None,
     ):
         self.trial = trial
@@ -133,6 +135,7 @@ class Performance:
             cameras=cameras,
             timestep=trial.timestep if timestep is None else timestep,
             air_density=air_density,
+            grip_force=grip_force,
         )
         if arm is None:
             blend = trial.path.blend or 0.0
@@ -369,6 +372,8 @@ class RealWorld:
     """Whether the arm acts, or a free hand."""
     air_density: float = AIR_DENSITY
     """[kg/m^3]."""
+    grip_force: float = math.inf
+    """That the fingers hold at most before the object slips [N]."""
     timestep: float | None = None
     """MuJoCo's [s]; None: the trial's."""
     frame_rate: float = 100.0
@@ -414,7 +419,9 @@ class RealWorld:
     def settings(self) -> dict[str, Any]:
         """As `World.settings`."""
         own = {name: getattr(self, name) for name in ("robot", "air_density", "timestep")}
-        return {"world": "reality", **own}
+        # JSON has no infinity
+        force = self.grip_force if math.isfinite(self.grip_force) else None
+        return {"world": "reality", **own, "grip_force": force}
 
     def performance(self, task: Task, item: Item, action: npt.ArrayLike) -> Performance:
         """A task about to be carried out.
@@ -427,6 +434,7 @@ class RealWorld:
             task_trial(task, as_real(item), action),
             robot=self.robot,
             air_density=self.air_density,
+            grip_force=self.grip_force,
             timestep=self.timestep,
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import os
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,6 +15,7 @@ from gendom.errors import DeviceError, ParameterError, SimulationError
 from gendom.materials import AIR_DENSITY
 from gendom.perception.camera import Camera
 from gendom.reality.air import Air
+from gendom.reality.grip import Slip, pull
 from gendom.reality.objects import RealObject, RealRope
 from gendom.reality.scene import (
     GLFault,
@@ -48,10 +50,12 @@ class Reality:
         timestep: [s]; None for the default of the object's kind.
         gravity: [3] [m/s^2].
         air_density: Of the still air [kg/m^3], see `gendom.reality.air`; 0: none.
+        grip_force: That the fingers hold at most [N], see `gendom.reality.grip`; infinite: all.
 
     Raises:
         DeviceError: MuJoCo is not installed.
-        ParameterError: The scene cannot be built, or `air_density` is negative or not finite.
+        ParameterError: The scene cannot be built, `air_density` is negative or not finite, or
+            `grip_force` is not above 0.
     """
 
     def __init__(
@@ -65,6 +69,7 @@ class Reality:
         timestep: float | None = None,
         gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
         air_density: float = AIR_DENSITY,
+        grip_force: float = math.inf,
     ):
         self.air = Air(item, air_density)
         self._mujoco = load_mujoco()
@@ -88,11 +93,14 @@ class Reality:
         self._bodies = np.array(self.model.flex_vertbodyid)
         # Each vertex has three slides along the world's axes.
         self._dofs = self.model.body_dofadr[self._bodies][:, None] + np.arange(3)
+        self._slip = Slip(grip_force, item.vertex_masses, self._dofs)
         self._connections = np.array(
             [self.model.equality(f"hand_{v}").id for v in range(len(self._bodies))]
         )
         self._path: Callable[[float], npt.ArrayLike] | None = None
         self._twist: Twist | None = None
+        self._reach = 0.0
+        self._was = np.zeros(3)
         self._renderer: Any = None
         self.reset()
 
@@ -102,6 +110,7 @@ class Reality:
         """Back to time 0: the object in its layout, at rest and free, the hand away."""
         self._mujoco.mj_resetData(self.model, self.data)
         self._path = self._twist = None
+        self._slip.end(self.model)
         if self.robot is not None:
             self.robot.reset(self.model, self.data)
         self._mujoco.mj_forward(self.model, self.data)
@@ -119,12 +128,15 @@ class Reality:
         """
         step = self.model.opt.timestep
         for _ in range(round((time - self.time) / step)):
+            self._load()
+            self._was = self.hand
             if self.robot is not None:
                 self.robot.control(self.data, self.time + step)
             elif self._path is not None:
                 self.data.mocap_pos[0] = self._path(self.time + step)
-            self._load()
             self._mujoco.mj_step(self.model, self.data)
+            if self._slip.possible:
+                self._let_slip()
         self._place()
         kinds = self._mujoco.mjtWarning
         bad = (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
@@ -146,7 +158,7 @@ class Reality:
     def _load(self) -> None:
         """Forces of twist and air on the vertices, and the twist's moment on the hand, for the next
         step."""
-        if self._twist is None and self.air.density == 0.0:
+        if self._twist is None and self.air.density == 0.0 and not self._slip.possible:
             return
         self._place()
         x = self.data.flexvert_xpos
@@ -156,8 +168,31 @@ class Reality:
             load = self._twist.load(x, rotation, self.model.opt.timestep)
             forces += load.forces
             self.data.xfrc_applied[self._hand, 3:] = load.moment
+        if len(self._slip.vertices):
+            self._rub(x, forces)
         # Along the slides, not as wrenches on bodies: MuJoCo takes a Jacobian for each of those.
         self.data.qfrc_applied[self._dofs] = forces
+
+    def _rub(self, x: npt.NDArray[np.float64], forces: npt.NDArray[np.float64]) -> None:
+        """Add the fingers' friction to forces [V, 3] [N]; what it stops is held again."""
+        slip = self._slip
+        slip.leave(self.model, np.linalg.norm(x[slip.vertices] - self.hand, axis=1) > self._reach)
+        if len(slip.vertices) == 0:
+            return
+        moved = (self.hand - self._was) / self.model.opt.timestep
+        friction, rests = slip.rub(self.model, self.data, moved)
+        if rests:
+            self._hold(slip.end(self.model), x)
+        else:
+            forces[slip.vertices] += friction
+
+    def _let_slip(self) -> None:
+        """Open the connections where they are pulled by more than the grip holds."""
+        held = self._connections[self.data.eq_active[self._connections] > 0]
+        if len(held) and pull(self._mujoco, self.data, held) > self._slip.force:
+            self._slip.begin(self.held)
+            self.data.eq_active[self._connections] = 0
+            self._untwist()
 
     # ---- the hand --------------------------------------------------------------------------------
 
@@ -166,6 +201,11 @@ class Reality:
         if self.robot is not None:
             raise ParameterError("the robot moves the hand", fix="give it a motion")
         self._path = path
+
+    @property
+    def grip_force(self) -> float:
+        """That the fingers hold at most [N]."""
+        return self._slip.force
 
     @property
     def hand(self) -> npt.NDArray[np.float64]:
@@ -189,8 +229,9 @@ class Reality:
 
     @property
     def held(self) -> npt.NDArray[np.intp]:
-        """Vertices that the hand holds."""
-        return np.flatnonzero(self.data.eq_active[self._connections])
+        """Vertices that the hand holds, or that slide between its fingers."""
+        held = np.flatnonzero(self.data.eq_active[self._connections])
+        return np.union1d(held, self._slip.vertices)
 
     def attach(self, reach: float = FINGER_WIDTH / 2.0) -> npt.NDArray[np.intp]:
         """Close the hand: what lies between the fingers keeps its place relative to them.
@@ -223,12 +264,9 @@ class Reality:
             )
         if isinstance(self.item, RealRope) and len(near) < 2:
             near = np.sort(np.argsort(distance)[:2])
+        self._reach = max(reach + half, float(distance[near].max())) + 1e-9
+        self._hold(near, x)
         R = self.data.xmat[self._hand].reshape(3, 3)
-        for v in near:
-            e = self._connections[v]
-            self.model.eq_data[e, :3] = 0.0
-            self.model.eq_data[e, 3:6] = R.T @ (x[v] - self.hand)
-        self.data.eq_active[self._connections[near]] = 1
         stand = clamped_vertices(self.item, self.layout)
         if isinstance(self.item, RealRope) and len(stand) and stand[-1] < near[0]:
             # Held at both ends, it can be twisted.
@@ -238,9 +276,22 @@ class Reality:
     def release(self) -> None:
         """Open the hand: a free end twists back."""
         self.data.eq_active[self._connections] = 0
+        self.data.qfrc_applied[self._dofs] = 0.0
+        self._slip.end(self.model)
+        self._untwist()
+
+    def _hold(self, vertices: npt.NDArray[np.intp], x: npt.NDArray[np.float64]) -> None:
+        """Keep vertices where they are, of all [V, 3], relative to the hand."""
+        R = self.data.xmat[self._hand].reshape(3, 3)
+        for v in vertices:
+            e = self._connections[v]
+            self.model.eq_data[e, :3] = 0.0
+            self.model.eq_data[e, 3:6] = R.T @ (x[v] - self.hand)
+        self.data.eq_active[self._connections[vertices]] = 1
+
+    def _untwist(self) -> None:
         self._twist = None
         self.data.xfrc_applied[:] = 0.0
-        self.data.qfrc_applied[self._dofs] = 0.0
 
     # ---- what is true ----------------------------------------------------------------------------
 
