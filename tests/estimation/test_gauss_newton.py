@@ -1,12 +1,18 @@
 """Gauss-Newton steps on a simulated lift."""
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gendom.estimation import METHODS, EstimateSettings, Problem, Scene
-from gendom.estimation.methods.gauss_newton import gauss_newton, refined
+from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
+from gendom.estimation.replay import replay
+from gendom.estimation.shape import Shape
+
+# the package's own name of the module is the function's
+steps = importlib.import_module("gendom.estimation.methods.gauss_newton")
 
 NAMES = ("specific_modulus", "grip_height", "delay")
 
@@ -100,3 +106,84 @@ def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, prob
     sd = np.sqrt(np.diag(np.linalg.inv(problem.slopes(found.best, found.noise)[1])))
     off = np.abs(again.best.vector - found.best.vector) / sd
     assert off.max() < 0.2 < (np.abs(before - found.best.vector) / sd).max()
+
+
+def test_slopes_are_carried_along(problem, found):
+    """Changed by the least that agrees with both shapes: along the step they are its difference,
+    at right angles to it (in the weight's measure) they are what they were."""
+    best = found.best
+    sd = np.sqrt(np.diag(np.linalg.inv(problem.slopes(best, found.noise)[1])))
+    step, weight = np.array([1.0, -0.5, 0.25]) * sd, sd**-2.0
+    (here,) = problem.compare([best.vector])
+    (there,) = problem.compare([best.vector + step], derivatives=False)
+    there.take_slopes(here, step, weight)
+    J, before, moved = (c.parts[0] for c in (there, here, there))
+    np.testing.assert_allclose(J.J @ step, moved.here - before.here, atol=1e-12)
+    across = np.array([1.0, 2.0, 0.0]) * sd
+    assert across @ (weight * step) == pytest.approx(0.0)
+    np.testing.assert_allclose(J.J @ across, before.J @ across, atol=1e-12)
+
+
+def test_derivatives_are_made_anew_only_where_they_must(problem, monkeypatch):
+    """Most proposals are simulated without; the last step has its own."""
+    asked = []
+    compare = Problem.compare
+
+    def counted(self, vectors, *, derivatives=True, free=None):
+        asked.append(derivatives)
+        return compare(self, vectors, derivatives=derivatives, free=free)
+
+    monkeypatch.setattr(Problem, "compare", counted)
+    found = gauss_newton(problem)
+    assert found.best.done
+    assert 2 <= sum(asked) < 0.6 * len(asked)
+    # before the last trial
+    assert asked[-2:] == [True, False]
+
+
+def test_a_cloth_leaps_out_of_a_hollow(cloth_lift):
+    """Steps that ended 6 deviations off go on from where a leap has come nearest."""
+    settings = EstimateSettings(
+        starts=1, unknowns=("specific_modulus", "grip_height"), scene=cloth_lift.settings
+    )
+    problem = Problem([Scene.of(cloth_lift.at_rest(8), cloth_lift.settings)], settings)
+    truth = problem.prior.vector(cloth_lift.truth)
+    noise = problem.first_noise()
+    start = steps.Start(initial=truth, vector=truth, comparison=problem.compare([truth])[0])
+    covariance = np.linalg.inv(problem.slopes(start, noise)[1])
+    off = truth - 6.0 * covariance[0] / np.sqrt(covariance[0, 0])
+    start = steps.Start(initial=off, vector=off, comparison=problem.compare([off])[0])
+    start.value, start.done = problem.value(off, start.comparison, noise), True
+    settled = GaussNewtonSettings(leaps=(6.0,))
+    assert steps._leaps(problem, start, noise, 1.0, settled)
+    assert not start.done and start.renew
+    assert abs(start.vector[0] - truth[0]) < 0.3 * abs(off[0] - truth[0])
+    assert start.value == pytest.approx(problem.value(start.vector, start.comparison, noise))
+    before = start.vector.copy()
+    assert not steps._leaps(problem, start, noise, 1e9, settled)
+    np.testing.assert_array_equal(start.vector, before)
+
+
+def test_slopes_of_a_coarser_sheet_are_those_between_its_points(cloth_lift):
+    """Linear ones exactly."""
+    shapes = [
+        Shape(Scene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=n)))
+        for n in (9, 15)
+    ]
+    fields = []
+    for shape in shapes:
+        a, b = (k - k[0] for k in shape.lattice)
+        x, y = np.meshgrid(a, b)
+        fields.append(np.stack([x.ravel(), y.ravel(), 2.0 * x.ravel() - y.ravel()], axis=1)[None])
+    np.testing.assert_allclose(shapes[1].taken_from(shapes[0], fields[0]), fields[1], atol=1e-12)
+
+
+def test_cloths_are_simulated_in_single_precision(cloth_lift):
+    """Unless told otherwise; the same to a few micrometres."""
+    recording, truth = cloth_lift.at_rest(8), cloth_lift.truth
+    shapes = []
+    for dtype in (None, "float64"):
+        scene = Scene.of(recording, replace(cloth_lift.settings, dtype=dtype))
+        assert scene.dtype == (dtype or "float32")
+        shapes.append(replay(scene, [truth]))
+    assert 0.0 < np.abs(shapes[0] - shapes[1]).max() < 2e-5

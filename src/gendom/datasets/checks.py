@@ -15,7 +15,8 @@ from scipy.spatial import KDTree
 from gendom.errors import one_line
 
 if TYPE_CHECKING:
-    from gendom.datasets.recording import ObjectDescription, Recording
+    from gendom.datasets.recording import Recording
+    from gendom.datasets.recording_form import ObjectDescription
 
 KINDS = ("rope", "cloth")
 GRASPS = ("end", "corner", "center", "both ends")

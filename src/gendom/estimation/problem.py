@@ -42,7 +42,8 @@ class EstimateSettings:
     """``stated``: the cameras' errors are those of a calibration; ``unknown``: where they are has
     to be found, too. None: as each recording says."""
     max_iterations: int = 25
-    """Batches that a search may simulate."""
+    """Batches that a search may simulate; of `gauss-newton`, whose trials need no derivatives, half
+    of them."""
     seed: int = 0
     """Of everything that is drawn."""
     level: float = 0.9

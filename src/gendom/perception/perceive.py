@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.datasets import Fault, Recording
-from gendom.datasets.recording import check_name, parse_meta
+from gendom.datasets.recording import check_name
+from gendom.datasets.recording_form import parse_meta
 from gendom.errors import ParameterError, RecordingError
 from gendom.files import atomic_path
 from gendom.perception.camera import Camera

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import read_object
-from gendom.datasets.recording import parse_meta
+from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
 
 Array = NDArray[np.float64]

@@ -48,10 +48,16 @@ class GaussNewtonSettings:
     clouds."""
     holds: float = 0.5
     """Derivatives are made anew where a step wins less than this share of what they promised."""
-    tried: int = 3
-    """Dampings of a proposal, side by side."""
+    leaps: tuple[float, ...] = (3.0, 6.0, 9.0)
+    """How far a cloth's own unknowns leap where steps have ended, in deviations: its valleys are
+    rugged, and steps end in their hollows."""
     apart: float = 30.0
-    """Their ratio."""
+    """Ratio of the two dampings of a proposal, side by side."""
+    farther: float = 3.0
+    """How many times as far as it should it is also tried: points that slide along a surface make
+    steps too short."""
+    per_batch: int = 2
+    """Iterations for each of `EstimateSettings.max_iterations`: few have derivatives to make."""
     damping: tuple[float, float] = (1e-3, 1e3)
     """Levenberg's and Marquardt's: the least, and that at which a start is given up."""
     expectations: int = 6
@@ -70,7 +76,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
     afar = problem.first_noise(
         sensor=settings.afar, model=problem.settings.noise.least_model, rounds=1
     )
-    noise, most = afar, problem.settings.max_iterations
+    noise, most = afar, settings.per_batch * problem.settings.max_iterations
     names = problem.prior.names
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
     if problem.scene.kind == "cloth":
@@ -116,7 +122,8 @@ def refined(problem: Problem, found: Found, settings: GaussNewtonSettings | None
     best, noise = found.best, found.noise
     _compare_all(problem, best)
     best.damping = settings.damping[0]
-    most = max(1, round((1.0 - settings.share_afar) * problem.settings.max_iterations))
+    most = settings.per_batch * problem.settings.max_iterations
+    most = max(1, round((1.0 - settings.share_afar) * most))
     try:
         noise = _near(problem, best, noise, settings, 0, most)
     except KeyboardInterrupt:
@@ -133,7 +140,8 @@ def _near(
     most: int,
 ) -> tuple[NoiseModel, ...]:
     """Steps of a start by all unknowns, in turns with the noise, which is returned."""
-    least = settings.gain_of_cloths if problem.scene.kind == "cloth" else settings.gain[1]
+    cloth = problem.scene.kind == "cloth"
+    least = settings.gain_of_cloths if cloth else settings.gain[1]
     while iteration < most:
         iteration += 1
         assert best.comparison is not None
@@ -142,12 +150,50 @@ def _near(
         best.done = False
         _step(problem, [best], noise, least, settings)
         problem.tell("noise", iteration, most, best)
-        if best.done:
+        if best.done and not (cloth and _leaps(problem, best, noise, least, settings)):
             break
     else:
         _renew(problem, [best], noise, None)
     assert best.comparison is not None
     return estimated_noise(best.comparison, noise, settings.expectations)
+
+
+def _leaps(
+    problem: Problem,
+    start: Start,
+    noise: Sequence[NoiseModel],
+    least: float,
+    settings: GaussNewtonSettings,
+) -> bool:
+    """Whether a start has found a better place some deviations away, where it then is.
+
+    Each of the object's own unknowns goes both ways, the others with it as the posterior has them.
+    """
+    prior = problem.prior
+    covariance = np.linalg.inv(problem.slopes(start, noise)[1])
+    places = [
+        prior.clipped(start.vector + way * far * covariance[k] / np.sqrt(covariance[k, k]))
+        for k, name in enumerate(prior.names)
+        if UNKNOWNS[name].material
+        for far in settings.leaps
+        for way in (-1.0, 1.0)
+    ]
+    assert start.comparison is not None
+    compared = problem.compare(places, derivatives=False)
+    for comparison in compared:
+        if comparison is not None:
+            comparison.follow(start.comparison)
+    values = problem.values(places, compared, noise)
+    best = int(np.argmin(values))
+    closer = compared[best]
+    if closer is None or start.value - values[best] < least:
+        return False
+    closer.take_slopes(start.comparison, *np.zeros((2, len(prior.names))))
+    start.vector, start.comparison, start.value = places[best], closer, values[best]
+    start.iterations += 1
+    start.history.append((start.iterations, start.vector.copy(), closer.rms))
+    start.done, start.renew, start.damping = False, True, settings.damping[0]
+    return True
 
 
 def _compare_all(problem: Problem, start: Start) -> None:
@@ -203,7 +249,7 @@ def _step(
             s.damping = max(p.damping / 10.0, settings.damping[0])
             s.history.append((s.iterations, p.vector.copy(), closer.rms))
         elif s.exact:
-            s.damping *= settings.apart**settings.tried
+            s.damping *= settings.apart**2
             s.done = row[0].gain < least or s.damping > settings.damping[1]
         else:
             s.renew = True
@@ -253,7 +299,7 @@ def _propose(
     settings: GaussNewtonSettings,
     among: Sequence[int] | None,
 ) -> list[_Proposal]:
-    """Steps of several dampings, and one by the object's own unknowns alone."""
+    """Steps of two dampings, one by the object's own unknowns alone, and farther ones."""
     prior = problem.prior
     gradient, H = problem.slopes(start, noise)
     # a parameter pressed against its bound is held there
@@ -261,17 +307,17 @@ def _propose(
     free = np.isin(np.arange(len(low)), range(len(low)) if among is None else among)
     free &= ~((low & (gradient > 0)) | (high & (gradient < 0)))
     own = free & np.array([UNKNOWNS[name].material for name in prior.names])
-    dampings = start.damping * settings.apart ** np.arange(settings.tried)
-    tries = [(free, damping) for damping in dampings]
+    tries = [(free, start.damping, 1.0), (free, start.damping, settings.farther)]
     if own.any() and (own != free).any():
-        tries.append((own, start.damping))
+        tries += [(own, start.damping, 1.0), (own, start.damping, settings.farther)]
+    tries.append((free, settings.apart * start.damping, 1.0))
     proposals = []
-    for which, damping in tries:
+    for which, damping, times in tries:
         step = np.zeros(len(free))
         if which.any():
             Hf = H[np.ix_(which, which)]
             damped = Hf + damping * np.diag(np.diag(Hf))
-            step[which] = -np.linalg.solve(damped, gradient[which])
+            step[which] = -times * np.linalg.solve(damped, gradient[which])
         step *= min(1.0, float(np.min(prior.widest / np.maximum(np.abs(step), 1e-300))))
         vector = prior.clipped(start.vector + step)
         step = vector - start.vector
