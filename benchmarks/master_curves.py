@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from gendom.validation import Settings
+from gendom.validation import Settings, elastica
 from gendom.validation import master_curves as curves
 
 # From Okabe and Ito's palette.
@@ -53,7 +53,7 @@ THEORY: dict[str, Any] = {"color": INK, "linewidth": 1.2}
 
 def sags(axes: Axes, settings: Settings) -> None:
     loads = np.geomspace(0.1, 1000.0, 60)
-    axes.loglog(loads, curves.sag(loads), **THEORY, label="theory")
+    axes.loglog(loads, elastica.sag(loads), **THEORY, label="theory")
     loads = np.geomspace(0.1, 1000.0, 13)
     axes.loglog(loads, curves.sags(settings, "rods", loads, 65), **RODS, label="rods")
     loads = np.geomspace(0.16, 300.0, 12)
@@ -100,7 +100,7 @@ def curls(axes: Axes, settings: Settings) -> None:
             row = plane(curvature, angle, loads)
             for k in np.flatnonzero(row[:-1] * row[1:] < 0.0):
                 between = (float(loads[k]), float(loads[k + 1]))
-                load = curves.critical_load(
+                load = elastica.critical_load(
                     between, curvature=curvature, angle=angle, torsion=TORSION
                 )
                 share = curves.curl_leaves(settings, load, curvature, angle, 65)
@@ -116,10 +116,10 @@ def curls(axes: Axes, settings: Settings) -> None:
 
 def plane(curvature: float, angle: float, loads: np.ndarray) -> np.ndarray:
     """Signs and sizes of the determinant along a path of loads."""
-    shapes = curves.hung(loads, curvature=curvature, angle=angle)
+    shapes = elastica.hung(loads, curvature=curvature, angle=angle)
     return np.array(
         [
-            curves.leaves_plane(shape, load, curvature, 1.0, TORSION)
+            elastica.leaves_plane(shape, load, curvature, 1.0, TORSION)
             for shape, load in zip(shapes, loads, strict=True)
         ]
     )
@@ -130,7 +130,7 @@ def tips(axes: Axes, settings: Settings) -> None:
     friction = np.array([0.08, 0.1, 0.13, 0.16, 0.2, 0.24, 0.28, 0.32])
     for load, dashes, points in ((0.0, "-", RODS), (10.0, (0, (4, 2)), SQUARES)):
         label = f"weight {load:g} E I / L³"
-        theory = curves.tip_friction(load, lowered)
+        theory = elastica.tip_friction(load, lowered)
         axes.plot(lowered, theory, linestyle=dashes, **THEORY, label=f"theory, {label}")
         found = curves.slips(settings, load, friction)
         axes.plot(found, friction, **points, label=f"rods, {label}")

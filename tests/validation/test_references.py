@@ -22,9 +22,7 @@ from gendom.validation.damping import (
     first_mode,
     gravity_for,
 )
-from gendom.validation.energy import growth
-from gendom.validation.layers import share_when_stuck, stacked
-from gendom.validation.master_curves import (
+from gendom.validation.elastica import (
     critical_load,
     hung,
     lateral_load,
@@ -32,6 +30,8 @@ from gendom.validation.master_curves import (
     sag,
     tip_friction,
 )
+from gendom.validation.energy import growth
+from gendom.validation.layers import share_when_stuck, stacked
 from gendom.validation.specimens import block, end, energies, momenta, sections, stations, swing
 
 
