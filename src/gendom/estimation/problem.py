@@ -154,11 +154,12 @@ class Part:
     def easier(self) -> Part:
         """The same to begin with: of a rope the frames alone in which nothing moves fast, where
         there are enough (what it does fast depends on the way that it was before); a cloth with
-        fewer points."""
+        fewer points, as are its clouds."""
         scene, settings = self.scene, self.scene.settings
         if scene.kind == "cloth" and scene.thin and settings.points is None:
             coarse = Scene.of(scene.recording, replace(settings, points=settings.coarse_points))
-            return replace(self, scene=replace(coarse, frames=scene.frames, calm=scene.calm))
+            coarse = replace(coarse, frames=scene.frames, calm=scene.calm)
+            return replace(self, scene=coarse, noise=self.noise.of_thinner_clouds())
         if len(scene.calm) == len(scene.frames) or len(scene.calm) < 6:
             return self
         return replace(self, scene=replace(scene, frames=scene.calm))

@@ -41,6 +41,8 @@ class GaussNewtonSettings:
     """Noise with which clouds are compared from afar [m]."""
     share_afar: float = 0.6
     """Share of the iterations that may be spent there."""
+    patience: int = 6
+    """Iterations that the others have to overtake a best start that has arrived."""
     gain: tuple[float, float] = (2.0, 0.2)
     """A start has arrived when a step can win no more than this, afar and near."""
     gain_of_cloths: float = 10.0
@@ -73,7 +75,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
     """
     settings = settings or GaussNewtonSettings()
     stated = problem.first_noise()
-    afar = problem.first_noise(
+    afar = problem.easier.first_noise(
         sensor=settings.afar, model=problem.settings.noise.least_model, rounds=1
     )
     noise, most = afar, settings.per_batch * problem.settings.max_iterations
@@ -82,15 +84,17 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
     if problem.scene.kind == "cloth":
         free = None
     starts = first_starts(problem.easier, settings.scanned, settings.initial)
-    interrupted, iteration = False, 0
+    interrupted, iteration, late = False, 0, 0
     try:
         while iteration < max(1, round(settings.share_afar * most)):
             going = [s for s in starts if not s.done]
-            if not going:
+            if not going or late == settings.patience:
                 break
             iteration += 1
             _step(problem.easier, going, noise, settings.gain[0], settings, free)
-            problem.tell("search", iteration, most, best_of(starts) or starts[0])
+            leads = best_of(starts)
+            late = late + 1 if leads is not None and leads.done else 0
+            problem.tell("search", iteration, most, leads or starts[0])
         best = best_of(starts)
         if best is None:
             raise problem.nothing_runs()
