@@ -95,6 +95,23 @@ def test_a_cloth_that_moves_like_none_is_refused(cloth_lift):
     assert any("otherwise than any simulated one" in reason for reason in found.verdict.reasons)
 
 
+@pytest.mark.parametrize(("share", "usable"), [(0.0, True), (0.1, True), (0.4, False)])
+def test_a_rope_that_slips_through_the_fingers_is_refused(rope_lift, share, usable):
+    """Where it slips by so much of its lift that E suffers; less of it makes no harm."""
+    settings = EstimateSettings(starts=1, scene=rope_lift.settings)
+    recording = rope_lift.seen(frames=24, noise=2e-3)
+    slid = share * rope_lift.rise * np.clip((np.linspace(0.0, 1.0, 24) - 0.3) / 0.5, 0.0, 1.0)
+    path = recording.gripper_position.copy()
+    path[:, 0, 2] += slid
+    found = estimate(replace(recording, gripper_position=path), settings)
+    assert found.usable is usable, found.verdict.reasons
+    if usable:
+        modulus = rope_lift.truth.specific_modulus
+        assert found.record["specific_modulus"] == pytest.approx(modulus, rel=0.03)
+    else:
+        assert any("otherwise than any simulated one" in said for said in found.verdict.reasons)
+
+
 def one_frame(recording):
     return replace(recording.head(1), quasi_static=True)
 
