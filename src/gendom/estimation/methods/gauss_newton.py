@@ -2,12 +2,12 @@
 
 Parameters go down on -2 log of likelihood times prior, all starts in one batch of worlds;
 derivatives are differences between worlds side by side, carried along while they tell enough
-(Broyden 1965). The step is Levenberg's and Marquardt's (Nocedal and Wright 2006, chapter 10), with
-several dampings and once by the object's own unknowns alone: what is held changes in jumps, and
-those have no part in them. From afar only what moves shapes most is free, and clouds are compared
-as they are, those in which nothing moves fast where there are enough; about the best start's end
-everything is free, the model's displacement is registered, and noise and displacement are estimated
-in turns with steps.
+(Broyden 1965). The step is Levenberg's and Marquardt's (Nocedal and Wright 2006, chapter 10), of a
+cloth with several dampings and once by the object's own unknowns alone: what is held changes in
+jumps, and those have no part in them. From afar only what moves shapes most is free, and clouds are
+compared as they are, those in which nothing moves fast where there are enough; about the best
+start's end everything is free, the model's displacement is registered, and noise and displacement
+are estimated in turns with steps.
 """
 
 from __future__ import annotations
@@ -246,14 +246,14 @@ def _step(
         p, closer = row[best], compared[best]
         if closer is not None and values[best] < s.value:
             won = s.value - values[best]
-            little = won < least
+            little = won < least or (len(row) == 1 and p.gain < least)
             closer.take_slopes(former, p.vector - s.vector, p.weight)
             s.done, s.renew = little and s.exact, little or won < settings.holds * p.gain
             s.vector, s.comparison, s.value, s.exact = p.vector, closer, values[best], False
             s.damping = max(p.damping / 10.0, settings.damping[0])
             s.history.append((s.iterations, p.vector.copy(), closer.rms))
         elif s.exact:
-            s.damping *= settings.apart**2
+            s.damping *= settings.apart ** (2 if len(row) > 1 else 1)
             s.done = row[0].gain < least or s.damping > settings.damping[1]
         else:
             s.renew = True
@@ -303,7 +303,8 @@ def _propose(
     settings: GaussNewtonSettings,
     among: Sequence[int] | None,
 ) -> list[_Proposal]:
-    """Steps of two dampings, one by the object's own unknowns alone, and farther ones."""
+    """A damped step; of a cloth also one of greater damping, one by its own unknowns alone, and
+    farther ones."""
     prior = problem.prior
     gradient, H = problem.slopes(start, noise)
     # a parameter pressed against its bound is held there
@@ -311,10 +312,12 @@ def _propose(
     free = np.isin(np.arange(len(low)), range(len(low)) if among is None else among)
     free &= ~((low & (gradient > 0)) | (high & (gradient < 0)))
     own = free & np.array([UNKNOWNS[name].material for name in prior.names])
-    tries = [(free, start.damping, 1.0), (free, start.damping, settings.farther)]
-    if own.any() and (own != free).any():
-        tries += [(own, start.damping, 1.0), (own, start.damping, settings.farther)]
-    tries.append((free, settings.apart * start.damping, 1.0))
+    tries = [(free, start.damping, 1.0)]
+    if problem.scene.kind == "cloth":
+        tries.append((free, start.damping, settings.farther))
+        if own.any() and (own != free).any():
+            tries += [(own, start.damping, 1.0), (own, start.damping, settings.farther)]
+        tries.append((free, settings.apart * start.damping, 1.0))
     proposals = []
     for which, damping, times in tries:
         step = np.zeros(len(free))
