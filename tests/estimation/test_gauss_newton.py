@@ -154,13 +154,14 @@ def test_a_cloth_leaps_out_of_a_hollow(cloth_lift):
     off = truth - 6.0 * covariance[0] / np.sqrt(covariance[0, 0])
     start = steps.Start(initial=off, vector=off, comparison=problem.compare([off])[0])
     start.value, start.done = problem.value(off, start.comparison, noise), True
-    settled = GaussNewtonSettings(leaps=(6.0,))
-    assert steps._leaps(problem, start, noise, 1.0, settled)
+    settled = GaussNewtonSettings.of("cloth", leaps=(6.0,), gain=(2.0, 1.0))
+    assert steps._leaps(problem, start, noise, settled)
     assert not start.done and start.renew
     assert abs(start.vector[0] - truth[0]) < 0.3 * abs(off[0] - truth[0])
     assert start.value == pytest.approx(problem.value(start.vector, start.comparison, noise))
     before = start.vector.copy()
-    assert not steps._leaps(problem, start, noise, 1e9, settled)
+    settled = replace(settled, gain=(2.0, 1e9))
+    assert not steps._leaps(problem, start, noise, settled)
     np.testing.assert_array_equal(start.vector, before)
 
 
@@ -179,7 +180,7 @@ def test_slopes_of_a_coarser_sheet_are_those_between_its_points(cloth_lift):
 
 
 def test_cloths_are_simulated_in_single_precision(cloth_lift):
-    """Unless told otherwise; the same to a few micrometres."""
+    """Unless told otherwise; the same to 20 um."""
     recording, truth = cloth_lift.at_rest(8), cloth_lift.truth
     shapes = []
     for dtype in (None, "float64"):

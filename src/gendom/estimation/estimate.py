@@ -102,7 +102,7 @@ def _alone(
     posteriors = []
     for recording, part in enumerate(problem.parts):
         alone = problem.alone(recording)
-        settings = GaussNewtonSettings(initial=(found.best.vector[part.shown],))
+        settings = GaussNewtonSettings.of(part.scene.kind, initial=(found.best.vector[part.shown],))
         posteriors.append(_posterior(alone, gauss_newton(alone, settings), calibration))
     return posteriors
 

@@ -63,7 +63,7 @@ def register(recording: Recording, settings: EstimateSettings, known: Theta | No
         if vector is None:
             vector, comparison, noise = _scanned(problem.easier)
         else:
-            found = gauss_newton(problem, GaussNewtonSettings(initial=(vector,)))
+            found = gauss_newton(problem, GaussNewtonSettings.of(scene.kind, initial=(vector,)))
             assert found.best.comparison is not None
             vector, comparison = found.best.vector, found.best.comparison.parts[0]
             noise = found.noise[0]

@@ -140,8 +140,8 @@ class Scene:
 
     @property
     def dtype(self) -> str | None:
-        """Of its simulation; None: the engine's own. Shells of ``float32`` take half the time and
-        are the same to a few micrometres."""
+        """Of its simulation; None: the engine's own. Shells of ``float32`` take half the time;
+        they are 0.4 um off in the mean of a lift and 15 um at most."""
         if self.settings.dtype is None and self.kind == "cloth" and self.thin:
             return "float32"
         return self.settings.dtype

@@ -80,7 +80,7 @@ PAPER_ERRORS = {
 
 SEARCHES: dict[str, Callable[[Problem, Array], Found]] = {
     "gauss-newton": lambda problem, start: gauss_newton(
-        problem, GaussNewtonSettings(initial=(start,))
+        problem, GaussNewtonSettings.of(problem.scene.kind, initial=(start,))
     ),
     "adam": lambda problem, start: adam(problem, AdamSettings(initial=(start,), steps=3)),
     "differential-evolution": lambda problem, start: differential_evolution(problem),

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,15 +29,14 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class GaussNewtonSettings:
-    """Bounds of the search."""
+    """Bounds of the search; what is not said of cloths is for ropes, see `of`."""
 
     scanned: int = 12
     """Moduli of the scan that precedes the search, over the whole range."""
     initial: tuple[Array, ...] = ()
     """[P] transformed: where to begin instead of there."""
     leading: tuple[str, ...] = ("specific_modulus", "damping")
-    """Unknowns of ropes that are free from afar: others would take on what is not theirs. How a
-    cloth is held shows as much as how it bends, so all of its are."""
+    """Unknowns that are free from afar: others would take on what is not theirs. None: all are."""
     afar: float = 0.005
     """Noise with which clouds are compared from afar [m]."""
     share_afar: float = 0.6
@@ -45,25 +45,36 @@ class GaussNewtonSettings:
     """Iterations that the others have to overtake a best start that has arrived."""
     gain: tuple[float, float] = (2.0, 0.2)
     """A start has arrived when a step can win no more than this, afar and near."""
-    gain_of_cloths: float = 10.0
-    """The same near of a cloth: a simulated one is farther from a real one than the noise of its
-    clouds."""
     holds: float = 0.5
     """Derivatives are made anew where a step wins less than this share of what they promised."""
-    leaps: tuple[float, ...] = (3.0, 6.0, 9.0)
-    """How far a cloth's own unknowns leap where steps have ended, in deviations: its valleys are
-    rugged, and steps end in their hollows."""
+    rugged: bool = False
+    """Whether several steps are tried side by side."""
+    leaps: tuple[float, ...] = ()
+    """How far the object's own unknowns leap where steps have ended, in deviations."""
     apart: float = 30.0
-    """Ratio of the two dampings of a proposal, side by side."""
+    """Ratio of two dampings side by side."""
     farther: float = 3.0
-    """How many times as far as it should it is also tried: points that slide along a surface make
-    steps too short."""
+    """How many times as far as it should a step side by side goes: points that slide along a
+    surface make steps too short."""
     per_batch: int = 2
     """Iterations for each of `EstimateSettings.max_iterations`: few have derivatives to make."""
     damping: tuple[float, float] = (1e-3, 1e3)
     """Levenberg's and Marquardt's: the least, and that at which a start is given up."""
     expectations: int = 6
     """Rounds of expectation and maximisation at each of two registrations between two steps."""
+
+    @classmethod
+    def of(cls, kind: str, **changes: Any) -> GaussNewtonSettings:
+        """For ropes or cloths.
+
+        How a cloth is held shows as much as how it bends, so all is free from afar; its valleys are
+        rugged, and steps end in their hollows; a simulated one is farther from a real one than the
+        noise of its clouds, so little gains are none.
+        """
+        if kind == "cloth":
+            own = {"leading": (), "gain": (2.0, 10.0), "rugged": True, "leaps": (3.0, 6.0, 9.0)}
+            changes = own | changes
+        return cls(**changes)
 
 
 def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) -> Found:
@@ -73,7 +84,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         SimulationError: No start can be simulated.
         KeyboardInterrupt: If interrupted before anything was found.
     """
-    settings = settings or GaussNewtonSettings()
+    settings = settings or GaussNewtonSettings.of(problem.scene.kind)
     stated = problem.first_noise()
     afar = problem.easier.first_noise(
         sensor=settings.afar, model=problem.settings.noise.least_model, rounds=1
@@ -81,8 +92,6 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
     noise, most = afar, settings.per_batch * problem.settings.max_iterations
     names = problem.prior.names
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
-    if problem.scene.kind == "cloth":
-        free = None
     starts = first_starts(problem.easier, settings.scanned, settings.initial)
     interrupted, iteration, late = False, 0, 0
     try:
@@ -102,7 +111,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         for start in starts:
             start.coarse = start.iterations
         if free is not None or problem.easier is not problem:
-            _compare_all(problem, best)
+            _compare_all(problem, best, settings)
         noise = _near(problem, best, noise, settings, iteration, most)
     except KeyboardInterrupt:
         interrupted = True
@@ -110,7 +119,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         if best is None:
             raise
         if best.comparison is None or not problem.compares(best.comparison):
-            _compare_all(problem, best)
+            _compare_all(problem, best, settings)
         assert best.comparison is not None
         noise = estimated_noise(best.comparison, noise, settings.expectations)
     return Found(best=best, starts=starts, noise=noise, interrupted=interrupted)
@@ -122,9 +131,9 @@ def refined(problem: Problem, found: Found, settings: GaussNewtonSettings | None
     Raises:
         SimulationError: It cannot be simulated there.
     """
-    settings = settings or GaussNewtonSettings()
+    settings = settings or GaussNewtonSettings.of(problem.scene.kind)
     best, noise = found.best, found.noise
-    _compare_all(problem, best)
+    _compare_all(problem, best, settings)
     best.damping = settings.damping[0]
     most = settings.per_batch * problem.settings.max_iterations
     most = max(1, round((1.0 - settings.share_afar) * most))
@@ -144,17 +153,15 @@ def _near(
     most: int,
 ) -> tuple[NoiseModel, ...]:
     """Steps of a start by all unknowns, in turns with the noise, which is returned."""
-    cloth = problem.scene.kind == "cloth"
-    least = settings.gain_of_cloths if cloth else settings.gain[1]
     while iteration < most:
         iteration += 1
         assert best.comparison is not None
         noise = estimated_noise(best.comparison, noise, settings.expectations)
         best.value = problem.value(best.vector, best.comparison, noise)
         best.done = False
-        _step(problem, [best], noise, least, settings)
+        _step(problem, [best], noise, settings.gain[1], settings)
         problem.tell("noise", iteration, most, best)
-        if best.done and not (cloth and _leaps(problem, best, noise, least, settings)):
+        if best.done and not _leaps(problem, best, noise, settings):
             break
     else:
         _renew(problem, [best], noise, None)
@@ -166,13 +173,14 @@ def _leaps(
     problem: Problem,
     start: Start,
     noise: Sequence[NoiseModel],
-    least: float,
     settings: GaussNewtonSettings,
 ) -> bool:
     """Whether a start has found a better place some deviations away, where it then is.
 
     Each of the object's own unknowns goes both ways, the others with it as the posterior has them.
     """
+    if not settings.leaps:
+        return False
     prior = problem.prior
     covariance = np.linalg.inv(problem.slopes(start, noise)[1])
     places = [
@@ -190,7 +198,7 @@ def _leaps(
     values = problem.values(places, compared, noise)
     best = int(np.argmin(values))
     closer = compared[best]
-    if closer is None or start.value - values[best] < least:
+    if closer is None or start.value - values[best] < settings.gain[1]:
         return False
     closer.take_slopes(start.comparison, *np.zeros((2, len(prior.names))))
     start.vector, start.comparison, start.value = places[best], closer, values[best]
@@ -200,13 +208,14 @@ def _leaps(
     return True
 
 
-def _compare_all(problem: Problem, start: Start) -> None:
+def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) -> None:
     """Compare a start of an easier problem with all there is, by all unknowns.
 
-    Of the same frames, shapes change with parameters about as they did with fewer points.
+    Of the same frames, where all was free from afar, shapes change with parameters about as they
+    did with fewer points.
     """
     former, start.exact, start.renew = start.comparison, True, False
-    slopes = former is not None and problem.like(former) and problem.scene.kind == "cloth"
+    slopes = former is not None and problem.like(former) and not settings.leading
     start.comparison = problem.compare([start.vector], derivatives=not slopes)[0]
     if start.comparison is None:
         raise problem.nothing_runs()
@@ -246,14 +255,14 @@ def _step(
         p, closer = row[best], compared[best]
         if closer is not None and values[best] < s.value:
             won = s.value - values[best]
-            little = won < least or (len(row) == 1 and p.gain < least)
+            little = won < least or (not settings.rugged and p.gain < least)
             closer.take_slopes(former, p.vector - s.vector, p.weight)
             s.done, s.renew = little and s.exact, little or won < settings.holds * p.gain
             s.vector, s.comparison, s.value, s.exact = p.vector, closer, values[best], False
             s.damping = max(p.damping / 10.0, settings.damping[0])
             s.history.append((s.iterations, p.vector.copy(), closer.rms))
         elif s.exact:
-            s.damping *= settings.apart ** (2 if len(row) > 1 else 1)
+            s.damping *= settings.apart ** (2 if settings.rugged else 1)
             s.done = row[0].gain < least or s.damping > settings.damping[1]
         else:
             s.renew = True
@@ -303,8 +312,8 @@ def _propose(
     settings: GaussNewtonSettings,
     among: Sequence[int] | None,
 ) -> list[_Proposal]:
-    """A damped step; of a cloth also one of greater damping, one by its own unknowns alone, and
-    farther ones."""
+    """A damped step; where it is rugged also one of greater damping, one by the object's own
+    unknowns alone, and farther ones."""
     prior = problem.prior
     gradient, H = problem.slopes(start, noise)
     # a parameter pressed against its bound is held there
@@ -313,7 +322,7 @@ def _propose(
     free &= ~((low & (gradient > 0)) | (high & (gradient < 0)))
     own = free & np.array([UNKNOWNS[name].material for name in prior.names])
     tries = [(free, start.damping, 1.0)]
-    if problem.scene.kind == "cloth":
+    if settings.rugged:
         tries.append((free, start.damping, settings.farther))
         if own.any() and (own != free).any():
             tries += [(own, start.damping, 1.0), (own, start.damping, settings.farther)]
