@@ -2,6 +2,7 @@
 
 import importlib
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -125,7 +126,7 @@ def test_slopes_are_carried_along(problem, found):
 
 
 def test_derivatives_are_made_anew_only_where_they_must(problem, monkeypatch):
-    """Most proposals are simulated without; the last step has its own."""
+    """Steps follow each other without; the last has its own."""
     asked = []
     compare = Problem.compare
 
@@ -136,7 +137,8 @@ def test_derivatives_are_made_anew_only_where_they_must(problem, monkeypatch):
     monkeypatch.setattr(Problem, "compare", counted)
     found = gauss_newton(problem)
     assert found.best.done
-    assert 2 <= sum(asked) < 0.6 * len(asked)
+    assert sum(asked) >= 2
+    assert any(not a and not b for a, b in pairwise(asked))
     # before the last trial
     assert asked[-2:] == [True, False]
 

@@ -86,6 +86,7 @@ def test_what_has_slid_is_held_again():
     world.model.opt.gravity[2] = -g
     assert fallen(world, 0.1) == pytest.approx(slid, abs=late)
     assert len(world.held) > 0
+    assert len(world._slip.vertices) == 0
     assert abs(fallen(world, 0.1)) < 2e-5
 
 
