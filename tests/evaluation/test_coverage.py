@@ -69,6 +69,13 @@ def test_what_is_added_makes_intervals_hold(stated):
     assert f"{found.added:.4f}" in coverage_text(rows, [found])
 
 
+@pytest.mark.parametrize("stated", [0.5, 2.0])
+def test_a_factor_makes_intervals_hold_as_often_as_they_say(stated):
+    """Those that are too wide become narrower."""
+    (found,) = covered(rows_of(2000, stated=stated), 0.9)
+    assert found.factor == pytest.approx(1.0 / stated, rel=0.05)
+
+
 def test_nothing_is_added_to_wide_posteriors():
     assert covered(rows_of(500, stated=2.0), 0.9)[0].added == 0.0
 

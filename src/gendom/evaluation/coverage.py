@@ -229,7 +229,8 @@ class Covered:
     covered: float
     """Share of intervals that hold the truth."""
     factor: float
-    """By which deviations have to be multiplied so that `level` of them would; at least 1."""
+    """By which deviations have to be multiplied so that `level` of them would; below 1: they are
+    too wide."""
     added: float
     """What has to be added to deviations instead, in squares."""
     ranks: tuple[float, ...]
@@ -291,7 +292,7 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
                 bias=float(np.mean(off)),
                 half_width=float(np.median(z * deviation)),
                 covered=float(np.mean(error < z * deviation)),
-                factor=max(1.0, float(np.quantile(error / deviation, level)) / z),
+                factor=float(np.quantile(error / deviation, level)) / z,
                 added=_added(error / z, deviation, level),
                 ranks=tuple(map(float, ranks)),
                 counts=tuple(map(int, np.histogram(ranks, bins, range=(0.0, 1.0))[0])),
