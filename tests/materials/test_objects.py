@@ -75,6 +75,9 @@ def test_columns_give_the_object_back(item):
         ({"diameter": math.nan}, "diameter must be positive"),
         ({"diameter": 0.07}, "is no rope"),
         ({"length": 250.0, "diameter": 14.0}, "length is 250 m; give metres: 250 mm are 0.25 m"),
+        ({"length": 30.0, "diameter": 1.4}, "length is 30 m; give metres: 30 cm are 0.3 m"),
+        ({"diameter": 14.0}, "diameter is 14 m; give metres: 14 mm are 0.014 m"),
+        ({"diameter": 1.4}, "metres: 1.4 cm are 0.014 m, 1.4 mm are 0.0014 m"),
         ({"friction": -0.1}, "friction must be finite"),
     ],
 )

@@ -273,6 +273,26 @@ _MISREAD = (
 does, with a factor."""
 
 
+_SMALLER = {"cm": 1e-2, "mm": 1e-3}
+"""Units in which sizes are given by mistake [m]."""
+
+
+def _in_metres(value: float, item: Item) -> str:
+    """What a size is in metres if it was given in `_SMALLER` units.
+
+    Args:
+        value: A size that is too large [m].
+        item: Its object; a larger size that is plausible rules units out.
+    """
+    large = size_of(item)
+    if large > LARGEST:
+        units = ["cm" if large < 100.0 else "mm"]
+    else:
+        units = [unit for unit, metres in _SMALLER.items() if metres * value <= 0.2 * large]
+    told = [f"{value:g} {unit} are {_SMALLER[unit] * value:g} m" for unit in units or _SMALLER]
+    return f"give metres: {', '.join(told)}"
+
+
 def _check_units(item: Item) -> None:
     for name, low, high, unit, other, factor in _MISREAD:
         value = getattr(item.material, name)
@@ -288,15 +308,15 @@ def _check_units(item: Item) -> None:
                 f"{name} must be positive and finite, got {value}", fix="give metres"
             )
         if value > LARGEST:
-            raise ParameterError(
-                f"{name} is {value:g} m", fix=f"give metres: {value:g} mm are {1e-3 * value:g} m"
-            )
+            raise ParameterError(f"{name} is {value:g} m", fix=_in_metres(value, item))
     large, small = item.sizes
     if thickness_of(item) > 0.2 * size_of(item):
         raise ParameterError(
             f"a {item.kind} with {small} {thickness_of(item)} m and {large} {size_of(item)} m is "
             f"no {item.kind}",
-            fix=f"give a {small} of at most 0.2 of its {large}",
+            fix=_in_metres(thickness_of(item), item)
+            if thickness_of(item) > size_of(item)
+            else f"give a {small} of at most 0.2 of its {large}",
         )
     if not (math.isfinite(item.friction) and item.friction >= 0.0):
         raise ParameterError(
