@@ -37,7 +37,7 @@ FILES = (
 )
 """What no folder's name ends in."""
 
-LEAST_ROOM = 1 << 16
+LEAST_ROOM = 1 << 22
 """Without which a disk counts as full [bytes]."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
