@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import re
+import shutil
 import textwrap
 from collections.abc import Sequence
 from dataclasses import fields
@@ -72,7 +73,13 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         # tyro tells anything else itself
 
     with refusals.on_parse_error(refuse):
-        return tyro.cli(described(command), prog=f"gendom {name}", args=words, config=PARSING)
+        return tyro.cli(
+            described(command),
+            prog=f"gendom {name}",
+            description=_description(command),
+            args=words,
+            config=PARSING,
+        )
 
 
 def described(command: type) -> type:
@@ -95,6 +102,23 @@ def described(command: type) -> type:
         said = tyro.conf.arg(help=told.get(name), help_behavior_hint=default_told)
         command.__annotations__[name] = Annotated[kind, said]
     return command
+
+
+def _description(command: type) -> str:
+    """A command's docstring for its help, wrapped to the terminal.
+
+    An example stays in one line, to be copied. Further lines are indented: tyro joins others.
+    """
+    width = shutil.get_terminal_size().columns
+    text = inspect.cleandoc(command.__doc__ or "")
+    return "\n\n".join(
+        textwrap.fill(
+            " ".join(paragraph.split()),
+            10_000 if paragraph.startswith("For example: ") else width,
+            subsequent_indent="  ",
+        )
+        for paragraph in text.split("\n\n")
+    )
 
 
 def _flags(command: type) -> list[str]:
