@@ -79,12 +79,12 @@ class Command:
     level: float = 0.9
     """Nominal probability of the intervals."""
     unknowns: tuple[str, ...] = ()
-    """What is estimated, such as specific_modulus grip_height; by default what a recording of this
-    kind may determine."""
+    """Unknowns to estimate, such as specific_modulus grip_height; by default those that a recording
+    of this kind may determine."""
     material: str | None = None
     """Its material, by a name of gendom materials: narrows the priors."""
     camera_pose: Literal["stated", "unknown"] | None = None
-    """unknown: the cameras are not calibrated to the robot, and where they are is found, too; by
+    """unknown: the cameras are not calibrated to the robot, and their pose is estimated, too; by
     default as each recording says (cameras_calibrated, docs/recordings.md)."""
     engine: Literal["thin", "mpm"] = "thin"
     """Engine of the simulator. thin: ropes as rods, cloths as shells. mpm: material points,
@@ -151,7 +151,7 @@ class Command:
             check_file(self.report, ".html")
 
     def _refused(self, reasons: list[str]) -> int:
-        """What is said and written of a recording that cannot be estimated from."""
+        """Print and write why a recording gives no estimate."""
         record = {"format": ESTIMATE_FORMAT, "verdict": {"usable": False, "reasons": reasons}}
         if self.json:
             print(to_json(record))
@@ -224,7 +224,7 @@ class Command:
         )
 
     def _next_steps(self, found: Estimate | None) -> list[NextStep]:
-        """Commands that go on from what was written."""
+        """Commands to run next on the written files."""
         from gendom.viz.report import NextStep
 
         words = ["gendom", "check", self.recordings[0]]

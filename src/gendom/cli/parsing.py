@@ -1,4 +1,4 @@
-"""From words to a command, by tyro; what it refuses is told in one line."""
+"""Parse words into a command with tyro; each refusal is one line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from itertools import pairwise, takewhile
 from typing import Annotated, Any, get_type_hints
 
 import tyro
-import tyro._errors as refusals  # its hook for what is refused; no public one tells as much
+import tyro._errors as refusals  # its hook for refusals; no public one has as much
 
 from gendom.errors import ParameterError, did_you_mean
 
@@ -33,8 +33,8 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         words: What stands behind the name.
 
     Raises:
-        ParameterError: A flag is unknown, a value is missing or no such thing as the flag takes.
-        SystemExit: Help was asked for and has been printed.
+        ParameterError: A flag is unknown, or a value is missing or of another type.
+        SystemExit: Help was requested and has been printed.
     """
 
     def refuse(event: refusals.ParseErrorEvent) -> None:
@@ -70,7 +70,7 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
             called, wanted = _called(event.argument), _wanted(event.argument)
             given = _given(called, words, flags)
             raise ParameterError(_is(given), where=called, fix=f"give {wanted}")
-        # tyro tells anything else itself
+        # tyro prints anything else itself
 
     with refusals.on_parse_error(refuse):
         return tyro.cli(
@@ -83,8 +83,8 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
 
 
 def described(command: type) -> type:
-    """A command's class whose help flows (tyro keeps the line breaks of indented docstrings), and
-    tells those defaults alone that say something."""
+    """A command's class with help texts in one line (tyro keeps line breaks of indented
+    docstrings), and without defaults such as None and False."""
 
     def default_told(default: str) -> str:
         return "" if default in ("None", "False", "") else f"(default: {default})"
@@ -134,7 +134,7 @@ def _flags(command: type) -> list[str]:
 
 
 def _flag(word: str) -> str:
-    """As it is spelled: without its value, and ``_`` is as good as ``-``."""
+    """A flag as it is defined: without its value, with ``-`` for ``_``."""
     return word.partition("=")[0].replace("_", "-")
 
 

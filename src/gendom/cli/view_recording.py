@@ -59,7 +59,7 @@ class RecordingModel:
 
     @classmethod
     def of(cls, recording: Recording, title: str) -> RecordingModel:
-        """With the middle of what is believed of an unknown object's parameters.
+        """With the middle of the priors of an unknown object's parameters.
 
         Raises:
             RecordingError: The recording shows too little to place the object.

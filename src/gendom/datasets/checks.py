@@ -409,7 +409,7 @@ def _check_grippers(recording: Recording) -> list[Fault]:
             Fault(
                 f"moves by {travel.max():.2g} m in all",
                 "gripper_position",
-                "record a lift; a rest tells little about the object",
+                "record a lift; an object at rest shows little of its parameters",
                 "warning",
             )
         )

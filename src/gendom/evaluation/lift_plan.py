@@ -1,6 +1,6 @@
 """Which predefined lift shows an object's parameters best, before any is recorded.
 
-Objects are drawn from what is believed of them, and each lift of each is simulated as the arm
+Objects are drawn from their prior, and each lift of each is simulated as the arm
 carries it out and as noisy cameras show it. What an estimate from those clouds would report follows
 from the estimator's own likelihood, priors, noise and calibration, at the true parameters
 (Bayesian experimental design with a Gaussian posterior; Chaloner and Verdinelli 1995).
@@ -193,18 +193,18 @@ def rolls(motion: LiftMotion) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Foreseen:
-    """What one motion is expected to tell of D drawn objects."""
+    """The information that one motion is expected to give about D drawn objects."""
 
     motion: LiftMotion
     sd: tuple[Mapping[str, float] | None, ...]
-    """[D] deviations of the posterior by keys of `SHOWN`, transformed; None: nothing is told."""
+    """[D] deviations of the posterior by keys of `SHOWN`, transformed; None: no information."""
     carried_out: int
     """How many of the objects the arm can lift so."""
     faults: tuple[str, ...]
-    """Why others tell nothing, each once."""
+    """Why other objects give no information, without repetitions."""
 
     def half_width(self, name: str, level: float) -> float:
-        """Of the expected interval, in transformed units; NaN where nothing is told."""
+        """Of the expected interval, in transformed units; NaN without information."""
         told = [sd[name] for sd in self.sd if sd is not None]
         return float(norm.ppf(0.5 + level / 2.0) * np.mean(told)) if told else math.nan
 
@@ -223,8 +223,8 @@ class LiftPlan:
     """The object in the middle of the class."""
 
     def score(self, row: Foreseen) -> float:
-        """How much narrower than the prior what counts becomes, the mean of logarithms over objects
-        and parameters; a motion that cannot be carried out tells nothing."""
+        """Mean logarithm of the ratio of prior to posterior deviation, over objects and the
+        parameters aimed at; 0 for a motion that cannot be carried out."""
         told = [
             0.0 if sd is None else math.log(self.prior_sd[name] / sd[name])
             for sd in row.sd
@@ -238,7 +238,7 @@ class LiftPlan:
 
     @property
     def chosen(self) -> Foreseen:
-        """The row that tells most; one after which ropes roll, where there are no others alone."""
+        """The row with the highest score; one after which ropes roll only if there is no other."""
         done = [row for row in self.rows if row.carried_out]
         asked = [row for row in done if row.motion.end in self.settings.ends] or done
         steady = [row for row in asked if not rolls(row.motion)]

@@ -5,7 +5,7 @@ depends only on numbers without a unit. The equation of motion rho x_tt = div P(
 divided by rho g, leaves E / (rho g L), nu and thickness / L. A slender body is hardly stretched by
 its weight, it bends, and then E and thickness count only together, as bending length over size
 (`bending_length`). Damping is a time; the air's drag counts by its density over the object's
-weight. So objects of any size share one task, and one policy, as far as `Alike` is all that counts.
+weight. So objects of any size share one task and one policy, as far as only `PARAMETERS` count.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ def unit_of_size(unit: str, L: NDArray[np.float64]) -> NDArray[np.float64]:
     return L**of_size * STANDARD_GRAVITY**of_gravity
 
 
-def likeness(item: Item) -> dict[str, float]:
+def dimensionless_parameters(item: Item) -> dict[str, float]:
     """The dimensionless numbers of an object, by names of `PARAMETERS`."""
     material = item.material
     L = size_of(item)
@@ -254,12 +254,15 @@ def from_columns(kind: str, columns: Mapping[str, float]) -> Item:
     )
 
 
-def likeness_of_columns(
+def dimensionless_columns(
     kind: str, columns: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, NDArray[np.float64]]:
-    """`likeness` of N objects at once, from columns [N]."""
+    """`dimensionless_parameters` of N objects at once, from columns [N]."""
     rows = zip(*columns.values(), strict=True)
-    found = [likeness(from_columns(kind, dict(zip(columns, row, strict=True)))) for row in rows]
+    found = [
+        dimensionless_parameters(from_columns(kind, dict(zip(columns, row, strict=True))))
+        for row in rows
+    ]
     return {name: np.array([row[name] for row in found]) for name in PARAMETERS}
 
 

@@ -304,7 +304,7 @@ class _Perception:
             mean = sum(heights.values()) / len(heights)
             self._level(pictures, middle, mean if expected is None else expected)
         lacking = [name for name in self.names if name not in heights]
-        if lacking and known:  # nobody said or saw that there is one: then there is none
+        if lacking and known:  # neither stated nor seen: there is none
             level = "" if expected is None else f" at z = {expected:g} m"
             self.on_warning(
                 Fault(

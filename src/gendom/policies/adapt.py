@@ -1,13 +1,13 @@
-"""Learning from executions: what was reached updates what is known of the object and of the world.
+"""Learning from executions: reached goals update the object's parameters and a discrepancy model.
 
 After each execution of action a_n the reached goal y_n is seen. With f the simulator,
 
     y_n = f(a_n, theta) + b(a_n) + noise,    theta ~ N(mean, covariance),    b ~ GP(0, k),
 
 the model discrepancy b of Kennedy and O'Hagan (2001), "Bayesian calibration of computer models".
-Parameters are found by Gauss-Newton, b by the Gaussian process's mean given the residuals. So one
-execution that misses teaches damping and E as far as they explain the miss, and the rest is
-expected again of actions nearby.
+Parameters are found by Gauss-Newton, b by the Gaussian process's mean given the residuals. One
+execution that misses changes damping and E as far as they explain the miss; the rest is predicted
+for similar actions.
 """
 
 from __future__ import annotations

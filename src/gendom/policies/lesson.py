@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from gendom.policies.train import Training
 
 RISK_FLOOR = 1e-5
-"""Smaller risks are as good as none [units of similarity]."""
+"""Smaller risks count as zero [units of similarity]."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from gendom.materials import Item, Material, Rope
 from gendom.policies import Policy
 from gendom.policies.adapt import Execution
 from gendom.policies.demonstrations import Demonstrations
-from gendom.policies.identify import IdentifySettings, identify, with_likeness
+from gendom.policies.identify import IdentifySettings, identify, with_dimensionless
 from gendom.policies.polish import PolishSettings, polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import Task, find_task
@@ -151,7 +151,7 @@ def generalization(bench: Workbench, settings: SimulatedSettings) -> dict[str, A
             lambda group=group: _identified(bench, task, group, world),
         )
         found[label] = kept
-        only = replace(task, item=with_likeness(task.item, kept["parameters"]), ranges={})
+        only = replace(task, item=with_dimensionless(task.item, kept["parameters"]), ranges={})
         own = bench.demonstrations(
             f"{name}-{label}-demonstrations",
             Demonstrator(task=only, world=world),

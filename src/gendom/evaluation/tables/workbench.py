@@ -55,7 +55,7 @@ class Wanted:
 
 @dataclass(frozen=True, kw_only=True)
 class Workbench:
-    """A folder that keeps everything a table is made from, so that an interrupted one goes on.
+    """A folder that keeps everything a table is made from, so that an interrupted one continues.
 
     Names of what is kept are for people; those of files follow from them.
     """
