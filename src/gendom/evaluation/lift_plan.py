@@ -192,7 +192,7 @@ def rolls(motion: LiftMotion) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Foreseen:
+class MotionForecast:
     """The information that one motion is expected to give about D drawn objects."""
 
     motion: LiftMotion
@@ -217,12 +217,12 @@ class LiftPlan:
     settings: LiftPlanSettings
     prior_sd: Mapping[str, float]
     """By keys of `SHOWN`, transformed."""
-    rows: tuple[Foreseen, ...]
+    rows: tuple[MotionForecast, ...]
     """The plain hold first."""
     middle: Item = field(repr=False)
     """The object in the middle of the class."""
 
-    def score(self, row: Foreseen) -> float:
+    def score(self, row: MotionForecast) -> float:
         """Mean logarithm of the ratio of prior to posterior deviation, over objects and the
         parameters aimed at; 0 for a motion that cannot be carried out."""
         told = [
@@ -232,12 +232,12 @@ class LiftPlan:
         ]
         return float(np.mean(told))
 
-    def gain(self, row: Foreseen) -> float:
+    def gain(self, row: MotionForecast) -> float:
         """By how much intervals are narrower than after the plain hold, the geometric mean."""
         return math.exp(self.score(row) - self.score(self.rows[0]))
 
     @property
-    def chosen(self) -> Foreseen:
+    def chosen(self) -> MotionForecast:
         """The row with the highest score; one after which ropes roll only if there is no other."""
         done = [row for row in self.rows if row.carried_out]
         asked = [row for row in done if row.motion.end in self.settings.ends] or done
@@ -309,13 +309,15 @@ def plan_lift(
             else:
                 carried_out += 1
                 lying = recorded_lift(trial, arm, FRAME_RATE[motion.end])
-                prior_sd, sd = foreseen(lying, objects.material, [settings.seed, n])
+                prior_sd, sd = forecast(lying, objects.material, [settings.seed, n])
                 if sd is None:
                     faults[f"a drawn {objects.kind} could not be simulated"] = None
             found.append(sd)
             on_done(len(rows) * len(drawn) + n + 1, len(motions) * len(drawn))
         rows.append(
-            Foreseen(motion=motion, sd=tuple(found), carried_out=carried_out, faults=tuple(faults))
+            MotionForecast(
+                motion=motion, sd=tuple(found), carried_out=carried_out, faults=tuple(faults)
+            )
         )
     if not any(row.carried_out for row in rows):
         raise RobotError(
@@ -340,7 +342,7 @@ def _tried(trial: Trial) -> JointMotion | RobotError:
         return error
 
 
-def foreseen(
+def forecast(
     lying: Recording, material: str | None, seed: Sequence[int]
 ) -> tuple[dict[str, float], dict[str, float] | None]:
     """What an estimate from one lift of an object drawn from the prior is expected to report.
