@@ -135,7 +135,7 @@ def test_a_named_arm_holds_the_object():
 def test_an_arm_that_cannot_reach_is_not_drawn(lifted):
     away = replace(
         lifted,
-        points=lifted.points + np.float32([3.0, 0.0, 0.0]),
+        points=lifted.points + np.array([3.0, 0.0, 0.0], np.float32),
         gripper_position=lifted.gripper_position + np.array([3.0, 0.0, 0.0]),
         extra={"robot": "xarm7"},
     )

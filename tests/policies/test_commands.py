@@ -1,6 +1,7 @@
 """`gendom train`, `gendom act` and `gendom evaluate`."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -61,7 +62,9 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     assert result["assumed"] == {"damping": 0.004, "friction": 0.3}
 
     code, out, _ = act()
-    assert code == 0 and "release_x 0.15" in out
+    assert code == 0 and re.search(r"release_x 0\.15\d* m, release_z ", out)
+    assert re.search(r"\n  goal +x 0\.\d+ m\n", out) and re.search(r"predicts x 0\.\d+ m \(90", out)
+    assert result["units"]["release_x"] == result["units"]["x"] == "m"
     assert out.count("\n") > len(motion["time"])
 
 

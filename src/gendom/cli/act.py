@@ -104,6 +104,7 @@ class Command(KnownObject):
             "task": self.task,
             "goal": action.goal,
             "action": dict(zip(names, map(float, values), strict=True)),
+            "units": units_of(task),
             "object": {"kind": item.kind, **to_columns(item)},
             "assumed": held.assumed,
             "policy": {
@@ -198,17 +199,29 @@ def predicted(task: Task, item: Item, action: np.ndarray, others: Sequence[Item]
     return found
 
 
+def units_of(task: Task) -> dict[str, str]:
+    """SI units of actions, goals and the risk by name; ``1`` for numbers without one."""
+    risk = [] if task.risk is None else [task.risk]
+    return {quantity.name: quantity.unit for quantity in (*task.actions, *task.goals, *risk)}
+
+
+def _with_unit(number: str, name: str, units: Mapping[str, str]) -> str:
+    unit = units.get(name, "1")
+    return number if unit == "1" else f"{number} {unit}"
+
+
 def result_text(result: dict[str, Any], *, motion: bool) -> str:
     """The same for people, with or without the robot's motion."""
     path, held = result["trajectory"], result["object"]
+    goal, action, units = result["goal"].items(), result["action"].items(), result["units"]
     large, small = KINDS[held["kind"]].sizes
     size = f"{large} {held[large]:.4g} m, {small} {held[small]:.4g} m"
     seen = ", ".join(f"{name} {value:.4g}" for name, value in result["network_input"].items())
     rows = [
         (held["kind"], size),
         ("sees", seen or "no parameters"),
-        ("goal", ", ".join(f"{n} {v:.4g}" for n, v in result["goal"].items()) or "none"),
-        ("action", ", ".join(f"{n} {v:.4f}" for n, v in result["action"].items())),
+        ("goal", ", ".join(_with_unit(f"{n} {v:.4g}", n, units) for n, v in goal) or "none"),
+        ("action", ", ".join(_with_unit(f"{n} {v:.4f}", n, units) for n, v in action)),
     ]
     for event in path["events"]:
         rows.append(
@@ -221,7 +234,7 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
              f"{p['rollouts']} rollouts in {p['seconds']:.1f} s")
         )  # fmt: skip
     if "predicted" in result:
-        rows.append(("predicts", _predicted_text(result["predicted"])))
+        rows.append(("predicts", _predicted_text(result["predicted"], units)))
     if assumed := [f"{n} {v:g}" for n, v in result["assumed"].items() if n in seen]:
         rows.append(("assumed", ", ".join(assumed)))
     rows.append(("policy", result["policy"]["path"]))
@@ -235,13 +248,12 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
     return "\n".join(lines)
 
 
-def _predicted_text(predicted: Mapping[str, Any]) -> str:
+def _predicted_text(predicted: Mapping[str, Any], units: Mapping[str, str]) -> str:
     if "fault" in predicted:
         return f"cannot be simulated: {predicted['fault']}"
     text = []
     for name, value in predicted["reached"].items():
         ends = predicted.get("interval_90", {}).get(name)
-        text.append(
-            f"{name} {value:.4g}" + (f" (90 %: {ends[0]:.4g} to {ends[1]:.4g})" if ends else "")
-        )
+        number = _with_unit(f"{name} {value:.4g}", name, units)
+        text.append(number + (f" (90 %: {ends[0]:.4g} to {ends[1]:.4g})" if ends else ""))
     return ", ".join(text)

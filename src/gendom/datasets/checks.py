@@ -284,8 +284,9 @@ def _check_units(recording: Recording) -> list[Fault]:
         size = None  # a fault of its own
     other = "" if size is None else f", the object {size:.4g} m"
     if extent > _MAX_EXTENT or (size is not None and extent > 30.0 * size):
-        alone = size is None or size > _MAX_EXTENT
-        usual = _USUAL_EXTENT if alone else (0.25 * size, 2.0 * size)
+        usual = _USUAL_EXTENT
+        if size is not None and size <= _MAX_EXTENT:
+            usual = (0.25 * size, 2.0 * size)
         looks = f"they look like {_meant(extent, usual)}"
         fix = looks if extent > _MAX_EXTENT else "give points and sizes in metres"
         return [Fault(f"a frame spans {extent:.4g} m{other}", "points", fix)]

@@ -72,7 +72,7 @@ PARAMETERS: dict[str, Parameter] = {
             meaning="damping time over sqrt(size / g)",
             log=True,
         ),
-        Parameter(name="friction", column="friction", unit="1", meaning="as it is", log=False),
+        Parameter(name="friction", column="friction", unit="1", meaning="coefficient", log=False),
         Parameter(
             name="density",
             column="density",
