@@ -103,6 +103,9 @@ def test_bad_executions_are_refused():
         adapt(TASK, belief, [wrong], world=Throws())
     with pytest.raises(ParameterError, match="finite"):
         Execution(action=np.array([0.2, math.nan]), reached=np.array([0.4]))
+    far = Execution(action=np.array([0.4, 0.4]), reached=np.array([357.0]))
+    with pytest.raises(ParameterError, match=r"x is 357 m, .* give metres: 357 mm are 0\.357"):
+        adapt(TASK, belief, [far], world=Throws())
     with pytest.raises(SimulationError, match="cannot be simulated"):
         adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(fails=True))
     with pytest.raises(ParameterError, match="no goals"):

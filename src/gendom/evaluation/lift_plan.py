@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, truncnorm
 
 from gendom.datasets import ObjectDescription, Recording
+from gendom.datasets.checks import MAX_DENSITY
 from gendom.errors import ParameterError, RobotError
 from gendom.estimation import (
     UNKNOWNS,
@@ -126,6 +127,12 @@ class ObjectClass:
         if self.mass is not None:
             mass = self.mass[0] + shares[2] * (self.mass[1] - self.mass[0])
             density = made.material.density * mass / made.mass
+            if density > MAX_DENSITY:
+                raise ParameterError(
+                    f"is {mass:g} kg, a density of {density:.3g} kg/m^3",
+                    where="mass",
+                    fix="it looks like grams; divide by 1000",
+                )
         return replace(made, material=Material(density=density))
 
 

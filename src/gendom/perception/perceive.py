@@ -92,6 +92,11 @@ class PerceptionSettings:
             raise ParameterError(f"colour {self.colour}", fix="give R G B, each 0 to 255")
         if not (np.isfinite(self.sync_tolerance) and self.sync_tolerance >= 0.0):
             raise ParameterError(f"sync_tolerance is {self.sync_tolerance}", fix="give seconds")
+        if self.sync_tolerance > 1.0:
+            raise ParameterError(
+                f"sync_tolerance is {self.sync_tolerance:g} s",
+                fix=f"give seconds: {self.sync_tolerance:g} ms are {1e-3 * self.sync_tolerance:g}",
+            )
 
 
 @dataclass(frozen=True, eq=False)
