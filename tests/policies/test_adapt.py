@@ -8,10 +8,10 @@ import pytest
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Cloth, dimensionless_parameters, size_of
-from gendom.policies.adapt import AdaptSettings, Execution, adapt, executions_from
+from gendom.policies.adaptation import AdaptSettings, Execution, adapt, executions_from
 from gendom.policies.belief import Belief, uncertain
 from gendom.policies.estimates import _posterior
-from gendom.policies.polish import polish
+from gendom.policies.polishing import polish
 from gendom.tasks import ClothSpreading
 from policies.ballistic import ROPE, TASK, Throws, reach_of
 

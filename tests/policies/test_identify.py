@@ -7,7 +7,7 @@ import pytest
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import dimensionless_parameters, size_of
-from gendom.policies.adapt import Execution
+from gendom.policies.adaptation import Execution
 from gendom.policies.identify import IdentifySettings, identify, with_dimensionless
 from policies.ballistic import ROPE, TASK, Throws
 

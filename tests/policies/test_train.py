@@ -17,8 +17,8 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
 from gendom import learning  # noqa: E402
-from gendom.policies import train as train_module  # noqa: E402
-from gendom.policies.train import Training, goal_range, train  # noqa: E402
+from gendom.policies import training as train_module  # noqa: E402
+from gendom.policies.training import Training, goal_range, train  # noqa: E402
 
 CENTRE, RADIUS = np.array([0.45, 0.45]), 0.16
 TASK = {"name": "rope-reaching", **RopeReaching().settings()}
@@ -343,7 +343,7 @@ def test_goal_range_follows_the_stiffness():
 def test_missing_torch_names_the_extra(run_python):
     code = (
         "import sys; sys.modules['torch'] = None\n"
-        "try:\n    import gendom.policies.train\n"
+        "try:\n    import gendom.policies.training\n"
         "except ModuleNotFoundError as error:\n    print(error.name, '|', error)"
     )
     advice = f"install it with: {how_to_install('train')}"

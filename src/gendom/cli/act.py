@@ -132,8 +132,8 @@ class Command(KnownObject):
         self, task: Task, held: ObjectInfo, start: np.ndarray
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """A better action, and what is expected of it, ready for JSON."""
-        from gendom.policies.adapt import adapt
-        from gendom.policies.polish import PolishSettings, polish
+        from gendom.policies.adaptation import adapt
+        from gendom.policies.polishing import PolishSettings, polish
 
         belief = held.belief(task)
         discrepancy = None

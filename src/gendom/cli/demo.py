@@ -226,8 +226,8 @@ def _carry_out(
     Besides the policies' actions one is polished through the simulator for what is believed of
     the rope, and once more for what that execution has taught.
     """
-    from gendom.policies.adapt import Execution, adapt
-    from gendom.policies.polish import Discrepancy, polish
+    from gendom.policies.adaptation import Execution, adapt
+    from gendom.policies.polishing import Discrepancy, polish
 
     task = policies[0].task()
     runs: list[Run] = []

@@ -12,7 +12,7 @@ from gendom.errors import GendomError
 from gendom.materials import ASSUMED, KINDS, PARAMETERS, Item
 
 if TYPE_CHECKING:
-    from gendom.policies.adapt import Execution
+    from gendom.policies.adaptation import Execution
     from gendom.policies.belief import Belief
     from gendom.tasks import Task
 
@@ -63,7 +63,7 @@ class ObjectInfo:
 
     def executed(self, task: Task) -> list[Execution]:
         """Earlier executions of a task."""
-        from gendom.policies.adapt import executions_from
+        from gendom.policies.adaptation import executions_from
 
         return executions_from(self.executions.get(task.name, ()), "executions")
 

@@ -201,7 +201,7 @@ def judge(
     world: World | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> Score:
-    """What comes of actions [W, A] in all cases; no goal counts as outside a range."""
+    """Outcomes of actions [W, A] in all cases; no goal counts as outside a range."""
     task = cases.task
     outcomes = (world or Simulation()).carry_out(task, cases.items, action, on_frame=on_frame)
     reached = np.full(cases.goal.shape, np.nan)

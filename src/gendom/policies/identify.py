@@ -24,7 +24,7 @@ from gendom.materials import (
     specific_modulus_of,
     unit_of,
 )
-from gendom.policies.adapt import Execution
+from gendom.policies.adaptation import Execution
 from gendom.tasks import Task
 from gendom.tasks.world import Simulation, World
 

@@ -122,7 +122,7 @@ def _policies(
         shipped = Policy.pretrained(task.name)
         mean = float(shipped.description.outputs[0].mean)
         return {"ours": partial(_acts, shipped), "no parameters": lambda _: mean}
-    from gendom.policies.train import Training
+    from gendom.policies.training import Training
 
     data = bench.demonstrations(
         f"{task.name}-simulated", Demonstrator(task=task), settings.demonstrations

@@ -18,11 +18,11 @@ from gendom.evaluation.tables.lifted import lifted, stated
 from gendom.evaluation.tables.workbench import Wanted, Workbench
 from gendom.materials import PARAMETERS, Item, dimensionless_parameters, to_columns
 from gendom.policies import Policy
-from gendom.policies.adapt import Execution, adapting
+from gendom.policies.adaptation import Execution, adapting
 from gendom.policies.belief import Belief
 from gendom.policies.demonstrations import Demonstrations, joined
 from gendom.policies.identify import Identified, identify, with_dimensionless
-from gendom.policies.polish import PolishSettings, polishing
+from gendom.policies.polishing import PolishSettings, polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import Task, find_task
 from gendom.tasks.demonstrator import Demonstrator
@@ -160,7 +160,7 @@ def _ours(
     real: Demonstrations,
 ) -> dict[str, Policy]:
     """Policies trained on simulations of all ropes, by row."""
-    from gendom.policies.train import Training
+    from gendom.policies.training import Training
 
     plain = Training(epochs=settings.epochs, seed=bench.seed)
     inverse = replace(plain, method="inverse")
@@ -182,7 +182,7 @@ def _baselines(
     """Policies that see no parameters, trained on real demonstrations or on simulations with
     R2S2R's parameters: by our method, and by the inverse one with the best of eight settings; and
     what was searched."""
-    from gendom.policies.train import Training
+    from gendom.policies.training import Training
 
     everything = joined(joined(real[0], real[1]), real[2])
     sets = {"pi_RD, ropes": everything, "pi_RD, rope": real[0]}

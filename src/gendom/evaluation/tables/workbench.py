@@ -18,7 +18,7 @@ from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks.demonstrator import Demonstrator
 
 if TYPE_CHECKING:
-    from gendom.policies.train import Training
+    from gendom.policies.training import Training
 
 
 FEW = 1000
@@ -144,6 +144,6 @@ def _slug(name: str) -> str:
 
 
 def _train(one: Wanted, path: str) -> None:
-    from gendom.policies.train import train
+    from gendom.policies.training import train
 
     train(one.demonstrations, path, one.training, finetune=one.finetune)

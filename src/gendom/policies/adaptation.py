@@ -23,7 +23,7 @@ from scipy.linalg import solve_triangular
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item, size_of
 from gendom.policies.belief import Belief
-from gendom.policies.polish import Discrepancy
+from gendom.policies.polishing import Discrepancy
 from gendom.policies.rollouts import Asking, Rollouts, side_by_side
 from gendom.tasks import Task
 from gendom.tasks.world import Simulation, World

@@ -5,10 +5,10 @@ by damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963):
 
     min over a of  sum_k |f(a, object_k) + b(a) - g|^2 / K + sum_k caution(risk_k)^2 / K + s(a)^2,
 
-where f is the simulated result, b the simulator's error as learnt from executions, and s the standard
-deviation of b (`gendom.policies.adapt`). Actions whose outcome depends little on what is uncertain
-win. An action has one to three numbers, so its derivatives are central differences of worlds in one
-batch.
+where f is the simulated result, b the simulator's error as learnt from executions, and s the
+standard deviation of b (`gendom.policies.adaptation`). Actions whose outcome depends little on what
+is uncertain win. An action has one to three numbers, so its derivatives are central differences of
+worlds in one batch.
 """
 
 from __future__ import annotations
