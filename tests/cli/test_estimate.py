@@ -183,6 +183,12 @@ def test_faults_of_the_input_have_exit_code_2(lift, tmp_path, capsys, monkeypatc
         assert printed.out == "" and text in printed.err, words
 
 
+def test_more_points_than_can_be_simulated_are_refused(lift, capsys):
+    assert cli.main(["estimate", str(lift), "--points", "100000"]) == 2
+    line = "gendom estimate: --points: is 100000; give 1000 or fewer: 20 to 60 are usual\n"
+    assert capsys.readouterr() == ("", line)
+
+
 def test_places_are_checked_before_the_work(lift, tmp_path, capsys, monkeypatch):
     failing(monkeypatch, AssertionError("not reached"))
     file = tmp_path / "file"

@@ -15,7 +15,7 @@ import tyro
 from gendom.cli.arguments import ESTIMATE_FORMAT, MethodName, iterations_shown
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
-from gendom.errors import RecordingError, SimulationError
+from gendom.errors import ParameterError, RecordingError, SimulationError
 from gendom.files import check_file, check_folder, to_json, write_json
 from gendom.installation import version
 
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 NOT_USABLE = 3
 """Exit code where a recording cannot be used."""
+
+MOST_POINTS = 1000
+"""Of a rod or along a shell; more would take hours."""
 
 REPORT_SUMMARY = (
     "GenDOM watched this object being moved and found the parameters with which its simulator "
@@ -102,6 +105,12 @@ class Command:
         from gendom.estimation import estimate
         from gendom.sim import open_device
 
+        if self.points is not None and self.points > MOST_POINTS:
+            raise ParameterError(
+                f"is {self.points}",
+                where="--points",
+                fix=f"give {MOST_POINTS} or fewer: 20 to 60 are usual",
+            )
         settings = self.settings()
         self._check_places()
         open_device(self.device)
