@@ -112,6 +112,7 @@ class Command:
                 fix=f"give {MOST_POINTS} or fewer: 20 to 60 are usual",
             )
         settings = self.settings()
+        self._check_recordings()
         self._check_places()
         open_device(self.device)
         recordings = [Recording.read(path) for path in self.recordings]
@@ -151,6 +152,16 @@ class Command:
                 device=self.device,
             ),
         )
+
+    def _check_recordings(self) -> None:
+        """Refuse a recording that would count more than once."""
+        seen: set[Path] = set()
+        for path in self.recordings:
+            if path.resolve() in seen:
+                raise ParameterError(
+                    "is given twice", where=str(path), fix="name each recording once"
+                )
+            seen.add(path.resolve())
 
     def _check_places(self) -> None:
         """Refuse what cannot be written before the work, not after it."""
