@@ -208,10 +208,12 @@ def test_failed_training_leaves_the_older_file(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["policy.onnx"]
 
 
-def test_interrupted_training_goes_on_to_the_same_policy(tmp_path, monkeypatch):
+@pytest.mark.parametrize("every", [0.0, 1e9])
+def test_interrupted_training_goes_on_to_the_same_policy(every, tmp_path, monkeypatch):
+    """From a checkpoint that is written at times, or when training is interrupted."""
     settings = Training(epochs=4, seed=3)
     whole = train(toy(200), tmp_path / "whole.onnx", settings)
-    monkeypatch.setattr(learning, "STORE_EVERY", 0.0)
+    monkeypatch.setattr(learning, "STORE_EVERY", every)
     path, store = tmp_path / "p.onnx", learning.Checkpoint.store
 
     def stop(stage, after):
