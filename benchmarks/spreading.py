@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 
-from gendom.materials import STANDARD_GRAVITY, likeness
+from gendom.materials import STANDARD_GRAVITY, dimensionless_parameters
 from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import SPREAD
 from gendom.tasks.world import Simulation
@@ -50,7 +50,7 @@ def main() -> None:
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
     items = [ClothSpreading().draw_item(rng) for _ in range(given.count)]
-    stiffness = np.array([likeness(item)["E"] for item in items])
+    stiffness = np.array([dimensionless_parameters(item)["E"] for item in items])
     quarter = np.searchsorted(np.quantile(stiffness, [0.25, 0.5, 0.75]), stiffness)
     print("step time  height  acceleration     A   spread  by quarters              share  time")
     for step_time in given.step_times:

@@ -11,9 +11,9 @@ import numpy as np
 
 from gendom import Policy, RopeCasting
 from gendom.reality import RealWorld, find_object
-from gendom.tasks.world import Simulation
+from gendom.tasks import Simulation
 
-GOAL = (0.389, 0.091)  # where the tip shall be highest: along the cast, height [m]
+GOAL = (0.389, 0.091)  # the tip's highest point: along the cast, height [m]
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ import tyro
 
 from gendom import RopeReaching
 from gendom.reality import RealWorld, cantilever, find_object
-from gendom.tasks.world import Simulation
+from gendom.tasks import Simulation
 
 ROPE = """
 kind = "rope"

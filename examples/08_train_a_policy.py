@@ -13,11 +13,10 @@ from pathlib import Path
 import tyro
 
 from gendom import Policy, RopeCasting
-from gendom.datasets.demonstrations import generate
+from gendom.datasets import generate
 from gendom.evaluation import draw_cases, score
-from gendom.policies.demonstrations import Demonstrations
-from gendom.policies.train import Training, train
-from gendom.tasks.demonstrator import Demonstrator
+from gendom.policies import Demonstrations, Training, train
+from gendom.tasks import Demonstrator
 
 
 def main(out: Path | None = None, size: int = 400, epochs: int = 60) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gendom.materials import size_of, thickness_of, unit_of
-from gendom.robot.path import DOWN, GripperEvent, TcpPath
+from gendom.robot import DOWN, GripperEvent, TcpPath
 from gendom.tasks import Quantity, Scene, Task
 
 SPEED = 0.15  # of the hand [sqrt(g L)]

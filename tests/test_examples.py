@@ -1,5 +1,7 @@
 """Every example and notebook runs from top to bottom, and writes where it is told to only."""
 
+import ast
+import importlib
 import os
 import subprocess
 import sys
@@ -37,6 +39,19 @@ def contents(folder: Path) -> set[Path]:
 def test_every_example_is_run_here():
     numbered = {path.stem for path in EXAMPLES.glob("[0-9]*.py")}
     assert numbered == set(SCRIPTS)
+
+
+def test_examples_use_public_names():
+    """Those of gendom or one level below; the one of PyTorch has a module of its own."""
+    for path in EXAMPLES.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ImportFrom) or not str(node.module).startswith("gendom"):
+                continue
+            if node.module in ("gendom.cli", "gendom.sim.autograd"):
+                continue
+            assert str(node.module).count(".") <= 1, f"{path.name}: {node.module}"
+            public = importlib.import_module(str(node.module)).__all__
+            assert {name.name for name in node.names} <= set(public), f"{path.name}: {node.module}"
 
 
 @pytest.mark.parametrize(

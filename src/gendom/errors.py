@@ -118,7 +118,7 @@ def one_line(what: str, *, where: str | None = None, fix: str | None = None) -> 
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """Which of several names somebody meant, as a question; empty where none is near."""
+    """A question that suggests the closest of several names; empty where none is close."""
     known = {name.strip("-").lower(): name for name in names}
     near = difflib.get_close_matches(word.strip("-").lower(), known, n=1, cutoff=0.5)
     return f"did you mean {known[near[0]]!r}?" if near else ""

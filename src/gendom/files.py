@@ -37,7 +37,7 @@ FILES = (
 )
 """What no folder's name ends in."""
 
-LEAST_ROOM = 1 << 16
+LEAST_ROOM = 1 << 22
 """Without which a disk counts as full [bytes]."""
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -156,8 +156,8 @@ def _check_place(folder: Path) -> None:
 
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
-    """A temporary name in the folder of `path`, which is made if it is missing. What bears the
-    name in the end is removed."""
+    """A temporary name in the folder of `path`, which is made if it is missing. Whatever has that
+    name at the end is removed."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

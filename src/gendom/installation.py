@@ -1,4 +1,4 @@
-"""Where this package runs from, and what follows from it: its version, and how to add an extra."""
+"""Whether this package runs from a clone, its version, and how to install an extra."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def version() -> str:
 
 
 def how_to_install(extra: str) -> str:
-    """The command that brings an extra of this package. No index has the package: where it is not a
-    clone, pip takes the one that is installed."""
+    """The command that installs an extra. The package is on no index: outside of a clone, pip uses
+    the installed one."""
     folder = clone()
     return f"pip install -e '{folder}[{extra}]'" if folder else f"pip install 'gendom[{extra}]'"

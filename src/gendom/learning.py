@@ -60,7 +60,7 @@ class Epoch:
 
 
 class Checkpoint:
-    """Fits that were interrupted, in one ``.npz`` beside the file that will come of them.
+    """Fits that were interrupted, in one ``.npz`` beside the file that they will give.
 
     Args:
         path: The file.
@@ -83,7 +83,7 @@ class Checkpoint:
     def store(
         self, stage: str, done: int, network: nn.Module, optimizer: torch.optim.Optimizer
     ) -> None:
-        """Keep the state after some epochs of a stage; on disk every `STORE_EVERY`."""
+        """Keep the state after some epochs of a stage; `write` it every `STORE_EVERY`."""
         kept = {f"{stage}/done": np.array(done), f"{stage}/rng": torch.get_rng_state().numpy()}
         for name, value in network.state_dict().items():
             kept[f"{stage}/network/{name}"] = value.detach().numpy().copy()
@@ -91,8 +91,11 @@ class Checkpoint:
             for name, value in state.items():
                 kept[f"{stage}/optimizer/{number}/{name}"] = value.numpy().copy()
         self._arrays |= kept
-        if time.monotonic() - self._stored < STORE_EVERY:
-            return
+        if time.monotonic() - self._stored >= STORE_EVERY:
+            self.write()
+
+    def write(self) -> None:
+        """Put what was kept on disk."""
         with atomic_path(self.path) as temporary, open(temporary, "wb") as file:
             np.savez(file, identity=np.array(self._identity), **self._arrays)  # pyright: ignore
         self._stored = time.monotonic()
@@ -169,27 +172,34 @@ def fit(
             warnings.simplefilter("ignore")  # steps of the schedule without the optimizer's
             for _ in range(begun * steps):
                 schedule.step()
-    for epoch in range(begun, settings.epochs):
-        shuffled = rows[torch.randperm(len(rows))]
-        total = 0.0
-        for part in shuffled[: steps * batch].split(batch):
-            loss = loss_of(part)
-            optimizer.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimizer.step()
-            schedule.step()
-            total += loss.item() / steps
-        if not np.isfinite(total):
-            raise error(f"training diverged in epoch {epoch + 1}", fix="lower the learning rate")
+    try:
+        for epoch in range(begun, settings.epochs):
+            shuffled = rows[torch.randperm(len(rows))]
+            total = 0.0
+            for part in shuffled[: steps * batch].split(batch):
+                loss = loss_of(part)
+                optimizer.zero_grad()
+                loss.backward()
+                nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+                optimizer.step()
+                schedule.step()
+                total += loss.item() / steps
+            if not np.isfinite(total):
+                raise error(
+                    f"training diverged in epoch {epoch + 1}", fix="lower the learning rate"
+                )
+            if checkpoint is not None:
+                checkpoint.store(stage, epoch + 1, network, optimizer)
+            if on_epoch is not None:
+                aside = None
+                if held_out is not None and len(held_out):
+                    with torch.no_grad():
+                        aside = float(loss_of(held_out))
+                on_epoch(Epoch(done=epoch + 1, of=settings.epochs, loss=total, held_out=aside))
+    except KeyboardInterrupt:
         if checkpoint is not None:
-            checkpoint.store(stage, epoch + 1, network, optimizer)
-        if on_epoch is not None:
-            aside = None
-            if held_out is not None and len(held_out):
-                with torch.no_grad():
-                    aside = float(loss_of(held_out))
-            on_epoch(Epoch(done=epoch + 1, of=settings.epochs, loss=total, held_out=aside))
+            checkpoint.write()
+        raise
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Progress bars: how they look and where they show, once for all."""
+"""Progress bars for all commands."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _silent = False
 
 
 class Show(Protocol):
-    """Moves a bar on."""
+    """Advances a bar."""
 
     def __call__(self, done: float, total: float | None = None, note: str = "") -> None:
         """
         Args:
-            done: How much is done by now; the first call says what was done before.
+            done: How much is done; the first call gives what was done before.
             total: Of how much, where that is known only now.
             note: Shown behind the bar.
         """
@@ -39,7 +39,7 @@ def silence() -> Iterator[None]:
 def bar(
     doing: str, total: float, unit: str, *, even: bool = False, shown: bool = True
 ) -> Iterator[Show]:
-    """A bar that is full when the block is left without an error, and then goes.
+    """A bar that is full, and removed, when the block ends without an error.
 
     It shows in terminals, as wide as they are, and in notebooks.
 
@@ -47,7 +47,7 @@ def bar(
         doing: What is done.
         total: How much of it there is.
         unit: What is counted, in the singular.
-        even: Whether every one takes about as long, so that a rate says something.
+        even: Whether all units take about equally long, so that a rate is meaningful.
         shown: False: nothing shows at all.
     """
     from tqdm.auto import tqdm

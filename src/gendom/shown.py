@@ -1,4 +1,4 @@
-"""How objects show themselves: as a title and rows, in a terminal and in a notebook."""
+"""``repr`` and notebook tables of objects: a title and rows."""
 
 from __future__ import annotations
 

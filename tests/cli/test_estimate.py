@@ -108,6 +108,14 @@ def test_objects_that_differ_are_refused(rope_lift, lift, tmp_path, capsys):
     assert f"longer.npz: length is 0.3, in {lift} 0.25" in capsys.readouterr().err
 
 
+def test_a_recording_that_is_given_twice_is_refused(lift, capsys):
+    """It would count as two, and the intervals would be too narrow."""
+    again = lift.parent / ".." / lift.parent.name / lift.name
+    assert cli.main(["estimate", str(lift), str(again)]) == 2
+    line = f"gendom estimate: {again}: is given twice; name each recording once\n"
+    assert capsys.readouterr() == ("", line)
+
+
 def test_json_is_all_of_stdout(lift, tmp_path, capsys):
     words = ["estimate", str(lift), *QUICK, "--json", "--out", str(tmp_path)]
     words += ["--unknowns", "specific_modulus", "--level", "0.5"]
@@ -181,6 +189,12 @@ def test_faults_of_the_input_have_exit_code_2(lift, tmp_path, capsys, monkeypatc
         assert cli.main(["estimate", *words]) == 2, words
         printed = capsys.readouterr()
         assert printed.out == "" and text in printed.err, words
+
+
+def test_more_points_than_can_be_simulated_are_refused(lift, capsys):
+    assert cli.main(["estimate", str(lift), "--points", "100000"]) == 2
+    line = "gendom estimate: --points: is 100000; give 1000 or fewer: 20 to 60 are usual\n"
+    assert capsys.readouterr() == ("", line)
 
 
 def test_places_are_checked_before_the_work(lift, tmp_path, capsys, monkeypatch):

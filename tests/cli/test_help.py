@@ -30,6 +30,19 @@ def test_every_help_page_has_an_example_that_parses(name, capsys):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
+def test_help_fits_80_columns_and_breaks_no_example(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert cli.main(["help", name]) == 0
+    page = capsys.readouterr().out
+    lines = [
+        line for line in page.splitlines() if not line.startswith(("usage: ", "For example: "))
+    ]
+    assert max(map(len, lines)) <= 80
+    after = page.partition("\nFor example: ")[2].splitlines()
+    assert after[1] == ""
+
+
+@pytest.mark.parametrize("name", COMMANDS)
 def test_nothing_of_python_leaks_into_help(name, capsys):
     assert cli.main([name, "--help"]) == 0
     page = capsys.readouterr().out

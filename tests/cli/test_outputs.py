@@ -63,7 +63,7 @@ def test_animations_are_gif(capsys):
 @pytest.mark.parametrize("as_json", [False, True])
 def test_act_prints_then_writes_and_says_so(as_json, tmp_path, capsys):
     out = tmp_path / "action.json"
-    words = ["act", "rope-casting", "--goal", "0.35", "0.07", "--no-foretell", "--out", str(out)]
+    words = ["act", "rope-casting", "--goal", "0.35", "0.07", "--no-prediction", "--out", str(out)]
     words += ["--E", "8e5", "--nu", "0.3", "--density", "800", "--length", "0.3"]
     assert cli.main([*words, "--diameter", "0.016", *["--json"] * as_json]) == 0
     printed = capsys.readouterr()

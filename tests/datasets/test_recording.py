@@ -285,6 +285,18 @@ ARRAY_FAULTS = {
         lambda a: a["points"].__imul__(1000.0),
         "points: a frame spans 401 m, the object 0.4 m; they look like millimetres; divide by 1000",
     ),
+    "points in centimetres": (
+        lambda a: a["points"].__imul__(100.0),
+        "points: a frame spans 40.1 m, the object 0.4 m; they look like centimetres; divide by 100",
+    ),
+    "time in microseconds": (
+        lambda a: a["time"].__imul__(1e6),
+        "time: frames are 1e+05 s apart; they look like microseconds; divide by 1e6",
+    ),
+    "time in nanoseconds": (
+        lambda a: a["time"].__imul__(1e9),
+        "time: frames are 1e+08 s apart; they look like nanoseconds; divide by 1e9",
+    ),
     "gripper in millimetres": (
         lambda a: a["gripper_position"].__imul__(1000.0),
         "gripper_position: moves by 40 m; it looks like millimetres; divide by 1000",
@@ -358,6 +370,11 @@ META_FAULTS = {
         "object.length: the object spans 400 m, a frame 0.401 m; "
         "they look like millimetres; divide by 1000",
     ),
+    "length in centimetres": (
+        lambda m: m["object"].update(length=40.0),
+        "object.length: the object spans 40 m, a frame 0.401 m; "
+        "they look like centimetres; divide by 100",
+    ),
     "length in kilometres": (
         lambda m: m["object"].update(length=0.0004),
         "points: a frame spans 0.401 m, the object 0.0004 m; give points and sizes in metres",
@@ -366,6 +383,11 @@ META_FAULTS = {
         lambda m: m["object"].update(diameter=10.0),
         "object.diameter: is 10 m, the object spans 0.4 m; "
         "it looks like millimetres; divide by 1000",
+    ),
+    "diameter in another unit": (
+        lambda m: m["object"].update(diameter=1.0),
+        "object.diameter: is 1 m, the object spans 0.4 m; "
+        "it looks like centimetres or millimetres; divide by 100 or 1000",
     ),
     "mass in grams": (
         lambda m: m["object"].update(mass=31.0, diameter=0.01),

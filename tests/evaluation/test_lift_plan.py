@@ -14,9 +14,9 @@ from gendom.estimation import EstimateSettings, SceneSettings, estimate, replay
 from gendom.evaluation import lift_plan
 from gendom.evaluation.lift_plan import (
     SHOWN,
-    Foreseen,
     LiftPlan,
     LiftPlanSettings,
+    MotionForecast,
     ObjectClass,
     plan_lift,
     rolls,
@@ -56,7 +56,7 @@ def test_a_swing_is_expected_to_show_damping(plan):
 
 @pytest.mark.slow
 def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
-    """The estimate from the simulated clouds themselves has the deviations that were foreseen, and
+    """The estimate from the simulated clouds themselves has the deviations that were forecast, and
     its errors are no larger than those say."""
     clouds = []
     showing = lift_plan._showing
@@ -69,7 +69,7 @@ def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
     motion = LiftMotion(kind="rope", rise=1.0, speed=0.1, end="swing")
     trial = lifted_by(as_real(ROPES.at(0.5)), motion)
     lying = lift_plan.recorded_lift(trial, follow(XARM7, trial.path, slow_down=True), 30.0)
-    _, sd = lift_plan.foreseen(lying, None, [3])
+    _, sd = lift_plan.forecast(lying, None, [3])
     assert sd is not None
     found = estimate(clouds[0], EstimateSettings(starts=1, scene=SceneSettings(threads=1)))
     assert found.usable
@@ -104,8 +104,8 @@ def test_a_material_narrows_what_is_believed():
     assert known.prior_sd["E"] < 2.0 < plan_lift(ROPES, settings).prior_sd["E"]
 
 
-def foretold(end, carried_out, *sds):
-    return Foreseen(
+def predicted(end, carried_out, *sds):
+    return MotionForecast(
         motion=predefined_lift("rope", end),
         sd=tuple(None if s is None else {name: s for name in SHOWN} for s in sds),
         carried_out=carried_out,
@@ -116,8 +116,8 @@ def foretold(end, carried_out, *sds):
 def test_a_motion_that_the_arm_refuses_tells_nothing():
     """One that halves deviations of all objects is better than one that cuts those of half of them
     to a third; it is as if nothing had been seen of the others."""
-    plain = foretold("hold", 2, 1.0, 1.0)
-    half, third = foretold("swing", 2, 0.5, 0.5), foretold("drop", 1, 1 / 3, None)
+    plain = predicted("hold", 2, 1.0, 1.0)
+    half, third = predicted("swing", 2, 0.5, 0.5), predicted("drop", 1, 1 / 3, None)
     plan = LiftPlan(
         objects=ROPES,
         settings=LiftPlanSettings(draws=2),
@@ -137,7 +137,7 @@ def test_a_motion_that_the_arm_refuses_tells_nothing():
 
 def test_where_ropes_roll_no_motion_is_chosen_unless_asked_for():
     """A drop tells most, and wrongly; a swing with its tail on the table alike."""
-    rows = foretold("hold", 1, 1.0), foretold("swing", 1, 0.5), foretold("drop", 1, 0.1)
+    rows = predicted("hold", 1, 1.0), predicted("swing", 1, 0.5), predicted("drop", 1, 0.1)
     low = replace(rows[1], motion=replace(rows[1].motion, rise=0.75), sd=rows[2].sd)
     assert not rolls(rows[0].motion) and not rolls(rows[1].motion)
     assert rolls(rows[2].motion) and rolls(low.motion)
@@ -204,6 +204,7 @@ def test_the_command_writes_what_record_reads(tmp_path, capsys):
         ([*FIXED, "--material", "iron"], "there is no material 'iron'"),
         ([*FIXED, "--material", "cotton-shirting"], "cotton-shirting is no material of a rope"),
         ([*FIXED, "--draws", "0"], "draws: is 0; give 1 or more"),
+        ([*FIXED, "--mass", "27"], "mass: is 27 kg, a density of 9.55e+05 kg/m^3; it looks like"),
         ([*FIXED, "--level", "2"], "level: is 2.0; give 0 to 1, as 0.9"),
         ([*FIXED, "--rises", "0"], "motion: rise is 0.0; give a number above 0, in SI units"),
         ([*FIXED, "--for", "nu"], "--for: is 'nu'; choose E, damping, friction, all"),

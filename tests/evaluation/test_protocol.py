@@ -7,7 +7,7 @@ import pytest
 
 from gendom.errors import ParameterError, PolicyError, SimulationError
 from gendom.evaluation import draw_cases, score
-from gendom.materials import PARAMETERS, Rope, likeness, size_of
+from gendom.materials import PARAMETERS, Rope, dimensionless_parameters, size_of
 from gendom.policies import Column, Description, GoalRange, Policy
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Outcome, Simulation
@@ -31,7 +31,7 @@ class Quick(Simulation):
         outcomes = []
         for item, (x, z) in zip(items, np.asarray(actions), strict=True):
             L = size_of(item)
-            reached = L * reach_of(x / L, likeness(item)["E"])
+            reached = L * reach_of(x / L, dimensionless_parameters(item)["E"])
             falls = x < self.falls_before * L
             values = {"x": reached, "sideways": 0.2 * L if falls else 0.0}
             fault = "failed" if z > self.fails_above * L else None
@@ -81,7 +81,7 @@ def test_exact_policy_has_no_error_and_blind_policy_has():
     exact = score(make_policy(), cases, world=Quick())
     assert exact.error[free(exact)].max() < 1e-6
     blind = score(make_policy(conditioned_on=()), cases, world=Quick())
-    E = np.array([likeness(item)["E"] for item in cases.items])
+    E = np.array([dimensionless_parameters(item)["E"] for item in cases.items])
     expected = 0.25 * np.abs(0.15 * np.log(E / 0.4))
     assert blind.error[free(blind)] == pytest.approx(expected[free(blind)], abs=1e-6)
     summary = blind.summary()
@@ -114,7 +114,7 @@ def test_given_objects_are_taken_by_turns():
 
 def test_what_cannot_be_relied_on_makes_no_goal():
     cases = draw_cases(TASK, 40, seed=1, simulation=Quick(falls_before=0.6))
-    E = np.array([likeness(item)["E"] for item in cases.items])
+    E = np.array([dimensionless_parameters(item)["E"] for item in cases.items])
     release = (2.0 + 0.15 * np.log(E / 0.4) - cases.goal[:, 0] / 0.25) / 0.8
     assert release.min() >= 0.6 - 1e-9
 

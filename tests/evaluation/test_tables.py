@@ -26,7 +26,7 @@ from gendom.evaluation.tables import simulated as simulated_module
 from gendom.evaluation.tables.workbench import Wanted
 from gendom.policies import Policy
 from gendom.policies.belief import Belief
-from gendom.policies.train import Training
+from gendom.policies.training import Training
 from gendom.reality import RealRope, find_object
 from gendom.tasks import RopeReaching
 from gendom.tasks.demonstrator import Demonstrator

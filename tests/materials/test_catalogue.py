@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+import re
 import tomllib
 from importlib.resources import files
 from pathlib import Path
@@ -65,6 +66,7 @@ def test_every_source_and_shared_range_is_used(table):
         ("cotton-rope.E", "basis", "heard", "cotton-rope.E: has the basis 'heard'; give measured"),
         ("cotton-rope.E", "source", "", "cotton-rope.E: is computed, and has no source; name it"),
         ("cotton-rope.E", "source", "nobody-1900", "'nobody-1900', which is not listed"),
+        ("cotton-rope.E", "source", "peirce-1930", "'peirce-1930', and what that says is not"),
         ("cotton-rope.E", "unit", "Pa", "cotton-rope.E: is no range"),
     ],
 )
@@ -77,6 +79,32 @@ def test_what_is_wrong_with_a_catalogue_is_told(table, where, key, value, said):
         del entry[key]
     with pytest.raises(ParameterError, match=said):
         catalogue.parse(table)
+
+
+def test_measured_and_computed_numbers_state_what_their_source_says():
+    for material in catalogue.materials().values():
+        for name, (_, found) in material.ranges().items():
+            if found.basis != "estimate":
+                said = catalogue.sources()[found.source].says
+                assert re.search(r"\d", said), f"{material.name}.{name}"
+
+
+@pytest.mark.parametrize("name", ["polyester-rope", "polypropylene-rope", "nylon-rope"])
+def test_densities_of_ropes_are_those_of_the_cited_tables(name):
+    """From kg/m and mm, or lb/100 ft and inches, as the source's text has them."""
+    density = catalogue.get(name).density
+    said = catalogue.sources()[density.source].says
+    if name == "nylon-rope":
+        said = said.split("nylon ")[1].split(";")[0]
+        rows = re.findall(r"([\d.]+) at (\d+)/(\d+) inch", said)
+        pairs = [(0.453592 * float(m) / 30.48, 0.0254 * float(a) / float(b)) for m, a, b in rows]
+    else:
+        rows = re.findall(r"([\d.]+) kg/m at (\d+) mm", said)
+        pairs = [(float(m), 1e-3 * float(d)) for m, d in rows]
+    assert len(pairs) >= 3
+    found = [m / (math.pi / 4.0 * d**2) for m, d in pairs]
+    assert density.low <= min(found) and max(found) <= density.high
+    assert sum(found) / len(found) == pytest.approx(density.typical, rel=0.05)
 
 
 def test_an_unknown_name_has_a_near_one():
@@ -94,6 +122,7 @@ def test_the_command(capsys):
     out = capsys.readouterr().out
     assert "  E          1e+06 Pa (2e+05 to 4e+06) " in out and "computed [kuroki-2023]: " in out
     assert "[kuroki-2023] S. Kuroki" in out and "hookup-wire: one stranded copper" in out
+    assert "says: estimates of [E, nu]" in out and "not checked: " in out
     assert cli.main(["materials", "denim", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     (denim,) = told["materials"]

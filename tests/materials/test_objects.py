@@ -11,8 +11,8 @@ from gendom.materials import (
     Cloth,
     Material,
     Rope,
+    dimensionless_parameters,
     from_columns,
-    likeness,
     to_columns,
     unit_of,
 )
@@ -29,7 +29,7 @@ CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=2e6, nu=0.45, densi
 def test_likeness_of_a_rope_is_that_of_theory():
     """(E I / (mass per length g))^(1/3) / L, with I and the mass worked out anew."""
     I, A = math.pi * 0.016**4 / 64.0, math.pi * 0.016**2 / 4.0
-    alike = likeness(ROPE)
+    alike = dimensionless_parameters(ROPE)
     assert alike["E"] == pytest.approx((7.7e5 * I / (800.0 * A * 9.81)) ** (1 / 3) / 0.3)
     assert alike["nu"] == 0.35 and alike["friction"] == 0.4
     assert alike["damping"] == pytest.approx(0.005 / math.sqrt(0.3 / 9.81))
@@ -40,8 +40,8 @@ def test_likeness_of_a_rope_is_that_of_theory():
 def test_likeness_of_a_cloth_is_that_of_a_plate():
     rigidity = 2e6 * 0.001**3 / (12.0 * (1.0 - 0.45**2))
     bending = (rigidity / (1100.0 * 0.001 * 9.81)) ** (1 / 3)
-    assert likeness(CLOTH)["E"] == pytest.approx(bending / 0.2)
-    assert likeness(CLOTH)["density"] == pytest.approx(1.2 * 0.2 / 1.1)
+    assert dimensionless_parameters(CLOTH)["E"] == pytest.approx(bending / 0.2)
+    assert dimensionless_parameters(CLOTH)["density"] == pytest.approx(1.2 * 0.2 / 1.1)
 
 
 def test_a_larger_rope_that_is_alike():
@@ -54,8 +54,8 @@ def test_a_larger_rope_that_is_alike():
         diameter=0.032,
         material=replace(m, E=2.0 * m.E, damping=m.damping * math.sqrt(2.0)),
     )
-    for name, value in likeness(large).items():
-        assert value == pytest.approx(likeness(ROPE)[name])
+    for name, value in dimensionless_parameters(large).items():
+        assert value == pytest.approx(dimensionless_parameters(ROPE)[name])
     assert unit_of("m", large) == 2.0 * unit_of("m", ROPE)
     assert unit_of("m/s", large) == pytest.approx(math.sqrt(0.6 * 9.81))
     assert unit_of("s", large) * unit_of("m/s", large) == pytest.approx(0.6)
@@ -75,6 +75,9 @@ def test_columns_give_the_object_back(item):
         ({"diameter": math.nan}, "diameter must be positive"),
         ({"diameter": 0.07}, "is no rope"),
         ({"length": 250.0, "diameter": 14.0}, "length is 250 m; give metres: 250 mm are 0.25 m"),
+        ({"length": 30.0, "diameter": 1.4}, "length is 30 m; give metres: 30 cm are 0.3 m"),
+        ({"diameter": 14.0}, "diameter is 14 m; give metres: 14 mm are 0.014 m"),
+        ({"diameter": 1.4}, "metres: 1.4 cm are 0.014 m, 1.4 mm are 0.0014 m"),
         ({"friction": -0.1}, "friction must be finite"),
     ],
 )

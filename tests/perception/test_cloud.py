@@ -177,3 +177,9 @@ def test_frames_without_object_are_empty(world):
 def test_bad_settings(wrong):
     with pytest.raises(ParameterError):
         settings(**wrong)
+
+
+@pytest.mark.parametrize("name", ["voxel", "outlier_radius", "table_clearance", "robot_margin"])
+def test_millimetres_are_refused(name):
+    with pytest.raises(ParameterError, match=f"{name} is 5 m; give metres: 5 mm are 0.005 m"):
+        settings(**{name: 5.0})

@@ -244,3 +244,8 @@ def test_frames_know_whether_the_gripper_was_closed(live):
 def test_bad_settings(wrong):
     with pytest.raises(ParameterError):
         PerceptionSettings(**wrong)
+
+
+def test_milliseconds_are_refused():
+    with pytest.raises(ParameterError, match="is 20 s; give seconds: 20 ms are 0"):
+        PerceptionSettings(sync_tolerance=20.0)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gendom.materials import Material, Rope, likeness, size_of
+from gendom.materials import Material, Rope, dimensionless_parameters, size_of
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Outcome, Simulation
 
@@ -32,7 +32,7 @@ class Throws(Simulation):
     def carry_out(self, task, items, actions, **_):
         outcomes = []
         for item, (x, z) in zip(items, np.asarray(actions), strict=True):
-            L, alike = size_of(item), likeness(item)
+            L, alike = size_of(item), dimensionless_parameters(item)
             reached = reach_of(x / L, z / L, alike["E"], alike["damping"]) + self.off
             values = {"x": L * reached, "sideways": 0.0 if z < self.risky_above * L else 0.1 * L}
             outcomes.append(

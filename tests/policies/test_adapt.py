@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError, SimulationError
-from gendom.materials import Cloth, likeness, size_of
-from gendom.policies.adapt import AdaptSettings, Execution, adapt, executions_from
+from gendom.materials import Cloth, dimensionless_parameters, size_of
+from gendom.policies.adaptation import AdaptSettings, Execution, adapt, executions_from
 from gendom.policies.belief import Belief, uncertain
 from gendom.policies.estimates import _posterior
-from gendom.policies.polish import polish
+from gendom.policies.polishing import polish
 from gendom.tasks import ClothSpreading
 from policies.ballistic import ROPE, TASK, Throws, reach_of
 
@@ -26,7 +26,7 @@ EXACT = AdaptSettings(discrepancy=1e-5, noise=1e-5)
 
 
 def executed(x, z, *, off=0.0, item=TRUE) -> Execution:
-    L, alike = item.length, likeness(item)
+    L, alike = item.length, dimensionless_parameters(item)
     reached = L * (reach_of(x, z, alike["E"], alike["damping"]) + off)
     return Execution(action=L * np.array([x, z]), reached=np.array([reached]))
 
@@ -35,7 +35,7 @@ def test_two_exact_executions_tell_what_one_cannot():
     """E and damping move the reach alike, so the sum is learnt; the prior shares it out."""
     belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
     found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), settings=EXACT).belief
-    alike = likeness(found.most_likely)
+    alike = dimensionless_parameters(found.most_likely)
     (reached,) = executed(0.4, 0.4).reached / ROPE.length
     assert reach_of(0.4, 0.4, alike["E"], alike["damping"]) == pytest.approx(reached, abs=1e-5)
     # nearly all of it is damping, which no lift told
@@ -103,6 +103,9 @@ def test_bad_executions_are_refused():
         adapt(TASK, belief, [wrong], world=Throws())
     with pytest.raises(ParameterError, match="finite"):
         Execution(action=np.array([0.2, math.nan]), reached=np.array([0.4]))
+    far = Execution(action=np.array([0.4, 0.4]), reached=np.array([357.0]))
+    with pytest.raises(ParameterError, match=r"x is 357 m, .* give metres: 357 mm are 0\.357"):
+        adapt(TASK, belief, [far], world=Throws())
     with pytest.raises(SimulationError, match="cannot be simulated"):
         adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(fails=True))
     with pytest.raises(ParameterError, match="no goals"):

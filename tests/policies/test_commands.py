@@ -1,6 +1,7 @@
 """`gendom train`, `gendom act` and `gendom evaluate`."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -48,7 +49,7 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     assert (code, err) == (0, f"written: {tmp_path / 'action.json'}\n")
     result = json.loads(out)
     assert result == read_json(tmp_path / "action.json")
-    assert result["format"] == "gendom-action/2"
+    assert result["format"] == "gendom-action/3"
     x, z = result["action"]["release_x"], result["action"]["release_z"]
     assert (x, z) == pytest.approx((0.15, 0.1), abs=0.005)
     motion = result["trajectory"]
@@ -61,19 +62,21 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     assert result["assumed"] == {"damping": 0.004, "friction": 0.3}
 
     code, out, _ = act()
-    assert code == 0 and "release_x 0.15" in out
+    assert code == 0 and re.search(r"release_x 0\.15\d* m, release_z ", out)
+    assert re.search(r"\n  goal +x 0\.\d+ m\n", out) and re.search(r"predicts x 0\.\d+ m \(90", out)
+    assert result["units"]["release_x"] == result["units"]["x"] == "m"
     assert out.count("\n") > len(motion["time"])
 
 
-def test_act_foretells_what_will_be_reached(act):
+def test_act_predicts_what_will_be_reached(act):
     """By the estimate's interval; the release of the same estimate, simulated here."""
     result = json.loads(act("--json")[1])
-    found = result["foretold"]
+    found = result["predicted"]
     low, high = found["interval_90"]["x"]
     assert 0.25 < low < high < 0.5
     assert low - 0.01 < found["reached"]["x"] < high + 0.01
-    assert json.loads(act("--json")[1])["foretold"] == found
-    assert "foretold" not in json.loads(act("--json", "--no-foretell")[1])
+    assert json.loads(act("--json")[1])["predicted"] == found
+    assert "predicted" not in json.loads(act("--json", "--no-prediction")[1])
     assert "90 %" in act()[1]
 
 
@@ -85,8 +88,8 @@ def test_act_polishes_for_the_estimated_object(act):
     assert about["expected"] < 0.5 * about["before"]
     assert polished["action"] != plain["action"]
     assert polished["trajectory"]["position"][-1] != plain["trajectory"]["position"][-1]
-    wanted, there = polished["goal"]["x"], polished["foretold"]["reached"]["x"]
-    assert abs(there - wanted) < abs(plain["foretold"]["reached"]["x"] - wanted)
+    wanted, there = polished["goal"]["x"], polished["predicted"]["reached"]["x"]
+    assert abs(there - wanted) < abs(plain["predicted"]["reached"]["x"] - wanted)
     assert "polished expected miss" in act(*flags)[1]
 
 
@@ -156,14 +159,14 @@ def test_adapt_refuses(adapt, flags, text):
     assert text in err and err.count("\n") == 1
 
 
-def test_act_foretells_by_the_level_of_the_interval(act):
+def test_act_predicts_by_the_level_of_the_interval(act):
     """The same ends at half the probability are those of a wider estimate."""
     spans = []
     for level in (0.9, 0.5):
         intervals = ESTIMATE["intervals"] | {"level": level}
         changed = ESTIMATE | {"intervals": intervals}
         out = act("--json", "--damping", "0.004", estimate=changed)[1]
-        low, high = json.loads(out)["foretold"]["interval_90"]["x"]
+        low, high = json.loads(out)["predicted"]["interval_90"]["x"]
         spans.append(high - low)
     assert spans[1] > 1.5 * spans[0]
 
@@ -175,7 +178,7 @@ def test_act_takes_damping_and_friction_from_the_estimate(act):
         result = json.loads(act("--json", estimate=changed)[1])
         assert result["object"]["friction"] == friction
         assert result["assumed"] == {"damping": 0.004}
-        assert "interval_90" not in result["foretold"]
+        assert "interval_90" not in result["predicted"]
     result = json.loads(act("--json", estimate=ESTIMATE | {"damping": 0.007})[1])
     assert result["object"]["damping"] == 0.007
 
@@ -213,18 +216,18 @@ def test_act_takes_flags_instead_of_a_file_and_before_it(act):
     sizes = ["--length=0.25", "--diameter=0.014"]
     by_flags = json.loads(act(*material, *sizes, "--json", estimate=None)[1])
     by_file = json.loads(act("--json")[1])
-    del by_file["foretold"]["interval_90"]
+    del by_file["predicted"]["interval_90"]
     assert by_flags == by_file
     softer = json.loads(act("--E", "4.5e5", "--json")[1])
     assert softer["object"]["specific_modulus"] == pytest.approx(500.0)
-    assert "interval_90" not in softer["foretold"]  # that was of another E
+    assert "interval_90" not in softer["predicted"]  # that was of another E
 
 
 def test_act_without_parameters_needs_only_sizes(act):
     flags = ["--no-parameters", "--length", "0.25", "--diameter", "0.014", "--json"]
     code, out, _ = act(*flags, estimate=None)
     assert code == 0
-    assert json.loads(out)["network_input"] == {} and "foretold" not in json.loads(out)
+    assert json.loads(out)["network_input"] == {} and "predicted" not in json.loads(out)
 
 
 @pytest.mark.parametrize(
@@ -243,7 +246,7 @@ def test_act_refuses_what_its_policy_never_saw_unless_forced(act, flags, goal, t
     code, out, err = act(*flags, goal=goal)
     assert (code, out) == (2, "")
     assert err.count("\n") == 1 and text in err and "add --force" in err
-    code, out, err = act(*flags, "--force", "--no-foretell", "--json", goal=goal)
+    code, out, err = act(*flags, "--force", "--no-prediction", "--json", goal=goal)
     assert code == 0 and text in err and "it uses" in err
     result = json.loads(out)
     assert text in result["warnings"][0]
@@ -252,7 +255,7 @@ def test_act_refuses_what_its_policy_never_saw_unless_forced(act, flags, goal, t
 
 def test_act_takes_what_is_as_good_as_in_the_range(act):
     """Drawn ranges end a little within those that were drawn from."""
-    code, _, err = act("--nu", "0.403", "--no-foretell")
+    code, _, err = act("--nu", "0.403", "--no-prediction")
     assert code == 0 and "0.75 % above" in err
 
 

@@ -8,7 +8,7 @@ import pytest
 from gendom.datasets.demonstrations import generate
 from gendom.errors import DatasetError
 from gendom.files import read_json, write_json
-from gendom.materials import Rope, likeness
+from gendom.materials import Rope, dimensionless_parameters
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import RopeCasting, RopeReaching, Task
 from gendom.tasks.demonstrator import Demonstrator
@@ -47,7 +47,7 @@ def test_read_gives_units_of_similarity_and_leaves_failures_out(folder):
     assert data.task["name"] == "rope-reaching"
     assert data.varying == ("E", "nu", "damping", "density")
     first = demonstrator().task.draw_item(np.random.default_rng([2, 1]))
-    assert data.parameters["E"][0] == pytest.approx(likeness(first)["E"])
+    assert data.parameters["E"][0] == pytest.approx(dimensionless_parameters(first)["E"])
     assert data.risk is not None and set(np.round(data.risk, 9)) <= {0.01 * k for k in range(7)}
 
 

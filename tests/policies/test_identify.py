@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError, SimulationError
-from gendom.materials import likeness, size_of
-from gendom.policies.adapt import Execution
-from gendom.policies.identify import IdentifySettings, identify, with_likeness
+from gendom.materials import dimensionless_parameters, size_of
+from gendom.policies.adaptation import Execution
+from gendom.policies.identify import IdentifySettings, identify, with_dimensionless
 from policies.ballistic import ROPE, TASK, Throws
 
 PARAMETERS = {"E": 0.5, "damping": 0.03}
-TRUE = with_likeness(ROPE, PARAMETERS)
+TRUE = with_dimensionless(ROPE, PARAMETERS)
 
 
 def seen(item, count=20):
@@ -26,10 +26,10 @@ def seen(item, count=20):
 
 
 def test_likeness_is_given():
-    alike = likeness(TRUE)
+    alike = dimensionless_parameters(TRUE)
     assert alike["E"] == pytest.approx(0.5) and alike["damping"] == pytest.approx(0.03)
     assert (size_of(TRUE), TRUE.material.density) == (ROPE.length, ROPE.material.density)
-    assert with_likeness(ROPE, {"nu": 0.2}).material == replace(ROPE.material, nu=0.2)
+    assert with_dimensionless(ROPE, {"nu": 0.2}).material == replace(ROPE.material, nu=0.2)
 
 
 def test_one_object_is_explained():
@@ -43,14 +43,14 @@ def test_one_object_is_explained():
 
 
 def test_several_objects_share_a_compromise():
-    other = with_likeness(ROPE, {"E": 0.3, "damping": 0.03})
+    other = with_dimensionless(ROPE, {"E": 0.3, "damping": 0.03})
     settings = IdentifySettings(ranges={"E": (0.2, 0.8)})
-    start = with_likeness(ROPE, {"damping": 0.03})
+    start = with_dimensionless(ROPE, {"damping": 0.03})
     both = [(start, e) for _, e in [*seen(TRUE, 10), *seen(other, 10)]]
     found = identify(TASK, both, world=Throws(), settings=settings)
     assert 0.3 < found.parameters["E"] < 0.5
     assert found.misfit > 0.01
-    assert likeness(found.item(ROPE))["E"] == pytest.approx(found.parameters["E"])
+    assert dimensionless_parameters(found.item(ROPE))["E"] == pytest.approx(found.parameters["E"])
 
 
 def test_nothing_to_learn_from_is_told():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError, PolicyError
-from gendom.materials import Cloth, Material, Rope, likeness
+from gendom.materials import Cloth, Material, Rope, dimensionless_parameters
 from gendom.policies import Description, GoalRange, Policy
 
 
@@ -119,7 +119,7 @@ def test_what_the_network_needs_is_asked_for(make_policy):
         policy.actions([1.4], {"E": 0.4})
     with pytest.raises(PolicyError, match="nu must be finite"):
         policy.actions([1.4], {"E": 0.4, "nu": math.nan})
-    both = policy.actions([1.4, 1.5], {**likeness(rope()), "nu": [0.3, 0.3]})
+    both = policy.actions([1.4, 1.5], {**dimensionless_parameters(rope()), "nu": [0.3, 0.3]})
     assert both.shape == (2, 2)
 
 

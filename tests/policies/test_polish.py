@@ -10,7 +10,7 @@ import pytest
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item
 from gendom.policies.belief import Belief
-from gendom.policies.polish import PolishSettings, polish, polishing
+from gendom.policies.polishing import PolishSettings, polish, polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import RopeCasting
 from gendom.tasks.world import Simulation

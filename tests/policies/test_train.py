@@ -17,8 +17,8 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
 from gendom import learning  # noqa: E402
-from gendom.policies import train as train_module  # noqa: E402
-from gendom.policies.train import Training, goal_range, train  # noqa: E402
+from gendom.policies import training as train_module  # noqa: E402
+from gendom.policies.training import Training, goal_range, train  # noqa: E402
 
 CENTRE, RADIUS = np.array([0.45, 0.45]), 0.16
 TASK = {"name": "rope-reaching", **RopeReaching().settings()}
@@ -208,10 +208,12 @@ def test_failed_training_leaves_the_older_file(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["policy.onnx"]
 
 
-def test_interrupted_training_goes_on_to_the_same_policy(tmp_path, monkeypatch):
+@pytest.mark.parametrize("every", [0.0, 1e9])
+def test_interrupted_training_goes_on_to_the_same_policy(every, tmp_path, monkeypatch):
+    """From a checkpoint that is written at times, or when training is interrupted."""
     settings = Training(epochs=4, seed=3)
     whole = train(toy(200), tmp_path / "whole.onnx", settings)
-    monkeypatch.setattr(learning, "STORE_EVERY", 0.0)
+    monkeypatch.setattr(learning, "STORE_EVERY", every)
     path, store = tmp_path / "p.onnx", learning.Checkpoint.store
 
     def stop(stage, after):
@@ -343,7 +345,7 @@ def test_goal_range_follows_the_stiffness():
 def test_missing_torch_names_the_extra(run_python):
     code = (
         "import sys; sys.modules['torch'] = None\n"
-        "try:\n    import gendom.policies.train\n"
+        "try:\n    import gendom.policies.training\n"
         "except ModuleNotFoundError as error:\n    print(error.name, '|', error)"
     )
     advice = f"install it with: {how_to_install('train')}"

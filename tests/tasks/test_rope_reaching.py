@@ -53,7 +53,7 @@ def test_the_paper_s_times_and_range():
 
 
 def test_a_rope_of_twice_the_length_reaches_twice_as_far():
-    """At equal numbers of likeness; the air's is turned off, since density stays."""
+    """At equal dimensionless parameters; the air's is turned off, since density stays."""
     large = [rope(2.0 * m, length=2.0 * L, diameter=0.028, damping=0.005 * 2**0.5) for m in MODULI]
     small = reached(PLANE, [rope(m) for m in MODULI], ACTIONS, air_density=0.0)
     np.testing.assert_allclose(

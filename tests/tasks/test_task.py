@@ -10,7 +10,15 @@ import pytest
 
 from gendom import tasks
 from gendom.errors import ParameterError
-from gendom.materials import PARAMETERS, Cloth, Material, Rope, likeness, size_of, to_columns
+from gendom.materials import (
+    PARAMETERS,
+    Cloth,
+    Material,
+    Rope,
+    dimensionless_parameters,
+    size_of,
+    to_columns,
+)
 from gendom.tasks import RopeReaching, find_task, rebuild, task_names
 from gendom.tasks.world import Simulation
 
@@ -45,9 +53,9 @@ def test_draws_follow_the_seed_and_the_ranges(kind):
         assert low <= values.min() < values.max() <= high
         middle = math.sqrt(low * high) if PARAMETERS[name].log else 0.5 * (low + high)
         assert 160 < np.sum(values < middle) < 240
-    for name, value in likeness(task.item).items():
+    for name, value in dimensionless_parameters(task.item).items():
         if name not in task.ranges:
-            assert {likeness(i)[name] for i in items} == {value}
+            assert {dimensionless_parameters(i)[name] for i in items} == {value}
 
 
 @each
@@ -107,7 +115,7 @@ def test_paths_are_alike_at_every_size(kind):
 def test_ranges_and_objects_are_checked():
     for ranges, says in [
         ({"mass": (1.0, 2.0)}, "no parameter 'mass'"),
-        ({"nu": (0.4, 0.3)}, "range of nu"),
+        ({"nu": (0.4, 0.3)}, "range of nu: is 0.4 to 0.3; give two finite numbers, the lower"),
         ({"E": (0.0, 1.0)}, "positive numbers"),
         ({"damping": (math.nan, 1.0)}, "range of damping"),
     ]:

@@ -142,7 +142,7 @@ def _unknown(name: str) -> str:
 
 
 def _explain(error: BaseException) -> tuple[str, int]:
-    """What to tell the user, and the exit code."""
+    """The message for the user, and the exit code."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted", 130
     if isinstance(error, GendomError):

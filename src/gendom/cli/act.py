@@ -12,14 +12,14 @@ import numpy as np
 import tyro
 
 from gendom.cli.arguments import TaskName
-from gendom.cli.known_object import Held, KnownObject
+from gendom.cli.known_object import KnownObject, ObjectInfo
 from gendom.cli.outputs import tell_written
 from gendom.errors import GendomError, PolicyError
 from gendom.files import check_file, to_json, write_json
 from gendom.materials import KINDS, LARGEST, Item, to_columns
 from gendom.tasks import Task
 
-_ACTION = "gendom-action/2"
+_ACTION = "gendom-action/3"
 
 DRAWS = 64
 """Objects drawn from an estimate's posterior to say what will be reached."""
@@ -55,7 +55,7 @@ class Command(KnownObject):
     earlier executions have shown (gendom adapt)."""
     seconds: float = 10.0
     """Time limit of --polish [s]."""
-    no_foretell: bool = False
+    no_prediction: bool = False
     """Do not simulate the predicted result."""
     seed: int = 0
     """Seed of the objects drawn from an estimate."""
@@ -104,6 +104,7 @@ class Command(KnownObject):
             "task": self.task,
             "goal": action.goal,
             "action": dict(zip(names, map(float, values), strict=True)),
+            "units": units_of(task),
             "object": {"kind": item.kind, **to_columns(item)},
             "assumed": held.assumed,
             "policy": {
@@ -118,9 +119,9 @@ class Command(KnownObject):
         }
         if polished is not None:
             result["polished"] = polished
-        if not self.no_foretell and "specific_modulus" in held.columns:
+        if not self.no_prediction and "specific_modulus" in held.columns:
             others = [] if held.posterior is None else held.belief(task).draws(DRAWS, self.seed)
-            result["foretold"] = foretold(task, item, values, others)
+            result["predicted"] = predicted(task, item, values, others)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         if self.out is not None:
             write_json(self.out, result)
@@ -128,11 +129,11 @@ class Command(KnownObject):
         return 0
 
     def _polished(
-        self, task: Task, held: Held, start: np.ndarray
+        self, task: Task, held: ObjectInfo, start: np.ndarray
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """A better action, and what is expected of it, ready for JSON."""
-        from gendom.policies.adapt import adapt
-        from gendom.policies.polish import PolishSettings, polish
+        from gendom.policies.adaptation import adapt
+        from gendom.policies.polishing import PolishSettings, polish
 
         belief = held.belief(task)
         discrepancy = None
@@ -172,7 +173,7 @@ def trajectory(
     return {"T_base_task": T.tolist(), **task.tool_path(item, action).moved(T).to_dict()}
 
 
-def foretold(task: Task, item: Item, action: np.ndarray, others: Sequence[Item]) -> dict[str, Any]:
+def predicted(task: Task, item: Item, action: np.ndarray, others: Sequence[Item]) -> dict[str, Any]:
     """What the action will reach, simulated: with the object as it is, and the 90 % interval over
     others that are plausible.
 
@@ -198,17 +199,29 @@ def foretold(task: Task, item: Item, action: np.ndarray, others: Sequence[Item])
     return found
 
 
+def units_of(task: Task) -> dict[str, str]:
+    """SI units of actions, goals and the risk by name; ``1`` for numbers without one."""
+    risk = [] if task.risk is None else [task.risk]
+    return {quantity.name: quantity.unit for quantity in (*task.actions, *task.goals, *risk)}
+
+
+def _with_unit(number: str, name: str, units: Mapping[str, str]) -> str:
+    unit = units.get(name, "1")
+    return number if unit == "1" else f"{number} {unit}"
+
+
 def result_text(result: dict[str, Any], *, motion: bool) -> str:
     """The same for people, with or without the robot's motion."""
     path, held = result["trajectory"], result["object"]
+    goal, action, units = result["goal"].items(), result["action"].items(), result["units"]
     large, small = KINDS[held["kind"]].sizes
     size = f"{large} {held[large]:.4g} m, {small} {held[small]:.4g} m"
     seen = ", ".join(f"{name} {value:.4g}" for name, value in result["network_input"].items())
     rows = [
         (held["kind"], size),
         ("sees", seen or "no parameters"),
-        ("goal", ", ".join(f"{n} {v:.4g}" for n, v in result["goal"].items()) or "none"),
-        ("action", ", ".join(f"{n} {v:.4f}" for n, v in result["action"].items())),
+        ("goal", ", ".join(_with_unit(f"{n} {v:.4g}", n, units) for n, v in goal) or "none"),
+        ("action", ", ".join(_with_unit(f"{n} {v:.4f}", n, units) for n, v in action)),
     ]
     for event in path["events"]:
         rows.append(
@@ -220,8 +233,8 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
             ("polished", f"expected miss {p['expected']:.2g} (before {p['before']:.2g}), "
              f"{p['rollouts']} rollouts in {p['seconds']:.1f} s")
         )  # fmt: skip
-    if "foretold" in result:
-        rows.append(("predicts", _foretold_text(result["foretold"])))
+    if "predicted" in result:
+        rows.append(("predicts", _predicted_text(result["predicted"], units)))
     if assumed := [f"{n} {v:g}" for n, v in result["assumed"].items() if n in seen]:
         rows.append(("assumed", ", ".join(assumed)))
     rows.append(("policy", result["policy"]["path"]))
@@ -235,13 +248,12 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
     return "\n".join(lines)
 
 
-def _foretold_text(foretold: Mapping[str, Any]) -> str:
-    if "fault" in foretold:
-        return f"cannot be simulated: {foretold['fault']}"
+def _predicted_text(predicted: Mapping[str, Any], units: Mapping[str, str]) -> str:
+    if "fault" in predicted:
+        return f"cannot be simulated: {predicted['fault']}"
     text = []
-    for name, value in foretold["reached"].items():
-        ends = foretold.get("interval_90", {}).get(name)
-        text.append(
-            f"{name} {value:.4g}" + (f" (90 %: {ends[0]:.4g} to {ends[1]:.4g})" if ends else "")
-        )
+    for name, value in predicted["reached"].items():
+        ends = predicted.get("interval_90", {}).get(name)
+        number = _with_unit(f"{name} {value:.4g}", name, units)
+        text.append(number + (f" (90 %: {ends[0]:.4g} to {ends[1]:.4g})" if ends else ""))
     return ", ".join(text)

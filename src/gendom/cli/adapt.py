@@ -18,7 +18,7 @@ from gendom.materials import PARAMETERS, to_columns
 from gendom.tasks import find_task
 
 if TYPE_CHECKING:
-    from gendom.policies.adapt import Adapted, Execution
+    from gendom.policies.adaptation import Adapted, Execution
     from gendom.policies.belief import Belief
 
 
@@ -48,7 +48,7 @@ class Command(KnownObject):
     """Print JSON."""
 
     def run(self) -> int:
-        from gendom.policies.adapt import adapt
+        from gendom.policies.adaptation import adapt
         from gendom.policies.belief import Belief
         from gendom.policies.estimates import updated
 
@@ -77,7 +77,7 @@ class Command(KnownObject):
         return 0
 
     def _new(self) -> list[Execution]:
-        from gendom.policies.adapt import executions_from
+        from gendom.policies.adaptation import executions_from
 
         found = []
         if self.executions is not None:

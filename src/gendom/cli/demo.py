@@ -77,7 +77,7 @@ class Command:
     task: Literal["rope-casting", "rope-reaching"] = "rope-casting"
     """What the arm does with the rope (docs/tasks.md)."""
     goal: tuple[float, ...] = ()
-    """Where the tip shall get in the task's frame [m], one goal after another: casting x and z of
+    """Goals of the tip in the task's frame [m], one after another: casting x and z of
     its highest point, reaching its farthest x; by default three goals that the rope can reach."""
     starts: int = 3
     """Random starts of the estimate."""
@@ -226,8 +226,8 @@ def _carry_out(
     Besides the policies' actions one is polished through the simulator for what is believed of
     the rope, and once more for what that execution has taught.
     """
-    from gendom.policies.adapt import Execution, adapt
-    from gendom.policies.polish import Discrepancy, polish
+    from gendom.policies.adaptation import Execution, adapt
+    from gendom.policies.polishing import Discrepancy, polish
 
     task = policies[0].task()
     runs: list[Run] = []

@@ -15,7 +15,7 @@ import tyro
 from gendom.cli.arguments import ESTIMATE_FORMAT, MethodName, iterations_shown
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
-from gendom.errors import RecordingError, SimulationError
+from gendom.errors import ParameterError, RecordingError, SimulationError
 from gendom.files import check_file, check_folder, to_json, write_json
 from gendom.installation import version
 
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 NOT_USABLE = 3
 """Exit code where a recording cannot be used."""
+
+MOST_POINTS = 1000
+"""Of a rod or along a shell; more would take hours."""
 
 REPORT_SUMMARY = (
     "GenDOM watched this object being moved and found the parameters with which its simulator "
@@ -79,12 +82,12 @@ class Command:
     level: float = 0.9
     """Nominal probability of the intervals."""
     unknowns: tuple[str, ...] = ()
-    """What is estimated, such as specific_modulus grip_height; by default what a recording of this
-    kind may determine."""
+    """Unknowns to estimate, such as specific_modulus grip_height; by default those that a recording
+    of this kind may determine."""
     material: str | None = None
     """Its material, by a name of gendom materials: narrows the priors."""
     camera_pose: Literal["stated", "unknown"] | None = None
-    """unknown: the cameras are not calibrated to the robot, and where they are is found, too; by
+    """unknown: the cameras are not calibrated to the robot, and their pose is estimated, too; by
     default as each recording says (cameras_calibrated, docs/recordings.md)."""
     engine: Literal["thin", "mpm"] = "thin"
     """Engine of the simulator. thin: ropes as rods, cloths as shells. mpm: material points,
@@ -102,7 +105,14 @@ class Command:
         from gendom.estimation import estimate
         from gendom.sim import open_device
 
+        if self.points is not None and self.points > MOST_POINTS:
+            raise ParameterError(
+                f"is {self.points}",
+                where="--points",
+                fix=f"give {MOST_POINTS} or fewer: 20 to 60 are usual",
+            )
         settings = self.settings()
+        self._check_recordings()
         self._check_places()
         open_device(self.device)
         recordings = [Recording.read(path) for path in self.recordings]
@@ -143,6 +153,16 @@ class Command:
             ),
         )
 
+    def _check_recordings(self) -> None:
+        """Refuse a recording that would count more than once."""
+        seen: set[Path] = set()
+        for path in self.recordings:
+            if path.resolve() in seen:
+                raise ParameterError(
+                    "is given twice", where=str(path), fix="name each recording once"
+                )
+            seen.add(path.resolve())
+
     def _check_places(self) -> None:
         """Refuse what cannot be written before the work, not after it."""
         if self.out is not None:
@@ -151,7 +171,7 @@ class Command:
             check_file(self.report, ".html")
 
     def _refused(self, reasons: list[str]) -> int:
-        """What is said and written of a recording that cannot be estimated from."""
+        """Print and write why a recording gives no estimate."""
         record = {"format": ESTIMATE_FORMAT, "verdict": {"usable": False, "reasons": reasons}}
         if self.json:
             print(to_json(record))
@@ -224,7 +244,7 @@ class Command:
         )
 
     def _next_steps(self, found: Estimate | None) -> list[NextStep]:
-        """Commands that go on from what was written."""
+        """Commands to run next on the written files."""
         from gendom.viz.report import NextStep
 
         words = ["gendom", "check", self.recordings[0]]

@@ -12,7 +12,7 @@ from gendom.errors import GendomError
 from gendom.materials import ASSUMED, KINDS, PARAMETERS, Item
 
 if TYPE_CHECKING:
-    from gendom.policies.adapt import Execution
+    from gendom.policies.adaptation import Execution
     from gendom.policies.belief import Belief
     from gendom.tasks import Task
 
@@ -31,7 +31,7 @@ _FLAGS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held:
+class ObjectInfo:
     """What is known of an object."""
 
     columns: Mapping[str, float]
@@ -63,7 +63,7 @@ class Held:
 
     def executed(self, task: Task) -> list[Execution]:
         """Earlier executions of a task."""
-        from gendom.policies.adapt import executions_from
+        from gendom.policies.adaptation import executions_from
 
         return executions_from(self.executions.get(task.name, ()), "executions")
 
@@ -96,7 +96,7 @@ class KnownObject:
     """Accept an estimate that is not usable, and goals and objects outside of the policy's training
     range: it then uses the nearest numbers in range, with a warning."""
 
-    def held(self, task: Task, *, needs: tuple[str, ...] = ()) -> Held:
+    def held(self, task: Task, *, needs: tuple[str, ...] = ()) -> ObjectInfo:
         """What the file and the flags say.
 
         Args:
@@ -147,6 +147,6 @@ class KnownObject:
                 fix=f"give {', '.join(dict.fromkeys(_FLAGS[name] for name in missing))}"
                 + (", or --params with an estimate" if self.params is None else ""),
             )
-        return Held(
+        return ObjectInfo(
             columns=columns, posterior=posterior, flags=frozenset(given), executions=executions
         )

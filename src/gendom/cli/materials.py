@@ -14,7 +14,7 @@ from gendom.materials import catalogue
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """List materials of ropes, cables and cloths, or tell the numbers and sources of some.
+    """List materials of ropes, cables and cloths, or print all numbers and sources of some.
 
     E is that of bending, which is what a lift shows. gendom estimate --material takes such a name.
 
@@ -56,7 +56,7 @@ def _list(chosen: Sequence[catalogue.Listed]) -> str:
         E = f"{m.E.typical:.2g} ({m.E.low:.2g} to {m.E.high:.2g})"
         rho = f"{m.density.typical:.0f} ({m.density.low:.0f} to {m.density.high:.0f})"
         lines.append(f"{m.name:<{wide}}  {m.kind:<5}  {E:<27}  {rho}")
-    return "\n".join([*lines, "gendom materials NAME tells all numbers, and where they are from."])
+    return "\n".join([*lines, "gendom materials NAME prints all numbers and their sources."])
 
 
 def _whole(material: catalogue.Listed) -> str:
@@ -69,7 +69,7 @@ def _whole(material: catalogue.Listed) -> str:
         source = f" [{found.source}]" if found.source else ""
         lines.append(f"  {name:<9}  {numbers:<34}  {found.basis}{source}: {found.how}")
         cited += [found.source] if found.source and found.source not in cited else []
-    return "\n".join([*lines, *(f"  [{key}] {catalogue.sources()[key]}" for key in cited)])
+    return "\n".join([*lines, *(f"  [{key}] {_cited(key)}" for key in cited)])
 
 
 def _table(chosen: Sequence[catalogue.Listed]) -> str:
@@ -87,5 +87,13 @@ def _table(chosen: Sequence[catalogue.Listed]) -> str:
             said = f"{mark}{bases[found.basis]}".removeprefix(", ")
             cells.append(f"{found.typical:.4g} ({found.low:.4g} to {found.high:.4g}) {said}")
         lines.append(f"| {' | '.join(cells)} |")
-    listed = (f"{n}. {catalogue.sources()[key]}" for n, key in enumerate(cited, start=1))
+    listed = (f"{n}. {_cited(key)}" for n, key in enumerate(cited, start=1))
     return "\n".join([*lines, "", *listed])
+
+
+def _cited(key: str) -> str:
+    """A source, and what was found in it."""
+    source = catalogue.sources()[key]
+    if source.says:
+        return f"{source.text}; says: {source.says}"
+    return f"{source.text}; not checked: cited for its method or order of magnitude"

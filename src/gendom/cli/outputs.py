@@ -1,4 +1,4 @@
-"""What commands say of the files that they wrote."""
+"""Messages about written files."""
 
 from __future__ import annotations
 

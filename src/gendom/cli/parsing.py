@@ -1,10 +1,11 @@
-"""From words to a command, by tyro; what it refuses is told in one line."""
+"""Parse words into a command with tyro; each refusal is one line."""
 
 from __future__ import annotations
 
 import ast
 import inspect
 import re
+import shutil
 import textwrap
 from collections.abc import Sequence
 from dataclasses import fields
@@ -12,7 +13,7 @@ from itertools import pairwise, takewhile
 from typing import Annotated, Any, get_type_hints
 
 import tyro
-import tyro._errors as refusals  # its hook for what is refused; no public one tells as much
+import tyro._errors as refusals  # its hook for refusals; no public one has as much
 
 from gendom.errors import ParameterError, did_you_mean
 
@@ -32,8 +33,8 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         words: What stands behind the name.
 
     Raises:
-        ParameterError: A flag is unknown, a value is missing or no such thing as the flag takes.
-        SystemExit: Help was asked for and has been printed.
+        ParameterError: A flag is unknown, or a value is missing or of another type.
+        SystemExit: Help was requested and has been printed.
     """
 
     def refuse(event: refusals.ParseErrorEvent) -> None:
@@ -69,15 +70,21 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
             called, wanted = _called(event.argument), _wanted(event.argument)
             given = _given(called, words, flags)
             raise ParameterError(_is(given), where=called, fix=f"give {wanted}")
-        # tyro tells anything else itself
+        # tyro prints anything else itself
 
     with refusals.on_parse_error(refuse):
-        return tyro.cli(described(command), prog=f"gendom {name}", args=words, config=PARSING)
+        return tyro.cli(
+            described(command),
+            prog=f"gendom {name}",
+            description=_description(command),
+            args=words,
+            config=PARSING,
+        )
 
 
 def described(command: type) -> type:
-    """A command's class whose help flows (tyro keeps the line breaks of indented docstrings), and
-    tells those defaults alone that say something."""
+    """A command's class with help texts in one line (tyro keeps line breaks of indented
+    docstrings), and without defaults such as None and False."""
 
     def default_told(default: str) -> str:
         return "" if default in ("None", "False", "") else f"(default: {default})"
@@ -97,6 +104,23 @@ def described(command: type) -> type:
     return command
 
 
+def _description(command: type) -> str:
+    """A command's docstring for its help, wrapped to the terminal.
+
+    An example stays in one line, to be copied. Further lines are indented: tyro joins others.
+    """
+    width = shutil.get_terminal_size().columns
+    text = inspect.cleandoc(command.__doc__ or "")
+    return "\n\n".join(
+        textwrap.fill(
+            " ".join(paragraph.split()),
+            10_000 if paragraph.startswith("For example: ") else width,
+            subsequent_indent="  ",
+        )
+        for paragraph in text.split("\n\n")
+    )
+
+
 def _flags(command: type) -> list[str]:
     """All that it takes."""
     (positional,) = tyro.conf.Positional[int].__metadata__  # pyright: ignore[reportAttributeAccessIssue]
@@ -110,7 +134,7 @@ def _flags(command: type) -> list[str]:
 
 
 def _flag(word: str) -> str:
-    """As it is spelled: without its value, and ``_`` is as good as ``-``."""
+    """A flag as it is defined: without its value, with ``-`` for ``_``."""
     return word.partition("=")[0].replace("_", "-")
 
 

@@ -25,7 +25,7 @@ OPEN = 0.08
 class Command:
     """Compare predefined lifts by the intervals that an estimate is expected to report after them.
 
-    Objects are drawn from what gendom estimate believes of a rope or cloth beforehand; each lift of
+    Objects are drawn from the priors of gendom estimate for a rope or cloth; each lift of
     each is simulated, as the arm carries it out and noisy cameras show it. Nothing is recorded.
     --out gets plan.json, the best motion as motion.json for gendom record --motion, and joints.csv.
 

@@ -12,6 +12,12 @@ from gendom.files import check_folder
 from gendom.materials import AIR_DENSITY
 from gendom.progress import bar
 
+MAX_RISE = 2.0
+"""In lengths of a rope or sides of a cloth; more was not given in metres."""
+
+MAX_ENCODER_NOISE = 0.1
+"""Far more than any robot's [rad]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
@@ -59,6 +65,7 @@ class Command:
         from gendom.reality import (
             DepthSensor,
             Performance,
+            RealRope,
             RecordSettings,
             RigErrors,
             find_object,
@@ -73,8 +80,20 @@ class Command:
             raise ParameterError(
                 f"is {self.frame_rate}", where="--frame-rate", fix="give 90 or less, above 0"
             )
+        if not 0.0 <= self.encoder_noise <= MAX_ENCODER_NOISE:
+            few = f"{self.encoder_noise:g} mrad are {1e-3 * self.encoder_noise:g}"
+            raise ParameterError(
+                f"is {self.encoder_noise:g} radians",
+                where="--encoder-noise",
+                fix=f"give 0 to {MAX_ENCODER_NOISE:g}"
+                + (f": {few}" if MAX_ENCODER_NOISE < self.encoder_noise < math.inf else ""),
+            )
         check_folder(self.out)
         item = find_object(self.reality)
+        if isinstance(item, RealRope):
+            self._check_rise(item.length, f"the rope {item.length:g} m long")
+        else:
+            self._check_rise(item.side, f"the cloth {item.side:g} m wide")
         if self.motion is None:
             trial = lift(item, rise=self.rise, end=self.end or "hold")
         elif self.rise is None and self.end is None:
@@ -113,3 +132,18 @@ class Command:
         print(f"written: {self.out}")
         print(f"next: gendom perceive {self.out} --colour {r} {g} {b} --out {item.name}.npz")
         return 0
+
+    def _check_rise(self, size: float, called: str) -> None:
+        """Refuse a rise in another unit than metres.
+
+        Args:
+            size: The object's length or side [m].
+            called: What it is, with that size.
+        """
+        if self.rise is None or 0.0 < self.rise <= MAX_RISE * size:
+            return
+        fix = "give metres above 0"
+        if 0.0 < self.rise < math.inf:
+            unit, metres = ("cm", 1e-2) if self.rise <= 100.0 * MAX_RISE * size else ("mm", 1e-3)
+            fix = f"give metres: {self.rise:g} {unit} are {metres * self.rise:g}"
+        raise ParameterError(f"is {self.rise:g} m, and {called}", where="--rise", fix=fix)

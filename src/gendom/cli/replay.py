@@ -115,22 +115,22 @@ def replay_setup(
     device: str,
     engine: str | None = None,
 ) -> tuple[Scene, Theta]:
-    """The scene of all frames of a recording, and the parameters that an estimate stands for.
+    """The scene of all frames of a recording, and an estimate's parameters for it.
 
-    In the recording of the estimate, however long, everything is as it was found. In another one
-    what does not belong to the material is found anew.
+    For the recording of the estimate, however long, all parameters are taken over. For another
+    one, those that do not belong to the material are estimated again.
 
     Args:
         recording: What is replayed.
         params: An estimate's JSON, perhaps of an older version.
-        where: Its file, for complaints.
+        where: Its file, for error messages.
         device: That simulates.
         engine: None: that of the estimate.
 
     Raises:
         ParameterError: The parameters are no estimate, or of another kind of object.
         RecordingError: The recording shows too little to place the object.
-        SimulationError: Nothing of what is found anew can be simulated.
+        SimulationError: None of the parameters that are estimated again can be simulated.
     """
     from gendom.estimation import Scene
 

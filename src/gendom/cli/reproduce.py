@@ -228,7 +228,7 @@ class Command:
         objects: Sequence[str],
         sheets_of: Callable[[dict[str, Any]], Sequence[Sheet]],
     ) -> int:
-        """Make a table of named objects, and tell it."""
+        """Make a table of named objects, and print it."""
         bench = self._bench()
         began = time.monotonic()
         result = make(bench, settings)

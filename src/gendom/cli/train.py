@@ -58,7 +58,7 @@ class Command:
 
     def run(self) -> int:
         from gendom.evaluation import draw_cases, score
-        from gendom.policies.train import Training, annotate, train
+        from gendom.policies.training import Training, annotate, train
 
         sees = _conditions(self.condition)
         check_file(self.out, ".onnx")

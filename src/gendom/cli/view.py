@@ -36,7 +36,7 @@ class Command:
     """A recording, an estimate.json beside its recording or one folder below it, or a folder that
     gendom dataset wrote."""
     params: Path | None = None
-    """Parameters at first: an estimate.json. By default the middle of what is believed of an
+    """Parameters at first: an estimate.json. By default the middle of the priors of an
     unknown object."""
     demonstration: int = 0
     """Number of the demonstration that is shown first."""

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.cli.pictures import goal_mark
-from gendom.cli.view_layers import gripper_layer, object_layer
+from gendom.cli.view_layers import arm_layer, gripper_layer, object_layer
 from gendom.datasets.demonstrations import GOAL, load, read_description
 from gendom.errors import DatasetError, RobotError, SimulationError
 from gendom.materials import PARAMETERS, Item, from_columns, size_of, thickness_of, to_columns
 from gendom.robot import XARM7, JointMotion, TcpPath, follow
-from gendom.robot.shape import arm_shape
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
 from gendom.viz.report.quantities import quantity_text
@@ -32,7 +31,7 @@ from gendom.viz.viewer import (
 FRAMES = 160
 """That are shown of a motion, at most."""
 
-GOAL_COLOR, ARM_COLOR = "#009E73", "#d0d0d0"
+GOAL_COLOR = "#009E73"
 
 _RANGES = {"nu": (0.05, 0.45), "friction": (0.0, 1.5)}
 """Of parameters that a task does not draw, where differences count."""
@@ -152,7 +151,8 @@ class DatasetModel:
         if isinstance(arm, str):
             facts.append(("arm", arm))
         else:
-            layers += (_arm_layer(arm, seen.times, item, task.T_world_task(item)),)
+            T = task.T_world_task(item)
+            layers += (arm_layer(XARM7, arm.at(seen.times), thickness_of(item), T),)
         yield ViewerScene(layers=layers, facts=tuple(facts), **shown)
 
     def _item(self, case: int, values: Mapping[str, float] | None = None) -> Item:
@@ -229,12 +229,3 @@ def _thinned(seen: Observed) -> Observed:
     return replace(
         seen, times=seen.times[chosen], points=seen.points[chosen], hand=seen.hand[chosen]
     )
-
-
-def _arm_layer(motion: JointMotion, times: _Array, item: Item, T_world_task: _Array) -> MeshLayer:
-    """The arm at times [T] of its motion [s], in a task's frame."""
-    shape = arm_shape(XARM7, motion.at(times), thickness_of(item))
-    T = np.linalg.inv(T_world_task)
-    ends = np.stack([shape.start, shape.end], axis=-2) @ T[:3, :3].T + T[:3, 3]
-    vertices, faces = capsules(ends, shape.radius)
-    return MeshLayer(name="arm", color=ARM_COLOR, vertices=vertices, faces=faces, framed=False)

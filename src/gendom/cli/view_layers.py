@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.robot import Arm, arm_shape
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.viz.palette import INK, SIMULATED_COLOR
 from gendom.viz.viewer import MeshLayer, capsules, tube_faces
+
+ARM_COLOR = "#d0d0d0"
 
 RING = 8
 """Points of a rod's skin around its centre line, see `gendom.sim.Body.surface`."""
@@ -66,3 +69,23 @@ def gripper_layer(position: _Array, size: float, axis: _Array | None = None) -> 
     vertices, faces = capsules(every, np.full(every.shape[1], 0.012 * size))
     color = "#" + "".join(f"{c:02x}" for c in INK)
     return MeshLayer(name="gripper", color=color, vertices=vertices, faces=faces)
+
+
+def arm_layer(
+    arm: Arm, q: _Array, opening: float, T_world_frame: _Array | None = None
+) -> MeshLayer:
+    """An arm as capsules.
+
+    Args:
+        arm: The arm, whose base frame is the world.
+        q: [T, J] joint angles [rad].
+        opening: Between its fingers [m].
+        T_world_frame: [4, 4] pose of the frame that is shown; None: the world.
+    """
+    shape = arm_shape(arm, q, opening)
+    ends = np.stack([shape.start, shape.end], axis=-2)
+    if T_world_frame is not None:
+        T = np.linalg.inv(T_world_frame)
+        ends = ends @ T[:3, :3].T + T[:3, 3]
+    vertices, faces = capsules(ends, shape.radius)
+    return MeshLayer(name="arm", color=ARM_COLOR, vertices=vertices, faces=faces, framed=False)

@@ -8,19 +8,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gendom.cli.replay import of_all_frames, of_recording, replay_setup
-from gendom.cli.view_layers import gripper_layer, object_layer
+from gendom.cli.view_layers import arm_layer, gripper_layer, object_layer
 from gendom.datasets import Recording
-from gendom.errors import GendomError
+from gendom.errors import GendomError, RobotError
 from gendom.estimation import UNKNOWNS, Scene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
+from gendom.robot import ARMS, DOWN, inverse_kinematics
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
 from gendom.viz.report.quantities import length_text, quantity_text
 from gendom.viz.viewer import (
     MATERIAL,
     SETUP,
     Layer,
+    MeshLayer,
     Parameter,
     PointLayer,
     ViewerScene,
@@ -47,13 +50,16 @@ class RecordingModel:
         notes = list(scene.notes)
         if scene.kind == "cloth" or not scene.thin:
             notes.insert(0, "This takes longer to simulate than a rope as a rod.")
+        self._arm = arm_of(scene)
+        if self._arm is not None:
+            notes.append("The arm is drawn with its fingers pointing down.")
         self.notes = tuple(notes)
         self.initial = self._shown(())
         self._parameters = _parameters(scene, theta)
 
     @classmethod
     def of(cls, recording: Recording, title: str) -> RecordingModel:
-        """With the middle of what is believed of an unknown object's parameters.
+        """With the middle of the priors of an unknown object's parameters.
 
         Raises:
             RecordingError: The recording shows too little to place the object.
@@ -103,6 +109,7 @@ class RecordingModel:
                 recorded,
                 *layers,
                 gripper_layer(recording.gripper_position[frames], scene.size, axis),
+                *([] if self._arm is None else [self._arm]),
             ),
             table_height=recording.table_height,
             **other,
@@ -140,6 +147,34 @@ def find_recording(params: Mapping[str, Any], where: Path) -> Path:
         where=str(where),
         fix=f"name it: gendom view RECORDING --params {where}",
     )
+
+
+def arm_of(scene: Scene) -> MeshLayer | None:
+    """The arm that a recording names, its fingers pointing down where the gripper was.
+
+    Recordings have the place of the gripper, not how it is turned.
+
+    Args:
+        scene: What was recorded.
+
+    Returns:
+        None where the recording names no known arm, has several grippers, or the arm cannot reach.
+    """
+    recording = scene.recording
+    arm = ARMS.get(str(recording.extra.get("robot")))
+    if arm is None or recording.num_grippers != 1:
+        return None
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(DOWN).as_matrix()
+    q: list[_Array] = []
+    try:
+        for position in recording.gripper_position[list(scene.frames), 0]:
+            T[:3, 3] = position
+            near = q[-1] if q else None
+            q.append(inverse_kinematics(arm, T, near=near, starts=2 if q else 24))
+    except RobotError:
+        return None
+    return arm_layer(arm, np.array(q), scene.body.thickness)
 
 
 def _parameters(scene: Scene, theta: Theta) -> tuple[Parameter, ...]:

@@ -1,9 +1,27 @@
 """Recordings and sets of demonstrations."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from gendom.datasets.checks import Fault
 from gendom.datasets.pcd import read_pcd
 from gendom.datasets.ply import read_ply, write_ply
 from gendom.datasets.recording import Recording
 from gendom.datasets.recording_form import ObjectDescription
+from gendom.lazy import imported_later
 
-__all__ = ["Fault", "ObjectDescription", "Recording", "read_pcd", "read_ply", "write_ply"]
+if TYPE_CHECKING:
+    from gendom.datasets.demonstrations import generate
+
+__all__ = [
+    "Fault",
+    "ObjectDescription",
+    "Recording",
+    "generate",
+    "read_pcd",
+    "read_ply",
+    "write_ply",
+]
+
+__getattr__ = imported_later(__name__, {"generate": "demonstrations"})

@@ -6,6 +6,7 @@ The form of its arrays is checked where they are made, in `gendom.datasets.recor
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -35,7 +36,7 @@ SIZES = (
 
 MAX_GRASP_DISTANCE = 0.15
 """A gripper farther than this from every point in every frame [m] does not hold the object."""
-_MAX_EXTENT = 20.0  # [m]; what is larger was written in millimetres
+_MAX_EXTENT = 20.0  # [m]; what is larger was not written in metres
 _MIN_TRAVEL = 1e-3  # [m]
 
 
@@ -74,6 +75,11 @@ MAX_DENSITY = 25e3
 """No matter is denser [kg/m^3]."""
 _THICKEST = {"rope": 0.1, "cloth": 0.02}  # of the size, where the thickness is unknown
 _MAX_STEP = 10.0  # [s] between frames
+_TIMES = (  # frames less far apart than so many seconds, their unit, and what brings seconds
+    (5e3, "milliseconds", "1000"),
+    (5e6, "microseconds", "1e6"),
+    (math.inf, "nanoseconds", "1e9"),
+)
 _MAX_BELOW = 5.0  # [m] that a table lies from the object
 _MAX_AWAY = 50.0  # [m] that a camera stands from it
 
@@ -220,8 +226,55 @@ def _check_frames(recording: Recording) -> list[Fault]:
     ]
 
 
+_LENGTHS = {"centimetres": 100.0, "millimetres": 1000.0}
+"""Units in which lengths are written by mistake, and how many make a metre."""
+_USUAL_EXTENT = (0.1, 2.0)
+"""Of objects that robots handle [m]."""
+
+
+def _meant(value: float, usual: tuple[float, float]) -> str:
+    """Names the units in which a length that is too large is usual, and what brings metres.
+
+    Args:
+        value: As it was written.
+        usual: Lowest and highest usual length [m].
+    """
+    low, high = usual
+    units = [u for u, of_metre in _LENGTHS.items() if low <= value / of_metre <= high]
+    return _divide(units or list(_LENGTHS))
+
+
+def _nearest_unit(distance: Callable[[Recording, float], float], recording: Recording) -> str:
+    """The same, by the unit that brings something nearest to the points.
+
+    Args:
+        distance: From a recording and how many of a unit make a metre to a distance [m].
+        recording: Its points are in metres.
+    """
+    return _divide([min(_LENGTHS, key=lambda unit: distance(recording, _LENGTHS[unit]))])
+
+
+def _gripper_distance(recording: Recording, of_metre: float) -> float:
+    """Between points and a gripper at the start, whose position is in another unit [m]."""
+    start = recording.frame(int(np.argmax(recording.frame_valid)))
+    away = start[None] - recording.gripper_position[0, :, None] / of_metre
+    return float(np.linalg.norm(away, axis=2).min())
+
+
+def _table_distance(recording: Recording, of_metre: float) -> float:
+    """Between the lowest point and a table whose height is in another unit [m]."""
+    assert recording.table_height is not None
+    return abs(recording.table_height / of_metre - float(recording.points[:, 2].min()))
+
+
+def _divide(units: Sequence[str]) -> str:
+    """Units of length, and what brings metres."""
+    factors = " or ".join(f"{_LENGTHS[unit]:g}" for unit in units)
+    return f"{' or '.join(units)}; divide by {factors}"
+
+
 def _check_units(recording: Recording) -> list[Fault]:
-    """Coordinates or sizes in millimetres, and clouds far larger than the object."""
+    """Coordinates or sizes in smaller units, and clouds far larger than the object."""
     extents = [np.ptp(cloud, axis=0).max() for cloud in recording.frames() if len(cloud)]
     if not extents:
         return []
@@ -230,17 +283,20 @@ def _check_units(recording: Recording) -> list[Fault]:
     if size is not None and not (math.isfinite(size) and size > 0.0):
         size = None  # a fault of its own
     other = "" if size is None else f", the object {size:.4g} m"
-    if extent > _MAX_EXTENT or (size is not None and extent > 100.0 * size):
-        looks = "they look like millimetres; divide by 1000"
+    if extent > _MAX_EXTENT or (size is not None and extent > 30.0 * size):
+        usual = _USUAL_EXTENT
+        if size is not None and size <= _MAX_EXTENT:
+            usual = (0.25 * size, 2.0 * size)
+        looks = f"they look like {_meant(extent, usual)}"
         fix = looks if extent > _MAX_EXTENT else "give points and sizes in metres"
         return [Fault(f"a frame spans {extent:.4g} m{other}", "points", fix)]
-    if size is not None and size > 100.0 * extent:
+    if size is not None and size > 30.0 * extent:
         name = "length" if recording.object.kind == "rope" else "width and object.height"
         return [
             Fault(
                 f"the object spans {size:.4g} m, a frame {extent:.4g} m",
                 f"object.{name}",
-                "they look like millimetres; divide by 1000",
+                f"they look like {_meant(size, (0.5 * extent, 4.0 * extent))}",
             )
         ]
     travel = np.ptp(recording.gripper_position, axis=0).max()
@@ -249,7 +305,7 @@ def _check_units(recording: Recording) -> list[Fault]:
             Fault(
                 f"moves by {travel:.4g} m",
                 "gripper_position",
-                "it looks like millimetres; divide by 1000",
+                f"it looks like {_nearest_unit(_gripper_distance, recording)}",
             )
         ]
     if size is not None and extent > 1.5 * size:
@@ -267,36 +323,39 @@ def _check_units(recording: Recording) -> list[Fault]:
 def _check_other_units(recording: Recording) -> list[Fault]:
     """What was given in grams, milliseconds or, beside sizes in metres, in millimetres."""
     held, size, faults = recording.object, recording.object.size, []
-    millimetres = "it looks like millimetres; divide by 1000"
 
-    def wrong(what: str, where: str, fix: str = millimetres) -> None:
-        faults.append(Fault(what, where, fix))
+    def wrong(what: str, where: str, unit: str) -> None:
+        faults.append(Fault(what, where, f"it looks like {unit}"))
 
     if size is not None and math.isfinite(size) and size > 0.0:
         for name in ("diameter", "thickness", "grasp_radius", "grasp_inset"):
             value = getattr(held, name)
             if value is not None and math.isfinite(value) and value > size:
-                wrong(f"is {value:.4g} m, the object spans {size:.4g} m", f"object.{name}")
+                thin = (2e-4 * size, 0.2 * size)
+                what = f"is {value:.4g} m, the object spans {size:.4g} m"
+                wrong(what, f"object.{name}", _meant(value, thin))
         if (density := _least_density(held, size)) > MAX_DENSITY and not faults:
             wrong(
                 f"is {held.mass:.4g} kg, a density of {density:.2g} kg/m^3 or more",
                 "object.mass",
-                "it looks like grams; divide by 1000",
+                "grams; divide by 1000",
             )
     step = float(np.median(np.diff(recording.time))) if recording.num_frames > 1 else 0.0
     if step > _MAX_STEP:
-        wrong(
-            f"frames are {step:.4g} s apart", "time", "they look like milliseconds; divide by 1000"
-        )
+        unit, factor = next((u, f) for most, u, f in _TIMES if step < most)
+        fix = f"they look like {unit}; divide by {factor}"
+        faults.append(Fault(f"frames are {step:.4g} s apart", "time", fix))
     if len(recording.points):
         lowest = recording.points.min(axis=0)
         height, cameras = recording.table_height, recording.camera_positions
         if height is not None and abs(height - lowest[2]) > _MAX_BELOW:
-            wrong(f"is {height:.4g} m, the lowest point at {lowest[2]:.4g} m", "table_height")
+            what = f"is {height:.4g} m, the lowest point at {lowest[2]:.4g} m"
+            wrong(what, "table_height", _nearest_unit(_table_distance, recording))
         if cameras is not None and len(cameras):
             away = np.linalg.norm(cameras - recording.points.mean(axis=0), axis=1).max()
             if away > _MAX_AWAY:
-                wrong(f"a camera is {away:.4g} m away", "camera_positions")
+                unit = _meant(away, (0.3, 5.0))
+                wrong(f"a camera is {away:.4g} m away", "camera_positions", unit)
     return faults
 
 
@@ -351,7 +410,7 @@ def _check_grippers(recording: Recording) -> list[Fault]:
             Fault(
                 f"moves by {travel.max():.2g} m in all",
                 "gripper_position",
-                "record a lift; a rest tells little about the object",
+                "record a lift; an object at rest shows little of its parameters",
                 "warning",
             )
         )

@@ -103,7 +103,7 @@ MEASURED = 6
 """Numbers that a task measures of a demonstration, about."""
 
 TURNS = 8
-"""Parts that each of several devices should get, lest one waits long for another in the end."""
+"""Parts for each of several devices: more parts keep devices from waiting for the slowest."""
 
 
 def generate(
@@ -119,7 +119,7 @@ def generate(
 ) -> pa.Table:
     """Simulate a set of demonstrations, or what is missing of one, and load it.
 
-    Shards are written whole or not at all, so an interrupted set goes on where it stopped. A
+    Shards are written whole or not at all, so an interrupted set continues where it stopped. A
     larger `size` extends a set, a smaller one ends a set that was interrupted. A demonstration that
     diverges is kept with `ok` false.
 
@@ -141,7 +141,7 @@ def generate(
 
     Raises:
         DatasetError: The folder holds a set with other settings, or a larger one that is whole, the
-            disk is too small, or somebody else writes to it.
+            disk is too small, or another process writes to it.
         ParameterError: A number is out of range.
         DeviceError: The device is not there.
     """
@@ -302,7 +302,7 @@ def _count_together(kind: str, shard_size: int, left: int, devices: int) -> int:
 
 
 class _StoppedError(Exception):
-    """Ends a simulation that nobody waits for."""
+    """Ends a simulation whose result is not needed any more."""
 
 
 def _on_devices(

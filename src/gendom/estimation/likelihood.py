@@ -65,7 +65,7 @@ class NoiseModel:
     cloud_points: int = 160
     """Points of a frame that are compared, at most; four times as many of a cloth."""
     rounds: int = 3
-    """How often points and places are paired anew in a registration, at most."""
+    """Most iterations of a registration; each pairs points and places again."""
     registered: float = 0.1
     """It ends where a step wins no more than this in -2 log likelihood."""
 
@@ -74,7 +74,7 @@ class NoiseModel:
         return replace(self, shift=self.unknown_shift, turn=self.unknown_turn)
 
     def of_thinner_clouds(self, times: int = 4) -> NoiseModel:
-        """With so many times fewer points, that tell as much together."""
+        """With so many times fewer points of equal total weight."""
         return replace(self, cloud_points=self.cloud_points // times, patch=self.patch / times)
 
     @property

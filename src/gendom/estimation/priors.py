@@ -1,4 +1,4 @@
-"""What is believed of a recording's unknowns, and where a search for them should begin."""
+"""Priors of a recording's unknowns, and where a search for them should begin."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def material_prior(
 
 
 def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:
-    """Unknowns of which a recording may show something."""
+    """Unknowns that a recording may determine."""
     names = ["specific_modulus", "nu", "friction", "grip_height", "grip_along"]
     if not quasi_static:
         names += ["damping", "delay"]

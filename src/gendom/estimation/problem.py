@@ -97,7 +97,7 @@ class Start:
     iterations: int = 0
     done: bool = False
     renew: bool = False
-    """Whether its comparison's derivatives, a neighbour's, do not tell enough any more."""
+    """Whether the comparison's derivatives, taken at a neighbour, are too inaccurate to be used."""
     exact: bool = False
     """Whether they are its own."""
     history: list[tuple[int, Array, float]] = field(default_factory=list)

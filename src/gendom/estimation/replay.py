@@ -84,7 +84,7 @@ def replay(
         on_frame: Called with the number of frames done.
 
     Raises:
-        SimulationError: A world diverges, unless told to keep going.
+        SimulationError: A world diverges, and `keep_going` is not set.
     """
     simulator, times = simulator_of(scene, thetas)
     x = simulator.run(times, keep_going=keep_going, on_frame=on_frame).astype(float)

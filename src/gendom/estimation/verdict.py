@@ -46,7 +46,7 @@ class VerdictSettings:
     """The same of a cloth. Twice its E moves a sheet in a lift by as much (2 to 5 mm of a diagonal
     of 0.42 m): a larger displacement hides what is looked for."""
     bare: float = 0.3
-    """Largest share of the object of which clouds show nothing, in the median frame."""
+    """Largest share of the object that clouds do not show, in the median frame."""
     stray: float = 0.25
     """Largest share of points farther away than `straying` times `far`."""
     far: float = 4.0
@@ -126,7 +126,7 @@ def judge(
     alone: Sequence[Posterior],
     settings: VerdictSettings | None = None,
 ) -> Verdict:
-    """Of a fit. What is true of one of several recordings is said with its name.
+    """The verdict of a fit. Reasons that concern one of several recordings begin with its name.
 
     Args:
         problem: What was looked for.
@@ -193,7 +193,7 @@ def _at_end(problem: Problem, vector: Array) -> list[str]:
 
 
 def _pressed(problem: Problem, vector: Array, recording: int, s: VerdictSettings) -> list[str]:
-    """A recording's own unknowns that are far from what is believed of them."""
+    """A recording's own unknowns that are far from their priors."""
     prior, said = problem.prior, []
     for k in prior.of(recording):
         u, x = UNKNOWNS[prior.names[k]], float(vector[k])

@@ -1,6 +1,6 @@
 """Whether intervals hold: random objects of the second reality, lifted, perceived and estimated.
 
-Every lift and every estimate is kept in a folder, so that a run that was interrupted goes on.
+Every lift and every estimate is kept in a folder, so that an interrupted run continues.
 """
 
 from __future__ import annotations
@@ -242,7 +242,7 @@ class Covered:
 
     @property
     def uniform(self) -> bool:
-        """Whether ranks may be uniform, as far as their number tells."""
+        """Whether all counts lie in the band that uniform ranks have."""
         return self.band[0] <= min(self.counts) and max(self.counts) <= self.band[1]
 
 

@@ -1,6 +1,6 @@
 """Which predefined lift shows an object's parameters best, before any is recorded.
 
-Objects are drawn from what is believed of them, and each lift of each is simulated as the arm
+Objects are drawn from their prior, and each lift of each is simulated as the arm
 carries it out and as noisy cameras show it. What an estimate from those clouds would report follows
 from the estimator's own likelihood, priors, noise and calibration, at the true parameters
 (Bayesian experimental design with a Gaussian posterior; Chaloner and Verdinelli 1995).
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, truncnorm
 
 from gendom.datasets import ObjectDescription, Recording
+from gendom.datasets.checks import MAX_DENSITY
 from gendom.errors import ParameterError, RobotError
 from gendom.estimation import (
     UNKNOWNS,
@@ -126,6 +127,12 @@ class ObjectClass:
         if self.mass is not None:
             mass = self.mass[0] + shares[2] * (self.mass[1] - self.mass[0])
             density = made.material.density * mass / made.mass
+            if density > MAX_DENSITY:
+                raise ParameterError(
+                    f"is {mass:g} kg, a density of {density:.3g} kg/m^3",
+                    where="mass",
+                    fix="it looks like grams; divide by 1000",
+                )
         return replace(made, material=Material(density=density))
 
 
@@ -192,19 +199,19 @@ def rolls(motion: LiftMotion) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Foreseen:
-    """What one motion is expected to tell of D drawn objects."""
+class MotionForecast:
+    """The information that one motion is expected to give about D drawn objects."""
 
     motion: LiftMotion
     sd: tuple[Mapping[str, float] | None, ...]
-    """[D] deviations of the posterior by keys of `SHOWN`, transformed; None: nothing is told."""
+    """[D] deviations of the posterior by keys of `SHOWN`, transformed; None: no information."""
     carried_out: int
     """How many of the objects the arm can lift so."""
     faults: tuple[str, ...]
-    """Why others tell nothing, each once."""
+    """Why other objects give no information, without repetitions."""
 
     def half_width(self, name: str, level: float) -> float:
-        """Of the expected interval, in transformed units; NaN where nothing is told."""
+        """Of the expected interval, in transformed units; NaN without information."""
         told = [sd[name] for sd in self.sd if sd is not None]
         return float(norm.ppf(0.5 + level / 2.0) * np.mean(told)) if told else math.nan
 
@@ -217,14 +224,14 @@ class LiftPlan:
     settings: LiftPlanSettings
     prior_sd: Mapping[str, float]
     """By keys of `SHOWN`, transformed."""
-    rows: tuple[Foreseen, ...]
+    rows: tuple[MotionForecast, ...]
     """The plain hold first."""
     middle: Item = field(repr=False)
     """The object in the middle of the class."""
 
-    def score(self, row: Foreseen) -> float:
-        """How much narrower than the prior what counts becomes, the mean of logarithms over objects
-        and parameters; a motion that cannot be carried out tells nothing."""
+    def score(self, row: MotionForecast) -> float:
+        """Mean logarithm of the ratio of prior to posterior deviation, over objects and the
+        parameters aimed at; 0 for a motion that cannot be carried out."""
         told = [
             0.0 if sd is None else math.log(self.prior_sd[name] / sd[name])
             for sd in row.sd
@@ -232,13 +239,13 @@ class LiftPlan:
         ]
         return float(np.mean(told))
 
-    def gain(self, row: Foreseen) -> float:
+    def gain(self, row: MotionForecast) -> float:
         """By how much intervals are narrower than after the plain hold, the geometric mean."""
         return math.exp(self.score(row) - self.score(self.rows[0]))
 
     @property
-    def chosen(self) -> Foreseen:
-        """The row that tells most; one after which ropes roll, where there are no others alone."""
+    def chosen(self) -> MotionForecast:
+        """The row with the highest score; one after which ropes roll only if there is no other."""
         done = [row for row in self.rows if row.carried_out]
         asked = [row for row in done if row.motion.end in self.settings.ends] or done
         steady = [row for row in asked if not rolls(row.motion)]
@@ -309,13 +316,15 @@ def plan_lift(
             else:
                 carried_out += 1
                 lying = recorded_lift(trial, arm, FRAME_RATE[motion.end])
-                prior_sd, sd = foreseen(lying, objects.material, [settings.seed, n])
+                prior_sd, sd = forecast(lying, objects.material, [settings.seed, n])
                 if sd is None:
                     faults[f"a drawn {objects.kind} could not be simulated"] = None
             found.append(sd)
             on_done(len(rows) * len(drawn) + n + 1, len(motions) * len(drawn))
         rows.append(
-            Foreseen(motion=motion, sd=tuple(found), carried_out=carried_out, faults=tuple(faults))
+            MotionForecast(
+                motion=motion, sd=tuple(found), carried_out=carried_out, faults=tuple(faults)
+            )
         )
     if not any(row.carried_out for row in rows):
         raise RobotError(
@@ -340,7 +349,7 @@ def _tried(trial: Trial) -> JointMotion | RobotError:
         return error
 
 
-def foreseen(
+def forecast(
     lying: Recording, material: str | None, seed: Sequence[int]
 ) -> tuple[dict[str, float], dict[str, float] | None]:
     """What an estimate from one lift of an object drawn from the prior is expected to report.

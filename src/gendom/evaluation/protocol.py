@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError, PolicyError, SimulationError
-from gendom.materials import Item, likeness, unit_of
+from gendom.materials import Item, dimensionless_parameters, unit_of
 from gendom.policies import Policy
 from gendom.tasks import Task
 from gendom.tasks.world import Simulation, World
 
 _ROUNDS = 100
-"""How often a case whose simulation fails, or that is at risk, is drawn anew."""
+"""How often a case whose simulation fails, or that is at risk, is drawn again."""
 
 _STREAM = 1
 """Keeps these draws apart from those of demonstrations with the same seed."""
@@ -178,7 +178,7 @@ def choose(policy: Policy, cases: Cases, *, known: Sequence[Item] | None = None)
             where=policy.where,
             fix=f"use a policy for {task.name}",
         )
-    alike = [likeness(item) for item in (known or cases.items)]
+    alike = [dimensionless_parameters(item) for item in (known or cases.items)]
     given = {name: np.array([a[name] for a in alike]) for name in alike[0]}
     units = np.array([task.action_units(item) for item in cases.items])
     goal_units = np.array([task.goal_units(item) for item in cases.items]).reshape(
@@ -201,7 +201,7 @@ def judge(
     world: World | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> Score:
-    """What comes of actions [W, A] in all cases; no goal counts as outside a range."""
+    """Outcomes of actions [W, A] in all cases; no goal counts as outside a range."""
     task = cases.task
     outcomes = (world or Simulation()).carry_out(task, cases.items, action, on_frame=on_frame)
     reached = np.full(cases.goal.shape, np.nan)

@@ -1,4 +1,4 @@
-"""A catalogue of materials: what ropes, cables and cloths have, with a source for each number.
+"""A catalogue of materials: parameters of ropes, cables and cloths, each with its basis.
 
 >>> from gendom.materials import catalogue
 >>> rope = catalogue.get("cotton-rope")
@@ -25,11 +25,21 @@ from gendom.materials.parameters import Material
 from gendom.shown import Shown
 
 BASES = ("measured", "computed", "estimate")
-"""Where a range comes from: somebody measured such things; it follows from what its source has;
-or it is a guess, for which a source, where there is one, has the method or numbers near it."""
+"""Where a range comes from: measurements of such things; what its source says; or a guess, for
+which a source, where there is one, has the method or numbers near it."""
 
 UNITS = {"E": "Pa", "nu": "1", "density": "kg/m^3", "damping": "s", "friction": "1"}
 """Quantities of every material, SI; a rope has a ``diameter``, a cloth a ``thickness`` [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A publication or a public table."""
+
+    text: str
+    """Authors, title and place."""
+    says: str = ""
+    """The numbers in it that ranges rest on; empty where they have not been checked."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,28 +140,29 @@ def materials() -> dict[str, Listed]:
     return _read()[0]
 
 
-def sources() -> dict[str, str]:
-    """Publications by their keys."""
+def sources() -> dict[str, Source]:
+    """Sources by their keys."""
     return _read()[1]
 
 
 @cache
-def _read() -> tuple[dict[str, Listed], dict[str, str]]:
+def _read() -> tuple[dict[str, Listed], dict[str, Source]]:
     text = files("gendom.materials").joinpath("catalogue.toml").read_text(encoding="utf-8")
     return parse(tomllib.loads(text))
 
 
-def parse(table: dict[str, Any]) -> tuple[dict[str, Listed], dict[str, str]]:
+def parse(table: dict[str, Any]) -> tuple[dict[str, Listed], dict[str, Source]]:
     """Materials and sources of a catalogue's TOML.
 
     Args:
-        table: ``sources`` (texts by key), ``shared`` (ranges by name) and ``materials``: ``kind``,
-            ``about`` and ranges, or names of shared ones, of `UNITS` and of the size across.
+        table: ``sources`` (``text`` and ``says`` by key), ``shared`` (ranges by name) and
+            ``materials``: ``kind``, ``about`` and ranges, or names of shared ones, of `UNITS` and
+            of the size across.
 
     Raises:
         ParameterError: Something is missing, unknown or out of its range.
     """
-    cited = dict(table["sources"])
+    cited = {key: Source(**source) for key, source in table["sources"].items()}
     shared = {name: _range(row, f"shared.{name}", cited) for name, row in table["shared"].items()}
     found: dict[str, Listed] = {}
     for name, row in table["materials"].items():
@@ -176,7 +187,7 @@ def parse(table: dict[str, Any]) -> tuple[dict[str, Listed], dict[str, str]]:
     return found, cited
 
 
-def _range(row: dict[str, Any], where: str, cited: dict[str, str]) -> Range:
+def _range(row: dict[str, Any], where: str, cited: dict[str, Source]) -> Range:
     try:
         made = Range(**row)
     except TypeError as error:
@@ -185,4 +196,10 @@ def _range(row: dict[str, Any], where: str, cited: dict[str, str]) -> Range:
         raise ParameterError(error.what, where=where, fix=error.fix) from None
     if made.source and made.source not in cited:
         raise ParameterError(f"has the source {made.source!r}, which is not listed", where=where)
+    if made.basis != "estimate" and not cited[made.source].says:
+        raise ParameterError(
+            f"is {made.basis} from {made.source!r}, and what that says is not stated",
+            where=where,
+            fix="add what it says, or make it an estimate",
+        )
     return made

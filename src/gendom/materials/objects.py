@@ -5,7 +5,7 @@ depends only on numbers without a unit. The equation of motion rho x_tt = div P(
 divided by rho g, leaves E / (rho g L), nu and thickness / L. A slender body is hardly stretched by
 its weight, it bends, and then E and thickness count only together, as bending length over size
 (`bending_length`). Damping is a time; the air's drag counts by its density over the object's
-weight. So objects of any size share one task, and one policy, as far as `Alike` is all that counts.
+weight. So objects of any size share one task and one policy, as far as only `PARAMETERS` count.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ PARAMETERS: dict[str, Parameter] = {
             meaning="damping time over sqrt(size / g)",
             log=True,
         ),
-        Parameter(name="friction", column="friction", unit="1", meaning="as it is", log=False),
+        Parameter(name="friction", column="friction", unit="1", meaning="coefficient", log=False),
         Parameter(
             name="density",
             column="density",
@@ -206,7 +206,7 @@ def unit_of_size(unit: str, L: NDArray[np.float64]) -> NDArray[np.float64]:
     return L**of_size * STANDARD_GRAVITY**of_gravity
 
 
-def likeness(item: Item) -> dict[str, float]:
+def dimensionless_parameters(item: Item) -> dict[str, float]:
     """The dimensionless numbers of an object, by names of `PARAMETERS`."""
     material = item.material
     L = size_of(item)
@@ -254,12 +254,15 @@ def from_columns(kind: str, columns: Mapping[str, float]) -> Item:
     )
 
 
-def likeness_of_columns(
+def dimensionless_columns(
     kind: str, columns: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, NDArray[np.float64]]:
-    """`likeness` of N objects at once, from columns [N]."""
+    """`dimensionless_parameters` of N objects at once, from columns [N]."""
     rows = zip(*columns.values(), strict=True)
-    found = [likeness(from_columns(kind, dict(zip(columns, row, strict=True)))) for row in rows]
+    found = [
+        dimensionless_parameters(from_columns(kind, dict(zip(columns, row, strict=True))))
+        for row in rows
+    ]
     return {name: np.array([row[name] for row in found]) for name in PARAMETERS}
 
 
@@ -271,6 +274,26 @@ _MISREAD = (
 )
 """Ranges that no rope's or cloth's number leaves, its unit, and that in which it was given if it
 does, with a factor."""
+
+
+_SMALLER = {"cm": 1e-2, "mm": 1e-3}
+"""Units in which sizes are given by mistake [m]."""
+
+
+def _in_metres(value: float, item: Item) -> str:
+    """What a size is in metres if it was given in `_SMALLER` units.
+
+    Args:
+        value: A size that is too large [m].
+        item: Its object; a larger size that is plausible rules units out.
+    """
+    large = size_of(item)
+    if large > LARGEST:
+        units = ["cm" if large < 100.0 else "mm"]
+    else:
+        units = [unit for unit, metres in _SMALLER.items() if metres * value <= 0.2 * large]
+    told = [f"{value:g} {unit} are {_SMALLER[unit] * value:g} m" for unit in units or _SMALLER]
+    return f"give metres: {', '.join(told)}"
 
 
 def _check_units(item: Item) -> None:
@@ -288,15 +311,15 @@ def _check_units(item: Item) -> None:
                 f"{name} must be positive and finite, got {value}", fix="give metres"
             )
         if value > LARGEST:
-            raise ParameterError(
-                f"{name} is {value:g} m", fix=f"give metres: {value:g} mm are {1e-3 * value:g} m"
-            )
+            raise ParameterError(f"{name} is {value:g} m", fix=_in_metres(value, item))
     large, small = item.sizes
     if thickness_of(item) > 0.2 * size_of(item):
         raise ParameterError(
             f"a {item.kind} with {small} {thickness_of(item)} m and {large} {size_of(item)} m is "
             f"no {item.kind}",
-            fix=f"give a {small} of at most 0.2 of its {large}",
+            fix=_in_metres(thickness_of(item), item)
+            if thickness_of(item) > size_of(item)
+            else f"give a {small} of at most 0.2 of its {large}",
         )
     if not (math.isfinite(item.friction) and item.friction >= 0.0):
         raise ParameterError(

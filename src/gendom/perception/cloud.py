@@ -35,7 +35,8 @@ _NEVER = np.uint16(65535)
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
 _STEEPEST = 5.0  # a surface's depth may change by this many pixels' width from one to the next
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
-_TABLE_SHARE = 0.2  # of the pixels that look down lie on a table by which a unit is told
+_FAR = 0.5  # [m]; larger settings were not given in metres
+_TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
 _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 
 
@@ -75,6 +76,11 @@ class CloudSettings:
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise ParameterError(f"{name} is {value}", fix="give 0 or more")
+            if name != "table_sigmas" and value > _FAR:
+                raise ParameterError(
+                    f"{name} is {value:g} m",
+                    fix=f"give metres: {value:g} mm are {1e-3 * value:g} m",
+                )
         if not 0 <= self.min_support <= 8:
             raise ParameterError(f"min_support is {self.min_support}", fix="give 0 to 8")
         if self.min_cluster < 1:
@@ -173,7 +179,7 @@ class View:
 
         Args:
             depth: [height, width].
-            table_height: z of the table [m]; None: unknown, so nothing can be told.
+            table_height: z of the table [m]; None: unknown, and nothing is checked.
 
         Raises:
             RecordingError: One does.
@@ -249,7 +255,7 @@ class View:
         """The object's points in one camera's pictures.
 
         A point on the table stays if its colour is the object's; without colours nothing that
-        lies within the table's noise can be told from it.
+        lies within the table's noise can be separated from it.
 
         Returns:
             Points [n, 3] in the world [m], and how many were left at each of the first six

@@ -95,7 +95,7 @@ def match_frames(
     """Sets of frames, one of each source, whose time stamps lie within a tolerance.
 
     Each frame is used once at most. Of two sets that compete for a frame the closer one wins,
-    as far as one frame of looking ahead tells.
+    as far as one frame of look-ahead shows.
 
     Args:
         sources: Frames in order of time.

@@ -39,7 +39,7 @@ class RealSenseCamera:
 
     Time is the depth picture's time stamp [s], on this computer's clock where the camera offers
     "Global Time". Frames wait for about a second to be used; of older ones the oldest are
-    dropped, which a warning tells in the end. When the camera is lost the frames end, after a
+    dropped, with a warning at the end. When the camera is lost the frames end, after a
     warning.
 
     Args:

@@ -92,6 +92,11 @@ class PerceptionSettings:
             raise ParameterError(f"colour {self.colour}", fix="give R G B, each 0 to 255")
         if not (np.isfinite(self.sync_tolerance) and self.sync_tolerance >= 0.0):
             raise ParameterError(f"sync_tolerance is {self.sync_tolerance}", fix="give seconds")
+        if self.sync_tolerance > 1.0:
+            raise ParameterError(
+                f"sync_tolerance is {self.sync_tolerance:g} s",
+                fix=f"give seconds: {self.sync_tolerance:g} ms are {1e-3 * self.sync_tolerance:g}",
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +309,7 @@ class _Perception:
             mean = sum(heights.values()) / len(heights)
             self._level(pictures, middle, mean if expected is None else expected)
         lacking = [name for name in self.names if name not in heights]
-        if lacking and known:  # nobody said or saw that there is one: then there is none
+        if lacking and known:  # neither stated nor seen: there is none
             level = "" if expected is None else f" at z = {expected:g} m"
             self.on_warning(
                 Fault(

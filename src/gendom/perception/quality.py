@@ -75,7 +75,7 @@ def seen_share(points: npt.ArrayLike, description: ObjectDescription) -> float:
     A rope: the length of the shortest tree through points spaced by 1.5 cm (or the diameter, if
     larger), without steps over gaps, over its length. A cloth: occupied cells of 1.5 cm, of
     which a surface of any direction crosses 1.5 a cell's face on average, over its area. Good
-    to a tenth or two: enough to tell that most is hidden.
+    to 0.1 to 0.2, which is enough to see that most is hidden.
 
     Args:
         points: [n, 3] [m].
@@ -101,7 +101,7 @@ def seen_share(points: npt.ArrayLike, description: ObjectDescription) -> float:
 
 
 def _spaced(points: np.ndarray, spacing: float) -> np.ndarray:
-    """Points of which none is nearer than a spacing to another, and none missing is farther."""
+    """A subset with at least a spacing between points that covers all others (greedy)."""
     left, chosen = points, []
     while len(left):
         chosen.append(left[0])

@@ -113,7 +113,7 @@ class RealSenseRecording:
             with open(self.path, "rb") as file:
                 is_bag = file.read(7) == b"#ROSBAG"
         except OSError:
-            is_bag = False  # `Bag` tells why
+            is_bag = False  # `Bag` raises the reason
         if not is_bag:
             return self.path
         folder = Path(tempfile.mkdtemp(prefix="gendom-"))

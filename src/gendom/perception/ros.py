@@ -224,7 +224,7 @@ class _Track:
     where: str
     frame: str = ""
     still: bool = False
-    """Whether it never moves: what is told of it again is the same."""
+    """Whether it never moves: later messages repeat the first."""
     times: list[float] = field(default_factory=list)
     places: list[list[float]] = field(default_factory=list)
 

@@ -1,5 +1,56 @@
-"""Policies: trained with torch (`gendom.policies.train`), run without it."""
+"""Policies: trained with torch, run without it; adapted and polished through the simulator.
 
+Names are imported when first used: training needs the extra ``train``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from gendom.lazy import imported_later
 from gendom.policies.policy import Action, Column, Description, GoalRange, Outside, Policy
 
-__all__ = ["Action", "Column", "Description", "GoalRange", "Outside", "Policy"]
+if TYPE_CHECKING:
+    from gendom.policies.adaptation import Adapted, AdaptSettings, Execution, adapt
+    from gendom.policies.belief import Belief
+    from gendom.policies.demonstrations import Demonstrations
+    from gendom.policies.polishing import Polished, PolishSettings, polish
+    from gendom.policies.training import Training, train
+
+# Public name -> module that defines it. Keep in step with the block above and `__all__`.
+_LATER = {
+    "AdaptSettings": "adaptation",
+    "Adapted": "adaptation",
+    "Belief": "belief",
+    "Demonstrations": "demonstrations",
+    "Execution": "adaptation",
+    "PolishSettings": "polishing",
+    "Polished": "polishing",
+    "Training": "training",
+    "adapt": "adaptation",
+    "polish": "polishing",
+    "train": "training",
+}
+
+__all__ = [
+    "Action",
+    "AdaptSettings",
+    "Adapted",
+    "Belief",
+    "Column",
+    "Demonstrations",
+    "Description",
+    "Execution",
+    "GoalRange",
+    "Outside",
+    "Policy",
+    "PolishSettings",
+    "Polished",
+    "Training",
+    "adapt",
+    "polish",
+    "train",
+]
+
+
+__getattr__ = imported_later(__name__, _LATER)

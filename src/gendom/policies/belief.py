@@ -1,7 +1,7 @@
-"""What is known of an object: the most likely one, and others that are plausible.
+"""Uncertain objects: the most likely one, and a Gaussian over plausible ones.
 
 An estimate's posterior, or flags alone, become a Gaussian in the numbers of `PARAMETERS`, in
-logarithms where ratios count. What no recording tells keeps the doubt of `ASSUMED_SD`.
+logarithms where ratios count. Numbers that no recording determines keep the deviation `ASSUMED_SD`.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gendom.datasets.demonstrations import GOAL, load, read_description, succeeded
 from gendom.errors import DatasetError
-from gendom.materials import KINDS, PARAMETERS, likeness_of_columns, unit_of_size
+from gendom.materials import KINDS, PARAMETERS, dimensionless_columns, unit_of_size
 from gendom.tasks import find_task
 
 SMALLEST = 20
@@ -38,7 +38,7 @@ class Demonstrations:
     action: Array
     """[N, A] what was done [the same]."""
     parameters: Mapping[str, Array]
-    """[N] each of `PARAMETERS` [-], see `likeness`."""
+    """[N] each of `PARAMETERS` [-], see `dimensionless_parameters`."""
     risk: Array | None = None
     """[N] the task's `risk`, if it has one [units of similarity]."""
     where: str | None = None
@@ -116,7 +116,7 @@ class Demonstrations:
             goal_names=goals,
             goal=alike(tuple(GOAL + name for name in goals), about["goal_units"]),
             action=alike(actions, about["action_units"]),
-            parameters=likeness_of_columns(kind, {name: column[name] for name in objects}),
+            parameters=dimensionless_columns(kind, {name: column[name] for name in objects}),
             risk=alike(tuple(risk), [task.risk.unit])[:, 0] if task.risk else None,
             where=where,
         )

@@ -12,7 +12,7 @@ import numpy as np
 
 from gendom.errors import GendomError
 from gendom.materials import ASSUMED, KINDS, PARAMETERS, Item, from_columns, to_columns
-from gendom.policies.adapt import Adapted, Execution
+from gendom.policies.adaptation import Adapted, Execution
 from gendom.policies.belief import LIMITS, OF_POSTERIOR, Belief
 from gendom.tasks import Task
 

@@ -24,7 +24,7 @@ from gendom.materials import (
     specific_modulus_of,
     unit_of,
 )
-from gendom.policies.adapt import Execution
+from gendom.policies.adaptation import Execution
 from gendom.tasks import Task
 from gendom.tasks.world import Simulation, World
 
@@ -38,7 +38,7 @@ class IdentifySettings:
     ranges: Mapping[str, tuple[float, float]] = field(
         default_factory=lambda: {"E": (0.2, 0.8), "damping": (0.005, 0.15)}
     )
-    """Lowest and highest value of each parameter, as `likeness` has them."""
+    """Lowest and highest value of each parameter, as `dimensionless_parameters` has them."""
     population: int = 15
     """Members for each parameter."""
     generations: int = 20
@@ -52,15 +52,15 @@ class Identified:
     """One set of parameters for all objects."""
 
     parameters: dict[str, float]
-    """By names of `PARAMETERS`, as `likeness` has them."""
+    """By names of `PARAMETERS`, as `dimensionless_parameters` has them."""
     misfit: float
-    """Root mean square of what is left [units of similarity]."""
+    """Root mean square of the residuals [units of similarity]."""
     executions: int
     rollouts: int
 
     def item(self, like: Item) -> Item:
         """An object of the sizes of another, with these parameters."""
-        return with_likeness(like, self.parameters)
+        return with_dimensionless(like, self.parameters)
 
 
 def identify(
@@ -105,7 +105,7 @@ def identify(
         """[S] mean squares for S sets of parameters, in columns."""
         nonlocal rollouts
         sets = np.atleast_2d(population.T)
-        items = [with_likeness(item, values(v)) for v in sets for item, _ in seen]
+        items = [with_dimensionless(item, values(v)) for v in sets for item, _ in seen]
         actions = np.array([e.action for _ in sets for _, e in seen])
         outcomes = world.carry_out(task, items, actions)
         rollouts += len(items)
@@ -147,8 +147,8 @@ def identify(
     )
 
 
-def with_likeness(item: Item, parameters: Mapping[str, float]) -> Item:
-    """An object of the same sizes and density with other parameters, as `likeness` has them: E, nu,
+def with_dimensionless(item: Item, parameters: Mapping[str, float]) -> Item:
+    """An object of the same sizes and density with other `dimensionless_parameters`: E, nu,
     damping, friction."""
     material = item.material
     material = replace(material, nu=parameters.get("nu", material.nu))

@@ -23,10 +23,10 @@ from gendom.policies.policy import GOAL, Column
 from gendom.tasks import find_task
 
 if TYPE_CHECKING:
-    from gendom.policies.train import Training
+    from gendom.policies.training import Training
 
 RISK_FLOOR = 1e-5
-"""Smaller risks are as good as none [units of similarity]."""
+"""Smaller risks count as zero [units of similarity]."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, PolicyError
 from gendom.files import read_bytes
-from gendom.materials import PARAMETERS, Item, likeness
+from gendom.materials import PARAMETERS, Item, dimensionless_parameters
 from gendom.shown import Shown
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ similarity]."""
 Array = NDArray[np.float64]
 
 NEAR = 0.01
-"""A parameter outside the range by less than this share of its end is as good as in it."""
+"""A parameter outside the range by less than this share of its end counts as in it."""
 
 ABSURD = 10.0
 """A goal farther than this many of the farthest that can be reached was not given in its unit."""
@@ -171,14 +171,14 @@ class Description:
 
 @dataclass(frozen=True, kw_only=True)
 class Action:
-    """What the robot shall do to reach a goal with one object."""
+    """The action that a policy chooses for a goal and an object."""
 
     goal: dict[str, float]
     """What was asked for, by name, in SI units."""
     action: dict[str, float]
     """By name, in SI units."""
     saw: dict[str, float]
-    """Parameters that the network saw, by name [-], see `likeness`."""
+    """Parameters that the network saw, by name [-], see `dimensionless_parameters`."""
     warnings: tuple[str, ...] = ()
     """Goals and parameters outside the training range, an action at its limits; one line each."""
 
@@ -333,8 +333,8 @@ class Policy(Shown):
 
         Args:
             goals: [B, G], or [B] where a goal is one number.
-            parameters: [B] or one number each, by names of `PARAMETERS` (`likeness`); those that
-                the policy does not see may be left out.
+            parameters: [B] or one number each, by names of `PARAMETERS`
+                (`dimensionless_parameters`); those that the policy does not see may be left out.
 
         Returns:
             [B, A].
@@ -373,7 +373,7 @@ class Policy(Shown):
             return self.description.goals(None)
         sees = "E" in self.description.conditioned_on
         low, high = self.description.parameters["E"]
-        E = float(np.clip(likeness(item)["E"], low, high)) if sees else None
+        E = float(np.clip(dimensionless_parameters(item)["E"], low, high)) if sees else None
         return self.description.goals(E) * self.task().goal_units(item)[:, None]
 
     def outside(self, goal: ArrayLike, item: Item) -> tuple[Outside, ...]:
@@ -414,7 +414,7 @@ class Policy(Shown):
             first = next(iter(goals.values()))
             raise PolicyError(first.what, where=self.where, fix=first.fix)
         warnings = [str(found) for found in (*goals.values(), *parameters.values())]
-        alike = likeness(item)
+        alike = dimensionless_parameters(item)
         saw = {
             name: parameters[name].nearest if name in parameters else alike[name]
             for name in about.conditioned_on
@@ -490,7 +490,7 @@ class Policy(Shown):
 
     def _parameters_outside(self, item: Item) -> dict[str, Outside]:
         """Parameters that demonstrations did not have, by name."""
-        found, alike = {}, likeness(item)
+        found, alike = {}, dimensionless_parameters(item)
         for name in self.description.conditioned_on:
             (low, high), value = self.description.parameters[name], alike[name]
             nearest = min(max(value, low), high)

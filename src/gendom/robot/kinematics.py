@@ -205,7 +205,7 @@ def descend(
         iterations: At most.
 
     Returns:
-        q [B, J] within the limits, and what is left of the error [B, 6] [m], [rad].
+        q [B, J] within the limits, and the remaining error [B, 6] [m], [rad].
     """
     q = np.clip(q, arm.q_min, arm.q_max)
     active = np.arange(len(q))

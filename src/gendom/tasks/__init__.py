@@ -12,13 +12,18 @@ from collections.abc import Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gendom.errors import ParameterError
+from gendom.lazy import imported_later
 from gendom.tasks.cloth_spreading import ClothSpreading
 from gendom.tasks.rope_casting import RopeCasting, RopeCastingAtSpeed
 from gendom.tasks.rope_reaching import RopeReaching
 from gendom.tasks.task import Observed, Quantity, Risk, Scene, Task
+
+if TYPE_CHECKING:
+    from gendom.tasks.demonstrator import Demonstrator
+    from gendom.tasks.world import Outcome, Simulation, World
 
 GROUP = "gendom.tasks"
 """Of entry points."""
@@ -126,16 +131,30 @@ def rebuild(description: Mapping[str, Any]) -> Task:
         ) from error
 
 
+__getattr__ = imported_later(
+    __name__,
+    {
+        "Demonstrator": "demonstrator",
+        "Outcome": "world",
+        "Simulation": "world",
+        "World": "world",
+    },
+)
+
 __all__ = [
     "ClothSpreading",
+    "Demonstrator",
     "Observed",
+    "Outcome",
     "Quantity",
     "Risk",
     "RopeCasting",
     "RopeCastingAtSpeed",
     "RopeReaching",
     "Scene",
+    "Simulation",
     "Task",
+    "World",
     "find_task",
     "rebuild",
     "register",

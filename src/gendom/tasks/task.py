@@ -158,7 +158,11 @@ class Task(ABC):
                 )
             log = PARAMETERS[name].log
             if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-                raise ParameterError(f"is {low} to {high}", where=f"range of {name}")
+                raise ParameterError(
+                    f"is {low} to {high}",
+                    where=f"range of {name}",
+                    fix="give two finite numbers, the lower one first",
+                )
             if low < 0.0 or (log and low == 0.0 and high > 0.0):
                 raise ParameterError(
                     f"is {low} to {high}",

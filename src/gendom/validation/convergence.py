@@ -31,7 +31,7 @@ SMOOTHING = (
 def order(settings: Settings) -> list[Check]:
     """A falling block; a free bar that vibrates along its axis for half a period.
 
-    The bar's analytic answer tells the order of the error when cells and substeps shrink
+    The bar's analytic answer gives the order of the error when cells and substeps shrink
     together. With cells as they are shorter substeps are not better: each exchange with the grid
     smooths velocities by the same share, so what is smoothed away grows with their number, and so
     do the differences between answers.

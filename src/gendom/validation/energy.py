@@ -1,4 +1,4 @@
-"""Energy of bodies that nobody works on."""
+"""Energy of bodies on which no external force does work."""
 
 from __future__ import annotations
 

@@ -39,9 +39,9 @@ ALLOWED = {1.0: 0.04, 1.5: 0.02}
 def grip(settings: Settings) -> list[Check]:
     """A rope ten diameters long, held by a sphere of 0.75 diameters, at random phases of the grid.
 
-    Six of them (two in the quick run) tell the sag; two are watched for 8 s. Where the grip ends
+    Six of them (two in the quick run) measure the sag; two are watched for 8 s. Where the grip ends
     material is held by springs as stiff as substeps allow; damping makes these shorter, the springs
-    stiffer, and sags less. A row of its own tells how much.
+    stiffer, and sags less. A separate row measures how much.
     """
     checks = []
     worlds, until = (2, 3.0) if settings.quick else (6, 8.0)

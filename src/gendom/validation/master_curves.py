@@ -254,7 +254,7 @@ def slips(settings: Settings, load: float, friction: ArrayLike) -> NDArray[np.fl
     carrying = Gripper(time=until * share, position=path, radius=hand.radius)
     s = settings.simulator(
         body.moved(start), [MATERIAL] * len(mu), engine="thin", grippers=[carrying],
-        # a breath of sideways gravity tells where it buckles to
+        # a small sideways gravity decides where it buckles to
         gravity=(0.005 * unit, 0.0, -load * unit), table=Table(height=0.0, friction=mu),
         velocity_damping=omega, air_density=0.0,
     )  # fmt: skip

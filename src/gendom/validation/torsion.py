@@ -27,7 +27,7 @@ SAINT_VENANT = (
 def torsion(settings: Settings) -> list[Check]:
     """A rope six diameters long, one end clamped, the other turned by 0.1 rad about its axis.
 
-    Its elastic energy tells the stiffness: that of the twist alone, as both ends stay in place.
+    Its elastic energy gives the stiffness: that of the twist alone, as both ends stay in place.
     """
     L = 6.0 * DIAMETER
     material = Material(E=1.0e6, nu=0.3)

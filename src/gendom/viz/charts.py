@@ -1,4 +1,4 @@
-"""Charts of a report: how the estimate was found, what is believed, and what the action did."""
+"""Charts of a report: the search, prior and posterior, and the action."""
 
 from __future__ import annotations
 

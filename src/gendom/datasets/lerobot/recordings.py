@@ -132,7 +132,7 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
     if not (folder / ABOUT).is_file():
         raise fault(
             "is a LeRobot data set that was not made of a recording",
-            "give one that gendom export wrote: others do not tell sizes of what is held",
+            "give one that gendom export wrote: others lack the object's sizes",
         )
     try:
         info, meta = read_json(folder / INFO), read_json(folder / ABOUT)

@@ -58,7 +58,7 @@ class AdamSettings:
     reach: float = 2.0
     """How far from their means what is not the modulus may go, in deviations of the prior."""
     look: int = 10
-    """Steps after which it is found anew which points the cameras see."""
+    """Steps after which the visible points are determined again."""
 
 
 def adam(problem: Problem, settings: AdamSettings | None = None) -> Found:

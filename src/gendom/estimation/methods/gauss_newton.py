@@ -1,7 +1,7 @@
 """`gauss-newton`: damped Gauss-Newton steps from several starts at once, then the noise.
 
 Parameters go down on -2 log of likelihood times prior, all starts in one batch of worlds;
-derivatives are differences between worlds side by side, carried along while they tell enough
+derivatives are differences between worlds side by side, kept while they are accurate enough
 (Broyden 1965). The step is Levenberg's and Marquardt's (Nocedal and Wright 2006, chapter 10), of a
 cloth with several dampings and once by the object's own unknowns alone: what is held changes in
 jumps, and those have no part in them. From afar only what moves shapes most is free, and clouds are
@@ -46,7 +46,7 @@ class GaussNewtonSettings:
     gain: tuple[float, float] = (2.0, 0.2)
     """A start has arrived when a step can win no more than this, afar and near."""
     holds: float = 0.5
-    """Derivatives are made anew where a step wins less than this share of what they promised."""
+    """Derivatives are computed again where a step gains less than this share of the prediction."""
     rugged: bool = False
     """Whether several steps are tried side by side."""
     leaps: tuple[float, ...] = ()

@@ -107,7 +107,7 @@ def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Foun
 
 
 def lift_of(scene: Scene) -> dict[str, float]:
-    """What lifts are told apart by, without a unit.
+    """Dimensionless features that distinguish lifts.
 
     Raises:
         ParameterError: It is no lift of a rope by one gripper.

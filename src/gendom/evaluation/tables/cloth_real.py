@@ -36,7 +36,7 @@ HAND = 0.01
 """Standard deviation of where the hand closes, along each side [sides]."""
 
 SEEN = ("covered", "share")
-"""What is told of a trial: the area covered, the paper's extended ratio, and the share of it that
+"""Results of a trial: the area covered, the paper's extended ratio, and the share of it that
 lies spread."""
 
 _STREAM = 7
@@ -122,7 +122,7 @@ def _policies(
         shipped = Policy.pretrained(task.name)
         mean = float(shipped.description.outputs[0].mean)
         return {"ours": partial(_acts, shipped), "no parameters": lambda _: mean}
-    from gendom.policies.train import Training
+    from gendom.policies.training import Training
 
     data = bench.demonstrations(
         f"{task.name}-simulated", Demonstrator(task=task), settings.demonstrations
@@ -163,7 +163,7 @@ def _carried_out(
     bench: Workbench, wanted: list[tuple[str, float, int]], hands: Array
 ) -> list[dict[str, float | None]]:
     """`SEEN` of trials, each a cloth's name, A and the number of the hand's place."""
-    # what tells of progress stays here
+    # the progress callback stays in this process
     work = partial(_trial, {"folder": bench.folder, "seed": bench.seed})
     places = [hands[k].tolist() for *_, k in wanted]
     if bench.jobs == 1 or len(wanted) == 1:

@@ -53,7 +53,7 @@ def recorded(
 
 
 def lifted(bench: Workbench, name: str, task: Task) -> Belief:
-    """What one lift before two noisy cameras tells of an object that counts for a task.
+    """Distribution of an object's parameters for a task, after one lift seen by two noisy cameras.
 
     Raises:
         GendomError: The estimate is not usable.

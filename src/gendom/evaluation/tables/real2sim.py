@@ -75,7 +75,7 @@ def real2sim(bench: Workbench, settings: Real2SimSettings) -> dict[str, Any]:
 
     for name in settings.objects:
         find_object(name)
-    # what tells of progress stays here
+    # the progress callback stays in this process
     own = {"folder": bench.folder, "device": bench.device, "seed": bench.seed}
     work = partial(_rows, own, settings)
     found: dict[str, Any] = {}

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from gendom.evaluation.protocol import Cases, choose, draw_cases, judge
 from gendom.evaluation.tables.lifted import lifted, stated
 from gendom.evaluation.tables.workbench import Wanted, Workbench
-from gendom.materials import PARAMETERS, Item, likeness, to_columns
+from gendom.materials import PARAMETERS, Item, dimensionless_parameters, to_columns
 from gendom.policies import Policy
-from gendom.policies.adapt import Execution, adapting
+from gendom.policies.adaptation import Execution, adapting
 from gendom.policies.belief import Belief
 from gendom.policies.demonstrations import Demonstrations, joined
-from gendom.policies.identify import Identified, identify, with_likeness
-from gendom.policies.polish import PolishSettings, polishing
+from gendom.policies.identify import Identified, identify, with_dimensionless
+from gendom.policies.polishing import PolishSettings, polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import Task, find_task
 from gendom.tasks.demonstrator import Demonstrator
@@ -149,7 +149,7 @@ def _real(
         task=task, world=RealWorld(jobs=bench.jobs), items=(find_object(name),), known=known
     )
     kept = bench.demonstrations(f"{task.name}-{name}", source, settings.real, device="cpu")
-    alike = likeness(known)
+    alike = dimensionless_parameters(known)
     return replace(kept, parameters={n: np.full(len(kept), alike[n]) for n in PARAMETERS})
 
 
@@ -160,7 +160,7 @@ def _ours(
     real: Demonstrations,
 ) -> dict[str, Policy]:
     """Policies trained on simulations of all ropes, by row."""
-    from gendom.policies.train import Training
+    from gendom.policies.training import Training
 
     plain = Training(epochs=settings.epochs, seed=bench.seed)
     inverse = replace(plain, method="inverse")
@@ -182,7 +182,7 @@ def _baselines(
     """Policies that see no parameters, trained on real demonstrations or on simulations with
     R2S2R's parameters: by our method, and by the inverse one with the best of eight settings; and
     what was searched."""
-    from gendom.policies.train import Training
+    from gendom.policies.training import Training
 
     everything = joined(joined(real[0], real[1]), real[2])
     sets = {"pi_RD, ropes": everything, "pi_RD, rope": real[0]}
@@ -190,7 +190,7 @@ def _baselines(
     for row, group in (("R2S2R, ropes", real), ("R2S2R, rope", real[:1])):
         found = _identified(bench, task, row, group)
         searches[row] = {"parameters": found.parameters, "misfit": found.misfit}
-        only = replace(task, item=with_likeness(task.item, found.parameters), ranges={})
+        only = replace(task, item=with_dimensionless(task.item, found.parameters), ranges={})
         sets[row] = bench.demonstrations(
             f"{task.name}-{row}", Demonstrator(task=only), settings.demonstrations
         )
@@ -257,7 +257,7 @@ def _identified(
 def _like_stated(demonstrations: Demonstrations, task: Task) -> Item:
     """An object of the task's size with the parameters that demonstrations have."""
     own = {name: float(values[0]) for name, values in demonstrations.parameters.items()}
-    return with_likeness(task.item, own)
+    return with_dimensionless(task.item, own)
 
 
 def _seven(task: Task, policy: Policy, ropes: Sequence[Item]) -> Cases:
@@ -368,7 +368,7 @@ def _polished(
     start: Array,
     discrepancies: Sequence[Any] | None = None,
 ) -> Array:
-    """[W, A] actions polished for what is believed of each object."""
+    """[W, A] actions polished for the posterior of each object."""
     task = cases.task
     patient = PolishSettings(seconds=math.inf, seed=bench.seed)
     searches = [
@@ -388,7 +388,7 @@ def _polished(
 
 def _middling(rope: Item) -> Item:
     """A rope of these sizes and this mass of which nothing else is known."""
-    return with_likeness(rope, {"E": 0.45, "damping": 0.02, "nu": 0.3})
+    return with_dimensionless(rope, {"E": 0.45, "damping": 0.02, "nu": 0.3})
 
 
 def _plain(values: Array) -> list[Any]:

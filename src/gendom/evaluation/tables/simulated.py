@@ -17,10 +17,10 @@ from gendom.evaluation.protocol import Cases, choose, draw_cases, judge
 from gendom.evaluation.tables.workbench import Wanted, Workbench
 from gendom.materials import Item, Material, Rope
 from gendom.policies import Policy
-from gendom.policies.adapt import Execution
+from gendom.policies.adaptation import Execution
 from gendom.policies.demonstrations import Demonstrations
-from gendom.policies.identify import IdentifySettings, identify, with_likeness
-from gendom.policies.polish import PolishSettings, polishing
+from gendom.policies.identify import IdentifySettings, identify, with_dimensionless
+from gendom.policies.polishing import PolishSettings, polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import Task, find_task
 from gendom.tasks.demonstrator import Demonstrator
@@ -151,7 +151,7 @@ def generalization(bench: Workbench, settings: SimulatedSettings) -> dict[str, A
             lambda group=group: _identified(bench, task, group, world),
         )
         found[label] = kept
-        only = replace(task, item=with_likeness(task.item, kept["parameters"]), ranges={})
+        only = replace(task, item=with_dimensionless(task.item, kept["parameters"]), ranges={})
         own = bench.demonstrations(
             f"{name}-{label}-demonstrations",
             Demonstrator(task=only, world=world),
@@ -209,7 +209,7 @@ def _wanted(
     sees: tuple[str, ...],
     architecture: str = "smooth",
 ) -> Wanted:
-    from gendom.policies.train import Training
+    from gendom.policies.training import Training
 
     training = Training(
         method=method, conditioned_on=sees, architecture=architecture, epochs=settings.epochs

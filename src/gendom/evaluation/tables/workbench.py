@@ -18,7 +18,7 @@ from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks.demonstrator import Demonstrator
 
 if TYPE_CHECKING:
-    from gendom.policies.train import Training
+    from gendom.policies.training import Training
 
 
 FEW = 1000
@@ -55,7 +55,7 @@ class Wanted:
 
 @dataclass(frozen=True, kw_only=True)
 class Workbench:
-    """A folder that keeps everything a table is made from, so that an interrupted one goes on.
+    """A folder that keeps everything a table is made from, so that an interrupted one continues.
 
     Names of what is kept are for people; those of files follow from them.
     """
@@ -144,6 +144,6 @@ def _slug(name: str) -> str:
 
 
 def _train(one: Wanted, path: str) -> None:
-    from gendom.policies.train import train
+    from gendom.policies.training import train
 
     train(one.demonstrations, path, one.training, finetune=one.finetune)

@@ -10,7 +10,7 @@ A forward model knows nothing where no demonstrations are, and a policy trained 
 seek out such places. A pull brings actions that stray farther from the demonstrated ones than
 these lie from each other back to the nearest. Where a task names a risk (rope reaching: falling out
 of the plane), the forward model learns it too, and the policy is kept below its limit: beyond it
-what is reached cannot be foretold.
+what is reached cannot be predicted.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ANCHORS = 1024
 """Demonstrated actions, at most, that the pull looks for the nearest among."""
 
 RISK_MARGIN = 0.5
-"""How far below its limit a policy keeps the risk that is foretold, in powers of e."""
+"""How far below its limit a policy keeps the risk that is predicted, in powers of e."""
 
 
 def teach(lesson: Lesson) -> dict[str, float]:
@@ -52,7 +52,7 @@ def teach(lesson: Lesson) -> dict[str, float]:
         [*lesson.actions, *lesson.parameters.values()], outputs, training.architecture
     )
 
-    def foretold(action: Tensor, rows: Tensor) -> Tensor:
+    def predicted(action: Tensor, rows: Tensor) -> Tensor:
         return model(*action.split(1, dim=1), *(lesson.data[n][rows] for n in lesson.parameters))
 
     highest = math.log(lesson.risk.limit) if lesson.risk is not None else 0.0
@@ -64,7 +64,7 @@ def teach(lesson: Lesson) -> dict[str, float]:
     counts[:, :G] = within[:, None].float()
 
     def model_loss(rows: Tensor) -> Tensor:
-        error = (foretold(lesson.action[rows], rows) - target[rows]) / model.output_scale
+        error = (predicted(lesson.action[rows], rows) - target[rows]) / model.output_scale
         return (counts[rows] * error**2).mean()
 
     lesson.fit("forward model", model, model_loss)
@@ -74,7 +74,7 @@ def teach(lesson: Lesson) -> dict[str, float]:
 
     def policy_loss(rows: Tensor) -> Tensor:
         action = lesson.act(rows)
-        found = foretold(action, rows)
+        found = predicted(action, rows)
         error = (found[:, :G] - lesson.goal[rows]) / model.output_scale[:G]
         loss = (error**2).mean() + training.pull * stray(action / scale)
         if lesson.log_risk is not None:
@@ -87,8 +87,8 @@ def teach(lesson: Lesson) -> dict[str, float]:
         rows = lesson.held_out[within[lesson.held_out]]
         if not len(rows):
             return {}
-        known = foretold(lesson.action[rows], rows)[:, :G] - lesson.goal[rows]
-        own = foretold(lesson.act(rows), rows)[:, :G] - lesson.goal[rows]
+        known = predicted(lesson.action[rows], rows)[:, :G] - lesson.goal[rows]
+        own = predicted(lesson.act(rows), rows)[:, :G] - lesson.goal[rows]
         return {"forward_model_rms": rms(known), "goal_rms_by_forward_model": rms(own)}
 
 

@@ -19,7 +19,7 @@ _log = logging.getLogger(__name__)
 
 
 class _DroppedError(Exception):
-    """Ends a simulation that nobody waits for."""
+    """Ends a simulation whose result is not needed any more."""
 
 
 class Resimulation:

@@ -372,7 +372,7 @@ class Viewer:
             scene = self._scene
             if not self._playing or scene is None:
                 continue
-            if scene.frame_at(clock) != self._frame_of(scene):  # somebody moved the slider
+            if scene.frame_at(clock) != self._frame_of(scene):  # the user moved the slider
                 clock = float(scene.times[self._frame_of(scene)])
             clock += passed * SPEEDS[self._speed.value]
             if clock > scene.times[-1] + 0.5 * SPEEDS[self._speed.value]:
@@ -416,7 +416,7 @@ def encode_html(scene: ViewerScene) -> str:
 
 
 def free_port(first: int) -> int:
-    """The first port that nobody listens on, from a number on; 0: any.
+    """The first free port from a number on; 0: any.
 
     Raises:
         GendomError: There is none, or the number is no port.

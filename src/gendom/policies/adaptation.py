@@ -1,13 +1,13 @@
-"""Learning from executions: what was reached updates what is known of the object and of the world.
+"""Learning from executions: reached goals update the object's parameters and a discrepancy model.
 
 After each execution of action a_n the reached goal y_n is seen. With f the simulator,
 
     y_n = f(a_n, theta) + b(a_n) + noise,    theta ~ N(mean, covariance),    b ~ GP(0, k),
 
 the model discrepancy b of Kennedy and O'Hagan (2001), "Bayesian calibration of computer models".
-Parameters are found by Gauss-Newton, b by the Gaussian process's mean given the residuals. So one
-execution that misses teaches damping and E as far as they explain the miss, and the rest is
-expected again of actions nearby.
+Parameters are found by Gauss-Newton, b by the Gaussian process's mean given the residuals. One
+execution that misses changes damping and E as far as they explain the miss; the rest is predicted
+for similar actions.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Item, size_of
 from gendom.policies.belief import Belief
-from gendom.policies.polish import Discrepancy
+from gendom.policies.polishing import Discrepancy
 from gendom.policies.rollouts import Asking, Rollouts, side_by_side
 from gendom.tasks import Task
 from gendom.tasks.world import Simulation, World
@@ -31,6 +32,9 @@ Array = NDArray[np.float64]
 
 SHARES = (1.0, 0.5, 0.25, 0.1)
 """Of a Gauss-Newton step, simulated side by side."""
+
+FARTHEST = 10.0
+"""In sizes of the object; what was reached farther away was not given in metres."""
 
 ENOUGH = 1e-3
 """Gain in the sum of squares that ends the search."""
@@ -130,7 +134,7 @@ def adapting(
 ) -> Asking[Adapted]:
     """`adapt` as a search that asks for rollouts, for many at once (`side_by_side`)."""
     settings = settings or AdaptSettings()
-    _check(task, executions)
+    _check(task, executions, belief.item)
     G, item = len(task.goals), belief.item
     if not executions:
         return Adapted(belief=belief, discrepancy=None, residuals=np.empty((0, G)))
@@ -222,7 +226,7 @@ def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
         ) from None
 
 
-def _check(task: Task, executions: Sequence[Execution]) -> None:
+def _check(task: Task, executions: Sequence[Execution], item: Item) -> None:
     G, A = len(task.goals), len(task.actions)
     if not G:
         raise ParameterError(f"{task.name} has no goals to learn from", where="adapt")
@@ -233,6 +237,13 @@ def _check(task: Task, executions: Sequence[Execution]) -> None:
                 f"goal, {task.name} has {A} and {G}",
                 where="executions",
             )
+        for quantity, value in zip(task.goals, e.reached, strict=True):
+            if quantity.unit == "m" and abs(value) > FARTHEST * size_of(item):
+                raise ParameterError(
+                    f"{quantity.name} is {value:g} m, and the {item.kind} {size_of(item):g} m",
+                    where="reached",
+                    fix=f"give metres: {value:g} mm are {1e-3 * value:g} m",
+                )
 
 
 def _kernel(a: Array, b: Array, settings: AdaptSettings) -> Array:

@@ -117,7 +117,7 @@ def train(
 
     The file appears once the policy is trained and onnxruntime has been seen to agree with torch;
     until then an older one stays. Equal demonstrations and settings give equal policies. What was
-    interrupted goes on from a checkpoint beside the file, to the same policy.
+    interrupted continues from a checkpoint beside the file, to the same policy.
 
     Args:
         demonstrations: What to learn from.

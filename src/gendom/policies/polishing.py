@@ -1,14 +1,14 @@
 """Actions polished through the simulator at acting time.
 
-The miss of an action is simulated for objects that are plausible, and its mean square over them is
-brought down by damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963):
+The miss of an action is simulated for plausible objects, and its mean square over them is reduced
+by damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963):
 
     min over a of  sum_k |f(a, object_k) + b(a) - g|^2 / K + sum_k caution(risk_k)^2 / K + s(a)^2,
 
-where f is what the simulator says is reached, b what executions have shown it to be wrong by, and
-s the doubt that they leave (`gendom.policies.adapt`). Actions whose outcome hardly depends on what
+where f is the simulated result, b the simulator's error as learnt from executions, and s the
+standard deviation of b (`gendom.policies.adaptation`). Actions whose outcome depends little on what
 is uncertain win. An action has one to three numbers, so its derivatives are central differences of
-worlds side by side.
+worlds in one batch.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 class Discrepancy(Protocol):
-    """What executions have shown the simulator to be wrong by."""
+    """The simulator's error, learnt from executions."""
 
     def __call__(self, action: Array) -> tuple[Array, float]:
         """Mean [G] and standard deviation of it at an action [A], in SI units."""
@@ -40,7 +40,7 @@ class Discrepancy(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class PolishSettings:
-    """How long and how far to look.
+    """Limits of the search.
 
     Raises:
         ParameterError: A number is out of range.
@@ -132,7 +132,7 @@ class _Problem:
 
     def residuals(self, actions: Sequence[Array]) -> Asking[list[Array]]:
         """Of each action in units of similarity: [K (G or 1, and 1 for the risk) + 1 for the
-        discrepancy's doubt], weighted so that their square is the mean over the K objects;
+        discrepancy's deviation], weighted so that their square is the mean over the K objects;
         infinite where a simulation failed."""
         K = len(self.items)
         items = [item for _ in actions for item in self.items]
@@ -144,14 +144,14 @@ class _Problem:
         unit = self.goal_units[0] if self.task.goals else 1.0
         found = []
         for n, action in enumerate(actions):
-            wrong, doubt = np.zeros(len(self.goal)), 0.0
+            wrong, deviation = np.zeros(len(self.goal)), 0.0
             if self.discrepancy is not None:
-                wrong, doubt = self.discrepancy(action * self.units)
+                wrong, deviation = self.discrepancy(action * self.units)
             parts = [
                 self._residual(item, outcome, wrong)
                 for item, outcome in zip(self.items, outcomes[n * K : (n + 1) * K], strict=True)
             ]
-            parts.append(np.array([np.sqrt(K) * doubt / unit]))
+            parts.append(np.array([np.sqrt(K) * deviation / unit]))
             found.append(np.concatenate(parts) / np.sqrt(K))
         return found
 
