@@ -14,12 +14,15 @@ from gendom.materials.laws import LAWS
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
+from gendom.sim.equilibria import Equilibria
 from gendom.sim.gripper import Gripper
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin import thin_engine
+from gendom.sim.thin.engine import ThinEngine
+from gendom.sim.thin.statics import Search
 
 ENGINES = ("mpm", "thin")
 """``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
@@ -301,6 +304,30 @@ class Simulator(Shown):
         self.engine.run(Frames(self.time, t, picked, x, on_frame, keep_going))
         self.time = float(t[-1])
         return x
+
+    def equilibria(
+        self,
+        times: ArrayLike,
+        *,
+        tolerance: float | None = None,
+        most_steps: int = 100_000,
+        keep_going: bool = False,
+    ) -> Equilibria:
+        """Shapes at rest at each of the given times."""
+        if not isinstance(self.engine, ThinEngine):
+            raise ParameterError("only rods and shells have equilibria", fix="engine='thin'")
+        t = self.checked(times)
+        search = Search(
+            self.engine,
+            t,
+            self.time,
+            tolerance=tolerance,
+            most_steps=most_steps,
+            keep_going=keep_going,
+        )
+        found = search.run()
+        self.time = float(t[-1])
+        return found
 
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:
         """[T] times that the simulator can be run to."""

@@ -89,8 +89,8 @@ class ThinEngine(ABC):
         s = setting
         W, n, G = len(s.materials), len(s.body.points), len(s.grippers[0])
         self.share = spread(s.stiffness, (W, n), "stiffness")
-        longest = self.prepare(setting)
-        limits = substep or (cfl or CFL) * longest
+        self.longest = self.prepare(setting)
+        limits = substep or (cfl or CFL) * self.longest
         self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
         self.real = wp.float32 if s.dtype == "float32" else wp.float64
         self.types = make_types(self.real)
@@ -405,6 +405,7 @@ class ThinEngine(ABC):
         body.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
         body.table = int(s.table is not None)
         body.radius = s.body.thickness / 2.0
+        body.anchor = self.zeros((0, 3, self.row_length))
         body.walls = int(s.box is not None)
         if s.box is not None:
             body.box_lower = self.types.vec3(*(s.box.lower - self.origin))

@@ -31,13 +31,18 @@ template <typename T> struct ground {
     CUDA_CALLABLE inline T speed(const vec<T>& v) const {
         return larger(root(v.x * v.x + v.y * v.y), T(real(1e-12)));
     }
-    CUDA_CALLABLE inline vec<T> on_table(const vec<T>& x, const vec<T>& v) const {
+    // `before`: how far a point has slid before this step, over the step's length.
+    CUDA_CALLABLE inline vec<T> on_table(const vec<T>& x, const vec<T>& v, const vec<T>& before) const {
         if (!table) return v;
-        const T p = push(x, v), slides = larger(T(real(0)), T(real(1)) - mu * p / speed(v));
-        return {slides * v.x, slides * v.y, v.z + p};
+        const T p = push(x, v);
+        const T slides = larger(T(real(0)), T(real(1)) - mu * p / speed(v + before));
+        const T back = T(real(1)) - slides;
+        return {slides * v.x - back * before.x, slides * v.y - back * before.y, v.z + p};
     }
-    CUDA_CALLABLE inline vec<T> stopped(const vec<T>& x, const vec<T>& free) const {
-        const vec<T> v = on_table(x, free);
+    CUDA_CALLABLE inline vec<T> stopped(const vec<T>& x, const vec<T>& free,
+                                        const vec<T>& before = {T(real(0)), T(real(0)),
+                                                                T(real(0))}) const {
+        const vec<T> v = on_table(x, free, before);
         if (!walls) return v;
         const T by = T(real(1)) / h;
         const vec<T> least = by * (lower - x), most = by * (upper - x);
@@ -50,7 +55,7 @@ template <typename T> struct ground {
                                            vec<T>& v_bar) const {
         const T zero = T(real(0)), one = T(real(1));
         if (walls) {  // where a wall stops a point, its velocity follows from its place
-            const vec<T> turned = stopped(x, free) - on_table(x, free);
+            const vec<T> turned = stopped(x, free) - on_table(x, free, {zero, zero, zero});
             const vec<T> by = {is_above(turned.x * turned.x, zero),
                                is_above(turned.y * turned.y, zero),
                                is_above(turned.z * turned.z, zero)};
@@ -70,5 +75,14 @@ template <typename T> struct ground {
         return -p / s * slides_bar;
     }
 };
+
+// How far point i has slid from its anchor, over the length of a step; 0 where sliding counts from
+// the step's begin, as it does in motion.
+template <typename T, typename Body, typename real>
+CUDA_CALLABLE inline vec<T> slid(const Body& body, int w, int i, const vec<T>& x, real dt) {
+    if (!body.anchored) return {T(real(0)), T(real(0)), T(real(0))};
+    const rows_of<real> anchor(body.anchor, w);
+    return T(real(1) / dt) * (x - anchor.template get3<T>(0, i));
+}
 
 }  // namespace gendom

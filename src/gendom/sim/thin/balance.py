@@ -1,0 +1,231 @@
+"""Newton's method for shapes at rest: what supports a body, and the forces that are not balanced.
+
+A point is free, held, or on the table; there it sticks to where it stood in the frame before, or
+slides with the friction mu N against its displacement since then. Walls hold without friction.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from gendom.materials import STANDARD_GRAVITY
+from gendom.sim.thin import rotation
+from gendom.sim.thin.tangent import Tangent
+from gendom.sim.thin.types import X
+
+ITERATIONS = 12
+"""Most linear systems that are solved for a shape."""
+
+LONGEST = 0.3
+"""Most that a point goes in one of them [spacings]."""
+
+WIDEST = 0.5
+"""Most that an edge turns [rad]."""
+
+
+@dataclass
+class Supports:
+    """What holds the points of one world."""
+
+    fixed: NDArray[np.bool_]
+    """[n, C] components that are not free."""
+    touches: NDArray[np.bool_]
+    """[n] on the table, with a force."""
+    slides: NDArray[np.bool_]
+    """[n] there, against friction."""
+    slip: NDArray[np.float64]
+    """[n, 2] displacement since the frame before [m]."""
+
+
+class Balance:
+    """Unbalanced forces of single worlds, and shapes without them.
+
+    Args:
+        engine: Rods or shells.
+        body: Without damping and air, with anchors.
+    """
+
+    def __init__(self, engine: Any, body: Any):
+        e = self.engine = engine
+        self.body = body
+        self.tangent = Tangent(engine, body)
+        self.components = C = self.tangent.components
+        W, n = e.num_worlds, e.num_points
+        self.mass = np.broadcast_to(1.0 / e.per_mass, (W, n))
+        self.scale = np.repeat((self.mass * STANDARD_GRAVITY)[:, :, None], C, axis=2)
+        """[W, n, C] force or torque that residuals are counted in."""
+        self.missing = np.zeros((n, C), dtype=bool)
+        """[n, C] components that do not exist."""
+        if C == 6:
+            self.scale[:, :-1, 3:] *= e.model.length[:, None]
+            self.missing[-1, 3:] = True
+        self.eps = float(np.finfo(e.setting.dtype).eps)
+        extent = float(np.abs(e.component(X)).max()) + e.num_points * e.spacing / n
+        self.near = 64.0 * self.eps * max(extent, 1.0)
+        """Distance that counts as 0 [m]."""
+        k = e.body.stiffness.numpy().reshape(W, -1).max()
+        per = 1.0 / e.spacing if C == 6 else 16.0 / e.spacing
+        self.rounding = 0.0 * k * per
+        if e.setting.dtype == "float32":
+            self.rounding = 4.0 * self.eps * 0.5 * extent * k * per / self.scale[..., 0].min()
+
+    # ---- forces ----------------------------------------------------------------------------------
+
+    def forces(self, w: int) -> NDArray[np.float64]:
+        """[n, C] elastic forces and weight."""
+        f = self.tangent.forces(w)
+        f[:, :3] += self.mass[w][:, None] * self.body.gravity.numpy()[w]
+        return f
+
+    def friction(self, w: int) -> float:
+        return float(self.body.friction.numpy()[w])
+
+    def points(self, w: int) -> NDArray[np.float64]:
+        return self.engine.state.numpy()[w][X][:, self.engine.slots].T.astype(float)
+
+    def anchor(self, w: int) -> NDArray[np.float64]:
+        return self.body.anchor.numpy()[w][:, self.engine.slots].T.astype(float)
+
+    def supports(self, w: int, f: NDArray[np.float64]) -> Supports:
+        """What holds the points of world w as it is, under forces [n, C]."""
+        e, x = self.engine, self.points(w)
+        holds = e.holds[w]
+        held, turned = np.any(holds & 1, axis=0), np.any(holds & 2, axis=0)
+        fixed = self.missing.copy()
+        fixed[held, :3] = True
+        if self.components == 6:
+            fixed[turned, 3:] = True
+        slip = (x - self.anchor(w))[:, :2]
+        touches = np.zeros(len(x), dtype=bool)
+        slides = touches
+        if self.body.table:
+            touches = ~held & (x[:, 2] <= self.body.radius + self.near) & (f[:, 2] < 0.0)
+            fixed[touches, 2] = True
+            far = np.linalg.norm(slip, axis=1) > self.near
+            slides = touches & (far if self.friction(w) > 0.0 else True)
+            fixed[touches & ~slides, :2] = True
+        if self.body.walls:
+            r = self.body.radius
+            lower = np.array(self.body.box_lower) + r
+            upper = np.array(self.body.box_upper) - r
+            blocked = (x <= lower + self.near) & (f[:, :3] < 0.0)
+            blocked |= (x >= upper - self.near) & (f[:, :3] > 0.0)
+            fixed[:, :3] |= blocked
+        return Supports(fixed, touches, slides, slip)
+
+    def unbalanced(
+        self, w: int, f: NDArray[np.float64], on: Supports
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """[n, C] forces with friction, 0 where they are not free; and [n, 2] slip's directions."""
+        left = f.copy()
+        size = np.linalg.norm(on.slip, axis=1)
+        d = np.where(on.slides[:, None], on.slip / np.maximum(size, 1e-300)[:, None], 0.0)
+        left[:, :2] += self.friction(w) * f[:, 2:3] * d
+        left[on.fixed] = 0.0
+        return left, d
+
+    def jacobian(
+        self, w: int, f: NDArray[np.float64], on: Supports, d: NDArray[np.float64]
+    ) -> sparse.csc_matrix:
+        """[n C, n C] derivative of ``unbalanced`` by the shape."""
+        J, C, mu = self.tangent.stiffness(w), self.components, self.friction(w)
+        i = np.flatnonzero(on.slides)
+        if len(i) and mu > 0.0:
+            n = len(f)
+            # friction follows the force on the table, and turns with the slip
+            rows = np.concatenate([i * C, i * C + 1])
+            entries = mu * np.concatenate([d[i, 0], d[i, 1]])
+            size = n * C
+            lift = sparse.csc_matrix(
+                (entries, (rows, np.tile(i * C + 2, 2))), shape=(size, size)
+            )
+            across = np.stack([-d[i, 1], d[i, 0]], axis=1)
+            by = mu * f[i, 2] / np.linalg.norm(on.slip[i], axis=1)
+            turn = by[:, None, None] * across[:, :, None] * across[:, None, :]
+            a, b = np.indices((2, 2))
+            rows = (i[:, None, None] * C + a).reshape(-1)
+            columns = (i[:, None, None] * C + b).reshape(-1)
+            turning = sparse.csc_matrix((turn.reshape(-1), (rows, columns)), shape=(size, size))
+            J = J + lift @ J + turning
+        return J.tocsc()
+
+    # ---- Newton's method -------------------------------------------------------------------------
+
+    def solve(self, w: int, tolerance: float) -> int:
+        """Let world w come to rest with what supports it now; it stays as it is where that fails.
+
+        Returns:
+            The number of linear systems solved.
+        """
+        e = self.engine
+        start = e.state.numpy()[w].copy()
+        before = np.inf
+        f = self.forces(w)
+        on = self.supports(w, f)
+        for k in range(ITERATIONS + 1):
+            left, d = self.unbalanced(w, f, on)
+            residual = np.abs(left / self.scale[w]).max()
+            if residual <= 0.1 * tolerance:
+                return k
+            if k == ITERATIONS or not residual <= 10.0 * before:
+                break
+            before = residual
+            step = self._step(w, f, on, d, left)
+            if step is None:
+                break
+            self._move(w, step)
+            f = self.forces(w)
+            on = Supports(on.fixed, on.touches, on.slides, (self.points(w) - self.anchor(w))[:, :2])
+        if residual > tolerance:
+            self.put_rows(w, start)
+        return k
+
+    def _step(self, w: int, f: Any, on: Supports, d: Any, left: Any) -> Any:
+        free = np.flatnonzero(~on.fixed.reshape(-1))
+        J = self.jacobian(w, f, on, d)[free][:, free]
+        try:
+            step = factor(J, self.components).solve(-left.reshape(-1)[free])
+        except RuntimeError:  # singular
+            return None
+        if not np.isfinite(step).all():
+            return None
+        full = np.zeros(left.size)
+        full[free] = step
+        full = full.reshape(left.shape)
+        far = np.abs(full[:, :3]).max() / (LONGEST * self.engine.spacing)
+        if self.components == 6:
+            far = max(far, np.abs(full[:, 3:]).max() / WIDEST)
+        return full / max(1.0, far)
+
+    def _move(self, w: int, step: NDArray[np.float64]) -> None:
+        e = self.engine
+        rows = e.state.numpy()[w].copy()
+        rows[X, e.slots] += step[:, :3].T
+        if self.components == 6:
+            Q = slice(6, 10)
+            q = rows[Q][:, e.slots].T.astype(float)
+            turn = np.concatenate([0.5 * step[:, 3:], np.ones((len(q), 1))], axis=1)
+            q = rotation.product(turn, q)
+            rows[Q, e.slots] = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+        self.put_rows(w, rows)
+
+    def put_rows(self, w: int, rows: NDArray[Any]) -> None:
+        from gendom.sim.thin.engine import put
+
+        put(self.engine.state, slice(w, w + 1), rows[None])
+
+
+def factor(J: Any, components: int) -> Any:
+    """LU factors of a matrix: of a rod it has a narrow band, of a shell a symmetric pattern."""
+    if components == 6:
+        return splu(J.tocsc(), permc_spec="NATURAL")
+    return splu(
+        J.tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.01,
+        options={"SymmetricMode": True},
+    )

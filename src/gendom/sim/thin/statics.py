@@ -1,0 +1,305 @@
+"""The search for equilibria of thin bodies: frame by frame, each from the shape before.
+
+Relaxation (``relaxing``) finds a shape nearly at rest and what it touches; Newton's method
+(``balance``) then ends the search quadratically. Grippers close and open at their times, on shapes
+at rest.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gendom.materials import STANDARD_GRAVITY
+from gendom.sim.equilibria import Equilibria
+from gendom.sim.thin import rotation
+from gendom.sim.thin.balance import Balance
+from gendom.sim.thin.engine import CFL, LOCAL_STRETCH, STRETCH, put
+from gendom.sim.thin.grips import Paths
+from gendom.sim.thin.types import X
+
+WAY = 0.005
+"""How far grippers go in a step of relaxation [spacings]."""
+
+BATCH = 400
+"""Steps of relaxation before Newton's method is tried for the first time."""
+
+NEAR = 0.1
+"""Residual below which it is."""
+
+TOLERANCE = 1e-6
+"""Default bound on residuals in float64."""
+
+
+class Search:
+    """One call of ``Simulator.equilibria``.
+
+    Args:
+        engine: Rods or shells.
+        times: [T] frames [s].
+        began: Time of the state before [s].
+        tolerance: Bound on residuals, or None for ``TOLERANCE``, more in float32.
+        most_steps: Steps of relaxation, at most, in a frame.
+        keep_going: Whether worlds that fail, or frames that do not converge, stop nothing.
+    """
+
+    def __init__(
+        self,
+        engine: Any,
+        times: NDArray[np.float64],
+        began: float,
+        *,
+        tolerance: float | None,
+        most_steps: int,
+        keep_going: bool,
+    ):
+        self.engine, self.times, self.began = engine, times, began
+        self.most_steps, self.keep_going = most_steps, keep_going
+        e, T, W = engine, len(times), engine.num_worlds
+        e.used = True
+        self.body = self._body()
+        self.balance = Balance(e, self.body)
+        self.tolerance = max(tolerance or TOLERANCE, self.balance.rounding)
+        damped = np.array([m.damping > 0.0 for m in e.setting.materials])
+        # the limit is that of twice the stiffness where there is damping
+        dt = CFL * e.longest * np.where(damped, np.sqrt(2.0), 1.0)
+        self.dt = e.array(dt)
+        self.begin, self.end = e.zeros(W, wp.float64), e.zeros(W, wp.float64)
+        self.moves, self.steps = e.zeros(W, wp.int32), e.zeros(W, wp.int32)
+        self.left = e.zeros(W)
+        self.taken, self.stopped = e.zeros(W, wp.int32), e.zeros(W, wp.int32)
+        self.x = np.full((T, W, e.num_points, 3), np.nan, dtype=e.setting.dtype)
+        self.residual = np.full((T, W), np.inf)
+        self.steps_taken = np.zeros((T, W), dtype=int)
+        self.solves = np.zeros((T, W), dtype=int)
+        with_kernels = self.balance.tangent.kernels
+        from gendom.sim.device import making
+
+        with making:
+            for name in ("relax", "balance", "tangent"):
+                wp.load_module(
+                    getattr(with_kernels, name).module,
+                    device=e.setting.device,
+                    block_dim=e.block,
+                )
+
+    def _body(self) -> Any:
+        """The engine's, without damping and air, with anchors for friction."""
+        e = self.engine
+        body = e.types.Body()
+        for name in e.types.Body.vars:
+            setattr(body, name, getattr(e.body, name))
+        W = e.num_worlds
+        body.damping, body.velocity_damping = e.zeros(W), e.zeros(W)
+        body.inertia = wp.clone(e.body.inertia)
+        body.anchored = 1
+        body.anchor = e.zeros((W, 3, e.row_length))
+        return body
+
+    def run(self) -> Equilibria:
+        """All worlds, all frames.
+
+        Raises:
+            SimulationError: If a world fails or a frame does not converge, unless told to keep
+                going.
+        """
+        e = self.engine
+        with ThreadPoolExecutor(max_workers=e.setting.threads) as pool:
+            for done in [pool.submit(self._run_group, group) for group in e.groups()]:
+                done.result()
+        e.last_dt[:] = 0.0
+        if e.failures and not self.keep_going:
+            raise e.failures[min(e.failures)]
+        converged = self.residual <= self.tolerance
+        if not converged.all() and not self.keep_going:
+            frame, w = (int(k[0]) for k in np.nonzero(~converged))
+            raise self._unconverged(frame, w)
+        return Equilibria(
+            times=self.times,
+            positions=self.x,
+            residual=self.residual,
+            converged=converged,
+            steps=self.steps_taken,
+            solves=self.solves,
+        )
+
+    def _unconverged(self, frame: int, w: int) -> Any:
+        return self.engine.setting.error(
+            w,
+            float(self.times[frame]),
+            f"no equilibrium was found: {self.residual[frame, w]:.2g} of a point's weight is not "
+            f"balanced in frame {frame}, allowed is {self.tolerance:.2g}",
+            where=f"{self.steps_taken[frame, w]} steps of relaxation",
+            fix="more frames, more steps (most_steps), a larger tolerance, or keep_going=True",
+        )
+
+    # ---- one group of worlds ---------------------------------------------------------------------
+
+    def _run_group(self, group: slice) -> None:
+        e = self.engine
+        stations = [self._stations(w) for w in range(group.start, group.stop)]
+        now = np.full(e.num_worlds, self.began)
+        for k in range(max(len(s) for s in stations)):
+            going = [
+                w
+                for w in range(group.start, group.stop)
+                if k < len(stations[w - group.start]) and w not in e.failures
+            ]
+            worlds = np.array(going, dtype=int)
+            e._switch(worlds, now[worlds])
+            self._check_held(worlds, now)
+            worlds = np.array([w for w in going if w not in e.failures], dtype=int)
+            if not len(worlds):
+                continue
+            ends = np.array([stations[w - group.start][k][0] for w in worlds])
+            frames = [stations[w - group.start][k][1] for w in worlds]
+            self._station(group, worlds, now[worlds], ends, frames)
+            now[worlds] = ends
+
+    def _stations(self, w: int) -> list[tuple[float, int]]:
+        """Times at which shapes are wanted, in order, with their frames; -1: a gripper's."""
+        e = self.engine
+        switches = {
+            float(t)
+            for name in ("hold_from", "hold_until")
+            for t in e.stacked[name][w]
+            if self.began < t < self.times[-1] and t not in self.times
+        }
+        stations = [(float(t), f) for f, t in enumerate(self.times)]
+        return sorted(stations + [(t, -1) for t in switches])
+
+    def _check_held(self, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> None:
+        """Bodies that fall for ever have no equilibrium."""
+        e, s = self.engine, self.engine.setting
+        if s.table is not None or s.box is not None:
+            return
+        pulled = np.any(e.body.gravity.numpy()[worlds] != 0.0, axis=1)
+        for w in worlds[pulled & ~np.any(e.holds[worlds] & 1, axis=(1, 2))]:
+            e.failures[int(w)] = s.error(
+                int(w),
+                float(now[w]),
+                "there is no equilibrium: nothing holds the body",
+                where="no gripper is closed, and there is no table",
+                fix="a gripper that holds it, or a table below it",
+            )
+
+    def _station(
+        self,
+        group: slice,
+        worlds: NDArray[np.int64],
+        begins: NDArray[np.float64],
+        ends: NDArray[np.float64],
+        frames: list[int],
+    ) -> None:
+        e, W = self.engine, self.engine.num_worlds
+        local = worlds - group.start
+        put(self.body.inertia, group, self._inertia(group))
+        put(self.body.anchor, group, e.state.numpy()[group, X])
+        moves = np.zeros(W, dtype=np.int32)
+        moves[worlds] = self._moves(worlds, begins, ends)
+
+        def send(array: Any, values: NDArray[Any]) -> None:
+            full = array.numpy()[group].copy()
+            full[local] = values
+            put(array, group, full)
+
+        send(self.begin, begins)
+        send(self.end, ends)
+        put(self.taken, group, np.zeros(group.stop - group.start, dtype=np.int32))
+        steps = np.zeros(W, dtype=np.int64)
+        steps[worlds] = BATCH + moves[worlds]
+        near = np.full(W, NEAR)
+        solves = np.zeros(W, dtype=int)
+        open_ = set(int(w) for w in worlds)
+        first = True
+        while open_:
+            left = self._relax(group, moves if first else 0 * moves, steps)
+            first = False
+            taken = self.taken.numpy()
+            for w in list(open_):
+                if self.stopped.numpy()[w]:
+                    e.failures[w] = self._stretched(w, float(ends[worlds == w][0]))
+                    open_.discard(w)
+                elif left[w] <= self.tolerance:
+                    open_.discard(w)
+                elif left[w] <= near[w] and not e.setting.self_contact:
+                    solves[w] += self.balance.solve(w, self.tolerance)
+                    if self._left_of(group, w) <= self.tolerance:
+                        open_.discard(w)
+                    near[w] = 0.1 * min(near[w], left[w])
+                if w in open_ and taken[w] >= self.most_steps + moves[w]:
+                    open_.discard(w)
+            for w in range(group.start, group.stop):
+                grown = min(2 * steps[w], self.most_steps + moves[w] - int(taken[w]))
+                steps[w] = max(grown, 1) if w in open_ else 0
+        left = self.left.numpy()[group].astype(float) / STANDARD_GRAVITY
+        x = e.positions()[worlds] if False else e.component(X)
+        for w, f in zip(worlds, frames, strict=True):
+            if f >= 0 and int(w) not in e.failures:
+                self.x[f, w] = x[w] + e.origin
+                self.residual[f, w] = left[w - group.start]
+                self.steps_taken[f, w] = self.taken.numpy()[w]
+                self.solves[f, w] = solves[w]
+
+    def _inertia(self, group: slice) -> NDArray[np.float64]:
+        rows = self.engine.body.inertia.numpy()[group].copy()
+        rows[:, 2 if self.engine.kind == "rod" else 1] = 0.0  # no air
+        return rows
+
+    def _moves(
+        self, worlds: NDArray[np.int64], begins: NDArray[np.float64], ends: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """[k] steps in which grippers go their way."""
+        e = self.engine
+        longest = np.zeros(len(worlds))
+        paths = Paths(e.stacked)
+        for g in range(e.closed.shape[1]):
+            way = np.zeros(len(worlds))
+            place = e.body.place.numpy()[worlds * e.closed.shape[1] + g][:, :3][..., e.slots]
+            held = (e.holds[worlds, g] & 1) > 0
+            size = np.where(held, np.linalg.norm(place, axis=1), 0.0).max(axis=1) + e.spacing
+            before = paths.pose(g, worlds, begins)
+            for share in np.linspace(0.0, 1.0, 17)[1:]:
+                pose = paths.pose(g, worlds, begins + share * (ends - begins))
+                turn = rotation.between(before.q, pose.q)
+                angle = 2.0 * np.linalg.norm(turn[:, :3], axis=1)
+                way += np.linalg.norm(pose.centre - before.centre, axis=1) + size * angle
+                before = pose
+            longest = np.maximum(longest, np.where(held.any(axis=1), way, 0.0))
+        return np.ceil(longest / (WAY * e.spacing)).astype(int) + 1
+
+    def _relax(
+        self, group: slice, moves: NDArray[Any], steps: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """[W] residuals of a group's worlds after so many steps each."""
+        e = self.engine
+        put(self.moves, group, moves[group].astype(np.int32))
+        put(self.steps, group, steps[group].astype(np.int32))
+        least = self.tolerance * STANDARD_GRAVITY
+        e.launch(
+            self.balance.tangent.kernels.relax,
+            group,
+            [
+                self.body, e.paths, self.begin, self.end, self.moves, self.steps, self.dt, least,
+                LOCAL_STRETCH**2, STRETCH, e.state, self.left, self.taken, self.stopped,
+            ],
+        )  # fmt: skip
+        return self.left.numpy().astype(float) / STANDARD_GRAVITY
+
+    def _left_of(self, group: slice, w: int) -> float:
+        """Residual of one world, by a step from rest."""
+        one = np.zeros(self.engine.num_worlds, dtype=np.int32)
+        one[w] = 1
+        return float(self._relax(group, 0 * one, one)[w])
+
+    def _stretched(self, w: int, time: float) -> Any:
+        return self.engine.setting.error(
+            w,
+            time,
+            f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the mean, "
+            f"or somewhere by more than {100 * LOCAL_STRETCH:.0f} %",
+            where="search for an equilibrium",
+            fix="grippers that pull it apart go less far, or more frames",
+        )
