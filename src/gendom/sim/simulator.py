@@ -311,7 +311,9 @@ class Simulator(Shown):
         *,
         tolerance: float | None = None,
         most_steps: int = 100_000,
+        increments: int = 1,
         keep_going: bool = False,
+        derivatives: Sequence[str] = (),
     ) -> Equilibria:
         """Shapes at rest at each of the given times."""
         if not isinstance(self.engine, ThinEngine):
@@ -323,7 +325,9 @@ class Simulator(Shown):
             self.time,
             tolerance=tolerance,
             most_steps=most_steps,
+            increments=increments,
             keep_going=keep_going,
+            derivatives=derivatives,
         )
         found = search.run()
         self.time = float(t[-1])

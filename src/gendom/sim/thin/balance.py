@@ -4,7 +4,7 @@ A point is free, held, or on the table; there it sticks to where it stood in the
 slides with the friction mu N against its displacement since then. Walls hold without friction.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 
 from gendom.materials import STANDARD_GRAVITY
 from gendom.sim.thin import rotation
+from gendom.sim.thin.engine import put
 from gendom.sim.thin.tangent import Tangent
 from gendom.sim.thin.types import X
 
@@ -39,6 +40,8 @@ class Supports:
     """[n] there, against friction."""
     slip: NDArray[np.float64]
     """[n, 2] displacement since the frame before [m]."""
+    walls: NDArray[np.float64]
+    """[n, 3] 1 at lower walls, -1 at upper ones."""
 
 
 class Balance:
@@ -64,14 +67,13 @@ class Balance:
             self.scale[:, :-1, 3:] *= e.model.length[:, None]
             self.missing[-1, 3:] = True
         self.eps = float(np.finfo(e.setting.dtype).eps)
-        extent = float(np.abs(e.component(X)).max()) + e.num_points * e.spacing / n
+        extent = float(np.abs(e.component(X)).max()) + e.spacing
         self.near = 64.0 * self.eps * max(extent, 1.0)
         """Distance that counts as 0 [m]."""
-        k = e.body.stiffness.numpy().reshape(W, -1).max()
-        per = 1.0 / e.spacing if C == 6 else 16.0 / e.spacing
-        self.rounding = 0.0 * k * per
-        if e.setting.dtype == "float32":
-            self.rounding = 4.0 * self.eps * 0.5 * extent * k * per / self.scale[..., 0].min()
+        rows, stiffest = (3, 2.0 / e.spacing) if C == 6 else (4, 8.0 / e.spacing**2)
+        k = stiffest * e.body.stiffness.numpy()[:, :rows].max()
+        self.rounding = float(2.0 * self.eps * extent * k / self.scale[..., 0].min())
+        """What rounding leaves of residuals."""
 
     # ---- forces ----------------------------------------------------------------------------------
 
@@ -108,14 +110,14 @@ class Balance:
             far = np.linalg.norm(slip, axis=1) > self.near
             slides = touches & (far if self.friction(w) > 0.0 else True)
             fixed[touches & ~slides, :2] = True
+        walls = np.zeros_like(x)
         if self.body.walls:
-            r = self.body.radius
-            lower = np.array(self.body.box_lower) + r
-            upper = np.array(self.body.box_upper) - r
-            blocked = (x <= lower + self.near) & (f[:, :3] < 0.0)
-            blocked |= (x >= upper - self.near) & (f[:, :3] > 0.0)
-            fixed[:, :3] |= blocked
-        return Supports(fixed, touches, slides, slip)
+            r, free = self.body.radius, ~fixed[:, :3]
+            lower, upper = np.array(self.body.box_lower) + r, np.array(self.body.box_upper) - r
+            walls += free & (x <= lower + self.near) & (f[:, :3] < 0.0)
+            walls -= free & (x >= upper - self.near) & (f[:, :3] > 0.0)
+            fixed[:, :3] |= walls != 0.0
+        return Supports(fixed, touches, slides, slip, walls)
 
     def unbalanced(
         self, w: int, f: NDArray[np.float64], on: Supports
@@ -143,15 +145,21 @@ class Balance:
             lift = sparse.csc_matrix(
                 (entries, (rows, np.tile(i * C + 2, 2))), shape=(size, size)
             )
-            across = np.stack([-d[i, 1], d[i, 0]], axis=1)
-            by = mu * f[i, 2] / np.linalg.norm(on.slip[i], axis=1)
-            turn = by[:, None, None] * across[:, :, None] * across[:, None, :]
+            turn = self.turning(w, f, on, d, i)
             a, b = np.indices((2, 2))
             rows = (i[:, None, None] * C + a).reshape(-1)
             columns = (i[:, None, None] * C + b).reshape(-1)
             turning = sparse.csc_matrix((turn.reshape(-1), (rows, columns)), shape=(size, size))
             J = J + lift @ J + turning
         return J.tocsc()
+
+    def turning(
+        self, w: int, f: NDArray[Any], on: Supports, d: NDArray[Any], i: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """[k, 2, 2] derivative of the friction on points i by their slip."""
+        across = np.stack([-d[i, 1], d[i, 0]], axis=1)
+        by = self.friction(w) * f[i, 2] / np.linalg.norm(on.slip[i], axis=1)
+        return by[:, None, None] * across[:, :, None] * across[:, None, :]
 
     # ---- Newton's method -------------------------------------------------------------------------
 
@@ -169,7 +177,7 @@ class Balance:
         for k in range(ITERATIONS + 1):
             left, d = self.unbalanced(w, f, on)
             residual = np.abs(left / self.scale[w]).max()
-            if residual <= 0.1 * tolerance:
+            if residual <= max(0.1 * tolerance, 0.5 * self.rounding):
                 return k
             if k == ITERATIONS or not residual <= 10.0 * before:
                 break
@@ -179,7 +187,7 @@ class Balance:
                 break
             self._move(w, step)
             f = self.forces(w)
-            on = Supports(on.fixed, on.touches, on.slides, (self.points(w) - self.anchor(w))[:, :2])
+            on = replace(on, slip=(self.points(w) - self.anchor(w))[:, :2])
         if residual > tolerance:
             self.put_rows(w, start)
         return k
@@ -214,8 +222,6 @@ class Balance:
         self.put_rows(w, rows)
 
     def put_rows(self, w: int, rows: NDArray[Any]) -> None:
-        from gendom.sim.thin.engine import put
-
         put(self.engine.state, slice(w, w + 1), rows[None])
 
 

@@ -173,6 +173,14 @@ class ThinEngine(ABC):
         """Hand the stiffness of grippers' borders to the kernels."""
 
     @abstractmethod
+    def stiffness_slopes(self, w: int, name: str) -> NDArray[np.float64]:
+        """[., n] derivative of world w's stiffness by E, nu or thickness, without borders."""
+
+    @abstractmethod
+    def mass_slope(self, w: int, name: str) -> float:
+        """Relative derivative of its mass by density or thickness."""
+
+    @abstractmethod
     def tape(self, memory: float) -> Any:
         """What remembers a run for its reverse."""
 
@@ -277,7 +285,7 @@ class ThinEngine(ABC):
         while (at < count).any():
             going = at < count
             now = plan.time(worlds, np.minimum(at, np.maximum(count - 1, 0)))
-            events = self._switch(worlds[going], now[going])
+            events = self.switch(worlds[going], now[going])
             until = np.where(going, plan.until(group, at), at)
             pieces = np.stack([at, until], axis=1).astype(np.int32)
             yield Round(events, pieces)
@@ -287,7 +295,7 @@ class ThinEngine(ABC):
 
     # ---- grippers --------------------------------------------------------------------------------
 
-    def _switch(self, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> list[Event]:
+    def switch(self, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> list[Event]:
         """Let grippers of worlds [k] open and close that are to at times [k]."""
         events, (begin, end) = [], (self.stacked[name] for name in ("hold_from", "hold_until"))
         for g in range(self.closed.shape[1]):

@@ -5,6 +5,7 @@ Relaxation (``relaxing``) finds a shape nearly at rest and what it touches; Newt
 at rest.
 """
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -13,15 +14,20 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.materials import STANDARD_GRAVITY
+from gendom.sim.device import making
 from gendom.sim.equilibria import Equilibria
 from gendom.sim.thin import rotation
 from gendom.sim.thin.balance import Balance
 from gendom.sim.thin.engine import CFL, LOCAL_STRETCH, STRETCH, put
 from gendom.sim.thin.grips import Paths
+from gendom.sim.thin.sensitivity import Sensitivity
 from gendom.sim.thin.types import X
 
 WAY = 0.005
 """How far grippers go in a step of relaxation [spacings]."""
+
+SAMPLES = 16
+"""Pieces that a gripper's way is measured in."""
 
 BATCH = 400
 """Steps of relaxation before Newton's method is tried for the first time."""
@@ -42,7 +48,9 @@ class Search:
         began: Time of the state before [s].
         tolerance: Bound on residuals, or None for ``TOLERANCE``, more in float32.
         most_steps: Steps of relaxation, at most, in a frame.
+        increments: Equilibria for each frame.
         keep_going: Whether worlds that fail, or frames that do not converge, stop nothing.
+        derivatives: Names of parameters, see ``Sensitivity``.
     """
 
     def __init__(
@@ -53,14 +61,18 @@ class Search:
         *,
         tolerance: float | None,
         most_steps: int,
+        increments: int,
         keep_going: bool,
+        derivatives: Sequence[str],
     ):
         self.engine, self.times, self.began = engine, times, began
-        self.most_steps, self.keep_going = most_steps, keep_going
+        self.most_steps, self.increments = most_steps, increments
+        self.keep_going = keep_going
         e, T, W = engine, len(times), engine.num_worlds
-        e.used = True
         self.body = self._body()
         self.balance = Balance(e, self.body)
+        self.sensitivity = Sensitivity(self.balance, derivatives)
+        e.used = True
         self.tolerance = max(tolerance or TOLERANCE, self.balance.rounding)
         damped = np.array([m.damping > 0.0 for m in e.setting.materials])
         # the limit is that of twice the stiffness where there is damping
@@ -70,20 +82,20 @@ class Search:
         self.moves, self.steps = e.zeros(W, wp.int32), e.zeros(W, wp.int32)
         self.left = e.zeros(W)
         self.taken, self.stopped = e.zeros(W, wp.int32), e.zeros(W, wp.int32)
-        self.x = np.full((T, W, e.num_points, 3), np.nan, dtype=e.setting.dtype)
+        n = e.num_points
+        self.x = np.full((T, W, n, 3), np.nan, dtype=e.setting.dtype)
         self.residual = np.full((T, W), np.inf)
         self.steps_taken = np.zeros((T, W), dtype=int)
         self.solves = np.zeros((T, W), dtype=int)
-        with_kernels = self.balance.tangent.kernels
-        from gendom.sim.device import making
-
+        self.derivatives = {
+            name: np.full((T, W, n, 3, *self.sensitivity.shapes.get(name, ())), np.nan)
+            for name in self.sensitivity.columns
+        }
+        self.kernels = self.balance.tangent.kernels
         with making:
             for name in ("relax", "balance", "tangent"):
-                wp.load_module(
-                    getattr(with_kernels, name).module,
-                    device=e.setting.device,
-                    block_dim=e.block,
-                )
+                module = getattr(self.kernels, name).module
+                wp.load_module(module, device=e.setting.device, block_dim=e.block)
 
     def _body(self) -> Any:
         """The engine's, without damping and air, with anchors for friction."""
@@ -123,6 +135,7 @@ class Search:
             converged=converged,
             steps=self.steps_taken,
             solves=self.solves,
+            derivatives=self.derivatives,
         )
 
     def _unconverged(self, frame: int, w: int) -> Any:
@@ -148,7 +161,7 @@ class Search:
                 if k < len(stations[w - group.start]) and w not in e.failures
             ]
             worlds = np.array(going, dtype=int)
-            e._switch(worlds, now[worlds])
+            self.sensitivity.switch(e.switch(worlds, now[worlds]))
             self._check_held(worlds, now)
             worlds = np.array([w for w in going if w not in e.failures], dtype=int)
             if not len(worlds):
@@ -167,8 +180,11 @@ class Search:
             for t in e.stacked[name][w]
             if self.began < t < self.times[-1] and t not in self.times
         }
+        before = np.concatenate([[self.began], self.times[:-1]])
+        shares = np.arange(1, self.increments) / self.increments
+        between = (before + shares[:, None] * (self.times - before)).reshape(-1)
         stations = [(float(t), f) for f, t in enumerate(self.times)]
-        return sorted(stations + [(t, -1) for t in switches])
+        return sorted(stations + [(float(t), -1) for t in {*between, *switches}])
 
     def _check_held(self, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> None:
         """Bodies that fall for ever have no equilibrium."""
@@ -197,6 +213,7 @@ class Search:
         local = worlds - group.start
         put(self.body.inertia, group, self._inertia(group))
         put(self.body.anchor, group, e.state.numpy()[group, X])
+        self.sensitivity.begin(worlds)
         moves = np.zeros(W, dtype=np.int32)
         moves[worlds] = self._moves(worlds, begins, ends)
 
@@ -234,14 +251,19 @@ class Search:
             for w in range(group.start, group.stop):
                 grown = min(2 * steps[w], self.most_steps + moves[w] - int(taken[w]))
                 steps[w] = max(grown, 1) if w in open_ else 0
-        left = self.left.numpy()[group].astype(float) / STANDARD_GRAVITY
-        x = e.positions()[worlds] if False else e.component(X)
-        for w, f in zip(worlds, frames, strict=True):
-            if f >= 0 and int(w) not in e.failures:
+        left, x = self.left.numpy() / STANDARD_GRAVITY, e.component(X)
+        for w, t, f in zip((int(w) for w in worlds), ends, frames, strict=True):
+            if w in e.failures:
+                continue
+            if self.derivatives:
+                self.sensitivity.solve(w, t)
+            if f >= 0:
                 self.x[f, w] = x[w] + e.origin
-                self.residual[f, w] = left[w - group.start]
+                self.residual[f, w] = left[w]
                 self.steps_taken[f, w] = self.taken.numpy()[w]
                 self.solves[f, w] = solves[w]
+                for name, values in self.sensitivity.values(w).items():
+                    self.derivatives[name][f, w] = values
 
     def _inertia(self, group: slice) -> NDArray[np.float64]:
         rows = self.engine.body.inertia.numpy()[group].copy()
@@ -253,21 +275,19 @@ class Search:
     ) -> NDArray[np.int64]:
         """[k] steps in which grippers go their way."""
         e = self.engine
-        longest = np.zeros(len(worlds))
-        paths = Paths(e.stacked)
-        for g in range(e.closed.shape[1]):
-            way = np.zeros(len(worlds))
-            place = e.body.place.numpy()[worlds * e.closed.shape[1] + g][:, :3][..., e.slots]
+        k, G = len(worlds), e.closed.shape[1]
+        longest = np.zeros(k)
+        paths, shares = Paths(e.stacked), np.linspace(0.0, 1.0, SAMPLES + 1)[:, None]
+        times = (begins + shares * (ends - begins)).reshape(-1)
+        for g in range(G):
+            pose = paths.pose(g, np.tile(worlds, SAMPLES + 1), times)
+            centre, q = pose.centre.reshape(-1, k, 3), pose.q.reshape(-1, k, 4)
+            angle = 2.0 * np.linalg.norm(rotation.between(q[:-1], q[1:])[..., :3], axis=2)
+            place = e.body.place.numpy()[worlds * G + g][:, :3][..., e.slots]
             held = (e.holds[worlds, g] & 1) > 0
             size = np.where(held, np.linalg.norm(place, axis=1), 0.0).max(axis=1) + e.spacing
-            before = paths.pose(g, worlds, begins)
-            for share in np.linspace(0.0, 1.0, 17)[1:]:
-                pose = paths.pose(g, worlds, begins + share * (ends - begins))
-                turn = rotation.between(before.q, pose.q)
-                angle = 2.0 * np.linalg.norm(turn[:, :3], axis=1)
-                way += np.linalg.norm(pose.centre - before.centre, axis=1) + size * angle
-                before = pose
-            longest = np.maximum(longest, np.where(held.any(axis=1), way, 0.0))
+            way = np.linalg.norm(np.diff(centre, axis=0), axis=2) + size * angle
+            longest = np.maximum(longest, np.where(held.any(axis=1), way.sum(axis=0), 0.0))
         return np.ceil(longest / (WAY * e.spacing)).astype(int) + 1
 
     def _relax(
@@ -279,7 +299,7 @@ class Search:
         put(self.steps, group, steps[group].astype(np.int32))
         least = self.tolerance * STANDARD_GRAVITY
         e.launch(
-            self.balance.tangent.kernels.relax,
+            self.kernels.relax,
             group,
             [
                 self.body, e.paths, self.begin, self.end, self.moves, self.steps, self.dt, least,
