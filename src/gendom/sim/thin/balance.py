@@ -27,6 +27,9 @@ LONGEST = 0.3
 WIDEST = 0.5
 """Most that an edge turns [rad]."""
 
+SINGULAR = 1e-14
+"""Ratio of pivots below which nothing resists some motion."""
+
 
 @dataclass
 class Supports:
@@ -58,6 +61,7 @@ class Balance:
         self.tangent = Tangent(engine, body)
         self.components = C = self.tangent.components
         W, n = e.num_worlds, e.num_points
+        self.gravity, self.mu = body.gravity.numpy().astype(float), body.friction.numpy()
         self.mass = np.broadcast_to(1.0 / e.per_mass, (W, n))
         self.scale = np.repeat((self.mass * STANDARD_GRAVITY)[:, :, None], C, axis=2)
         """[W, n, C] force or torque that residuals are counted in."""
@@ -75,22 +79,29 @@ class Balance:
         self.rounding = float(2.0 * self.eps * extent * k / self.scale[..., 0].min())
         """What rounding leaves of residuals."""
 
+    def copied(self) -> Any:
+        """A struct that shares the body's arrays."""
+        body = self.engine.types.Body()
+        for name in self.engine.types.Body.vars:
+            setattr(body, name, getattr(self.body, name))
+        return body
+
     # ---- forces ----------------------------------------------------------------------------------
 
     def forces(self, w: int) -> NDArray[np.float64]:
         """[n, C] elastic forces and weight."""
         f = self.tangent.forces(w)
-        f[:, :3] += self.mass[w][:, None] * self.body.gravity.numpy()[w]
+        f[:, :3] += self.mass[w][:, None] * self.gravity[w]
         return f
 
     def friction(self, w: int) -> float:
-        return float(self.body.friction.numpy()[w])
+        return float(self.mu[w])
 
     def points(self, w: int) -> NDArray[np.float64]:
-        return self.engine.state.numpy()[w][X][:, self.engine.slots].T.astype(float)
+        return self.engine.state[w].numpy()[X][:, self.engine.slots].T.astype(float)
 
     def anchor(self, w: int) -> NDArray[np.float64]:
-        return self.body.anchor.numpy()[w][:, self.engine.slots].T.astype(float)
+        return self.body.anchor[w].numpy()[:, self.engine.slots].T.astype(float)
 
     def supports(self, w: int, f: NDArray[np.float64]) -> Supports:
         """What holds the points of world w as it is, under forces [n, C]."""
@@ -142,9 +153,7 @@ class Balance:
             rows = np.concatenate([i * C, i * C + 1])
             entries = mu * np.concatenate([d[i, 0], d[i, 1]])
             size = n * C
-            lift = sparse.csc_matrix(
-                (entries, (rows, np.tile(i * C + 2, 2))), shape=(size, size)
-            )
+            lift = sparse.csc_matrix((entries, (rows, np.tile(i * C + 2, 2))), shape=(size, size))
             turn = self.turning(w, f, on, d, i)
             a, b = np.indices((2, 2))
             rows = (i[:, None, None] * C + a).reshape(-1)
@@ -164,13 +173,16 @@ class Balance:
     # ---- Newton's method -------------------------------------------------------------------------
 
     def solve(self, w: int, tolerance: float) -> int:
-        """Let world w come to rest with what supports it now; it stays as it is where that fails.
+        """Let world w come to rest with what supports it now; it stays as it is where that fails,
+        or where it may meet itself: that contact has no tangent.
 
         Returns:
             The number of linear systems solved.
         """
         e = self.engine
-        start = e.state.numpy()[w].copy()
+        if e.setting.self_contact:
+            return 0
+        start = e.state[w].numpy().copy()
         before = np.inf
         f = self.forces(w)
         on = self.supports(w, f)
@@ -195,12 +207,10 @@ class Balance:
     def _step(self, w: int, f: Any, on: Supports, d: Any, left: Any) -> Any:
         free = np.flatnonzero(~on.fixed.reshape(-1))
         J = self.jacobian(w, f, on, d)[free][:, free]
-        try:
-            step = factor(J, self.components).solve(-left.reshape(-1)[free])
-        except RuntimeError:  # singular
+        factors = factor(J, self.components)
+        if factors is None:
             return None
-        if not np.isfinite(step).all():
-            return None
+        step = factors.solve(-left.reshape(-1)[free])
         full = np.zeros(left.size)
         full[free] = step
         full = full.reshape(left.shape)
@@ -211,7 +221,7 @@ class Balance:
 
     def _move(self, w: int, step: NDArray[np.float64]) -> None:
         e = self.engine
-        rows = e.state.numpy()[w].copy()
+        rows = e.state[w].numpy().copy()
         rows[X, e.slots] += step[:, :3].T
         if self.components == 6:
             Q = slice(6, 10)
@@ -226,12 +236,18 @@ class Balance:
 
 
 def factor(J: Any, components: int) -> Any:
-    """LU factors of a matrix: of a rod it has a narrow band, of a shell a symmetric pattern."""
-    if components == 6:
-        return splu(J.tocsc(), permc_spec="NATURAL")
-    return splu(
-        J.tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.01,
-        options={"SymmetricMode": True},
-    )
+    """LU factors of a matrix: of a rod it has a narrow band, of a shell a symmetric pattern.
+
+    Returns:
+        None where nothing resists some motion of the body.
+    """
+    options: dict[str, Any] = {"permc_spec": "NATURAL"}
+    if components == 3:
+        options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01}
+        options["options"] = {"SymmetricMode": True}
+    try:
+        factors = splu(J.tocsc(), **options)
+    except RuntimeError:  # a pivot that is exactly 0
+        return None
+    pivots = np.abs(factors.U.diagonal())
+    return factors if pivots.min(initial=np.inf) > SINGULAR * pivots.max(initial=0.0) else None

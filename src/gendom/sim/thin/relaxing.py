@@ -32,6 +32,9 @@ FOLLOWS = 16
 SMOOTH = 8
 """Single steps from rest after each maximum: they take what is left of fast vibrations."""
 
+CONTACT_SMOOTH = 128
+"""More of them where the body may meet itself: impulses at its contacts depend on each other."""
+
 TURN_ROWS = 6
 """Row of a rod's derivatives by turns of directions, see ``native/rod_adjoint.h``."""
 
@@ -56,10 +59,14 @@ def make_relaxing(real: Any, kind: str) -> SimpleNamespace:
     @wp.func_native(f"gendom::{kind}_rest(body, w, state, row);")
     def rest(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
 
-    @wp.func_native(f"return gendom::{kind}_unbalanced(body, w, state, row, kick);")
+    @wp.func_native("gendom::mark(body, w, state, marks);")
+    def mark(body: Body, w: int, state: wp.array3d(dtype=real), marks: wp.array3d(dtype=real)): ...
+
+    @wp.func_native(f"return gendom::{kind}_unbalanced(body, w, state, marks, dt, kick);")
     def unbalanced(
-        body: Body, w: int, state: wp.array3d(dtype=real), row: int, kick: real
-    ) -> real: ...
+        body: Body, w: int, state: wp.array3d(dtype=real), marks: wp.array3d(dtype=real), dt: real,
+        kick: real,
+    ) -> real: ...  # fmt: skip
 
     @wp.func_native(f"gendom::{kind}_elastic(body, w, forces, row);")
     def elastic(body: Body, w: int, forces: wp.array3d(dtype=real), row: int): ...
@@ -79,6 +86,7 @@ def make_relaxing(real: Any, kind: str) -> SimpleNamespace:
         limit: real,  # of the squared stretch of an edge
         mean_limit: real,  # of the mean stretch
         state: wp.array3d(dtype=real),
+        marks: wp.array3d(dtype=real),  # [W, 3, P] where points were at rest last [m]
         left: wp.array(dtype=real),  # [W] unbalanced acceleration when it was at rest last
         taken: wp.array(dtype=wp.int32),  # [W] steps, added
         stopped: wp.array(dtype=wp.int32),  # [W] 1: stretched beyond a limit
@@ -103,6 +111,7 @@ def make_relaxing(real: Any, kind: str) -> SimpleNamespace:
             kick = h
             if rested == 1:
                 kick = real(0.5) * h
+                mark(body, w, state, marks)
             move(body, w, state, w, w, h, kick)
             meet()
             t = end[w]
@@ -114,7 +123,7 @@ def make_relaxing(real: Any, kind: str) -> SimpleNamespace:
             done += 1
             small = int(0)
             if rested == 1 and k >= moves[w]:
-                residual = unbalanced(body, w, state, w, kick)
+                residual = unbalanced(body, w, state, marks, h, kick)
                 left[w] = residual
                 if residual <= least:
                     small = 1
@@ -129,7 +138,7 @@ def make_relaxing(real: Any, kind: str) -> SimpleNamespace:
                 energy = kinetic(body, w, state, w)
                 if energy < before:
                     rested = 1
-                    smooth = SMOOTH
+                    smooth = SMOOTH + CONTACT_SMOOTH * body.contact
                 else:
                     before = energy
             if rested == 1:

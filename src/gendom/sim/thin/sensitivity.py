@@ -14,20 +14,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError
 from gendom.sim.thin import rotation
 from gendom.sim.thin.balance import Balance, factor
-from gendom.sim.thin.engine import Event
+from gendom.sim.thin.engine import Event, put
 from gendom.sim.thin.grips import Paths, border_of_rod_adjoint, border_of_shell_adjoint
 
 Array = NDArray[np.float64]
 
 PARAMETERS = (
     "E", "nu", "density", "thickness", "friction", "gravity", "gripper_radius",
-    "gripper_positions",
+    "gripper_offset",
 )  # fmt: skip
 """What shapes are differentiated by, see ``Simulator.equilibria``."""
 
@@ -73,7 +72,7 @@ class Sensitivity:
         if "thickness" in names and e.setting.body.width is not None and e.kind == "rod":
             raise ParameterError("flat ropes are not differentiated by their thickness")
         G = e.closed.shape[1]
-        self.shapes = {"gravity": (3,), "gripper_radius": (G,), "gripper_positions": (G, 3)}
+        self.shapes = {"gravity": (3,), "gripper_radius": (G,), "gripper_offset": (G, 3)}
         self.columns: dict[str, slice] = {}
         for name in dict.fromkeys(names):
             first = max((c.stop for c in self.columns.values()), default=0)
@@ -85,16 +84,19 @@ class Sensitivity:
         """[W, n, C, P] of the shapes now."""
         self.anchor = np.zeros((W, n, 3, self.P))
         """[W, n, 3, P] of the points in the frame before."""
-        self.grips: dict[tuple[int, int], _Grip] = {}
+        self.grips: list[dict[int, _Grip]] = [{} for _ in range(W)]
+        self.slopes = e.zeros(e.body.stiffness.shape if self.P else (0, 0, 0))
+        self.sloped = balance.copied()
+        self.sloped.stiffness = self.slopes
 
     def switch(self, events: Sequence[Event]) -> None:
         """Take part in what grippers do now."""
         for event in events:
             for k, w in enumerate(int(w) for w in event.worlds):
                 if event.closes:
-                    self.grips[w, event.g] = self._closed(event, k, w)
+                    self.grips[w][event.g] = self._closed(event, k, w)
                 else:
-                    self.grips.pop((w, event.g), None)
+                    self.grips[w].pop(event.g, None)
 
     def begin(self, worlds: NDArray[np.int64]) -> None:
         """The next frame counts slip from the shapes as they are."""
@@ -109,7 +111,11 @@ class Sensitivity:
         }
 
     def solve(self, w: int, time: float) -> None:
-        """Derivatives of world w's shape, which is at rest at this time [s]."""
+        """Derivatives of world w's shape, which is at rest at this time [s].
+
+        Raises:
+            SimulationError: If nothing resists some motion.
+        """
         b = self.balance
         f = b.forces(w)
         on = b.supports(w, f)
@@ -121,8 +127,16 @@ class Sensitivity:
         loads += J @ np.where(on.fixed[..., None], du, 0.0).reshape(-1, self.P)
         loads += self._by_anchor(w, f, on, d).reshape(-1, self.P)
         du = du.reshape(-1, self.P)
-        lu = factor(J[free][:, free], b.components)
-        du[free] = lu.solve(-loads[free])
+        factors = factor(J[free][:, free], b.components)
+        if factors is None:
+            raise self.engine.setting.error(
+                w,
+                time,
+                "derivatives are not determined: nothing resists some motion of the body",
+                where="implicit differentiation",
+                fix="a gripper that holds more of it, or derivatives=()",
+            )
+        du[free] = factors.solve(-loads[free])
         self.shape[w] = du.reshape(self.shape[w].shape)
 
     # ---- what is held ----------------------------------------------------------------------------
@@ -145,9 +159,7 @@ class Sensitivity:
                 )
             by_x, by_centre, by_radius = (of[k] for of in by)
             stiffer[m, i] = (
-                np.einsum("na,nap->p", by_x, shape[:, :3])
-                + by_centre @ centre
-                + by_radius * radius
+                np.einsum("na,nap->p", by_x, shape[:, :3]) + by_centre @ centre + by_radius * radius
             )
         turn = shape[:, 3:] if self.balance.components == 6 else np.zeros((n, 3, P))
         back = rotation.conjugate(event.pose.q[k])
@@ -156,8 +168,8 @@ class Sensitivity:
     def _centre(self, g: int) -> Array:
         """[3, P] of gripper g's centre."""
         by = np.zeros((3, self.P))
-        if "gripper_positions" in self.columns:
-            first = self.columns["gripper_positions"].start + 3 * g
+        if "gripper_offset" in self.columns:
+            first = self.columns["gripper_offset"].start + 3 * g
             by[:, first : first + 3] = np.eye(3)
         return by
 
@@ -165,9 +177,7 @@ class Sensitivity:
         """[n, C, P] of components that are not free, else 0."""
         e = self.engine
         du = np.zeros_like(self.shape[w])
-        for (of, g), grip in self.grips.items():
-            if of != w:
-                continue
+        for g, grip in self.grips[w].items():
             pose = Paths(e.stacked).pose(g, np.array([w]), np.array([time]))
             since = rotation.product(pose.q[0], grip.back)
             points, edges = e.holds[w, g] & 1 > 0, e.holds[w, g] & 2 > 0
@@ -189,7 +199,7 @@ class Sensitivity:
         """[n, C, P] of the forces that are not balanced, the shape as it is."""
         b, mu = self.balance, self.balance.friction(w)
         loads = np.zeros((*f.shape, self.P))
-        weight = b.mass[w][:, None] * b.body.gravity.numpy()[w]
+        weight = b.mass[w][:, None] * b.gravity[w]
         for name, at in self.columns.items():
             first = at.start
             if name in ("E", "nu", "thickness"):
@@ -198,18 +208,9 @@ class Sensitivity:
                 loads[:, :3, first] += weight * self.engine.mass_slope(w, name)
             if name == "gravity":
                 loads[:, :3, at] = b.mass[w][:, None, None] * np.eye(3)
-            if name in ("gripper_radius", "gripper_positions"):
-                for p in range(first, at.stop):
-                    loads[..., p] = self._elastic(w, self._border(w, p))
         for p in range(self.P):
-            if any(np.any(grip.stiffer[..., p]) for (of, _), grip in self.grips.items() if of == w):
-                held = any(
-                    at.start <= p < at.stop
-                    for name, at in self.columns.items()
-                    if name.startswith("gripper")
-                )
-                if not held:
-                    loads[..., p] += self._elastic(w, self._border(w, p))
+            if any(np.any(grip.stiffer[..., p]) for grip in self.grips[w].values()):
+                loads[..., p] += self._elastic(w, self._border(w, p))
         loads[:, :2] += mu * loads[:, 2:3] * d[..., None]
         if "friction" in self.columns:
             loads[:, :2, self.columns["friction"].start] += f[:, 2:3] * d
@@ -218,25 +219,17 @@ class Sensitivity:
     def _border(self, w: int, p: int) -> Array:
         """[R, n] of the stiffness at grippers' borders."""
         e = self.engine
-        k = e.body.stiffness.numpy()[w][:, e.slots].astype(float)
+        k = e.body.stiffness[w].numpy()[:, e.slots].astype(float)
         slope = np.zeros_like(k)
-        for (of, g), grip in self.grips.items():
-            if of != w:
-                continue
+        for g, grip in self.grips[w].items():
             for m, rows in enumerate(e.stiffened):
                 slope[rows] += k[rows] * grip.stiffer[m, :, p] / e.stiffer[w, g, m]
         return slope
 
     def _elastic(self, w: int, stiffness: Array) -> Array:
         """[n, C] forces with another stiffness [R, n]: they are linear in it."""
-        e = self.engine
-        body = e.types.Body()
-        for name in e.types.Body.vars:
-            setattr(body, name, getattr(self.balance.body, name))
-        rows = np.zeros(e.body.stiffness.shape)
-        rows[w] = e.rows(stiffness)
-        body.stiffness = e.array(rows)
-        return self.balance.tangent.forces(w, body)
+        put(self.slopes, slice(w, w + 1), self.engine.rows(stiffness)[None])
+        return self.balance.tangent.forces(w, self.sloped)
 
     def _by_anchor(self, w: int, f: Array, on: Any, d: Array) -> Array:
         """[n, C, P] friction turns as the points slide from elsewhere."""

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gendom.errors import SimulationError
 from gendom.materials import STANDARD_GRAVITY
 from gendom.sim.device import making
 from gendom.sim.equilibria import Equilibria
@@ -35,8 +36,9 @@ BATCH = 400
 NEAR = 0.1
 """Residual below which it is."""
 
-TOLERANCE = 1e-6
-"""Default bound on residuals in float64."""
+TOLERANCE, CONTACT_TOLERANCE = 1e-6, 0.02
+"""Default bounds on residuals, without and with contact of a body with itself: its impulses are
+not solved for to the end, but in a few turns a step."""
 
 
 class Search:
@@ -46,7 +48,7 @@ class Search:
         engine: Rods or shells.
         times: [T] frames [s].
         began: Time of the state before [s].
-        tolerance: Bound on residuals, or None for ``TOLERANCE``, more in float32.
+        tolerance: Bound on residuals, or None for the defaults; at least what rounding leaves.
         most_steps: Steps of relaxation, at most, in a frame.
         increments: Equilibria for each frame.
         keep_going: Whether worlds that fail, or frames that do not converge, stop nothing.
@@ -73,7 +75,8 @@ class Search:
         self.balance = Balance(e, self.body)
         self.sensitivity = Sensitivity(self.balance, derivatives)
         e.used = True
-        self.tolerance = max(tolerance or TOLERANCE, self.balance.rounding)
+        default = CONTACT_TOLERANCE if e.setting.self_contact else TOLERANCE
+        self.tolerance = max(tolerance or default, self.balance.rounding)
         damped = np.array([m.damping > 0.0 for m in e.setting.materials])
         # the limit is that of twice the stiffness where there is damping
         dt = CFL * e.longest * np.where(damped, np.sqrt(2.0), 1.0)
@@ -81,6 +84,7 @@ class Search:
         self.begin, self.end = e.zeros(W, wp.float64), e.zeros(W, wp.float64)
         self.moves, self.steps = e.zeros(W, wp.int32), e.zeros(W, wp.int32)
         self.left = e.zeros(W)
+        self.marks = e.zeros((W, 3, e.row_length))
         self.taken, self.stopped = e.zeros(W, wp.int32), e.zeros(W, wp.int32)
         n = e.num_points
         self.x = np.full((T, W, n, 3), np.nan, dtype=e.setting.dtype)
@@ -152,24 +156,21 @@ class Search:
 
     def _run_group(self, group: slice) -> None:
         e = self.engine
-        stations = [self._stations(w) for w in range(group.start, group.stop)]
-        now = np.full(e.num_worlds, self.began)
-        for k in range(max(len(s) for s in stations)):
-            going = [
-                w
-                for w in range(group.start, group.stop)
-                if k < len(stations[w - group.start]) and w not in e.failures
-            ]
-            worlds = np.array(going, dtype=int)
-            self.sensitivity.switch(e.switch(worlds, now[worlds]))
+        plans = {w: self._stations(w) for w in range(group.start, group.stop)}
+        for k in range(max(len(plan) for plan in plans.values())):
+            begun = {
+                w: plan[k - 1][0] if k else self.began
+                for w, plan in plans.items()
+                if k < len(plan) and w not in e.failures
+            }
+            if not begun:
+                return
+            worlds, now = np.array(list(begun)), np.array(list(begun.values()))
+            self.sensitivity.switch(e.switch(worlds, now))
             self._check_held(worlds, now)
-            worlds = np.array([w for w in going if w not in e.failures], dtype=int)
-            if not len(worlds):
-                continue
-            ends = np.array([stations[w - group.start][k][0] for w in worlds])
-            frames = [stations[w - group.start][k][1] for w in worlds]
-            self._station(group, worlds, now[worlds], ends, frames)
-            now[worlds] = ends
+            self._station(
+                group, {w: (t, *plans[w][k]) for w, t in begun.items() if w not in e.failures}
+            )
 
     def _stations(self, w: int) -> list[tuple[float, int]]:
         """Times at which shapes are wanted, in order, with their frames; -1: a gripper's."""
@@ -191,84 +192,81 @@ class Search:
         e, s = self.engine, self.engine.setting
         if s.table is not None or s.box is not None:
             return
-        pulled = np.any(e.body.gravity.numpy()[worlds] != 0.0, axis=1)
-        for w in worlds[pulled & ~np.any(e.holds[worlds] & 1, axis=(1, 2))]:
-            e.failures[int(w)] = s.error(
-                int(w),
-                float(now[w]),
+        falls = np.any(self.balance.gravity[worlds] != 0.0, axis=1)
+        falls &= ~np.any(e.holds[worlds] & 1, axis=(1, 2))
+        for w, t in zip(worlds[falls].tolist(), now[falls].tolist(), strict=True):
+            e.failures[w] = s.error(
+                w,
+                t,
                 "there is no equilibrium: nothing holds the body",
                 where="no gripper is closed, and there is no table",
                 fix="a gripper that holds it, or a table below it",
             )
 
-    def _station(
-        self,
-        group: slice,
-        worlds: NDArray[np.int64],
-        begins: NDArray[np.float64],
-        ends: NDArray[np.float64],
-        frames: list[int],
-    ) -> None:
+    def _station(self, group: slice, stations: dict[int, tuple[float, float, int]]) -> None:
+        """Let worlds of a group come to rest: from a time on, at a time, in a frame."""
         e, W = self.engine, self.engine.num_worlds
-        local = worlds - group.start
-        put(self.body.inertia, group, self._inertia(group))
-        put(self.body.anchor, group, e.state.numpy()[group, X])
-        self.sensitivity.begin(worlds)
-        moves = np.zeros(W, dtype=np.int32)
+        worlds = np.array(list(stations), dtype=int)
+        begins, ends = (np.array([of[k] for of in stations.values()]) for k in (0, 1))
+        self._prepare(group, worlds, begins, ends)
+        moves, steps = np.zeros(W, dtype=int), np.zeros(W, dtype=int)
         moves[worlds] = self._moves(worlds, begins, ends)
-
-        def send(array: Any, values: NDArray[Any]) -> None:
-            full = array.numpy()[group].copy()
-            full[local] = values
-            put(array, group, full)
-
-        send(self.begin, begins)
-        send(self.end, ends)
-        put(self.taken, group, np.zeros(group.stop - group.start, dtype=np.int32))
-        steps = np.zeros(W, dtype=np.int64)
         steps[worlds] = BATCH + moves[worlds]
-        near = np.full(W, NEAR)
-        solves = np.zeros(W, dtype=int)
-        open_ = set(int(w) for w in worlds)
-        first = True
-        while open_:
-            left = self._relax(group, moves if first else 0 * moves, steps)
-            first = False
-            taken = self.taken.numpy()
-            for w in list(open_):
-                if self.stopped.numpy()[w]:
-                    e.failures[w] = self._stretched(w, float(ends[worlds == w][0]))
-                    open_.discard(w)
-                elif left[w] <= self.tolerance:
-                    open_.discard(w)
-                elif left[w] <= near[w] and not e.setting.self_contact:
+        most = self.most_steps + moves
+        near, solves = np.full(W, NEAR), np.zeros(W, dtype=int)
+        restless, going = set(stations), moves
+        while restless:
+            left = self._relax(group, going, steps)
+            going = 0 * moves
+            taken, stopped = self.taken.numpy(), self.stopped.numpy()
+            for w in sorted(restless):
+                if stopped[w]:
+                    e.failures[w] = self._stretched(w, stations[w][1])
+                elif left[w] > self.tolerance and left[w] <= near[w]:
                     solves[w] += self.balance.solve(w, self.tolerance)
-                    if self._left_of(group, w) <= self.tolerance:
-                        open_.discard(w)
-                    near[w] = 0.1 * min(near[w], left[w])
-                if w in open_ and taken[w] >= self.most_steps + moves[w]:
-                    open_.discard(w)
-            for w in range(group.start, group.stop):
-                grown = min(2 * steps[w], self.most_steps + moves[w] - int(taken[w]))
-                steps[w] = max(grown, 1) if w in open_ else 0
-        left, x = self.left.numpy() / STANDARD_GRAVITY, e.component(X)
-        for w, t, f in zip((int(w) for w in worlds), ends, frames, strict=True):
-            if w in e.failures:
-                continue
-            if self.derivatives:
-                self.sensitivity.solve(w, t)
-            if f >= 0:
+                    near[w] = 0.1 * left[w]
+                    left[w] = self._left_of(group, w)
+                if w in e.failures or left[w] <= self.tolerance or taken[w] >= most[w]:
+                    restless.discard(w)
+            steps = np.array([w in restless for w in range(W)]) * np.minimum(
+                2 * steps, most - taken
+            )
+        left, taken, x = self._left(), self.taken.numpy(), e.component(X)
+        for w, (_, t, f) in stations.items():
+            if w not in e.failures:
+                self._differentiate(w, t)
+            if w not in e.failures and f >= 0:
                 self.x[f, w] = x[w] + e.origin
-                self.residual[f, w] = left[w]
-                self.steps_taken[f, w] = self.taken.numpy()[w]
-                self.solves[f, w] = solves[w]
+                self.residual[f, w], self.solves[f, w] = left[w], solves[w]
+                self.steps_taken[f, w] = taken[w]
                 for name, values in self.sensitivity.values(w).items():
                     self.derivatives[name][f, w] = values
 
-    def _inertia(self, group: slice) -> NDArray[np.float64]:
-        rows = self.engine.body.inertia.numpy()[group].copy()
-        rows[:, 2 if self.engine.kind == "rod" else 1] = 0.0  # no air
-        return rows
+    def _prepare(
+        self, group: slice, worlds: NDArray[Any], begins: NDArray[Any], ends: NDArray[Any]
+    ) -> None:
+        """Slip counts from the shapes as they are; grippers have these times to go."""
+        e, k = self.engine, group.stop - group.start
+        state = e.state.numpy()[group]
+        e.kept_time[worlds] = begins
+        put(e.kept_state, group, state)
+        put(self.body.anchor, group, state[:, X])
+        self.sensitivity.begin(worlds)
+        inertia = e.body.inertia.numpy()[group].copy()
+        inertia[:, 2 if e.kind == "rod" else 1] = 0.0  # no air
+        put(self.body.inertia, group, inertia)
+        for array, values in ((self.begin, begins), (self.end, ends)):
+            times = np.zeros(k)
+            times[worlds - group.start] = values
+            put(array, group, times)
+        put(self.taken, group, np.zeros(k, dtype=np.int32))
+
+    def _differentiate(self, w: int, time: float) -> None:
+        if self.derivatives:
+            try:
+                self.sensitivity.solve(w, time)
+            except SimulationError as error:
+                self.engine.failures[w] = error
 
     def _moves(
         self, worlds: NDArray[np.int64], begins: NDArray[np.float64], ends: NDArray[np.float64]
@@ -290,9 +288,7 @@ class Search:
             longest = np.maximum(longest, np.where(held.any(axis=1), way.sum(axis=0), 0.0))
         return np.ceil(longest / (WAY * e.spacing)).astype(int) + 1
 
-    def _relax(
-        self, group: slice, moves: NDArray[Any], steps: NDArray[Any]
-    ) -> NDArray[np.float64]:
+    def _relax(self, group: slice, moves: NDArray[Any], steps: NDArray[Any]) -> NDArray[np.float64]:
         """[W] residuals of a group's worlds after so many steps each."""
         e = self.engine
         put(self.moves, group, moves[group].astype(np.int32))
@@ -303,9 +299,12 @@ class Search:
             group,
             [
                 self.body, e.paths, self.begin, self.end, self.moves, self.steps, self.dt, least,
-                LOCAL_STRETCH**2, STRETCH, e.state, self.left, self.taken, self.stopped,
+                LOCAL_STRETCH**2, STRETCH, e.state, self.marks, self.left, self.taken, self.stopped,
             ],
         )  # fmt: skip
+        return self._left()
+
+    def _left(self) -> NDArray[np.float64]:
         return self.left.numpy().astype(float) / STANDARD_GRAVITY
 
     def _left_of(self, group: slice, w: int) -> float:

@@ -46,36 +46,52 @@ CUDA_CALLABLE inline void shell_rest(const Body& body, int w, const wp::array_t<
     for (EACH_IN(p, body.first, body.end)) s.put3(SHELL_V, p, none);
 }
 
-// Largest acceleration [m/s^2] that is left after a step from rest with this kick: the force that is
-// not balanced over a point's mass, and of rods the torque over the mass and length of an edge.
+// Where points are before a step from rest.
+template <typename Body, typename real>
+CUDA_CALLABLE inline void mark(const Body& body, int w, const wp::array_t<real>& state,
+                               const wp::array_t<real>& marks) {
+    typedef typename several<real>::lanes T;
+    const rows_of<real> s(state, w), to(marks, w);
+    for (EACH_IN(p, body.first, body.end)) to.put3(0, p, s.template get3<T>(0, p));
+}
+
+// Largest acceleration [m/s^2] with which points have left their marks in a step dt from rest with
+// this kick: the force that nothing balances over a point's mass.
+template <typename Body, typename real>
+CUDA_CALLABLE inline real left_over(const Body& body, int w, const wp::array_t<real>& state,
+                                    const wp::array_t<real>& marks, int per, real dt, real kick) {
+    typedef typename several<real>::lanes T;
+    const rows_of<real> s(state, w), from(marks, w), m(body.inertia, w);
+    T worst = T(real(0));
+    for (EACH_IN(p, body.first, body.end)) {
+        const vec<T> d = s.template get3<T>(0, p) - from.template get3<T>(0, p);
+        worst = larger(worst, dot(d, d) * is_above(m.template get<T>(per, p), T(real(0))));
+    }
+    return wp::sqrt(largest_of_all(largest_of(worst))) / (dt * kick);
+}
+
+// Of rods also the torque over the mass and length of an edge.
 template <typename Rod, typename real>
-CUDA_CALLABLE inline real rod_unbalanced(const Rod& rod, int w, const wp::array_t<real>& state, int row,
-                                         real kick) {
-    const rows_of<real> s(state, row), m(rod.inertia, w), rest(rod.rest, 0);
+CUDA_CALLABLE inline real rod_unbalanced(const Rod& rod, int w, const wp::array_t<real>& state,
+                                         const wp::array_t<real>& marks, real dt, real kick) {
+    const rows_of<real> s(state, w), m(rod.inertia, w), rest(rod.rest, 0);
     real worst = real(0);
     for (EACH_ONE(i, rod.points)) {
-        const vec<real> v = s.template get3<real>(V, i), spin = s.template get3<real>(W, i);
+        const vec<real> spin = s.template get3<real>(W, i);
         const real per_turn = m.template get<real>(PER_TURN, i);
-        worst = larger(worst, dot(v, v));
-        if (per_turn > real(0)) {
-            const real by =
-                m.template get<real>(PER_MASS, i) * rest.template get<real>(PER_LENGTH, i) / per_turn;
-            worst = larger(worst, by * by * dot(spin, spin));
-        }
+        if (per_turn <= real(0)) continue;
+        const real by =
+            m.template get<real>(PER_MASS, i) * rest.template get<real>(PER_LENGTH, i) / per_turn;
+        worst = larger(worst, by * by * dot(spin, spin));
     }
-    return wp::sqrt(largest_of_all(worst)) / kick;
+    const real turned = wp::sqrt(largest_of_all(worst)) / kick;
+    return larger(turned, left_over(rod, w, state, marks, PER_MASS, dt, kick));
 }
 
 template <typename Body, typename real>
 CUDA_CALLABLE inline real shell_unbalanced(const Body& body, int w, const wp::array_t<real>& state,
-                                           int row, real kick) {
-    const rows_of<real> s(state, row), m(body.inertia, w);
-    real worst = real(0);
-    for (EACH_ONE_IN(p, body.first, body.end)) {
-        const vec<real> v = s.template get3<real>(SHELL_V, p);
-        if (m.template get<real>(POINT_PER_MASS, p) > real(0)) worst = larger(worst, dot(v, v));
-    }
-    return wp::sqrt(largest_of_all(worst)) / kick;
+                                           const wp::array_t<real>& marks, real dt, real kick) {
+    return left_over(body, w, state, marks, POINT_PER_MASS, dt, kick);
 }
 
 // Elastic force [N] of each point and, of rods, torque [N m] of each edge, as the scratch has them.
