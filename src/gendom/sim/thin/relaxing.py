@@ -2,9 +2,9 @@
 
 A search takes the engine's own steps, without damping and air: forces, table, grippers and contact
 are those of motion. Velocities are set to 0 whenever the kinetic energy has passed a maximum, so
-that the energy only falls (Cundall 1976; Barnes 1999, "Form finding and analysis of tension
-structures by dynamic relaxation"). While grippers move, velocities are set to 0 every few steps, and
-the body follows without momentum.
+that the energy only falls. While grippers move, velocities are set to 0 every few steps, and the
+body follows without momentum. Source: Barnes (1999), "Form finding and analysis of tension
+structures by dynamic relaxation".
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.

@@ -168,9 +168,9 @@ class Search:
             worlds, now = np.array(list(begun)), np.array(list(begun.values()))
             self.sensitivity.switch(e.switch(worlds, now))
             self._check_held(worlds, now)
-            self._station(
-                group, {w: (t, *plans[w][k]) for w, t in begun.items() if w not in e.failures}
-            )
+            stations = {w: (t, *plans[w][k]) for w, t in begun.items() if w not in e.failures}
+            if stations:
+                self._station(group, stations)
 
     def _stations(self, w: int) -> list[tuple[float, int]]:
         """Times at which shapes are wanted, in order, with their frames; -1: a gripper's."""
