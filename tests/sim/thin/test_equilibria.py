@@ -138,12 +138,20 @@ def test_a_pulled_rope_stretches_against_friction():
     first = ROPE.points[0]
     path = [first, first - [pull, 0, 0], first - [pull - 1e-5, 0, 0]]
     hand = Gripper(time=[0, 1, 2], position=path, radius=radius)
-    s = Simulator(ROPE, [Material(E=1e6)], grippers=[hand], table=Table(height=0.0, friction=mu))
-    pulled, pushed = s.equilibria([1.0, 2.0]).positions[:, 0, :, 0] - ROPE.points[:, 0]
+
+    def along(times, **options):
+        s = Simulator(
+            ROPE, [Material(E=1e6)], grippers=[hand], table=Table(height=0.0, friction=mu)
+        )
+        return s.equilibria(times, **options).positions[:, 0, :, 0] - ROPE.points[:, 0]
+
+    pulled, pushed = along([1.0, 2.0])
     free = 0.3 - 0.01  # the edge whose middle it holds
     expected = mu * 1000.0 * 9.80665 * free**2 / (2.0 * 1e6)
     assert pulled[-1] + pull == pytest.approx(expected, rel=0.02)
     assert pushed[-1] == pytest.approx(pulled[-1], abs=1e-9) and pushed[2] > pulled[2] + 5e-6
+    np.testing.assert_allclose(along([2.0], increments=2)[0], pushed, atol=1e-9)
+    assert abs(along([2.0])[0, -1] - pushed[-1]) > 5e-6  # friction counts from the first shape
 
 
 @pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])
@@ -155,7 +163,9 @@ def test_slopes_hold_below_the_angle_of_friction(body):
         s = Simulator(
             body, [SOFT[body.kind]], table=Table(height=0.0, friction=0.3), gravity=gravity
         )
-        return s.equilibria([0.5, 1.0], most_steps=500, **options)
+        found = s.equilibria([0.5, 1.0], most_steps=500, **options)
+        assert not s.velocities().any()
+        return found
 
     found = slope(0.29)
     assert found.converged.all()
@@ -169,13 +179,24 @@ def test_slopes_hold_below_the_angle_of_friction(body):
 
 
 def test_a_hanging_rope_leans_on_a_wall():
-    body = rope(diameter=0.01, length=0.2, start=(0, 0, 0.3), direction=(0, 0, -1), points=21)
-    s = Simulator(
-        body, [Material(E=1e5)], grippers=[Gripper.still((0, 0, 0.3), radius=0.012)],
-        gravity=(6.0, 0.0, -9.0), box=Box(lower=(-1, -1, 0), upper=(0.02, 1, 1)),
-    )  # fmt: skip
-    x = s.equilibria([0.1]).positions[0, 0]
+    """And moves away from it as it becomes thicker."""
+    line = rope(diameter=0.01, length=0.2, start=(0, 0, 0.3), direction=(0, 0, -1), points=21)
+
+    def rests(thickness, **options):
+        body = replace(line, thickness=thickness)
+        s = Simulator(
+            body, [Material(E=1e5)], grippers=[Gripper.still((0, 0, 0.3), radius=0.012)],
+            gravity=(6.0, 0.0, -9.0), box=Box(lower=(-1, -1, 0), upper=(0.02, 1, 1)),
+        )  # fmt: skip
+        return s.equilibria([0.1], tolerance=1e-10, **options)
+
+    found = rests(0.01, derivatives=["thickness"])
+    x = found.positions[0, 0]
     assert x[:, 0].max() == pytest.approx(0.015, abs=1e-9) and (x[:, 0] > 0.0149).sum() > 2
+    h = 1e-8
+    differences = (rests(0.01 + h).positions - rests(0.01 - h).positions) / (2.0 * h)
+    assert differences[0, 0, -1, 0] == pytest.approx(-0.5)
+    np.testing.assert_allclose(found.derivatives["thickness"], differences, atol=1e-6)
 
 
 def test_grippers_close_and_open_on_shapes_at_rest():
@@ -200,28 +221,32 @@ def test_grippers_close_and_open_on_shapes_at_rest():
 
 @pytest.mark.parametrize("kind", ["rope", "cloth"])
 def test_contact_of_a_body_with_itself(kind):
-    """Let down on the table it lies on itself, at its thickness."""
+    """A rope let down on itself and a folded cloth keep their thickness; without contact, not."""
     if kind == "rope":
         body = rope(diameter=0.01, length=0.3, start=(0, 0, 0.31), direction=(0, 0, -1), points=31)
-        down, radius = [(0, 0, 0.31), (0.03, 0, 0.05)], 0.012
+        way, radius, row = [(0, 0, 0.31), (0.02, 0.006, 0.03)], 0.012, np.arange(31)
     else:
         body = cloth(
-            width=0.1, height=0.2, thickness=0.002, dx=0.02, corner=(0, 0, 0.001), points=(7, 13)
+            width=0.1, height=0.2, thickness=0.004, dx=0.02, corner=(0, 0, 0.002), points=(7, 13)
         )
-        down, radius = [(0.05, 0.2, 0.001), (0.05, 0.1, 0.08), (0.05, 0.04, 0.012)], 0.053
-    hand = Gripper(time=np.linspace(0, 1, len(down)), position=down, radius=radius)
-    s = Simulator(
-        body, [replace(SOFT[kind], E=1e5)], grippers=[hand], table=Table(height=0.0),
-        self_contact=True,
-    )  # fmt: skip
-    found = s.equilibria(np.linspace(0.1, 1.0, 10), keep_going=True, most_steps=20000)
-    assert np.median(found.residual) <= 0.02 and found.residual.max() < 0.2
-    x = found.positions[-1, 0]
-    assert x[:, 2].min() > 0.98 * body.thickness / 2.0
-    far = np.abs(np.subtract.outer(np.arange(len(x)), np.arange(len(x)))) > 3
-    if kind == "rope":
-        gaps = np.linalg.norm(x[:, None] - x[None], axis=2)[far]
-        assert 0.95 * body.thickness < gaps.min() < 1.5 * body.thickness
+        way = [(0.05, 0.2, 0.002), (0.05, 0.14, 0.07), (0.05, 0.08, 0.05), (0.05, 0.05, 0.015)]
+        radius, row = 0.03, np.arange(91) // 7
+    hand = Gripper(time=np.linspace(0, 1, len(way)), position=way, radius=radius)
+    far = np.abs(np.subtract.outer(row, row)) > 3
+
+    def nearest(contact):
+        s = Simulator(
+            body, [replace(SOFT[kind], E=2e4)], grippers=[hand], table=Table(height=0.0),
+            self_contact=contact,
+        )  # fmt: skip
+        found = s.equilibria(np.linspace(0.1, 1.0, 10))
+        assert found.residual.max() <= (0.02 if contact else 1e-6)
+        x = found.positions[-1, 0]
+        assert x[:, 2].min() > 0.98 * body.thickness / 2.0
+        return np.linalg.norm(x[:, None] - x[None], axis=2)[far].min() / body.thickness
+
+    assert nearest(True) > 0.98
+    assert nearest(False) < 0.5
 
 
 # ---- derivatives ---------------------------------------------------------------------------------
