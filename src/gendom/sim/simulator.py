@@ -326,7 +326,7 @@ class Simulator(Shown):
         Args:
             times: [T] not decreasing, not before ``self.time`` [s].
             tolerance: Largest residual, see ``Equilibria.residual`` (default: 1e-6, with
-                self-contact 0.02; at least what rounding leaves, a few per cent in float32).
+                self-contact 0.02; at least what rounding leaves). The search is in float64.
             most_steps: Steps of relaxation for a shape, at most.
             increments: Equilibria for each frame; only the last is returned. More of them follow
                 the path more closely where friction or folds depend on it.

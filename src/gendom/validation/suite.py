@@ -91,7 +91,7 @@ CASES = {
                 ("static-catenary", "a rope between two hands, at rest", rods.catenary),
                 ("static-twist", "a twisted rope, at rest", rods.twist),
                 ("static-rods", "ropes' sags over four decades, at rest", master_curves.rods_sag),
-                ("static-stick-slip", "tips on the table, at rest", statics.few_tips_slip),
+                ("static-stick-slip", "tips on the table, at rest", statics.tips_slip),
                 ("static-strips", "strips' sags, at rest", shells.strips),
                 ("static-shells", "strips' sags over decades, at rest", master_curves.strips_sag),
             )

@@ -356,6 +356,27 @@ class ThinEngine(ABC):
         if self.setting.self_contact:
             self._let_loose(self.body, worlds)
 
+    # ---- precision -------------------------------------------------------------------------------
+
+    def doubled(self) -> "ThinEngine":
+        """The same worlds in float64: itself, if that is what it is."""
+        if self.real == wp.float64:
+            return self
+        twin = type(self)(replace(self.setting, dtype="float64"), substep=None, cfl=None)
+        twin.take(self)
+        return twin
+
+    def take(self, other: "ThinEngine") -> None:
+        """Be in the state of an engine of the same worlds, whatever its precision."""
+        numpy = np.float64 if self.real == wp.float64 else np.float32
+        for name in ("state", "kept_state"):
+            getattr(self, name).assign(getattr(other, name).numpy().astype(numpy))
+        self.body.place.assign(other.body.place.numpy().astype(numpy))
+        for name in ("closed", "holds", "stiffer", "kept_time", "last_dt"):
+            setattr(self, name, getattr(other, name).copy())
+        self.failures |= other.failures
+        self._hold(np.arange(self.num_worlds))
+
     # ---- arrays ----------------------------------------------------------------------------------
 
     def array(self, values: Any, dtype: Any = None) -> wp.array:

@@ -44,6 +44,9 @@ not solved for to the end, but in a few turns a step."""
 class Search:
     """One call of ``Simulator.equilibria``.
 
+    It is done in float64 also where motion is in float32: a weight is less than what float32 leaves
+    of the forces in stiff bodies.
+
     Args:
         engine: Rods or shells.
         times: [T] frames [s].
@@ -67,14 +70,15 @@ class Search:
         keep_going: bool,
         derivatives: Sequence[str],
     ):
-        self.engine, self.times, self.began = engine, times, began
+        self.given, self.engine = engine, engine.doubled()
+        self.times, self.began = times, began
         self.most_steps, self.increments = most_steps, increments
         self.keep_going = keep_going
-        e, T, W = engine, len(times), engine.num_worlds
+        e, T, W = self.engine, len(times), engine.num_worlds
         self.body = self._body()
         self.balance = Balance(e, self.body)
         self.sensitivity = Sensitivity(self.balance, derivatives)
-        e.used = True
+        engine.used = True
         default = CONTACT_TOLERANCE if e.setting.self_contact else TOLERANCE
         self.tolerance = max(tolerance or default, self.balance.rounding)
         damped = np.array([m.damping > 0.0 for m in e.setting.materials])
@@ -87,7 +91,7 @@ class Search:
         self.marks = e.zeros((W, 3, e.row_length))
         self.taken, self.stopped = e.zeros(W, wp.int32), e.zeros(W, wp.int32)
         n = e.num_points
-        self.x = np.full((T, W, n, 3), np.nan, dtype=e.setting.dtype)
+        self.x = np.full((T, W, n, 3), np.nan, dtype=engine.setting.dtype)
         self.residual = np.full((T, W), np.inf)
         self.steps_taken = np.zeros((T, W), dtype=int)
         self.solves = np.zeros((T, W), dtype=int)
@@ -126,6 +130,8 @@ class Search:
             for done in [pool.submit(self._run_group, group) for group in e.groups()]:
                 done.result()
         e.last_dt[:] = 0.0
+        if self.given is not e:
+            self.given.take(e)
         if e.failures and not self.keep_going:
             raise e.failures[min(e.failures)]
         converged = self.residual <= self.tolerance
