@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.sim import Simulator
+from gendom.materials import Material
+from gendom.sim import GRAVITY, Gripper, Simulator, rope
 from gendom.validation import master_curves
 from gendom.validation.check import Check, Settings
+
+OWN_WEIGHT = "rho g (L^2 - s^2) / (2 E) (Gere and Timoshenko, Mechanics of Materials)"
 
 
 class Resting(Simulator):
@@ -36,6 +39,27 @@ def at_rest(case: Callable[[Settings], list[Check]]) -> Callable[[Settings], lis
         ]
 
     return run
+
+
+def hanging(settings: Settings) -> list[Check]:
+    """A soft rope that hangs from a hand, which ends on one of its points."""
+    d = 0.005
+    L, g = 100 * d, -GRAVITY[2]
+    specific = 50.0 * g * L
+    body = rope(diameter=d, length=1.05 * L, direction=(0, 0, -1), points=43)
+    s = settings.simulator(
+        body, [Material(E=1000.0 * specific, nu=0.3, density=1000.0)], engine="thin",
+        grippers=[Gripper.still((0, 0, 0), radius=0.05 * L)],
+    )  # fmt: skip
+    below = np.clip(1.05 * L + body.points[:, 2], 0.0, L)
+    longer = body.points[:, 2] - s.equilibria([1.0]).positions[0, 0, :, 2]
+    expected = g * (L**2 - below**2) / (2.0 * specific)
+    return [
+        Check.within(
+            "error of how far points of a hanging rope go down, over the most", "-", 0.0,
+            float(np.abs(longer - expected).max() / expected.max()), 0.01, OWN_WEIGHT,
+        )
+    ]  # fmt: skip
 
 
 def tips_slip(settings: Settings) -> list[Check]:

@@ -83,6 +83,9 @@ CASES = {
                 ("shell-lateral", "a strip on its edge", master_curves.strip_falls_over),
             )
         ),
+        Case(
+            name="static-hanging", title="a rope's own weight", run=statics.hanging, engine="thin"
+        ),
         *(
             Case(name=name, title=title, run=statics.at_rest(run), engine="thin")
             for name, title, run in (
