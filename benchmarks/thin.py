@@ -155,7 +155,7 @@ def spreading(given: argparse.Namespace) -> tuple[float, str]:
 
 def at_rest(given: argparse.Namespace, kind: str) -> tuple[float, str]:
     """25 shapes at rest of a slow lift, with and without derivatives by eight parameters; beside
-    motion in 10 and 40 s, as far as both are from motion in 160 s."""
+    motion in 10, 40 and 160 s, with distances from the last."""
     if kind == "rope":
         body = rope(diameter=0.01, length=0.3, start=(0.0, 0.0, 0.005))
         material, radius, increments = replace(ROPE, damping=0.02), 0.0075, 1
@@ -184,6 +184,7 @@ def at_rest(given: argparse.Namespace, kind: str) -> tuple[float, str]:
         ),
         "motion in 10 s": lambda: scene(10.0).run(10.0 * frames),
         "motion in 40 s": lambda: scene(40.0).run(40.0 * frames),
+        "motion in 160 s": lambda: scene(160.0).run(160.0 * frames),
     }
     seconds = {name: timed(given, job) for name, job in jobs.items()}
     notes = []
