@@ -9,6 +9,7 @@ import warp as wp
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
+from gendom.sim.thin.engine import ThinEngine
 
 ROPE = rope(diameter=0.01, length=0.3, start=(0, 0, 0.005))
 CLOTH = cloth(width=0.3, height=0.3, thickness=0.001, dx=0.02, corner=(0, 0, 5e-4), points=(14, 14))
@@ -219,6 +220,7 @@ def test_grippers_close_and_open_on_shapes_at_rest():
     x = s.equilibria([0.5, 0.7, 1.0]).positions[:, 0]
     assert x[0, 0, 2] == pytest.approx(0.055)
     assert np.abs(x[1:, :, 2] - 0.005).max() < 1e-9
+    assert isinstance(s.engine, ThinEngine)
     assert s.engine.holds[0].any(axis=1).tolist() == [False, True, False]
 
 
@@ -305,9 +307,9 @@ def test_every_derivative_is_that_of_central_differences(kind):
     on_table = found.positions[..., 2] < p["thickness"] / 2.0 + 1e-9
     assert (on_table.sum(axis=-1)[:2] > 2).all() and not on_table.all(axis=-1).any()
     for name, value in p.items():
-        direction = rng.normal(size=np.shape(value))
+        direction = np.asarray(rng.normal(size=np.shape(value)))
         length = name in ("thickness", "gripper_radius", "gripper_offset")
-        h = 2e-8 if length else {"nu": 1e-4}.get(name, 1e-6 * np.abs(value).max())
+        h = 2e-8 if length else 1e-4 if name == "nu" else 1e-6 * float(np.abs(value).max())
 
         def at(k, name=name, step=h * direction):
             return rests(kind, p | {name: p[name] + k * step}).positions
