@@ -326,7 +326,7 @@ class ThinEngine(ABC):
         self.holds[worlds, g] = grip.holds
         self.stiffer[worlds, g] = grip.stiffer
         put_worlds(self.body.place, worlds * self.closed.shape[1] + g, self.rows(grip.place))
-        self._hold(worlds)
+        self.hold(worlds)
         return Event(g, True, worlds, now, pose, grip, x)
 
     def _open(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
@@ -340,7 +340,7 @@ class ThinEngine(ABC):
         self.closed[worlds, g] = 2
         self.holds[worlds, g] = 0
         self.stiffer[worlds, g] = 1.0
-        self._hold(worlds)
+        self.hold(worlds)
         return Event(g, False, worlds, now, pose, grip, x)
 
     def let_go(
@@ -349,33 +349,12 @@ class ThinEngine(ABC):
         """Components that velocities and spins [W, n, 3] of what is released go to."""
         return [(V, v)]
 
-    def _hold(self, worlds: NDArray[np.int64]) -> None:
+    def hold(self, worlds: NDArray[np.int64]) -> None:
         """Hand what worlds [k] hold to the kernels."""
         put_worlds(self.body.holds, worlds, self.holds[worlds])
         self.stiffen(self.body, worlds)
         if self.setting.self_contact:
             self._let_loose(self.body, worlds)
-
-    # ---- precision -------------------------------------------------------------------------------
-
-    def doubled(self) -> "ThinEngine":
-        """The same worlds in float64: itself, if that is what it is."""
-        if self.real == wp.float64:
-            return self
-        twin = type(self)(replace(self.setting, dtype="float64"), substep=None, cfl=None)
-        twin.take(self)
-        return twin
-
-    def take(self, other: "ThinEngine") -> None:
-        """Be in the state of an engine of the same worlds, whatever its precision."""
-        numpy = np.float64 if self.real == wp.float64 else np.float32
-        for name in ("state", "kept_state"):
-            getattr(self, name).assign(getattr(other, name).numpy().astype(numpy))
-        self.body.place.assign(other.body.place.numpy().astype(numpy))
-        for name in ("closed", "holds", "stiffer", "kept_time", "last_dt"):
-            setattr(self, name, getattr(other, name).copy())
-        self.failures |= other.failures
-        self._hold(np.arange(self.num_worlds))
 
     # ---- arrays ----------------------------------------------------------------------------------
 

@@ -21,6 +21,7 @@ from gendom.sim.thin import rotation
 from gendom.sim.thin.balance import Balance
 from gendom.sim.thin.engine import CFL, LOCAL_STRETCH, STRETCH, put
 from gendom.sim.thin.grips import Paths
+from gendom.sim.thin.precision import doubled, take_state
 from gendom.sim.thin.sensitivity import Sensitivity
 from gendom.sim.thin.types import X
 
@@ -70,7 +71,7 @@ class Search:
         keep_going: bool,
         derivatives: Sequence[str],
     ):
-        self.given, self.engine = engine, engine.doubled()
+        self.given, self.engine = engine, doubled(engine)
         self.times, self.began = times, began
         self.most_steps, self.increments = most_steps, increments
         self.keep_going = keep_going
@@ -131,7 +132,7 @@ class Search:
                 done.result()
         e.last_dt[:] = 0.0
         if self.given is not e:
-            self.given.take(e)
+            take_state(self.given, e)
         if e.failures and not self.keep_going:
             raise e.failures[min(e.failures)]
         converged = self.residual <= self.tolerance
