@@ -3,6 +3,7 @@
 from gendom.materials import AIR_DENSITY
 from gendom.sim.bodies import Body, Weave, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device
+from gendom.sim.equilibria import Equilibria
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper
 from gendom.sim.mpm.engine import CFL, stable_substep
@@ -20,6 +21,7 @@ __all__ = [
     "PAPER",
     "Body",
     "Box",
+    "Equilibria",
     "Gradients",
     "Gripper",
     "Preset",

@@ -14,12 +14,15 @@ from gendom.materials.laws import LAWS
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
+from gendom.sim.equilibria import Equilibria
 from gendom.sim.gripper import Gripper
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin import thin_engine
+from gendom.sim.thin.engine import ThinEngine
+from gendom.sim.thin.statics import Search
 
 ENGINES = ("mpm", "thin")
 """``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
@@ -301,6 +304,67 @@ class Simulator(Shown):
         self.engine.run(Frames(self.time, t, picked, x, on_frame, keep_going))
         self.time = float(t[-1])
         return x
+
+    def equilibria(
+        self,
+        times: ArrayLike,
+        *,
+        tolerance: float | None = None,
+        most_steps: int = 100_000,
+        increments: int = 1,
+        keep_going: bool = False,
+        derivatives: Sequence[str] = (),
+    ) -> Equilibria:
+        """Shapes at rest, frame by frame, as grippers go their way slowly; of rods and shells.
+
+        Each frame starts from the shape before. A point that touches the table sticks where it
+        stood in the frame before, or slides with the friction mu N against its displacement since
+        then. Velocities, damping, air and the substep play no part; velocities are 0 afterwards.
+        Grippers that close or open do so on shapes at rest. Where several shapes are at rest, it is
+        that which the body slides or falls into without momentum.
+
+        Args:
+            times: [T] not decreasing, not before ``self.time`` [s].
+            tolerance: Largest residual, see ``Equilibria.residual`` (default: 1e-6, with
+                self-contact 0.02; at least what rounding leaves). The search is in float64.
+            most_steps: Steps of relaxation for a shape, at most.
+            increments: Equilibria for each frame; only the last is returned. More of them follow
+                the path more closely where friction or folds depend on it.
+            keep_going: Let a world that fails stand still while others go on, and mark frames
+                that did not converge instead of raising an error.
+            derivatives: Names of parameters by which positions are differentiated: ``E`` [Pa],
+                ``nu``, ``density`` [kg/m^3], ``thickness`` (or diameter, initial positions
+                unchanged) [m], ``friction`` of the table, ``gravity`` ([.., 3]) [m/s^2],
+                ``gripper_radius`` ([.., G]) [m], ``gripper_offset`` ([.., G, 3]: a shift of a
+                gripper's whole path, and so of where it holds the body) [m].
+
+        Raises:
+            ParameterError: If the times run backwards, the engine is the MPM, or a derivative is
+                unknown or of a body that meets itself.
+            SimulationError: If nothing holds a body, a world is stretched beyond its limits, a
+                frame does not converge, or derivatives are not determined, unless told to keep
+                going. The error names world, time, residual and parameters.
+        """
+        if not isinstance(self.engine, ThinEngine):
+            raise ParameterError("only rods and shells come to rest so", fix="engine='thin'")
+        if tolerance is not None:
+            check_numbers("tolerance", tolerance, above=0.0)
+        if most_steps < 1 or increments < 1:
+            raise ParameterError("most_steps and increments must be at least 1")
+        t = self.checked(times)
+        search = Search(
+            self.engine,
+            t,
+            self.time,
+            tolerance=tolerance,
+            most_steps=most_steps,
+            increments=increments,
+            keep_going=keep_going,
+            derivatives=derivatives,
+        )
+        found = search.run()
+        self.time = float(t[-1])
+        return found
 
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:
         """[T] times that the simulator can be run to."""

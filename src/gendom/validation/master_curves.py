@@ -132,12 +132,12 @@ def curls_leave_plane(settings: Settings) -> list[Check]:
     return checks
 
 
-def tips_slip(settings: Settings) -> list[Check]:
+def tips_slip(settings: Settings, *, frames: int = 1000) -> list[Check]:
     """Upright ropes that are let down on the table: friction at which their tips begin to slip."""
     friction = np.array([0.1, 0.2, 0.3] if settings.quick else [0.1, 0.15, 0.2, 0.25, 0.3])
     checks = []
     for load in (0.0,) if settings.quick else (0.0, 10.0):
-        found = tip_friction(load, slips(settings, load, friction)) / friction
+        found = tip_friction(load, slips(settings, load, friction, frames)) / friction
         checks.append(
             Check.within_share(
                 f"H / V where tips slip over mu, Gamma {load:g}, worst of {len(friction)}",
@@ -237,11 +237,13 @@ def curl_leaves(
     return _critical(shares, _squared_rates(t, s.run(t)[:, :, -1, 1], 2.0 * omega))
 
 
-def slips(settings: Settings, load: float, friction: ArrayLike) -> NDArray[np.float64]:
+def slips(
+    settings: Settings, load: float, friction: ArrayLike, frames: int = 1000
+) -> NDArray[np.float64]:
     """[W] how far upright ropes are let down when their tips slip, over L, for friction [W]; 0.33
     where they have not."""
     mu = np.asarray(friction, dtype=float)
-    points, deepest, frames = 33, 0.33, 1000
+    points, deepest = 33, 0.33
     body, hand = clamped_rope(DIAMETER, points, angle=-math.pi / 2.0)
     start = np.array([0.0, 0.0, LENGTH + DIAMETER / 2.0])
     k = DIAMETER / 4.0

@@ -25,6 +25,7 @@ from gendom.validation import (
     rods,
     shells,
     stability,
+    statics,
     torsion,
 )
 from gendom.validation.check import Case, Check, Settings
@@ -80,6 +81,22 @@ CASES = {
                 ("shell-free-flight", "a sheet in space", shells.free_flight),
                 ("shell-cantilever", "strips' sags over decades", master_curves.strips_sag),
                 ("shell-lateral", "a strip on its edge", master_curves.strip_falls_over),
+            )
+        ),
+        Case(
+            name="static-hanging", title="a rope's own weight", run=statics.hanging, engine="thin"
+        ),
+        *(
+            Case(name=name, title=title, run=statics.at_rest(run), engine="thin")
+            for name, title, run in (
+                ("static-held", "ropes in grippers, at rest", rods.held),
+                ("static-elastica", "a rope's large sag, at rest", rods.elastica),
+                ("static-catenary", "a rope between two hands, at rest", rods.catenary),
+                ("static-twist", "a twisted rope, at rest", rods.twist),
+                ("static-rods", "ropes' sags over four decades, at rest", master_curves.rods_sag),
+                ("static-stick-slip", "tips on the table, at rest", statics.tips_slip),
+                ("static-strips", "strips' sags, at rest", shells.strips),
+                ("static-shells", "strips' sags over decades, at rest", master_curves.strips_sag),
             )
         ),
     )

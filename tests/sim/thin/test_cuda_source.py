@@ -4,6 +4,7 @@ import pytest
 import warp as wp
 
 from gendom.sim.device import open_device
+from gendom.sim.thin.relaxing import make_relaxing
 from gendom.sim.thin.stepping import make_stepping
 
 
@@ -11,8 +12,8 @@ from gendom.sim.thin.stepping import make_stepping
 @pytest.mark.parametrize("kind", ["rod", "shell"])
 def test_kernels_compile_for_cuda(kind, real, tmp_path):
     open_device("cpu")
-    kernels = make_stepping(real, kind)
-    for name in ("advance", "reverse"):
-        module = getattr(kernels, name).module
-        wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path), use_ptx=True)
-    assert len(list(tmp_path.rglob("*.ptx"))) == 2
+    steps, searches = make_stepping(real, kind), make_relaxing(real, kind)
+    kernels = [steps.advance, steps.reverse, searches.relax, searches.balance, searches.tangent]
+    for kernel in kernels:
+        wp.compile_aot_module(kernel.module, arch=90, module_dir=str(tmp_path), use_ptx=True)
+    assert len(list(tmp_path.rglob("*.ptx"))) == len(kernels)

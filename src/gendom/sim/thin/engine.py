@@ -89,8 +89,8 @@ class ThinEngine(ABC):
         s = setting
         W, n, G = len(s.materials), len(s.body.points), len(s.grippers[0])
         self.share = spread(s.stiffness, (W, n), "stiffness")
-        longest = self.prepare(setting)
-        limits = substep or (cfl or CFL) * longest
+        self.longest = self.prepare(setting)
+        limits = substep or (cfl or CFL) * self.longest
         self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
         self.real = wp.float32 if s.dtype == "float32" else wp.float64
         self.types = make_types(self.real)
@@ -171,6 +171,14 @@ class ThinEngine(ABC):
     @abstractmethod
     def stiffen(self, body: Any, worlds: NDArray[np.int64]) -> None:
         """Hand the stiffness of grippers' borders to the kernels."""
+
+    @abstractmethod
+    def stiffness_slopes(self, w: int, name: str) -> NDArray[np.float64]:
+        """[., n] derivative of world w's stiffness by E, nu or thickness, without borders."""
+
+    @abstractmethod
+    def mass_slope(self, w: int, name: str) -> float:
+        """Relative derivative of its mass by density or thickness."""
 
     @abstractmethod
     def tape(self, memory: float) -> Any:
@@ -277,7 +285,7 @@ class ThinEngine(ABC):
         while (at < count).any():
             going = at < count
             now = plan.time(worlds, np.minimum(at, np.maximum(count - 1, 0)))
-            events = self._switch(worlds[going], now[going])
+            events = self.switch(worlds[going], now[going])
             until = np.where(going, plan.until(group, at), at)
             pieces = np.stack([at, until], axis=1).astype(np.int32)
             yield Round(events, pieces)
@@ -287,7 +295,7 @@ class ThinEngine(ABC):
 
     # ---- grippers --------------------------------------------------------------------------------
 
-    def _switch(self, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> list[Event]:
+    def switch(self, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> list[Event]:
         """Let grippers of worlds [k] open and close that are to at times [k]."""
         events, (begin, end) = [], (self.stacked[name] for name in ("hold_from", "hold_until"))
         for g in range(self.closed.shape[1]):
@@ -318,7 +326,7 @@ class ThinEngine(ABC):
         self.holds[worlds, g] = grip.holds
         self.stiffer[worlds, g] = grip.stiffer
         put_worlds(self.body.place, worlds * self.closed.shape[1] + g, self.rows(grip.place))
-        self._hold(worlds)
+        self.hold(worlds)
         return Event(g, True, worlds, now, pose, grip, x)
 
     def _open(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
@@ -332,7 +340,7 @@ class ThinEngine(ABC):
         self.closed[worlds, g] = 2
         self.holds[worlds, g] = 0
         self.stiffer[worlds, g] = 1.0
-        self._hold(worlds)
+        self.hold(worlds)
         return Event(g, False, worlds, now, pose, grip, x)
 
     def let_go(
@@ -341,7 +349,7 @@ class ThinEngine(ABC):
         """Components that velocities and spins [W, n, 3] of what is released go to."""
         return [(V, v)]
 
-    def _hold(self, worlds: NDArray[np.int64]) -> None:
+    def hold(self, worlds: NDArray[np.int64]) -> None:
         """Hand what worlds [k] hold to the kernels."""
         put_worlds(self.body.holds, worlds, self.holds[worlds])
         self.stiffen(self.body, worlds)
@@ -405,6 +413,7 @@ class ThinEngine(ABC):
         body.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
         body.table = int(s.table is not None)
         body.radius = s.body.thickness / 2.0
+        body.anchor = self.zeros((0, 3, self.row_length))
         body.walls = int(s.box is not None)
         if s.box is not None:
             body.box_lower = self.types.vec3(*(s.box.lower - self.origin))

@@ -119,6 +119,13 @@ class RodModel:
             tributary=tributary,
         )
 
+    def stiffness_by_nu(
+        self, materials: Sequence[Material], share: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """[W, 6, n] derivative of ``stiffness`` by nu."""
+        _, slopes = _moduli(self.section, materials)
+        return slopes[:, :, None] * _shares(share, self.length)
+
     def longest_step(self, damped: NDArray[np.bool_]) -> NDArray[np.float64]:
         """[W] longest stable step [s] of small vibrations, 2 / omega of the fastest one.
 

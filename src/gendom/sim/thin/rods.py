@@ -106,6 +106,19 @@ class Rods(ThinEngine):
         inertia[:, 3, self.slots] = stiffer
         put_worlds(body.inertia, worlds, inertia)
 
+    def stiffness_slopes(self, w: int, name: str) -> NDArray[np.float64]:
+        k = self.model.stiffness[w]
+        if name == "E":
+            return k / self.setting.materials[w].E
+        if name == "nu":
+            return self.model.stiffness_by_nu(self.setting.materials, self.share)[w]
+        powers = np.array([2.0, 2.0, 2.0, 4.0, 4.0, 4.0])  # of areas and second moments
+        return powers[:, None] * k / self.setting.body.thickness
+
+    def mass_slope(self, w: int, name: str) -> float:
+        m = self.setting.materials[w]
+        return 1.0 / m.density if name == "density" else 2.0 / self.setting.body.thickness
+
     def tape(self, memory: float) -> Any:
         from gendom.sim.thin.tape import RodTape
 

@@ -106,6 +106,21 @@ class Shells(ThinEngine):
         inertia[:, 2:4, self.slots] = self.stiffer[worlds].prod(axis=1)
         put_worlds(body.inertia, worlds, inertia)
 
+    def stiffness_slopes(self, w: int, name: str) -> NDArray[np.float64]:
+        m = self.setting.materials[w]
+        k = self.modulus[w] * self.share[w]
+        if name == "E":
+            own = m.membrane is not None  # a membrane with a modulus of its own does not follow E
+            return k / m.E * np.repeat([0.0 if own else 1.0, 1.0], 4)[:, None]
+        if name == "nu":
+            _, slopes = self.model.factors(np.array([m.nu]))
+            return slopes[0] * self.model.scales([m])[0] * self.model.shares * self.share[w]
+        return k / self.setting.body.thickness * np.repeat([1.0, 3.0], 4)[:, None]
+
+    def mass_slope(self, w: int, name: str) -> float:
+        m = self.setting.materials[w]
+        return 1.0 / m.density if name == "density" else 1.0 / self.setting.body.thickness
+
     def tape(self, memory: float) -> Any:
         from gendom.sim.thin.tape import ShellTape
 

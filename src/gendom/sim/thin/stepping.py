@@ -28,7 +28,8 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     """Build the kernels for one scalar type and one kind of body, ``rod`` or ``shell``.
 
     Returns:
-        Namespace with ``begin`` (lagged strains from the first state), ``advance`` and ``reverse``.
+        Namespace with ``begin`` (lagged strains from the first state), ``advance`` and ``reverse``,
+        and the functions that they call and other kernels may.
     """
     types = make_types(real)
     paths_of = make_paths(real)
@@ -144,6 +145,18 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         w = first + wp.tid() // lanes
         strains_begin(body, w, state, w)
 
+    @wp.func
+    def hold_all(
+        body: Body, w: int, began: wp.float64, t: wp.float64, paths: Paths,
+        state: wp.array3d(dtype=real), row: int,
+    ):  # fmt: skip
+        """Put what grippers hold that were closed at ``began`` where they are at time t."""
+        for g in range(body.holds.shape[1]):
+            if is_closed(w, g, began, paths):
+                centre, R, _knot = pose(w, g, t, paths)
+                hold(body, w, g, narrow(centre), quat_of(R), state, row)
+                meet()
+
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def advance(
         first: int,  # world
@@ -185,11 +198,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                     row += stride
                     meet()
                     t = t0 + wp.float64(plan.done[w, p] + k + 1) * dt
-                    for g in range(body.holds.shape[1]):
-                        if is_closed(w, g, t0, paths):
-                            centre, R, _knot = pose(w, g, t, paths)
-                            hold(body, w, g, narrow(centre), quat_of(R), state, row)
-                            meet()
+                    hold_all(body, w, t0, t, paths, state, row)
                     if body.contact == 1:
                         meet_itself(body, w, state, row, h)
                 if not mean_stretch(body, state, row) <= mean_limit:
@@ -278,5 +287,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         gather_adjoint(body, bars, w)
 
     return SimpleNamespace(
-        begin=begin, advance=advance, reverse=reverse, begin_adjoint=begin_adjoint
-    )
+        begin=begin, advance=advance, reverse=reverse, begin_adjoint=begin_adjoint, meet=meet,
+        any_of=any_of, forces=forces, move=move, hold_all=hold_all, mean_stretch=mean_stretch,
+        meet_itself=meet_itself, forces_adjoint=forces_adjoint, gather_adjoint=gather_adjoint,
+    )  # fmt: skip

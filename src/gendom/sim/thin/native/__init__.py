@@ -6,5 +6,6 @@ MODULE_OPTIONS = module_options(
     __name__,
     "vectors.h", "ground.h", "hold.h", "contact.h",
     "rod.h", "rod_adjoint.h", "shell.h", "shell_adjoint.h",
+    "relax.h",
 )  # fmt: skip
 """Options of every Warp module of the engine."""

@@ -158,6 +158,7 @@ CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real
     const T h = T(dt), one = T(real(1)), half = T(real(0.5));
     const T keep = T(wp::exp(-kick * wp::index(rod.velocity_damping, w)));
     const vec<T> g = gravity_of<T>(rod, w);
+    const ground<T> around(rod, w, dt);
     for (EACH(i, n)) {
         const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
         const vec<T> along = in.template get3<T>(ALONG, i - 1) + in.template get3<T>(ALONG, i);
@@ -165,7 +166,7 @@ CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real
         const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
                          m.template get<T>(DRAG, i) * root(dot(vn, vn)) * vn;
         vec<T> v = keep * (v0 + T(kick) * (m.template get<T>(PER_MASS, i) * f + g));
-        v = ground<T>(rod, w, dt).stopped(x, v);
+        v = around.stopped(rod, w, i, x, v);
         to.put3(V, i, v);
         to.put3(X, i, x + h * v);
 

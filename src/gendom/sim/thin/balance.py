@@ -1,0 +1,253 @@
+"""Newton's method for shapes at rest: what supports a body, and the forces that are not balanced.
+
+A point is free, held, or on the table; there it sticks to where it stood in the frame before, or
+slides with the friction mu N against its displacement since then. Walls hold without friction.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from gendom.materials import STANDARD_GRAVITY
+from gendom.sim.thin import rotation
+from gendom.sim.thin.engine import put
+from gendom.sim.thin.tangent import Tangent
+from gendom.sim.thin.types import X
+
+ITERATIONS = 12
+"""Most linear systems that are solved for a shape."""
+
+LONGEST = 0.3
+"""Most that a point goes in one of them [spacings]."""
+
+WIDEST = 0.5
+"""Most that an edge turns [rad]."""
+
+SINGULAR = 1e-14
+"""Ratio of pivots below which nothing resists some motion."""
+
+
+@dataclass
+class Supports:
+    """What holds the points of one world."""
+
+    fixed: NDArray[np.bool_]
+    """[n, C] components that are not free."""
+    touches: NDArray[np.bool_]
+    """[n] on the table, with a force."""
+    slides: NDArray[np.bool_]
+    """[n] there, against friction."""
+    slip: NDArray[np.float64]
+    """[n, 2] displacement since the frame before [m]."""
+    walls: NDArray[np.float64]
+    """[n, 3] 1 at lower walls, -1 at upper ones."""
+
+
+class Balance:
+    """Unbalanced forces of single worlds, and shapes without them.
+
+    Args:
+        engine: Rods or shells.
+        body: Without damping and air, with anchors.
+    """
+
+    def __init__(self, engine: Any, body: Any):
+        e = self.engine = engine
+        self.body = body
+        self.tangent = Tangent(engine, body)
+        self.components = C = self.tangent.components
+        W, n = e.num_worlds, e.num_points
+        self.gravity, self.mu = body.gravity.numpy().astype(float), body.friction.numpy()
+        self.mass = np.broadcast_to(1.0 / e.per_mass, (W, n))
+        self.scale = np.repeat((self.mass * STANDARD_GRAVITY)[:, :, None], C, axis=2)
+        """[W, n, C] force or torque that residuals are counted in."""
+        self.missing = np.zeros((n, C), dtype=bool)
+        """[n, C] components that do not exist."""
+        if C == 6:
+            self.scale[:, :-1, 3:] *= e.model.length[:, None]
+            self.missing[-1, 3:] = True
+        self.eps = float(np.finfo(e.setting.dtype).eps)
+        extent = float(np.abs(e.component(X)).max()) + e.spacing
+        self.near = 64.0 * self.eps * max(extent, 1.0)
+        """Distance that counts as 0 [m]."""
+        rows, stiffest = (3, 2.0 / e.spacing) if C == 6 else (4, 8.0 / e.spacing**2)
+        k = stiffest * e.body.stiffness.numpy()[:, :rows].max()
+        self.rounding = float(2.0 * self.eps * extent * k / self.scale[..., 0].min())
+        """What rounding leaves of residuals."""
+
+    def copied(self) -> Any:
+        """A struct that shares the body's arrays."""
+        body = self.engine.types.Body()
+        for name in self.engine.types.Body.vars:
+            setattr(body, name, getattr(self.body, name))
+        return body
+
+    # ---- forces ----------------------------------------------------------------------------------
+
+    def forces(self, w: int) -> NDArray[np.float64]:
+        """[n, C] elastic forces and weight."""
+        f = self.tangent.forces(w)
+        f[:, :3] += self.mass[w][:, None] * self.gravity[w]
+        return f
+
+    def friction(self, w: int) -> float:
+        return float(self.mu[w])
+
+    def points(self, w: int) -> NDArray[np.float64]:
+        return self.engine.state[w].numpy()[X][:, self.engine.slots].T.astype(float)
+
+    def anchor(self, w: int) -> NDArray[np.float64]:
+        return self.body.anchor[w].numpy()[:, self.engine.slots].T.astype(float)
+
+    def supports(self, w: int, f: NDArray[np.float64]) -> Supports:
+        """What holds the points of world w as it is, under forces [n, C]."""
+        e, x = self.engine, self.points(w)
+        holds = e.holds[w]
+        held, turned = np.any(holds & 1, axis=0), np.any(holds & 2, axis=0)
+        fixed = self.missing.copy()
+        fixed[held, :3] = True
+        if self.components == 6:
+            fixed[turned, 3:] = True
+        slip = (x - self.anchor(w))[:, :2]
+        touches = np.zeros(len(x), dtype=bool)
+        slides = touches
+        if self.body.table:
+            touches = ~held & (x[:, 2] <= self.body.radius + self.near) & (f[:, 2] < 0.0)
+            fixed[touches, 2] = True
+            far = np.linalg.norm(slip, axis=1) > self.near
+            slides = touches & (far if self.friction(w) > 0.0 else True)
+            fixed[touches & ~slides, :2] = True
+        walls = np.zeros_like(x)
+        if self.body.walls:
+            r, free = self.body.radius, ~fixed[:, :3]
+            lower, upper = np.array(self.body.box_lower) + r, np.array(self.body.box_upper) - r
+            walls += free & (x <= lower + self.near) & (f[:, :3] < 0.0)
+            walls -= free & (x >= upper - self.near) & (f[:, :3] > 0.0)
+            fixed[:, :3] |= walls != 0.0
+        return Supports(fixed, touches, slides, slip, walls)
+
+    def unbalanced(
+        self, w: int, f: NDArray[np.float64], on: Supports
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """[n, C] forces with friction, 0 where they are not free; and [n, 2] slip's directions."""
+        left = f.copy()
+        size = np.linalg.norm(on.slip, axis=1)
+        d = np.where(on.slides[:, None], on.slip / np.maximum(size, 1e-300)[:, None], 0.0)
+        left[:, :2] += self.friction(w) * f[:, 2:3] * d
+        left[on.fixed] = 0.0
+        return left, d
+
+    def jacobian(
+        self, w: int, f: NDArray[np.float64], on: Supports, d: NDArray[np.float64]
+    ) -> sparse.csc_matrix:
+        """[n C, n C] derivative of ``unbalanced`` by the shape."""
+        J, C, mu = self.tangent.stiffness(w), self.components, self.friction(w)
+        i = np.flatnonzero(on.slides)
+        if len(i) and mu > 0.0:
+            n = len(f)
+            # friction follows the force on the table, and turns with the slip
+            rows = np.concatenate([i * C, i * C + 1])
+            entries = mu * np.concatenate([d[i, 0], d[i, 1]])
+            size = n * C
+            lift = sparse.csc_matrix((entries, (rows, np.tile(i * C + 2, 2))), shape=(size, size))
+            turn = self.turning(w, f, on, d, i)
+            a, b = np.indices((2, 2))
+            rows = (i[:, None, None] * C + a).reshape(-1)
+            columns = (i[:, None, None] * C + b).reshape(-1)
+            turning = sparse.csc_matrix((turn.reshape(-1), (rows, columns)), shape=(size, size))
+            J = J + lift @ J + turning
+        return J.tocsc()
+
+    def turning(
+        self, w: int, f: NDArray[Any], on: Supports, d: NDArray[Any], i: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """[k, 2, 2] derivative of the friction on points i by their slip."""
+        across = np.stack([-d[i, 1], d[i, 0]], axis=1)
+        by = self.friction(w) * f[i, 2] / np.linalg.norm(on.slip[i], axis=1)
+        return by[:, None, None] * across[:, :, None] * across[:, None, :]
+
+    # ---- Newton's method -------------------------------------------------------------------------
+
+    def solve(self, w: int, tolerance: float) -> int:
+        """Let world w come to rest with what supports it now; it stays as it is where that fails,
+        or where it may meet itself: that contact has no tangent.
+
+        Returns:
+            The number of linear systems solved.
+        """
+        e = self.engine
+        if e.setting.self_contact:
+            return 0
+        start = e.state[w].numpy().copy()
+        before = np.inf
+        f = self.forces(w)
+        on = self.supports(w, f)
+        for k in range(ITERATIONS + 1):
+            left, d = self.unbalanced(w, f, on)
+            residual = np.abs(left / self.scale[w]).max()
+            if residual <= max(0.1 * tolerance, 0.5 * self.rounding):
+                return k
+            if k == ITERATIONS or not residual <= 10.0 * before:
+                break
+            before = residual
+            step = self._step(w, f, on, d, left)
+            if step is None:
+                break
+            self._move(w, step)
+            f = self.forces(w)
+            on = replace(on, slip=(self.points(w) - self.anchor(w))[:, :2])
+        if residual > tolerance:
+            self.put_rows(w, start)
+        return k
+
+    def _step(self, w: int, f: Any, on: Supports, d: Any, left: Any) -> Any:
+        free = np.flatnonzero(~on.fixed.reshape(-1))
+        J = self.jacobian(w, f, on, d)[free][:, free]
+        factors = factor(J, self.components)
+        if factors is None:
+            return None
+        step = factors.solve(-left.reshape(-1)[free])
+        full = np.zeros(left.size)
+        full[free] = step
+        full = full.reshape(left.shape)
+        far = np.abs(full[:, :3]).max() / (LONGEST * self.engine.spacing)
+        if self.components == 6:
+            far = max(far, np.abs(full[:, 3:]).max() / WIDEST)
+        return full / max(1.0, far)
+
+    def _move(self, w: int, step: NDArray[np.float64]) -> None:
+        e = self.engine
+        rows = e.state[w].numpy().copy()
+        rows[X, e.slots] += step[:, :3].T
+        if self.components == 6:
+            Q = slice(6, 10)
+            q = rows[Q][:, e.slots].T.astype(float)
+            turn = np.concatenate([0.5 * step[:, 3:], np.ones((len(q), 1))], axis=1)
+            q = rotation.product(turn, q)
+            rows[Q, e.slots] = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+        self.put_rows(w, rows)
+
+    def put_rows(self, w: int, rows: NDArray[Any]) -> None:
+        put(self.engine.state, slice(w, w + 1), rows[None])
+
+
+def factor(J: Any, components: int) -> Any:
+    """LU factors of a matrix: of a rod it has a narrow band, of a shell a symmetric pattern.
+
+    Returns:
+        None where nothing resists some motion of the body.
+    """
+    options: dict[str, Any] = {"permc_spec": "NATURAL"}
+    if components == 3:
+        options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01}
+        options["options"] = {"SymmetricMode": True}
+    try:
+        factors = splu(J.tocsc(), **options)
+    except RuntimeError:  # a pivot that is exactly 0
+        return None
+    pivots = np.abs(factors.U.diagonal())
+    return factors if pivots.min(initial=np.inf) > SINGULAR * pivots.max(initial=0.0) else None
