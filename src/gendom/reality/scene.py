@@ -185,7 +185,7 @@ def build_model(
         ' rgba="0.62 0.58 0.52 1" contype="0" conaffinity="0"/>'
         f'<geom name="top" type="plane" group="{_UNSEEN}" size="{wide / 2} {deep / 2} 0.1"'
         f' pos="{x} {y} 0" contype="{_FIXED}" conaffinity="{_OBJECT}"'
-        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1" solimp="0.98 0.99 0.001"'
+        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1" solimp="0.99 0.999 0.0005"'
         ' priority="1"/>'
         if table
         else ""
