@@ -95,7 +95,8 @@ def elastica(edges: int) -> tuple[np.ndarray, float]:
         scene = Scene()
         rod = ea.CosseratRod.straight_rod(
             edges, np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]),
-            edges * edge, DIAMETER / 2.0, DENSITY, youngs_modulus=E, shear_modulus=E / 2.0 / (1.0 + NU),
+            edges * edge, DIAMETER / 2.0, DENSITY,
+            youngs_modulus=E, shear_modulus=E / 2.0 / (1.0 + NU),
         )  # fmt: skip
         scene.append(rod)
         scene.constrain(rod).using(
