@@ -19,7 +19,7 @@ import hashlib
 import logging
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +121,23 @@ class Recording(Shown):
         """SHA-256 of the first points: a recording and a longer one of the same motion share it."""
         first = self.frame(int(np.argmax(self.frame_valid)))
         return hashlib.sha256(np.ascontiguousarray(first, dtype="<f4").tobytes()).hexdigest()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of everything that an estimate depends on: all arrays, and `meta` without
+        `source`, `notes` and `extra`. It does not depend on the format of the file."""
+        found = hashlib.sha256()
+        for name in STORED_ARRAYS:
+            array = getattr(self, name)
+            if array is not None:
+                little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+                found.update(f"{name} {array.dtype.name} {array.shape}".encode())
+                found.update(np.ascontiguousarray(little).tobytes())
+        meta = self.meta()
+        stated = {n: meta[n] for n in sorted(meta.keys() - {"source", "notes", *self.extra})}
+        stated["object"] = asdict(replace(self.object, extra={}))
+        found.update(to_json(stated).encode())
+        return found.hexdigest()
 
     def frame(self, t: int) -> np.ndarray:
         """[n, 3] float32: the points of frame t [m]; a negative t counts from the end.

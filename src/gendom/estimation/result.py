@@ -87,6 +87,7 @@ class RecordingFit:
             },
             "compared": list(scene.frames),
             "begins_with": scene.begins_with,
+            "digest": scene.digest,
             "simulation": {
                 **asdict(scene.settings),
                 "points_simulated": len(scene.initial),

@@ -62,6 +62,8 @@ class Scene:
     """That is simulated [kg/m^3]."""
     begins_with: str = ""
     """`Recording.begins_with`, before any registration."""
+    digest: str = ""
+    """`Recording.digest`, likewise."""
     registration: Array | None = None
     """[4, 4] by which the recording's clouds were moved [m]; None: cameras are where they say."""
     notes: tuple[str, ...] = field(default=())
@@ -88,6 +90,7 @@ class Scene:
         """
         settings = settings or SceneSettings()
         begins_with = recording.begins_with if recording.frame_valid.any() else ""
+        digest = recording.digest
         notes: list[str] = []
         if registration is not None:
             middle = recording.points.mean(axis=0, dtype=float)
@@ -125,6 +128,7 @@ class Scene:
             clock=clock,
             density=density,
             begins_with=begins_with,
+            digest=digest,
             registration=registration,
             notes=tuple(notes),
         )
@@ -231,6 +235,7 @@ class Scene:
             frames=self.frames,
             calm=self.calm,
             begins_with=self.begins_with,
+            digest=self.digest,
             registration=self.registration,
             notes=(*self.notes, f"simulated with {points} points along its longer side"),
         )
