@@ -107,8 +107,8 @@ def result_text(result: dict[str, Any]) -> str:
         f"{result['task']} in {result['world']}: {result['cases']} cases, seed {result['seed']}"
     ]
     for entry in result["policies"]:
-        sees = ", ".join(entry["conditioned_on"]) or "no parameters"
-        lines.append(f"{entry['path']} ({entry['method']}, sees {sees})")
+        names = ", ".join(entry["conditioned_on"]) or "no parameters"
+        lines.append(f"{entry['path']} ({entry['method']}, conditioned on {names})")
         if entry["error"]["mean"] is None:
             lines.append("  all failed")
             continue
