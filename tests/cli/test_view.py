@@ -343,6 +343,19 @@ def test_a_missing_extra_is_named(params, monkeypatch, capsys):
     assert re.search(r"needs viser; install it with: .*\[viz\]", capsys.readouterr().err)
 
 
+@pytest.mark.parametrize(
+    ("flag", "extra", "module"), [("rrd", "rerun", "rerun_file"), ("html", "viser", "server")]
+)
+def test_a_missing_extra_of_files_is_named_before_the_work(
+    params, tmp_path, monkeypatch, capsys, flag, extra, module
+):
+    monkeypatch.setitem(sys.modules, extra, None)
+    monkeypatch.delitem(sys.modules, f"gendom.viz.viewer.{module}", raising=False)
+    monkeypatch.setattr("gendom.cli.view.Command._model", lambda _: pytest.fail("worked"))
+    assert cli.main(["view", str(params), f"--{flag}", str(tmp_path / f"lift.{flag}")]) == 2
+    assert f"needs {extra}; install it with: " in capsys.readouterr().err
+
+
 def test_files_are_written_instead(params, tmp_path, capsys):
     pytest.importorskip("viser", reason="needs viser (the extra viz)")
     page = tmp_path / "lift.html"

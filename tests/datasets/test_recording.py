@@ -187,6 +187,15 @@ def test_from_frames_says_which_cloud_is_wrong(lift):
         )
 
 
+@pytest.mark.parametrize("name", ["lift.mcap", "lift.db3", "lift.bag", "bag/metadata.yaml"])
+def test_a_bag_is_sent_to_the_command_that_reads_it(tmp_path, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_bytes(b"x")
+    path = (tmp_path / name).parent if "/" in name else tmp_path / name
+    (line,) = refusal(path)
+    assert "is a bag; turn it into a recording: gendom import (ROS 2) or gendom perceive" in line
+
+
 def test_several_faults_are_several_lines(lift, tmp_path):
     arrays, meta = stored(lift, tmp_path)
     meta["object"]["length"] = None

@@ -44,6 +44,8 @@ from gendom.shown import Shown
 
 _log = logging.getLogger(__name__)
 
+_BAGS = (".bag", ".db3", ".mcap")
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Recording(Shown):
@@ -245,6 +247,14 @@ class Recording(Shown):
             RecordingError: The recording cannot be read or used; one line a fault.
         """
         path = Path(path)
+        described = any((path / name).is_file() for name in ("gripper.csv", "meta/info.json"))
+        if path.suffix in _BAGS or ((path / "metadata.yaml").is_file() and not described):
+            raise RecordingError(
+                "is a bag",
+                where=str(path),
+                fix="turn it into a recording: gendom import (ROS 2) or gendom perceive "
+                "(RealSense)",
+            )
         if path.is_dir() and (path / "meta/info.json").is_file():
             from gendom.datasets.lerobot import read_lerobot  # late: it needs pyarrow
 
