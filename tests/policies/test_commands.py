@@ -379,7 +379,8 @@ def test_train_then_evaluate(quick, tmp_path, capsys):
     for entry in result["policies"]:
         assert 0.0 < entry["error"]["mean"] < 0.01
     assert cli.main([*words, "--seed", "7"]) == 0
-    assert "distal, conditioned on E, nu, damping, density" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "distal, conditioned on E, nu, damping, density" in out and "error   [m]\n" in out
 
 
 def test_train_refuses_a_missing_set_and_unknown_parameters(tmp_path, capsys):

@@ -147,7 +147,7 @@ class Part:
     def observation(self) -> Observation:
         return Observation(self.scene, self.noise)
 
-    def said(self, reason: str) -> str:
+    def named(self, reason: str) -> str:
         """With the name of the recording in front."""
         return f"{self.name}: {reason}" if self.name else reason
 

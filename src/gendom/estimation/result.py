@@ -207,15 +207,15 @@ def table_rows(record: dict[str, Any]) -> list[tuple[str, str, str]]:
     for key, name, unit, form in names:
         if record.get(key) is None:
             continue
-        said = []
+        remarks = []
         ends = (record["intervals"] or {}).get(key)
         if ends is not None:
-            said.append(f"{level} in [{ends[0]:{form}}, {ends[1]:{form}}]")
+            remarks.append(f"{level} in [{ends[0]:{form}}, {ends[1]:{form}}]")
         if (record.get("identifiable") or {}).get(key) is False:
-            said.append("not determined: mostly the prior")
+            remarks.append("not determined: mostly the prior")
         if key == "density" and record.get("density_assumed"):
-            said.append("assumed: the mass is unknown")
-        rows.append((name, f"{record[key]:{form}} {unit}".strip(), ", ".join(said)))
+            remarks.append("assumed: the mass is unknown")
+        rows.append((name, f"{record[key]:{form}} {unit}".strip(), ", ".join(remarks)))
     return rows
 
 

@@ -140,9 +140,9 @@ def judge(
     assert compared is not None
     reasons = []
     for k, (part, comparison) in enumerate(zip(problem.parts, compared.parts, strict=True)):
-        said = _faults(part, comparison, found.noise[k], s)
-        said += _pressed(problem, found.best.vector, k, s)
-        reasons += [part.said(reason) for reason in said]
+        faults = _faults(part, comparison, found.noise[k], s)
+        faults += _pressed(problem, found.best.vector, k, s)
+        reasons += [part.named(reason) for reason in faults]
     reasons += _at_end(problem, found.best.vector)
     reasons += _disagreeing(problem, alone, s)
     return Verdict(usable=not reasons, reasons=tuple(reasons))
@@ -196,15 +196,15 @@ def _at_end(problem: Problem, vector: Array) -> list[str]:
 
 def _pressed(problem: Problem, vector: Array, recording: int, s: VerdictSettings) -> list[str]:
     """A recording's own unknowns that are far from their priors."""
-    prior, said = problem.prior, []
+    prior, far = problem.prior, []
     for k in prior.of(recording):
         u, x = UNKNOWNS[prior.names[k]], float(vector[k])
         if not u.material and abs(x - prior.mean[k]) > s.nuisance * prior.sd[k]:
-            said.append(
+            far.append(
                 f"{u.symbol} would have to be {u.value(x):.3g} {u.unit} ({u.meaning}): the stated "
                 "motion or size is wrong"
             )
-    return said
+    return far
 
 
 def _disagreeing(problem: Problem, alone: Sequence[Posterior], s: VerdictSettings) -> list[str]:

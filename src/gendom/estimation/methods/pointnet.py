@@ -78,8 +78,8 @@ def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Foun
     vector, covariance = initial.copy(), np.diag(prior.sd**2)
     # the modulus goes with the bending length cubed
     modulus = math.log(scene.specific_modulus(math.exp(float(mean[0])) * scene.size))
-    said = {"specific_modulus": (modulus, 3.0), "nu": (float(mean[1]), 1.0)}
-    for n, (name, (value, share)) in enumerate(said.items()):
+    predicted = {"specific_modulus": (modulus, 3.0), "nu": (float(mean[1]), 1.0)}
+    for n, (name, (value, share)) in enumerate(predicted.items()):
         if name in prior.names:
             k = prior.names.index(name)
             vector[k] = value
@@ -204,8 +204,8 @@ def read_network(path: Path | None) -> tuple[Any, dict[str, Any]]:
         session = onnxruntime.InferenceSession(
             place.read_bytes(), sess_options=options, providers=["CPUExecutionProvider"]
         )
-        said = session.get_modelmeta().custom_metadata_map[METADATA_KEY]
-        description = json.loads(said)
+        metadata = session.get_modelmeta().custom_metadata_map[METADATA_KEY]
+        description = json.loads(metadata)
     except Exception as error:  # onnxruntime's own exceptions share no public base class
         raise ParameterError(
             f"is no network of this method ({type(error).__name__})",
