@@ -1,5 +1,7 @@
 """What objects say of themselves."""
 
+import inspect
+
 import pytest
 
 from gendom.datasets import ObjectDescription, Recording
@@ -40,3 +42,10 @@ def test_a_material_can_be_typed_again_and_has_units_in_a_notebook():
     assert eval(repr(material), {"Material": Material, "inf": float("inf")}) == material
     for cell in ("<td>800000 Pa</td>", "<td>0.004 s</td>", "<td>1000 kg/m^3</td>"):
         assert cell in material._repr_html_()
+
+
+@pytest.mark.parametrize("shown", [Simulator, Simulator.run, Recording.from_frames, Policy.act])
+def test_signatures_fit_a_screen(shown):
+    """NumPy's own types are named, not spelt out."""
+    text = str(inspect.signature(shown))
+    assert "numpy._typing" not in text and len(text) < 1500

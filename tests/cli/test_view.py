@@ -1,6 +1,7 @@
 """`gendom view`: what is made of recordings, estimates and demonstrations, and its errors."""
 
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,9 +18,9 @@ from gendom.cli.view_dataset import FRAMES, DatasetModel
 from gendom.cli.view_layers import RING
 from gendom.cli.view_recording import CHAMFER, RecordingModel, find_recording
 from gendom.datasets import Recording
-from gendom.errors import DatasetError, SimulationError
+from gendom.errors import DatasetError, GendomError, SimulationError
 from gendom.estimation import Scene, Theta, chamfers, replay
-from gendom.files import write_json
+from gendom.files import read_json, write_json
 from gendom.viz.viewer import MATERIAL, MeshLayer
 
 
@@ -177,7 +178,7 @@ def params(rope_lift, lifted, tmp_path):
     lifted.write(tmp_path / "lift.npz")
     record = {
         "format": "gendom-estimate/1", "theta": asdict(rope_lift.truth), "compared": [0, 11],
-        "object": {"kind": "rope"}, "begins_with": lifted.begins_with,
+        "object": {"kind": "rope"}, "begins_with": lifted.begins_with, "digest": lifted.digest,
         "simulation": {"engine": "thin", "points": 15},
     }  # fmt: skip
     write_json(tmp_path / "lift" / "estimate.json", record)
@@ -185,11 +186,42 @@ def params(rope_lift, lifted, tmp_path):
 
 
 def test_an_estimate_finds_its_recording(params, lifted, rope_lift):
-    """By how it begins; other files are passed over."""
+    """Other files are passed over, and a cut or changed copy of the recording, too."""
     rope_lift.seen(frames=4, seed=9).write(params.parent / "another.npz")
     np.savez(params.parent / "other.npz", x=np.zeros(3))
-    record = {"begins_with": lifted.begins_with}
-    assert find_recording(record, params) == params.parents[1] / "lift.npz"
+    lifted.head(6).write(params.parent / "cut.npz")
+    heavier = replace(lifted.object, mass=2.0 * (lifted.object.mass or 0.02))
+    replace(lifted, object=heavier).write(params.parent / "heavier.npz")
+    assert find_recording(read_json(params), params) == params.parents[1] / "lift.npz"
+    several = {"recordings": [{"digest": "of another"}, read_json(params)]}
+    assert find_recording(several, params) == params.parents[1] / "lift.npz"
+
+
+def test_an_estimate_finds_a_recording_that_is_a_folder(params, lifted):
+    lift = params.parents[1] / "lift.npz"
+    moved = params.parent / "mine"
+    assert cli.main(["--quiet", "export", str(lift), "--out", str(moved)]) == 0
+    lift.unlink()
+    assert find_recording(read_json(params), params) == moved
+
+
+def test_copies_of_the_recording_are_named(params, lifted):
+    """They are not taken for it."""
+    lifted.head(6).write(params.parent / "cut.npz")
+    (params.parents[1] / "lift.npz").unlink()
+    with pytest.raises(GendomError, match=r"cut\.npz begins like it, but is cut or changed"):
+        find_recording(read_json(params), params)
+
+
+def test_an_estimate_of_an_older_version_finds_its_recording(params, lifted):
+    """By how it begins and which frames were compared, as long as only one file fits."""
+    older = {k: v for k, v in read_json(params).items() if k != "digest"}
+    lifted.head(6).write(params.parent / "cut.npz")
+    shutil.copy(params.parents[1] / "lift.npz", params.parent / "copy.npz")
+    assert find_recording(older, params) == params.parent / "copy.npz"
+    replace(lifted, quasi_static=not lifted.quasi_static).write(params.parent / "changed.npz")
+    with pytest.raises(GendomError, match=r"changed\.npz, .*copy\.npz"):
+        find_recording(older, params)
 
 
 def test_an_estimate_without_its_recording_says_what_to_do(params, capsys):
@@ -201,8 +233,6 @@ def test_an_estimate_without_its_recording_says_what_to_do(params, capsys):
 
 
 def test_an_estimate_s_parameters_are_those_at_first(params, lifted, rope_lift):
-    from gendom.files import read_json
-
     model = RecordingModel.with_params(lifted, read_json(params), "here", "a lift")
     assert model.theta == rope_lift.truth
 
@@ -290,8 +320,6 @@ def test_a_demonstration_that_is_not_there_is_refused(casts, capsys):
 
 
 def test_a_set_of_another_world_is_refused(casts, tmp_path):
-    from gendom.files import read_json
-
     about = read_json(casts / "dataset.json")
     write_json(tmp_path / "dataset.json", about | {"simulation": {"world": "reality"}})
     with pytest.raises(DatasetError, match="was not made by the simulator"):
@@ -313,6 +341,19 @@ def test_a_missing_extra_is_named(params, monkeypatch, capsys):
         monkeypatch.delitem(sys.modules, f"gendom.viz.viewer.{name}", raising=False)
     assert cli.main(["view", str(params)]) == 2
     assert re.search(r"needs viser; install it with: .*\[viz\]", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("flag", "extra", "module"), [("rrd", "rerun", "rerun_file"), ("html", "viser", "server")]
+)
+def test_a_missing_extra_of_files_is_named_before_the_work(
+    params, tmp_path, monkeypatch, capsys, flag, extra, module
+):
+    monkeypatch.setitem(sys.modules, extra, None)
+    monkeypatch.delitem(sys.modules, f"gendom.viz.viewer.{module}", raising=False)
+    monkeypatch.setattr("gendom.cli.view.Command._model", lambda _: pytest.fail("worked"))
+    assert cli.main(["view", str(params), f"--{flag}", str(tmp_path / f"lift.{flag}")]) == 2
+    assert f"needs {extra}; install it with: " in capsys.readouterr().err
 
 
 def test_files_are_written_instead(params, tmp_path, capsys):

@@ -113,6 +113,26 @@ def test_frames_and_head(lift):
             lift.head(n)
 
 
+def test_the_digest_tells_recordings_apart(lift, tmp_path):
+    """Everything that an estimate depends on counts; the file and notes do not."""
+    lift.write(tmp_path / "lift.npz")
+    assert Recording.read(tmp_path / "lift.npz").digest == lift.digest
+    assert replace(lift, notes="another", source="x", extra={"robot": "y"}).digest == lift.digest
+    changed = [
+        lift.head(4),
+        replace(lift, points=lift.points + np.float32(1e-3)),
+        replace(lift, time=2.0 * lift.time),
+        replace(lift, gripper_position=lift.gripper_position + 1e-6),
+        replace(lift, gripper_axis=None),
+        replace(lift, gripper_closed=lift.holds),
+        replace(lift, object=replace(lift.object, mass=0.123)),
+        replace(lift, table_height=-0.5),
+        replace(lift, quasi_static=not lift.quasi_static),
+        replace(lift, camera_positions=np.array([[0.0, 1.0, 2.0]])),
+    ]
+    assert len({recording.digest for recording in [lift, *changed]}) == 11
+
+
 def test_arrays_are_read_only_and_the_callers_stay_writable():
     points = np.zeros((2, 3), np.float32)
     recording = Recording(
@@ -165,6 +185,15 @@ def test_from_frames_says_which_cloud_is_wrong(lift):
             gripper_position=np.zeros((2, 3)),
             object=lift.object,
         )
+
+
+@pytest.mark.parametrize("name", ["lift.mcap", "lift.db3", "lift.bag", "bag/metadata.yaml"])
+def test_a_bag_is_sent_to_the_command_that_reads_it(tmp_path, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_bytes(b"x")
+    path = (tmp_path / name).parent if "/" in name else tmp_path / name
+    (line,) = refusal(path)
+    assert "is a bag; turn it into a recording: gendom import (ROS 2) or gendom perceive" in line
 
 
 def test_several_faults_are_several_lines(lift, tmp_path):

@@ -26,7 +26,7 @@ from gendom.observation import chamfer
 KEYS = {
     "begins_with", "bending_length", "bending_stiffness", "bounds", "calibration", "chamfer_last",
     "chamfer_last_surface", "chamfer_mean", "chamfer_mean_surface", "compared", "damping",
-    "density", "density_assumed", "device", "format", "frames", "friction", "history",
+    "density", "density_assumed", "device", "digest", "format", "frames", "friction", "history",
     "identifiable", "interrupted", "intervals", "iterations", "method", "noise", "notes", "object",
     "poissons_ratio", "posterior", "recordings", "rms", "rms_by_frame", "rms_registered", "seconds",
     "seed", "simulation", "specific_modulus", "starts", "stiffness_slope", "theta", "thickness",

@@ -256,6 +256,11 @@ LACKING = {
         {"points": "/points"},
         "has no topic /points of sensor_msgs/msg/PointCloud2; give one of: /camera/points",
     ),
+    "no poses": (
+        without("/tool_pose"),
+        {"gripper": "/tool_pose"},
+        "has no topic /tool_pose of geometry_msgs/msg/PoseStamped, nor another one; record one",
+    ),
     "another type": (
         lambda rows: rows,
         {"gripper": "/camera/points"},

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from gendom import cli
+from gendom.cli.act import predicted_text, units_of
 from gendom.datasets.demonstrations import generate
 from gendom.files import read_json, write_json
 from gendom.materials import size_of
 from gendom.policies import Policy
-from gendom.tasks import RopeReaching
+from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.world import Outcome, Simulation
 
@@ -66,6 +67,36 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     assert re.search(r"\n  goal +x 0\.\d+ m\n", out) and re.search(r"predicts x 0\.\d+ m \(90", out)
     assert result["units"]["release_x"] == result["units"]["x"] == "m"
     assert out.count("\n") > len(motion["time"])
+
+
+def test_act_says_which_numbers_are_dimensionless(act):
+    """The policy's inputs are no SI values, and outcomes have units, too."""
+    result, out = json.loads(act("--json")[1]), act()[1]
+    assert result["network_input"].keys() == result["network_input_meaning"].keys() == {"E", "nu"}
+    assert result["network_input_meaning"]["E"] == "bending length over size, dimensionless"
+    assert re.search(r"\n  inputs   of the policy, dimensionless\n", out)
+    assert re.search(r"\n           E +0\.\d+ +bending length over size\n", out)
+    assert "sees" not in out
+    assert "nu " not in act("--no-parameters")[1]
+    predicted = out.split("predicts")[1].split("\n")[0]
+    assert re.search(r"sideways \S+ m$", predicted)
+    assert result["units"]["sideways"] == "m"
+
+
+def test_act_says_what_is_assumed_with_its_unit(act, monkeypatch, make_policy):
+    policy = make_policy(conditioned_on=("E", "nu", "damping"))[0]
+    monkeypatch.setattr(Policy, "pretrained", lambda task, *, parameters: policy)
+    assert "\n  assumed  damping 0.004 s\n" in act()[1]
+
+
+def test_outcomes_of_shipped_tasks_have_units_and_meanings():
+    for task in (RopeReaching(), RopeCasting(), ClothSpreading()):
+        known = {q.name: q for q in (*task.goals, *task.outcomes)}
+        assert all(q.meaning for q in known.values())
+    text = predicted_text({"reached": {"x": 0.3, "backswing_higher": 1.0}}, units_of(RopeCasting()))
+    assert text == "x 0.3 m, backswing_higher yes"
+    text = predicted_text({"reached": {"share": 0.8}}, units_of(ClothSpreading()))
+    assert text == "share 0.8 [-]"
 
 
 def test_act_predicts_what_will_be_reached(act):
@@ -336,7 +367,7 @@ def test_train_then_evaluate(quick, tmp_path, capsys):
         assert summary["training"]["demonstrations"] == 400
         assert summary["acted"]["cases"] == 200 and summary["acted"]["error"]["mean"] < 0.01
     assert cli.main(words) == 0
-    assert "sees no parameters" in capsys.readouterr().out
+    assert "conditioned on no parameters" in capsys.readouterr().out
 
     words = ["evaluate", "rope-reaching", "--policy", *paths.values(), "--cases", "30"]
     assert cli.main([*words, "--seed", "7", "--json"]) == 0
@@ -348,7 +379,8 @@ def test_train_then_evaluate(quick, tmp_path, capsys):
     for entry in result["policies"]:
         assert 0.0 < entry["error"]["mean"] < 0.01
     assert cli.main([*words, "--seed", "7"]) == 0
-    assert "distal, sees E, nu, damping, density" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "distal, conditioned on E, nu, damping, density" in out and "error   [m]\n" in out
 
 
 def test_train_refuses_a_missing_set_and_unknown_parameters(tmp_path, capsys):
@@ -380,4 +412,4 @@ def test_policies_that_ship_are_listed(capsys):
     capsys.readouterr()
     assert cli.main(["policies"]) == 0
     out = capsys.readouterr().out
-    assert "sees no parameters" in out and "misses by" in out and "bending length over size" in out
+    assert "no parameters" in out and "misses by" in out and "bending length over size" in out

@@ -71,7 +71,7 @@ def test_goal_range_is_told_in_metres_of_the_given_rope(make_policy):
 def test_policy_without_parameters_sees_none_and_has_one_range(make_policy):
     policy, session = make_policy(conditioned_on=())
     action = policy.act(0.44, rope(0.5))
-    assert set(session.fed) == {"goal_x"} and action.saw == {}
+    assert set(session.fed) == {"goal_x"} and action.network_input == {}
     assert policy.goal_range(rope(0.5)) == pytest.approx(0.25 * np.array([[1.1, 1.8]]))
     assert policy.act(0.44, rope(0.05, nu=0.49)).warnings == ()
 
@@ -82,7 +82,7 @@ def test_parameters_outside_are_clipped_with_a_warning(make_policy, caplog):
         action = policy.act(0.35, rope(0.875, nu=0.15))
     assert session.fed["E"] == pytest.approx(np.array([[0.7]]))
     assert session.fed["nu"] == pytest.approx(np.array([[0.2]]))
-    assert action.saw == pytest.approx({"E": 0.7, "nu": 0.2})
+    assert action.network_input == pytest.approx({"E": 0.7, "nu": 0.2})
     assert "bending length over size) 0.875 is 25 % above" in action.warnings[0]
     assert "25 % below" in action.warnings[1]
     assert tuple(record.message for record in caplog.records) == action.warnings

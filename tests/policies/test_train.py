@@ -144,7 +144,7 @@ def test_file_is_small_and_says_what_it_is(distal):
 def test_trained_policy_acts(distal):
     rope = Rope(length=0.25, diameter=0.014, material=Material(E=8e5, nu=0.3, density=1000.0))
     action = distal.act(0.36, rope)
-    reached = reach(np.array([action.values]) / 0.25, action.saw["E"], 0.3)
+    reached = reach(np.array([action.values]) / 0.25, action.network_input["E"], 0.3)
     assert 0.25 * reached == pytest.approx(0.36, abs=0.01)
 
 

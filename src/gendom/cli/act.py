@@ -16,7 +16,7 @@ from gendom.cli.known_object import KnownObject, ObjectInfo
 from gendom.cli.outputs import tell_written
 from gendom.errors import GendomError, PolicyError
 from gendom.files import check_file, to_json, write_json
-from gendom.materials import KINDS, LARGEST, Item, to_columns
+from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, to_columns
 from gendom.tasks import Task
 
 _ACTION = "gendom-action/3"
@@ -113,7 +113,10 @@ class Command(KnownObject):
                 "conditioned_on": policy.description.conditioned_on,
                 "seed": policy.description.training.get("seed"),
             },
-            "network_input": action.saw,
+            "network_input": action.network_input,
+            "network_input_meaning": {
+                name: f"{PARAMETERS[name].meaning}, dimensionless" for name in action.network_input
+            },
             "warnings": action.warnings,
             "trajectory": trajectory(task, item, values, self.origin),
         }
@@ -200,14 +203,18 @@ def predicted(task: Task, item: Item, action: np.ndarray, others: Sequence[Item]
 
 
 def units_of(task: Task) -> dict[str, str]:
-    """SI units of actions, goals and the risk by name; ``1`` for numbers without one."""
+    """SI units of actions, goals, outcomes and the risk by name; ``1``: dimensionless, ``bool``: 1
+    is yes, 0 is no."""
     risk = [] if task.risk is None else [task.risk]
-    return {quantity.name: quantity.unit for quantity in (*task.actions, *task.goals, *risk)}
+    named = (*task.actions, *task.goals, *task.outcomes, *risk)
+    return {quantity.name: quantity.unit for quantity in named}
 
 
-def _with_unit(number: str, name: str, units: Mapping[str, str]) -> str:
-    unit = units.get(name, "1")
-    return number if unit == "1" else f"{number} {unit}"
+def _with_unit(name: str, value: float, units: Mapping[str, str], form: str = ".4g") -> str:
+    unit = units.get(name)  # outcomes of other authors' tasks may have none
+    if unit == "bool":
+        return f"{name} {'yes' if value else 'no'}"
+    return f"{name} {value:{form}} {'[-]' if unit == '1' else unit or ''}".rstrip()
 
 
 def result_text(result: dict[str, Any], *, motion: bool) -> str:
@@ -216,12 +223,13 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
     goal, action, units = result["goal"].items(), result["action"].items(), result["units"]
     large, small = KINDS[held["kind"]].sizes
     size = f"{large} {held[large]:.4g} m, {small} {held[small]:.4g} m"
-    seen = ", ".join(f"{name} {value:.4g}" for name, value in result["network_input"].items())
+    inputs = result["network_input"]
     rows = [
         (held["kind"], size),
-        ("sees", seen or "no parameters"),
-        ("goal", ", ".join(_with_unit(f"{n} {v:.4g}", n, units) for n, v in goal) or "none"),
-        ("action", ", ".join(_with_unit(f"{n} {v:.4f}", n, units) for n, v in action)),
+        ("inputs", "of the policy, dimensionless" if inputs else "no parameters"),
+        *[("", f"{n:<8} {v:<8.4g} {PARAMETERS[n].meaning}") for n, v in inputs.items()],
+        ("goal", ", ".join(_with_unit(n, v, units) for n, v in goal) or "none"),
+        ("action", ", ".join(_with_unit(n, v, units, ".4f") for n, v in action)),
     ]
     for event in path["events"]:
         rows.append(
@@ -229,14 +237,18 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
         )
     if "polished" in result:
         p = result["polished"]
+        unit = next((u for n in result["goal"] if (u := units[n]) != "1"), "[-]")
         rows.append(
-            ("polished", f"expected miss {p['expected']:.2g} (before {p['before']:.2g}), "
+            ("polished", f"expected miss {p['expected']:.2g} {unit} (before {p['before']:.2g}), "
              f"{p['rollouts']} rollouts in {p['seconds']:.1f} s")
         )  # fmt: skip
     if "predicted" in result:
-        rows.append(("predicts", _predicted_text(result["predicted"], units)))
-    if assumed := [f"{n} {v:g}" for n, v in result["assumed"].items() if n in seen]:
-        rows.append(("assumed", ", ".join(assumed)))
+        rows.append(("predicts", predicted_text(result["predicted"], units)))
+    for name in inputs:
+        p = PARAMETERS[name]
+        if p.column in result["assumed"]:
+            unit = "[-]" if p.unit == "1" else p.unit
+            rows.append(("assumed", f"{name} {result['assumed'][p.column]:g} {unit}"))
     rows.append(("policy", result["policy"]["path"]))
     lines = [result["task"], *(f"  {name:<8} {text}" for name, text in rows)]
     if motion:
@@ -248,12 +260,13 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
     return "\n".join(lines)
 
 
-def _predicted_text(predicted: Mapping[str, Any], units: Mapping[str, str]) -> str:
+def predicted_text(predicted: Mapping[str, Any], units: Mapping[str, str]) -> str:
+    """What will be reached, in one line, with units."""
     if "fault" in predicted:
         return f"cannot be simulated: {predicted['fault']}"
     text = []
     for name, value in predicted["reached"].items():
         ends = predicted.get("interval_90", {}).get(name)
-        number = _with_unit(f"{name} {value:.4g}", name, units)
-        text.append(number + (f" (90 %: {ends[0]:.4g} to {ends[1]:.4g})" if ends else ""))
+        interval = f" (90 %: {ends[0]:.4g} to {ends[1]:.4g})" if ends else ""
+        text.append(_with_unit(name, value, units) + interval)
     return ", ".join(text)

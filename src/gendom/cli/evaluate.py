@@ -94,6 +94,7 @@ class Command:
             "cases": self.cases,
             "seed": self.seed,
             "device": self.device,
+            "unit": next((goal.unit for goal in policies[0].task().goals), "1"),
             "policies": entries,
             "seconds": time.monotonic() - began,
         }
@@ -107,11 +108,13 @@ def result_text(result: dict[str, Any]) -> str:
         f"{result['task']} in {result['world']}: {result['cases']} cases, seed {result['seed']}"
     ]
     for entry in result["policies"]:
-        sees = ", ".join(entry["conditioned_on"]) or "no parameters"
-        lines.append(f"{entry['path']} ({entry['method']}, sees {sees})")
+        names = ", ".join(entry["conditioned_on"]) or "no parameters"
+        lines.append(f"{entry['path']} ({entry['method']}, conditioned on {names})")
         if entry["error"]["mean"] is None:
             lines.append("  all failed")
             continue
+        unit = "-" if result["unit"] == "1" else result["unit"]
+        lines.append(f"  error   [{unit}]")
         for name, value in entry["error"].items():
             percent = 100.0 * entry["error_over_size"][name]
             lines.append(f"  {name:<7} {value:.5f}  {percent:6.2f} % of the size")

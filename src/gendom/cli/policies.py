@@ -77,9 +77,9 @@ def made_by(policy: Policy) -> list[str]:
 def _text(row: dict[str, Any]) -> str:
     lines = [f"{Path(row['path']).name}: {row['task']}, {row['method']}"]
     for name, (low, high) in row["parameters"].items():
-        lines.append(f"  sees {name:<9} {low:.3g} to {high:.3g} ({PARAMETERS[name].meaning})")
+        lines.append(f"  input {name:<8} {low:.3g} to {high:.3g} [-] ({PARAMETERS[name].meaning})")
     if not row["parameters"]:
-        lines.append("  sees no parameters")
+        lines.append("  input          no parameters")
     for name, (low, high) in row["goals"].items():
         lines.append(f"  goal {name:<9} {low:.3g} to {high:.3g} sizes")
     failed = f", of which {row['failed']} failed" if row["failed"] else ""

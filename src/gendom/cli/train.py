@@ -132,13 +132,13 @@ def summarize(policy: Policy) -> dict[str, Any]:
 def summary_text(summary: dict[str, Any]) -> str:
     """The same for people."""
     training = summary["training"]
-    sees = ", ".join(summary["conditioned_on"]) or "no parameters"
+    names = ", ".join(summary["conditioned_on"]) or "no parameters"
     errors = [
         (name.replace("_", " "), f"{100 * value:.3g} % of the size")
         for name, value in training["errors"].items()
     ]
     rows = [
-        ("method", f"{summary['method']}, sees {sees}"),
+        ("method", f"{summary['method']}, conditioned on {names}"),
         (
             "trained",
             f"on {training['demonstrations']} demonstrations, "

@@ -56,6 +56,10 @@ class Command:
             check_file(self.html, ".html")
         if self.rrd is None and self.html is None:
             return self._serve()
+        if self.rrd is not None:
+            import gendom.viz.viewer.rerun_file  # rerun: whether it is there shows at once
+        if self.html is not None:
+            import gendom.viz.viewer.server  # noqa: F401  # viser, likewise
         model = self._model()
         scene = final_scene(model, self._case(model))
         if self.rrd is not None:

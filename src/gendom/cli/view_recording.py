@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from gendom.cli.replay import of_all_frames, of_recording, replay_setup
 from gendom.cli.view_layers import arm_layer, gripper_layer, object_layer
 from gendom.datasets import Recording
+from gendom.datasets.recording import is_recording
 from gendom.errors import GendomError, RobotError
 from gendom.estimation import UNKNOWNS, Scene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
@@ -125,28 +126,56 @@ class RecordingModel:
 
 
 def find_recording(params: Mapping[str, Any], where: Path) -> Path:
-    """The file of a recording that an estimate is of: beside it, or in the folder above.
+    """The recording of an estimate: a file or folder beside it, or one folder above.
+
+    It is identified by `Recording.digest`. Estimates of older versions do not state that; their
+    recording begins with the same points and has all compared frames.
 
     Args:
         params: The estimate's JSON.
         where: Its file.
 
     Raises:
-        GendomError: It is not there.
+        GendomError: It is not there, or several files of an older version's estimate fit.
     """
     folder = where.absolute().parent
-    for path in [*sorted(folder.glob("*.npz")), *sorted(folder.parent.glob("*.npz"))]:
+    fix = f"name it: gendom view RECORDING --params {where}"
+    # files of older versions are of one recording
+    stated = params.get("recordings", [params])
+    fits: dict[str, Path] = {}
+    other: list[Path] = []
+    for path in [*_recordings_in(folder), *_recordings_in(folder.parent)]:
         try:
             recording = Recording.read(path, on_warning=lambda _: None)
         except GendomError:  # another kind of file
             continue
-        if of_recording(params, recording) is not None:
+        digest = recording.digest
+        if any(own.get("digest") == digest for own in stated):
             return path
+        if (own := of_recording(params, recording)) is None:
+            continue
+        if "digest" in own or 1 + max(own.get("compared", [0])) > recording.num_frames:
+            other.append(path)
+        else:
+            fits.setdefault(digest, path)
+    if len(fits) > 1:
+        raise GendomError(
+            f"may be of any of {', '.join(map(str, fits.values()))}", where=str(where), fix=fix
+        )
+    if fits:
+        return next(iter(fits.values()))
+    similar = f"; {other[0]} begins like it, but is cut or changed" if other else ""
     raise GendomError(
-        "the recording that it is of is neither beside it nor in the folder above",
+        f"its recording is neither beside it nor in the folder above{similar}",
         where=str(where),
-        fix=f"name it: gendom view RECORDING --params {where}",
+        fix=fix,
     )
+
+
+def _recordings_in(folder: Path) -> list[Path]:
+    """What may be recordings, by name."""
+    inside = [*folder.glob("*.npz"), *(p for p in folder.iterdir() if p.is_dir())]
+    return sorted(path for path in inside if is_recording(path))
 
 
 def arm_of(scene: Scene) -> MeshLayer | None:

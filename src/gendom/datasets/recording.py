@@ -19,7 +19,7 @@ import hashlib
 import logging
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,8 @@ from gendom.files import atomic_path, to_json
 from gendom.shown import Shown
 
 _log = logging.getLogger(__name__)
+
+_BAGS = (".bag", ".db3", ".mcap")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -121,6 +123,23 @@ class Recording(Shown):
         """SHA-256 of the first points: a recording and a longer one of the same motion share it."""
         first = self.frame(int(np.argmax(self.frame_valid)))
         return hashlib.sha256(np.ascontiguousarray(first, dtype="<f4").tobytes()).hexdigest()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of everything that an estimate depends on: all arrays, and `meta` without
+        `source`, `notes` and `extra`. It does not depend on the format of the file."""
+        found = hashlib.sha256()
+        for name in STORED_ARRAYS:
+            array = getattr(self, name)
+            if array is not None:
+                little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+                found.update(f"{name} {array.dtype.name} {array.shape}".encode())
+                found.update(np.ascontiguousarray(little).tobytes())
+        meta = self.meta()
+        stated = {n: meta[n] for n in sorted(meta.keys() - {"source", "notes", *self.extra})}
+        stated["object"] = asdict(replace(self.object, extra={}))
+        found.update(to_json(stated).encode())
+        return found.hexdigest()
 
     def frame(self, t: int) -> np.ndarray:
         """[n, 3] float32: the points of frame t [m]; a negative t counts from the end.
@@ -228,6 +247,14 @@ class Recording(Shown):
             RecordingError: The recording cannot be read or used; one line a fault.
         """
         path = Path(path)
+        described = any((path / name).is_file() for name in ("gripper.csv", "meta/info.json"))
+        if path.suffix in _BAGS or ((path / "metadata.yaml").is_file() and not described):
+            raise RecordingError(
+                "is a bag",
+                where=str(path),
+                fix="turn it into a recording: gendom import (ROS 2) or gendom perceive "
+                "(RealSense)",
+            )
         if path.is_dir() and (path / "meta/info.json").is_file():
             from gendom.datasets.lerobot import read_lerobot  # late: it needs pyarrow
 

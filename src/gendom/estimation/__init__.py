@@ -1,4 +1,4 @@
-"""Parameters of an object from one recording."""
+"""Parameters of an object from one or more recordings."""
 
 from gendom.estimation.estimate import estimate
 from gendom.estimation.likelihood import NoiseModel, Observation

@@ -1,4 +1,4 @@
-"""From recordings of one object to its parameters: `estimate`."""
+"""`estimate`: the parameters of an object from recordings of it."""
 
 from __future__ import annotations
 
@@ -37,9 +37,10 @@ def estimate(
 ) -> Estimate:
     """Estimate an object's parameters from one or more recordings of it.
 
-    Its material is one, all else that is unknown is each recording's own. Ctrl-C ends the search
-    and keeps the best found so far. Whether the result is of any use is in its ``verdict``: one
-    recording that is not usable makes the whole result so, and is named.
+    All recordings share the material; every other unknown has a value for each recording. Ctrl-C
+    ends the search and keeps the best found so far. Its ``verdict`` states whether the result is
+    usable; if one recording is not usable, the result is not either, and the verdict names the
+    recording.
 
     Args:
         recordings: Lifts, or any motions with grippers that hold the object.
@@ -47,7 +48,8 @@ def estimate(
         names: Of the recordings, for people; by default recording 1 and so on.
         on_progress: Called after each iteration.
         calibration: Of the intervals (default: the shipped one).
-        known: Values of everything that is not looked for; by default those of the priors.
+        known: Values of the parameters that are not estimated; by default the means of their
+            priors.
 
     Raises:
         RecordingError: If a recording shows too little to place the object.
@@ -90,10 +92,11 @@ def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Post
 def _alone(
     problem: Problem, found: Found, posterior: Posterior, calibration: Calibration
 ) -> list[Posterior]:
-    """What each recording says by itself, from where all have ended together; nothing of a search
-    that was interrupted.
+    """The posterior of each recording alone, searched from the joint result; empty where the search
+    was interrupted.
 
-    With its own noise: beside another object's recordings one passes for a noisy one.
+    Noise is estimated for each recording again: in the joint fit a recording of another object
+    looks like a noisy one.
     """
     if len(problem.parts) == 1:
         return [posterior]
@@ -110,7 +113,8 @@ def _alone(
 def _scene(
     recording: Recording, settings: EstimateSettings, known: Theta | None, name: str
 ) -> Scene:
-    """Of a recording, which its faults name; its clouds moved where cameras' poses are unknown."""
+    """The scene of a recording; errors name the recording. Its clouds are registered where camera
+    poses are unknown."""
     unknown = settings.camera_pose == "unknown"
     if settings.camera_pose is None:
         unknown = not recording.cameras_calibrated

@@ -2,13 +2,14 @@
 
 A point p of a cloud lies on the skin: with c the nearest point of the middle line (or surface) and
 r half the thickness, rho = |p - c| - r is noise. Where the simulated object sticks out of the cloud
-by more than the cloud has gaps, the nearest point of the cloud draws it back likewise. Noise is not
-all: cameras are off by a rigid motion, skins by a distance, and the model itself by a smooth
-displacement of the object, different in each frame but alike in neighbouring ones. These have
+by more than the cloud has gaps, the distance to the nearest point of the cloud counts as a
+residual, too. Beside noise there are systematic errors: a rigid motion of the cameras, an offset of
+the skin, and a smooth displacement of the model, correlated between neighbouring frames. These have
 Gaussian priors (the displacement a Gaussian process in place and time, of low rank; Rasmussen and
-Williams 2006, sections 2.7 and 8.1). For each simulated shape they are registered to the clouds
-first; what that costs is what parameters are judged by. How large noise and displacement are is
-estimated from the recording itself, by expectation and maximisation (Dempster et al. 1977).
+Williams 2006, sections 2.7 and 8.1). For each simulated shape they are fitted to the clouds first;
+the remaining misfit, with the cost of these errors under their priors, is the likelihood of the
+parameters. How large noise and displacement are is estimated from the recording itself, by
+expectation and maximisation (Dempster et al. 1977).
 """
 
 from __future__ import annotations
@@ -33,33 +34,33 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseModel:
-    """Differences of clouds from the correct shape, as standard deviations."""
+    """Errors of clouds against the true shape, as standard deviations."""
 
     sensor: float = 0.002
     """Noise of independent points [m]; the first guess."""
     model: float = 0.002
     """The simulated object's smooth displacement [m]; the first guess."""
     least_sensor: float = 5e-4
-    """No depth camera does better [m]."""
+    """Lower bound of the sensor noise [m]."""
     least_model: float = 3e-4
-    """Nor does a model of a real object [m]."""
+    """Lower bound of the model's displacement [m]."""
     shift: float = 0.003
     """Of the cameras' calibration [m]."""
     turn: float = 0.01
     """Likewise [rad]."""
     unknown_shift: float = 0.05
-    """The same of cameras with unknown poses [m]: what a tape measure and the eye leave, after a
-    coarse registration."""
+    """The same of cameras with unknown poses [m]: errors that remain after a coarse
+    registration."""
     unknown_turn: float = 0.1
     """Likewise [rad]."""
     skin: float = 0.002
     """Of the distance of points from the true skin [m]: hairs, edges of pixels."""
     place_scale: float = 0.3
-    """How far along the object displacements are alike, in its size."""
+    """Correlation length of displacements along the object, in its size."""
     time_scale: float = 0.1
-    """For how long they are, as a share of the compared frames."""
+    """Correlation time of displacements, as a share of the compared frames."""
     straying: float = 0.006
-    """Distance beyond which a point draws no more strongly [m]; Huber's, smoothed."""
+    """Distance beyond which a point's pull grows no further [m]: Huber's loss, smoothed."""
     patch: float = 4.0
     """Points of a thinned cloud that share their noise."""
     cloud_points: int = 160
@@ -67,7 +68,7 @@ class NoiseModel:
     rounds: int = 3
     """Most iterations of a registration; each pairs points and places again."""
     registered: float = 0.1
-    """It ends where a step wins no more than this in -2 log likelihood."""
+    """A registration ends where a step lowers -2 log likelihood by no more than this."""
 
     def of_unknown_cameras(self) -> NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
@@ -133,9 +134,9 @@ class Observation:
     def _in_time(self) -> Array:
         """[T, R] functions of the frames by which displacements change, scaled by deviations."""
         if self.scene.static:
-            # of one shape alone no displacement can be told from a parameter
+            # with one shape alone, displacements and parameters have the same effect
             return np.zeros((len(self.scene.frames), 1))
-        # frames are the denser the more happens
+        # frames are denser where more happens
         at = np.linspace(0.0, 1.0, len(self.scene.frames))
         return _roots(np.exp(-0.5 * ((at[:, None] - at) / self.noise.time_scale) ** 2), 0.01)
 
@@ -162,10 +163,10 @@ class Observation:
 
         Args:
             x: [T, 1 + P, N, 3] positions at the frames, of the point itself and of its neighbours.
-            steps: [P] how far those are away in the transformed parameters; None: no neighbours.
+            steps: [P] distance of those in the transformed parameters; None: no neighbours.
             thickness: [1 + P] of these objects over the stated one; None: as stated.
-            along: [P, P] from derivatives along the directions in which the neighbours are away to
-                those by the parameters; None: they are the same.
+            along: [P, P] from derivatives along the directions of the neighbours to derivatives by
+                the parameters; None: they are the same.
         """
         m = middle(self.scene, x)
         here = m[:, 0]
@@ -180,8 +181,8 @@ class Observation:
         return Comparison(self, here, J, float(radius[0]), widens)
 
     def rows(self, shape: Array, r: float) -> Rows:
-        """Where points belong on shapes [T, n, 3] of half a thickness r [m], and what of those lies
-        bare."""
+        """The places on shapes [T, n, 3] of half thickness r [m] that points correspond to, and
+        which parts of the shapes have no points near."""
         if self.markers is not None:
             return self._marker_rows(shape)
         T = len(shape)
@@ -208,7 +209,7 @@ class Observation:
         bare = (out > 0.0) & self.in_view
         if self.scene.floor is not None:
             bare &= c[..., 2] > self.scene.floor
-        # what the object itself hides need not show
+        # what the object hides of itself needs no points
         cameras = self.scene.recording.camera_positions
         for t in np.flatnonzero(bare.any(axis=1)):
             if self.shape.rope:
@@ -228,7 +229,7 @@ class Observation:
         )
 
     def _marker_rows(self, shape: Array) -> Rows:
-        """All three coordinates of a marker count; markers are few, and seen well."""
+        """All three coordinates of a marker count: markers are few and accurate."""
         assert self.markers is not None
         index, weight = (np.repeat(x, 3, axis=0) for x in self.markers)
         T, rows = len(shape), len(index)
@@ -251,7 +252,7 @@ class Rows:
     rho: Array
     """[T, m] [m]."""
     normal: Array
-    """[T, m, 3] along which the object moves to make them less."""
+    """[T, m, 3] directions in which the object moves to reduce them."""
     index: NDArray[np.intp]
     """[T, m, k] points of the middle around the foot."""
     weight: Array
@@ -301,18 +302,18 @@ class Comparison:
         self._first = np.zeros(0)
 
     def follow(self, other: Comparison) -> None:
-        """Begin the registration where that of a comparison nearby has ended."""
+        """Start the registration from the result of a comparison nearby."""
         if other._last is not None:
             self._first = other._last.a
 
     def take_slopes(self, other: Comparison, step: Array, weight: Array) -> None:
-        """Have the slopes of a comparison nearby, changed by the least that agrees with both shapes
-        (Broyden 1965).
+        """Take over the slopes of a comparison nearby, with the smallest change that agrees with
+        both shapes (Broyden 1965).
 
         Args:
             other: Of the same frames; of a shape with as many points if there is a step.
             step: [P] from there to here, transformed.
-            weight: [P] of the parameters' changes, squared, in what is the least.
+            weight: [P] of the parameters' squared changes in that smallest change.
         """
         J = self.observation.shape.taken_from(other.observation.shape, other.J)
         size = float(step @ (weight * step))
@@ -335,8 +336,8 @@ class Comparison:
 
     @cached_property
     def rms(self) -> float:
-        """Robust root mean square distance of points from the skin, and of what lies bare from the
-        points [m]."""
+        """Robust root mean square distance of points from the skin, and of skin without points from
+        the points [m]."""
         rows, c = self.rows, self.observation.noise.straying
         squares = 2.0 * c**2 * (np.sqrt(1.0 + (rows.rho / c) ** 2) - 1.0)
         return math.sqrt(float((rows.counts * squares).sum() / max(rows.counts.sum(), 1e-9)))
@@ -443,7 +444,7 @@ class Comparisons:
         return math.sqrt(sum(c.rms**2 for c in self.parts) / len(self.parts))
 
     def follow(self, other: Comparisons) -> None:
-        """Begin the registrations where those of comparisons nearby have ended."""
+        """Start the registrations from the results of comparisons nearby."""
         for mine, theirs in zip(self.parts, other.parts, strict=True):
             mine.follow(theirs)
 
@@ -453,7 +454,8 @@ class Comparisons:
             mine.take_slopes(theirs, step[k], weight[k])
 
     def value(self, noise: Sequence[NoiseModel]) -> float:
-        """-2 log likelihood with each recording's noise, up to what that alone says."""
+        """-2 log likelihood with each recording's noise, up to a constant that depends on the noise
+        only."""
         return sum(c.fit(n).value for c, n in zip(self.parts, noise, strict=True))
 
     def slopes(self, noise: Sequence[NoiseModel]) -> tuple[Array, Array]:
@@ -493,11 +495,12 @@ class Fit:
 
     noise: NoiseModel
     value: float
-    """-2 log likelihood at the registered nuisance, up to what the noise alone says."""
+    """-2 log likelihood at the registered nuisance parameters, up to a constant that depends on the
+    noise only."""
     gradient: Array
     """[P] half its slope."""
     hessian: Array
-    """[P, P] half its curvature, with the nuisance integrated out."""
+    """[P, P] half its curvature, with the nuisance parameters marginalised."""
     a: Array
     """[S + 7] displacement's coefficients [m], rigid motion [m, rad], skin [m]."""
     M: Array
@@ -517,8 +520,8 @@ class Fit:
         return math.sqrt(self.loss / max(self.count, 1e-9))
 
     def better_noise(self, rounds: int) -> NoiseModel:
-        """Noise that makes the clouds more likely, by rounds of expectation and maximisation with
-        the points belonging where they do now."""
+        """Noise of higher likelihood, by rounds of expectation and maximisation with fixed
+        correspondences."""
         noise, S, a = self.noise, self.smooth, self.a
         # of the residuals alone, in m^2
         D = (self.M - np.diag(self._precision(noise))) * noise.sensor**2

@@ -163,7 +163,7 @@ def _line_between(
         first = [t for t in frames[:5] if len(recording.frame(t)) == len(cloud)]
         x = np.stack([recording.frame(t) for t in first]).astype(float)
         if len(first) == 5 and not recording.extra.get("static", False):
-            # what a parabola through five frames says of the first
+            # the speed in the first frame, by a parabola through five
             t = recording.time[first] - recording.time[first[0]]
             fit = np.polynomial.polynomial.polyfit(t, x.reshape(len(t), -1), 2)
             speeds = fit[1].reshape(-1, 3)
@@ -202,7 +202,7 @@ def _line_from(
     axis = far.mean(axis=0) / np.linalg.norm(far.mean(axis=0))
     side = np.array([-axis[1], axis[0]])
     along, across = flat @ axis, flat @ side
-    # bends of the visible line, held straight where a hole in the cloud leaves it open
+    # curvature of the visible line; straight across holes in the cloud
     fit = np.polynomial.Polynomial.fit(along, across, 2, domain=[0.0, length])
     keep = np.abs(across - fit(along)) < 2.0 * np.std(across - fit(along)) + 1e-6
     fit = np.polynomial.Polynomial.fit(along[keep], across[keep], 2, domain=[0.0, length])
@@ -225,7 +225,8 @@ def _place_cloth(
     assert width is not None and height is not None  # the recording's own check
     thickness = described.thickness
     if thickness is None:
-        # of sheets that bend alike a thicker one gives way more in its plane, as what is woven does
+        # of two sheets of equal bending stiffness the thicker one is softer in its plane, as woven
+        # cloth is
         thickness = 0.002
         notes.append(f"thickness not stated: {thickness * 1e3:.3g} mm assumed")
     grip = recording.gripper_position[frames[0], 0].astype(float)
@@ -291,14 +292,14 @@ def _cloth_yaw(recording: Recording, frames: tuple[int, ...], width: float, heig
 
 
 def _outline_yaw(points: Array, first: Array, sides: Array, *, filled: bool) -> tuple[float, float]:
-    """The turn with which a rectangle holds points [n, 2] best, and how badly [m].
+    """The rotation with which a rectangle fits points [n, 2] best, and its residual [m].
 
     Args:
         points: Seen from the point that it turns about.
         first: [2] its first corner from there, not turned.
         sides: [2].
-        filled: Whether points are to fill it, too: then what counts is the mean distance of points
-            from it and of it from points, else the former.
+        filled: Whether points should fill it, too: the residual is then the mean of the distances
+            from points to it and from it to points, else of the former only.
     """
     every = math.ceil(len(points) / OUTLINE_POINTS)
     points, grid = points[::every], (np.indices((12, 12)).reshape(2, -1).T + 0.5) / 12.0

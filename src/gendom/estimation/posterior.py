@@ -1,9 +1,9 @@
-"""What is known after a recording: a Gaussian in transformed parameters, calibrated on others.
+"""The posterior of a recording: a Gaussian in transformed parameters, with calibrated deviations.
 
-The likelihood's own deviations are too small where a simulation is not the world. How much is read
-off lifts whose truth is known: `gendom reproduce coverage` records random objects in the second
-reality, estimates them and writes, for each unknown, by what deviations have to be multiplied and
-what must be added to them (`assets/calibration.json`).
+The likelihood's own deviations are wrong, because the simulator is not exact. The calibration comes
+from lifts whose true parameters are known: `gendom reproduce coverage` records random objects in
+the second reality, estimates them and writes, for each unknown, the factor of its deviations and
+the variance to add (`assets/calibration.json`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from gendom.estimation.theta import UNKNOWNS, Prior, Theta, owners_of
 Array = NDArray[np.floating]
 
 IDENTIFIABLE = 0.5
-"""A parameter is determined where a recording cuts its prior deviation at least this far."""
+"""A parameter counts as determined where its posterior deviation is at most this share of the
+prior's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +64,7 @@ class Posterior:
     covariance: Array
     """[P, P]."""
     bases: tuple[Theta, ...]
-    """For each recording everything that was not looked for."""
+    """For each recording the values of everything that was not estimated."""
 
     @classmethod
     def calibrated(
@@ -74,7 +75,7 @@ class Posterior:
         bases: Sequence[Theta],
         calibration: Calibration,
     ) -> Posterior:
-        """With deviations as they prove to be, but no wider than the prior's."""
+        """With calibrated deviations, which are at most those of the prior."""
         own = np.sqrt(np.diag(covariance))
         sd = np.array([calibration.sd(n, s) for n, s in zip(prior.names, own, strict=True)])
         share = np.minimum(sd, np.maximum(prior.sd, own)) / own
@@ -121,8 +122,8 @@ class Posterior:
         return u.value(low), u.value(high)
 
     def product(self, powers: Mapping[str, float], level: float) -> tuple[float, float]:
-        """Ends of the interval of a product of powers of positive unknowns of the object, over
-        which their doubt is one; those that were not looked for are as they are known."""
+        """Ends of the interval of a product of powers of positive unknowns of the object, with
+        their joint uncertainty; unknowns that were not estimated are taken as exact."""
         centre, low, high = 0.0, 0.0, 0.0
         slope = np.zeros(len(self.names))
         for name, power in powers.items():

@@ -13,8 +13,8 @@ from gendom.estimation.theta import UNKNOWNS, Prior, Theta, prior_of
 from gendom.materials.catalogue import Listed
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "cloth": (0.01, 0.2)}
-"""Bending lengths that are looked for, in lengths of a rope or diagonals of a cloth: below it hangs
-like a chain, above it is a stick."""
+"""Range of bending lengths that is searched, in lengths of a rope or diagonals of a cloth: below it
+the object hangs like a chain, above it it does not bend."""
 
 
 def recording_prior(
@@ -51,11 +51,11 @@ def recording_prior(
             "low": moduli[0], "high": moduli[1],
             "mean": math.exp(logs.mean()), "sd": float(np.ptp(logs)) / 2,
         },
-        # an arm trails its commands, and what it is sent to is a point of the hand
+        # an arm follows its commands with a delay, and commands are for a point of the hand
         "grip_height": {"sd": 0.002 if measured else (0.02 if kind == "cloth" else 0.01)},
         "delay": {"sd": 0.02 if measured else 0.1, "mean": 0.0 if measured else 0.05},
         "grip_along": {"sd": 0.002 if described.grasp_inset is not None else 0.008},
-        # what is assumed is hardly known to within a factor of two
+        # an assumed value is uncertain by about a factor of two
         "thickness": {} if _thickness_stated(described) else {"sd": 0.5},
     }  # fmt: skip
     if kind == "cloth":
@@ -82,15 +82,14 @@ def _thickness_stated(described: ObjectDescription) -> bool:
 
 
 _NINE_OF_TEN = NormalDist().inv_cdf(0.95)
-"""Deviations on either side of a Gaussian's mean, between which nine of ten lie."""
+"""Half width of a Gaussian's central 90 % interval, in deviations."""
 
 
 def material_prior(
     material: Listed, kind: str, moduli: tuple[float, float]
 ) -> dict[str, dict[str, float]]:
-    """Means and deviations by unknown, of which a material's ranges hold nine of ten.
-
-    What is typical is the mean, or the median where the logarithm is Gaussian.
+    """Means and deviations by unknown such that a material's ranges hold 90 % of the prior. The
+    typical value is the mean, or the median where the logarithm is Gaussian.
 
     Args:
         material: Of the catalogue.
@@ -147,14 +146,14 @@ def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:
 def first_guesses(recording: Recording) -> list[dict[str, float]]:
     """Values of a recording's own unknowns from which a search should begin.
 
-    Where a cloth's corner was sent by commands, a level one at the stated point and one that
-    hangs at fingertips below it look alike from afar, and a search from one stays there.
+    With commanded gripper positions, a level corner at the stated point and a hanging corner at
+    fingertips below it give similar clouds, and a search from one does not reach the other.
     """
     described = recording.object
     if described.kind != "cloth" or described.grasp != "corner":
         return [{}]
     if recording.gripper_axis is not None:
-        return [{}]  # it says how the corner hangs
+        return [{}]  # the axis gives the direction of the corner
     hanging = {"grip_tilt": 1.4}
     if recording.gripper_source != "measured":
         hanging |= {"grip_along": 0.02, "grip_height": -0.02, "delay": 0.1}

@@ -1,4 +1,4 @@
-"""What every method of estimation is given, and what it gives back."""
+"""Input and output of every method of estimation."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ class EstimateSettings:
     method: str = "gauss-newton"
     """One of `gendom.estimation.METHODS`."""
     starts: int = 3
-    """Where a search begins: what a scan finds best, and random places."""
+    """Number of starts of a search: the best of a scan, and random ones."""
     unknowns: tuple[str, ...] = ()
-    """Names of `UNKNOWNS` that are looked for; by default what the recording may show."""
+    """Names of the `UNKNOWNS` to estimate; by default those that the recording may determine."""
     frames: str = "all"
     """``all`` or ``last``: the frames that are compared."""
     camera_pose: str | None = None
-    """``stated``: the cameras' errors are those of a calibration; ``unknown``: where they are has
-    to be found, too. None: as each recording says."""
+    """``stated``: the cameras' errors are those of a calibration; ``unknown``: their poses are
+    estimated, too. None: as each recording says."""
     max_iterations: int = 25
     """Batches that a search may simulate; of `gauss-newton`, whose trials need no derivatives, half
     of them."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Of all random draws."""
     level: float = 0.9
-    """Probability that the intervals claim."""
+    """Nominal probability of the intervals."""
     scene: SceneSettings = field(default_factory=SceneSettings)
     noise: NoiseModel = field(default_factory=NoiseModel)
 
@@ -75,7 +75,7 @@ class Progress:
     stage: str
     iteration: int
     most: int
-    """Iterations that there can be."""
+    """Largest number of iterations."""
     best: Theta
     rms: float
     """Distance of the clouds from the best fit's skin [m]."""
@@ -83,7 +83,7 @@ class Progress:
 
 @dataclass(kw_only=True)
 class Start:
-    """One place where a search began, and where it has got."""
+    """A start of a search, and its current point."""
 
     initial: Array
     """[P] transformed."""
@@ -91,7 +91,7 @@ class Start:
     """[P] transformed."""
     comparison: Comparisons | None = None
     value: float = math.inf
-    """Of what the method makes small."""
+    """Of the method's objective."""
     damping: float = 1e-3
     """Levenberg's and Marquardt's."""
     iterations: int = 0
@@ -103,7 +103,8 @@ class Start:
     history: list[tuple[int, Array, float]] = field(default_factory=list)
     """Iteration, vector, and root mean square distance [m]."""
     coarse: int | None = None
-    """Its last iteration with part of the unknowns or of the clouds; None: there is no such stage.
+    """Last iteration of the coarse stage, which takes part of the unknowns or clouds; None: there
+    is none.
     """
 
     def stage(self, iteration: int, method: str) -> str:
@@ -120,7 +121,7 @@ class Found:
     best: Start
     starts: Sequence[Start]
     noise: tuple[NoiseModel, ...]
-    """Of each recording, with which its comparison is to be read."""
+    """Of each recording; its comparison is evaluated with it."""
     interrupted: bool = False
     covariance: Array | None = None
     """[P, P] transformed, of methods that state their own; None: that of the likelihood."""
@@ -134,9 +135,9 @@ class Part:
 
     scene: Scene
     base: Theta
-    """Everything that is not looked for."""
+    """Values of everything that is not estimated."""
     shown: NDArray[np.intp]
-    """[P_k] the problem's unknowns of which it shows something."""
+    """[P_k] the problem's unknowns that this recording depends on."""
     noise: NoiseModel
     """First guess."""
     name: str
@@ -146,15 +147,15 @@ class Part:
     def observation(self) -> Observation:
         return Observation(self.scene, self.noise)
 
-    def said(self, reason: str) -> str:
-        """With the name of the recording that it is true of."""
+    def named(self, reason: str) -> str:
+        """With the name of the recording in front."""
         return f"{self.name}: {reason}" if self.name else reason
 
     @cached_property
     def easier(self) -> Part:
-        """The same to begin with: of a rope the frames alone in which nothing moves fast, where
-        there are enough (what it does fast depends on the way that it was before); a cloth with
-        fewer points, as are its clouds."""
+        """The coarse problem, for the first stage of a search: of a rope only frames without fast
+        motion, where there are enough (fast motion depends on the earlier motion, too); of a cloth
+        fewer simulated and recorded points."""
         scene, settings = self.scene, self.scene.settings
         if scene.kind == "cloth" and scene.thin and settings.points is None:
             coarse = Scene.of(scene.recording, replace(settings, points=settings.coarse_points))
@@ -168,7 +169,7 @@ class Part:
 class Problem:
     """Scenes of one object with unknowns, as a function to minimise.
 
-    The material's unknowns are the object's, all others each recording's own.
+    All recordings share the unknowns of the material; all others have a value for each recording.
 
     Args:
         scenes: What was recorded, one or more times.
@@ -234,7 +235,7 @@ class Problem:
         return easier
 
     def finer(self, vector: Array) -> Problem:
-        """The same with scenes as fine as what was found needs, see `Scene.finer`."""
+        """The same with the resolution that the found parameters need, see `Scene.finer`."""
         scenes = [p.scene.finer(self.theta(vector, k)) for k, p in enumerate(self.parts)]
         if all(s is p.scene for s, p in zip(scenes, self.parts, strict=True)):
             return self
@@ -306,8 +307,7 @@ class Problem:
         Args:
             vectors: [P] each.
             derivatives: Whether they know how shapes change with parameters.
-            free: Indices of the parameters that matter (default: all); shapes are taken not to
-                change with the others.
+            free: Indices of the free parameters (default: all); derivatives by the others are 0.
         """
         columns = [
             self._compared(recording, vectors, derivatives, free)
@@ -316,7 +316,7 @@ class Problem:
         return [self.joined(row) for row in zip(*columns, strict=True)]
 
     def joined(self, parts: Sequence[Comparison | None]) -> Comparisons | None:
-        """What recordings' comparisons say together; None where one could not be simulated."""
+        """The joint comparison of all recordings; None where one could not be simulated."""
         whole = tuple(c for c in parts if c is not None)
         if len(whole) < len(self.parts):
             return None
@@ -330,7 +330,7 @@ class Problem:
         derivatives: bool,
         free: Sequence[int] | None,
     ) -> list[Comparison | None]:
-        """`compare` of one recording, by the unknowns of which it shows something."""
+        """`compare` of one recording, by the unknowns that it depends on."""
         prior, part = self.prior, self.parts[recording]
         moved = [n for n, k in enumerate(part.shown) if derivatives and (free is None or k in free)]
         steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
@@ -349,7 +349,7 @@ class Problem:
             if not np.isfinite(own).all():
                 found.append(None)
                 continue
-            # shapes of what is not free are those of the point itself
+            # parameters that are not free do not change the shape
             which = np.zeros(1 + len(part.shown), dtype=int)
             which[[1 + k for k in moved]] = 1 + np.arange(len(moved))
             which = which if derivatives else which[:1]
@@ -373,17 +373,18 @@ class Problem:
         return along
 
     def compares(self, comparison: Comparisons) -> bool:
-        """Whether a comparison is with all that there is here, not with an easier problem's."""
+        """Whether a comparison has all frames and points of this problem, not those of a coarse
+        one."""
         parts = zip(comparison.parts, self.parts, strict=True)
         return all(c.observation is part.observation for c, part in parts)
 
     def like(self, comparison: Comparisons) -> bool:
-        """Whether a comparison, of this problem or an easier one, is of the same frames."""
+        """Whether a comparison, of this problem or a coarse one, has the same frames."""
         parts = zip(comparison.parts, self.parts, strict=True)
         return all(c.observation.scene.frames == part.scene.frames for c, part in parts)
 
     def value(self, vector: Array, comparison: Comparisons, noise: Sequence[NoiseModel]) -> float:
-        """-2 log of likelihood times prior, up to what the noise alone says."""
+        """-2 log of likelihood times prior, up to a constant that depends on the noise only."""
         off = (vector - self.prior.mean) / self.prior.sd
         return comparison.value(noise) + float(off @ off)
 
@@ -418,12 +419,12 @@ class Problem:
 
 
 def recording_names(count: int) -> tuple[str, ...]:
-    """What recordings are called that have no name."""
+    """Default names of recordings."""
     return ("",) if count == 1 else tuple(f"recording {k + 1}" for k in range(count))
 
 
 def _check_one_object(scenes: Sequence[Scene], names: Sequence[str]) -> None:
-    """Refuse recordings of which the descriptions differ.
+    """Refuse recordings whose object descriptions differ.
 
     Raises:
         ParameterError: They do, or there is no recording.

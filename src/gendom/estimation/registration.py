@@ -1,9 +1,9 @@
-"""Clouds of cameras whose poses are unknown, moved to where the robot is.
+"""Registration of clouds from cameras with unknown poses to the robot's frame.
 
-A recording then says how the gripper moved in the robot's frame, and how points lie to each other,
-but not where they are in that frame. What is held hangs from the gripper: that gives a first shift.
-Then a simulated object is placed where the clouds show it, and clouds are moved onto it, in turns.
-What is left is a nuisance of the likelihood, with a wide prior.
+The gripper's path is known in the robot's frame, the clouds are not. The held point lies at the
+gripper, which gives a first shift. Then a simulated object is placed where the clouds are and the
+clouds are registered to it, in turns. The remaining error is a nuisance parameter of the
+likelihood, with a wide prior.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ ROUNDS = 5
 """Of placing the object and moving the clouds, at most."""
 
 ARRIVED = (0.002, 0.005)
-"""Motion after which they have arrived: [m] at the clouds' centre, and [rad]; so little is linear,
-as the likelihood takes it to be."""
+"""Registration ends below this motion: [m] at the clouds' centre, and [rad]; the likelihood
+linearises motions of this size."""
 
 AFAR = {"sensor": 0.005, "rounds": 8}
 """Noise [m] and pairings with which clouds are moved."""
@@ -101,8 +101,8 @@ def first_shift(recording: Recording) -> Array:
 
 
 def _scanned(problem: Problem) -> tuple[Array, Comparison, NoiseModel]:
-    """Of a scan over the modulus and all guesses of how the object is held, what fits best after
-    registration: [P] transformed, and with which noise."""
+    """The best fit after registration of a scan over the modulus and all guesses of the grip: [P]
+    transformed, and its noise."""
     prior, part = problem.prior, problem.parts[0]
     vectors = [prior.vector(part.base.with_values(guess)) for guess in part.scene.guesses]
     if "specific_modulus" in prior.names:

@@ -1,4 +1,4 @@
-"""A scene and parameters to positions: what a recording would show of that object."""
+"""`replay`: simulated positions of an object in a scene, for given parameters."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Array = NDArray[np.floating]
 def material_of(scene: Scene, theta: Theta) -> Material:
     """The object's material for these parameters.
 
-    A scene's body is as thick as stated. With its mass, E of one that is r times as thick has to be
-    r^2 times as much for it to bend alike: stiffness over weight goes with the square of the radius
-    of gyration, of ropes and of sheets.
+    A scene's body is as thick as stated. With its mass, an object that is r times as thick takes
+    r^2 times the E, so that it bends equally: stiffness over weight goes with the square of the
+    radius of gyration, of ropes and of sheets.
     """
     E, membrane = theta.specific_modulus * theta.thickness**2 * scene.density, None
     if scene.kind == "cloth" and scene.thin:
@@ -88,7 +88,7 @@ def replay(
     """
     simulator, times = simulator_of(scene, thetas)
     x = simulator.run(times, keep_going=keep_going, on_frame=on_frame).astype(float)
-    # what is thicker lies higher: as if the table were, and grippers were lower
+    # a thicker object lies higher: its table is raised and its grippers are lowered
     x[..., 2] += np.array([scene.rise(theta) for theta in thetas])[:, None]
     return x
 
@@ -204,7 +204,7 @@ def held_reach(scene: Scene, theta: Theta | None = None) -> float:
     described = scene.recording.object
     stated = described.grasp_radius
     if scene.kind == "rope" and len(scene.held) > 1:
-        # what lies between a gripper's point and the end is held, and as much beyond
+        # a gripper holds the part from its point to the end, and as much on the other side
         ends = scene.initial[[0, -1]]
         return stated or max(
             float(np.linalg.norm(ends - scene.held, axis=1).max()), 0.5 * scene.body.thickness

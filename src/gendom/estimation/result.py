@@ -33,7 +33,7 @@ KEYS = {
     "damping": "damping",
     "friction": "friction",
 }
-"""Names in the file of the material's unknowns, where they are others; `bending_length`,
+"""Names of the material's unknowns in the file; `bending_length`,
 `youngs_modulus` and `bending_stiffness` follow from the first."""
 
 
@@ -67,7 +67,7 @@ class RecordingFit:
         )
 
     def record(self, comparison: Comparison, noise: NoiseModel) -> dict[str, Any]:
-        """What the file says of this recording alone."""
+        """The file's entries for this recording."""
         scene, fit = self.scene, comparison.fit(noise)
         return {
             "theta": {n: v for n, v in asdict(self.theta).items() if not UNKNOWNS[n].material},
@@ -87,6 +87,7 @@ class RecordingFit:
             },
             "compared": list(scene.frames),
             "begins_with": scene.begins_with,
+            "digest": scene.digest,
             "simulation": {
                 **asdict(scene.settings),
                 "points_simulated": len(scene.initial),
@@ -109,8 +110,8 @@ class Estimate(Shown):
     record: dict[str, Any] = field(repr=False)
     """The JSON document, format ``gendom-estimate/1``: SI units; ``intervals`` and ``bounds``, the
     range that was searched, hold [low, high] by the names of the values; ``intervals`` is null
-    where the verdict is not usable; ``recordings`` holds what is each recording's own, of which the
-    first's is above, too. Files of older versions lack some keys."""
+    where the verdict is not usable; ``recordings`` has the entries of each recording; those of the
+    first are at the top level, too. Files of older versions lack some keys."""
     fits: tuple[RecordingFit, ...] = field(default=(), repr=False)
     """One for each recording; empty of an estimate that was read from a file."""
 
@@ -206,29 +207,29 @@ def table_rows(record: dict[str, Any]) -> list[tuple[str, str, str]]:
     for key, name, unit, form in names:
         if record.get(key) is None:
             continue
-        said = []
+        remarks = []
         ends = (record["intervals"] or {}).get(key)
         if ends is not None:
-            said.append(f"{level} in [{ends[0]:{form}}, {ends[1]:{form}}]")
+            remarks.append(f"{level} in [{ends[0]:{form}}, {ends[1]:{form}}]")
         if (record.get("identifiable") or {}).get(key) is False:
-            said.append("not determined: mostly the prior")
+            remarks.append("not determined: mostly the prior")
         if key == "density" and record.get("density_assumed"):
-            said.append("assumed: the mass is unknown")
-        rows.append((name, f"{record[key]:{form}} {unit}".strip(), ", ".join(said)))
+            remarks.append("assumed: the mass is unknown")
+        rows.append((name, f"{record[key]:{form}} {unit}".strip(), ", ".join(remarks)))
     return rows
 
 
 def chamfers(scene: Scene, x: Array, theta: Theta) -> tuple[Array, Array]:
     """Chamfer distance a frame, to all of the object and to what the cameras could see [T] [m].
 
-    What lies outside the recorded space (`Scene.floor`) cannot have points near it and does not
-    count on its side. Without camera positions a rope is seen from above; of a cloth everything
-    counts, since both of its sides lie where the cloud is.
+    Parts of the object outside the recorded space (`Scene.floor`) have no points near and do not
+    count. Without camera positions a rope is seen from above; of a cloth everything counts, since
+    both of its sides lie where the cloud is.
 
     Args:
         scene: What was recorded.
         x: [T, N, 3] positions at its frames [m].
-        theta: Of these, how thick the object is.
+        theta: Parameters; the thickness is used.
     """
     whole, surface = [], []
     cameras = scene.recording.camera_positions
@@ -274,12 +275,12 @@ def result_of(
     """Everything about a finished search.
 
     Args:
-        problem: What was looked for.
-        found: What came out.
+        problem: The problem.
+        found: The result of the search.
         posterior: Of all recordings.
-        alone: Of each by itself; empty where that was not looked for.
+        alone: Of each recording alone; empty where that was not computed.
         verdict: Whether it is usable.
-        seconds: For how long was searched.
+        seconds: Duration of the search [s].
     """
     scene, settings, theta = problem.scene, problem.settings, posterior.theta
     comparison = found.best.comparison
@@ -370,7 +371,7 @@ def result_of(
 
 
 def _by_itself(alone: Sequence[Posterior], level: float) -> dict[str, Any] | None:
-    """What one recording says of E / density by itself, None where it was not asked."""
+    """E / density from one recording alone, None where that was not computed."""
     name = "specific_modulus"
     if not alone or name not in alone[0].names:
         return None
@@ -380,13 +381,13 @@ def _by_itself(alone: Sequence[Posterior], level: float) -> dict[str, Any] | Non
 def _ranges(
     problem: Problem, posterior: Posterior
 ) -> tuple[dict[str, list[float]], dict[str, list[float]], dict[str, bool]]:
-    """Intervals, ranges that were searched, and what is determined, by the record's names."""
+    """Intervals, searched ranges, and whether each value is determined, by the record's names."""
     scene, level = problem.scene, problem.settings.level
     intervals: dict[str, list[float]] = {}
     bounds: dict[str, list[float]] = {}
     known: dict[str, bool] = {}
     mass = scene.mass_power if scene.recording.object.mass is not None else 0
-    # of a known weight, bending stiffness goes with the square; else the weight grows, too
+    # with a known mass, bending stiffness is proportional to the square; else the mass grows, too
     weight = 2 if mass else 2 + scene.mass_power
     for k, name in enumerate(posterior.names):
         u = UNKNOWNS[name]
@@ -404,7 +405,7 @@ def _ranges(
             continue
         theta = posterior.theta
         for of, value, thicker, power in (
-            # what goes with which powers of E / density and thickness
+            # exponents of E / density and thickness in each value
             ("youngs_modulus", theta.specific_modulus * scene.density_of(theta), -mass, 1.0),
             ("bending_length", _bending_length(scene, theta), 2.0, 1.0 / 3.0),
             ("bending_stiffness", bending_stiffness(scene, theta), weight, 1.0),

@@ -1,4 +1,5 @@
-"""What a recording says before any parameter is known: a `Scene`, made once and never changed."""
+"""A `Scene`: everything about a recording that does not depend on unknown parameters. It is made
+once and never changed."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """A recorded object at rest, what held it and where, and what is compared.
+    """A recorded object at rest, its grippers, and the frames that are compared.
 
     A rope lies along its visible centre line, from the gripper on, as long as stated; a cloth is
     the flat rectangle that holds most of the recorded points, held where the recording says. Held
@@ -62,8 +63,11 @@ class Scene:
     """That is simulated [kg/m^3]."""
     begins_with: str = ""
     """`Recording.begins_with`, before any registration."""
+    digest: str = ""
+    """`Recording.digest`, likewise."""
     registration: Array | None = None
-    """[4, 4] by which the recording's clouds were moved [m]; None: cameras are where they say."""
+    """[4, 4] by which the recording's clouds were moved [m]; None: the stated camera poses are
+    taken."""
     notes: tuple[str, ...] = field(default=())
     """What was assumed."""
 
@@ -79,8 +83,8 @@ class Scene:
         Args:
             recording: What was recorded.
             settings: How it is simulated.
-            registration: [4, 4] what brings clouds of cameras with unknown poses to the robot's
-                frame [m]; None: they are there.
+            registration: [4, 4] transform from clouds of cameras with unknown poses to the robot's
+                frame [m]; None: the clouds are in that frame.
 
         Raises:
             RecordingError: The recording shows too little to place the object.
@@ -88,6 +92,7 @@ class Scene:
         """
         settings = settings or SceneSettings()
         begins_with = recording.begins_with if recording.frame_valid.any() else ""
+        digest = recording.digest
         notes: list[str] = []
         if registration is not None:
             middle = recording.points.mean(axis=0, dtype=float)
@@ -125,6 +130,7 @@ class Scene:
             clock=clock,
             density=density,
             begins_with=begins_with,
+            digest=digest,
             registration=registration,
             notes=tuple(notes),
         )
@@ -135,7 +141,7 @@ class Scene:
 
     @property
     def thin(self) -> bool:
-        """Whether the engine knows a rope by its centre line, a cloth by its middle surface."""
+        """Whether the engine models a rope by its centre line, a cloth by its middle surface."""
         return self.settings.engine == "thin"
 
     @property
@@ -191,13 +197,13 @@ class Scene:
         return self.body.thickness / share
 
     def bending_length(self, specific_modulus: float, thickness: float = 1.0) -> float:
-        """[m], of an object so many times as thick as stated."""
+        """[m], of an object whose thickness is this multiple of the stated one."""
         k = thickness * self.radius_of_gyration
         return bending_length(specific_modulus, k, STANDARD_GRAVITY)
 
     @property
     def mass_power(self) -> int:
-        """With which power of its thickness the object's volume goes."""
+        """Exponent of the thickness in the object's volume."""
         return 2 if self.kind == "rope" else 1
 
     def density_of(self, theta: Theta) -> float:
@@ -208,15 +214,15 @@ class Scene:
         return self.density / theta.thickness**self.mass_power
 
     def rise(self, theta: Theta) -> float:
-        """How much higher the middle of an object lies on its table than one as thick as stated
+        """How much higher the middle of an object lies on its table than with the stated thickness
         [m]."""
         if self.recording.table_height is None or len(self.held) > 1:
             return 0.0
         return 0.5 * (theta.thickness - 1.0) * self.body.thickness
 
     def finer(self, theta: Theta) -> Scene:
-        """The same with points near enough to each other for a cloth that bends so easily, unless
-        it has them or their number was chosen."""
+        """The same with the resolution that a cloth of this bending length needs, unless it has it
+        or the settings fix the number of points."""
         settings, described = self.settings, self.recording.object
         if self.kind != "cloth" or not self.thin or settings.points is not None:
             return self
@@ -231,12 +237,14 @@ class Scene:
             frames=self.frames,
             calm=self.calm,
             begins_with=self.begins_with,
+            digest=self.digest,
             registration=self.registration,
             notes=(*self.notes, f"simulated with {points} points along its longer side"),
         )
 
     def body_of(self, theta: Theta) -> Body:
-        """As thick as estimated, to be shown; what is simulated is as thick as stated."""
+        """The body with the estimated thickness, for display; simulations take the stated
+        thickness."""
         return replace(self.body, thickness=theta.thickness * self.body.thickness)
 
     def specific_modulus(self, bending: float) -> float:
@@ -299,11 +307,11 @@ class Scene:
 
     @property
     def guesses(self) -> list[dict[str, float]]:
-        """Values of a recording's own unknowns from which a search should begin."""
+        """Starting values of a recording's own unknowns."""
         return first_guesses(self.recording)
 
     def prior(self, wanted: tuple[str, ...] = ()) -> tuple[Prior, Theta]:
-        """What is looked for here, its prior, and the estimate that has everything else.
+        """The prior of the unknowns to estimate, and default values of all others.
 
         Args:
             wanted: Names; by default what a recording of this kind shows.
@@ -359,7 +367,7 @@ def _choose_clock(recording: Recording, settings: SceneSettings) -> float:
     steps = np.linalg.norm(np.diff(path, axis=0), axis=-1).max(axis=1)
     moving = steps > 0.1 * steps.max()
     speed = float(steps[moving].sum() / max(float(np.diff(time)[moving].sum()), 1e-9))
-    # what is hardly slower is not hurried: it does not swing where the world did not
+    # motion near that speed keeps its clock: a faster one would make the object swing
     clock = settings.quasi_static_speed / max(speed, 1e-9)
     return clock if clock > 1.5 else 1.0
 
@@ -367,7 +375,7 @@ def _choose_clock(recording: Recording, settings: SceneSettings) -> float:
 def _hanging(
     recording: Recording, settings: SceneSettings, frames: tuple[int, ...]
 ) -> tuple[int, ...]:
-    """Frames in which a cloth that is held by a corner hangs, all others' without change."""
+    """Frames in which a cloth that is held by a corner hangs; all frames of other objects."""
     described = recording.object
     if described.kind != "cloth" or described.grasp != "corner":
         return frames

@@ -14,9 +14,9 @@ SHELL_POINTS = 33
 points, which take half the time, 1.46 and 1.12 times."""
 
 SHELL_SPACING, MOST_SHELL_POINTS = 1.0 / 3.0, 49
-"""Of what is found with those, limp cloths are estimated once more with points so many bending
-lengths apart, up to so many, where that is a tenth more or above. A cloth that bends over 0.056 of
-a side moved like MuJoCo's with 45 points, with 33 if its E was 1.5 times as large."""
+"""Limp cloths are then estimated again with points this many bending lengths apart, up to the
+largest number below, where that is at least a tenth more. A cloth that bends over 0.056 of a side
+moved like MuJoCo's with 45 points, with 33 if its E was 1.5 times as large."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,9 +32,9 @@ class SceneSettings:
     """Of a rod, or along the longer side of a shell; None: the engine's own for ropes,
     `SHELL_POINTS` for cloths."""
     stretch: float = 0.002
-    """A cloth's own weight lengthens it by this at most, hanging by a side: what E makes stiffer in
-    its plane is simulated as soft as that. Then steps are longer: two to four times for cloths that
-    bend over 25 to 45 mm and are 0.5 to 1 mm thick."""
+    """A cloth's own weight lengthens it by this at most, hanging by a side: the simulated stiffness
+    in its plane is limited to that. This allows longer time steps: two to four times for cloths
+    that bend over 25 to 45 mm and are 0.5 to 1 mm thick."""
     coarse_points: int = 21
     """Along the longer side of a shell, where a search begins."""
     cells_across: float = 1.5
@@ -58,7 +58,7 @@ class SceneSettings:
     after_fast: float = 1.5
     """Time for which an object goes on moving after its gripper was fast or let go [s]."""
     longest: float = 300.0
-    """Longest motion that is simulated [s]; a lift takes ten."""
+    """Longest motion that is simulated [s]; a lift takes 10 s."""
     slow_frames: int = 36
     """Frames that are compared where the gripper is slow, at most."""
     hangs: float = 0.15

@@ -1,4 +1,5 @@
-"""The middle line of a rope, or middle surface of a cloth, to which points belong: a `Shape`."""
+"""A `Shape`: the middle line of a rope or middle surface of a cloth, to which points are
+assigned."""
 
 from __future__ import annotations
 
@@ -99,7 +100,7 @@ class Shape:
 
 
 def _tree(points: Array) -> KDTree:
-    """For as many questions as it has points: a tree that is built fast."""
+    """A tree that is built fast, for about as many queries as it has points."""
     return KDTree(points, balanced_tree=False, compact_nodes=False)
 
 

@@ -1,12 +1,11 @@
-"""The paper's test of estimators: lifts that our own simulator has made, with exact clouds.
+"""The paper's test of estimators: lifts of our own simulator, with exact clouds.
 
 The authors' scene is a cube of 1 m with density 1 and gravity 12 (`gendom.sim.PAPER`). Here it is
 the same lift at standard gravity: lengths as they are, times longer by sqrt(12 / g), E over density
 smaller by g / 12. E is stated in the paper's units throughout. Their rope's square section is round
-here, and their floor's and gripper's details are ours. Nothing yields.
-
-What clouds show is exact, and the estimator's simulator is the one that made them: what is measured
-is the method, not the model. Source: Kuroki et al. (2024), section IV-A.
+here, and their floor's and gripper's details are ours. There is no plasticity. Clouds are exact and
+made by the estimator's own simulator: the test measures the method, not the model. Source: Kuroki
+et al. (2024), section IV-A.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ EXACT = NoiseModel(
 
 DAMPING = 0.0045
 """Of the rope [s], in the middle of what ropes have. Their particles lose energy on the grid; a rod
-without any damping, jerked into motion, rings, and where it goes depends on E as if by chance."""
+without any damping, jerked into motion, rings, and its motion depends on E irregularly."""
 
 STEPS = np.array([2e-3, 0.05])
 """Of differences in ln E and nu."""
@@ -86,7 +85,7 @@ SEARCHES: dict[str, Callable[[Problem, Array], Found]] = {
     "differential-evolution": lambda problem, start: differential_evolution(problem),
     "pointnet": lambda problem, start: pointnet(problem),
 }
-"""Methods, each from a start [P]; the last two know none."""
+"""Methods, each from a start [P]; the last two take none."""
 
 
 def specific_modulus(E: float) -> float:
@@ -100,7 +99,7 @@ def paper_E(specific_modulus: float) -> float:
 
 
 def truth_of(E: float, nu: float) -> Theta:
-    """Everything that decides the paper's lift."""
+    """All settings of the paper's lift."""
     assert PAPER.table is not None
     friction = float(np.asarray(PAPER.table.friction))
     return Theta(specific_modulus=specific_modulus(E), nu=nu, damping=DAMPING, friction=friction)
@@ -184,7 +183,7 @@ def sim2sim_recording(
 def sim2sim_problem(
     recording: Recording, *, settings: SceneSettings | None = None, **other: Any
 ) -> Problem:
-    """What methods are given: E and nu are unknown in the paper's ranges, all else is known.
+    """The problem: E and nu are unknown in the paper's ranges, all else is known.
 
     Args:
         recording: Of `sim2sim_recording`.
@@ -201,7 +200,7 @@ def sim2sim_problem(
     problem = Problem([scene], chosen, known=truth_of(float(np.mean(E_RANGE)), 0.3))
     logs = np.log([specific_modulus(E) for E in E_RANGE])
     low, high = np.array([logs, NU_RANGE]).T
-    # the paper knows no more than these ranges; without noise differences may be small
+    # the paper's prior is these ranges; without noise differences may be small
     problem.prior = replace(
         problem.prior,
         low=low,

@@ -1,7 +1,7 @@
-"""What a recording leaves unknown: names, units, ranges and priors, each written once.
+"""The unknowns: names, units, ranges and priors, each defined once.
 
-A further unknown is one entry of `UNKNOWNS` and one field of `Theta`; what it does to a replay is
-in `replay`.
+A further unknown is one entry of `UNKNOWNS` and one field of `Theta`; its effect on a replay is in
+`replay`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Array = NDArray[np.floating]
 class Unknown:
     """One number to be estimated, and its prior.
 
-    Its transform, log or none, is where the prior is Gaussian and steps are taken; low, high and
-    mean are in its unit, sd, step and widest step in the transformed one.
+    The prior is Gaussian, and steps are taken, in the transformed value (log or none); low, high
+    and mean are in its unit, sd, step and widest step in the transformed one.
     """
 
     name: str
@@ -41,8 +41,8 @@ class Unknown:
     widest: float
     """Of a search."""
     steps_with: tuple[tuple[str, float], ...] = ()
-    """Unknowns that take so many of its steps, transformed, in a difference: what they make up for
-    must not be left to differences of large changes."""
+    """Unknowns whose difference takes this many of its steps, transformed: nearly equivalent
+    unknowns need differences of small changes."""
     kinds: tuple[str, ...] = ("rope", "cloth")
     """Objects that have it."""
     material: bool = False
@@ -77,7 +77,7 @@ UNKNOWNS: dict[str, Unknown] = {
             log=True, low=3e-4, high=0.2, mean=0.0045, sd=0.86, step=0.1, widest=1.0,
             material=True,
         ),
-        # dry things on tables: 0.1 to 0.8
+        # dry materials on tables: 0.1 to 0.8
         _unknown(
             "friction", "friction", "1", "coefficient of friction on the table",
             low=0.02, high=1.5, mean=0.45, sd=0.22, step=0.03, widest=0.2, material=True,
@@ -87,7 +87,7 @@ UNKNOWNS: dict[str, Unknown] = {
             low=-3.0, high=3.0, mean=0.0, sd=1.0, step=0.05, widest=0.5, kinds=("rope",),
             material=True,
         ),
-        # a ruler on a rope that gives way: half a millimetre of a centimetre
+        # a ruler on a soft rope: half a millimetre of a centimetre
         _unknown(
             "thickness", "thickness / stated", "1",
             "diameter of a rope, thickness of a cloth, over the stated one",
@@ -128,7 +128,7 @@ UNKNOWNS: dict[str, Unknown] = {
         ),
     )
 }  # fmt: skip
-"""Everything that can be looked for, by name."""
+"""All unknowns that can be estimated, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,7 +231,7 @@ def prior_of(names: Iterable[str], changes: Mapping[str, Mapping[str, float]]) -
     """Prior of some unknowns, ``changes`` of a scene to what `UNKNOWNS` says applied.
 
     Args:
-        names: What is looked for.
+        names: Names of the unknowns to estimate.
         changes: By name, other values of low, high, mean, sd, step or widest.
 
     Raises:
@@ -262,8 +262,8 @@ def owners_of(names: Iterable[str]) -> tuple[int | None, ...]:
 
 
 def joint_prior(priors: Sequence[Prior]) -> Prior:
-    """Prior of what several recordings of one object show: the material's unknowns once, as the
-    first recording that shows them has them, and each recording's own."""
+    """Joint prior of several recordings of one object: the material's unknowns once, from the first
+    recording that has them, and the unknowns of each recording."""
     chosen: dict[tuple[str, int | None], tuple[Prior, int]] = {}
     for recording, prior in enumerate(priors):
         for k, (name, owner) in enumerate(zip(prior.names, prior.owners, strict=True)):

@@ -1,4 +1,4 @@
-"""Whether a recording and its fit can be used at all, with reasons in words."""
+"""Whether a recording and its fit are usable, with reasons."""
 
 from __future__ import annotations
 
@@ -26,16 +26,18 @@ class VerdictSettings:
     frames: int = 4
     """Fewest frames with points."""
     moved: float = 0.15
-    """Least way of a gripper: less shows hardly anything of the stiffness."""
+    """Shortest path of a gripper: less shows almost nothing of the stiffness."""
     speed: tuple[float, float] = (5e-4, 4.0)
-    """Slowest and fastest mean speed of a gripper on its way [m/s]: beyond, seconds are none."""
+    """Slowest and fastest mean speed of a gripper on its path [m/s]; other values mean a wrong unit
+    of time."""
     density: tuple[float, float] = (15.0, 25000.0)
-    """Of solids, from cork's foam to gold [kg/m^3]: beyond, kilograms or metres are none."""
+    """Densities of solids, from cork to gold [kg/m^3]; other values mean a wrong unit of mass or
+    length."""
     off: float = 0.035
     """Farthest mean distance of points from the fitted skin. Over 60 good lifts of ropes 0.25 to
     0.36 m long the root mean square is 4.3 mm at most."""
     sensor: float = 0.012
-    """Or this, for small objects [m]: the noise of a poor depth camera."""
+    """The same for small objects [m]: the noise of a poor depth camera."""
     displaced: float = 0.015
     """Largest smooth displacement between model and clouds of a rope that one gripper holds. Over
     those lifts it is 0.010 at most, 0.007 of a real rope; ropes that slip through the fingers have
@@ -44,7 +46,7 @@ class VerdictSettings:
     """The same of a rope between two grippers; of real cables in fast motion 0.010 to 0.016."""
     displaced_cloth: float = 0.01
     """The same of a cloth. Twice its E moves a sheet in a lift by as much (2 to 5 mm of a diagonal
-    of 0.42 m): a larger displacement hides what is looked for."""
+    of 0.42 m): a larger displacement hides the effect of E."""
     bare: float = 0.3
     """Largest share of the object that clouds do not show, in the median frame."""
     stray: float = 0.25
@@ -54,8 +56,8 @@ class VerdictSettings:
     """Largest share of points that lie under the stated table: by 1 cm and more, of a rope by a
     quarter of its diameter (and 4 mm) and more."""
     nuisance: float = 5.0
-    """Most deviations by which a camera, gripper or clock may differ from what is stated, and
-    recordings of one object from each other."""
+    """Largest difference, in deviations, of a camera, gripper or clock from its stated value, and
+    of recordings of one object from each other."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +66,7 @@ class Verdict:
 
     usable: bool
     reasons: tuple[str, ...] = ()
-    """Why not, one sentence each."""
+    """Why it is not usable, one sentence each."""
 
     @property
     def text(self) -> str:
@@ -129,18 +131,18 @@ def judge(
     """The verdict of a fit. Reasons that concern one of several recordings begin with its name.
 
     Args:
-        problem: What was looked for.
-        found: What came out.
-        alone: What each recording says by itself; empty where that is not compared.
+        problem: The problem.
+        found: The result of the search.
+        alone: Posteriors of each recording alone; empty where they are not compared.
         settings: Bounds.
     """
     s, compared = settings or VerdictSettings(), found.best.comparison
     assert compared is not None
     reasons = []
     for k, (part, comparison) in enumerate(zip(problem.parts, compared.parts, strict=True)):
-        said = _faults(part, comparison, found.noise[k], s)
-        said += _pressed(problem, found.best.vector, k, s)
-        reasons += [part.said(reason) for reason in said]
+        faults = _faults(part, comparison, found.noise[k], s)
+        faults += _pressed(problem, found.best.vector, k, s)
+        reasons += [part.named(reason) for reason in faults]
     reasons += _at_end(problem, found.best.vector)
     reasons += _disagreeing(problem, alone, s)
     return Verdict(usable=not reasons, reasons=tuple(reasons))
@@ -182,7 +184,7 @@ def _faults(part: Part, comparison: Comparison, noise: NoiseModel, s: VerdictSet
 
 
 def _at_end(problem: Problem, vector: Array) -> list[str]:
-    """Whether the modulus ends where the search does."""
+    """Whether the modulus lies at a bound of the search."""
     prior = problem.prior
     if "specific_modulus" not in prior.names:
         return []
@@ -194,19 +196,19 @@ def _at_end(problem: Problem, vector: Array) -> list[str]:
 
 def _pressed(problem: Problem, vector: Array, recording: int, s: VerdictSettings) -> list[str]:
     """A recording's own unknowns that are far from their priors."""
-    prior, said = problem.prior, []
+    prior, far = problem.prior, []
     for k in prior.of(recording):
         u, x = UNKNOWNS[prior.names[k]], float(vector[k])
         if not u.material and abs(x - prior.mean[k]) > s.nuisance * prior.sd[k]:
-            said.append(
+            far.append(
                 f"{u.symbol} would have to be {u.value(x):.3g} {u.unit} ({u.meaning}): the stated "
                 "motion or size is wrong"
             )
-    return said
+    return far
 
 
 def _disagreeing(problem: Problem, alone: Sequence[Posterior], s: VerdictSettings) -> list[str]:
-    """Recordings that are not of one E / density: the two that are the most deviations apart."""
+    """Recordings that disagree in E / density: the two that differ by the most deviations."""
     name = "specific_modulus"
     if name not in problem.prior.names:
         return []

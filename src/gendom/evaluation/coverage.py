@@ -1,4 +1,5 @@
-"""Whether intervals hold: random objects of the second reality, lifted, perceived and estimated.
+"""Coverage of intervals: random objects of the MuJoCo test scene are lifted, perceived and
+estimated.
 
 Every lift and every estimate is kept in a folder, so that an interrupted run continues.
 """
@@ -45,7 +46,7 @@ BINS, A_BIN = (4, 20), 5
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageSettings:
-    """What is lifted, and how often."""
+    """Kinds and numbers of lifts."""
 
     kind: str = "rope"
     """``rope`` or ``cloth``."""
@@ -53,7 +54,7 @@ class CoverageSettings:
     """How lifts end, one of `gendom.robot.LIFT_ENDS`."""
     lifts: int = 40
     seed: int = 0
-    """Of the first object; others count on."""
+    """Of the first object; each further one has the next number."""
     level: float = 0.9
     jobs: int = 1
     """Processes."""
@@ -124,7 +125,7 @@ def coverage(
     """A row for each lift: what was estimated, without calibration, and what is true.
 
     Args:
-        folder: Keeps recordings and rows; those that are there are not made again.
+        folder: Keeps recordings and rows; existing ones are kept.
         settings: Which lifts.
         on_done: Called with the number of lifts done.
 
@@ -185,7 +186,7 @@ def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
 
 
 def _thinned(recording: Recording, most: int, seed: int) -> Recording:
-    """With no more points a frame than are compared anyway."""
+    """With at most twice as many points a frame as an estimate compares."""
     rng = np.random.default_rng(seed)
     clouds = []
     for t in range(recording.num_frames):
@@ -216,25 +217,25 @@ def truth_of(item: RealObject) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Covered:
-    """How one unknown came out over N lifts, in transformed units."""
+    """Errors and intervals of one unknown over N lifts, in transformed units."""
 
     name: str
     lifts: int
     median_error: float
     ninety_error: float
-    """Below which 90 % of the errors are."""
+    """90th percentile of the errors."""
     bias: float
     half_width: float
     """Median half width of the intervals."""
     covered: float
     """Share of intervals that hold the truth."""
     factor: float
-    """By which deviations have to be multiplied so that `level` of them would; below 1: they are
+    """Factor of deviations with which `level` of the intervals hold the truth; below 1: they are
     too wide."""
     added: float
-    """What has to be added to deviations instead, in squares."""
+    """Variance that has the same effect if it is added."""
     ranks: tuple[float, ...]
-    """[N] shares of the posteriors that lie below the truth: uniform where those are right."""
+    """[N] posterior probability below the truth: uniform where posteriors are correct."""
     counts: tuple[int, ...]
     """How many ranks lie in each of equal parts of 0 to 1."""
     band: tuple[int, int]
@@ -303,7 +304,7 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
 
 
 def _added(wanted: np.ndarray, deviation: np.ndarray, level: float) -> float:
-    """What, added to deviations in squares, makes `level` of them what is wanted or more."""
+    """Variance that, added to squared deviations, makes `level` of the intervals hold the truth."""
     missing = np.sqrt(np.maximum(wanted**2 - deviation**2, 0.0))
     return float(np.quantile(missing, level))
 

@@ -1,8 +1,8 @@
-"""Which predefined lift shows an object's parameters best, before any is recorded.
+"""Experimental design: which predefined lift determines an object's parameters best.
 
 Objects are drawn from their prior, and each lift of each is simulated as the arm
-carries it out and as noisy cameras show it. What an estimate from those clouds would report follows
-from the estimator's own likelihood, priors, noise and calibration, at the true parameters
+carries it out and as noisy cameras show it. The expected posterior of an estimate from those clouds
+follows from the estimator's likelihood, priors, noise and calibration, at the true parameters
 (Bayesian experimental design with a Gaussian posterior; Chaloner and Verdinelli 1995).
 """
 
@@ -50,14 +50,14 @@ from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion
 Array = NDArray[np.floating]
 
 SHOWN = {"E": "specific_modulus", "damping": "damping", "friction": "friction"}
-"""What motions are compared by: names of `UNKNOWNS`. Density is known, or E is worth no more than
-E / density."""
+"""Parameters whose information is compared: names of `UNKNOWNS`. Density is known, or only E /
+density counts."""
 
 AIMS = (*SHOWN, "all")
-"""What a motion may be chosen for."""
+"""Parameters that a motion can be chosen for."""
 
 CLOTH_POINTS = 15
-"""Along a cloth's longer side: to compare motions, so few will do."""
+"""Along a cloth's longer side: few points are enough to compare motions."""
 
 FASTER = 2.0
 """How much faster than predefined an object is also lifted, where no speeds are given."""
@@ -65,10 +65,10 @@ FASTER = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectClass:
-    """Objects that may be lifted: sizes within ranges, all else as the estimator believes.
+    """Objects to lift: sizes within ranges, all other parameters from the estimator's priors.
 
     Raises:
-        ParameterError: A range is none, or there is no such kind or material.
+        ParameterError: A range is invalid, or there is no such kind or material.
     """
 
     kind: str
@@ -78,7 +78,7 @@ class ObjectClass:
     thickness: tuple[float, float]
     """Diameter of a rope, thickness of a cloth [m]."""
     mass: tuple[float, float] | None = None
-    """[kg]; None: as dense as the material typically is, or 1,000 kg/m^3."""
+    """[kg]; None: the material's typical density, or 1,000 kg/m^3."""
     material: str | None = None
     """A name of `gendom.materials.catalogue`; None: unknown."""
 
@@ -138,7 +138,7 @@ class ObjectClass:
 
 @dataclass(frozen=True, kw_only=True)
 class LiftPlanSettings:
-    """Which motions are compared, for what, and with how many objects.
+    """Motions to compare, parameters that count, and the number of objects.
 
     Raises:
         ParameterError: A value is out of its range.
@@ -174,7 +174,7 @@ class LiftPlanSettings:
         return tuple(SHOWN) if self.aim == "all" else (self.aim,)
 
     def motions(self, kind: str) -> list[LiftMotion]:
-        """All that are compared, the plain hold first.
+        """All motions that are compared, the plain hold first.
 
         Raises:
             RobotError: There is no such end, or a rise or speed is not above 0.
@@ -206,14 +206,14 @@ class MotionForecast:
     sd: tuple[Mapping[str, float] | None, ...]
     """[D] deviations of the posterior by keys of `SHOWN`, transformed; None: no information."""
     carried_out: int
-    """How many of the objects the arm can lift so."""
+    """Number of objects that the arm can lift in this way."""
     faults: tuple[str, ...]
     """Why other objects give no information, without repetitions."""
 
     def half_width(self, name: str, level: float) -> float:
         """Of the expected interval, in transformed units; NaN without information."""
-        told = [sd[name] for sd in self.sd if sd is not None]
-        return float(norm.ppf(0.5 + level / 2.0) * np.mean(told)) if told else math.nan
+        deviations = [sd[name] for sd in self.sd if sd is not None]
+        return float(norm.ppf(0.5 + level / 2.0) * np.mean(deviations)) if deviations else math.nan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,12 +232,12 @@ class LiftPlan:
     def score(self, row: MotionForecast) -> float:
         """Mean logarithm of the ratio of prior to posterior deviation, over objects and the
         parameters aimed at; 0 for a motion that cannot be carried out."""
-        told = [
+        gains = [
             0.0 if sd is None else math.log(self.prior_sd[name] / sd[name])
             for sd in row.sd
             for name in self.settings.aims
         ]
-        return float(np.mean(told))
+        return float(np.mean(gains))
 
     def gain(self, row: MotionForecast) -> float:
         """By how much intervals are narrower than after the plain hold, the geometric mean."""
@@ -285,7 +285,7 @@ def plan_lift(
     *,
     on_done: Callable[[int, int], None] = lambda done, total: None,
 ) -> LiftPlan:
-    """Compare predefined lifts by what an estimate is expected to report after them.
+    """Compare predefined lifts by the expected posterior of an estimate.
 
     Args:
         objects: What may be lifted.
@@ -342,7 +342,7 @@ def plan_lift(
 
 
 def _tried(trial: Trial) -> JointMotion | RobotError:
-    """How the arm does it beside the cameras, or why it cannot."""
+    """The arm's motion beside the cameras, or why there is none."""
     try:
         return arm_motion(trial, lift_cameras(trial.item))
     except RobotError as error:
@@ -352,7 +352,7 @@ def _tried(trial: Trial) -> JointMotion | RobotError:
 def forecast(
     lying: Recording, material: str | None, seed: Sequence[int]
 ) -> tuple[dict[str, float], dict[str, float] | None]:
-    """What an estimate from one lift of an object drawn from the prior is expected to report.
+    """Expected posterior of an estimate from one lift of an object drawn from the prior.
 
     Args:
         lying: The lift, as `recorded_lift` has it.
@@ -394,7 +394,7 @@ def forecast(
         problem.bases,
         Calibration.of(scene.kind),
     )
-    # what such a recording does not show stays as it is believed
+    # unknowns that such a recording does not determine keep their priors
     return believed, {
         name: posterior.sd(unknown) if unknown in prior.names else believed[name]
         for name, unknown in SHOWN.items()

@@ -1,10 +1,9 @@
 """How well policies reach their goals, measured in a world on equal cases.
 
 A case is an object and a goal that this object can reach: its parameters and an action are
-drawn as for a demonstration and simulated, and its outcome is the goal (hindsight). The
-policy, told the true parameters, chooses its own action; that is carried out with the same object,
-and what counts is the task's error. Where a task names a risk, actions whose outcome cannot be
-relied on make no goal.
+drawn as for a demonstration and simulated, and its outcome is the goal (hindsight). The policy gets
+the true parameters and chooses an action; it is carried out with the same object, and the task's
+error is the result. Where a task has a risk, outcomes beyond its limit are not taken as goals.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ _ROUNDS = 100
 """How often a case whose simulation fails, or that is at risk, is drawn again."""
 
 _STREAM = 1
-"""Keeps these draws apart from those of demonstrations with the same seed."""
+"""Part of the seed: makes these draws independent of demonstrations with the same seed."""
 
 Array = NDArray[np.float64]
 
@@ -57,7 +56,7 @@ class Score:
     error: Array
     """[W] the task's; NaN where it failed."""
     size: Array
-    """[W] what an error is a share of: the object's size [m] where goals are lengths, else 1."""
+    """[W] reference of relative errors: the object's size [m] where goals are lengths, else 1."""
     outside: NDArray[np.bool_]
     """[W] whether `Policy.act` would refuse the goal as outside the training range."""
     faults: tuple[str | None, ...]

@@ -1,4 +1,4 @@
-"""What tables show: rows of text, curves over an axis, histograms of ranks."""
+"""Parts of tables: rows of text, curves over an axis, histograms of ranks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Sheet:
     head: tuple[str, ...]
     """Of all columns but the first."""
     rows: Mapping[str, tuple[str, ...]]
-    """By what the first column says."""
+    """By the text of the first column."""
 
     def __str__(self) -> str:
         """Columns set below each other."""
@@ -47,7 +47,7 @@ class Curves:
 
 @dataclass(frozen=True, kw_only=True)
 class Ranks:
-    """A histogram of where truths lie in their posteriors."""
+    """A histogram of ranks of true values in their posteriors."""
 
     title: str
     counts: tuple[int, ...]

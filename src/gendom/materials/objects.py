@@ -72,7 +72,13 @@ PARAMETERS: dict[str, Parameter] = {
             meaning="damping time over sqrt(size / g)",
             log=True,
         ),
-        Parameter(name="friction", column="friction", unit="1", meaning="coefficient", log=False),
+        Parameter(
+            name="friction",
+            column="friction",
+            unit="1",
+            meaning="coefficient of friction",
+            log=False,
+        ),
         Parameter(
             name="density",
             column="density",

@@ -200,12 +200,11 @@ def _cloud_topic(topics: dict[str, str], wanted: str | None, where: str) -> str:
 
 def _of_kind(topics: dict[str, str], name: str, kind: str, where: str) -> None:
     if topics.get(name) != kind:
-        others = ", ".join(n for n, k in topics.items() if k == kind) or "there is none"
-        raise RecordingError(
-            f"has no topic {name} of {kind}" if name not in topics else f"{name} is no {kind}",
-            where=where,
-            fix=f"give one of: {others}",
-        )
+        others = ", ".join(n for n, k in topics.items() if k == kind)
+        what = f"has no topic {name} of {kind}" if name not in topics else f"{name} is no {kind}"
+        if not others:
+            raise RecordingError(f"{what}, nor another one", where=where, fix="record one")
+        raise RecordingError(what, where=where, fix=f"give one of: {others}")
 
 
 def _time(header: Any) -> float:

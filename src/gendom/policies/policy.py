@@ -177,8 +177,8 @@ class Action:
     """What was asked for, by name, in SI units."""
     action: dict[str, float]
     """By name, in SI units."""
-    saw: dict[str, float]
-    """Parameters that the network saw, by name [-], see `dimensionless_parameters`."""
+    network_input: dict[str, float]
+    """Parameters that the network was given, by name [-], see `dimensionless_parameters`."""
     warnings: tuple[str, ...] = ()
     """Goals and parameters outside the training range, an action at its limits; one line each."""
 
@@ -219,7 +219,7 @@ class Policy(Shown):
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
         about = self.description
         return f"Policy ({about.task['name']}, {about.method})", [
-            ("sees", ", ".join(about.conditioned_on) or "no parameters"),
+            ("conditioned on", ", ".join(about.conditioned_on) or "no parameters"),
             ("goal", ", ".join(about.goal_names) or "none"),
             ("trained", f"on {about.training.get('demonstrations', '?')} demonstrations"),
             ("file", self.where),
@@ -415,7 +415,7 @@ class Policy(Shown):
             raise PolicyError(first.what, where=self.where, fix=first.fix)
         warnings = [str(found) for found in (*goals.values(), *parameters.values())]
         alike = dimensionless_parameters(item)
-        saw = {
+        inputs = {
             name: parameters[name].nearest if name in parameters else alike[name]
             for name in about.conditioned_on
         }
@@ -426,7 +426,7 @@ class Policy(Shown):
             ]
         )
         units = task.action_units(item)
-        asked = self.actions((aim / task.goal_units(item))[None], saw)[0]
+        asked = self.actions((aim / task.goal_units(item))[None], inputs)[0]
         middle = np.array([column.mean for column in about.outputs])
         values = task.nearest(item, asked * units, middle * units)
         moved = float(np.linalg.norm(values / units - asked))
@@ -440,7 +440,7 @@ class Policy(Shown):
         return Action(
             goal=dict(zip(names, map(float, wanted), strict=True)),
             action={q.name: float(v) for q, v in zip(task.actions, values, strict=True)},
-            saw=saw,
+            network_input=inputs,
             warnings=tuple(warnings),
         )
 

@@ -86,7 +86,7 @@ class RobotArm:
         )
 
     def reset(self, model: Any, data: Any) -> None:
-        """Put the arm to where its motion starts."""
+        """Move the arm to the start of its motion."""
         self._mujoco, self._model = load_mujoco(), model
         joints = [model.joint(f"joint{i}") for i in range(1, self.arm.joints + 1)]
         self._q = np.array([int(j.qposadr[0]) for j in joints])
@@ -94,7 +94,7 @@ class RobotArm:
         data.qpos[self._q] = self.motion.at(0.0)
 
     def control(self, data: Any, time: float) -> None:
-        """Tell the servos where to be at a time [s], one step from now."""
+        """Set the servos' targets for a time [s], one step from now."""
         model = self._model
         step = model.opt.timestep
         before, now, then = self.motion.at(time - step * np.array([2.0, 1.0, 0.0]))

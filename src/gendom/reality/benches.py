@@ -1,4 +1,5 @@
-"""The objects of the MuJoCo test scene on a test bench: does the flex bend as its modulus says?
+"""The objects of the MuJoCo test scene on a test bench: does the flex bend according to its
+modulus?
 
 Each object is clamped at one end and sags under its weight, made stiff enough for small
 deflections: a flex's resistance to bending scales with its modulus, so what is checked is the
@@ -83,7 +84,7 @@ def cantilever(item: RealObject, *, diagonal: bool = False, seconds: float = 1.5
     world.model.opt.solver = 2  # Newton
     world.step_to(seconds)
     height = np.bincount(row, world.vertices()[:, 2]) / np.bincount(row)
-    # Less the slope that the clamp itself gives way.
+    # Without the rotation of the clamp itself.
     slope = (height[1] - height[0]) / spacing
     sag = height[1] - height[-1] + slope * (length - spacing)
     return Bench(item.name, float(sag), SAG * length)

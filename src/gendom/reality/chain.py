@@ -71,7 +71,7 @@ def record_and_perceive(
 
 
 def halfway(folder: str | os.PathLike) -> list[Sight]:
-    """Colour and depth [m] that each camera of a recorded folder has in the middle of it.
+    """Colour and depth [m] of each camera in the middle of a recorded folder.
 
     Raises:
         RecordingError: The folder or a picture cannot be read.

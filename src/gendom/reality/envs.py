@@ -69,8 +69,8 @@ REFUSED = -100.0
 are within 10 m, so no rope's end comes to lie so far from its goal."""
 
 DRAWN, ROUNDS = 32, 8
-"""Actions simulated at once, and how often at the most, to find a goal of a task that names a
-risk: of one rope's releases a tenth keep to its limit."""
+"""Actions simulated in one batch, and the largest number of batches, to find a goal of a task with
+a risk: a tenth of one rope's releases stay within its limit."""
 
 SEEN_FROM = {"rope": (1.0, 0.0, 0.3), "cloth": (0.4, 0.6, 0.5)}
 """Where the camera of `render` is from the middle of the scene [m]: ropes swing across, in front of
@@ -142,7 +142,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             low = np.array([0.0, -1.0, 0.0, 0.0, 0.0], np.float32)
             high = np.array([1e9, 0.5, 1e3, 1e2, 1e6], np.float32)
             spaces["parameters"] = box(low, high)
-        # Gymnasium reads it from the environment, not from its class
+        # Gymnasium reads this from the instance, not from the class
         vars(self)["metadata"] = {**self.metadata, "units": units}
         self.observation_space = gymnasium.spaces.Dict(spaces)
         self._item: Any = None
@@ -153,7 +153,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Take an object and a goal.
+        """Choose an object and a goal.
 
         Args:
             seed: Of the objects and goals to come.
@@ -172,7 +172,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         given = dict(options or {})
         rng = self.np_random
         drawn = self.objects[int(rng.integers(len(self.objects)))]
-        # a stream of its own: the object and what is given leave later draws as they are
+        # a separate random stream: the object and given options do not change later draws
         actions = np.random.default_rng(int(rng.integers(2**63)))
         item = self._find(given.pop("object")) if "object" in given else drawn
         goal = np.zeros(len(self.task.goals))
@@ -256,7 +256,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         Before the first step the arm stands where an action from the middle of the space begins.
 
         Raises:
-            DeviceError: Nothing can be rendered here; says which packages bring what is missing.
+            DeviceError: Nothing can be rendered here; says which packages are missing.
         """
         if self.render_mode is None:
             return None
@@ -267,7 +267,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return self._performance.world.render(0)[1]
 
     def close(self) -> None:
-        """Give the renderer's memory back."""
+        """Free the renderer's memory."""
         self._forget()
 
     # ---- inside ----------------------------------------------------------------------------------
@@ -284,7 +284,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return found
 
     def _reachable(self, item: RealObject, rng: np.random.Generator) -> Array:
-        """A goal [G] that one action is sure to reach."""
+        """A goal [G] that one action reaches."""
         task, risk = self.task, self.task.risk
         fault, least, best = None, np.inf, None
         for _ in range(1 if risk is None else ROUNDS):

@@ -1,9 +1,9 @@
-"""How much the fingers hold: beyond that pull, what is between them slips.
+"""Slip between the fingers: beyond a largest pull, held vertices slide.
 
-They hold as dry friction does, alike in every direction: what they hold keeps its place while it
-pulls by no more than the grip's force, else slides against just that force until it has come to
-rest or has left them. Friction is a damping of the vertices that is the force over their speed,
-which MuJoCo's integrator takes implicitly; it stops below `CREEP`.
+This is isotropic dry friction: a vertex is fixed while it pulls by no more than the grip's force,
+else it slides against that force until it has come to rest or has left the fingers. Friction is a
+damping of the vertices that is the force over their speed, which MuJoCo's integrator takes
+implicitly; it stops below `CREEP`.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy.typing as npt
 from gendom.errors import ParameterError
 
 CREEP = 1e-4
-"""Speed below which what slides more and more slowly is at rest [m/s]."""
+"""Speed below which a sliding vertex that decelerates is at rest [m/s]."""
 
 
 class Slip:
-    """What slides between a hand's fingers.
+    """The vertices that slide between a hand's fingers.
 
     Args:
         force: That the fingers hold at most [N]; infinite: all.
@@ -40,7 +40,7 @@ class Slip:
         self._dofs = dofs
         self._speed = 0.0
         self.vertices = np.empty(0, dtype=np.intp)
-        """Those between the fingers that are not held."""
+        """Vertices between the fingers that are not fixed."""
 
     @property
     def possible(self) -> bool:

@@ -10,8 +10,8 @@ damping = 0.004                # [s]; default 0.004
 friction = 0.4                 # on the table; default 0.3
 colour = [200, 60, 60]         # sRGB; default grey
 
-material = "cotton-rope", a name of `gendom.materials.catalogue`, stands for all but the length or
-side and the colour: what is typical of it, where the file does not say otherwise.
+material = "cotton-rope", a name of `gendom.materials.catalogue`, gives typical values of all but
+the length or side and the colour; values in the file replace them.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from gendom.materials import ASSUMED, KINDS, Material, catalogue
 from gendom.reality.objects import PLAIN, RealCloth, RealObject, RealRope, vertices_of
 
 DEFAULTS = {name: ASSUMED[name] for name in ("damping", "friction")}
-"""Of numbers that a file may leave out."""
+"""Defaults of numbers that a file may leave out."""
 
 LARGEST, THICKEST, DENSEST, STIFFEST = 5.0, 0.2, 2e4, 1e13
-"""Sizes [m], densities [kg/m^3] and moduli [Pa] beyond these are of another unit."""
+"""Sizes [m], densities [kg/m^3] and moduli [Pa] beyond these are taken for a wrong unit."""
 
 
 def read_object(path: str | os.PathLike) -> RealObject:
     """The object that a file describes, named after the file.
 
     Raises:
-        ParameterError: The file is missing or no TOML, a number is missing, is none or impossible,
-            or there is a name that means nothing.
+        ParameterError: The file is missing or no TOML, a number is missing, malformed or
+        impossible, or a key is unknown.
     """
     where = str(path)
     table = read_toml(path, error=ParameterError)
@@ -102,7 +102,7 @@ def read_object(path: str | os.PathLike) -> RealObject:
 
 
 def _usual(name: Any, kind: str, where: str) -> dict[str, float]:
-    """What is typical of a material of the catalogue; nothing for None."""
+    """Typical values of a material of the catalogue; empty for None."""
     if name is None:
         return {}
     try:

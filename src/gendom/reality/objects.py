@@ -123,8 +123,8 @@ class RealCloth(Cloth):
 
     @property
     def radius(self) -> float:
-        """How far from its middle it touches and is seen [m]: half its thickness, or what contacts
-        need."""
+        """Distance from its middle surface of contacts and of the visible skin [m]: half its
+        thickness, or the least that contacts need."""
         return max(LEAST_RADIUS, self.thickness / 2.0)
 
     @property
@@ -242,7 +242,7 @@ OBJECTS: dict[str, RealObject] = {
 
 
 PLAIN = (150, 150, 150)
-"""sRGB of objects that nobody gave a colour."""
+"""Default colour (sRGB)."""
 
 
 def as_real(item: Item) -> RealObject:
@@ -263,7 +263,7 @@ def find_object(name: str) -> RealObject:
     """The object with a given name, or from a TOML file (see `gendom.reality.object_file`).
 
     Raises:
-        ParameterError: There is none, or the file describes none.
+        ParameterError: There is no such object, or the file does not describe one.
     """
     if name.endswith(".toml"):
         from gendom.reality.object_file import read_object

@@ -367,7 +367,7 @@ gl_faults: list[GLFault] = []
 
 
 def load_mujoco() -> Any:
-    """The module `mujoco`, told to render without a screen where there is none, and to give its
+    """The module `mujoco`, set to render without a screen where there is none, and to give its
     warnings to our log: by itself it writes MUJOCO_LOG.TXT into the working directory.
 
     Raises:

@@ -1,8 +1,8 @@
 """What the arm does in the MuJoCo test scene: the predefined lift, and any task.
 
-A `Trial` is everything that is fixed beforehand: where the object is, where the tool goes, when
-the hand closes and opens. `Performance` carries it out, on the arm or, for tests, with a free
-hand that follows the same path exactly. `RealWorld` does so for tasks.
+A `Trial` is the plan: the object's place, the tool's path, when the hand closes and opens.
+`Performance` carries it out, on the arm or, for tests, with a free hand that follows the same path
+exactly. `RealWorld` does so for tasks.
 """
 
 from __future__ import annotations
@@ -85,13 +85,13 @@ class Trial:
     inset: float = FINGER_WIDTH / 2.0
     """How far from the rope's end, or inside the cloth's corner, that point is [m]."""
     end: float
-    """When everything is over [s]."""
+    """Duration [s]."""
     quasi_static: bool = False
     """Whether inertia plays no part."""
     timestep: float | None = None
-    """MuJoCo's [s]; None: the default of the object's kind."""
+    """Time step of MuJoCo [s]; None: the default of the object's kind."""
     quick: bool = False
-    """Whether the object moves so fast that cameras must look at the same time."""
+    """Whether the object moves so fast that cameras must be synchronised."""
 
 
 class Performance:
@@ -160,7 +160,7 @@ class Performance:
 
     @property
     def slowed_by(self) -> float:
-        """How much longer the arm takes than the trial asks for."""
+        """Duration of the arm's motion over the planned one."""
         return 1.0 if self.motion is None else self.motion.slowed_by
 
     @property
@@ -230,7 +230,7 @@ def end_of(trial: Trial, motion: JointMotion | None) -> float:
 
 
 def predefined_lift(kind: str, end: str = "hold") -> LiftMotion:
-    """How objects of a kind are lifted where nothing else is asked for.
+    """Default end of the lift for a kind of object.
 
     Raises:
         RobotError: There is no such end.
@@ -345,7 +345,7 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
     closes = next(e.time for e in path.events if e.closed)
     origin = np.array(scene.origin, dtype=float)
     if scene.table is not None:
-        # what MuJoCo's objects touch the table with may be thicker
+        # MuJoCo's contact radius may be larger than half the thickness
         origin[2] = max(origin[2], scene.table + item.radius)
     R = T[:3, :3]
     return Trial(
@@ -390,7 +390,7 @@ class RealWorld:
         keep: bool = False,
         on_frame: Callable[[int], None] | None = None,
     ) -> list[Outcome]:
-        """As `World.carry_out`, one after another; what the arm refuses is a fault.
+        """As `World.carry_out`, one after another; motions that the arm cannot do are faults.
 
         Raises:
             ParameterError: An action is out of its limits.
@@ -451,7 +451,7 @@ def _carried_out(
 
 @functools.cache
 def _workers(jobs: int) -> ProcessPoolExecutor:
-    """Processes that stay, since each needs seconds to begin."""
+    """A pool of processes that is kept, because each takes seconds to start."""
     return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
 
 
@@ -469,7 +469,7 @@ def observe(task: Task, performance: Performance, frame_rate: float = 100.0) -> 
         points.append(performance.world.vertices())
         hand.append(performance.world.hand)
     T = np.linalg.inv(task.T_world_task(item))
-    # the path's own clock, on which the hand closes where it was told to
+    # times count from the path's own clock, on which the hand closes at the planned time
     late = begin - next(e.time for e in performance.trial.path.events if e.closed)
     late += performance.trial.end - float(task.times(item)[-1])
     return Observed(

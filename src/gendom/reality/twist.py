@@ -1,4 +1,4 @@
-"""Resistance of a rope to twist, which MuJoCo's rods of one dimension lack.
+"""Torsional stiffness of a rope, which MuJoCo's one-dimensional flex lacks.
 
 A rod's centre line does not tell how its sections are turned, but where both its ends are clamped,
 twist spreads along it at once (much faster than it bends), and one angle is left: how far the last
@@ -102,7 +102,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TwistLoad:
-    """What a twisted rope does to its vertices and its last clamp."""
+    """Forces of a twisted rope on its vertices, and the moment on its last clamp."""
 
     angle: float
     """[rad]."""
@@ -113,7 +113,7 @@ class TwistLoad:
 
 
 class Twist:
-    """The twist of a rope between two clamps, from none on.
+    """The twist of a rope between two clamps; it is 0 at first.
 
     Args:
         rope: The rope.
@@ -137,12 +137,12 @@ class Twist:
         """Now [rad]; it may pass several turns."""
 
     def load(self, vertices: Array, rotation: Array, seconds: float) -> TwistLoad:
-        """What the rope does now.
+        """The rope's forces now.
 
         Args:
             vertices: [V, 3] [m].
             rotation: [3, 3] of the second clamp.
-            seconds: Since it was last asked [s].
+            seconds: Since the last call [s].
         """
         edges = self._edges(vertices)
         angle = twist(edges, self._start, rotation @ self._end)

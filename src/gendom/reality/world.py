@@ -32,14 +32,14 @@ FINGER_WIDTH = 0.025
 """Breadth of the fingers: what they hold reaches half of it to either side [m]."""
 
 GL_PACKAGES = "apt install libegl1 libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
-"""What a Debian machine without a screen needs to render."""
+"""Packages that a Debian machine without a screen needs to render."""
 
 
 class Reality:
     """One object on the table, under cameras, touched by a hand.
 
-    The hand is either the robot's (`robot`, see `gendom.reality.arm`) or, without a robot, a
-    free body that goes wherever it is told, for tests and benches.
+    The hand is either the robot's (`robot`, see `gendom.reality.arm`) or, without a robot, a free
+    body that follows any path exactly, for tests and benches.
 
     Args:
         item: The object.
@@ -121,7 +121,7 @@ class Reality:
         return float(self.data.time)
 
     def step_to(self, time: float) -> None:
-        """Let time pass until `time` [s], to the nearest time step.
+        """Simulate until `time` [s], to the nearest time step.
 
         Raises:
             SimulationError: The state is no longer finite; says when.
@@ -151,7 +151,7 @@ class Reality:
             )
 
     def _place(self) -> None:
-        """Bring bodies and vertices to the state: a step leaves them where they were before it."""
+        """Update the positions of bodies and vertices: a step of MuJoCo leaves the old ones."""
         self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_flex(self.model, self.data)
 
@@ -170,7 +170,7 @@ class Reality:
             self.data.xfrc_applied[self._hand, 3:] = load.moment
         if len(self._slip.vertices):
             self._rub(x, forces)
-        # Along the slides, not as wrenches on bodies: MuJoCo takes a Jacobian for each of those.
+        # As forces on the slides: for wrenches on bodies MuJoCo computes a Jacobian each.
         self.data.qfrc_applied[self._dofs] = forces
 
     def _rub(self, x: npt.NDArray[np.float64], forces: npt.NDArray[np.float64]) -> None:
@@ -293,7 +293,7 @@ class Reality:
         self._twist = None
         self.data.xfrc_applied[:] = 0.0
 
-    # ---- what is true ----------------------------------------------------------------------------
+    # ---- ground truth ----------------------------------------------------------------------------
 
     def vertices(self) -> npt.NDArray[np.float64]:
         """[V, 3] the object's vertices [m]."""
@@ -303,7 +303,7 @@ class Reality:
         """Largest speed of a vertex [m/s]."""
         return float(np.linalg.norm(self.data.qvel[self._dofs], axis=1).max())
 
-    # ---- what is seen ----------------------------------------------------------------------------
+    # ---- pictures ----------------------------------------------------------------------------
 
     def render(self, camera: int | str) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
         """What a perfect camera sees now.
@@ -316,7 +316,7 @@ class Reality:
 
         Raises:
             ParameterError: There is no such camera.
-            DeviceError: No OpenGL context comes about; says which packages bring one.
+            DeviceError: There is no OpenGL context; says which packages provide one.
         """
         names = [c.name for c in self.cameras]
         if camera not in (*names, *range(len(names))):
@@ -333,7 +333,7 @@ class Reality:
         return depth, renderer.render().copy()
 
     def close(self) -> None:
-        """Give the renderer's memory back."""
+        """Free the renderer's memory."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -353,11 +353,11 @@ class Reality:
             _without_screen()
             try:
                 self._renderer = self._mujoco.Renderer(self.model, height, width)
-            # What PyOpenGL and GLFW raise where a library is missing has no common base.
+            # Exceptions of PyOpenGL and GLFW about missing libraries have no common base.
             except Exception as error:
                 backend = os.environ.get("MUJOCO_GL", "")
                 found = GLFault(backend, f"{type(error).__name__}: {error}")
-                # Turned off when mujoco was imported, it has no more to tell by now.
+                # OpenGL was turned off when mujoco was imported; there is no further cause.
                 fault = gl_faults[0] if gl_faults and backend == "disable" else found
                 raise DeviceError(
                     f"no OpenGL context ({fault.reason})",
@@ -368,7 +368,7 @@ class Reality:
 
 
 def _without_screen() -> None:
-    """Choose EGL where mujoco was imported before it was told that there is no screen.
+    """Choose EGL where mujoco was imported before the environment said that there is no screen.
 
     It would ask GLFW for a window, which ends the process where there is no display.
     """

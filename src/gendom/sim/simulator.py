@@ -1,5 +1,7 @@
 """Batched simulation of one body in many worlds."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

@@ -114,6 +114,12 @@ class ClothSpreading(Task):
         Quantity(name="A", unit="1", meaning="acceleration of the way down"),
     )
     goals: ClassVar[tuple[Quantity, ...]] = ()
+    outcomes: ClassVar[tuple[Quantity, ...]] = (
+        Quantity(name="share", unit="1", meaning="share of the area that lies flat, unwrinkled"),
+        Quantity(name="unspread", unit="1", meaning="share of the area that does not"),
+        Quantity(name="covered", unit="1", meaning="covered area of the table over the cloth's"),
+        Quantity(name="spreads", unit="bool", meaning="whether any A spreads the cloth"),
+    )
     risk: ClassVar[Risk | None] = Risk(name="unspread", unit="1", limit=1.0 - SPREAD)
     watches: ClassVar[str] = "all"
     height: ClassVar[float] = HEIGHT

@@ -74,6 +74,14 @@ class RopeCasting(Task):
         Quantity(name="x", unit="m", meaning="of the tip's highest point, along the cast"),
         Quantity(name="z", unit="m", meaning="of the tip's highest point, above where it hung"),
     )
+    outcomes: ClassVar[tuple[Quantity, ...]] = (
+        Quantity(name="sideways", unit="m", meaning="largest distance of the tip from its plane"),
+        Quantity(
+            name="backswing_higher",
+            unit="bool",
+            meaning="whether the tip rises higher when it swings back behind the hand",
+        ),
+    )
 
     item: Item = ROPE
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(ROPE_RANGES))
@@ -128,7 +136,7 @@ class RopeCasting(Task):
             "x": float(x[top] - x[0]),
             "z": float(z[top] - z[0]),
             "sideways": float(np.abs(seen.tip[:, 1]).max()),
-            "higher_behind": float(x[highest] < hand[-1]),
+            "backswing_higher": float(x[highest] < hand[-1]),
         }
 
     def T_world_task(self, item: Item) -> Array:

@@ -87,6 +87,9 @@ class RopeReaching(Task):
         Quantity(name="x", unit="m", meaning="farthest reach of the tip"),
     )
 
+    outcomes: ClassVar[tuple[Quantity, ...]] = (
+        Quantity(name="sideways", unit="m", meaning="largest distance of the tip from its plane"),
+    )
     risk: ClassVar[Risk | None] = Risk(name="sideways", unit="m", limit=0.03)
 
     item: Item = ROPE

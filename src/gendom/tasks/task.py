@@ -53,11 +53,12 @@ _HALVINGS = 30
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """One number of an action or a goal."""
+    """One number of an action, a goal or an outcome."""
 
     name: str
     unit: str
-    """``m``, ``s``, ``m/s`` or ``1``; how it follows an object's size, see `unit_of`."""
+    """``m``, ``s``, ``m/s`` or ``1``; how it follows an object's size, see `unit_of`. Of a further
+    outcome also ``bool``: 1 is yes, 0 is no."""
     meaning: str = ""
     """For people, a few words."""
 
@@ -137,6 +138,8 @@ class Task(ABC):
     """Numbers of an action."""
     goals: ClassVar[tuple[Quantity, ...]]
     """Numbers of a goal; none where a task always wants the same."""
+    outcomes: ClassVar[tuple[Quantity, ...]] = ()
+    """Further numbers of an outcome, beside those of the goal."""
     risk: ClassVar[Risk | None] = None
     """What actions are to avoid."""
     watches: ClassVar[str] = "tip"

@@ -2,13 +2,13 @@
 
 Recorded and simulated clouds become densities on one grid of 64 cells; the loss is their L1
 distance, the mean over the frames. The simulator's reverse mode gives its slope by modulus,
-Poisson's ratio, damping and friction; by what else a recording leaves unknown (how the object is
-held, the delay) it is a difference between worlds side by side. Steps are those of Adam (Kingma and
-Ba 2015). Source: Kuroki et al. (2024), section III-C.
+Poisson's ratio, damping and friction; by the other unknowns (grip, delay) it is a difference
+between worlds side by side. Steps are those of Adam (Kingma and Ba 2015). Source: Kuroki et al.
+(2024), section III-C.
 
-Other than theirs, steps are taken where the prior is Gaussian, so in the logarithm of the modulus;
-they shrink along a cosine, the iterate with the least loss is kept, not the last, and what the
-likelihood says there is the answer's uncertainty.
+Unlike theirs, steps are taken in the transformed unknowns, so in the logarithm of the modulus; step
+sizes follow a cosine schedule, the iterate with the least loss is the result, and the uncertainty
+comes from the likelihood there.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class AdamSettings:
     resolution: int = 64
     """Cells along the grid's longest side."""
     reach: float = 2.0
-    """How far from their means what is not the modulus may go, in deviations of the prior."""
+    """Bound of all unknowns but the modulus, in deviations of the prior from its mean."""
     look: int = 10
     """Steps after which the visible points are determined again."""
 
@@ -207,7 +207,7 @@ class DensityLoss:
     ) -> tuple[float, Array]:
         """Loss of points [T, M, 3], and its derivative by them if wanted."""
         T, M = shown.shape[:2]
-        # what is not seen lies off the grid and weighs nothing
+        # hidden points lie off the grid and have no weight
         points = np.where(np.array(seen)[..., None], shown, self.grid.origin - 9.0 * self.grid.cell)
         share = (M / np.maximum(np.sum(seen, axis=1), 1))[:, None]
         total, bar = 0.0, np.zeros(shown.shape)

@@ -1,9 +1,9 @@
-"""`differential-evolution`: a population of parameters, as R2S2R finds its own.
+"""`differential-evolution`: a population of parameters, as in R2S2R.
 
-The clouds' misfit with fixed noise, and the prior's, are made small by scipy's differential
-evolution (Storn and Price 1997); a generation is one batch of worlds. No derivatives are taken but
-those at the end, from which the answer's uncertainty comes. Source: Lim et al. (2022), "Planar
-robot casting with real2sim2real self-supervised learning".
+scipy's differential evolution minimises the clouds' misfit with fixed noise plus the prior's (Storn
+and Price 1997); a generation is one batch of worlds. Derivatives are taken only at the end, for the
+uncertainty. Source: Lim et al. (2022), "Planar robot casting with real2sim2real self-supervised
+learning".
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class DifferentialEvolutionSettings:
     tolerance: float = 0.01
     """The search ends where values of the population deviate by this share of their mean."""
     noise: float = 0.005
-    """With which clouds are compared [m]."""
+    """Of the comparison of clouds [m]."""
     reach: float = 3.0
     """How far from its mean an unknown may lie, in deviations of the prior."""
 

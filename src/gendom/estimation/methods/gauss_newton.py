@@ -1,13 +1,13 @@
 """`gauss-newton`: damped Gauss-Newton steps from several starts at once, then the noise.
 
-Parameters go down on -2 log of likelihood times prior, all starts in one batch of worlds;
+Steps minimise -2 log of likelihood times prior, all starts in one batch of worlds;
 derivatives are differences between worlds side by side, kept while they are accurate enough
 (Broyden 1965). The step is Levenberg's and Marquardt's (Nocedal and Wright 2006, chapter 10), of a
-cloth with several dampings and once by the object's own unknowns alone: what is held changes in
-jumps, and those have no part in them. From afar only what moves shapes most is free, and clouds are
-compared as they are, those in which nothing moves fast where there are enough; about the best
-start's end everything is free, the model's displacement is registered, and noise and displacement
-are estimated in turns with steps.
+cloth with several dampings and once by the object's own unknowns alone: the set of held points
+changes in jumps, and those unknowns do not cause any. In the coarse stage only the most influential
+unknowns are free, clouds are not registered, and frames with fast motion are left out where enough
+others are left. In the fine stage, about the best start's result, everything is free, the model's
+displacement is registered, and noise and displacement are estimated in turns with steps.
 """
 
 from __future__ import annotations
@@ -29,35 +29,37 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class GaussNewtonSettings:
-    """Bounds of the search; what is not said of cloths is for ropes, see `of`."""
+    """Bounds of the search; defaults are those of ropes; `of` has those of cloths."""
 
     scanned: int = 12
     """Moduli of the scan that precedes the search, over the whole range."""
     initial: tuple[Array, ...] = ()
     """[P] transformed: where to begin instead of there."""
     leading: tuple[str, ...] = ("specific_modulus", "damping")
-    """Unknowns that are free from afar: others would take on what is not theirs. None: all are."""
+    """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
+    None: all."""
     afar: float = 0.005
-    """Noise with which clouds are compared from afar [m]."""
+    """Noise of the coarse stage [m]."""
     share_afar: float = 0.6
-    """Share of the iterations that may be spent there."""
+    """Largest share of the iterations in the coarse stage."""
     patience: int = 6
-    """Iterations that the others have to overtake a best start that has arrived."""
+    """Iterations that other starts may still take after the best one has converged."""
     gain: tuple[float, float] = (2.0, 0.2)
-    """A start has arrived when a step can win no more than this, afar and near."""
+    """A start has converged when a step can lower the value by no more than this, in the coarse and
+    in the fine stage."""
     holds: float = 0.5
     """Derivatives are computed again where a step gains less than this share of the prediction."""
     rugged: bool = False
     """Whether several steps are tried side by side."""
     leaps: tuple[float, ...] = ()
-    """How far the object's own unknowns leap where steps have ended, in deviations."""
+    """Size of trial leaps of the object's unknowns after steps have converged, in deviations."""
     apart: float = 30.0
     """Ratio of two dampings side by side."""
     farther: float = 3.0
-    """How many times as far as it should a step side by side goes: points that slide along a
-    surface make steps too short."""
+    """Factors of longer steps that are tried side by side: points that slide along a surface make
+    Gauss-Newton steps too short."""
     per_batch: int = 2
-    """Iterations for each of `EstimateSettings.max_iterations`: few have derivatives to make."""
+    """Iterations for each of `EstimateSettings.max_iterations`: few compute derivatives."""
     damping: tuple[float, float] = (1e-3, 1e3)
     """Levenberg's and Marquardt's: the least, and that at which a start is given up."""
     expectations: int = 6
@@ -67,9 +69,9 @@ class GaussNewtonSettings:
     def of(cls, kind: str, **changes: Any) -> GaussNewtonSettings:
         """For ropes or cloths.
 
-        How a cloth is held shows as much as how it bends, so all is free from afar; its valleys are
-        rugged, and steps end in their hollows; a simulated one is farther from a real one than the
-        noise of its clouds, so little gains are none.
+        For cloths the grip matters as much as the bending, so all unknowns are free in the coarse
+        stage; the objective is rugged, with many local minima; and the model's error exceeds the
+        noise of the clouds, so small gains do not count.
         """
         if kind == "cloth":
             own = {"leading": (), "gain": (2.0, 10.0), "rugged": True, "leaps": (3.0, 6.0, 9.0)}
@@ -126,7 +128,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
 
 
 def refined(problem: Problem, found: Found, settings: GaussNewtonSettings | None = None) -> Found:
-    """What was found, searched once more about its end in a finer problem.
+    """The result, refined in a problem of higher resolution.
 
     Raises:
         SimulationError: It cannot be simulated there.
@@ -152,7 +154,7 @@ def _near(
     iteration: int,
     most: int,
 ) -> tuple[NoiseModel, ...]:
-    """Steps of a start by all unknowns, in turns with the noise, which is returned."""
+    """Steps of a start by all unknowns, in turns with estimates of the noise. Returns the noise."""
     while iteration < most:
         iteration += 1
         assert best.comparison is not None
@@ -175,9 +177,10 @@ def _leaps(
     noise: Sequence[NoiseModel],
     settings: GaussNewtonSettings,
 ) -> bool:
-    """Whether a start has found a better place some deviations away, where it then is.
+    """Move a start to a better point some deviations away. Returns whether there is one.
 
-    Each of the object's own unknowns goes both ways, the others with it as the posterior has them.
+    Each of the object's unknowns is moved in both directions, the others by their conditional
+    means.
     """
     if not settings.leaps:
         return False
@@ -209,10 +212,8 @@ def _leaps(
 
 
 def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) -> None:
-    """Compare a start of an easier problem with all there is, by all unknowns.
-
-    Of the same frames, where all was free from afar, shapes change with parameters about as they
-    did with fewer points.
+    """Compare a start of the coarse problem in the full one, by all unknowns. Derivatives of the
+    coarse problem are taken over where it has the same frames and free unknowns.
     """
     former, start.exact, start.renew = start.comparison, True, False
     slopes = former is not None and problem.like(former) and not settings.leading
@@ -233,10 +234,8 @@ def _step(
     free: Sequence[int] | None = None,
 ) -> None:
     """Proposals of every start, in one batch, of which it takes the best; a start is done where it
-    can win no more than ``least``.
-
-    Derivatives are carried along while steps win what they promise; they are a start's own before
-    one is refused, and at the end.
+    can gain no more than ``least``. Derivatives are updated by Broyden's rule while steps gain what
+    they predict; they are computed again before a start is given up, and at the end.
     """
     _renew(problem, [s for s in going if s.comparison is None or s.renew], noise, free)
     going = [s for s in going if not s.done]
@@ -274,14 +273,14 @@ def _renew(
     noise: Sequence[NoiseModel],
     free: Sequence[int] | None,
 ) -> None:
-    """Give starts derivatives of their own; one that cannot be simulated is done."""
+    """Compute the derivatives of starts; one that cannot be simulated is done."""
     if not starts:
         return
     compared = problem.compare([s.vector for s in starts], free=free)
     for s, comparison in zip(starts, compared, strict=True):
         former, s.exact, s.renew = s.comparison, True, False
         if comparison is None:
-            # a neighbour that cannot be simulated leaves those that it has
+            # where a neighbour cannot be simulated, the old derivatives stay
             s.done = former is None
             continue
         if former is None:
@@ -298,7 +297,7 @@ class _Proposal:
     vector: Array
     """[P] transformed."""
     gain: float
-    """What the quadratic model says is to be won there."""
+    """The gain that the quadratic model predicts."""
     weight: Array
     """[P] that model's curvature along each unknown."""
     damping: float
@@ -312,8 +311,8 @@ def _propose(
     settings: GaussNewtonSettings,
     among: Sequence[int] | None,
 ) -> list[_Proposal]:
-    """A damped step; where it is rugged also one of greater damping, one by the object's own
-    unknowns alone, and farther ones."""
+    """A damped step; on rugged objectives also one of greater damping, one by the object's unknowns
+    alone, and longer ones."""
     prior = problem.prior
     gradient, H = problem.slopes(start, noise)
     # a parameter pressed against its bound is held there

@@ -1,11 +1,11 @@
-"""`pointnet`: a network that reads parameters off the last cloud of one kind of lift.
+"""`pointnet`: a network that predicts parameters from the last cloud of one kind of lift.
 
 The paper's baseline: PointNet++ (Qi et al. 2017) with single-scale grouping, trained on simulated
 lifts (`pointnet_network`). It takes a cloud in the gripper's frame, in sizes of the object, and
 gives the logarithm of bending length over size and Poisson's ratio, each with its variance (Kendall
 and Gal 2017). Farthest points and their neighbourhoods are chosen here, before the network, which
-onnxruntime runs. Other unknowns stay at their priors. The network knows one lift, that of the
-paper's simulation unless another is trained.
+onnxruntime runs. Other unknowns stay at their priors. The network is for one lift, by default that
+of the paper's simulation.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ class PointNetSettings:
 
 
 def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Found:
-    """Read modulus and Poisson's ratio off the last cloud.
+    """Predict modulus and Poisson's ratio from the last cloud.
 
     Raises:
         ParameterError: The network was trained on another kind of lift, or the file is none.
-        SimulationError: What it says cannot be simulated.
+        SimulationError: Its prediction cannot be simulated.
     """
     settings = settings or PointNetSettings()
     scene, prior = problem.only().scene, problem.prior
@@ -78,8 +78,8 @@ def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Foun
     vector, covariance = initial.copy(), np.diag(prior.sd**2)
     # the modulus goes with the bending length cubed
     modulus = math.log(scene.specific_modulus(math.exp(float(mean[0])) * scene.size))
-    said = {"specific_modulus": (modulus, 3.0), "nu": (float(mean[1]), 1.0)}
-    for n, (name, (value, share)) in enumerate(said.items()):
+    predicted = {"specific_modulus": (modulus, 3.0), "nu": (float(mean[1]), 1.0)}
+    for n, (name, (value, share)) in enumerate(predicted.items()):
         if name in prior.names:
             k = prior.names.index(name)
             vector[k] = value
@@ -156,7 +156,7 @@ def neighbours(points: Array, centres: Array, radius: float) -> NDArray[np.intp]
 
 
 def grouped(clouds: Array) -> dict[str, NDArray[Any]]:
-    """What the network takes of normalised clouds [B, n, 3].
+    """The network's input for normalised clouds [B, n, 3].
 
     Returns:
         near [B, m1, K, 3] places of neighbours about the first layer's centres; which [B, m2, K]
@@ -186,7 +186,7 @@ def _taken(points: Array, index: NDArray[np.intp]) -> Array:
 
 
 def read_network(path: Path | None) -> tuple[Any, dict[str, Any]]:
-    """A session of onnxruntime, and what the file says of itself.
+    """A session of onnxruntime, and the file's metadata.
 
     Args:
         path: What `train_pointnet` wrote; None: the shipped one.
@@ -204,8 +204,8 @@ def read_network(path: Path | None) -> tuple[Any, dict[str, Any]]:
         session = onnxruntime.InferenceSession(
             place.read_bytes(), sess_options=options, providers=["CPUExecutionProvider"]
         )
-        said = session.get_modelmeta().custom_metadata_map[METADATA_KEY]
-        description = json.loads(said)
+        metadata = session.get_modelmeta().custom_metadata_map[METADATA_KEY]
+        description = json.loads(metadata)
     except Exception as error:  # onnxruntime's own exceptions share no public base class
         raise ParameterError(
             f"is no network of this method ({type(error).__name__})",

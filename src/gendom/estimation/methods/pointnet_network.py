@@ -100,7 +100,8 @@ class PointNetTraining:
     """Its peak; it then falls to zero along a cosine."""
     weight_decay: float = 1e-4
     means_first: float = 0.5
-    """Share of the epochs that learn means alone, before variances, which else hide hard cases."""
+    """Share of the epochs that train the means only: variances from the start would mask hard
+    cases."""
     seed: int = 0
 
 
@@ -195,7 +196,7 @@ def _fit(
             # variances wait
             return off.mean() + 0.0 * log_variance.sum()
         own = log_variance - 2.0 * torch.log(network.scale)
-        # weighted by their own deviation, so that hard cases go on being learnt (Seitzer et al.
+        # weighted by their own deviation, so that hard cases keep their weight (Seitzer et al.
         # 2022)
         weight = torch.exp(0.5 * own).detach()
         return (weight * (off * torch.exp(-own) + own)).mean()

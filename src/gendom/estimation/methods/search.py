@@ -1,4 +1,4 @@
-"""What methods have in common: where they begin, which start is best, the noise of a fit."""
+"""Common parts of the methods: starting points, the best start, the noise of a fit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.floating]
 
 
 def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) -> list[Start]:
-    """What a scan over the modulus finds best, and random places about it.
+    """Starting points: the best of a scan over the modulus, and random points about it.
 
     Args:
         problem: Has the number of starts, and the seed.
@@ -44,8 +44,8 @@ def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) 
 def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
     """[P] vectors with each modulus [S] of a scan as unknown k, the best ones first.
 
-    Recordings do not depend on each other's guesses: beside a modulus, each has that which suits
-    it best, then the next best.
+    Guesses of different recordings are independent: with each modulus every recording takes its
+    best guess, then the next best.
     """
     prior, parts = problem.prior, problem.parts
     most = max(len(part.scene.guesses) for part in parts)
@@ -80,8 +80,8 @@ def best_of(starts: Sequence[Start]) -> Start | None:
 def estimated_noise(
     comparison: Comparisons, noise: Sequence[NoiseModel], rounds: int = 6
 ) -> tuple[NoiseModel, ...]:
-    """Noise of each recording that makes its clouds more likely: twice registered, with so many
-    rounds of expectation and maximisation each time."""
+    """Maximum likelihood noise of each recording: two registrations, each with this many rounds of
+    expectation and maximisation."""
     found = list(noise)
     for k, part in enumerate(comparison.parts):
         for _ in range(2):

@@ -1,7 +1,6 @@
-"""The paper's table of real cloths, in the second reality: each cloth lifted once, then spread.
-
-Nothing of the second reality's truth is used but the score, and the row that says so. Trials of a
-cloth differ in where the hand closes.
+"""The paper's table of real cloths, in the MuJoCo test scene: each cloth is lifted once, then
+spread. Its true parameters serve only for the score, and for the row that is labelled so. Trials of
+a cloth differ in where the hand closes.
 """
 
 from __future__ import annotations
@@ -40,12 +39,12 @@ SEEN = ("covered", "share")
 lies spread."""
 
 _STREAM = 7
-"""Keeps these draws apart from others with the same seed."""
+"""Part of the seed: makes these draws independent of others with the same seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClothRealSettings:
-    """How much is simulated, trained and tried."""
+    """Numbers of simulations, trainings and trials."""
 
     cloths: tuple[str, ...] = CLOTHS
     trials: int = 5
@@ -141,7 +140,7 @@ def _acts(policy: Policy, item: Item) -> float:
 
 
 def _searched(bench: Workbench, settings: ClothRealSettings, name: str, belief: Belief) -> float:
-    """The A that spreads most in our simulator, in the mean over what an estimate leaves open."""
+    """The A that spreads most in our simulator, in the mean over the posterior of an estimate."""
 
     def make() -> dict[str, Any]:
         items = belief.draws(settings.draws, bench.seed)
@@ -150,7 +149,7 @@ def _searched(bench: Workbench, settings: ClothRealSettings, name: str, belief: 
             [item for item in items for _ in SEARCHED],
             np.tile(SEARCHED, len(items))[:, None],
         )
-        # what fails spreads nothing
+        # a failed trial spreads nothing
         share = np.array([o.values.get("share", 0.0) for o in found])
         mean = share.reshape(len(items), -1).mean(axis=0)
         return {"A": SEARCHED, "share": mean.tolist(), "best": SEARCHED[int(mean.argmax())]}

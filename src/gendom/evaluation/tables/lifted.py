@@ -1,4 +1,4 @@
-"""Objects of the second reality, as one recorded lift shows them."""
+"""Objects of the MuJoCo test scene, recorded and estimated from one lift."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""The paper's table real2sim, in the second reality: objects lifted once, estimated by each method.
-
-The ropes of the second reality have the names of the paper's, and the lift rises as high as the
-paper's simulated one, which its network knows. Nothing of the second reality's truth is used but
-the errors.
+"""The paper's table real2sim, in the MuJoCo test scene: objects are lifted once and estimated by
+each method. The ropes have the names of the paper's, and the lift rises as high as the paper's
+simulated one, on which its network is trained. True parameters serve only for the errors.
 """
 
 from __future__ import annotations
@@ -41,12 +39,12 @@ METHODS = {
 
 KEPT = ("youngs_modulus", "chamfer_last", "chamfer_mean", "chamfer_last_surface",
         "chamfer_mean_surface", "rms", "iterations", "seconds")  # fmt: skip
-"""What a row takes of an estimate's record."""
+"""Keys of an estimate's record that a row takes over."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Real2SimSettings:
-    """What is estimated, and how long methods may search."""
+    """Objects and methods, and limits of the search."""
 
     objects: tuple[str, ...] = (*ROPES, *CLOTHS)
     methods: tuple[str, ...] = ()
@@ -94,7 +92,7 @@ def real2sim(bench: Workbench, settings: Real2SimSettings) -> dict[str, Any]:
 
 
 def _rows(own: dict[str, Any], settings: Real2SimSettings, name: str) -> dict[str, Any]:
-    """Rows of one object by what they are called."""
+    """Rows of one object by name."""
     from gendom.reality import find_object, predefined_lift
 
     bench, item = Workbench(**own), find_object(name)

@@ -1,6 +1,6 @@
-"""The paper's table of real ropes, in the second reality: each rope lifted once, then reached for.
-
-Nothing of the second reality's truth is used but the score, and two rows that say so.
+"""The paper's table of real ropes, in the MuJoCo test scene: each rope is lifted once, then goals
+are reached with it. True parameters serve only for the score, and for two rows that are labelled
+so.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ IDENTIFIED_FROM = 20
 """Executions that R2S2R finds its parameters from."""
 
 CANDIDATES = 16
-"""Actions among which a steady one is looked for."""
+"""Number of candidates for an action that is not sensitive to disturbances."""
 
 WITHOUT_LIFT = 3.0 * math.log(0.7 / 0.25) / math.sqrt(12.0)
 """Standard deviation of ln E before a lift: bending lengths of 0.25 to 0.7 sizes."""
@@ -45,7 +45,7 @@ WITHOUT_LIFT = 3.0 * math.log(0.7 / 0.25) / math.sqrt(12.0)
 
 @dataclass(frozen=True, kw_only=True)
 class RopeRealSettings:
-    """How much is simulated, trained and tried."""
+    """Numbers of simulations, trainings and trials."""
 
     task: str = "rope-reaching"
     goals: int = 24
@@ -115,11 +115,11 @@ def rope_real(bench: Workbench, settings: RopeRealSettings) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Steady(Demonstrator):
-    """Draws actions whose risk, simulated with what is known of the object, is within its limit:
-    what a reality does beyond it teaches nothing."""
+    """Draws actions whose simulated risk, with the estimated object, is within its limit: outcomes
+    beyond it are not reproducible and no use for training."""
 
     known: Item
-    """The object as its estimate says."""
+    """The object with its estimated parameters."""
     foresight: World = field(default_factory=Simulation)
     """Where it is simulated."""
 
@@ -261,7 +261,7 @@ def _like_stated(demonstrations: Demonstrations, task: Task) -> Item:
 
 
 def _seven(task: Task, policy: Policy, ropes: Sequence[Item]) -> Cases:
-    """The paper's seven goals: evenly over what each rope reaches."""
+    """The paper's seven goals: evenly over the reach of each rope."""
     items, goals = [], []
     for k in range(7):
         for rope in ropes:
@@ -280,7 +280,7 @@ def _measured(
     policies: dict[str, Policy],
     world: World,
 ) -> dict[str, Any]:
-    """Errors [W] of every row, and what those of ours are made of; each row is kept."""
+    """Errors [W] of every row, and the components of our own; each row is kept."""
     from gendom.reality import RealWorld
 
     held = [beliefs[k % len(beliefs)] for k in range(len(cases))]
@@ -323,7 +323,7 @@ def _measured(
             lambda start=action: _after(bench, settings, cases, held, seen, start),
         )
 
-    # what the error of ours is made of, one change at a time
+    # components of our error, one change at a time
     free = RealWorld(robot=False, jobs=bench.jobs)
     _, by_hand = measure("ours, by a free hand", lambda: ours, free)
     sim = Simulation(device=bench.device)
@@ -347,7 +347,7 @@ def _after(
     seen: Sequence[Sequence[Execution]],
     start: Array,
 ) -> Array:
-    """[W, A] actions polished for what executions have taught."""
+    """[W, A] actions polished with the result of earlier executions."""
     searches = [adapting(cases.task, b, list(e)) for b, e in zip(beliefs, seen, strict=True)]
     learnt = side_by_side(cases.task, Simulation(device=bench.device), searches)
     return _polished(
@@ -387,7 +387,7 @@ def _polished(
 
 
 def _middling(rope: Item) -> Item:
-    """A rope of these sizes and this mass of which nothing else is known."""
+    """A rope with these sizes and this mass; all else is unknown."""
     return with_dimensionless(rope, {"E": 0.45, "damping": 0.02, "nu": 0.3})
 
 

@@ -1,4 +1,4 @@
-"""What the paper's tables show, its numbers beside ours."""
+"""The paper's tables with its numbers beside ours."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def simulated_sheet(title: str, rows: Mapping[str, Any], paper: Mapping[str, flo
 
 
 def _paper_text(name: str, paper: Mapping[str, float]) -> str:
-    """What the paper has for a row: its method is the inverse one."""
+    """The paper's number for a row: its method is the inverse one."""
     rows = (
         f"{v:.3f}" for key, v in paper.items() if name in (f"inverse, {key}", f"{key}, inverse")
     )
@@ -122,8 +122,8 @@ def generalization_sheets(result: Mapping[str, Any]) -> list[Sheet | Curves]:
 
 
 def rope_real_sheets(result: Mapping[str, Any]) -> list[Sheet | Curves]:
-    """Estimates, misses of drawn goals, sums over seven goals, what errors are made of, and how
-    they fall with executions."""
+    """Estimates, misses of drawn goals, sums over seven goals, components of the errors, and errors
+    by the number of executions."""
     drawn = result["drawn"]
     names = list(next(iter(result["estimates"].values())))
     sheets: list[Sheet | Curves] = [
@@ -131,8 +131,8 @@ def rope_real_sheets(result: Mapping[str, Any]) -> list[Sheet | Curves]:
             title="Estimates (E over density; SI)",
             head=tuple(names),
             rows={
-                rope: tuple(f"{said[n]['mean']:.4g}" for n in names)
-                for rope, said in result["estimates"].items()
+                rope: tuple(f"{estimate[n]['mean']:.4g}" for n in names)
+                for rope, estimate in result["estimates"].items()
             },
         ),
         Sheet(

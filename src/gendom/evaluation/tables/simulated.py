@@ -1,4 +1,5 @@
-"""The paper's two tables in simulation: what parameters are worth, and how far policies generalise.
+"""The paper's two tables in simulation: the effect of parameters as an input, and generalisation of
+policies.
 
 Errors are in the paper's unit, in which a rope is 0.5 long.
 """
@@ -55,7 +56,7 @@ SEES: dict[str, tuple[str, ...]] = {"both": ("E", "nu"), "E": ("E",), "nu": ("nu
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSettings:
-    """How much is simulated and trained."""
+    """Numbers of simulations and trainings."""
 
     task: str = "rope-reaching"
     engine: str = "thin"
@@ -75,7 +76,7 @@ class SimulatedSettings:
 
 
 def ablation(bench: Workbench, settings: SimulatedSettings) -> dict[str, Any]:
-    """Policies that see both parameters, one or none: how far they miss random ropes' goals.
+    """Policies that see both parameters, one or none: their errors for goals of random ropes.
 
     Args:
         bench: Where everything is kept.

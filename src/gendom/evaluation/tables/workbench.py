@@ -1,4 +1,4 @@
-"""What tables are made with: demonstrations and policies in a folder, made once."""
+"""Demonstrations and policies of tables, made once and kept in a folder."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Wanted:
 class Workbench:
     """A folder that keeps everything a table is made from, so that an interrupted one continues.
 
-    Names of what is kept are for people; those of files follow from them.
+    Results have readable names; file names follow from them.
     """
 
     folder: Path
