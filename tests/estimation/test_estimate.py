@@ -5,6 +5,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation import (
@@ -195,6 +196,20 @@ def test_progress_is_reported(result):
     assert reports[-1].iteration <= reports[-1].most
     assert all(p.stage and np.isfinite(p.rms) for p in reports)
     assert all(p.best.specific_modulus > 0.0 for p in reports)
+
+
+def test_blas_takes_one_thread_while_it_searches(lifted, settings):
+    """Results do not depend on the number of cores, and its threads do not wait for each other."""
+    seen = set()
+
+    def threads():
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = threads()
+        estimate(lifted, settings, on_progress=lambda _: seen.update(threads()))
+        assert threads() == before
+    assert seen == {1}
 
 
 def test_ctrl_c_keeps_the_best_so_far(lifted, settings):

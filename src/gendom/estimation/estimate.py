@@ -6,6 +6,7 @@ import time as clock
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
@@ -67,17 +68,20 @@ def estimate(
     if isinstance(recordings, Recording):
         recordings = [recordings]
     names = names or recording_names(len(recordings))
-    scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
-    problem = Problem(scenes, settings, on_progress, known, names)
-    found = METHODS[settings.method](problem)
-    finer = problem.finer(found.best.vector)
-    if finer is not problem and settings.method == "gauss-newton" and not found.interrupted:
-        problem, found = finer, refined(finer, found)
-    calibration = calibration or Calibration.of(problem.scene.kind)
-    posterior = _posterior(problem, found, calibration)
-    alone = _alone(problem, found, posterior, calibration)
-    verdict = judge(problem, found, alone)
-    return result_of(problem, found, posterior, alone, verdict, clock.perf_counter() - began)
+    # Worlds and clouds go side by side already. Threads of BLAS for matrices this small wait for
+    # each other (a search takes 1.6 to 6 times as long), and results would depend on their number.
+    with threadpool_limits(limits=1, user_api="blas"):
+        scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
+        problem = Problem(scenes, settings, on_progress, known, names)
+        found = METHODS[settings.method](problem)
+        finer = problem.finer(found.best.vector)
+        if finer is not problem and settings.method == "gauss-newton" and not found.interrupted:
+            problem, found = finer, refined(finer, found)
+        calibration = calibration or Calibration.of(problem.scene.kind)
+        posterior = _posterior(problem, found, calibration)
+        alone = _alone(problem, found, posterior, calibration)
+        verdict = judge(problem, found, alone)
+        return result_of(problem, found, posterior, alone, verdict, clock.perf_counter() - began)
 
 
 def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Posterior:
