@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from gendom.errors import SimulationError
 from gendom.materials import Material
@@ -24,8 +24,8 @@ class Settings:
     """Small sizes: coarser grids, shorter objects, fewer rows."""
     threads: int | None = None
     """Worlds side by side on the CPU (default: all cores)."""
-    make: type[Simulator] = Simulator
-    """What makes them."""
+    simulators: ClassVar[type[Simulator]] = Simulator
+    """Class of all simulators."""
 
     def simulator(self, body: Body, materials: Sequence[Material], **options: Any) -> Simulator:
         """A simulator, by default the MPM; ``options`` are those of ``Simulator``.
@@ -35,7 +35,7 @@ class Settings:
         """
         given: dict[str, Any] = {"device": self.device, "dtype": self.dtype}
         given |= {"threads": self.threads, "engine": "mpm"}
-        return self.make(body, materials, **(given | options))
+        return self.simulators(body, materials, **(given | options))
 
     def round_off(self, double: float, single: float) -> float:
         """The allowed error of a quantity that is exact but for round-off."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -29,13 +29,19 @@ class Resting(Simulator):
         return x if particles is None else x[:, :, np.asarray(particles, dtype=int)]
 
 
+class AtRest(Settings):
+    """Settings with simulators that do so."""
+
+    simulators = Resting
+
+
 def at_rest(case: Callable[[Settings], list[Check]]) -> Callable[[Settings], list[Check]]:
     """A case of shapes at rest, without motion."""
 
     def run(settings: Settings) -> list[Check]:
         return [
             replace(check, quantity=f"{check.quantity}, by equilibria")
-            for check in case(replace(settings, make=Resting))
+            for check in case(AtRest(**asdict(settings)))
         ]
 
     return run
