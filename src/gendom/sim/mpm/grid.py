@@ -26,7 +26,7 @@ from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.types import make_types
 
 MARGIN = 0.5
-"""How far a particle may travel, in cells, before the grid is rebuilt."""
+"""Largest distance [cells] that a particle may travel before the grid is rebuilt."""
 
 EMPTY_BELOW = 1 << 20
 """Lower end of the node range of a column without nodes."""
@@ -62,7 +62,7 @@ class Grid:
 
 
 class GridExhausted(Exception):
-    """The object spreads over more nodes than any real one does."""
+    """The object needs more grid nodes than the limit; it has probably diverged."""
 
 
 def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:

@@ -1,4 +1,4 @@
-"""Running on the CPU: every thread takes a world from the first frame to the last."""
+"""Running on the CPU: each thread simulates one world from the first frame to the last."""
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
@@ -142,7 +142,7 @@ class Threads:
         """Simulate all worlds to all times.
 
         Raises:
-            SimulationError: If a world diverges, unless told to keep going.
+            SimulationError: If a world diverges, unless ``keep_going`` is set.
         """
         worlds = self.worlds
         done = np.zeros(worlds.num_worlds, dtype=int)
@@ -214,7 +214,7 @@ class Threads:
         clock["status"][w] = OK
 
     def hold_as_at(self, w: int, age: int) -> None:
-        """Let world w's grippers hold what they held before substep ``age`` of all."""
+        """Restore what world w's grippers held before its substep ``age``."""
         grips = self.worlds.grips
         if grips.count.shape[1]:
             kernel = make_hold_as_at(self.worlds.real)
