@@ -1,6 +1,6 @@
-"""What can be wrong with the content of a recording.
+"""Checks of the content of a recording.
 
-The form of its arrays is checked where they are made, in `gendom.datasets.recording`.
+Types and shapes of its arrays are checked in `gendom.datasets.recording`.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ SIZES = (
 
 MAX_GRASP_DISTANCE = 0.15
 """A gripper farther than this from every point in every frame [m] does not hold the object."""
-_MAX_EXTENT = 20.0  # [m]; what is larger was not written in metres
+_MAX_EXTENT = 20.0  # [m]; larger clouds are not in metres
 _MIN_TRAVEL = 1e-3  # [m]
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing wrong with a recording; `str()` gives it in one line."""
+    """One fault of a recording; `str()` gives it in one line."""
 
     what: str
     where: str
-    """The key, and the frame where there is one."""
+    """The key, and the frame if there is one."""
     fix: str
-    """What to do about it."""
+    """How to correct it."""
     severity: str = "error"
     """"error" (the recording cannot be used) or "warning"."""
 
@@ -57,7 +57,7 @@ class Fault:
 
 
 def check(recording: Recording) -> list[Fault]:
-    """Everything that is wrong with the content, errors before warnings."""
+    """Check the content and return all faults, errors before warnings."""
     faults = [*_check_object(recording.object), *_check_fields(recording)]
     number_faults = [*_check_numbers(recording), *_check_time(recording)]
     faults += number_faults
@@ -72,7 +72,7 @@ def check(recording: Recording) -> list[Fault]:
 
 
 MAX_DENSITY = 25e3
-"""No matter is denser [kg/m^3]."""
+"""Upper bound on the density of matter [kg/m^3]."""
 _THICKEST = {"rope": 0.1, "cloth": 0.02}  # of the size, where the thickness is unknown
 _MAX_STEP = 10.0  # [s] between frames
 _TIMES = (  # frames less far apart than so many seconds, their unit, and what brings seconds
@@ -227,16 +227,16 @@ def _check_frames(recording: Recording) -> list[Fault]:
 
 
 _LENGTHS = {"centimetres": 100.0, "millimetres": 1000.0}
-"""Units in which lengths are written by mistake, and how many make a metre."""
+"""Units in which lengths may be given by mistake, and their number in a metre."""
 _USUAL_EXTENT = (0.1, 2.0)
-"""Of objects that robots handle [m]."""
+"""Usual lengths of objects that robots handle [m]."""
 
 
 def _meant(value: float, usual: tuple[float, float]) -> str:
-    """Names the units in which a length that is too large is usual, and what brings metres.
+    """Name the units in which a too large length would be usual, and the conversion to metres.
 
     Args:
-        value: As it was written.
+        value: The length as given.
         usual: Lowest and highest usual length [m].
     """
     low, high = usual
@@ -245,43 +245,43 @@ def _meant(value: float, usual: tuple[float, float]) -> str:
 
 
 def _nearest_unit(distance: Callable[[Recording, float], float], recording: Recording) -> str:
-    """The same, by the unit that brings something nearest to the points.
+    """Name the unit in which something would be nearest to the points, and its conversion.
 
     Args:
-        distance: From a recording and how many of a unit make a metre to a distance [m].
+        distance: Function of a recording and the number of units in a metre; gives a distance [m].
         recording: Its points are in metres.
     """
     return _divide([min(_LENGTHS, key=lambda unit: distance(recording, _LENGTHS[unit]))])
 
 
 def _gripper_distance(recording: Recording, of_metre: float) -> float:
-    """Between points and a gripper at the start, whose position is in another unit [m]."""
+    """Initial distance between points and a gripper whose position is in another unit [m]."""
     start = recording.frame(int(np.argmax(recording.frame_valid)))
     away = start[None] - recording.gripper_position[0, :, None] / of_metre
     return float(np.linalg.norm(away, axis=2).min())
 
 
 def _table_distance(recording: Recording, of_metre: float) -> float:
-    """Between the lowest point and a table whose height is in another unit [m]."""
+    """Distance between the lowest point and a table whose height is in another unit [m]."""
     assert recording.table_height is not None
     return abs(recording.table_height / of_metre - float(recording.points[:, 2].min()))
 
 
 def _divide(units: Sequence[str]) -> str:
-    """Units of length, and what brings metres."""
+    """Text with units of length and their conversion to metres."""
     factors = " or ".join(f"{_LENGTHS[unit]:g}" for unit in units)
     return f"{' or '.join(units)}; divide by {factors}"
 
 
 def _check_units(recording: Recording) -> list[Fault]:
-    """Coordinates or sizes in smaller units, and clouds far larger than the object."""
+    """Check for coordinates or sizes in smaller units, and clouds far larger than the object."""
     extents = [np.ptp(cloud, axis=0).max() for cloud in recording.frames() if len(cloud)]
     if not extents:
         return []
     extent = float(np.median(extents))
     size = recording.object.size
     if size is not None and not (math.isfinite(size) and size > 0.0):
-        size = None  # a fault of its own
+        size = None  # reported as a separate fault
     other = "" if size is None else f", the object {size:.4g} m"
     if extent > _MAX_EXTENT or (size is not None and extent > 30.0 * size):
         usual = _USUAL_EXTENT
@@ -321,7 +321,7 @@ def _check_units(recording: Recording) -> list[Fault]:
 
 
 def _check_other_units(recording: Recording) -> list[Fault]:
-    """What was given in grams, milliseconds or, beside sizes in metres, in millimetres."""
+    """Check for values in grams, milliseconds or, beside sizes in metres, in millimetres."""
     held, size, faults = recording.object, recording.object.size, []
 
     def wrong(what: str, where: str, unit: str) -> None:
@@ -360,7 +360,7 @@ def _check_other_units(recording: Recording) -> list[Fault]:
 
 
 def _least_density(held: ObjectDescription, size: float) -> float:
-    """Of an object of known mass, 0 where that is unknown [kg/m^3]."""
+    """Lower bound on the density of an object of known mass, else 0 [kg/m^3]."""
     if held.mass is None or not math.isfinite(held.mass):
         return 0.0
     if held.kind == "rope":
@@ -371,7 +371,7 @@ def _least_density(held: ObjectDescription, size: float) -> float:
 
 
 def _check_grippers(recording: Recording) -> list[Fault]:
-    """Whether each gripper holds the object and is at it, and whether any moves."""
+    """Check that each gripper holds the object and is close to it, and that one moves."""
     faults = _check_holds(recording)
     if not recording.frame_valid.any():
         return faults
@@ -418,7 +418,7 @@ def _check_grippers(recording: Recording) -> list[Fault]:
 
 
 def _check_holds(recording: Recording) -> list[Fault]:
-    """Whether each gripper is ever closed, and from the start."""
+    """Check whether each gripper is closed at some time, and from the start."""
     faults = []
     for gripper, closed in enumerate(recording.holds.T):
         where = f"gripper_closed, gripper {gripper}"

@@ -1,4 +1,4 @@
-"""Jobs on the machines of a Ray cluster."""
+"""Run jobs on a Ray cluster."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from gendom.errors import DeviceError, GendomError
 from gendom.installation import how_to_install
 
 RETRIES = 5
-"""How often a job is begun again whose worker died."""
+"""How often a job is restarted after its worker died."""
 
 
 def on_cluster(
     simulate: Callable[..., Any], jobs: Sequence[range], address: str, device: str
 ) -> Iterator[tuple[range, Any]]:
-    """Jobs and their results as they are done, one worker for each core or GPU.
+    """Run jobs with one worker for each core or GPU, and yield jobs and results as they finish.
 
-    A worker that dies loses its job, which another begins again.
+    If a worker dies, its job is restarted on another one.
 
     Args:
         simulate: Called as ``simulate(job, device=...)`` on a worker.
-        jobs: What is to be done.
+        jobs: Jobs to run.
         address: ``local``: cores or GPUs of this machine; ``auto`` or ``ray://HOST:PORT``: a
-            cluster that runs.
+            running cluster.
         device: ``cpu`` or ``cuda``; on CUDA a worker has one GPU.
 
     Raises:
@@ -40,7 +40,7 @@ def on_cluster(
         kind = "GPU" if "num_gpus" in needs else "CPU"
         if not ray.cluster_resources().get(kind):
             raise DeviceError(f"the cluster has no {kind}", where=f"--cluster {address}")
-        # a class that came from a file of its own is not there to be imported on workers
+        # a class loaded from a separate file cannot be imported on workers
         for name in {type(part).__module__ for part in _settings(simulate)}:
             if not name.startswith("gendom."):
                 ray.cloudpickle.register_pickle_by_value(sys.modules[name])
@@ -76,7 +76,7 @@ def _result(ray: Any, done: Any, address: str) -> Any:
 
 @contextmanager
 def _connected(address: str) -> Iterator[Any]:
-    # Ray's own start-up notes and its usage report
+    # Ray's start-up messages and usage report
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     try:
@@ -106,7 +106,7 @@ def _connected(address: str) -> Iterator[Any]:
 
 
 def _settings(value: Any) -> Iterator[Any]:
-    """Dataclasses that a partial call of `simulate` is made of."""
+    """Yield the dataclasses among the arguments of a partial call of `simulate`."""
     for inner in [*getattr(value, "args", ()), *getattr(value, "keywords", {}).values()]:
         if names := getattr(inner, "__dataclass_fields__", ()):
             yield inner

@@ -4,11 +4,11 @@
                          device, gendom version, and the SHA-256 of every shard
     shard-00000.parquet  demonstrations 0 to shard_size - 1, one row each
     shard-00001.parquet  ...
-    writer.json          who writes to it now, or did so last
+    writer.json          the process that is writing, or was the last one to write
 
 Columns are `demonstration` (its number, int64), the numbers that the task drew (actions,
 parameters, sizes) and measured (`goal_x`, ...; null where the simulation failed), `ok`, and
-`fault`, what went wrong (null where nothing did). Numbers are in SI units.
+`fault`, the reason of a failure (null without failure). Numbers are in SI units.
 
 Demonstration i is drawn from `numpy.random.default_rng([seed, i])` and depends on nothing else:
 shards can be simulated in any order, on any machine, and a set can be continued or extended.
@@ -46,7 +46,7 @@ from gendom.files import atomic_path, free_room, read_json, write_json
 FORMAT = "gendom-demonstrations/2"
 
 GOAL = "goal_"
-"""What columns of goals begin with."""
+"""Prefix of columns of goals."""
 
 _DESCRIPTION, _WRITER, _LOCK = "dataset.json", "writer.json", ".lock"
 _METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
@@ -65,18 +65,18 @@ class Outcomes:
     columns: Mapping[str, NDArray[np.float64]]
     """[W] results by column name; NaN where a demonstration failed."""
     faults: tuple[str | None, ...]
-    """[W] what went wrong, None where nothing did."""
+    """[W] reasons of failures, None without failure."""
 
 
 class Demonstrator(Protocol):
-    """Where demonstrations come from, see `gendom.tasks.demonstrator`."""
+    """Source of demonstrations, see `gendom.tasks.demonstrator`."""
 
     def about(self) -> dict[str, Any]:
-        """What all demonstrations have in common, ready for JSON; `task` has a `name`."""
+        """Settings common to all demonstrations, ready for JSON; `task` has a `name`."""
         ...
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """What one demonstration begins with, by column name."""
+        """Draw the inputs of one demonstration, by column name."""
         ...
 
     def demonstrate(
@@ -86,24 +86,24 @@ class Demonstrator(Protocol):
         device: str,
         on_frame: Callable[[int], None] | None = None,
     ) -> Outcomes:
-        """Carry out draws side by side. Columns of the same name take the place of drawn ones.
+        """Simulate draws in parallel. Returned columns replace drawn ones of the same name.
 
-        `on_frame` is called now and then; what it raises ends everything.
+        `on_frame` is called regularly; an exception that it raises stops the simulation.
         """
         ...
 
 
 AHEAD = 2
-"""Parts of a set that a GPU has at once: one is made ready while the other is simulated."""
+"""Parts of a set in flight on a GPU: one is prepared while the other is simulated."""
 
 FEWEST_TOGETHER = 1024
-"""Demonstrations that make good use of a GPU; where there are several, none gets fewer."""
+"""Number of demonstrations that uses a GPU well; of several GPUs none gets fewer."""
 
 MEASURED = 6
-"""Numbers that a task measures of a demonstration, about."""
+"""Approximate number of values that a task measures in a demonstration."""
 
 TURNS = 8
-"""Parts for each of several devices: more parts keep devices from waiting for the slowest."""
+"""Parts for each of several devices; several parts balance the load between devices."""
 
 
 def generate(
@@ -117,21 +117,21 @@ def generate(
     shard_size: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pa.Table:
-    """Simulate a set of demonstrations, or what is missing of one, and load it.
+    """Simulate a set of demonstrations, or its missing part, and load it.
 
-    Shards are written whole or not at all, so an interrupted set continues where it stopped. A
-    larger `size` extends a set, a smaller one ends a set that was interrupted. A demonstration that
-    diverges is kept with `ok` false.
+    Shards are written completely or not at all, so an interrupted set continues where it stopped.
+    A larger `size` extends a set; a smaller one completes an interrupted set at that size. A
+    demonstration that diverges is kept with `ok` false.
 
     Args:
-        source: What is demonstrated.
+        source: Source of the demonstrations.
         size: Number of demonstrations.
         out: Folder of the set; made if it is missing.
         seed: Seed of all draws, 0 or more.
         device: ``cpu``, ``cuda`` or ``cuda:0`` and so on; several with commas between them, or
             ``all`` GPUs. On one GPU a shard is handed to the task at once.
-        cluster: A Ray cluster that shares the work, see `gendom.datasets.cluster`; the same rows
-            come of it. ``device`` is then that of each worker.
+        cluster: A Ray cluster that shares the work, see `gendom.datasets.cluster`; the result is
+            the same. ``device`` is then that of each worker.
         shard_size: Demonstrations in a shard (default: ``SHARD_SIZE`` of the device).
         progress: Called with the number of demonstrations done, those already there included,
             and `size`.
@@ -168,7 +168,7 @@ def _complete(
     cluster: str | None,
     progress: Callable[[int, int], None] | None,
 ) -> pa.Table:
-    """Simulate what a folder lacks of a set, and load it."""
+    """Simulate the missing part of a set, and load it."""
     size, seed, shard_size = (description[name] for name in ("size", "seed", "shard_size"))
     identity = _identity(description)
     hashes: dict[str, str] = {}
@@ -235,10 +235,10 @@ def _complete(
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Be the only one who writes to a set.
+    """Lock a set for writing.
 
     Raises:
-        DatasetError: Somebody else does; says who.
+        DatasetError: Another process is writing; the error names it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / _LOCK)
@@ -266,7 +266,7 @@ def _alone(folder: Path) -> Iterator[None]:
         )
         yield
     finally:
-        # what has come to nothing leaves no trace
+        # remove the folder if nothing was written
         if {path.name for path in folder.iterdir()} <= {_LOCK, _WRITER}:
             (folder / _WRITER).unlink(missing_ok=True)
             (folder / _LOCK).unlink(missing_ok=True)
@@ -292,7 +292,7 @@ def device_kind(device: str) -> str:
 
 
 def _count_together(kind: str, shard_size: int, left: int, devices: int) -> int:
-    """Demonstrations that a task is given at once."""
+    """Number of demonstrations passed to a task at once."""
     if kind == "cpu":
         return max(16, 2 * (os.cpu_count() or 1))
     together = shard_size
@@ -308,7 +308,7 @@ class _StoppedError(Exception):
 def _on_devices(
     simulate: Callable[..., pa.Table], jobs: list[range], devices: list[str]
 ) -> Iterator[tuple[range, pa.Table]]:
-    """Jobs and their rows as they are done, side by side on the devices."""
+    """Run jobs in parallel on the devices, and yield jobs and rows as they finish."""
     if len(devices) == 1 and not devices[0].startswith("cuda"):
         for job in jobs:
             yield job, simulate(job, device=devices[0])
@@ -344,8 +344,8 @@ def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
     """All demonstrations of a set, in order, failed ones included (`ok` is false).
 
     Args:
-        folder: Of the set.
-        part: Whether a set that is not finished is taken as far as it is there.
+        folder: Folder of the set.
+        part: Whether to load the finished part of an unfinished set.
 
     Raises:
         DatasetError: The folder is missing or holds no set, demonstrations are missing, or a
@@ -379,8 +379,8 @@ def succeeded(
     """[N] columns of the demonstrations that did not fail, by name.
 
     Args:
-        table: As `load` gives it.
-        names: Of the columns.
+        table: Table returned by `load`.
+        names: Names of the columns.
         where: The folder of the set.
 
     Raises:
@@ -446,12 +446,12 @@ def _describe(
 
 
 def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
-    """What all shards of a set have in common."""
+    """Fields that identify a set, common to all its shards."""
     return {k: value for k, value in description.items() if k not in ("size", "sha256")}
 
 
 def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
-    """Refuse a folder that holds anything but a part of the wanted set."""
+    """Check that a folder is empty or holds a part of the wanted set."""
     if not (folder / _DESCRIPTION).exists():
         if folder.is_dir() and any(folder.glob("shard-*.parquet")):
             raise DatasetError(
@@ -477,7 +477,7 @@ def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
 
 
 def _check_room(folder: Path, size: int, drawn: int) -> None:
-    """Refuse a set that its disk cannot hold, of so many numbers drawn for each demonstration."""
+    """Check that the disk has room for a set with ``drawn`` numbers for each demonstration."""
     needed, free = 8 * (drawn + MEASURED) * size, free_room(folder)
     if needed > free:
         raise DatasetError(
@@ -491,7 +491,7 @@ def _check_room(folder: Path, size: int, drawn: int) -> None:
 def _differences(
     there: Mapping[str, Any], here: Mapping[str, Any], prefix: str = ""
 ) -> list[tuple[str, Any, Any]]:
-    """Name, one value and the other of what differs, nested objects taken apart."""
+    """Yield the name and both values of each difference, with nested names."""
     found = []
     for name in sorted({*there, *here}):
         mine, yours = there.get(name), here.get(name)
@@ -517,11 +517,11 @@ def _shard_path(folder: Path, number: int) -> Path:
 def _read_shard(
     path: Path, number: int, identity: Mapping[str, Any], hashes: Mapping[str, str]
 ) -> pa.Table:
-    """A shard's rows.
+    """Read a shard's rows.
 
     Raises:
-        FileNotFoundError: There is none.
-        DatasetError: It is damaged, or of another set.
+        FileNotFoundError: The shard does not exist.
+        DatasetError: The shard is damaged, or belongs to another set.
     """
     fix = "delete it, and run the gendom dataset command that made the set"
     try:
@@ -556,7 +556,7 @@ def _simulate(
     device: str,
     on_frame: Callable[[int], None] | None = None,
 ) -> pa.Table:
-    """Draw and carry out the demonstrations of these numbers."""
+    """Draw and simulate the demonstrations with these numbers."""
     draws = [source.draw(np.random.default_rng([seed, i])) for i in indices]
     outcomes = source.demonstrate(draws, device=device, on_frame=on_frame)
     ok = np.array([fault is None for fault in outcomes.faults])

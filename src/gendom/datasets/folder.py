@@ -2,7 +2,7 @@
 
 0000.ply, ...   or .pcd, or .npz: one cloud a frame, in natural order of names (2 before 10)
 gripper.csv     one row a frame: time,x,y,z[,ax,ay,az][,closed]
-object.toml     what is held, and table_height
+object.toml     description of the object, and table_height
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ READERS: dict[str, Callable[[Path], np.ndarray]] = {
     ".pcd": read_pcd,
     ".npz": read_npz_cloud,
 }
-"""What reads a cloud, by the ending of its file."""
+"""Readers of clouds, by file suffix."""
 
 # Keys of object.toml that belong beside the table [object]. TOML gives keys written below a
 # table's head to that table, so they are also looked for there.
@@ -46,11 +46,11 @@ _TOP_KEYS = (
 def read_folder(
     folder: str | os.PathLike,
 ) -> tuple[list[np.ndarray], dict[str, np.ndarray], dict[str, Any]]:
-    """The parts of a recording kept as a folder.
+    """Read the parts of a recording stored as a folder.
 
     The folder holds
         *.ply, *.pcd or *.npz: one cloud a frame, in natural order of their names (2 before 10);
-            .npz beside one of the others are not clouds, and left alone;
+            .npz files beside .ply or .pcd files are not clouds, and are ignored;
         gripper.csv: one row a frame; header time,x,y,z (and ax,ay,az: the axis along the
             object; and closed: 1 where the gripper holds it, 0 where not) for one gripper, or
             time,x0,y0,z0,x1,y1,z1,... (and ax0,ay0,az0,...; closed0,closed1,...);
@@ -80,7 +80,7 @@ def read_folder(
 
 
 def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
-    """The ending of a folder's clouds, and their files in order."""
+    """Suffix of a folder's clouds, and their files in order."""
     by_suffix: dict[str, list[Path]] = {}
     for path in folder.iterdir():
         suffix = path.suffix.lower()
@@ -130,13 +130,13 @@ def read_object(path: Path) -> dict[str, Any]:
 def read_gripper(
     path: Path, *, on_cut: Callable[[int], None] | None = None
 ) -> dict[str, np.ndarray]:
-    """gripper.csv as time [T], gripper_position [T, G, 3], and gripper_axis [T, G, 3] and
-    gripper_closed bool [T, G] where it has them.
+    """Read gripper.csv: time [T], gripper_position [T, G, 3], and gripper_axis [T, G, 3] and
+    gripper_closed bool [T, G] if present.
 
     Args:
         path: The file.
-        on_cut: Called with the number of the last line, where it has no end and lacks values: an
-            interrupted recording. The line is left out then; None: it is refused.
+        on_cut: Called with the number of the last line if it is incomplete because the recording
+            was interrupted. The line is then skipped; None: an incomplete line is an error.
 
     Raises:
         RecordingError: The file cannot be read, or a row is malformed.

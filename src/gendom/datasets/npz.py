@@ -14,7 +14,7 @@ import numpy as np
 from gendom.errors import RecordingError
 
 NAMES = ("points", "xyz")
-"""What the array of a cloud is called, where there are several."""
+"""Names of the cloud's array in files with several arrays."""
 
 LOAD_ERRORS = (
     OSError,
@@ -29,11 +29,11 @@ LOAD_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
 )
-"""What a damaged zip file or array header makes NumPy raise."""
+"""Exceptions that NumPy raises for a damaged zip file or array header."""
 
 
 def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
-    """The cloud of a NumPy .npz file: its array `points` or `xyz`, or the only one it has.
+    """Read the cloud of a NumPy .npz file: its array `points` or `xyz`, or its only array.
 
     Returns:
         [n, 3] positions in the file's unit, float32 or float64 as stored (others become float64).

@@ -1,8 +1,8 @@
 """Point clouds in the format of the Point Cloud Library (PCD), version 0.7 and before.
 
 A header of lines of text, then numbers as text (`ascii`), points one after another (`binary`), or
-field after field, compressed (`binary_compressed`; LZF). Points that a camera did not see are NaN
-there, and left out here. VIEWPOINT, where a sensor stood, is not applied.
+field after field, compressed (`binary_compressed`; LZF). Invalid points are NaN in the file, and
+are left out. VIEWPOINT, the pose of the sensor, is not applied.
 
 Source: the library's documentation, "The PCD (Point Cloud Data) file format"; LibLZF by Marc
 Lehmann.
@@ -37,28 +37,28 @@ class _Header:
     points: int
     encoding: str
     start: int
-    """Of the data [bytes]."""
+    """Offset of the data [bytes]."""
 
     @property
     def row(self) -> np.dtype:
-        """Of a point."""
+        """NumPy type of one point."""
         fields = zip(self.types, self.counts, strict=True)
         return np.dtype([(f"f{n}", kind, (count,)) for n, (kind, count) in enumerate(fields)])
 
     @property
     def xyz(self) -> list[int]:
-        """Places of x, y and z among the fields."""
+        """Indices of x, y and z among the fields."""
         return [self.names.index(axis) for axis in "xyz"]
 
 
 class _PcdFault(Exception):
-    """What is wrong with a file, before its name is known."""
+    """A fault of a file; the caller adds the file's name."""
 
 
 def read_pcd(path: str | os.PathLike) -> np.ndarray:
-    """The points of a PCD file: ascii, binary or binary_compressed.
+    """Read the points of a PCD file: ascii, binary or binary_compressed.
 
-    Other fields are skipped, and points with a coordinate that is NaN: nothing was seen there.
+    Other fields, and points with a NaN coordinate, are skipped.
 
     Returns:
         [n, 3] positions in the file's unit, float32 or float64 as stored (integers become
@@ -174,7 +174,7 @@ def _type(header: _Header) -> np.dtype:
 
 
 def _lzf(data: bytes, size: int) -> bytearray:
-    """Data as it was before LZF: runs of bytes as they are, and copies of what is already there."""
+    """Decompress LZF: literal runs of bytes, and copies of earlier output."""
     out, at = bytearray(), 0
     try:
         while at < len(data):
@@ -196,7 +196,7 @@ def _lzf(data: bytes, size: int) -> bytearray:
             if begin < 0:
                 raise IndexError
             length += 2
-            while length > 0:  # what is copied may itself be a part of the copy
+            while length > 0:  # source and destination of the copy may overlap
                 part = out[begin : begin + length]
                 out += part
                 length -= len(part)

@@ -56,7 +56,7 @@ class _Element:
 
     @property
     def xyz(self) -> list[int]:
-        """Places of x, y and z among the properties."""
+        """Indices of x, y and z among the properties."""
         names = [p.name if p.count_type is None else "" for p in self.properties]
         return [names.index(axis) for axis in "xyz"]
 
@@ -67,7 +67,7 @@ class _Element:
 
 
 def read_ply(path: str | os.PathLike) -> np.ndarray:
-    """The vertices of a PLY file, ascii or binary.
+    """Read the vertices of a PLY file, ascii or binary.
 
     Other vertex properties and other elements are skipped.
 
@@ -129,7 +129,7 @@ def write_ply(path: str | os.PathLike, points: np.ndarray, *, text: bool = False
 
 
 class _PlyFault(Exception):
-    """What is wrong with a file, before its name is known."""
+    """A fault of a file; the caller adds the file's name."""
 
 
 def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:

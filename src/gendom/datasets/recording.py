@@ -1,4 +1,4 @@
-"""The recording of one demonstration: clouds, gripper motion and the object's description.
+"""Recording of one demonstration: clouds, gripper motion and the object's description.
 
 On disk it is `gendom-recording/1`, a NumPy `.npz` without pickles:
 
@@ -55,8 +55,8 @@ class Recording(Shown):
     read-only; take `.copy()` to change one.
 
     Raises:
-        RecordingError: An array has another shape or no numbers in it, or `offsets` does not
-            divide `points`. What the numbers mean is checked by `validate`, not here.
+        RecordingError: An array has the wrong shape or type, or `offsets` does not divide
+            `points`. The values are checked by `validate`, not here.
     """
 
     points: np.ndarray
@@ -73,16 +73,16 @@ class Recording(Shown):
     """[T, G] bool: whether each gripper holds the object; None: all do, always."""
     object: ObjectDescription
     table_height: float | None = None
-    """z of the table [m]; None: nothing below the object."""
+    """z of the table [m]; None: no table."""
     gripper_source: str = "commanded"
     """"commanded" or "measured"."""
     quasi_static: bool = False
-    """True: inertia plays no part and the clock may be rescaled."""
+    """True: inertia is negligible, and time may be rescaled."""
     camera_positions: np.ndarray | None = None
     """[K, 3] float64 [m]; None: unknown."""
     cameras_calibrated: bool = True
-    """False: where the cameras are in the gripper's frame is not known, so points and
-    `camera_positions` are in another one, upright to within a few degrees."""
+    """False: the transform between cameras and gripper is unknown, so points and
+    `camera_positions` are in another frame than the gripper, upright to within a few degrees."""
     source: str = ""
     notes: str = ""
     extra: dict[str, Any] = field(default_factory=dict)
@@ -98,12 +98,12 @@ class Recording(Shown):
 
     @property
     def num_frames(self) -> int:
-        """T."""
+        """Number of frames, T."""
         return len(self.time)
 
     @property
     def num_grippers(self) -> int:
-        """G."""
+        """Number of grippers, G."""
         return self.gripper_position.shape[1]
 
     @property
@@ -120,14 +120,14 @@ class Recording(Shown):
 
     @property
     def begins_with(self) -> str:
-        """SHA-256 of the first points: a recording and a longer one of the same motion share it."""
+        """SHA-256 of the first points; a recording and a longer one of the same motion share it."""
         first = self.frame(int(np.argmax(self.frame_valid)))
         return hashlib.sha256(np.ascontiguousarray(first, dtype="<f4").tobytes()).hexdigest()
 
     @property
     def digest(self) -> str:
-        """SHA-256 of everything that an estimate depends on: all arrays, and `meta` without
-        `source`, `notes` and `extra`. It does not depend on the format of the file."""
+        """SHA-256 of all data that an estimate depends on: all arrays, and `meta` without `source`,
+        `notes` and `extra`. It does not depend on the file format."""
         found = hashlib.sha256()
         for name in STORED_ARRAYS:
             array = getattr(self, name)
@@ -153,7 +153,7 @@ class Recording(Shown):
         return self.points[self.offsets[t] : self.offsets[t + 1]]
 
     def frames(self, which: Sequence[int] | range | None = None) -> list[np.ndarray]:
-        """The points of several frames, of all without an argument."""
+        """The points of the given frames, by default of all."""
         return [self.frame(t) for t in (range(self.num_frames) if which is None else which)]
 
     def head(self, n: int) -> Recording:
@@ -176,7 +176,7 @@ class Recording(Shown):
         return Recording(**values)
 
     def moved(self, T: np.ndarray) -> Recording:
-        """With points and cameras moved by T [4, 4] [m], the grippers where they were."""
+        """Return a copy with points and cameras moved by T [4, 4] [m], and unchanged grippers."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         for name in ("points", "camera_positions"):
             if values[name] is not None:
@@ -195,7 +195,7 @@ class Recording(Shown):
         object: ObjectDescription,
         **other: Any,
     ) -> Recording:
-        """A recording from one cloud a frame.
+        """Make a recording from one cloud for each frame.
 
         Args:
             frames: T arrays [n, 3] [m]; n may differ and may be 0.
@@ -203,7 +203,7 @@ class Recording(Shown):
             gripper_position: [T, G, 3], or [T, 3] for one gripper [m].
             gripper_axis: Like `gripper_position`, unit vectors; or None.
             gripper_closed: [T, G] bool, or [T] for one gripper; None: closed throughout.
-            object: What is held.
+            object: Description of the object.
             other: The remaining fields, by name.
 
         Raises:
@@ -256,7 +256,7 @@ class Recording(Shown):
                 "(RealSense)",
             )
         if path.is_dir() and (path / "meta/info.json").is_file():
-            from gendom.datasets.lerobot import read_lerobot  # late: it needs pyarrow
+            from gendom.datasets.lerobot import read_lerobot  # imported here: it needs pyarrow
 
             arrays, meta = read_lerobot(path)
             where, faults = str(path), missing_keys(meta)
@@ -315,7 +315,7 @@ class Recording(Shown):
             np.savez_compressed(file, meta=np.array(meta), allow_pickle=False, **arrays)
 
     def meta(self) -> dict[str, Any]:
-        """All but the arrays, as the file has it."""
+        """All fields except the arrays, in the form of the file."""
         sizes = NEEDED_SIZES.get(self.object.kind, ())
         optional = {"rope": ("diameter",), "cloth": ("thickness",)}.get(self.object.kind, ())
         shown = (*sizes, *optional, "mass")
@@ -354,19 +354,19 @@ class Recording(Shown):
         ]
 
     def validate(self) -> list[Fault]:
-        """Everything that is wrong with the content, errors before warnings."""
+        """Check the content and return all faults, errors before warnings."""
         return check(self)
 
 
 def is_recording(path: str | os.PathLike) -> bool:
-    """Whether a file or folder is meant as a recording, whole or not."""
+    """Whether a file or folder looks like a recording, complete or not."""
     path = Path(path)
     inside = ("object.toml", "gripper.csv", "meta/info.json")
     return path.is_file() or any((path / name).is_file() for name in inside)
 
 
 def check_name(path: str | os.PathLike) -> None:
-    """Whether a recording can be written under a name; to be asked before much work is done.
+    """Check that a recording can be written under a name; call it before long computations.
 
     Raises:
         RecordingError: It does not end in .npz.

@@ -1,6 +1,6 @@
-"""The form of a recording's file: its arrays and its meta, read, converted and faulted.
+"""Read, convert and check the arrays and the meta of a recording's file.
 
-`gendom.datasets.recording` says what they are.
+They are described in `gendom.datasets.recording`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FORMAT = "gendom-recording/1"
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectDescription:
-    """What is held: kind, sizes at rest, and where it is grasped. None means unknown."""
+    """Description of the object: kind, sizes at rest, and grasp. None means unknown."""
 
     kind: str
     """"rope" or "cloth"."""
@@ -43,9 +43,9 @@ class ObjectDescription:
     grasp: str = "end"
     """"end", "corner", "center" or "both ends"."""
     grasp_radius: float | None = None
-    """How far from the gripper's position the fingers hold the object fast [m]."""
+    """Distance from the gripper's position within which the fingers hold the object [m]."""
     grasp_inset: float | None = None
-    """How far from the rope's end, or inside the cloth's corner, that position is [m]."""
+    """Distance of the gripper's position from the rope's end or from the cloth's corner [m]."""
     extra: dict[str, Any] = field(default_factory=dict)
     """Other keys of the file's `object`, kept and written back."""
 
@@ -76,7 +76,7 @@ _CONVERTED_KINDS = {np.float32: "iuf", np.float64: "iuf", np.int64: "iu", np.boo
 
 
 def convert(arrays: Mapping[str, Any]) -> tuple[dict[str, np.ndarray | None], list[Fault]]:
-    """Arrays in their own types and read-only, and faults of type, shape and offsets."""
+    """Convert arrays to their types, read-only; return them and faults of type and shape."""
     converted: dict[str, np.ndarray | None] = {}
     faults = []
     for name, (dtype, shape) in ARRAYS.items():
@@ -110,7 +110,7 @@ def _form(name: str) -> str:
 
 
 def _check_lengths(arrays: Mapping[str, np.ndarray | None]) -> list[Fault]:
-    """Whether the arrays, each right by itself, fit together."""
+    """Check that arrays, each of which is valid, have matching lengths."""
     points, offsets, time = arrays["points"], arrays["offsets"], arrays["time"]
     position, axis = arrays["gripper_position"], arrays["gripper_axis"]
     assert points is not None and offsets is not None and time is not None
@@ -177,7 +177,7 @@ def _check_lengths(arrays: Mapping[str, np.ndarray | None]) -> list[Fault]:
 
 
 def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The arrays and the parsed `meta` of a recording's file."""
+    """Read the arrays and the parsed `meta` of a recording's file."""
 
     def fault(what: str, fix: str) -> RecordingError:
         return RecordingError(what, where=str(path), fix=fix)
@@ -242,7 +242,7 @@ def missing_keys(meta: Mapping[str, Any]) -> list[Fault]:
 
 
 def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
-    """Fields of a `Recording` from its meta, and faults of type."""
+    """Read the fields of a `Recording` from its meta; return them and faults of type."""
     rest = {key: value for key, value in meta.items() if key != "format"}
     values: dict[str, Any] = {}
     faults = []

@@ -6,7 +6,7 @@ A NumPy `.npz` without pickles:
     meta    JSON text         object: kind ("rope" or "wire"), length [m], mass_per_length [kg/m],
                               optional diameter [m]; source, notes, and anything else
 
-The ends are clamped as the points show it: place and direction of the first and last piece.
+Position and direction of the clamped ends are those of the first and last segment.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ FORMAT_STATIC = "gendom-static/1"
 def recording_of_static(
     arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any], where: str
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays and meta of the recording that a shape at rest stands for.
+    """Convert a shape at rest to the arrays and meta of a recording.
 
-    Each repeat is a frame, a second after the one before; points are ordered markers; two grippers
-    hold the ends; `static` in the meta says that nothing moves.
+    Each repeat becomes a frame, one second after the previous one. Points are ordered markers, two
+    grippers hold the ends, and `static` in the meta marks the recording as motionless.
 
     Args:
-        arrays: The file's; `loops`.
-        meta: The file's.
-        where: What messages call it.
+        arrays: Arrays of the file, with `loops`.
+        meta: Meta of the file.
+        where: Name of the file in messages.
 
     Raises:
-        RecordingError: Something is missing or no number.
+        RecordingError: Something is missing or not a number.
     """
     loops = np.asarray(arrays.get("loops", np.zeros(0)))
     if loops.ndim != 3 or loops.shape[1] < 5 or loops.shape[2] != 3:
@@ -63,7 +63,7 @@ def recording_of_static(
         numbers[name] = float(value)
     described["mass"] = numbers["length"] * numbers.pop("mass_per_length")
     described["grasp"] = "both ends"
-    # what was clamped is where it was clamped in the mean of all repeats
+    # the clamped ends are at their mean position over all repeats
     ends = loops[:, [0, -1]].mean(axis=0)
     axes = (loops[:, [1, -2]] - loops[:, [0, -1]]).mean(axis=0)
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)

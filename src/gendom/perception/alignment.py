@@ -1,4 +1,4 @@
-"""Colour of one camera laid over the depth of another beside it."""
+"""Align the colour of one camera with the depth of a neighbouring one."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _STEEPEST = 5.0  # ... surface's own slope, in pixels' widths a pixel, makes of 
 
 
 class Alignment:
-    """Gives each depth pixel the colour of its point.
+    """Assign each depth pixel the colour of its point.
 
-    Pixels without depth, and those whose point the colour camera does not have in view, become
-    black. Where something nearer hides a point from the colour camera, its colour would be that
-    of the nearer thing; such pixels, at the rims of near things, lose their depth.
+    Pixels without depth, and those whose point is outside the colour camera's view, become black.
+    Where a nearer object occludes a point from the colour camera, the colour would be that of the
+    nearer object; the depth of such pixels, at the edges of near objects, is removed.
 
     Args:
         depth: The depth camera.

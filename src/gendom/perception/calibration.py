@@ -1,13 +1,13 @@
-"""Where a camera stands: T_world_camera from pictures of a board that the robot holds.
+"""Camera pose calibration: T_world_camera from pictures of a board that the robot holds.
 
-The board is a ChArUco board somewhere on the gripper; where on it need not be known. For each
+The board is a ChArUco board at an unknown position on the gripper. For each
 picture i, with the robot's pose T_world_gripper,i,
 
     T_world_camera T_camera_board,i = T_world_gripper,i T_gripper_board,
 
 which is hand-eye calibration. A first solution comes from Park and Martin (1994), "Robot sensor
-calibration: solving AX = XB on the Euclidean group", through OpenCV. It is then refined: of both
-unknown transforms, those that make the reprojection error of all corners least.
+calibration: solving AX = XB on the Euclidean group", through OpenCV. Both unknown transforms are
+then refined by minimising the reprojection error of all corners.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class Board:
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """The board's corners in one picture, and where the robot held it."""
+    """The board's corners in one picture, and the gripper's pose."""
 
     name: str
     """What messages call it."""
@@ -114,7 +114,7 @@ class BoardView:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A camera's pose and how well it is known."""
+    """A camera's pose and its uncertainty."""
 
     T_world_camera: npt.NDArray[np.float64]
     """[4, 4] camera to world [m]."""

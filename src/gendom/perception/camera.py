@@ -35,7 +35,7 @@ class Camera:
     """A pinhole camera with OpenCV's distortion, at rest in the world.
 
     Raises:
-        RecordingError: A value cannot be that of a camera; names it and says what to give.
+        RecordingError: A value is invalid; the error names it and the expected value.
     """
 
     name: str
@@ -177,7 +177,7 @@ def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
         RecordingError: The file is missing, no TOML, or lacks or has a wrong value.
     """
     path = Path(path)
-    # A depth unit taken for granted would be wrong by ten for every second camera.
+    # A default depth unit would be wrong by a factor of ten for many cameras.
     table = _read_table(path, ("width", "height", "K", "depth_unit"))
     return Camera(
         name=name or path.resolve().parent.name,
@@ -188,14 +188,14 @@ def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
 
 
 def adopt_camera(path: str | os.PathLike, camera: Camera) -> Camera:
-    """A camera whose intrinsics a recording holds, with the pose of the camera.toml beside it.
+    """Complete a camera from a recording with the pose of the camera.toml beside it.
 
-    The file may give `depth_unit`, which then counts. Intrinsics that it gives must be the
-    recording's.
+    `depth_unit` in the file overrides the recording's. Intrinsics in the file must equal those of
+    the recording.
 
     Args:
-        path: The file; where there is none the camera stays as it is.
-        camera: What the recording says.
+        path: The file; if it is missing, the camera is returned unchanged.
+        camera: The camera as described by the recording.
 
     Raises:
         RecordingError: The file is no TOML, has a wrong value, or other intrinsics.

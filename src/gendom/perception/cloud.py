@@ -1,9 +1,8 @@
 """From depth pictures to the cloud of the object, frame by frame.
 
-What does not change from frame to frame is worked out once a pixel: the ray in the world, the
-depths between which it is in the workspace, and the depths between which it is on the table.
-Cropping and table removal are then comparisons of 16-bit integers, and only the pixels that are
-left become points.
+Constant quantities are computed once for each pixel: its ray in the world, and the depth ranges in
+which it is inside the workspace and on the table. Cropping and table removal are then comparisons
+of 16-bit integers, and only the remaining pixels are converted to points.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ STAGES = ("depth", "workspace", "table", "colour", "support", "robot", "voxels",
 those left after outlier removal."""
 
 LEAST_DEPTH = 100
-"""A picture in which fewer pixels have depth shows nothing."""
+"""Pictures with fewer valid depth pixels are treated as empty."""
 
 _NEVER = np.uint16(65535)
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
@@ -51,10 +50,10 @@ class CloudSettings:
     table_sigmas: float = 3.0
     """Depths within so many standard deviations of the table's are on the table."""
     table_clearance: float = 0.002
-    """And so are points nearer to it than this [m], however small the noise."""
+    """Points nearer to the table than this [m] are also removed, for any noise."""
     min_support: int = 3
-    """Of a pixel's eight neighbours so many must be the object's, at about its depth. Without
-    are the pixels half on it and half behind it, and stray ones. 0: not asked."""
+    """Minimum number of a pixel's eight neighbours that must belong to the object at about the same
+    depth. This removes mixed pixels at edges, and isolated ones. 0: no such test."""
     robot_margin: float = 0.01
     """Points nearer than this [m] to a capsule are the robot's."""
     voxel: float = 0.005
@@ -134,14 +133,14 @@ class View:
         return ((raw >= self._near) & (raw <= self._far)).reshape(depth.shape)
 
     def check_depth(self, depth: npt.NDArray[np.uint16], table_height: float | None = None) -> None:
-        """Whether depth reaches the workspace at all.
+        """Check that some depth lies in the workspace.
 
         Args:
             depth: [height, width]; `LEAST_DEPTH` pixels or more have depth.
             table_height: z of the table [m]; None: unknown.
 
         Raises:
-            RecordingError: It does not; says whether another depth unit would.
+            RecordingError: None does; the error names another depth unit that would fit.
         """
         where = f"camera {self.camera.name!r}"
         has = np.count_nonzero(depth)
@@ -175,14 +174,14 @@ class View:
             )
 
     def check_unit(self, depth: npt.NDArray[np.uint16], table_height: float | None) -> None:
-        """Whether another depth unit brings the table to where it should be, if none is there.
+        """Check whether the table is at its height only in another depth unit.
 
         Args:
             depth: [height, width].
             table_height: z of the table [m]; None: unknown, and nothing is checked.
 
         Raises:
-            RecordingError: One does.
+            RecordingError: It is.
         """
         unit, right = self.camera.depth_unit, self._unit_by_table(depth, table_height)
         if right is not None:

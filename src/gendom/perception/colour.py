@@ -1,9 +1,9 @@
-"""Which colours are the object's.
+"""Segmentation by colour.
 
-Colours are compared in CIE L*a*b*, where a distance of about 2 is just visible, with lightness
-counted less: shading changes it along one rope, hue and saturation much less so. What lies in
-shadow has less of all three: where light falls to q^3 of what it was, (L* + 16, a*, b*) falls to q
-of it, as the definition of L*a*b* has it. Colours on that line are the object's, too.
+Colours are compared in CIE L*a*b*, where a distance of about 2 is just visible. Lightness has a
+smaller weight, because shading changes it along a rope much more than hue and saturation. Shadow
+reduces all three: if light is reduced by a factor q^3, (L* + 16, a*, b*) is reduced by q, by the
+definition of L*a*b*. Colours on that line also belong to the object.
 """
 
 from __future__ import annotations

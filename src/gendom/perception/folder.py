@@ -14,8 +14,8 @@
 Instead of frames.csv and pictures a camera may have a RealSense recording; then its camera.toml
 holds the pose only (`gendom.perception.realsense`).
 
-All times are seconds of one clock. Frames are read when they are used, and each on its own: one
-that is damaged or missing takes no other with it.
+All times are seconds of one clock. Each frame is read separately when it is used, so a damaged or
+missing frame does not affect others.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _ROUNDING = 1e-6  # [s]; files of different formats round the same time differen
 
 @dataclass(frozen=True, eq=False)
 class RobotPath:
-    """Where the grippers were, on the cameras' clock."""
+    """Path of the grippers, on the cameras' clock."""
 
     time: npt.NDArray[np.float64]
     """[M] [s]."""
@@ -76,8 +76,8 @@ class RobotPath:
         return position, axis / np.linalg.norm(axis, axis=-1, keepdims=True)
 
     def closed_at(self, time: float) -> npt.NDArray[np.bool_] | None:
-        """[G] whether each gripper is closed: what the last row at or before a time [s] says, the
-        first row before that. None: not known."""
+        """Whether each gripper is closed at a time [s], [G]: the value of the last row at or before
+        it, or of the first row. None: unknown."""
         if self.closed is None:
             return None
         row = int(np.searchsorted(self.time, time + _ROUNDING, side="right")) - 1
@@ -201,7 +201,7 @@ def read_sighting(
     cameras: Sequence[str] = (),
     on_warning: Callable[[Fault], None] = lambda _: None,
 ) -> Sighting:
-    """Everything in a folder of the layout above; pictures are read later, one by one.
+    """Read a folder of the layout above; pictures are read later, one by one.
 
     Args:
         folder: DIR.

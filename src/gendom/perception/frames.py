@@ -44,9 +44,9 @@ class Frame:
 class FrameSource(Protocol):
     """A depth camera: recorded pictures, a vendor's recording or a device.
 
-    Iterating gives frames in order of time, once; a source that breaks off just ends, after
-    telling why in a warning of its own. Decoding waits until `Frame.read`, so frames that
-    match nothing cost nothing.
+    Iterating gives frames in order of time, once. A source that fails logs a warning with the
+    reason and then ends. Pictures are decoded only by `Frame.read`, so unmatched frames cost
+    nothing.
     """
 
     @property
@@ -69,7 +69,7 @@ class FrameWriter(Protocol):
 
 @dataclass
 class Matching:
-    """How many frames of each camera found partners."""
+    """Statistics of the matching of frames."""
 
     used: int = 0
     """Sets of frames given."""

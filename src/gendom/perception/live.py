@@ -1,4 +1,4 @@
-"""Cameras as they stream, and their recording to disk."""
+"""Live RealSense cameras, and their recording to disk."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ class RealSenseCamera:
             self._end()
 
     def _end(self) -> None:
-        """Wake who waits for pictures."""
+        """Wake threads that wait for pictures."""
         self._put(None)
 
     def _put(self, item: _Arrived | None) -> None:
@@ -340,7 +340,7 @@ def record_cameras(
     duration: float,
     on_frame: Callable[[int, float], None] = lambda _camera, _time: None,
 ) -> list[int]:
-    """Write what cameras give for some time, each in a thread of its own.
+    """Record cameras for some time, each in a separate thread.
 
     Frames that cannot be read are left out. Sources and writers are left open: use both in
     `with` blocks around. An interruption (Ctrl-C) ends all of them before it goes on.

@@ -1,4 +1,4 @@
-"""From what cameras and robot recorded to a recording that the estimator reads."""
+"""Convert recorded pictures and the robot's path to a recording for the estimator."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ SEEN_BY = "seen_by"
 
 @dataclass(frozen=True, kw_only=True)
 class PerceptionSettings:
-    """What to look for, and how frames are combined."""
+    """Settings of segmentation and of the combination of frames."""
 
     workspace: tuple[float, float, float, float, float, float] | None = None
     """x0 y0 z0 x1 y1 z1 [m]; None: what the object can reach from the grippers' path."""
@@ -248,7 +248,7 @@ class _Perception:
         )
 
     def _fewest(self, camera: Camera) -> float:
-        """Points of one camera from which on its cloud is compared with others'."""
+        """Minimum number of points of a camera's cloud for comparison with others."""
         known = self.object
         area = (
             (known.length or 0.0) * (known.diameter or 0.0)
@@ -263,7 +263,7 @@ class _Perception:
         try:
             pictures = [frame.read() for frame in frames]
             for frame, seen in zip(frames, pictures, strict=True):
-                # Sensors that are just switched on give such pictures.
+                # Sensors give such pictures just after they are switched on.
                 if (has := np.count_nonzero(seen.depth)) < LEAST_DEPTH:
                     raise RecordingError(
                         f"only {has} of {seen.depth.size} pixels have depth",
@@ -276,7 +276,7 @@ class _Perception:
         return pictures
 
     def _begin(self, pictures: list[Pictures]) -> None:
-        """What the first frame settles: units, table, colour."""
+        """Determine units, table and colour from the first frame."""
         for view, seen in zip(self.views, pictures, strict=True):
             view.check_depth(seen.depth, self._expected_table())
         if self.settings.find_table:
@@ -383,11 +383,11 @@ class _Perception:
         return colour
 
     def _compare(self, clouds: list[np.ndarray]) -> None:
-        """Stop when cameras place the object differently.
+        """Raise an error if cameras disagree about the position of the object.
 
-        A shift along a straight rope shows only later, when it is bent: of a rope all of the
-        recording is looked at. A sheet's outline shows any shift at once, and later each camera
-        may see another side of it.
+        A shift along a straight rope is visible only later, when the rope is bent, so the whole
+        recording is compared. A cloth's outline shows any shift at once, and later each camera may
+        see a different side of it.
         """
         self.seen += [len(cloud) for cloud in clouds]
         if len(clouds) < 2 or any(
@@ -544,7 +544,7 @@ class _Perception:
         return float(np.median([seen_share(recording.frame(int(t)), self.object) for t in some]))
 
     def _history(self) -> dict[str, Any]:
-        """How the clouds came about, kept in the recording's meta."""
+        """Description of the processing, stored in the recording's meta."""
         return {
             "cameras": self.names,
             "settings": asdict(self.cloud_settings),

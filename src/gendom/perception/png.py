@@ -1,4 +1,4 @@
-"""PNG pictures that are whole, or a fault that says which is not."""
+"""Read PNG pictures, with checks for damage."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from PIL import Image
 
 from gendom.errors import RecordingError
 
-# What damaged PNG data makes Pillow raise.
+# Exceptions that Pillow raises for damaged PNG data.
 _PNG_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)
 
 

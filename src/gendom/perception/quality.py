@@ -1,4 +1,4 @@
-"""Whether cameras agree, and how much of the object they see."""
+"""Agreement of cameras, and the visible share of the object."""
 
 from __future__ import annotations
 

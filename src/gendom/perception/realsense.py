@@ -1,4 +1,4 @@
-"""RealSense recordings: those of the SDK as a source of frames, and such of simulated cameras.
+"""RealSense recordings: reading them as a source of frames, and writing simulated cameras.
 
 A recorded camera is a folder with one recording and camera.toml:
 
@@ -40,7 +40,7 @@ _DEVICE_CLOCK = "Hardware Clock"
 
 
 def is_recording(path: str | os.PathLike) -> bool:
-    """Whether a file's name is that of a RealSense recording."""
+    """Whether a file has the suffix of a RealSense recording."""
     return Path(path).suffix.lower() in (".db3", ".bag")
 
 
@@ -108,7 +108,7 @@ class RealSenseRecording:
             on_warning(own_clock(where))
 
     def _as_db3(self) -> Path:
-        """The file itself, or what the SDK makes of a .bag."""
+        """Path of the .db3 file, converted by the SDK from a .bag if necessary."""
         try:
             with open(self.path, "rb") as file:
                 is_bag = file.read(7) == b"#ROSBAG"
@@ -169,7 +169,7 @@ def _check_size(picture: np.ndarray, size: tuple[int, int], kind: type, where: s
 
 
 def own_clock(where: str) -> Fault:
-    """The warning that time stamps count from when a camera started."""
+    """Warning that time stamps are relative to the start of a camera."""
     return Fault(
         "its time stamps are of the camera's own clock",
         where,
@@ -194,7 +194,7 @@ _CONVERT = "import sys, pyrealsense2; pyrealsense2.context().convert_bag_to_db3(
 
 
 def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) -> Path:
-    """The .db3 file that the SDK makes of a .bag, as far as it comes.
+    """Convert the readable part of a .bag to a .db3 file with the SDK.
 
     Raises:
         DeviceError: The SDK is missing.
@@ -207,7 +207,7 @@ def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) ->
             where=str(path),
             fix="pip install 'pyrealsense2>=2.59'",
         )
-    # The SDK goes by the name, not by what is inside.
+    # The SDK detects the format from the file name, not from the content.
     source, made = path.resolve(), folder / "recording.db3"
     if source.suffix != ".bag":
         source = Path(shutil.copyfile(source, folder / "recording.bag"))
@@ -257,13 +257,13 @@ def realsense_sdk() -> Any:
 class RealSenseWriter:
     """Writes one camera's folder as a RealSense recording, to be read by `RealSenseRecording`.
 
-    For cameras that are no RealSense, simulated ones above all: the SDK's software device takes
-    their place. Depth is kept bit by bit, colour too, as a stream of the depth's own geometry.
-    Time stamps are "Global Time", to the nanosecond. Close it, or use it in a `with` block: what
-    the SDK has not written by then is lost. What an interrupted program leaves can be read.
+    It is meant for other cameras, mainly simulated ones, and uses the SDK's software device. Depth
+    and colour are lossless; colour is a stream with the geometry of depth. Time stamps are "Global
+    Time", to the nanosecond. Close it, or use it in a `with` block; otherwise data that the SDK has
+    not yet written is lost. Recordings of interrupted programs can be read.
 
     Args:
-        folder: Made if missing.
+        folder: Output folder, created if missing.
         camera: Its T_world_camera goes to camera.toml.
 
     Raises:
@@ -347,7 +347,7 @@ class RealSenseWriter:
         for sensor in self._recorded:
             sensor.stop()
             sensor.close()
-        # The recorder writes what it still holds when the last reference goes.
+        # The recorder flushes its buffers when the last reference is deleted.
         del sensor, self._recorded, self._recorder, self._sensors, self._profiles, self._device
         faults: list[Fault] = []
         bag = Bag(self._path, on_warning=faults.append)

@@ -7,9 +7,9 @@ world [m] and its radius [m]. A capsule that never moves needs one row.
 joints.csv has the joints' angles of a robot that `gendom.robot` knows, whose base frame is the
 world; its capsules follow by forward kinematics.
 
-Around a capsule everything within a margin is the robot's. The fingers and their pads touch the
-object, so around them the margin is at most `FINGER_MARGIN`: with the usual one they would take
-out all that they hold and a piece of what hangs from them.
+Points within a margin around a capsule belong to the robot. The fingers and their pads touch the
+object, so their margin is at most `FINGER_MARGIN`; a larger one would remove the held part of the
+object and a piece below it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Capsules:
     radius: npt.NDArray[np.float64]
     """[C] [m]."""
     largest_margin: npt.NDArray[np.float64] | None = None
-    """[C] the most that a margin counts around each [m]; None: all of it around all."""
+    """[C] upper bound on the margin around each capsule [m]; None: no bounds."""
 
     def contain(self, points: npt.NDArray[np.floating], margin: float = 0.0) -> np.ndarray:
         """[n] points [n, 3] that are in a capsule or nearer to one than a margin [m]."""
@@ -58,7 +58,7 @@ class Capsules:
         reaches = self.radius + np.minimum(margin, most)
         for a, b, reach in zip(self.start, self.end, reaches, strict=True):
             low, high = np.minimum(a, b) - reach, np.maximum(a, b) + reach
-            # Most links are far from the object: their boxes settle that.
+            # Most links are far from the object; a bounding box test excludes them.
             near = (columns[0] >= low[0]) & (columns[0] <= high[0])
             for k in (1, 2):
                 near &= (columns[k] >= low[k]) & (columns[k] <= high[k])
@@ -81,7 +81,7 @@ class CapsulePath:
     """Name -> times [M] [s] and rows [M, 7]: both ends and the radius [m]."""
 
     largest_margin: Mapping[str, float] = field(default_factory=dict)
-    """Name -> the most that a margin counts around it [m]; for others all of it counts."""
+    """Name -> upper bound on the margin around the capsule [m]; others have no bound."""
 
     def at(self, time: float) -> Capsules:
         """The capsules at a time, ends linear between rows and at rest before and after."""
@@ -187,7 +187,7 @@ def read_shape(
 
 
 def cut_off(path: Path, line: int) -> Fault:
-    """The warning that the last row of a file was half written."""
+    """Warning that the last row of a file is incomplete."""
     return Fault(
         "is cut short, as by an interrupted recording; it is left out",
         f"{path}, line {line}",

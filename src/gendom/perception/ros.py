@@ -39,7 +39,7 @@ _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 @dataclass(frozen=True, kw_only=True)
 class RosSettings:
-    """What is read of a bag."""
+    """Selection of the data to read from a bag."""
 
     points: str | None = None
     """Topic of the clouds; None: the only one."""
@@ -52,7 +52,7 @@ class RosSettings:
 
 
 def is_ros_bag(path: str | os.PathLike) -> bool:
-    """Whether a path is meant as a ROS 2 bag."""
+    """Whether a path looks like a ROS 2 bag."""
     path = Path(path)
     return path.suffix in (".db3", ".mcap") or (path / "metadata.yaml").is_file()
 
@@ -64,7 +64,7 @@ def read_ros_bag(
     *,
     on_warning: Callable[[Fault], None] = lambda _: None,
 ) -> Recording:
-    """The recording that a bag holds.
+    """Read a recording from a bag.
 
     Args:
         path: The bag.
@@ -213,17 +213,17 @@ def _time(header: Any) -> float:
 
 
 class _OutOfTimeError(Exception):
-    """A moving frame's place is not known at a time."""
+    """A moving frame's pose is unknown at a time."""
 
 
 @dataclass
 class _Track:
-    """Where something is over time, in one frame."""
+    """Pose of an object over time, in one frame."""
 
     where: str
     frame: str = ""
     still: bool = False
-    """Whether it never moves: later messages repeat the first."""
+    """Whether the pose is static: later messages repeat the first."""
     times: list[float] = field(default_factory=list)
     places: list[list[float]] = field(default_factory=list)
 

@@ -13,8 +13,8 @@ and the same for Color_0. SDK 2.58 stored pictures raw and compressed each messa
 since 2.59 pictures are PNG, and raw compressed by zstd in formats that PNG does not have.
 Messages are in CDR (OMG DDS-XTypes 1.3, section 7.4, version 1).
 
-Each picture is read on its own when it is asked for. Of a damaged or truncated file all that
-SQLite still finds is used.
+Each picture is read separately on demand. Of a damaged or truncated file, all messages that SQLite
+can read are used.
 """
 
 from __future__ import annotations
@@ -322,7 +322,7 @@ def _pairs(text: str) -> dict[str, str]:
 
 
 def _decompressed(data: bytes) -> bytes:
-    """Data as it was before zstd, if it went through that.
+    """Decompress data if it is compressed by zstd.
 
     Raises:
         ValueError: It is damaged.

@@ -1,13 +1,13 @@
 """Record the MuJoCo test scene as a real rig would: camera folders, the robot's path, the object.
 
-    DIR/object.toml          what is held, for perception
-    DIR/gripper.csv          the hand's measured path, and when it is closed
-    DIR/joints.csv           the joints' measured angles, where a robot stands
-    DIR/cameras/NAME/...     what each camera saw, and where its owner believes it to stand
+    DIR/object.toml          description of the object, for perception
+    DIR/gripper.csv          measured path of the hand, and whether it is closed
+    DIR/joints.csv           measured joint angles, if there is a robot
+    DIR/cameras/NAME/...     pictures of each camera, and its calibrated pose
     DIR/truth/truth.npz      time [M], vertices [M, V, 3] [m]: for evaluation only
     DIR/truth/truth.json     the object's parameters, the sensors' errors, the seed
 
-Nothing that perceives, estimates or acts reads `truth`.
+Perception, estimation and control never read `truth`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from gendom.reality.world import Reality
 from gendom.robot import tcp_pose
 
 PATH_RATE = 100.0
-"""Of the robot's measured path [1/s]."""
+"""Sampling rate of the robot's measured path [1/s]."""
 
 
 _WRITERS = {"png": PngWriter, "db3": RealSenseWriter}
@@ -41,20 +41,20 @@ _WRITERS = {"png": PngWriter, "db3": RealSenseWriter}
 
 @dataclass(frozen=True, kw_only=True)
 class RecordSettings:
-    """How to record.
+    """Settings of a recording.
 
     Raises:
         ParameterError: A value is out of its range.
     """
 
     frame_rate: float = 30.0
-    """Of the cameras [1/s]."""
+    """Frame rate of the cameras [1/s]."""
     format: str = "png"
     """png: folders of pictures; db3: RealSense recordings, through the vendor's SDK."""
     notes: str = ""
-    """Text for readers of the recording."""
+    """Free text, stored with the recording."""
     seed: int = 0
-    """Of all the sensors' errors."""
+    """Seed of all sensor errors."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.frame_rate <= PATH_RATE:
@@ -74,20 +74,20 @@ def record(
     errors: RigErrors | None = None,
     on_frame: Callable[[float], None] = lambda _: None,
 ) -> None:
-    """Carry a trial out to its end and write what the cameras and the robot measure.
+    """Run a trial to its end, and write the measurements of the cameras and the robot.
 
-    Time stamps begin with 0 now; step to where the hand has closed first. Pictures and the robot's
-    path are on disk frame by frame: an interrupted recording can be perceived as far as it goes,
-    even if the program was killed.
+    Time stamps start at 0 at the current time, so step the trial until the hand has closed before
+    calling this. Pictures and the robot's path are written frame by frame: an interrupted recording
+    can be used up to the interruption, even if the program was killed.
 
     Args:
         performance: The trial, with cameras.
-        folder: Made if missing; must not hold a recording.
-        settings: What to write.
-        sensor: The cameras' noise; by default that of a D435i.
-        errors: The rig's errors; by default the usual ones, or for a quick trial those of
+        folder: Output folder, created if missing; must not hold a recording.
+        settings: Settings of the recording.
+        sensor: Error model of the cameras; by default that of a D435i.
+        errors: Errors of the rig; by default the usual ones, or for a quick trial those of
             synchronised cameras.
-        on_frame: Called with the recorded time [s] after each.
+        on_frame: Called with the recorded time [s] after each frame.
 
     Raises:
         GendomError: The folder holds a recording already, or cannot be written.
@@ -134,7 +134,7 @@ def record(
     path, truth = _Rows(folder, world, errors, encoders), []
     frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
     frames = frames / settings.frame_rate
-    # A little longer than the frames: some clocks are ahead.
+    # A little longer than the frames, because some clocks are ahead.
     samples = np.arange(int((seconds + MOST_CLOCK) * PATH_RATE + 1e-9) + 1) / PATH_RATE
 
     def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
@@ -162,7 +162,7 @@ def record(
 
 
 class _Rows:
-    """The robot's path as it is measured, each row on disk at once."""
+    """Writer of the robot's measured path; each row is written to disk immediately."""
 
     def __init__(
         self, folder: Path, world: Reality, errors: RigErrors, encoders: np.random.Generator
@@ -194,7 +194,7 @@ class _Rows:
 
 
 class _NumberFile:
-    """A CSV file of numbers that grows."""
+    """A CSV file of numbers to which rows are appended."""
 
     def __init__(self, path: Path, header: Sequence[str]):
         self._file = open(path, "w", newline="", buffering=1, encoding="utf-8")  # noqa: SIM115

@@ -1,8 +1,8 @@
 """The model of the MuJoCo test scene: a table, one object as a MuJoCo flex, an arm and two cameras.
 
-MuJoCo's equations are not our simulator's: a rope is a discrete elastic rod, a cloth a shell of
-triangles, both integrated implicitly; contacts are its own. See docs/reality.md for how both were
-measured against closed forms, and `gendom.reality.twist` for what its rods lack.
+MuJoCo's models differ from those of `gendom.sim`: a rope is a discrete elastic rod and a cloth a
+shell of triangles, both integrated implicitly, with MuJoCo's contact model. docs/reality.md
+compares both with closed-form solutions; `gendom.reality.twist` describes what the rods lack.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ ROPE_STEP, CLOTH_STEP = 0.001, 0.004
 """Time steps [s]."""
 
 SIDE_HINGES, DIAGONAL_HINGES = 4.0 / 3.0, 2.0 / 3.0
-"""Factors of MuJoCo's bending stiffness over the edges of a sheet's squares and over their
-diagonals, with which it bends over any direction with the rigidity of a plate
+"""Factors on MuJoCo's bending stiffness across the edges of a sheet's squares and across their
+diagonals, with which the sheet has a plate's rigidity in every direction
 (`gendom.reality.sheet`)."""
 
 SHEET_STRETCH = 0.002
-"""By which a sheet's own weight lengthens it at most, hanging by a side: sheets that are stiffer in
-their plane are made as soft as that, because what resists stretching resists bends over a few
-triangles, too (docs/reality.md)."""
+"""Largest relative stretch of a sheet by its own weight when it hangs by a side. Sheets with a
+larger in-plane stiffness are softened to this value, because in-plane stiffness also resists
+bending over a few triangles (docs/reality.md)."""
 
 TABLE = (0.45, 0.0, 0.9, 1.4)
 """Centre x, y and sizes along x and y of the table [m]; its top is z = 0."""
 
-# Bits of contact, and a group of geoms that is not drawn.
+# Contact bits, and a geom group that is not rendered.
 _OBJECT, _FIXED, _UNSEEN = 1, 2, 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layout:
-    """Where an object is at the start, straight or flat and without stress.
+    """Initial placement of an object, straight or flat and stress-free.
 
     Raises:
         ParameterError: The directions are no unit vectors at right angles.
@@ -60,7 +60,7 @@ class Layout:
     across: npt.ArrayLike = (0.0, 1.0, 0.0)
     """[3] direction of a cloth's second side; any at right angles to a rope."""
     clamped: float = 0.0
-    """How much of its start a stand holds fast [m]."""
+    """Length of its first end that a stand clamps [m]."""
 
     def __post_init__(self) -> None:
         for name in ("origin", "along", "across"):
@@ -75,7 +75,7 @@ class Layout:
             )
 
     def rotation(self) -> Rotation:
-        """Turns the flex's own axes into the world's."""
+        """Rotation from the flex's axes to the world's."""
         x, y = np.asarray(self.along), np.asarray(self.across)
         return Rotation.from_matrix(np.stack([x, y, np.cross(x, y)], axis=1))
 
@@ -93,10 +93,10 @@ def default_cameras(
     """Two D435i-like cameras on opposite sides of a point, looking at it.
 
     Args:
-        centre: [3] what they look at [m].
-        distance: Of each camera from there [m].
-        elevation: Above the horizontal [degrees].
-        width, height: Pixels.
+        centre: [3] point that the cameras look at [m].
+        distance: Distance of each camera from that point [m].
+        elevation: Elevation of the cameras above the horizontal [degrees].
+        width, height: Size of the pictures [pixels].
         focal: Focal length [pixels]; a D435i has 385 at 640 x 480.
         depth_unit: Metres a count.
 
@@ -150,20 +150,20 @@ def build_model(
 ) -> Any:
     """Compile the scene.
 
-    Every vertex of the object has one connection to each hand, named HAND_INDEX and inactive at
-    first; `Reality` switches them to attach and release. What the stand holds is connected to
-    the world.
+    Each vertex of the object has one connect constraint to each hand, named HAND_INDEX and
+    initially inactive; `Reality` switches them to attach and release. Vertices held by the stand
+    are connected to the world.
 
     Args:
         item: The object.
-        layout: Where it is.
+        layout: Its initial placement.
         arm: Bodies of a robot, see `gendom.reality.arm`, or of a free hand.
-        actuators: Of the robot.
+        actuators: The robot's actuators.
         hands: Names of bodies that can hold the object.
         cameras: Fixed cameras.
-        table: Whether there is one.
-        timestep: [s]; by default 1 ms for ropes, 4 ms for cloths.
-        gravity: [3] [m/s^2].
+        table: Whether the scene has a table.
+        timestep: Time step [s]; by default 1 ms for ropes, 4 ms for cloths.
+        gravity: [3] gravity [m/s^2].
 
     Returns:
         The `mujoco.MjModel`.
@@ -177,9 +177,10 @@ def build_model(
     flex, vertices = _flex(item, layout, step)
     held = clamped_vertices(item, layout)
     x, y, wide, deep = TABLE
-    # What is touched is a plane: it meets vertices, a box every corner of every triangle, which is
-    # six times as many constraints for the same. They are harder each, so that what rests on a
-    # slope creeps as little. By its priority all of the plane's contact counts.
+    # The contact surface is a plane: it makes one contact for each vertex, a box one for each
+    # corner of each triangle, six times as many constraints. Each of the plane's contacts is
+    # harder, so that objects on a slope creep as little. By its priority, the plane's contact
+    # parameters apply.
     top = (
         f'<geom name="table" type="box" pos="{x} {y} -0.02" size="{wide / 2} {deep / 2} 0.02"'
         ' rgba="0.62 0.58 0.52 1" contype="0" conaffinity="0"/>'
@@ -198,7 +199,7 @@ def build_model(
     connections += [
         f'<connect name="stand_{v}" body1="object_{v}" anchor="0 0 0" {_firm(step)}/>' for v in held
     ]
-    # CG needs many steps where a cloth lies on itself: stopped too early, vertices sink in.
+    # CG needs many iterations where a cloth lies on itself; with too few, vertices penetrate.
     solver, tolerance = ("Newton", 1e-8) if isinstance(item, RealRope) else ("CG", 1e-6)
     xml = f"""
 <mujoco model="{item.name}">
@@ -240,21 +241,21 @@ def build_model(
 
 
 def _weigh(model: Any, item: RealObject) -> None:
-    """Give each vertex the mass of its share of the object: flexcomp gives all of them the same."""
+    """Set each vertex's mass to that of its share of the object; flexcomp makes them all equal."""
     mujoco = load_mujoco()
-    # Their inertia moves nothing: they slide and do not turn.
+    # The inertia of these bodies has no effect: they translate and do not rotate.
     model.body_mass[model.flex_vertbodyid] = item.vertex_masses
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def _softened(cloth: RealCloth) -> float:
-    """What is left of a sheet's stiffness in its plane."""
+    """Factor by which a sheet's in-plane stiffness is reduced."""
     m = cloth.material
     return min(1.0, m.density * STANDARD_GRAVITY * cloth.side / (2.0 * SHEET_STRETCH * m.E))
 
 
 def _bend_alike(model: Any, cloth: RealCloth) -> None:
-    """Give a sheet, softened or not, its rigidity in every direction."""
+    """Set the bending rigidity of a sheet, softened or not, in every direction."""
     length = np.linalg.norm(np.diff(cloth.sheet[0][model.flex_edge], axis=1), axis=(1, 2))
     diagonal = length > 1.2 * cloth.spacing
     hinges = model.flex_bending.reshape(len(length), -1)
@@ -262,7 +263,7 @@ def _bend_alike(model: Any, cloth: RealCloth) -> None:
 
 
 def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:
-    """[V, 3] where the vertices are at the start [m]; a cloth's run along `across` first."""
+    """Initial positions of the vertices, [V, 3] [m]; for a cloth `across` varies fastest."""
     origin = np.asarray(layout.origin, dtype=np.float64)
     if isinstance(item, RealRope):
         along = np.linspace(0.0, item.length, item.vertices)
@@ -272,7 +273,7 @@ def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:
 
 
 def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
-    """The object's element and its number of vertices."""
+    """XML element of the object, and its number of vertices."""
     centre = rest_shape(item, layout).mean(axis=0)
     turned = layout.rotation().as_quat(scalar_first=True)
     place = f'pos="{_row(centre)}" quat="{_row(turned)}" mass="{item.mass!r}"'
@@ -291,7 +292,7 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
         return (
             f'<flexcomp name="object" type="grid" dim="1" count="{n} 1 1" spacing="{dx} {dx} {dx}"'
             f' {place} radius="{item.radius}" rgba="{colour}">'
-            # A rope hardly stretches: its edges are held by constraints, not springs.
+            # A rope hardly stretches: constraints, not springs, keep the length of its edges.
             f'<edge equality="true" solref="{2 * step} 1" solimp="0.99 0.999 0.001"/>'
             f'<elasticity young="{float(E)!r}" poisson="{nu}" damping="{damping}"'
             f' section="circle"/>'
@@ -313,11 +314,11 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
 
 
 def clamped_vertices(item: RealObject, layout: Layout) -> npt.NDArray[np.intp]:
-    """Vertices that the stand holds, in order."""
+    """Indices of the vertices clamped by the stand, in order."""
     if layout.clamped <= 0.0:
         return np.empty(0, dtype=np.intp)
     along = (rest_shape(item, layout) - np.asarray(layout.origin)) @ np.asarray(layout.along)
-    # One row alone would be a hinge.
+    # A single row would be a hinge.
     second = np.unique(along.round(9))[1]
     return np.flatnonzero(along <= max(layout.clamped, second) + 1e-9)
 
@@ -331,7 +332,7 @@ def _connect(name: str, body: str, hand: str, step: float, *, active: bool) -> s
 
 
 def _firm(step: float) -> str:
-    """A constraint that hardly gives: softer ones let the held end turn by some degrees."""
+    """Parameters of a stiff constraint; a softer one lets the clamped end rotate by degrees."""
     return f'solref="{2 * step} 1" solimp="0.9999 0.9999 0.001"'
 
 
@@ -363,12 +364,14 @@ class GLFault(NamedTuple):
 
 
 gl_faults: list[GLFault] = []
-"""At most one: `load_mujoco` had to turn rendering off."""
+"""At most one entry, present if `load_mujoco` had to turn rendering off."""
 
 
 def load_mujoco() -> Any:
-    """The module `mujoco`, set to render without a screen where there is none, and to give its
-    warnings to our log: by itself it writes MUJOCO_LOG.TXT into the working directory.
+    """Import the module `mujoco`.
+
+    Rendering is off-screen if there is no screen. Warnings go to gendom's log; by default MuJoCo
+    would write MUJOCO_LOG.TXT into the working directory.
 
     Raises:
         DeviceError: It is not installed.
@@ -381,7 +384,7 @@ def load_mujoco() -> Any:
 
 def _imported() -> Any:
     if headless():
-        # mujoco reads this when it is imported, and fails there when the library is missing.
+        # mujoco reads this variable on import, and the import fails if the library is missing.
         os.environ.setdefault("MUJOCO_GL", "egl")
     try:
         import mujoco

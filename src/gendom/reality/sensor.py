@@ -1,9 +1,10 @@
-"""A stereo depth camera's faults, laid over clean depth: `DepthSensor`, and a rig's: `RigErrors`.
+"""Error models of a stereo depth camera, `DepthSensor`, and of a camera rig, `RigErrors`.
 
-The numbers are those of an Intel RealSense D435i. Stereo measures disparity d = f B / z in
-pixels (f: focal length in pixels, B: baseline), so its faults are made there: a disparity wrong
-by s is a depth wrong by z^2 s / (f B), and a disparity in steps gives steps of depth that grow
-with z^2 (Keselman et al., "Intel RealSense Stereoscopic Depth Cameras", 2017, section 2).
+The values are those of an Intel RealSense D435i. Stereo measures disparity d = f B / z in
+pixels (f: focal length in pixels, B: baseline), so errors are added to the disparity: an error s
+of the disparity gives an error z^2 s / (f B) of the depth, and quantised disparity gives depth
+steps that grow with z^2 (Keselman et al., "Intel RealSense Stereoscopic Depth Cameras", 2017,
+section 2).
 """
 
 from __future__ import annotations
@@ -20,22 +21,22 @@ from gendom.errors import ParameterError
 from gendom.perception import Camera, Pictures
 
 DEPTH_UNIT = 1e-4
-"""Metres a count to give a simulated camera. The D400 series' own default, 1e-3, is coarser than
-its noise within 0.5 m; it can be set to this, which reaches 6.5 m."""
+"""Depth unit of simulated cameras [m a count]. The default of the D400 series, 1e-3, is coarser
+than its noise within 0.5 m; the cameras can be set to this value, which reaches 6.5 m."""
 
 
 MOST_CLOCK = 0.1
-"""Most that the robot's clock may differ from the first camera's [s]: the robot's path is recorded
-for so much longer than the cameras see."""
+"""Largest offset between the robot's clock and the first camera's [s]; the robot's path is recorded
+for this much longer than the pictures."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthSensor:
     """Errors of a D435i, added to rendered depth.
 
-    A value of 0 switches its part off (both `grazing` angles: pi / 2, `max_range`: infinity);
-    `DepthSensor.exact` has all of them off. Parts with a probability draw for each pixel and
-    picture on their own, so what is lost in one picture may be there in the next.
+    A value of 0 switches an error off (both `grazing` angles: pi / 2, `max_range`: infinity);
+    `DepthSensor.exact` switches all of them off. Random errors are drawn independently for each
+    pixel and picture, so a pixel lost in one picture can be present in the next.
 
     Raises:
         ParameterError: A value is out of its range.
@@ -47,39 +48,39 @@ class DepthSensor:
     """Standard deviation of the disparity, s [pixel]; 0.05 to 0.1 is usual for a well textured
     surface."""
     correlation: float = 2.0
-    """Neighbours share noise: it is white noise blurred by a Gaussian of this standard deviation
-    [pixel], at the same RMS. 2.0 is that of the 7 x 7 windows that the R200 of Keselman et al.
-    sums over; the D400's filters are not published."""
+    """Correlation length of the noise: white noise is blurred by a Gaussian of this standard
+    deviation [pixel], with unchanged RMS. 2.0 corresponds to the 7 x 7 windows that the R200 of
+    Keselman et al. sums over; the D400's filters are not published."""
     quantisation: float = 1.0 / 32.0
-    """Steps of the disparity [pixel] (Grunnet-Jepsen et al., "Subpixel linearity improvement for
-    Intel RealSense depth cameras", 2019)."""
+    """Quantisation step of the disparity [pixel] (Grunnet-Jepsen et al., "Subpixel linearity
+    improvement for Intel RealSense depth cameras", 2019)."""
     shadow: bool = True
-    """Nothing is measured where the right imager does not see what the left one does: to the left
-    of near things, and in the f B / z leftmost columns."""
+    """Whether occlusion is modelled: there is no depth where the right imager does not see a point
+    of the left one, i.e. to the left of near objects and in the f B / z leftmost columns."""
     edge_step: float = 0.25
     """An edge is where the disparity departs by more than this [pixel] from a straight line
     through three pixels, on which any plane lies."""
     edge_width: int = 1
-    """Pixels on both sides of an edge that suffer from it."""
+    """Number of pixels affected on each side of an edge."""
     edge_lost: float = 0.5
-    """Share of those that have no depth."""
+    """Share of the affected pixels that have no depth."""
     edge_mixed: float = 0.25
-    """Share of those that hang between: their disparity is anywhere between the nearest and the
-    farthest around."""
+    """Share of the affected pixels with mixed depth ("flying pixels"): their disparity is uniformly
+    distributed between the smallest and the largest in their neighbourhood."""
     grazing_from: float = np.radians(65.0)
-    """Angle between ray and normal [rad] from which surfaces are lost: none there, and linearly
-    more up to ..."""
+    """Angle between ray and normal [rad] from which pixels are lost: none at this angle, and
+    linearly more up to `grazing_to`."""
     grazing_to: float = np.radians(85.0)
-    """... all of them. Both pi / 2: never."""
+    """Angle between ray and normal [rad] at which all pixels are lost. Both pi / 2: none are."""
     dropout: float = 0.005
     """Share of all other pixels that have no depth."""
     min_range: float = 0.17
-    """Nearer than this [m] nothing is measured. 126 disparities are searched, which is
+    """Smallest measurable depth [m]. 126 disparities are searched, which gives
     z = f B / 126: 0.17 m for 848 x 480."""
     max_range: float = 3.0
-    """Nor farther than this [m], the end of the data sheet's ideal range."""
+    """Largest measurable depth [m], the end of the data sheet's ideal range."""
     colour_noise: float = 2.0
-    """Standard deviation of colour, in steps of 255."""
+    """Standard deviation of colour noise, on the scale 0 to 255."""
 
     def __post_init__(self):
         for item in fields(self):
@@ -107,7 +108,7 @@ class DepthSensor:
 
     @classmethod
     def exact(cls, **parts) -> DepthSensor:
-        """A sensor without faults, but for those given by name."""
+        """Return a sensor without errors, except those given by name."""
         off = {
             "subpixel": 0.0,
             "correlation": 0.0,
@@ -131,14 +132,14 @@ class DepthSensor:
         camera: Camera,
         rng: np.random.Generator,
     ) -> Pictures:
-        """What the sensor gives where clean pictures are known.
+        """Add the sensor's errors to clean pictures.
 
         Args:
-            depth: [height, width] along the optical axis [m]; 0 or infinity: nothing there.
+            depth: [height, width] along the optical axis [m]; 0 or infinity: no surface.
             colour: [height, width, 3] aligned with depth; None: no colour.
-            camera: Its K scales disparity, its depth_unit the counts. Lens distortion bends
-                rows, which is left out: the stereo of a D400 works on rectified pictures.
-            rng: Where chance comes from.
+            camera: Its K scales disparity, its depth_unit the counts. Lens distortion is ignored,
+                because the stereo matching of a D400 works on rectified pictures.
+            rng: Random number generator.
 
         Returns:
             Depth in counts of `camera.depth_unit`, colour with noise.
@@ -168,7 +169,7 @@ class DepthSensor:
     def _measure(
         self, z: npt.NDArray[np.float64], camera: Camera, rng: np.random.Generator
     ) -> npt.NDArray[np.float64]:
-        """Depth [m] as measured, 0 where there is none."""
+        """Measured depth [m], 0 where there is none."""
         seen = (z > 0.0) & np.isfinite(z)
         fB = camera.K[0, 0] * self.baseline
         # Where nothing is, nothing is infinitely far away.
@@ -201,7 +202,7 @@ class DepthSensor:
     def _at_edges(
         self, disparity: np.ndarray, seen: np.ndarray, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Which pixels [height, width] are lost and which hang between."""
+        """Masks [height, width] of the pixels lost at edges, and of those with mixed depth."""
         edge = np.zeros(disparity.shape, dtype=bool)
         for axis in (0, 1):
             bend = np.abs(np.diff(disparity, n=2, axis=axis)) > self.edge_step
@@ -262,12 +263,12 @@ class RigErrors:
     rotation: float = np.radians(0.3)
     """RMS angle of the error of its direction [rad]."""
     clock_offset: float = 0.02
-    """How much the clocks of all cameras but the first are ahead of the first's [s]."""
+    """Offset of the clocks of all other cameras ahead of the first camera's [s]."""
     robot_clock: float = 0.0
-    """How much the robot's clock is ahead of the first camera's [s]."""
+    """Offset of the robot's clock ahead of the first camera's [s]."""
     encoders: float = 0.0
-    """Noise of the robot's measured joint angles, of each joint and sample [rad]; a hand without a
-    robot has none."""
+    """Standard deviation of the noise of measured joint angles, for each joint and sample [rad];
+    not used for a hand without a robot."""
 
     def __post_init__(self):
         for name in ("translation", "rotation", "encoders"):
@@ -280,16 +281,16 @@ class RigErrors:
 
     @classmethod
     def none(cls) -> RigErrors:
-        """A rig without errors."""
+        """Return a rig without errors."""
         return cls(translation=0.0, rotation=0.0, clock_offset=0.0)
 
     @classmethod
     def synchronised(cls) -> RigErrors:
-        """A rig whose cameras are joined by a cable, so that they look at the same time."""
+        """Return a rig whose cameras are synchronised by cable."""
         return cls(clock_offset=0.001)
 
     def believed(self, cameras: Sequence[Camera], rng: np.random.Generator) -> list[Camera]:
-        """The cameras as their owner believes them to stand, to be stored with their pictures.
+        """Return the cameras with erroneous calibrated poses, to be stored with their pictures.
 
         Raises:
             RecordingError: One is not calibrated.
@@ -304,11 +305,11 @@ class RigErrors:
         ]
 
     def stamp(self, camera: int, time: float) -> float:
-        """The time stamp [s] that the camera of that number gives to a moment [s]."""
+        """Time stamp [s] that the camera with this index assigns to a true time [s]."""
         return time + (self.clock_offset if camera > 0 else 0.0)
 
     def stamp_of_robot(self, time: float) -> float:
-        """Likewise of the robot's."""
+        """Time stamp [s] that the robot assigns to a true time [s]."""
         return time + self.robot_clock
 
 
@@ -319,17 +320,17 @@ def calibration_error(
     translation: float = 2e-3,
     rotation: float = np.radians(0.3),
 ) -> npt.NDArray[np.float64]:
-    """A pose as an imperfect calibration finds it.
+    """Add a random calibration error to a pose.
 
-    The camera is moved by a vector and turned about its centre by a rotation vector. Both are
-    drawn with independent normal components, equal for all directions, so that their lengths
-    have the RMS given; a third of the draws is longer.
+    The camera is translated by a vector and rotated about its centre by a rotation vector. Both
+    have independent, identically distributed normal components, scaled so that their lengths have
+    the given RMS; a third of the draws is longer.
 
     Args:
         T_world_camera: [4, 4] true pose [m].
-        rng: Where chance comes from.
-        translation: RMS length of the movement [m].
-        rotation: RMS angle of the turn [rad].
+        rng: Random number generator.
+        translation: RMS length of the translation [m].
+        rotation: RMS angle of the rotation [rad].
 
     Returns:
         [4, 4] [m].
@@ -342,7 +343,7 @@ def calibration_error(
 
 
 def _rotation(vector: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """[3, 3] of a rotation vector [rad] (Rodrigues)."""
+    """Rotation matrix [3, 3] of a rotation vector [rad] (Rodrigues)."""
     angle = np.linalg.norm(vector)
     if angle == 0.0:
         return np.eye(3)
@@ -364,7 +365,7 @@ def _noise(
 
 @lru_cache(maxsize=4)
 def _blur(shape: tuple[int, ...], correlation: float) -> npt.NDArray[np.float64]:
-    """What a Gaussian blur does to each frequency [height, width // 2 + 1], RMS kept."""
+    """Frequency response [height, width // 2 + 1] of a Gaussian blur that preserves the RMS."""
     frequencies = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
     blur = np.exp(-2.0 * (np.pi * correlation) ** 2 * sum(f**2 for f in frequencies))
     # Frequencies between the first and the last column stand for two of the whole spectrum.
@@ -377,7 +378,7 @@ def _blur(shape: tuple[int, ...], correlation: float) -> npt.NDArray[np.float64]
 
 @lru_cache(maxsize=4)
 def _rays(camera: Camera) -> tuple[npt.NDArray[np.float64], ...]:
-    """x, y and squared length of the pixels' rays, [height, width] each; cameras do not change."""
+    """x, y and squared length of the pixels' rays, [height, width] each; cached for each camera."""
     x, y, _ = camera.rays().T.reshape(3, camera.height, camera.width)
     return np.ascontiguousarray(x), np.ascontiguousarray(y), x**2 + y**2 + 1.0
 
@@ -385,8 +386,9 @@ def _rays(camera: Camera) -> tuple[npt.NDArray[np.float64], ...]:
 def _in_shadow(disparity: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
     """Pixels [height, width] of the left imager that the right one does not see.
 
-    A pixel of column u is in the right picture at u - disparity: outside of it when that is
-    negative, and hidden when something of higher u, hence nearer, is there or further left.
+    A pixel of column u is at u - disparity in the right picture. It is outside the picture if that
+    is negative, and occluded if a pixel of larger u, which is then nearer, is at the same column
+    or further left.
     """
     right = np.arange(disparity.shape[1]) - disparity
     hidden = np.zeros(disparity.shape, dtype=bool)
@@ -398,7 +400,8 @@ def _in_shadow(disparity: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
 def _slope(values: npt.NDArray[np.float64], axis: int) -> npt.NDArray[np.float64]:
     """Derivative by pixel along an axis: the smaller of both one-sided differences.
 
-    At an edge one of them is that of the surface the pixel is on, so an edge is no slope.
+    At an edge the smaller difference is the slope of the pixel's own surface, so that edges do
+    not count as slopes.
     """
     steps = np.moveaxis(np.diff(values, axis=axis), axis, 0)
     size = np.abs(steps)
@@ -431,15 +434,16 @@ def _between(
     """[M] disparities between the lowest and the highest seen around M chosen pixels.
 
     Args:
-        disparity, seen, chosen: [height, width]; what is chosen must be seen.
-        reach: Around: so many pixels in both axes.
-        rng: Draws for every pixel, so that the next draws do not depend on the scene.
+        disparity, seen, chosen: [height, width]; chosen pixels must be seen.
+        reach: Size of the neighbourhood: this many pixels to each side along both axes.
+        rng: Random number generator; it draws for every pixel, so that later draws do not depend
+            on the scene.
     """
     row, column = np.nonzero(chosen)
     low, high = disparity[chosen], disparity[chosen]
     for down in range(-reach, reach + 1):
         for right in range(-reach, reach + 1):
-            # Beyond the border is the border's pixel, which is around too.
+            # Beyond the border, use the border's pixel, which is in the neighbourhood too.
             r = np.clip(row + down, 0, disparity.shape[0] - 1)
             c = np.clip(column + right, 0, disparity.shape[1] - 1)
             there = seen[r, c]

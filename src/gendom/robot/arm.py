@@ -1,4 +1,4 @@
-"""What is known about an arm: joints, limits, shape."""
+"""Model of a robot arm: joints, limits, shape."""
 
 from __future__ import annotations
 
@@ -50,16 +50,16 @@ class FingerCapsule:
     radius: float
     """[m]."""
     touches_object: bool = False
-    """Its inner side is where the object is held."""
+    """Whether its inner side holds the object."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParallelGripper:
     """A gripper whose two fingers are carried by parallel links, so that they stay parallel.
 
-    The finger on the side of +y hangs on a link, the knuckle, that turns about (0, pivot_y,
-    pivot_z) of the flange; its inner face is `face` nearer to the middle than its pivot. With
-    the knuckle's angle theta from y towards z,
+    The finger on the side of +y is attached to a link, the knuckle, that rotates about (0, pivot_y,
+    pivot_z) in the flange's frame; the finger's inner face is closer to the middle than its pivot
+    by `face`. With the knuckle's angle theta from y towards z,
 
         opening / 2 = pivot_y + knuckle cos(theta) - face,
 
@@ -130,14 +130,14 @@ class Arm:
     payload: float
     """Most that it carries, gripper included [kg]."""
     home: NDArray[np.float64]
-    """[J] where it waits, far from its limits; inverse kinematics leans towards it [rad]."""
+    """[J] resting configuration, far from the limits; inverse kinematics prefers it [rad]."""
     capsules: tuple[LinkCapsule, ...]
-    """Its shape from base to flange and the gripper's body."""
+    """Capsules of the arm from base to flange, and of the gripper's body."""
     gripper: ParallelGripper
 
     @property
     def joints(self) -> int:
-        """J."""
+        """Number of joints, J."""
         return len(self.a)
 
     def check_q(self, q: ArrayLike) -> NDArray[np.float64]:

@@ -23,9 +23,9 @@ from gendom.robot.shape import ArmShape, arm_shape
 Array = NDArray[np.float64]
 
 RESOLUTION = 2e-4
-"""Along a motion the arm is looked at until no part moves farther than this unseen [m]."""
+"""Largest movement of any part between two checked configurations of a motion [m]."""
 
-_RATE = 50.0  # [1/s]; a motion is first looked at as often as that, and at its knots
+_RATE = 50.0  # [1/s]; a motion is first checked at this rate, and at its knots
 _CHUNK = 1024  # configurations at a time, for memory
 
 
@@ -104,7 +104,7 @@ class Surroundings:
 
 
 ALONE = Surroundings()
-"""Nothing stands around: the arm is compared with itself only."""
+"""No obstacles: only self-collision of the arm is checked."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,9 +183,9 @@ def collision_along(
 ) -> Collision | None:
     """The first collision of a motion, or None.
 
-    Nothing slips through between two looks: where a pair's distance at both is smaller than what
-    the joints' turns can move it in between, the arm is looked at halfway too, down to moves of
-    `RESOLUTION`. An overlap of half of that may stay unseen.
+    No collision between two checked times is missed: where a pair's distances at both times are
+    smaller than its possible movement in between, the arm is also checked halfway, down to
+    movements of `RESOLUTION`. An overlap of half of that may be missed.
 
     Raises:
         RobotError: As `link_poses`.
@@ -198,7 +198,7 @@ def collision_along(
     while len(a):
         moved = _turned(motion, a, b) @ compared.levers  # [intervals, P]
         unsure = (gap_a + gap_b <= moved) & (moved > RESOLUTION)
-        # Known collisions need no closer look.
+        # Known collisions need no refinement.
         some = (unsure & (gap_a > 0.0) & (gap_b > 0.0)).any(axis=1)
         a, b, gap_a, gap_b = a[some], b[some], gap_a[some], gap_b[some]
         middle = 0.5 * (a + b)
@@ -241,7 +241,7 @@ def check_collisions(
     """Raise an error for a motion through a collision.
 
     Raises:
-        RobotError: It collides: names what, when, how deep, and what to do.
+        RobotError: The motion collides; the error names bodies, time, depth and remedy.
     """
     found = collision_along(arm, motion, surroundings, opening=opening)
     if found is not None:
@@ -297,10 +297,10 @@ class _Compared:
 
     @cached_property
     def levers(self) -> Array:
-        """[J, P] how far a turn of each joint moves a pair's two things at most [m/rad].
+        """Largest relative movement of each pair for a rotation of each joint, [J, P] [m/rad].
 
-        Any point of a capsule is at most the sum of the links' lengths between away from a
-        joint's axis.
+        The distance of any point of a capsule from a joint's axis is at most the sum of the
+        lengths of the links between them.
         """
         arm = self.arm
         shape = arm_shape(arm, arm.home, self.opening)
@@ -319,7 +319,7 @@ class _Compared:
 
 
 def _extents(arm: Arm, shape: ArmShape, link: NDArray[np.intp]) -> Array:
-    """[C] how far each capsule reaches from its link's origin [m]."""
+    """Largest distance of each capsule from its link's origin, [C] [m]."""
     origin = link_poses(arm, arm.home)[link, :3, 3]
     ends = np.maximum(
         np.linalg.norm(shape.start - origin, axis=1), np.linalg.norm(shape.end - origin, axis=1)
@@ -328,7 +328,7 @@ def _extents(arm: Arm, shape: ArmShape, link: NDArray[np.intp]) -> Array:
 
 
 def _turned(motion: JointMotion, a: Array, b: Array) -> Array:
-    """[N, J] how far each joint turns between times a and b [N] at most, back and forth [rad].
+    """Bound on the rotation of each joint, back and forth, between times a and b [N]; [N, J] [rad].
 
     Between two knots a joint's speed is a parabola, which its Bezier points bound.
     """

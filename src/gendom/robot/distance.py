@@ -1,4 +1,4 @@
-"""Distances of segments from segments and from boxes, in closed form and for many at once."""
+"""Distances of segments from segments and from boxes, in closed form and vectorised."""
 
 from __future__ import annotations
 
@@ -78,5 +78,5 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _over(a: Array, b: Array, good: NDArray[np.bool_]) -> Array:
-    """a / b where that is good, 0 elsewhere."""
+    """a / b where ``good`` is true, 0 elsewhere."""
     return np.where(good, a / np.where(good, b, 1.0), 0.0)

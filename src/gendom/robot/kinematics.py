@@ -1,4 +1,4 @@
-"""Where the links are, how they move, and joint angles for a pose of the tool.
+"""Forward kinematics, Jacobian and inverse kinematics of the tool.
 
 Poses are T_base_tcp [4, 4]: they map coordinates of the tool point (tcp) to the robot's base.
 The gripper's z points out of the fingers, its y from finger to finger.
@@ -16,8 +16,8 @@ from gendom.robot.arm import Arm
 Array = NDArray[np.float64]
 
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-7, 1e-6
-"""How near inverse kinematics comes to a pose [m], [rad]; one more step follows, and Newton's
-steps square the error."""
+"""Tolerances of inverse kinematics for a pose [m], [rad]; one more Newton step follows, which
+squares the error."""
 
 _ANGLE_LENGTH = 0.3  # [m]; an angle of 1 rad weighs as much as this distance
 _DAMPING = 0.1  # damping^2 = (this)^2 |error|: zero at the solution, so that the end is Newton's
@@ -94,8 +94,8 @@ def pose_error(T_base_to: ArrayLike, T_base_from: ArrayLike) -> Array:
     """[..., 6] displacement [m] and rotation vector [rad], in the base's axes, between poses.
 
     Args:
-        T_base_to: [..., 4, 4] where to.
-        T_base_from: [..., 4, 4] where from.
+        T_base_to: [..., 4, 4] target pose.
+        T_base_from: [..., 4, 4] current pose.
     """
     to, start = np.asarray(T_base_to, dtype=float), np.asarray(T_base_from, dtype=float)
     turn = to[..., :3, :3] @ np.swapaxes(start[..., :3, :3], -1, -2)
@@ -128,25 +128,25 @@ def inverse_kinematics(
     starts: int = 24,
     seed: int = 0,
 ) -> Array:
-    """Joint angles that bring the tool point to a pose, within the joints' limits.
+    """Find joint angles within the limits that bring the tool point to a pose.
 
     Damped least squares from several starts (Buss, "Introduction to inverse kinematics with
     Jacobian transpose, pseudoinverse and damped least squares methods", 2004), the damping
-    vanishing with the error. The arm's redundancy is used to come near to `near` (or home): the
-    pull acts in the null space of the Jacobian. Of several solutions the nearest is returned.
+    vanishing with the error. The arm's redundancy is used to approach `near` (or home), by steps in
+    the null space of the Jacobian. Of several solutions the nearest is returned.
 
     Args:
         arm: The arm.
         T_base_tcp: [4, 4] the pose.
-        near: [J] joint angles to stay near to [rad]; None: `arm.home`.
-        starts: How many configurations to start from: `near`, home, and random ones.
-        seed: Of the random ones.
+        near: [J] preferred joint angles [rad]; None: `arm.home`.
+        starts: Number of start configurations: `near`, home, and random ones.
+        seed: Seed of the random ones.
 
     Returns:
         [J] joint angles [rad], as near as 0.1 um and 1 urad to the pose.
 
     Raises:
-        RobotError: The matrix is no pose, or no start comes near to it.
+        RobotError: The matrix is not a pose, or no start converges to it.
     """
     return solutions(arm, T_base_tcp, near=near, starts=starts, seed=seed)[0]
 
@@ -159,7 +159,7 @@ def solutions(
     starts: int = 24,
     seed: int = 0,
 ) -> list[Array]:
-    """All different joint angles [J] that `inverse_kinematics` finds, the nearest first.
+    """Return all distinct solutions [J] that `inverse_kinematics` finds, the nearest first.
 
     Raises:
         RobotError: As `inverse_kinematics`.
@@ -167,7 +167,7 @@ def solutions(
     T = check_pose(T_base_tcp)
     rest = arm.home if near is None else arm.check_q(np.asarray(near))
     rest = np.clip(rest, arm.q_min, arm.q_max)
-    # Turning a joint by more than half a turn from home only winds up the arm.
+    # A joint rotated by more than half a turn from home only winds up the arm.
     low = np.maximum(arm.q_min, arm.home - np.pi)
     high = np.minimum(arm.q_max, arm.home + np.pi)
     random = np.random.default_rng(seed).uniform(low, high, (max(starts - 2, 0), arm.joints))
@@ -194,15 +194,15 @@ def descend(
     pull: float = _PULL,
     iterations: int = _ITERATIONS,
 ) -> tuple[Array, Array]:
-    """From each start towards its pose, and within the null space towards a resting one.
+    """Iterate from each start to its pose, and in the null space towards a resting configuration.
 
     Args:
         arm: The arm.
         T_base_tcp: [B, 4, 4] poses.
         q: [B, J] starts [rad].
-        rest: [J] joint angles that the redundancy is used for [rad].
-        pull: Share of the way there in one step; 0: none.
-        iterations: At most.
+        rest: [J] joint angles to approach in the null space [rad].
+        pull: Share of the distance to `rest` in one step; 0: none.
+        iterations: Maximum number of iterations.
 
     Returns:
         q [B, J] within the limits, and the remaining error [B, 6] [m], [rad].
@@ -227,14 +227,14 @@ def descend(
 
 
 def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, pull: float) -> Array | None:
-    """Joint angles [J] [rad] at a pose near to that of given ones; None: not reached.
+    """Solve joint angles [J] [rad] for a pose close to the current one; None: not reached.
 
     Args:
         arm: The arm.
         T: [4, 4] T_base_tcp of the pose.
-        q: [J] where the arm is [rad].
-        rest: [J] joint angles that the redundancy leans towards [rad].
-        pull: Share of the way there for each metre (or 0.3 m a radian) to the pose [1/m].
+        q: [J] current joint angles [rad].
+        rest: [J] joint angles to approach in the null space [rad].
+        pull: Share of the distance to `rest` for each metre (0.3 m a radian) to the pose [1/m].
     """
     q = np.clip(q, arm.q_min, arm.q_max)[None]
     share = None
@@ -242,7 +242,7 @@ def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, pull: float) -> A
         poses = link_poses(arm, q)
         error = pose_error(T, poses[:, -1])
         there = reached(error)[0]
-        # Only the first step slides: the others bring back to the pose what it missed.
+        # Only the first step moves in the null space; the others correct the pose.
         share = pull * float(_size(error)[0]) if share is None else 0.0
         step, _ = _step(arm, poses, q, error, rest, min(share, 0.5))
         q = np.clip(q + step, arm.q_min, arm.q_max)
@@ -264,7 +264,7 @@ def _step(
     free = np.ones_like(q, dtype=bool)
     towards = pull * (rest - q)
     for _ in range(3):
-        # Joints that would leave their range are held, and the others do their work.
+        # Joints that would leave their range are fixed, and the others compensate.
         Jf = J * free[:, None, :]
         JT = np.swapaxes(Jf, 1, 2)
         A = Jf @ JT + damping
@@ -289,13 +289,13 @@ def reached(error: Array) -> NDArray[np.bool_]:
 
 
 def _size(error: Array) -> Array:
-    """Distance [m] with angles counted by `_ANGLE_LENGTH`."""
+    """Distance [m], with angles weighted by `_ANGLE_LENGTH`."""
     turn = _ANGLE_LENGTH * np.linalg.norm(error[..., 3:], axis=-1)
     return np.hypot(np.linalg.norm(error[..., :3], axis=-1), turn)
 
 
 def _unwound(arm: Arm, q: Array, rest: Array) -> Array:
-    """The same poses with each joint a whole number of turns nearer to the resting angles."""
+    """Shift each joint by whole turns to be closest to the resting angles."""
     turned = q - 2.0 * np.pi * np.round((q - rest) / (2.0 * np.pi))
     return np.where((turned >= arm.q_min) & (turned <= arm.q_max), turned, q)
 
@@ -304,7 +304,7 @@ def check_pose(T: ArrayLike) -> Array:
     """A pose [4, 4] or [..., 4, 4] as float64.
 
     Raises:
-        RobotError: It has another shape, is not finite or its rotation is none.
+        RobotError: Its shape is wrong, it is not finite, or its rotation is not a rotation.
     """
     T = np.asarray(T, dtype=float)
     if T.shape[-2:] != (4, 4) or not np.isfinite(T).all():

@@ -1,4 +1,4 @@
-"""Timed motions of the joints, and what they use of an arm's limits."""
+"""Timed joint motions, and their use of an arm's limits."""
 
 from __future__ import annotations
 
@@ -76,11 +76,11 @@ class JointMotion:
     blend: float = 0.0
     """Time over which the path's corners were rounded off [s]."""
     deviation: Deviation | None = None
-    """How far that is from the ideal path; None: it came from no path."""
+    """Deviation from the ideal path; None: the motion was not made from a path."""
     slowed_by: float = 1.0
-    """How much longer it takes than the path asked for."""
+    """Duration over the duration of the path."""
     path_time: Array | None = None
-    """[K] where the knots are on the path, in its own time [s]; None: it came from no path."""
+    """[K] path time of the knots [s]; None: the motion was not made from a path."""
 
     def __post_init__(self) -> None:
         time, q = np.asarray(self.time, dtype=float), np.asarray(self.q, dtype=float)
@@ -113,12 +113,12 @@ class JointMotion:
         return CubicSpline(self.time, self.path_time)
 
     def path_time_at(self, time: ArrayLike) -> Array:
-        """[...] where on its path the tool is at times [...] [s], in the path's own time [s].
+        """Path time [...] [s] of the tool at motion times [...] [s].
 
         The tool is at ``path.position_at(motion.path_time_at(t), motion.blend)``.
 
         Raises:
-            RobotError: The motion came from no path, or from several.
+            RobotError: The motion was not made from exactly one path.
         """
         return self._clock(np.clip(time, self.start, self.end))
 
@@ -150,7 +150,7 @@ class JointMotion:
         return self.spline(np.clip(time, self.start, self.end), order) * moving[..., None]
 
     def closed_at(self, time: float) -> bool | None:
-        """Whether the last gripper event closed it; None: there was none yet."""
+        """Whether the gripper is closed after the last event; None: before the first event."""
         told = [event.closed for event in self.events if event.time <= time]
         return told[-1] if told else None
 
@@ -159,7 +159,7 @@ class JointMotion:
     def limit_uses(self, arm: Arm) -> list[LimitUse]:
         """The largest angle, speed and acceleration of each joint, and the tool's speed.
 
-        Extremes of the spline are exact; the tool's speed is looked at on the knots and halfway
+        Extremes of the spline are exact; the tool's speed is evaluated at the knots and halfway
         between them.
         """
         uses = []
@@ -215,11 +215,11 @@ class JointMotion:
         return time, self.spline(time, order)[:, joint]
 
     def check_limits(self, arm: Arm) -> None:
-        """Refuse a motion that the arm cannot carry out.
+        """Check that the motion is within the arm's limits.
 
         Raises:
-            RobotError: A limit is passed: it names joint, time, value and limit, and how many
-                times longer the motion must take.
+            RobotError: A limit is exceeded; the error names joint, time, value and limit, and the
+                factor by which the motion must be slowed down.
         """
         broken = [use for use in self.limit_uses(arm) if use.exceeded]
         if not broken:
@@ -233,9 +233,9 @@ class JointMotion:
         raise RobotError(f"{worst}{more}", where=f"motion of {arm.name}", fix=fix)
 
     def slowdown(self, arm: Arm) -> float:
-        """The shortest duration at which speeds and accelerations keep their limits, in its own.
+        """Shortest duration within the limits of speed and acceleration, over the duration.
 
-        Below 1 where the motion could be faster. Stretching time by f divides speeds by f and
+        Below 1 if the motion could be faster. Stretching time by f divides speeds by f and
         accelerations by f^2.
         """
         return max(
@@ -281,7 +281,7 @@ class JointMotion:
             pause: Between them [s].
 
         Raises:
-            RobotError: The other one starts elsewhere, by more than 1e-4 rad.
+            RobotError: The start of the other motion differs by more than 1e-4 rad.
         """
         gap = np.abs(other.q[0] - self.q[-1])
         if gap.max() > 1e-4:
@@ -292,7 +292,7 @@ class JointMotion:
                 fix="put a joint move between them",
             )
         late = other.shifted(self.end + pause - other.start)
-        # The joint's knot is kept once; a pause is held by knots of its own.
+        # The common knot is kept once; a pause has its own knots.
         held = [self.end + pause * share for share in (0.25, 0.5, 0.75)] if pause > 0.0 else []
         keep = 0 if pause > 0.0 else 1
         return JointMotion(
@@ -313,8 +313,8 @@ class JointMotion:
         return np.linspace(self.start, self.end, steps + 1)
 
     def write_gripper(self, path: str | os.PathLike, arm: Arm, *, rate: float = RATE) -> None:
-        """Write where the tool point goes as gripper.csv: time,x,y,z in seconds and metres, and
-        closed, 0 or 1, where the motion has events.
+        """Write the tool point's path as gripper.csv: time,x,y,z in seconds and metres, and closed,
+        0 or 1, if the motion has events.
 
         Raises:
             GendomError: The file cannot be written.

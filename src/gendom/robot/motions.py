@@ -2,10 +2,9 @@
 
 After Kuroki et al. (2024), "GenDOM: Generalizable One-shot Deformable Object Manipulation with
 Parameter-Aware Policy". The path is ideal: straight lines at constant speeds, whose velocity
-jumps at the knots. `gendom.robot.follow` rounds the jumps off as far as an arm's accelerations
-ask for and states how far that is from the ideal path; `TcpPath.position_at` takes the same
-blend, so that a simulator can replay what the arm does. Paths of tasks are in their own files
-(`gendom.tasks`).
+jumps at the knots. `gendom.robot.follow` rounds the jumps as far as an arm's accelerations require
+and reports the deviation from the ideal path; `TcpPath.position_at` takes the same blend, so that
+a simulator can replay the arm's motion. Paths of tasks are defined in `gendom.tasks`.
 
 Positions are those of the point between the fingertips, in the robot's base frame, z up.
 """
@@ -31,17 +30,17 @@ LIFT_ENDS = ("hold", "swing", "drop")
 """How the predefined lift may end: the object held still, swinging or falling."""
 
 SWING_SPEED = 0.5
-"""Of the quick move of a lift that ends in a swing [m/s]."""
+"""Speed of the quick move of a lift that ends in a swing [m/s]."""
 
 SWING_STROKE = 0.25
-"""How long that move is, in heights of the lift."""
+"""Length of that move, in heights of the lift."""
 
 LIVELY_REST = 1.0
-"""How long the arm stands still while the object swings or falls [s]."""
+"""Time for which the arm stands still while the object swings or falls [s]."""
 
 
 MOTION_FORMAT = "gendom-motion/1"
-"""Of files that hold a `LiftMotion`."""
+"""Format of files that hold a `LiftMotion`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +54,7 @@ class LiftMotion:
     kind: str
     """``rope`` or ``cloth``."""
     rise: float
-    """How high, in lengths of a rope or sides of a cloth."""
+    """Height of the lift, in lengths of a rope or sides of a cloth."""
     speed: float
     """[m/s]."""
     end: str = "hold"
@@ -119,20 +118,20 @@ def lift(
     along: ArrayLike = (1.0, 0.0, 0.0),
     stroke: float | None = None,
 ) -> TcpPath:
-    """Straight up at constant speed: the demonstration that parameters are estimated from.
+    """Lift straight up at constant speed: the demonstration for estimating parameters.
 
     The gripper closes at t = 0 around a rope's end or a cloth's corner. Ramps take at most a
-    tenth of the rise at each end, and end before and begin after the waits. At the top the object
-    is held (end "hold"); or, after a second wait, one quick straight move ends in a hard stop
-    ("swing"), or the gripper opens ("drop").
+    tenth of the rise at each end, and do not overlap the waits. At the top the object is held (end
+    "hold"); or, after a second wait, a quick straight move ends in a hard stop ("swing"), or the
+    gripper opens ("drop").
 
     Args:
-        start: [3] where it grasps [m].
-        height: How far it rises [m].
-        speed: [m/s].
+        start: [3] grasp position [m].
+        height: Height of the lift [m].
+        speed: Speed of the lift [m/s].
         quat_xyzw: [4] the gripper's orientation.
-        wait: Between closing and rising, and at the top before a swing or a drop [s].
-        after: Still in the end [s]; None: not at all after "hold", else `LIVELY_REST`.
+        wait: Wait between closing and rising, and at the top before a swing or a drop [s].
+        after: Rest at the end [s]; None: 0 after "hold", else `LIVELY_REST`.
         end: One of `LIFT_ENDS`.
         along: [3] horizontal unit vector, direction of the swing's move.
         stroke: Length of the swing's move [m]; None: `SWING_STROKE` heights. Its speed is
@@ -159,7 +158,7 @@ def lift(
         _positive(stroke=stroke)
         times.append(stroke / SWING_SPEED)
         moves.append(stroke * _horizontal(along, "along"))
-        # It still stands before the move, and reaches its speed in it.
+        # The gripper rests before the move, and accelerates within it.
         blends += [wait, stroke / SWING_SPEED]
     elif end == "drop":
         events.append(GripperEvent(time=sum(times), closed=False))

@@ -1,14 +1,14 @@
 """Timed paths of the tool: straight lines between knots, their corners rounded off in time.
 
-A path that runs along a polygon at constant speeds asks for infinite accelerations at its knots.
-`TcpPath` keeps the ideal path and rounds it when asked: the path is convolved in time with a
-kernel of width `blend`. With the velocity's jumps dv_k at the times t_k of the knots, the ideal
+A path along a polygon at constant speeds requires infinite accelerations at its knots. `TcpPath`
+stores the ideal path, and its methods round it by a given `blend`: the path is convolved in time
+with a kernel of that width. With the velocity's jumps dv_k at the times t_k of the knots, the ideal
 path is p_0 + sum_k dv_k max(t - t_k, 0), so the rounded one is
 
     p(t) = p_0 + sum_k dv_k R(t - t_k),
 
-where R is max(t, 0) convolved with the kernel. Ours is a parabola that vanishes at both ends,
-so with u = t / blend + 1/2 in [0, 1]
+where R is max(t, 0) convolved with the kernel. The kernel is a parabola that vanishes at both
+ends, so with u = t / blend + 1/2 in [0, 1]
 
     R = blend (u^3 - u^4 / 2),   R' = 3 u^2 - 2 u^3,   R'' = 6 u (1 - u) / blend:
 
@@ -49,8 +49,8 @@ def pointing(approach: ArrayLike, fingers: ArrayLike) -> Array:
     """quat_xyzw [4] of a gripper by its axes.
 
     Args:
-        approach: [3] where it points, out of the fingers; any length.
-        fingers: [3] along which they open; the part along `approach` does not count.
+        approach: [3] pointing direction, out of the fingers; any length.
+        fingers: [3] direction in which the fingers open; its component along `approach` is ignored.
 
     Raises:
         RobotError: The two are parallel, or one is zero.
@@ -71,7 +71,7 @@ def pointing(approach: ArrayLike, fingers: ArrayLike) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class GripperEvent:
-    """The gripper closes or opens."""
+    """The closing or opening of the gripper."""
 
     time: float
     """[s]."""
@@ -81,7 +81,7 @@ class GripperEvent:
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """How far a rounded path is from the ideal one."""
+    """Deviation of a rounded path from the ideal one."""
 
     at_equal_times: float
     """Largest distance of the two at the same time [m]."""
@@ -91,14 +91,14 @@ class Deviation:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TcpPath:
-    """A timed path of the tool point; before and after it the tool stands still.
+    """A timed path of the tool point; before its start and after its end the tool stands still.
 
     Raises:
         RobotError: Shapes do not agree, times do not increase or a number is not finite.
     """
 
     time: Array
-    """[K] of the knots [s]."""
+    """[K] times of the knots [s]."""
     position: Array
     """[K, 3] [m]; straight and at constant speed from knot to knot."""
     quat_xyzw: Array
@@ -106,10 +106,10 @@ class TcpPath:
     events: tuple[GripperEvent, ...] = ()
     """When the gripper closes and opens, in order of time."""
     max_blend: float = math.inf
-    """Longest blend that keeps the path's meaning [s], e.g. the tool still when it lets go."""
+    """Longest blend that preserves the path's purpose [s], e.g. that the tool rests on release."""
     blend: float | None = None
-    """A blend that belongs to the path [s], for every arm and simulator; None: as short as an arm
-    can."""
+    """Blend that is part of the path [s], for every arm and simulator; None: the shortest blend
+    that an arm allows."""
 
     def __post_init__(self) -> None:
         time = np.atleast_1d(np.asarray(self.time, dtype=float))
@@ -139,7 +139,7 @@ class TcpPath:
 
     @property
     def moves(self) -> float:
-        """When the tool first moves [s]; infinite: never."""
+        """Time at which the tool first moves [s]; infinite: never."""
         corners = self.corners()
         return math.inf if len(corners) == 0 else float(corners[0]) - 0.5 * (self.blend or 0.0)
 
@@ -172,12 +172,12 @@ class TcpPath:
 
     @property
     def start(self) -> float:
-        """When the ideal path begins [s]."""
+        """Start time of the ideal path [s]."""
         return float(self.time[0])
 
     @property
     def end(self) -> float:
-        """When the ideal path ends [s]."""
+        """End time of the ideal path [s]."""
         return float(self.time[-1])
 
     def position_at(self, time: ArrayLike, blend: float = 0.0) -> Array:
@@ -227,7 +227,7 @@ class TcpPath:
 
     @cached_property
     def _jumps(self) -> tuple[Array, Array]:
-        """Jumps of the velocity [J, 3] [m/s] and when they are [J] [s]."""
+        """Jumps of the velocity [J, 3] [m/s] and their times [J] [s]."""
         velocity = np.diff(self.position, axis=0) / np.diff(self.time)[:, None]
         still = np.zeros((1, 3))
         padded = np.concatenate([still, velocity, still])
@@ -244,7 +244,7 @@ class TcpPath:
         if self.quat_xyzw.ndim == 1:
             T[..., :3, :3] = Rotation.from_quat(self.quat_xyzw).as_matrix()
             return T
-        # A product of turns, one a segment, each carried out as far as its share of time says.
+        # A product of rotations, one for each segment, each by its elapsed share of time.
         knots = Rotation.from_quat(self.quat_xyzw)
         turns = (knots[1:] * knots[:-1].inv()).as_rotvec()
         rising = _ramp(time[..., None] - self.time, blend)
@@ -286,7 +286,7 @@ class TcpPath:
         return Deviation(at_equal_times=float(late.max()), off_the_path=float(off.max()))
 
     def moved(self, T: ArrayLike) -> TcpPath:
-        """The same path in another frame, which `T` [4, 4] maps this one's to [m]."""
+        """Return the path transformed by `T` [4, 4] [m] from its frame to another one."""
         T = np.asarray(T, dtype=float)
         turned = Rotation.from_matrix(T[:3, :3]) * Rotation.from_quat(self.quat_xyzw)
         return replace(

@@ -28,11 +28,11 @@ from gendom.robot.timing import in_time
 Array = NDArray[np.float64]
 
 SOLVED_RATE = 100.0
-"""Joint angles along a path are solved this often [1/s]: at least so where corners are rounded
-off, at most so elsewhere, where 3 mm of way between two times are as good."""
+"""Rate at which joint angles along a path are solved [1/s]: at least this rate where corners are
+rounded, at most this rate elsewhere, where a spacing of 3 mm along the path is sufficient."""
 
 SHORTEST_BLEND = 0.04
-"""Blends are not searched below this [s]."""
+"""Shortest blend in the search [s]."""
 
 _KNOTS_A_BLEND = 16
 _STEP, _ANGLE_WAY = 0.003, 0.3  # [m], [m/rad]; the tool's way between two solved times
@@ -58,7 +58,7 @@ def joint_move(
     surroundings: Surroundings = ALONE,
     opening: float = 0.0,
 ) -> JointMotion:
-    """From rest to rest, all joints together, as fast as a share of the limits lets them.
+    """Move all joints from rest to rest, as fast as a share of the limits allows.
 
     A quintic in time, q = q_from + (q_to - q_from) (10 s^3 - 15 s^4 + 6 s^5): its largest speed
     is 15 / 8, acceleration 10 / sqrt(3) and jerk 60 of the way over T, T^2 and T^3.
@@ -66,9 +66,9 @@ def joint_move(
     Args:
         arm: Its limits, the tool's speed included.
         q_from, q_to: [J] joint angles [rad].
-        share: Of the limits of speed, acceleration and jerk, in (0, 1].
-        start: When it begins [s].
-        surroundings: What the arm must not touch, besides itself.
+        share: Share of the limits of speed, acceleration and jerk, in (0, 1].
+        start: Start time [s].
+        surroundings: Obstacles that the arm must not touch.
         opening: Distance of the fingers' inner faces [m].
 
     Raises:
@@ -119,22 +119,24 @@ def follow(
     surroundings: Surroundings = ALONE,
     opening: float = 0.0,
 ) -> JointMotion:
-    """Joint angles that carry the tool along a path.
+    """Plan joint angles that move the tool along a path.
 
-    Inverse kinematics is solved at the start and then followed along the path; the redundant
-    joint leans towards home in proportion to the tool's way, so it rests when the tool does.
-    Where the arm is out of limits or collides the path is tried from other configurations.
+    Inverse kinematics is solved at the start and then tracked along the path. The redundancy is
+    used to approach the home configuration in proportion to the distance travelled by the tool, so
+    the arm rests when the tool does. If limits are exceeded or the arm collides, other start
+    configurations are tried.
 
     Args:
         arm: The arm.
         path: Its corners are rounded off by `blend`.
-        near: [J] joint angles that the start is chosen near to [rad]; None: home.
-        rate: How often joint angles are solved [1/s], see `SOLVED_RATE`.
-        blend: [s]; None: the path's own, and if it has none, as short as the joints' accelerations
-            allow (within a few percent), at least `SHORTEST_BLEND`, at most its `max_blend`.
-        slow_down: Where speeds or accelerations would pass their limits, take as much more time
-            as it needs, there and only there, see `gendom.robot.timing`.
-        surroundings: What the arm must not touch, besides itself.
+        near: [J] joint angles to which the start should be close [rad]; None: home.
+        rate: Rate at which joint angles are solved [1/s], see `SOLVED_RATE`.
+        blend: Blend [s]; None: the path's blend, or if it has none, the shortest that the joints'
+            accelerations allow (within a few percent), at least `SHORTEST_BLEND`, at most the
+            path's `max_blend`.
+        slow_down: Slow the motion down where speeds or accelerations would exceed their limits, and
+            only there, see `gendom.robot.timing`.
+        surroundings: Obstacles that the arm must not touch.
         opening: Distance of the fingers' inner faces [m].
 
     Returns:
@@ -169,7 +171,7 @@ def follow(
     motion = in_time(arm, best)
     shortest = min(SHORTEST_BLEND, path.max_blend)
     if blend is None and best.blend > shortest:
-        # The blend was made longer for the path's own pace; at a slower one less may do.
+        # The blend was chosen for the path's speed; at a lower speed a shorter one may suffice.
         sharper = in_time(arm, _track(kept, path, best.q[0], rate, shortest))
         motion = min(motion, sharper, key=lambda m: m.end - m.start)
     motion.check_limits(arm)
@@ -246,7 +248,7 @@ def _track(arm: Arm, path: TcpPath, q: Array, rate: float, blend: float) -> Join
 
 
 def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tuple[Array, Array]:
-    """More knots where the spline through them misses the path halfway between."""
+    """Add knots where the spline deviates from the path halfway between knots."""
     for _ in range(_REFINEMENTS):
         middle = 0.5 * (time[1:] + time[:-1])
         guess = np.clip(JointMotion(time=time, q=q).at(middle), arm.q_min, arm.q_max)
@@ -266,7 +268,7 @@ def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tu
 
 
 def _solved_times(path: TcpPath, rate: float, blend: float) -> Array:
-    """[K] times [s]: dense where the path is rounded off; between, as the tool's way needs."""
+    """Times [K] [s]: dense where the path is rounded, elsewhere spaced by the tool's movement."""
     start, end = path.start - 0.5 * blend, path.end + 0.5 * blend
     corners = path.corners()
     edges = np.add.outer(corners, [-0.5 * blend, 0.5 * blend]).ravel()
@@ -286,13 +288,13 @@ def _solved_times(path: TcpPath, rate: float, blend: float) -> Array:
 
 
 def _way(T: Array, T_from: Array) -> float:
-    """The tool's way between two poses [m], turns included."""
+    """Distance between two poses of the tool [m], including rotation."""
     way, turn = np.split(pose_error(T, T_from), 2)
     return float(np.linalg.norm(way) + _ANGLE_WAY * np.linalg.norm(turn))
 
 
 def _lost(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:
-    """That a path goes on after joint angles [J] only with a jump, or out of reach."""
+    """Error: after joint angles [J] the path requires a jump of the joints, or is out of reach."""
     if step is not None:
         jump = np.abs(step - q)
         return RobotError(

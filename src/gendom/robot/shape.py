@@ -1,4 +1,4 @@
-"""Where the arm's own capsules are, to take it out of clouds or to keep things clear of it."""
+"""Positions of the arm's capsules, to remove the arm from clouds and to avoid collisions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ArmShape:
     radius: NDArray[np.float64]
     """[C] [m]."""
     touches_object: NDArray[np.bool_]
-    """[C] those whose inner side is where the object is held."""
+    """[C] whether the inner side of a capsule holds the object."""
 
 
 def arm_shape(arm: Arm, q: ArrayLike, opening: ArrayLike = 0.0) -> ArmShape:

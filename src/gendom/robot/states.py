@@ -26,7 +26,7 @@ class JointStates:
     """Measured joint angles of a robot over time."""
 
     time: NDArray[np.float64]
-    """[M] increasing [s]."""
+    """[M] increasing times [s]."""
     q: NDArray[np.float64]
     """[M, J] joint angles [rad]."""
     opening: NDArray[np.float64] | None = None
@@ -40,9 +40,9 @@ def read_joints(
 
     Args:
         path: The file.
-        arm: Whose joints they are.
-        on_cut: Called with the number of the last line, where it has no end and lacks values: an
-            interrupted recording. The line is left out then; None: it is refused.
+        arm: The arm to which the joints belong.
+        on_cut: Called with the number of the last line if it is incomplete because the recording
+            was interrupted. The line is then skipped; None: an incomplete line is an error.
 
     Raises:
         RobotError: The file cannot be read, a row is malformed or out of order, or a joint is

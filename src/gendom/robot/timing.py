@@ -1,6 +1,6 @@
-"""When the arm is where on its path: as asked for where its limits allow, later where not.
+"""Time scaling of a motion: the requested timing where limits allow it, slower where not.
 
-A motion q(s), s the path's own time, is carried out as q(s(t)). With x = (ds/dt)^2 and
+A motion q(s), with s the path's own time, is executed as q(s(t)). With x = (ds/dt)^2 and
 u = d^2s/dt^2 its speeds and accelerations are
 
     dq/dt = q'(s) sqrt(x),    d^2q/dt^2 = q'(s) u + q''(s) x,
@@ -33,17 +33,17 @@ _STILL = 1e-9  # [rad]; joints that turn less for each second of the path's time
 
 
 def in_time(arm: Arm, motion: JointMotion) -> JointMotion:
-    """A motion at its own pace where speeds and accelerations allow, and slower where not.
+    """Slow a motion down where it exceeds limits of speed or acceleration.
 
-    The ends keep their pace in the path's time: motions that start and end at rest still do.
+    The ends keep their speed: motions that start and end at rest still do.
 
     Args:
         arm: Its limits of joint speeds and accelerations and of the tool's speed.
-        motion: At the pace that is asked for.
+        motion: The motion with the requested timing.
 
     Returns:
-        The same path. Its `path_time` says where on it the arm is when; `slowed_by` is its
-        duration over that of `motion`.
+        A motion along the same path. Its `path_time` gives the path time at its knots; `slowed_by`
+        is its duration over that of `motion`.
     """
     s = _grid(motion)
     q, v, a = motion.spline(s), motion.spline(s, 1), motion.spline(s, 2)
@@ -72,7 +72,7 @@ def in_time(arm: Arm, motion: JointMotion) -> JointMotion:
 
 
 def _grid(motion: JointMotion) -> Array:
-    """[N] the path's times at which limits are looked at."""
+    """Path times at which limits are evaluated, [N]."""
     parts = [motion.time[:1]]
     for a, b in zip(motion.time[:-1], motion.time[1:], strict=True):
         steps = max(_FINER, int(np.ceil((b - a) / _LONGEST)))
@@ -81,14 +81,14 @@ def _grid(motion: JointMotion) -> Array:
 
 
 def _highest(arm: Arm, q: Array, v: Array) -> Array:
-    """[N] the largest x that limits of speed and the path's own pace allow."""
+    """Largest x allowed by limits of speed and by the path's own speed, [N]."""
     tool = np.linalg.norm((jacobian(arm, q)[:, :3] @ v[..., None])[..., 0], axis=1)
     use = np.maximum(np.abs(v / arm.max_speed).max(axis=1), tool / arm.max_tcp_speed)
     return np.minimum(1.0, (_AIM / np.maximum(use, 1e-12)) ** 2)
 
 
 def _paces(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allowed: Array) -> Array:
-    """[N] x at the points of the grid."""
+    """Values of x at the points of the grid, [N]."""
     step = 2.0 * np.diff(s)
     n = len(s)
     limit = allowed[:, None] * arm.max_acceleration
@@ -121,7 +121,7 @@ def _paces(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allowed: Arra
 
 
 def _times(s: Array, x: Array) -> Array:
-    """[N] when the points of the grid are passed, from the first on [s]."""
+    """Times at which the points of the grid are passed, after the first one, [N] [s]."""
     pace = np.sqrt(x)
     return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (pace[:-1] + pace[1:]))])
 
@@ -132,7 +132,7 @@ def _at_times(motion: JointMotion, s: Array, time: Array, q: Array) -> JointMoti
 
 
 def _later(moment: float, s: Array, time: Array) -> float:
-    """When a moment of the path's time comes, before and after the motion at its own pace."""
+    """Convert a path time to motion time; before and after the motion time is not scaled."""
     if moment <= s[0]:
         return time[0] + moment - s[0]
     if moment >= s[-1]:

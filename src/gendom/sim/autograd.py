@@ -44,17 +44,17 @@ def simulate(
     options: dict[str, Any] | None = None,
     **given: Tensor | float,
 ) -> Tensor:
-    """Positions at given times, differentiable by every tensor that went in.
+    """Simulate positions at given times, differentiable with respect to every input tensor.
 
     Args:
-        body: What is simulated.
+        body: The body to simulate.
         times: [T] not decreasing [s].
         grippers: Shared by all worlds; ``gripper_positions`` moves their knots.
-        table: Its friction is replaced where ``friction`` is given.
-        memory: Bound on what is kept for the backward pass [bytes] (default: as ``Rollout``).
+        table: Table; ``friction``, if given, replaces its coefficient.
+        memory: Limit on memory for the backward pass [bytes] (default: as ``Rollout``).
         options: Further arguments of ``Simulator`` (``engine``, by default ``mpm``; ``law``,
             ``substep``, ``dtype``, ``threads``).
-        given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and, where wanted, ``yield_stress`` [Pa],
+        given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and optionally ``yield_stress`` [Pa],
             ``damping`` [s] (``Material.damping``), ``velocity_damping`` [1/s], ``friction``:
             numbers or [W]; ``gravity`` [3] or [W, 3]; ``stiffness`` [N] or [W, N]; ``positions``
             and ``velocities`` [N, 3] or [W, N, 3]; ``gripper_positions`` [G, K, 3] or
@@ -66,7 +66,7 @@ def simulate(
 
     Raises:
         ParameterError: If a name is unknown, E, nu or density is missing, or shapes do not fit.
-        SimulationError: If a world diverges, or, on the way back, a derivative does.
+        SimulationError: If a world diverges, or a derivative does in the backward pass.
     """
     unknown = sorted(set(given) - set(_NAMES))
     missing = sorted({"E", "nu", "density"} - set(given))
@@ -84,7 +84,7 @@ def simulate(
 def _spread(
     names: list[str], tensors: list[Tensor], N: int, grippers: Sequence[Gripper]
 ) -> list[Tensor]:
-    """The tensors with one leading axis of worlds; torch sums its derivatives back."""
+    """Expand the tensors to one leading axis of worlds; torch sums the derivatives over it."""
     own = {"gravity": 1, "stiffness": 1, "positions": 2, "velocities": 2, "gripper_positions": 3}
     extra = {n: t.dim() - own.get(n, 0) for n, t in zip(names, tensors, strict=True)}
     wrong = [n for n, e in extra.items() if e not in (0, 1)]

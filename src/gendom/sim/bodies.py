@@ -1,4 +1,4 @@
-"""Ropes and cloths as particles: sizes and a resolution in, rest positions out."""
+"""Ropes and cloths: rest positions of particles and points, from sizes and a resolution."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -9,35 +9,36 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.errors import ParameterError
 
 CELLS_ACROSS = (0.5, 6.0)
-"""Numbers of grid cells across a rope with which its section is known to bend and twist right."""
+"""Fewest and most grid cells across a rope for which its bending and twisting are validated."""
 
 EDGES = (24, 48)
-"""Fewest and most edges that a rope's centre line has by itself."""
+"""Fewest and most edges that a rope's centre line has by default."""
 
 POINTS = 28
-"""Points that a cloth's longer side has by itself."""
+"""Points along a cloth's longer side by default."""
 
 BULGE = 0.75
-"""How far a square section is bulged to a round one; from 0.65 to 0.75 sections of 3 to 16
-particles across bend within 2 % and twist within 5 % of theory at nu up to 0.45."""
+"""Share of the map from a square to a disc that is applied to sections (see ``round_section``);
+with 0.65 to 0.75, sections of 3 to 16 particles across bend within 2 % and twist within 5 % of
+theory at nu up to 0.45."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weave:
-    """Stiffness of a cloth over that of an isotropic sheet of its E, nu and thickness.
+    """Stiffness of a cloth relative to an isotropic sheet of the same E, nu and thickness.
 
     Raises:
         ParameterError: If a number is not positive and finite.
     """
 
     warp: float = 1.0
-    """Along its first axis."""
+    """Stretching stiffness along the first axis."""
     weft: float = 1.0
-    """Along its second axis."""
+    """Stretching stiffness along the second axis."""
     shear: float = 1.0
-    """In its plane."""
+    """In-plane shear stiffness."""
     bending: float = 1.0
-    """In all directions."""
+    """Bending stiffness, in all directions."""
 
     def __post_init__(self) -> None:
         _check_positive(warp=self.warp, weft=self.weft, shear=self.shear, bending=self.bending)
@@ -47,7 +48,7 @@ class Weave:
 class Body:
     """An object at rest.
 
-    Particles stand half a cell apart, so a cell inside the object holds eight of them.
+    Particles are half a cell apart, so a cell inside the object holds eight of them.
     """
 
     kind: str
@@ -57,7 +58,8 @@ class Body:
     material_coordinates: NDArray[np.floating]
     """[N, 3] positions in the object's own frame [m]: along, across and through it."""
     lattice: NDArray[np.int32]
-    """[N, 3, 2] for each particle and axis, the neighbours before and behind (or itself)."""
+    """[N, 3, 2] previous and next neighbour of each particle along each axis, or the particle
+    itself where there is none."""
     volume: float
     """Volume of one particle [m^3]."""
     dx: float
@@ -65,22 +67,22 @@ class Body:
     thickness: float
     """Diameter of a rope, thickness of a cloth [m]."""
     section: int
-    """Particles of a cross-section (of a rope) or through the thickness (of a cloth), which touch
-    the table and are gripped together; they follow each other. 1 where a cloth is thick."""
+    """Number of particles in a cross-section of a rope or through the thickness of a cloth. They
+    have consecutive indices, and touch the table and are gripped together. 1 for a thick cloth."""
     contact_radius: float
-    """Height of a section's centre above the table on which it lies [m]."""
+    """Height of a section's centre above the table when the section lies on it [m]."""
     points: NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3)))
     """[n, 3] rest positions of the thin engine's points [m]: a rope's centre line from one end to
-    the other, a cloth's middle surface row by row, along its first axis first."""
+    the other, or a cloth's middle surface row by row, each row along the first axis."""
     shape: tuple[int, ...] = (0,)
-    """Numbers of points along a rope, or of rows and in a row of a cloth."""
+    """Number of points of a rope, or number of rows and points in each row of a cloth."""
     width: float | None = None
-    """Of a flat rope, level and across it [m]; None: round."""
+    """Width of a flat rope, horizontal and across it [m]; None: round rope."""
     weave: "Weave" = field(default_factory=lambda: Weave())
-    """How a cloth's threads differ from an isotropic sheet; of shells."""
+    """Stiffness of a cloth's weave relative to an isotropic sheet; for shells."""
     natural_curvature: NDArray[np.floating] | None = None
-    """[2, 2] how a shell curves that is free of stress, in its own first two axes, positive where
-    it arches towards the third [1/m]; None: flat."""
+    """[2, 2] curvature of the stress-free shell in its first two axes, positive where it arches
+    towards its third axis [1/m]; None: flat."""
 
     @property
     def num_particles(self) -> int:
@@ -88,18 +90,18 @@ class Body:
 
     @property
     def rest_frames(self) -> NDArray[np.floating]:
-        """[N, 3, 3] inverses of the rest differences along the lattice axes [1/m]."""
+        """Inverses of the position differences along the lattice axes at rest, [N, 3, 3] [1/m]."""
         first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
         return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
 
     @property
     def lateral_constraint(self) -> float:
-        """k of lam = 2 mu nu / (1 - k nu), 2 for a solid.
+        """The factor k in lam = 2 mu nu / (1 - k nu), which is 2 for a solid.
 
-        A section two particles across, bent, cannot become thinner on one side and thicker on the
-        other and would be too stiff. In a sheet plane stress (k = 1) takes its place; with k = 2/3
-        four particles bend and twist as a round rope at every nu (and stretch 4 to 10 % too
-        easily).
+        A section of two particles across cannot become thinner on one side and thicker on the
+        other when it bends, and would be too stiff. Sheets use plane stress (k = 1) instead. For
+        ropes k = 2/3: a section of four particles then bends and twists like a round rope at
+        every nu (and is 4 to 10 % too soft in stretching).
         """
         alone = self.lattice == np.arange(len(self.x))[:, None, None]
         two = alone.any(axis=2).all(axis=0)
@@ -108,12 +110,14 @@ class Body:
         return 2.0 / 3.0 if self.kind == "rope" else 1.0
 
     def surface(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
-        """[..., M, 3] points on the object's skin [m] for positions [..., N, 3] of particles, or of
-        the thin engine's points.
+        """Points on the object's surface, [..., M, 3] [m].
 
-        Particles stand for the material around them; what a camera sees of a rope lies further
-        out. Its outer particles are moved away from the middle of their section, to half a
-        diameter. A cloth is thin: its particles are its skin.
+        Args:
+            x: [..., N, 3] positions of particles, or of the thin engine's points [m].
+
+        Each particle represents the material around it, so the visible surface of a rope lies
+        further out than its particles: its outer particles are moved away from the middle of
+        their section, to half a diameter. A cloth is thin, so its particles are its surface.
         """
         x = np.asarray(x, dtype=float)
         if self.kind != "rope":
@@ -130,11 +134,11 @@ class Body:
     def surface_transpose(
         self, x: NDArray[np.floating], bar: NDArray[np.floating]
     ) -> NDArray[np.floating]:
-        """Derivative of a loss by positions, from that by the points of ``surface``.
+        """Derivative of a loss with respect to positions, given that with respect to the surface.
 
         Args:
             x: [..., N, 3] particles, or the thin engine's points [m].
-            bar: [..., M, 3] derivative of the loss by ``surface(x)`` [1/m].
+            bar: [..., M, 3] derivative of the loss with respect to ``surface(x)`` [1/m].
 
         Returns:
             [..., N, 3] [1/m].
@@ -159,7 +163,7 @@ class Body:
 
     @property
     def _outer(self) -> NDArray[np.bool_]:
-        """Which particles of a rope's section stand on its rim."""
+        """Mask of the particles on the rim of a rope's section."""
         radius = np.linalg.norm(self.material_coordinates[: self.section, 1:], axis=1)
         return radius > 0.6 * radius.max()
 
@@ -171,7 +175,8 @@ class Body:
         step = np.diff(x, axis=-2)[..., :, None, :]
         centres = x[..., :-1, None, :] + share * step
         tangent = step / np.linalg.norm(step, axis=-1, keepdims=True)
-        # any two normals that change smoothly: those of the smallest turn from a fixed direction
+        # any two normals that change smoothly: a fixed frame under the smallest rotation that
+        # takes its axis to the tangent
         first = _fixed_frame(self.points[1] - self.points[0])
         along = tangent + first[2]
         scale = np.maximum(1.0 + tangent @ first[2], 1e-9)[..., None]
@@ -185,7 +190,7 @@ class Body:
     def _around_transpose(
         self, x: NDArray[np.floating], bar: NDArray[np.floating]
     ) -> NDArray[np.floating]:
-        """Names as in ``_around``."""
+        """Transpose of the derivative of ``_around``, with the same names."""
         n, lead = x.shape[-2], x.shape[:-2]
         bar = bar.reshape(*lead, n - 1, -1, 8, 3)
         parts = bar.shape[-3]
@@ -212,7 +217,7 @@ class Body:
         return found
 
     def moved(self, offset: ArrayLike) -> "Body":
-        """The same body shifted by ``offset`` [3] [m]."""
+        """Return the same body shifted by ``offset`` [3] [m]."""
         by = np.asarray(offset, dtype=float)
         return replace(self, x=self.x + by, points=self.points + by)
 
@@ -228,26 +233,28 @@ def rope(
     points: int | None = None,
     width: float | None = None,
 ) -> Body:
-    """A rope of round section, straight or along a centre line.
+    """Make a rope, straight or along a centre line.
 
-    Its sections bend within 2 % and twist within 5 % of a round rope at every resolution, see
+    Bending is within 2 % and twisting within 5 % of a round rope at every resolution, see
     ``round_section``.
 
     Args:
-        diameter: [m].
-        length: [m]; along ``centre_line`` it cuts or extends that line (default: its length).
+        diameter: Diameter [m].
+        length: Length [m]; with ``centre_line``, that line is cut or extended to this length
+            (default: the length of the line).
         centre_line: [K, 3] points from one end to the other [m].
         start: [3] first end of a straight rope [m].
         direction: [3] direction of a straight rope; need not be a unit vector.
         cells_across: Grid cells across the diameter, 0.5 to 6; particles are twice as dense. For
             the MPM.
-        points: Of the centre line, for rods; by default a diameter apart, but 25 to 49.
-        width: Of a flat rope (a ribbon) whose thickness is ``diameter``: level and across it [m].
-            For rods.
+        points: Number of points of the centre line, for rods; by default they are one diameter
+            apart, but at least 25 and at most 49.
+        width: Width of a flat rope (a ribbon), horizontal and across it [m]; its thickness is
+            ``diameter``. For rods.
 
     Raises:
-        ParameterError: If sizes are not positive, the centre line is degenerate, there are fewer
-            or more cells than a section is known to be right with, or fewer than three points.
+        ParameterError: If sizes are not positive, the centre line is degenerate, ``cells_across``
+            lies outside its range, or there are fewer than three points.
     """
     _check_positive(diameter=diameter, cells_across=cells_across)
     if not CELLS_ACROSS[0] <= cells_across <= CELLS_ACROSS[1]:
@@ -331,23 +338,23 @@ def cloth(
     weave: Weave | None = None,
     natural_curvature: ArrayLike | None = None,
 ) -> Body:
-    """A flat rectangular cloth in a horizontal plane.
+    """Make a flat rectangular cloth in a horizontal plane.
 
-    Layers of particles, two at least, stand so far apart that their mean squared distance from
-    the middle is the sheet's second moment, h^2 / 12 for each unit of area. A sheet thinner than
-    a cell need not be simulated thicker than it is: its layers stretch and shorten with the
-    curvature of a velocity field that the grid resolves.
+    It has at least two layers of particles. Their spacing is such that their mean squared distance
+    from the middle is the sheet's second moment, h^2 / 12 per unit of area. A sheet thinner than
+    a cell is simulated at its true thickness: its layers stretch and shorten with the curvature
+    of the velocity field, which the grid resolves.
 
     Args:
         width, height: Sizes along the cloth's own first and second axis [m].
-        thickness: [m].
+        thickness: Thickness [m].
         dx: Size of a grid cell [m]. For the MPM.
-        points: Numbers along its first and second axis, for shells; by default 28 along the longer
-            side, as far apart along the other.
+        points: Numbers of points along the first and second axis, for shells; by default 28 along
+            the longer side and the same spacing along the other.
         weave: Stiffness along threads, in shear and in bending; for shells (default: isotropic).
-        natural_curvature: [2, 2] of what is free of stress, in its own axes, positive where it
-            arches towards the third [1/m]; for shells (default: flat).
-        corner: [3] where one corner of the mid-plane lies [m].
+        natural_curvature: [2, 2] curvature of the stress-free cloth in its first two axes,
+            positive where it arches towards its third axis [1/m]; for shells (default: flat).
+        corner: [3] position of one corner of the mid-plane [m].
         yaw: Angle of the first axis about z [rad].
 
     Raises:
@@ -393,21 +400,22 @@ def cloth(
 
 
 def round_section(across: int, diameter: float) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
-    """Particles of a round section, and the cells of the lattice that they form.
+    """Place particles in a round section, on a deformed square lattice.
 
-    A square of particles is bulged until its outer ones stand nearly on a circle: a section cut out
-    of a square lattice warps where a round one stays plane, and twists too easily (0.65 of theory
-    with 12 particles). The map is that of an ellipse, x sqrt(1 - y^2 / 2), three quarters of the
-    way; all of it would flatten the lattice at its corners. The points are then scaled until their
-    mean squared distance from the axis is the section's second moment, d^2 / 16.
+    A section cut out of a square lattice warps where a round section stays plane, and is too soft
+    in torsion (0.65 of theory with 12 particles). Instead, a square lattice is deformed until its
+    outer particles lie nearly on a circle. The map is the elliptical one, x sqrt(1 - y^2 / 2),
+    applied by three quarters; the full map would flatten the lattice at its corners. The points
+    are then scaled so that their mean squared distance from an axis is the section's second
+    moment, d^2 / 16.
 
     Args:
         across: Particles across, 2 or more; all have the same volume.
-        diameter: [m].
+        diameter: Diameter [m].
 
     Returns:
-        points: [across^2, 2] places in the section, about the axis [m].
-        cells: [across^2, 2] places in the lattice; those that touch along a side are neighbours.
+        points: [across^2, 2] positions in the section, relative to its centre [m].
+        cells: [across^2, 2] indices in the lattice; particles that share a side are neighbours.
     """
     cells = np.argwhere(np.ones((across, across)))
     square = cells / (across - 1) * 2.0 - 1.0
@@ -416,10 +424,10 @@ def round_section(across: int, diameter: float) -> tuple[NDArray[np.floating], N
 
 
 def _curvature(values: ArrayLike) -> NDArray[np.floating]:
-    """[2, 2] symmetric numbers.
+    """Check a natural curvature and return it as an array [2, 2].
 
     Raises:
-        ParameterError: If they are not.
+        ParameterError: If it is not [2, 2], finite and symmetric.
     """
     a = np.asarray(values, dtype=float)
     if a.shape != (2, 2) or not np.isfinite(a).all() or a[0, 1] != a[1, 0]:
@@ -436,7 +444,7 @@ def _check_positive(**values: float) -> None:
 
 
 def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
-    """[N, 3, 2] indices of the particles beside each one, from lattice cells [N, 3]."""
+    """[N, 3, 2] indices of each particle's neighbours, from lattice cells [N, 3]."""
     number = np.full(cells.max(axis=0) + 3, -1)
     number[tuple((cells + 1).T)] = np.arange(len(cells))
     found = np.empty((len(cells), 3, 2), dtype=np.int32)
@@ -472,13 +480,13 @@ def _along_line(
     unit = steps / lengths[:, None]
     segment = np.clip(np.searchsorted(s, along, side="right") - 1, 0, len(unit) - 1)
     points = line[segment] + unit[segment] * (along - s[segment])[:, None]
-    # tangents are averaged over neighbouring points, so that sections do not jump at corners
+    # average tangents over neighbouring points, so that sections do not jump at corners
     tangent = np.gradient(points, axis=0)
     return points, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
 
 
 def _frames(tangent: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Two unit normals [M, 3] of each tangent; the first is horizontal where that is defined."""
+    """Two unit normals [M, 3] of each tangent; the first is horizontal where possible."""
     reference = np.array([0.0, 0.0, 1.0])
     if np.max(np.abs(tangent @ reference)) > 0.99:
         reference = np.array([0.0, 1.0, 0.0])

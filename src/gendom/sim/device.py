@@ -1,4 +1,4 @@
-"""The devices that simulations run on."""
+"""Devices for simulations."""
 
 import functools
 import os
@@ -14,16 +14,16 @@ import warp as wp
 from gendom.errors import DeviceError
 
 making = threading.RLock()
-"""Held while a simulator and its kernels are made: Warp compiles for one thread at a time."""
+"""Lock for making a simulator and its kernels: Warp compiles in one thread at a time."""
 
 _in_use: defaultdict[str, Any] = defaultdict(threading.RLock)
 
 
 def open_device(name: str) -> Any:
-    """The Warp device of that name.
+    """Return the Warp device with this name.
 
     Raises:
-        DeviceError: If there is none, with what to use instead.
+        DeviceError: If it does not exist; the error names an alternative.
     """
     _start_warp()
     try:
@@ -39,10 +39,10 @@ def open_device(name: str) -> Any:
 
 
 def list_devices(names: str) -> list[str]:
-    """The devices that a list with commas names, or ``all`` CUDA devices.
+    """Return the aliases of the devices in a comma-separated list, or of ``all`` CUDA devices.
 
     Raises:
-        DeviceError: If one is not there.
+        DeviceError: If a device does not exist.
     """
     if names != "all":
         return [open_device(name.strip()).alias for name in names.split(",")]
@@ -52,9 +52,9 @@ def list_devices(names: str) -> list[str]:
 
 @contextmanager
 def claimed(name: str) -> Iterator[None]:
-    """Reserve a GPU for the simulation of one thread; others wait.
+    """Reserve a GPU for the simulation of one thread; other threads wait.
 
-    What a thread does before and after then goes on beside another's simulation.
+    Work outside this context can overlap with another thread's simulation.
     """
     device = open_device(name)
     if not device.is_cuda:
@@ -65,7 +65,7 @@ def claimed(name: str) -> Iterator[None]:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -73,10 +73,10 @@ def cores() -> int:
 
 @functools.cache
 def _start_warp() -> None:
-    """Start Warp without its banner and its remark that a machine has no GPU."""
+    """Start Warp without its banner and its message that the machine has no GPU."""
     wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)
     sys.stderr.flush()
-    kept = os.dup(2)  # the remark comes from native code, past sys.stderr
+    kept = os.dup(2)  # native code prints the message, not through sys.stderr
     try:
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), 2)

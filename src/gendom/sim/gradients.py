@@ -1,4 +1,4 @@
-"""Derivatives by everything that a simulation was given."""
+"""Derivatives with respect to all inputs of a simulation."""
 
 from dataclasses import dataclass
 
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 class Gradients:
     """Derivatives of a loss with respect to all inputs of a simulation.
 
-    Not differentiated: when grippers open and close, the substep's length, and whether a section
-    touches the table, sticks or slides.
+    Not differentiated: the times at which grippers open and close, the substep's length, and
+    whether a section touches the table, sticks or slides.
     """
 
     E: NDArray[np.float64]
@@ -23,7 +23,7 @@ class Gradients:
     yield_stress: NDArray[np.float64]
     """[W] by yield stress [1/Pa]; 0 where nothing yields."""
     stiffness: NDArray[np.float64]
-    """[W, N] by each particle's or point's share of E."""
+    """[W, N] by the ratio of each particle's or point's E to its material's E."""
     damping: NDArray[np.float64]
     """[W] by the material's damping [1/s]."""
     velocity_damping: NDArray[np.float64]
@@ -47,5 +47,5 @@ class Gradients:
     gripper_radius: NDArray[np.float64]
     """[W, G] by the radius of the grippers [1/m]."""
     rest_strains: NDArray[np.float64] | None = None
-    """[W, n, 6] of rods, by the strains that are free of stress: of edges two shears and stretch,
-    of joints two angles of bending and that of twist [rad]."""
+    """[W, n, 6] by the stress-free strains, for rods: two shears and the stretch of each edge, two
+    bending angles and the twist angle of each joint [rad]."""

@@ -1,4 +1,4 @@
-"""Grippers: what they hold, where they go, when they let go."""
+"""Grippers: their paths, radii, and times of closing and opening."""
 
 import math
 from collections.abc import Sequence
@@ -16,10 +16,11 @@ from gendom.errors import ParameterError
 class Gripper:
     """A gripper that carries all material inside a sphere along a timed path.
 
-    What it holds is decided when it closes, and stays: each particle keeps its place in the
-    gripper's frame. Whether a cross-section is held goes by its centre: the free length of a rope
-    begins where the sphere's surface cuts its centre line. Between two knots it moves on a straight
-    line at constant speed and turns at constant rate; outside the path it stands still.
+    The held material is determined when the gripper closes: from then on each held particle keeps
+    its position in the gripper's frame. A cross-section is held if its centre is inside the
+    sphere, so the free length of a rope begins where the sphere's surface cuts its centre line.
+    Between two knots the gripper moves on a straight line at constant speed and turns at a
+    constant rate; before the first and after the last knot it stands still.
 
     Raises:
         ParameterError: If shapes do not agree, times do not increase or a number is not finite.
@@ -34,11 +35,11 @@ class Gripper:
     radius: float
     """Radius of the sphere [m]."""
     hold_from: float = -math.inf
-    """Closes at this time [s]."""
+    """Time at which the gripper closes [s]."""
     hold_until: float = math.inf
-    """Opens at this time [s]."""
+    """Time at which the gripper opens [s]."""
     may_miss: bool = False
-    """Whether it may close on nothing; otherwise that ends the simulation with an error."""
+    """Whether the gripper may close on nothing; otherwise that raises an error."""
 
     def __post_init__(self) -> None:
         t = np.atleast_1d(np.asarray(self.time, dtype=float))
@@ -63,7 +64,7 @@ class Gripper:
 
     @classmethod
     def still(cls, position: ArrayLike, *, radius: float, **hold: Any) -> "Gripper":
-        """A gripper that stays at ``position`` [3] [m]."""
+        """Return a gripper that stays at ``position`` [3] [m]."""
         return cls(time=[0.0], position=np.atleast_2d(position), radius=radius, **hold)
 
     @property
@@ -76,14 +77,17 @@ class Gripper:
         return turns
 
     def position_at(self, time: ArrayLike) -> NDArray[np.floating]:
-        """[..., 3] centre at given times [s]."""
+        """Centre at given times [s], [..., 3] [m]."""
         t, knots = np.asarray(time, dtype=float), np.asarray(self.time, dtype=float)
         p = np.asarray(self.position, dtype=float)
         return np.stack([np.interp(t, knots, p[:, a]) for a in range(3)], axis=-1)
 
 
 def stack_paths(every: Sequence[Sequence[Gripper]]) -> dict[str, NDArray[np.floating]]:
-    """Paths of G grippers in each world as arrays [W, G, K]; short ones repeat their last knot."""
+    """Stack the paths of G grippers in each world into arrays [W, G, K].
+
+    Shorter paths repeat their last knot.
+    """
     W, G = len(every), len(every[0])
     K = max([2] + [len(np.asarray(g.time)) for grippers in every for g in grippers])
     out = {

@@ -1,7 +1,8 @@
-"""Grippers' paths: where a gripper is at a time, and its transpose.
+"""Gripper paths: pose of a gripper at a given time, and the transpose of its derivative.
 
 Between two knots a gripper moves on a straight line and turns about one axis, at constant rates.
-All in float64: a substep moves a gripper by less than float32 resolves far from the origin.
+All is in float64, because a gripper's movement in one substep can be below the resolution of
+float32 far from the origin.
 
 Shapes: W worlds, G grippers, K path knots.
 """
@@ -24,7 +25,7 @@ def make_path_type(real: Any) -> Any:
 
     @wp.struct
     class Paths:
-        """Grippers as a user gave them, see ``gripper.stack_paths``."""
+        """Paths of all grippers as arrays, see ``gripper.stack_paths``."""
 
         time: wp.array3d(dtype=wp.float64)  # [W, G, K] [s]
         position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] [m]
@@ -41,11 +42,11 @@ def make_path_type(real: Any) -> Any:
 
 @functools.cache
 def make_paths(real: Any) -> SimpleNamespace:
-    """Build what grippers' paths say, for one scalar type.
+    """Build the functions that evaluate gripper paths, for one scalar type.
 
     Returns:
-        Namespace with ``is_closed``, ``pose`` (of a gripper at a time), its transpose in the path's
-        positions and orientations, and their parts.
+        Namespace with ``is_closed``, ``pose`` (of a gripper at a given time), ``pose_adjoint``
+        (its transpose with respect to the path's positions and orientations), and their parts.
     """
     vec3, mat33 = wp.types.vector(3, real), wp.types.matrix((3, 3), real)
     Paths = make_path_type(real)
@@ -68,7 +69,7 @@ def make_paths(real: Any) -> SimpleNamespace:
 
     @wp.func
     def knot_before(w: int, g: int, t: wp.float64, paths: Paths):
-        """The knot that starts the segment of time t, and the share of the segment gone by."""
+        """Knot that starts the segment containing time t, and the elapsed share of the segment."""
         last = paths.time.shape[2] - 1
         lo = int(0)
         hi = int(last)
@@ -86,7 +87,7 @@ def make_paths(real: Any) -> SimpleNamespace:
 
     @wp.func
     def rotation(turn: wp.vec3d):
-        """exp of a rotation vector [rad], as a quaternion."""
+        """Exponential of a rotation vector [rad], as a quaternion."""
         angle = wp.length(turn)
         q = wp.quatd(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(1.0))
         if angle > wp.float64(0.0):
@@ -95,8 +96,10 @@ def make_paths(real: Any) -> SimpleNamespace:
 
     @wp.func
     def pose(w: int, g: int, t: wp.float64, paths: Paths):
-        """Centre [m] and orientation of a gripper at time t [s]: between two knots on a straight
-        line, at constant rates. The knot before, too."""
+        """Centre [m] and orientation of a gripper at time t [s], and the index of the last knot.
+
+        Between two knots the gripper moves on a straight line and turns at constant rates.
+        """
         knot, u = knot_before(w, g, t, paths)
         a = paths.position[w, g, knot]
         centre = a + u * (paths.position[w, g, knot + 1] - a)
@@ -109,7 +112,7 @@ def make_paths(real: Any) -> SimpleNamespace:
 
     @wp.func
     def left_jacobian(turn: wp.vec3d, sign: wp.float64):
-        """Of exp: exp(turn + d) = exp(J d) exp(turn); with sign -1 that from the right.
+        """Left Jacobian J of exp: exp(turn + d) = exp(J d) exp(turn); right Jacobian for sign -1.
 
         Source: Sola, Deray and Atchuthan (2018), "A micro Lie theory", equation 145.
         """
@@ -127,8 +130,11 @@ def make_paths(real: Any) -> SimpleNamespace:
         w: int, g: int, knot: int, u: wp.float64, R_bar: wp.vec3d, by_turn: wp.vec3d,
         paths: Paths, turn_bars: wp.array3d(dtype=wp.vec3d),
     ):  # fmt: skip
-        """To the knots' rotations, from that by a rotation at the share u of a segment, and from
-        that by the segment's rotation vector."""
+        """Add derivatives with respect to the knots' rotations.
+
+        They are computed from the derivatives with respect to the rotation at the share u of a
+        segment (``R_bar``) and to the segment's rotation vector (``by_turn``).
+        """
         turn = paths.turn[w, g, knot]
         gone = wp.quat_to_matrix(rotation(u * turn))
         turn_bar = by_turn + u * (wp.transpose(left_jacobian(u * turn, wp.float64(1.0))) * R_bar)
@@ -145,7 +151,7 @@ def make_paths(real: Any) -> SimpleNamespace:
         w: int, g: int, t: wp.float64, centre_bar: wp.vec3d, R_bar: wp.vec3d, paths: Paths,
         position_bars: wp.array3d(dtype=wp.vec3d), turn_bars: wp.array3d(dtype=wp.vec3d),
     ):  # fmt: skip
-        """Transpose of ``pose``; derivatives by R are by a rotation of it, in world axes."""
+        """Transpose of ``pose``; ``R_bar`` is with respect to a rotation of R in world axes."""
         knot, u = knot_before(w, g, t, paths)
         left = wp.float64(1.0) - u
         position_bars[w, g, knot] = position_bars[w, g, knot] + left * centre_bar
@@ -155,7 +161,7 @@ def make_paths(real: Any) -> SimpleNamespace:
 
     @wp.func
     def share_of(w: int, g: int, k: int, t: wp.float64, dt: wp.float64, paths: Paths):
-        """Share of the segment after knot k that goes by from t to t + dt."""
+        """Share of the segment after knot k that elapses from t to t + dt."""
         share = wp.float64(0.0)
         span = paths.time[w, g, k + 1] - paths.time[w, g, k]
         if span > wp.float64(0.0):

@@ -11,36 +11,37 @@ from gendom.sim.scene import GRAVITY, Box, Table
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """Units, resolution and physics that belong together.
+    """A consistent set of units, resolution and physical parameters.
 
     Use it as ``Simulator(body, [preset.material(E=..., nu=...)], **preset.settings())``.
     """
 
     name: str
     dx: float | None
-    """Size of a grid cell [m], or None where the body chooses it."""
+    """Size of a grid cell [m], or None to choose it for each body."""
     density: float
-    """[kg/m^3]."""
+    """Density of the material [kg/m^3]."""
     yield_stress: float
-    """[Pa]."""
+    """Yield stress of the material [Pa]."""
     law: str
+    """Elastic law, see ``gendom.materials.laws.LAWS``."""
     gravity: tuple[float, float, float]
-    """[m/s^2]."""
+    """Gravity [m/s^2]."""
     air_density: float
-    """[kg/m^3]."""
+    """Density of the air [kg/m^3]."""
     substep: float | None
-    """[s], or None for each world's stability limit."""
+    """Substep [s], or None to derive it from each world's stability limit."""
     table: Table | None
     box: Box | None
 
     def material(self, *, E: float, nu: float, damping: float = 0.0) -> Material:
-        """A material of this preset's density and yield stress."""
+        """Return a material with this preset's density and yield stress."""
         return Material(
             E=E, nu=nu, density=self.density, damping=damping, yield_stress=self.yield_stress
         )
 
     def settings(self) -> dict[str, Any]:
-        """Keyword arguments for ``Simulator``."""
+        """Return the preset's keyword arguments for ``Simulator``."""
         return {
             "law": self.law,
             "gravity": self.gravity,
@@ -63,7 +64,7 @@ METRIC = Preset(
     table=None,
     box=None,
 )
-"""SI units; the default of every part of this package."""
+"""SI units; the default throughout the package."""
 
 _CELL = 1.0 / 64.0
 _LOWER, _UPPER = 2.0 * _CELL, 1.0 - 3.0 * _CELL
@@ -80,18 +81,18 @@ PAPER = Preset(
     table=Table(height=2.0 * _CELL, friction=0.5),
     box=Box(lower=(_LOWER, _LOWER, _LOWER), upper=(_UPPER, _UPPER, _UPPER)),
 )
-"""The unit cube of the GenDOM authors' code, z up: 64 cells, density 1, their gravity, yield
-stress, floor and walls. Their substep of 1e-4 is longer than the stability limit at E above about
-3,000; here each world has its own."""
+"""The unit cube of the GenDOM authors' code, z up, with 64 cells, density 1 and the authors'
+gravity, yield stress, floor and walls. The authors' substep of 1e-4 exceeds the stability limit
+at E above about 3,000; here each world's substep is derived from its own limit."""
 
 _PRESETS = {p.name: p for p in (METRIC, PAPER)}
 
 
 def preset(name: str) -> Preset:
-    """A preset by name.
+    """Return a preset by name.
 
     Raises:
-        ParameterError: If there is none of that name.
+        ParameterError: If there is no preset with that name.
     """
     if name not in _PRESETS:
         raise ParameterError(

@@ -1,4 +1,4 @@
-"""Derivatives through whole simulations, by reverse mode with recorded or repeated substeps."""
+"""Derivatives of whole simulations, by reverse mode with recorded or recomputed substeps."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,20 +8,21 @@ from gendom.sim.gradients import Gradients
 from gendom.sim.simulator import Simulator
 
 MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}
-"""Default bounds on what a rollout keeps for its reverse [bytes]."""
+"""Default limits on the memory that a rollout uses for its reverse pass [bytes]."""
 
 
 class Rollout:
-    """A simulation that is recorded, to be differentiated.
+    """A recorded simulation that can be differentiated.
 
-    ``forward`` runs it; ``backward`` takes the derivative of any loss by the recorded positions
-    and returns that by everything that went in. Where recording every substep would need more
-    than ``memory``, states are kept every few substeps and the stretches between are run again;
-    rods and shells always do so, and keep about twice the square root of their steps.
+    ``forward`` runs it; ``backward`` takes the derivative of any loss with respect to the recorded
+    positions and returns its derivatives with respect to all inputs. Where recording every
+    substep would need more than ``memory``, states are stored every few substeps and the substeps
+    between them are recomputed (checkpointing). Rods and shells always use checkpoints, and store
+    about twice the square root of their number of steps.
 
     Args:
-        simulator: Not run before.
-        memory: Bound on what is kept [bytes] (default: ``MEMORY`` of the device).
+        simulator: A simulator that has not been run.
+        memory: Limit on the memory used [bytes] (default: ``MEMORY`` of the device).
 
     Raises:
         ParameterError: If the simulator has been run.
@@ -44,7 +45,7 @@ class Rollout:
             [T, W, N, 3] positions [m].
 
         Raises:
-            ParameterError: If the times run backwards, or if called twice.
+            ParameterError: If the times decrease, or if called twice.
             SimulationError: If a world diverges.
         """
         if self._times is not None:
@@ -55,14 +56,16 @@ class Rollout:
         return frames
 
     def backward(self, positions_bar: ArrayLike) -> Gradients:
-        """Derivatives of a loss from its derivative by the positions of ``forward``.
+        """Compute derivatives of a loss with respect to all inputs of the simulation.
 
         Args:
-            positions_bar: [T, W, N, 3] derivative of the loss by each recorded position [1/m].
+            positions_bar: [T, W, N, 3] derivative of the loss with respect to each recorded
+                position [1/m].
 
         Raises:
             ParameterError: If shapes do not fit or ``forward`` was not called.
-            SimulationError: If a derivative is not finite: names particle, time and cause.
+            SimulationError: If a derivative is not finite; the error names particle, time and
+                cause.
         """
         if self._times is None:
             raise ParameterError("call forward before backward")

@@ -1,4 +1,4 @@
-"""What surrounds a body: a table, walls."""
+"""Surroundings of a body: a table and walls."""
 
 import math
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ GRAVITY = (0.0, 0.0, -STANDARD_GRAVITY)
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A horizontal plane that nothing falls through, with Coulomb friction per world."""
+    """An impenetrable horizontal plane with Coulomb friction, which may differ between worlds."""
 
     height: float
-    """[m]."""
+    """Height of the plane [m]."""
     friction: float | ArrayLike = 0.3
     """Coefficient of friction, one number or [W]."""
 
@@ -29,7 +29,7 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """Walls: a box that particles do not leave."""
+    """Walls: an axis-aligned box [m] that particles cannot leave."""
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
@@ -43,10 +43,10 @@ class Box:
 def check_numbers(
     name: str, values: ArrayLike, *, least: float = -math.inf, above: float = -math.inf
 ) -> None:
-    """Refuse numbers that are not finite or lie below ``least``, or not above ``above``.
+    """Check that numbers are finite, at least ``least`` and greater than ``above``.
 
     Raises:
-        ParameterError: With the name and the offending values.
+        ParameterError: If they are not; the error names the parameter and the values.
     """
     a = np.asarray(values, dtype=float)
     if not np.isfinite(a).all() or (a < least).any() or (a <= above).any():

@@ -1,4 +1,4 @@
-"""What an engine is given: checked arguments of a simulator, and what a run is to record."""
+"""Input of an engine: the checked arguments of a simulator, and the frames to record."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -20,28 +20,28 @@ that faces it. Source: Hoerner (1965), "Fluid-Dynamic Drag", chapter 3."""
 
 @dataclass(frozen=True)
 class Frames:
-    """What a run is to record."""
+    """The frames that a run records."""
 
     began: float
-    """Time of the state before [s]."""
+    """Time of the initial state [s]."""
     times: NDArray[np.float64]
-    """[T] [s]."""
+    """[T] times of the frames [s]."""
     particles: NDArray[np.integer]
-    """[P] indices."""
+    """[P] indices of the recorded particles."""
     x: NDArray[np.floating]
-    """[T, W, P, 3] positions, to be filled [m]."""
+    """[T, W, P, 3] positions [m], filled by the run."""
     on_frame: Callable[[int], None] | None
     keep_going: bool
 
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """What worlds are made of, as ``Simulator`` was given it and checked it."""
+    """Description of all worlds: the arguments of ``Simulator``, checked."""
 
     body: Body
     materials: Sequence[Material]
     grippers: Sequence[Sequence[Gripper]]
-    """One sequence a world, all of one length."""
+    """One sequence for each world, all of the same length."""
     table: Table | None
     box: Box | None
     gravity: ArrayLike
@@ -69,7 +69,7 @@ class Setting:
         fix: str,
         particle: int | None = None,
     ) -> SimulationError:
-        """An error that names world, time [s], parameters and perhaps a particle."""
+        """Return an error that names world, time [s], parameters and optionally a particle."""
         m = self.materials[w]
         return SimulationError(
             what,
@@ -84,10 +84,10 @@ class Setting:
 
 
 def spread(values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.floating]:
-    """Values as an array of that shape.
+    """Broadcast values to a shape.
 
     Raises:
-        ParameterError: If they do not fit, with their name.
+        ParameterError: If the shapes do not match; the error contains ``name``.
     """
     try:
         return np.broadcast_to(np.asarray(values, dtype=float), shape)

@@ -30,44 +30,48 @@ ENGINES = ("mpm", "thin")
 """``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
 
 START_INSIDE = 0.1
-"""How deep a body may begin in a table or wall [cells, diameters of a rod]; it is put on it."""
+"""Greatest initial depth of a body in a table or wall [cells, or diameters of a rod]; such a body
+is moved onto the surface."""
 
 
 class Simulator(Shown):
-    """W worlds of one body that differ in material, friction, gravity, damping and paths.
+    """Simulate one body in W worlds that differ in material, friction, gravity, damping and paths.
 
     All worlds share the body's geometry. State arrays are [W, N]; nothing is stored for space
     that the body does not occupy.
 
     Args:
-        body: What is simulated, at rest.
-        materials: One a world.
-        engine: ``thin`` (a rope as a rod, a cloth as a shell), the default of both, or ``mpm``
-            (particles on a grid), that of other bodies and of what yields.
+        body: The body to simulate, at rest.
+        materials: One material for each world.
+        engine: ``thin`` (a rope as a rod, a cloth as a shell), the default for elastic ropes and
+            cloths, or ``mpm`` (particles on a grid), the default for all other bodies and for
+            materials with a yield stress.
         grippers: Grippers shared by all worlds, or one sequence of them for each world.
         table: Table, or None for open space.
         gravity: [3] or [W, 3] [m/s^2].
-        velocity_damping: Rate at which all velocities decay, one number or [W] [1/s]; for what
-            materials lose see ``Material.damping``.
-        air_density: Of the air that drags on ropes and cloths, one number or [W] [kg/m^3].
+        velocity_damping: Rate at which all velocities decay, one number or [W] [1/s]; for damping
+            inside the material see ``Material.damping``.
+        air_density: Density of the air, which exerts drag on ropes and cloths, one number or [W]
+            [kg/m^3].
         box: Walls, or None.
-        self_contact: Whether rods and shells keep their thickness where they meet themselves; the
-            MPM's layers share their grid's velocities.
-        self_friction: Coefficient of friction there, one number or [W].
+        self_contact: Whether rods and shells keep their thickness where they meet themselves. The
+            MPM resolves self-contact through its grid in any case.
+        self_friction: Coefficient of friction at self-contact, one number or [W].
         law: Elastic law of the MPM, see ``gendom.materials.laws.LAWS``.
         substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
         cfl: Share of that limit (default: the engine's ``CFL``).
-        stiffness: Share of its material's E that each particle or point has, [N] or [W, N] [-].
-        positions: [N, 3] or [W, N, 3] initial positions of particles (``body.x``) or points
-            (``body.points``), if not the body's own [m].
+        stiffness: E of each particle or point over E of its material, [N] or [W, N] [-].
+        positions: [N, 3] or [W, N, 3] initial positions of particles (default: ``body.x``) or
+            points (default: ``body.points``) [m].
         start_time: Time of the initial state [s].
-        dtype: ``float32``, the MPM's default, or ``float64``, that of rods and shells.
-        device: ``cpu``, ``cuda`` or ``cuda:0`` and so on.
-        threads: Worlds simulated side by side on the CPU (default: all cores given to us).
+        dtype: ``float32`` (default of the MPM) or ``float64`` (default of rods and shells).
+        device: ``cpu``, ``cuda``, ``cuda:0`` and so on.
+        threads: Worlds simulated in parallel on the CPU (default: all cores available to the
+            process).
 
     Raises:
         ParameterError: If arguments do not fit together.
-        DeviceError: If the device is not there.
+        DeviceError: If the device does not exist.
     """
 
     def __init__(
@@ -184,12 +188,12 @@ class Simulator(Shown):
 
     @property
     def threads(self) -> int:
-        """Worlds simulated side by side on the CPU."""
+        """Worlds simulated in parallel on the CPU."""
         return self.engine.setting.threads
 
     @property
     def num_points(self) -> int:
-        """Particles, or points of a rod or shell."""
+        """Number of particles, or of points of a rod or shell."""
         return self.engine.num_points
 
     @property
@@ -199,41 +203,43 @@ class Simulator(Shown):
 
     @property
     def stiffness(self) -> NDArray[np.floating]:
-        """[W, N] share of its material's E that each particle has."""
+        """[W, N] E of each particle over E of its material."""
         return spread(
             self.engine.setting.stiffness, (self.num_worlds, self.num_points), "stiffness"
         )
 
     @property
     def worlds(self) -> Worlds:
-        """The MPM's own arrays.
+        """Arrays of the MPM engine.
 
         Raises:
-            ParameterError: Of another engine.
+            ParameterError: If the engine is not the MPM.
         """
         if not isinstance(self.engine, MpmEngine):
             raise ParameterError("only the MPM has particles with C and F", fix="engine='mpm'")
         return self.engine.worlds
 
     def positions(self) -> NDArray[Any]:
-        """[W, N, 3] positions of particles or points now [m]."""
+        """Current positions of particles or points, [W, N, 3] [m]."""
         return self.engine.positions()
 
     def velocities(self) -> NDArray[Any]:
-        """[W, N, 3] velocities of particles now, or of points half a step ago [m/s]."""
+        """Velocities of particles now, or of points half a step ago, [W, N, 3] [m/s]."""
         return self.engine.velocities()
 
     def affine_velocities(self) -> NDArray[Any]:
-        """[W, N, 3, 3] affine velocities C now: what APIC carries of a particle's surroundings,
-        the velocity gradient of a rigid or evenly stretching body [1/s]."""
+        """Current affine velocities C of APIC, [W, N, 3, 3] [1/s].
+
+        C is the velocity gradient of a body that moves rigidly or stretches evenly.
+        """
         return np.array(self.worlds.state.C.numpy())
 
     def deformation_gradients(self) -> NDArray[Any]:
-        """[W, N, 3, 3] deformation gradients F now [-]."""
+        """Current deformation gradients F, [W, N, 3, 3] [-]."""
         return self.worlds.deformation_at(self.worlds.state.x.numpy()).astype(self.dtype)
 
     def substeps_done(self) -> NDArray[Any]:
-        """[W] substeps that each world has done."""
+        """Number of substeps completed by each world, [W]."""
         return np.array(self.worlds.clock.age.numpy())
 
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
@@ -241,8 +247,8 @@ class Simulator(Shown):
 
         Args:
             v: [3], [N, 3] or [W, N, 3] [m/s].
-            affine: Affine velocities C, [3, 3], [N, 3, 3] or [W, N, 3, 3] [1/s]. Without them a
-                body that is to spin loses some of its spin at once.
+            affine: Affine velocities C, [3, 3], [N, 3, 3] or [W, N, 3, 3] [1/s]. A spinning body
+                needs them; otherwise it loses some of its spin at once.
 
         Raises:
             ParameterError: If shapes do not fit.
@@ -250,13 +256,15 @@ class Simulator(Shown):
         self.engine.set_velocities(v, affine)
 
     def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
-        """Write x, v and, of the MPM, C, F (and Z and G where there are some), of rods and shells
-        all components of the state, the time and the parameters of all worlds to an ``.npz`` file.
+        """Write the state, the time and the parameters of all worlds to an ``.npz`` file.
+
+        The state is x and v; for the MPM also C and F (and Z and G if present); for rods and
+        shells all components of their state.
 
         Args:
             path: File to write, atomically.
-            last_good: The state at the start of the last frame, each world's own (``time`` is then
-                [W]); after a failure the last that means anything.
+            last_good: Write each world's state at the start of its last frame (``time`` is then
+                [W]); after a failure this is the last valid state.
         """
         state = {"time": self.time} | self.engine.kept(last_good=last_good)
         with atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
@@ -283,18 +291,17 @@ class Simulator(Shown):
             times: [T] not decreasing, not before ``self.time`` [s].
             on_frame: Called with the number of frames done, from one thread at a time.
             particles: [P] indices of the particles to record (default: all).
-            keep_going: Let a world that diverges stand still while the others go on; its error is
-                found in ``failures``, and its positions are NaN from then on.
+            keep_going: Stop only the worlds that diverge instead of raising an error. Their errors
+                are in ``failures``, and their positions are NaN from then on.
 
         Returns:
             [T, W, P, 3] positions [m].
 
         Raises:
-            ParameterError: If the times run backwards.
-            SimulationError: If a world diverges or a particle turns inside out, unless told to
-                keep going. The error names
-                world, time and parameters; ``save_state(path, last_good=True)`` then keeps the
-                last frame before it.
+            ParameterError: If the times decrease.
+            SimulationError: If a world diverges or a particle inverts, unless ``keep_going`` is
+                set. The error names world, time and parameters; ``save_state(path,
+                last_good=True)`` then writes the last frame before it.
         """
         t = self.checked(times)
         chosen = slice(None) if particles is None else np.asarray(particles, dtype=int)
@@ -317,35 +324,36 @@ class Simulator(Shown):
         keep_going: bool = False,
         derivatives: Sequence[str] = (),
     ) -> Equilibria:
-        """Shapes at rest, frame by frame, as grippers go their way slowly; of rods and shells.
+        """Compute static equilibria of rods and shells, frame by frame (quasi-static motion).
 
-        Each frame starts from the shape before. A point that touches the table sticks where it
-        stood in the frame before, or slides with the friction mu N against its displacement since
-        then. Velocities, damping, air and the substep play no part; velocities are 0 afterwards.
-        Grippers that close or open do so on shapes at rest. Where several shapes are at rest, it is
-        that which the body slides or falls into without momentum.
+        Each frame starts from the previous equilibrium. A point that touches the table sticks to
+        its position in the previous frame, or slides with the friction mu N against its
+        displacement since then. Velocities, damping, air and the substep have no influence;
+        velocities are 0 afterwards. Grippers close and open on bodies in equilibrium. Where
+        several equilibria exist, the result is the one that the body reaches without momentum.
 
         Args:
             times: [T] not decreasing, not before ``self.time`` [s].
             tolerance: Largest residual, see ``Equilibria.residual`` (default: 1e-6, with
-                self-contact 0.02; at least what rounding leaves). The search is in float64.
-            most_steps: Steps of relaxation for a shape, at most.
-            increments: Equilibria for each frame; only the last is returned. More of them follow
-                the path more closely where friction or folds depend on it.
-            keep_going: Let a world that fails stand still while others go on, and mark frames
-                that did not converge instead of raising an error.
-            derivatives: Names of parameters by which positions are differentiated: ``E`` [Pa],
-                ``nu``, ``density`` [kg/m^3], ``thickness`` (or diameter, initial positions
-                unchanged) [m], ``friction`` of the table, ``gravity`` ([.., 3]) [m/s^2],
-                ``gripper_radius`` ([.., G]) [m], ``gripper_offset`` ([.., G, 3]: a shift of a
-                gripper's whole path, and so of where it holds the body) [m].
+                self-contact 0.02; never below the rounding error). The search is in float64.
+            most_steps: Maximum number of relaxation steps for one equilibrium.
+            increments: Equilibria computed for each frame; only the last is returned. More
+                increments follow the path more closely where friction or folds depend on it.
+            keep_going: Stop only the worlds that fail, and mark frames that did not converge,
+                instead of raising an error.
+            derivatives: Names of the parameters with respect to which positions are
+                differentiated: ``E`` [Pa], ``nu``, ``density`` [kg/m^3], ``thickness`` (or
+                diameter, initial positions unchanged) [m], ``friction`` of the table, ``gravity``
+                ([.., 3]) [m/s^2], ``gripper_radius`` ([.., G]) [m], ``gripper_offset``
+                ([.., G, 3]: a shift of a gripper's whole path, which also shifts where it holds
+                the body) [m].
 
         Raises:
-            ParameterError: If the times run backwards, the engine is the MPM, or a derivative is
-                unknown or of a body that meets itself.
+            ParameterError: If the times decrease, the engine is the MPM, or a derivative is
+                unknown or not available with self-contact.
             SimulationError: If nothing holds a body, a world is stretched beyond its limits, a
-                frame does not converge, or derivatives are not determined, unless told to keep
-                going. The error names world, time, residual and parameters.
+                frame does not converge, or derivatives are not determined, unless ``keep_going``
+                is set. The error names world, time, residual and parameters.
         """
         if not isinstance(self.engine, ThinEngine):
             raise ParameterError("only rods and shells come to rest so", fix="engine='thin'")
@@ -369,7 +377,11 @@ class Simulator(Shown):
         return found
 
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:
-        """[T] times that the simulator can be run to."""
+        """Return ``times`` as an array [T], after checking that the simulator can be run to them.
+
+        Raises:
+            ParameterError: If they decrease, are not finite or lie before the simulator's time.
+        """
         t = np.atleast_1d(np.asarray(times, dtype=float))
         if t.ndim != 1 or len(t) == 0 or not np.isfinite(t).all():
             raise ParameterError("times must be a non-empty list of finite numbers [s]")
@@ -386,11 +398,12 @@ def _check_clear(
     table: Table | None,
     box: Box | None,
 ) -> None:
-    """Refuse positions [..., N, 3], ``section`` of them a cross-section, that lie in the table or
-    in a wall deeper than ``least`` [m].
+    """Check that positions [..., N, 3] do not lie deeper than ``least`` [m] in the table or a wall.
+
+    Each ``section`` consecutive positions form one cross-section.
 
     Raises:
-        ParameterError: With how deep they lie.
+        ParameterError: If they do; the error names the depth.
     """
     centres = x.reshape(*x.shape[:-2], -1, section, 3).mean(axis=-2).reshape(-1, 3)
     lowest, highest = centres.min(axis=0), centres.max(axis=0)
@@ -415,10 +428,10 @@ def _worlds(n: int) -> str:
 def _grippers_of_worlds(
     grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]], worlds: int
 ) -> list[Sequence[Gripper]]:
-    """One sequence of grippers a world.
+    """Return one sequence of grippers for each world.
 
     Raises:
-        ParameterError: If a world lacks some.
+        ParameterError: If a world has no grippers, or fewer than others.
     """
     every: list[Any] = [grippers] * worlds
     if len(grippers) and not isinstance(grippers[0], Gripper):

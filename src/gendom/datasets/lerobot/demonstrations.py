@@ -1,14 +1,14 @@
 """Sets of demonstrations as LeRobot data sets.
 
 A demonstration becomes an episode of one frame, at time 0: an action is a whole motion, chosen
-before it begins, and nothing is observed on the way. Those that failed are left out.
+before it begins, without observations during the motion. Failed demonstrations are left out.
 
-    observation.state  [S] float32: what was reached as the goal, sizes, parameters, in the order of
-                       `gendom.reality.envs`; parameters are those of `PARAMETERS`
-    action             [A] float32: the task's
+    observation.state  [S] float32: the reached result as the goal, sizes, parameters, in the order
+                       of `gendom.reality.envs`; parameters are those of `PARAMETERS`
+    action             [A] float32: the task's action
 
-meta/gendom.json is dataset.json of the set. Beyond what the format asks for, rows of episodes have
-`demonstration`, the number in the set, and `outcome/NAME` for whatever else the task measured.
+meta/gendom.json is dataset.json of the set. In addition to the format's columns, rows of episodes
+have `demonstration`, the number in the set, and `outcome/NAME` for all other measured results.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from gendom.materials import KINDS, PARAMETERS
 
 
 def export_demonstrations(folder: str | os.PathLike, out: str | os.PathLike) -> dict[str, Any]:
-    """Write a set of demonstrations, as far as it is finished, as a LeRobot data set.
+    """Write the finished part of a set of demonstrations as a LeRobot data set.
 
     Args:
-        folder: Of the set.
-        out: Folder to make; whole or absent.
+        folder: Folder of the set.
+        out: Folder to create; it is written completely or not at all.
 
     Returns:
         The content of info.json.
@@ -73,7 +73,7 @@ def export_demonstrations(folder: str | os.PathLike, out: str | os.PathLike) -> 
 def _frames(
     columns: Mapping[str, NDArray[np.float64]], quantities: Units, where: str
 ) -> dict[str, NDArray[Any]]:
-    """[N, K] of the state and the action, one row a frame."""
+    """State and action [N, K], one row for each frame."""
     frames: dict[str, NDArray[Any]] = {}
     for feature, units in quantities.items():
         frames[feature] = np.stack([columns[name] for name in units], axis=1).astype(np.float32)

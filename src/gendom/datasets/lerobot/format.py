@@ -1,4 +1,4 @@
-"""LeRobot data sets, format v3.0: the files, whatever is in their frames.
+"""LeRobot data sets, format v3.0: writing of the files, for frames with any features.
 
     meta/info.json                            features with names and units, counts, paths
     meta/stats.json                           statistics of every feature over all frames
@@ -7,8 +7,8 @@
     meta/gendom.json                          what the data set was made from
     data/chunk-000/file-000.parquet           one row a frame
 
-All numbers are in SI units, which info.json has as `units` of a feature beside its `names`. A
-feature of one number is a plain column, as LeRobot's reader wants it.
+All numbers are in SI units, stored in info.json as `units` of a feature beside its `names`. A
+feature of one number is a plain column, as LeRobot's reader requires.
 
 Source: the documentation of LeRobotDataset v3.0 (huggingface.co/docs/lerobot), and the reader of
 lerobot 0.4.4.
@@ -34,7 +34,7 @@ STATE, ACTION = "observation.state", "action"
 INFO, ABOUT = Path("meta/info.json"), Path("meta/gendom.json")
 
 EPISODES_PER_FILE = 50_000
-"""So that no file exceeds the 100 MB that the format asks for, statistics of episodes included."""
+"""Chosen so that no file, including statistics of episodes, exceeds the format's 100 MB."""
 
 FILES_PER_CHUNK = 1000
 QUANTILES = (0.01, 0.1, 0.5, 0.9, 0.99)
@@ -42,7 +42,7 @@ QUANTILES = (0.01, 0.1, 0.5, 0.9, 0.99)
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
 Units = Mapping[str, Mapping[str, str]]
-"""Units by the names of its numbers, for each feature that has such."""
+"""Units by the names of its numbers, for each feature with units."""
 
 
 def write_lerobot(
@@ -60,15 +60,15 @@ def write_lerobot(
     """Write a data set.
 
     Args:
-        out: Folder to make; whole or absent.
-        frames: [N, ...] of each feature, one row a frame, one episode after another; those that
-            count frames and give times are added.
-        lengths: [E] frames of each episode.
-        task: What is done in all of them.
-        units: Of features.
-        about: What meta/gendom.json says.
-        fps: Frames a second; times are counted by it.
-        of_all: Statistics of all frames, for features of whose rows a part does not count.
+        out: Folder to create; it is written completely or not at all.
+        frames: [N, ...] values of each feature, one row for each frame, episode after episode;
+            frame indices and time stamps are added.
+        lengths: [E] number of frames of each episode.
+        task: Description of the task, the same for all episodes.
+        units: Units of features.
+        about: Content of meta/gendom.json.
+        fps: Frames a second, for time stamps.
+        of_all: Statistics of all frames, for features with padded rows.
         extra: [E] further columns of the episodes.
 
     Returns:
@@ -109,7 +109,7 @@ def write_lerobot(
 
 
 def _counted(lengths: NDArray[np.integer], fps: int) -> dict[str, NDArray[Any]]:
-    """[N, 1] of the features that number frames."""
+    """Features with frame indices and time stamps, [N, 1] each."""
     starts = np.repeat(np.cumsum(lengths) - lengths, lengths)
     number = np.arange(int(lengths.sum()))
     within = (number - starts)[:, None]
@@ -123,7 +123,7 @@ def _counted(lengths: NDArray[np.integer], fps: int) -> dict[str, NDArray[Any]]:
 
 
 def _features(frames: Mapping[str, NDArray[Any]], units: Units) -> dict[str, dict[str, Any]]:
-    """What info.json says of them."""
+    """Entries of info.json for the features."""
     features: dict[str, dict[str, Any]] = {
         feature: {"dtype": str(values.dtype), "shape": list(values.shape[1:]), "names": None}
         for feature, values in frames.items()
@@ -134,7 +134,7 @@ def _features(frames: Mapping[str, NDArray[Any]], units: Units) -> dict[str, dic
 
 
 def statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
-    """Of [N, ...] over N, as the format names them."""
+    """Statistics of [N, ...] over N, under the format's names."""
     x = values.astype(float)
     found = {"min": x.min(axis=0), "max": x.max(axis=0), "mean": x.mean(axis=0)}
     found |= {"std": x.std(axis=0), "count": np.array([len(x)])}
@@ -147,7 +147,7 @@ def _quantile(q: float) -> str:
 
 
 def _tasks(task: str) -> pa.Table:
-    """The one task, as pandas reads it: its text is the index."""
+    """Table of the single task; its text is the index, as pandas stores it."""
     kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
     about = {
         "index_columns": ["task"],
@@ -168,7 +168,7 @@ def _episodes(
     whole: Mapping[str, Mapping[str, Any]],
     extra: Mapping[str, pa.Array],
 ) -> pa.Table:
-    """One row an episode; all statistics of one frame are the frame itself."""
+    """Table with one row for each episode; statistics of a single frame are its values."""
     count = len(lengths)
     number, ends = np.arange(count), np.cumsum(lengths)
     file = number // EPISODES_PER_FILE
@@ -224,7 +224,7 @@ def _column(values: NDArray[Any]) -> pa.Array:
 
 
 def _write(folder: Path, table: pa.Table, starts: NDArray[np.integer]) -> None:
-    """A table cut into files; episode k has the rows from `starts[k]` to `starts[k + 1]`."""
+    """Write a table in several files; episode k has the rows `starts[k]` to `starts[k + 1]`."""
     for number, first in enumerate(range(0, len(starts) - 1, EPISODES_PER_FILE)):
         chunk, file = divmod(number, FILES_PER_CHUNK)
         path = folder / _FILE.format(chunk_index=chunk, file_index=file)

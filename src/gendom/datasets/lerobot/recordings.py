@@ -2,19 +2,18 @@
 
 A recording becomes an episode of T frames:
 
-    observation.points      [P, 3] float32: the cloud [m], filled up with zeros to the P points of
+    observation.points      [P, 3] float32: the cloud [m], padded with zeros to the P points of
                             the largest frame
-    observation.num_points  int64: how many of them are points; the rest is nothing
+    observation.num_points  int64: number of points; the rest is padding
     observation.state       [S] float64: position of each gripper [m], its axis where known, and
                             whether it is closed, where known
     observation.time        float64: the recorded time [s]
     action                  [A] float32: position of each gripper in the next frame [m], and whether
                             it is closed; for LeRobot's own tools, and not read back
 
-LeRobot counts `timestamp` by frames, `fps` of which make up a second, so that it is right only
-where frames are evenly spaced: `observation.time` is right always. Statistics of points are those
-of the points that there are, the same for each of the P places. meta/gendom.json is the
-recording's `meta`.
+LeRobot computes `timestamp` as the frame index over `fps`, so it is correct only for evenly spaced
+frames; `observation.time` is always correct. Statistics of points exclude the padding, and are the
+same for each of the P rows. meta/gendom.json is the recording's `meta`.
 """
 
 from __future__ import annotations
@@ -43,8 +42,8 @@ def export_recording(recording: Recording, out: str | os.PathLike) -> dict[str, 
     """Write a recording as a LeRobot data set of one episode.
 
     Args:
-        recording: Of T frames and G grippers.
-        out: Folder to make; whole or absent.
+        recording: Recording of T frames and G grippers.
+        out: Folder to create; it is written completely or not at all.
 
     Returns:
         The content of info.json.
@@ -90,7 +89,7 @@ def _task(recording: Recording) -> str:
 
 
 def _named(what: str, G: int, unit: str) -> dict[str, str]:
-    """Units of three numbers a gripper, by name."""
+    """Names and units of three numbers for each gripper."""
     return {f"gripper{g}.{what}.{axis}": unit for g in range(G) for axis in "xyz"}
 
 
@@ -106,23 +105,23 @@ def _state_units(recording: Recording) -> dict[str, str]:
 
 
 def _of_points(points: NDArray[np.float32], T: int, P: int) -> dict[str, Any]:
-    """Statistics of x, y and z, for each of P places."""
+    """Statistics of x, y and z, repeated for each of P rows."""
     found = statistics(points)
     alike = {n: [values] * P for n, values in found.items() if n != "count"}
     return {**alike, "count": [T]}
 
 
 def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Arrays and meta of the recording that a LeRobot data set was made of.
+    """Read the arrays and meta of a recording from a LeRobot data set.
 
     Args:
-        folder: As `export_recording` writes it.
+        folder: Folder written by `export_recording`.
 
     Returns:
         Arrays by their names in a recording's file, and its `meta`.
 
     Raises:
-        RecordingError: It was made otherwise, or is incomplete or damaged.
+        RecordingError: The data set was not made from a recording, is incomplete or damaged.
     """
     folder = Path(folder)
 

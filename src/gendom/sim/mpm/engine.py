@@ -1,4 +1,4 @@
-"""The material point method behind ``Simulator``."""
+"""Engine of ``Simulator`` for the material point method."""
 
 import math
 from dataclasses import replace
@@ -93,7 +93,7 @@ class MpmEngine:
         frames.x[...] += self.worlds.origin.astype(self.dtype)
 
     def tape(self, memory: float) -> "Tape":
-        """What remembers a run for its reverse."""
+        """Make the tape that records a run for its reverse pass."""
         return Tape(self, memory)
 
     def _make_runner(self) -> Any:
@@ -119,7 +119,7 @@ class Tape:
         return x + self.engine.worlds.origin.astype(self.engine.dtype)
 
     def backward(self, bar: NDArray[np.floating]) -> Gradients:
-        """Derivatives from those by the particles of ``forward``."""
+        """Derivatives by all inputs, given those by the particles of ``forward``."""
         from gendom.sim.mpm.adjoint.sums import Sums
 
         sums = Sums(self.engine)
@@ -143,7 +143,8 @@ def stable_substep(material: Material, dx: float, *, cfl: float = CFL) -> float:
     """Longest substep [s] at a share ``cfl`` of the Courant limit dx / wave speed.
 
     The wave speed is that of small strains; ``CFL`` leaves room for stiffening under compression.
-    What yields is given a quarter: a substep must not strain it by much more than it yields at.
+    Materials that yield get a quarter of it, so that the strain in a substep does not exceed the
+    yield strain by much.
     Source: Courant, Friedrichs and Lewy (1928).
     """
     share = 0.25 if math.isfinite(material.yield_stress) else 1.0

@@ -2,7 +2,7 @@
 
 Memory and work follow the object: a column exists where particles are, and holds the nodes
 between the lowest and the highest that they reach, with room for half a cell of travel. Node k of
-column (i, j) is number ``start[i, j] + k``. A layout is one such numbering; it is made anew when a
+column (i, j) is number ``start[i, j] + k``. A layout is one such numbering; it is rebuilt when a
 particle may have left it.
 
 Shapes: L layouts, X x Y grid columns, M grid nodes.
@@ -26,7 +26,7 @@ from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.types import make_types
 
 MARGIN = 0.5
-"""How far a particle may travel, in cells, before the grid is rebuilt."""
+"""Largest distance [cells] that a particle may travel before the grid is rebuilt."""
 
 EMPTY_BELOW = 1 << 20
 """Lower end of the node range of a column without nodes."""
@@ -35,7 +35,7 @@ WIDEST_WINDOW = 1 << 10
 """Columns along x or y that a world may span."""
 
 LARGEST_GRID = 1 << 24
-"""Nodes a world may use; a run that wants more has an object that flies apart."""
+"""Maximum number of nodes of a world; a run that needs more has diverged."""
 
 
 @wp.struct
@@ -51,7 +51,7 @@ class SparseGrid:
 
 @dataclass(frozen=True)
 class Grid:
-    """Layouts and what stands on their nodes."""
+    """Layouts and the values on their nodes."""
 
     layouts: Any
     """``SparseGrid`` of L layouts."""
@@ -62,7 +62,7 @@ class Grid:
 
 
 class GridExhausted(Exception):
-    """The object spreads over more nodes than any real one does."""
+    """The object needs more grid nodes than the limit; it has probably diverged."""
 
 
 def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
@@ -209,7 +209,7 @@ def make_rebuild(real: Any) -> SimpleNamespace:
 
 @functools.cache
 def make_rebuild_world(real: Any, particles: Any) -> Any:
-    """Build ``rebuild``, by which the threads of a block make a world's layout anew.
+    """Build ``rebuild``, with which the threads of a block rebuild a world's layout.
 
     Args:
         real: ``wp.float32`` or ``wp.float64``.
@@ -226,7 +226,7 @@ def make_rebuild_world(real: Any, particles: Any) -> Any:
         row: int, lane: int, lanes: int, N: int, layout: int, room: int, inv_dx: real,
         particles: Particles, grid: SparseGrid,
     ):  # fmt: skip
-        """Returns whether the layout has room for the particles of a row, with so many nodes."""
+        """Return whether the layout has room for the particles of a row."""
         if lane == 0:
             reset(layout, grid)
         meet()

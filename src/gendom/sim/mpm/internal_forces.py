@@ -1,7 +1,7 @@
 """Internal forces of bodies: ``elasticity`` for rows of particles, see ``types.State``.
 
-Pulls are found for all particles and then given to their neighbours, so that no two threads write
-one number. On the CPU several neo-Hookean particles go side by side.
+Pulls are computed for all particles and then gathered by their neighbours, so that no two threads
+write the same number. On the CPU several neo-Hookean particles are processed in parallel (SIMD).
 
 Shapes: W worlds, N particles.
 """
@@ -160,7 +160,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         w: int, p: int, row: int, row_out: int, dt: real, keep: real, share: real, matter: Matter,
         state: State, state_out: State, pulls: wp.array2d(dtype=pull_type),
     ):  # fmt: skip
-        """Set a particle's pulls on its neighbours; returns whether it is upright."""
+        """Set a particle's pulls on its neighbours; return whether it is not inverted."""
         D = differences(p, row, matter, state.x)
         Z = mat33()
         G = mat33()
@@ -188,7 +188,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         w: int, row: int, row_out: int, dt: real, keep: real, share: real, matter: Matter,
         state: State, state_out: State, pulls: wp.array2d(dtype=pull_type),
     ):  # fmt: skip
-        """Set all pulls of a body; returns a particle that is not upright, or -1."""
+        """Set all pulls of a body; return an inverted particle, or -1."""
         failed = int(-1)
         p = int(0)
         while p < state.x.shape[1]:
@@ -204,7 +204,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         w: int, row: int, row_out: int, dt: real, keep: real, share: real, matter: Matter,
         state: State, state_out: State, pulls: wp.array2d(dtype=pull_type),
     ):  # fmt: skip
-        """The same, faster, on the CPU."""
+        """The same as ``forces_one_by_one`` with SIMD, on the CPU."""
         N = state.x.shape[1]
         if N < width:
             return forces_one_by_one(
@@ -213,7 +213,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         failed = int(-1)
         p = int(0)
         while p < N:
-            # the last ones together with some that are done already
+            # the last group overlaps with particles that are already done
             found = side_by_side(
                 w, wp.min(p, N - width), p, state.x, state.v, row, row_out, matter.lattice,
                 matter.per_span, matter.sheet, -dt * matter.drag[w], matter.frame, matter.mu,
@@ -251,7 +251,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
 
         Derivatives by impulses are found in those by v.
         """
-        # a pull draws one neighbour forth and the other back
+        # a pull acts on both neighbours with opposite signs
         pull_bar = (real(-1.0) / matter.mass[w]) * differences(p, w, matter, bars.v)
         Z = mat33()
         G = mat33()

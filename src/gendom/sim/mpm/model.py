@@ -1,4 +1,4 @@
-"""W worlds on a device: their parameters, their state and where they stand in time."""
+"""W worlds on a device: their parameters, state and clocks."""
 
 import math
 from typing import Any
@@ -20,11 +20,11 @@ CLOCK = (
 """The arrays of a clock."""
 
 REBUILD = 1e30
-"""Distance travelled [m] after which any world makes its grid anew."""
+"""Distance travelled [m] after which every world rebuilds its grid."""
 
 
 class Worlds:
-    """The arrays of W worlds of one body, as kernels take them.
+    """Arrays of W worlds of one body, in the form required by kernels.
 
     Raises:
         ParameterError: If shapes do not fit or the law is unknown.
@@ -142,7 +142,7 @@ class Worlds:
         return grips
 
     def place_grippers(self, grips: Any, rows: int) -> None:
-        """Room for the poses of all grippers at so many moments."""
+        """Allocate the poses of all grippers for ``rows`` times."""
         shape = (rows, len(self.setting.grippers[0]))
         grips.closed = self.zeros(shape, wp.int32)
         for name in ("centre", "velocity", "spin"):
@@ -172,7 +172,7 @@ class Worlds:
 
     @property
     def state_bytes(self) -> int:
-        """Of one world's state."""
+        """Size of one world's state [bytes]."""
         numbers = {"x": 3, "v": 3, "C": 9, "Z": 6, "G": 9}
         return (
             sum(map(numbers.__getitem__, self.carried))
@@ -208,7 +208,7 @@ class Worlds:
         return n, interval / n
 
     def failure(self, w: int, frame_start: float) -> SimulationError:
-        """What to say of world w, which has failed."""
+        """Return the error of world w, which has failed."""
         clock = self.clock
         status = clock.status.numpy()[w]
         time = frame_start + float(clock.step.numpy()[w]) * float(clock.dt.numpy()[w])

@@ -1,4 +1,4 @@
-"""Grippers in a substep: where they are at its end, how fast they go and turn; transposed, too."""
+"""Gripper poses and velocities at the end of a substep, and their transposes."""
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
@@ -36,7 +36,7 @@ def make_poses(real: Any) -> SimpleNamespace:
         grips.centre[row, g] = narrow(there)
         grips.orientation[row, g] = narrow_matrix(R)
         grips.velocity[row, g] = narrow((there - here) / dt)
-        # each segment turns it for as long as the substep has part in it
+        # each segment contributes a rotation for its part of the substep
         turned = wp.vec3d()
         if paths.turns[w, g] == 1:
             for k in range(knot, end + 1):
@@ -47,7 +47,7 @@ def make_poses(real: Any) -> SimpleNamespace:
     def pose_gripper_adjoint(
         w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, bars: SceneBars
     ):
-        """Transpose of ``pose_gripper``; the substep's sums begin anew."""
+        """Transpose of ``pose_gripper``; resets the substep's sums."""
         moved = bars.velocity[w, g] / dt
         _here, _R, knot = pose(w, g, t, paths)
         _there, _R_end, end = pose(w, g, t + dt, paths)

@@ -3,9 +3,9 @@
     1. grasp             grippers open and close                          (boundary)
     2. internal forces   pulls between particles, damping, air            (internal_forces)
     3. touch             table and walls change momenta                   (boundary)
-    4. p2g               mass and momentum, as grippers let them, to the grid
+    4. p2g               mass and momentum of particles that are not held, to the grid
     5. nodes             velocity = momentum / mass                       (transfer)
-    6. g2p               velocity and affine velocity back, or what a gripper gives; x += dt v
+    6. g2p               velocity and affine velocity, from the grid or a gripper; x += dt v
 
 ``make_stages`` has each as a function of one particle, section or node in rows of particles
 (``types.State``); ``make_step`` puts them together for one thread and one world, as the CPU runs
@@ -97,7 +97,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
         pulls: wp.array2d(dtype=types.pull),
     ):  # fmt: skip
-        """Mean position of section s, and its mean velocity if it touched nothing."""
+        """Mean position of section s, and its mean velocity without contact."""
         size = matter.section
         x = vec3()
         q = vec3()
@@ -112,7 +112,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
         pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3),
     ):  # fmt: skip
-        """Set what table and walls change of a section's velocity."""
+        """Set the change of a section's velocity by table and walls."""
         change = vec3()
         if near_table(state.x[row, s * matter.section], matter, scene):
             x, u = section_motion(w, s, row, dt, matter, scene, state, pulls)
@@ -150,7 +150,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), grid: SparseGrid,
         momentum: wp.array2d(dtype=vec4),
     ):  # fmt: skip
-        """Give a particle's mass and momentum, if it is not carried, to its 27 nodes."""
+        """Add a particle's mass and momentum to its 27 nodes, unless a gripper carries it."""
         free = grips.free[w, p]
         if free > real(0.0):
             mass = matter.mass[w]
@@ -229,7 +229,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         scene: Scene, grips: Grips, grid: SparseGrid, velocity: wp.array2d(dtype=vec4),
         state: State, state_out: State,
     ):  # fmt: skip
-        """Take a particle into the next state; returns its squared speed."""
+        """Advance a particle to the next state; return its squared speed."""
         x = state.x[row, p]
         v = vec3()
         C = types.mat33()
@@ -254,7 +254,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         grips: Grips, grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
         nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
-        """Transpose of ``move``; those by v and C have then served their turn."""
+        """Transpose of ``move``; derivatives by v and C are not needed afterwards."""
         x = state.x[row, p]
         x_bar = bars.x[w, p]
         v_bar = bars.v[w, p] + dt * x_bar
@@ -316,8 +316,8 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     close_substep = make_close_substep(real)
     largest = k.largest
 
-    # while, not range: of a range the compiler cannot tell that its numbers are not negative, and
-    # every index of an array would be looked at (a fifth slower)
+    # while, not range: with range the compiler cannot tell that indices are not negative, and
+    # checks every array index (a fifth slower)
 
     @wp.func
     def substep(
@@ -326,8 +326,8 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), state: State,
         grid: SparseGrid, momentum: wp.array2d(dtype=vec4), velocity: wp.array2d(dtype=vec4),
     ):  # fmt: skip
-        """From a row of particles at t to the next; returns the largest squared speed and how it
-        went. The grid's momentum is left in ``slot``."""
+        """Advance a row of particles from t to the next row; return the largest squared speed and
+        the status. The grid's momentum is left in ``slot``."""
         N = state.x.shape[1]
         G = grips.closed.shape[1]
         h = real(dt)
@@ -381,9 +381,9 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         grid: SparseGrid, momentum: wp.array2d(dtype=vec4), velocity: wp.array2d(dtype=vec4),
         nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
-        """Carry derivatives by the state after a recorded substep to that before it.
+        """Propagate derivatives by the state after a recorded substep to the state before it.
 
-        Returns a particle whose derivatives are not finite, or -1.
+        Return a particle whose derivatives are not finite, or -1.
         """
         N = state.x.shape[1]
         G = grips.closed.shape[1]
@@ -456,7 +456,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
 
 @functools.cache
 def make_close_substep(real: Any) -> Any:
-    """Build the function by which a substep's sums go to paths and rates."""
+    """Build the function that adds a substep's sums to derivatives by paths and rates."""
     types = make_types(real)
     Matter, Scene, Paths, Grips = types.Matter, types.Scene, types.Paths, types.Grips
     SceneBars = types.SceneBars
@@ -468,7 +468,7 @@ def make_close_substep(real: Any) -> Any:
         w: int, grip_row: int, t: wp.float64, dt: wp.float64, age: int, matter: Matter,
         scene: Scene, paths: Paths, grips: Grips, bars: SceneBars,
     ):  # fmt: skip
-        """What a substep says of grippers' paths and of the rates of damping; sums begin anew."""
+        """Add a substep's derivatives by gripper paths and damping rates; reset the sums."""
         for g in range(grips.closed.shape[1]):
             if grips.closed[grip_row, g] == 1:
                 pose_gripper_adjoint(w, g, t, dt, paths, bars)

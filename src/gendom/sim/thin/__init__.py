@@ -1,4 +1,4 @@
-"""Rods and shells: thin bodies simulated as what they are."""
+"""Engine for thin bodies: ropes as rods, cloths as shells."""
 
 from gendom.sim.bodies import Body
 from gendom.sim.thin.engine import ThinEngine
@@ -7,5 +7,5 @@ from gendom.sim.thin.shells import Shells
 
 
 def thin_engine(body: Body) -> type[ThinEngine]:
-    """The model of a rope or of a cloth."""
+    """Return the engine class for a rope or a cloth."""
     return Rods if body.kind == "rope" else Shells

@@ -1,7 +1,8 @@
-"""Newton's method for shapes at rest: what supports a body, and the forces that are not balanced.
+"""Newton's method for static equilibria: supports of a body, and unbalanced forces.
 
-A point is free, held, or on the table; there it sticks to where it stood in the frame before, or
-slides with the friction mu N against its displacement since then. Walls hold without friction.
+A point is free, held by a gripper, or on the table. On the table it sticks to its position in the
+previous frame, or slides with the friction mu N against its displacement since then. Walls are
+frictionless.
 """
 
 from dataclasses import dataclass, replace
@@ -19,40 +20,40 @@ from gendom.sim.thin.tangent import Tangent
 from gendom.sim.thin.types import X
 
 ITERATIONS = 12
-"""Most linear systems that are solved for a shape."""
+"""Maximum number of linear systems solved for one equilibrium."""
 
 LONGEST = 0.3
-"""Most that a point goes in one of them [spacings]."""
+"""Largest displacement of a point in one Newton step [spacings]."""
 
 WIDEST = 0.5
-"""Most that an edge turns [rad]."""
+"""Largest rotation of an edge in one Newton step [rad]."""
 
 SINGULAR = 1e-14
-"""Ratio of pivots below which nothing resists some motion."""
+"""Ratio of pivots below which the matrix counts as singular."""
 
 
 @dataclass
 class Supports:
-    """What holds the points of one world."""
+    """Supports of the points of one world."""
 
     fixed: NDArray[np.bool_]
-    """[n, C] components that are not free."""
+    """[n, C] mask of components that are not free."""
     touches: NDArray[np.bool_]
-    """[n] on the table, with a force."""
+    """[n] whether a point presses on the table."""
     slides: NDArray[np.bool_]
-    """[n] there, against friction."""
+    """[n] whether a point slides on the table."""
     slip: NDArray[np.float64]
-    """[n, 2] displacement since the frame before [m]."""
+    """[n, 2] horizontal displacement since the previous frame [m]."""
     walls: NDArray[np.float64]
     """[n, 3] 1 at lower walls, -1 at upper ones."""
 
 
 class Balance:
-    """Unbalanced forces of single worlds, and shapes without them.
+    """Unbalanced forces and equilibria of single worlds.
 
     Args:
         engine: Rods or shells.
-        body: Without damping and air, with anchors.
+        body: Body of the kernels, without damping and air, with anchors.
     """
 
     def __init__(self, engine: Any, body: Any):
@@ -64,9 +65,9 @@ class Balance:
         self.gravity, self.mu = body.gravity.numpy().astype(float), body.friction.numpy()
         self.mass = np.broadcast_to(1.0 / e.per_mass, (W, n))
         self.scale = np.repeat((self.mass * STANDARD_GRAVITY)[:, :, None], C, axis=2)
-        """[W, n, C] force or torque that residuals are counted in."""
+        """[W, n, C] unit of force or torque for residuals."""
         self.missing = np.zeros((n, C), dtype=bool)
-        """[n, C] components that do not exist."""
+        """[n, C] mask of components that do not exist."""
         if C == 6:
             self.scale[:, :-1, 3:] *= e.model.length[:, None]
             self.missing[-1, 3:] = True
@@ -77,10 +78,10 @@ class Balance:
         rows, stiffest = (3, 2.0 / e.spacing) if C == 6 else (4, 8.0 / e.spacing**2)
         k = stiffest * e.body.stiffness.numpy()[:, :rows].max()
         self.rounding = float(2.0 * self.eps * extent * k / self.scale[..., 0].min())
-        """What rounding leaves of residuals."""
+        """Rounding error of residuals."""
 
     def copied(self) -> Any:
-        """A struct that shares the body's arrays."""
+        """Return a copy of the body's struct that shares its arrays."""
         body = self.engine.types.Body()
         for name in self.engine.types.Body.vars:
             setattr(body, name, getattr(self.body, name))
@@ -89,7 +90,7 @@ class Balance:
     # ---- forces ----------------------------------------------------------------------------------
 
     def forces(self, w: int) -> NDArray[np.float64]:
-        """[n, C] elastic forces and weight."""
+        """Sum of elastic forces and weight, [n, C]."""
         f = self.tangent.forces(w)
         f[:, :3] += self.mass[w][:, None] * self.gravity[w]
         return f
@@ -104,7 +105,7 @@ class Balance:
         return self.body.anchor[w].numpy()[:, self.engine.slots].T.astype(float)
 
     def supports(self, w: int, f: NDArray[np.float64]) -> Supports:
-        """What holds the points of world w as it is, under forces [n, C]."""
+        """Supports of the points of world w in its current shape, under forces [n, C]."""
         e, x = self.engine, self.points(w)
         holds = e.holds[w]
         held, turned = np.any(holds & 1, axis=0), np.any(holds & 2, axis=0)
@@ -133,7 +134,8 @@ class Balance:
     def unbalanced(
         self, w: int, f: NDArray[np.float64], on: Supports
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """[n, C] forces with friction, 0 where they are not free; and [n, 2] slip's directions."""
+        """Forces with friction [n, C], 0 in components that are not free, and slip directions
+        [n, 2]."""
         left = f.copy()
         size = np.linalg.norm(on.slip, axis=1)
         d = np.where(on.slides[:, None], on.slip / np.maximum(size, 1e-300)[:, None], 0.0)
@@ -144,12 +146,12 @@ class Balance:
     def jacobian(
         self, w: int, f: NDArray[np.float64], on: Supports, d: NDArray[np.float64]
     ) -> sparse.csc_matrix:
-        """[n C, n C] derivative of ``unbalanced`` by the shape."""
+        """Derivative [n C, n C] of ``unbalanced`` with respect to the shape."""
         J, C, mu = self.tangent.stiffness(w), self.components, self.friction(w)
         i = np.flatnonzero(on.slides)
         if len(i) and mu > 0.0:
             n = len(f)
-            # friction follows the force on the table, and turns with the slip
+            # friction depends on the normal force and on the direction of slip
             rows = np.concatenate([i * C, i * C + 1])
             entries = mu * np.concatenate([d[i, 0], d[i, 1]])
             size = n * C
@@ -165,7 +167,7 @@ class Balance:
     def turning(
         self, w: int, f: NDArray[Any], on: Supports, d: NDArray[Any], i: NDArray[Any]
     ) -> NDArray[np.float64]:
-        """[k, 2, 2] derivative of the friction on points i by their slip."""
+        """Derivative [k, 2, 2] of the friction on points i with respect to their slip."""
         across = np.stack([-d[i, 1], d[i, 0]], axis=1)
         by = self.friction(w) * f[i, 2] / np.linalg.norm(on.slip[i], axis=1)
         return by[:, None, None] * across[:, :, None] * across[:, None, :]
@@ -173,8 +175,10 @@ class Balance:
     # ---- Newton's method -------------------------------------------------------------------------
 
     def solve(self, w: int, tolerance: float) -> int:
-        """Let world w come to rest with what supports it now; it stays as it is where that fails,
-        or where it may meet itself: that contact has no tangent.
+        """Move world w to equilibrium with its current supports.
+
+        The shape stays unchanged if that fails, or if self-contact is possible, since self-contact
+        has no tangent.
 
         Returns:
             The number of linear systems solved.
@@ -236,10 +240,10 @@ class Balance:
 
 
 def factor(J: Any, components: int) -> Any:
-    """LU factors of a matrix: of a rod it has a narrow band, of a shell a symmetric pattern.
+    """LU factors of a matrix: banded for a rod, of symmetric pattern for a shell.
 
     Returns:
-        None where nothing resists some motion of the body.
+        None if the matrix is singular, i.e. nothing resists some motion of the body.
     """
     options: dict[str, Any] = {"permc_spec": "NATURAL"}
     if components == 3:

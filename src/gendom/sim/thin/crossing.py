@@ -1,4 +1,4 @@
-"""Whether a body begins where it crosses itself."""
+"""Check that a body does not intersect itself at the start."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,14 +7,14 @@ from scipy.spatial import KDTree
 from gendom.errors import ParameterError
 
 LEAST = 0.5
-"""Least distance between the middles of a rope's parts at the start, of its diameter."""
+"""Smallest initial distance between centre lines of a rope's parts, in diameters."""
 
 
 def check_rope(x: NDArray[np.floating], diameter: float, apart: int) -> None:
-    """Refuse a rope [n, 3] [m] whose edges, so many points apart, lie in each other.
+    """Check that edges of a rope [n, 3] [m] do not overlap if they are ``apart`` points apart.
 
     Raises:
-        ParameterError: With where.
+        ParameterError: If two edges overlap; the error names them.
     """
     i, j = np.triu_indices(len(x) - 1, apart)
     distance = edge_distance(x[i], x[i + 1] - x[i], x[j], x[j + 1] - x[j])
@@ -28,10 +28,10 @@ def check_rope(x: NDArray[np.floating], diameter: float, apart: int) -> None:
 
 
 def check_cloth(x: NDArray[np.floating], shape: tuple[int, int]) -> None:
-    """Refuse a cloth of rows and columns of points [n, 3] [m] that crosses itself.
+    """Check that a cloth of rows and columns of points [n, 3] [m] does not cross itself.
 
     Raises:
-        ParameterError: With where.
+        ParameterError: If it does; the error names the place.
     """
     ny, nx = shape
     g = np.arange(ny * nx).reshape(shape)
@@ -77,7 +77,7 @@ def edge_distance(
     q: NDArray[np.floating],
     v: NDArray[np.floating],
 ) -> NDArray[np.float64]:
-    """[k] least distances between edges from points p along u and from q along v [k, 3].
+    """Smallest distances [k] between edges from points p along u and from q along v [k, 3].
 
     Source: Ericson (2005), "Real-Time Collision Detection", section 5.1.9.
     """

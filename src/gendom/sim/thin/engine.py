@@ -1,4 +1,4 @@
-"""Thin bodies behind ``Simulator``: W worlds, what grippers do in them, and their runs."""
+"""Base class of the thin engines of ``Simulator``: W worlds, their grippers and their runs."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -24,46 +24,46 @@ CFL = 0.8
 """Default share of the longest stable step of small vibrations."""
 
 STRETCH = 0.2
-"""Most that a body may be stretched or compressed in the mean."""
+"""Largest mean stretch or compression of a body."""
 
 LOCAL_STRETCH = 1.0
-"""Most that one edge may be, in passing: where a soft rope cracks it is stretched by a quarter."""
+"""Largest momentary stretch of one edge: a soft rope that cracks like a whip stretches by 25 %."""
 
 MARGIN_OF_LISTS = 0.3
-"""Margin with which pairs that may meet are listed [spacings]."""
+"""Margin of the list of pairs that may come into contact [spacings]."""
 
 PAIRS = 40
-"""Most such pairs a point."""
+"""Maximum number of such pairs for each point."""
 
 GROUP = 16
-"""Most worlds that a thread of the CPU takes at a time."""
+"""Maximum number of worlds that a CPU thread simulates at a time."""
 
 
 @dataclass
 class Event:
-    """A gripper of some worlds that closes or opens now."""
+    """The closing or opening of one gripper in some worlds."""
 
     g: int
     closes: bool
     worlds: NDArray[np.int64]
-    """[k] which."""
+    """[k] indices of the worlds."""
     time: NDArray[np.float64]
-    """[k] [s]."""
+    """[k] times of the event [s]."""
     pose: Pose
     grip: Grip
     x: NDArray[np.float64]
-    """[k, n, 3] points at that time."""
+    """[k, n, 3] points at that time [m]."""
 
 
 @dataclass
 class Round:
-    """What a group of worlds does between two moments of its grippers."""
+    """The part of a group's run between two gripper events."""
 
     events: list[Event]
     pieces: NDArray[np.int32]
-    """[W, 2] the first piece, and the one after the last."""
+    """[W, 2] indices of the first piece and of the one after the last."""
     held: tuple[NDArray[Any], ...] = ()
-    """What grippers hold in it, for the reverse."""
+    """Points held by grippers in this part, for the reverse pass."""
 
 
 class ThinEngine(ABC):
@@ -74,15 +74,15 @@ class ThinEngine(ABC):
     """
 
     kind: ClassVar[str]
-    """As kernels call it."""
+    """Name of the kind of body in the kernels."""
     state_rows: ClassVar[int]
     state_bars: ClassVar[int]
     scratch_rows: ClassVar[int]
     scratch_bars: ClassVar[int]
-    """Components of states, of derivatives by them, and of both scratches."""
+    """Numbers of components of states, of derivatives by states, and of their scratch arrays."""
     lanes_on_cuda: ClassVar[int]
     stiffened: ClassVar[tuple[slice, ...]]
-    """Components of the stiffness that a gripper's border changes, as ``Grip.stiffer``."""
+    """Components of the stiffness that change at a gripper's border, see ``Grip.stiffer``."""
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         self.check_suits(setting)
@@ -103,7 +103,7 @@ class ThinEngine(ABC):
         self.stacked["position"] = self.stacked["position"] - self.origin
         self.paths = self._paths()
         self.closed = np.zeros((W, G), dtype=int)
-        """[W, G] 0: not yet, 1: closed, 2: opened."""
+        """[W, G] 0: not yet closed, 1: closed, 2: opened."""
         self.holds = np.zeros((W, G, n), dtype=np.int32)
         self.stiffer = np.ones((W, G, len(self.stiffened), n))
         self.body = self._body()
@@ -113,32 +113,34 @@ class ThinEngine(ABC):
         self.failures: dict[int, SimulationError] = {}
         self.used = False
         self.last_dt = np.zeros(W)
-        """[W] length of the last step, 0 where velocities are those of this moment [s]."""
+        """[W] length of the last step [s]; 0 where velocities are those at the current time."""
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, n, 3), "positions")
         self.state.assign(self.first_state(x))
         if s.self_contact:
-            # worlds that begin alike are looked at once
+            # identical initial positions are checked once
             for one in x[: 1 if x.strides[0] == 0 else W]:
                 self.check_apart(one)
         self.load("begin", "advance")
         self.launch(self.kernels.begin, slice(0, W), [self.body, self.state])
 
-    # ---- of each kind of body --------------------------------------------------------------------
+    # ---- defined by each kind of body ------------------------------------------------------------
 
     @staticmethod
     @abstractmethod
     def check_suits(setting: Setting) -> None:
-        """Raises:
-        ParameterError: If this is not a model of what is to be simulated.
+        """Check that this engine can simulate the setting.
+
+        Raises:
+            ParameterError: If it cannot.
         """
 
     @abstractmethod
     def prepare(self, setting: Setting) -> NDArray[np.float64]:
-        """Make the model; returns [W] steps that are stable for small vibrations [s]."""
+        """Make the model and return the longest stable steps for small vibrations, [W] [s]."""
 
     @abstractmethod
     def layout(self) -> tuple[NDArray[np.int64], int]:
-        """[n] where points stand in a row, and the numbers of a row."""
+        """Positions of points in a row [n], and the length of a row."""
 
     @abstractmethod
     def fill(self, body: Any) -> None:
@@ -146,67 +148,72 @@ class ThinEngine(ABC):
 
     @abstractmethod
     def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
-        """[W, ., P] at rest at points [W, n, 3]."""
+        """State [W, ., P] at rest, with points [W, n, 3]."""
 
     spacing: float
-    """Longest between neighbouring points [m]."""
+    """Largest distance between neighbouring points [m]."""
     apart: int
-    """Points along the body from where on it may meet itself."""
+    """Smallest number of points along the body between parts that can be in self-contact."""
     per_mass: NDArray[np.float64]
-    """[W, n] [1/kg]."""
+    """[W, n] inverse masses of points [1/kg]."""
 
     @abstractmethod
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None: ...
 
     @abstractmethod
     def check_apart(self, x: NDArray[np.floating]) -> None:
-        """Raises:
-        ParameterError: If points [n, 3] put the body into itself.
+        """Check that the body does not intersect itself.
+
+        Raises:
+            ParameterError: If it does at points [n, 3].
         """
 
     @abstractmethod
     def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:
-        """What gripper g holds that closes in those worlds now."""
+        """Determine the points held by gripper g, which closes in these worlds now."""
 
     @abstractmethod
     def stiffen(self, body: Any, worlds: NDArray[np.int64]) -> None:
-        """Hand the stiffness of grippers' borders to the kernels."""
+        """Copy the stiffness at the borders of grippers to the kernels' body."""
 
     @abstractmethod
     def stiffness_slopes(self, w: int, name: str) -> NDArray[np.float64]:
-        """[., n] derivative of world w's stiffness by E, nu or thickness, without borders."""
+        """Derivative [., n] of world w's stiffness by E, nu or thickness, without borders."""
 
     @abstractmethod
     def mass_slope(self, w: int, name: str) -> float:
-        """Relative derivative of its mass by density or thickness."""
+        """Derivative of world w's mass by density or thickness, over the mass."""
 
     @abstractmethod
     def tape(self, memory: float) -> Any:
-        """What remembers a run for its reverse."""
+        """Make the tape that records a run for its reverse pass."""
 
     # ---- state -----------------------------------------------------------------------------------
 
     def rows(self, values: NDArray[Any]) -> NDArray[np.float64]:
-        """[..., P] rows of values [..., n]."""
+        """Arrange values [..., n] in rows [..., P]."""
         rows = np.zeros((*values.shape[:-1], self.row_length))
         rows[..., self.slots] = values
         return rows
 
     def component(self, which: slice, rows: Any = None) -> NDArray[np.float64]:
-        """[W, n, k] components of the state, or of other rows."""
+        """Components [W, n, k] of the state, or of other rows."""
         values = (self.state if rows is None else rows).numpy()
         return np.swapaxes(values[:, which][..., self.slots], 1, 2).astype(float)
 
     def positions(self) -> NDArray[Any]:
-        """[W, n, 3] points [m]."""
+        """Positions of points, [W, n, 3] [m]."""
         return (self.component(X) + self.origin).astype(self.setting.dtype)
 
     def velocities(self) -> NDArray[Any]:
-        """[W, n, 3] of points; 0 of those held [m/s]."""
+        """Velocities of points, [W, n, 3] [m/s]; 0 for held points."""
         return self.component(V).astype(self.setting.dtype)
 
     def kept(self, *, last_good: bool) -> dict[str, NDArray[Any]]:
-        """x [m], v [m/s] and all components of the state; of the last good state with its time."""
+        """Return x [m], v [m/s] and all components of the state.
+
+        With ``last_good`` they are those of the last valid state, and its time is added.
+        """
         state = self.kept_state if last_good else self.state
         kept: dict[str, Any] = {
             "x": self.component(X, state) + self.origin,
@@ -223,7 +230,7 @@ class ThinEngine(ABC):
         """Simulate all worlds to all times.
 
         Raises:
-            SimulationError: If a world diverges, unless told to keep going.
+            SimulationError: If a world diverges, unless ``keep_going`` is set.
         """
         self.run_rounds(frames, lambda group, round: None)
 
@@ -235,13 +242,14 @@ class ThinEngine(ABC):
         most_steps: int | None = None,
         kept: Any = None,
     ) -> Schedule:
-        """Simulate, and call ``after`` with every group of worlds and what it did between events.
+        """Simulate, and call ``after`` for each group of worlds and each round between events.
 
         Args:
-            frames: What to record.
+            frames: Frames to record.
             after: Called from the threads.
-            most_steps: Of a piece.
-            kept: [S, W, ...] gets the states that pieces begin with; by default only the last.
+            most_steps: Maximum number of steps in a piece.
+            kept: [S, W, ...] array that receives the states at the start of pieces; by default
+                only the last one is kept.
         """
         self.used = True
         plan = self.schedule(frames, most_steps)
@@ -266,14 +274,14 @@ class ThinEngine(ABC):
         return plan
 
     def groups(self) -> Iterator[slice]:
-        """Worlds that are launched together."""
+        """Groups of worlds that are launched together."""
         W = self.num_worlds
         size = W if self.lanes > 1 else max(1, min(GROUP, -(-W // self.setting.threads)))
         for first in range(0, W, size):
             yield slice(first, min(first + size, W))
 
     def schedule(self, frames: Frames, most_steps: int | None) -> Schedule:
-        """What worlds do one after the other until the last frame."""
+        """Schedule of all worlds up to the last frame."""
         switches = [self.stacked["hold_from"], self.stacked["hold_until"]]
         switches = np.concatenate(switches, axis=1)
         return make_schedule(frames, switches, self.setting.substep, most_steps, self.last_dt)
@@ -296,7 +304,7 @@ class ThinEngine(ABC):
     # ---- grippers --------------------------------------------------------------------------------
 
     def switch(self, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> list[Event]:
-        """Let grippers of worlds [k] open and close that are to at times [k]."""
+        """Open and close the grippers of worlds [k] that do so at times [k]."""
         events, (begin, end) = [], (self.stacked[name] for name in ("hold_from", "hold_until"))
         for g in range(self.closed.shape[1]):
             opens = (self.closed[worlds, g] == 1) & (now >= end[worlds, g])
@@ -346,11 +354,11 @@ class ThinEngine(ABC):
     def let_go(
         self, v: NDArray[np.floating], spin: NDArray[np.floating]
     ) -> list[tuple[slice, NDArray[np.floating]]]:
-        """Components that velocities and spins [W, n, 3] of what is released go to."""
+        """Components of the state that receive velocities and spins [W, n, 3] on release."""
         return [(V, v)]
 
     def hold(self, worlds: NDArray[np.int64]) -> None:
-        """Hand what worlds [k] hold to the kernels."""
+        """Copy the held points of worlds [k] to the kernels' body."""
         put_worlds(self.body.holds, worlds, self.holds[worlds])
         self.stiffen(self.body, worlds)
         if self.setting.self_contact:
@@ -367,7 +375,7 @@ class ThinEngine(ABC):
         return wp.zeros(shape, dtype=dtype or self.real, device=self.setting.device)
 
     def load(self, *names: str) -> None:
-        """Compile kernels, or find them in Warp's cache, before threads call them."""
+        """Compile kernels, or load them from Warp's cache, before threads call them."""
         with making:
             for name in names:
                 module = getattr(self.kernels, name).module
@@ -375,11 +383,11 @@ class ThinEngine(ABC):
 
     @property
     def block(self) -> int:
-        """Threads of a CUDA block."""
+        """Number of threads in a CUDA block."""
         return self.lanes if self.lanes > 1 else 256
 
     def launch(self, kernel: Any, group: slice, inputs: list[Any]) -> None:
-        """A block of threads for each world of the group."""
+        """Launch a kernel with one block of threads for each world of the group."""
         wp.launch(
             kernel,
             dim=(group.stop - group.start) * self.lanes,
@@ -452,7 +460,7 @@ class ThinEngine(ABC):
 
 
 class _Job:
-    """One run's arrays, shared by the groups of worlds."""
+    """Arrays of one run, shared by the groups of worlds."""
 
     def __init__(self, engine: ThinEngine, plan: Schedule, frames: Frames, kept: Any):
         self.engine, self.plan, self.frames = engine, plan, frames
@@ -516,7 +524,7 @@ class _Job:
 
 
 def device_plan(engine: ThinEngine, plan: Schedule, *, record: bool = True) -> Any:
-    """The schedule as kernels take it."""
+    """Convert a schedule to the kernels' struct."""
     on_device = engine.types.Plan()
     on_device.begins = engine.array(plan.begins, wp.float64)
     on_device.done = engine.array(plan.done, wp.int32)
@@ -528,9 +536,11 @@ def device_plan(engine: ThinEngine, plan: Schedule, *, record: bool = True) -> A
 
 
 def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: NDArray[Any]) -> None:
-    """Set rows [k] of an array on its device, and touch no other: on the CPU groups of worlds run
-    in threads of their own, and what one of them has written in between would be lost. On CUDA
-    there is one group."""
+    """Set rows [k] of an array on its device without writing to other rows.
+
+    On the CPU, groups of worlds run in separate threads, whose concurrent writes to other rows
+    must not be overwritten. On CUDA there is only one group.
+    """
     if wp.get_device(array.device).is_cpu:
         array.numpy()[worlds] = values  # the array's own memory
         return

@@ -1,9 +1,10 @@
-"""What grippers hold: decided when they close, given back when they open; and transposes.
+"""Points held by grippers: selected when they close, released when they open; and transposes.
 
-A gripper holds the edges whose middles lie inside its sphere, with both their points, and of a rod
-that it touches at least one edge. Between a held edge and a free one the rod is free from where the
-sphere's surface cuts its centre line: the joint between them stands for the length from there to
-the free edge's middle, which makes it stiffer or softer. Lines of a shell's lattice are cut alike.
+A gripper holds the edges whose midpoints lie inside its sphere, with both their points; of a rod
+that it touches, at least one edge. Between a held and a free edge, the free part of the rod begins
+where the sphere's surface cuts the centre line. The joint between them therefore represents the
+length from there to the midpoint of the free edge, which makes it stiffer or softer. Lines of a
+shell's lattice are cut in the same way.
 
 Shapes: W worlds, G grippers, K knots, n points.
 """
@@ -19,29 +20,29 @@ from gendom.sim.thin import rotation
 Array = NDArray[Any]
 
 SHORTEST = 0.02
-"""Shortest length that a rod's joint at a gripper's border stands for, of its own."""
+"""Smallest length represented by a rod's joint at a gripper's border, over its usual length."""
 
 SHORTEST_OF_SHELL = 0.125
-"""The same of a shell's, which no inertia slows down."""
+"""The same for shells, where no added inertia compensates for the stiffness."""
 
 
 @dataclass
 class Pose:
-    """Where a gripper of each world is, and how it moves."""
+    """Pose and velocity of a gripper in each world."""
 
     centre: Array
-    """[W, 3] [m]."""
+    """[W, 3] centre [m]."""
     q: Array
-    """[W, 4]."""
+    """[W, 4] orientation."""
     velocity: Array
-    """[W, 3] [m/s]."""
+    """[W, 3] velocity of the centre [m/s]."""
     spin: Array
-    """[W, 3] [rad/s]."""
+    """[W, 3] angular velocity [rad/s]."""
 
 
 @dataclass
 class PoseBars:
-    """Derivatives by the parts of a ``Pose``; by q as by a turn in the world's axes."""
+    """Derivatives by the parts of a ``Pose``; for q by a rotation in world axes."""
 
     centre: Array
     q: Array
@@ -50,7 +51,7 @@ class PoseBars:
 
 
 class Paths:
-    """Grippers' paths as ``stack_paths`` gives them, with derivatives by their knots."""
+    """Gripper paths as returned by ``stack_paths``, with derivatives by their knots."""
 
     def __init__(self, stacked: dict[str, NDArray[Any]]):
         self.stacked = stacked
@@ -59,8 +60,8 @@ class Paths:
         self.turn_bar = np.zeros(shape)
 
     def _segment(self, g: int, w: Array, t: Array) -> tuple[Array, Array, Array]:
-        """[W] the knot that begins the segment just before times t, the share of it gone by, and
-        1 / its duration [1/s], 0 outside the path."""
+        """Knot that begins the segment just before times t, elapsed share of that segment, and
+        1 / its duration [1/s], 0 outside the path; [W] each."""
         time = self.stacked["time"][w, g]
         last = time.shape[1] - 2
         k = np.clip(np.sum(time < t[:, None], axis=1) - 1, 0, last)
@@ -72,7 +73,7 @@ class Paths:
         return k, np.clip(share, 0.0, 1.0), np.where(inside, 1.0, 0.0) / np.where(inside, span, 1.0)
 
     def pose(self, g: int, w: Array, t: Array) -> Pose:
-        """Of gripper g of worlds w [W] at times t [W] [s]; it moves as just before."""
+        """Pose of gripper g of worlds w [W] at times t [W] [s], with velocities just before t."""
         k, share, rate = self._segment(g, w, t)
         p, turn = self.stacked["position"], self.stacked["turn"][w, g, k]
         step = p[w, g, k + 1] - p[w, g, k]
@@ -86,7 +87,7 @@ class Paths:
         )
 
     def pose_adjoint(self, g: int, w: Array, t: Array, bars: PoseBars) -> None:
-        """Transpose of ``pose``; every world at most once."""
+        """Transpose of ``pose``; each world may occur at most once."""
         k, share, rate = self._segment(g, w, t)
         share, rate = share[:, None], rate[:, None]
         moved = rate * bars.velocity
@@ -108,41 +109,41 @@ class Paths:
 
 @dataclass
 class Cut:
-    """Where spheres cut lines of points between held and free edges."""
+    """Intersections of spheres with lines of points between held and free edges."""
 
     stiffer: Array
-    """[L, n] how much stiffer than usual joints are."""
+    """[L, n] factor on the stiffness of joints."""
     between: Array
-    """[L, n, 2] the points that a cut is between, -1 where there is none."""
+    """[L, n, 2] the two points on either side of a cut, -1 where there is no cut."""
     share: Array
-    """[L, n] how far it is from the first to the second of them."""
+    """[L, n] position of the cut from the first (0) to the second point (1)."""
     free: Array
-    """[L, n] how the length that the joint stands for changes with ``share`` [m]."""
+    """[L, n] derivative of the length represented by the joint with respect to ``share`` [m]."""
 
 
 @dataclass
 class Grip:
-    """What a gripper of each world holds."""
+    """Points and directions held by a gripper in each world."""
 
     holds: NDArray[np.int32]
     """[W, n] 1: a point, + 2: the direction of the edge that begins there."""
     place: Array
-    """[W, ., n] points [m], and directions of rods, as seen from the gripper."""
+    """[W, ., n] points [m], and directions of rods, in the gripper's frame."""
     stiffer: Array
-    """[W, M, n] how much stiffer than usual joints are at its border: a rod's, or a shell's along
+    """[W, M, n] factor on the stiffness of joints at its border: of a rod, or of a shell along
     rows and along columns."""
     cuts: tuple[Cut, ...]
 
     @property
     def misses(self) -> NDArray[np.bool_]:
-        """[W] whether nothing is held."""
+        """Whether nothing is held, [W]."""
         return np.logical_not(np.any(self.holds, axis=1))
 
 
 def close_rod(
     x: Array, q: Array, pose: Pose, radius: Array, length: Array, taken: NDArray[np.bool_]
 ) -> Grip:
-    """What grippers of W worlds hold of rods that close now.
+    """Determine the points and edges of rods held by grippers of W worlds that close now.
 
     Args:
         x: [W, n, 3] points [m].
@@ -169,9 +170,11 @@ def close_shell(
     x: Array, shape: tuple[int, int], pose: Pose, radius: Array,
     spacing: tuple[float, float], taken: NDArray[np.bool_],
 ) -> Grip:  # fmt: skip
-    """What grippers of W worlds hold of shells that close now: points inside the sphere and those
-    whose lattice edge to one of them has its middle inside; or else, where it touches the sheet,
-    the point that is nearest.
+    """Determine the points of shells held by grippers of W worlds that close now.
+
+    A gripper holds the points inside its sphere, and those whose lattice edge to such a point has
+    its midpoint inside. If there are none but the sphere touches the sheet, it holds the nearest
+    point.
 
     Args:
         x: [W, n, 3] points [m].
@@ -215,12 +218,12 @@ def close_shell(
 
 
 def _ends(count: int) -> tuple[Array, Array]:
-    """First and second points of a line's edges."""
+    """Indices of the first and second points of a line's edges."""
     return np.arange(count - 1), np.arange(1, count)
 
 
 def _lines(values: Array, axis: int) -> Array:
-    """[W many, count, ...] of [W, rows, columns, ...]: its rows (axis 1) or its columns (0)."""
+    """Reshape [W, rows, columns, ...] to [W many, count, ...]: rows (axis 1) or columns (0)."""
     ordered = values if axis == 1 else np.swapaxes(values, 1, 2)
     return ordered.reshape(-1, *ordered.shape[2:])
 
@@ -233,8 +236,8 @@ def _unlines(lines: Array, W: int, shape: tuple[int, int], axis: int) -> Array:
 
 
 def _held_edges(x: Array, centre: Array, radius: Array) -> NDArray[np.bool_]:
-    """[W, n - 1] edges whose middles lie in the sphere; or else, where it cuts the centre line, the
-    edge that comes nearest."""
+    """Mask [W, n - 1] of edges whose midpoints lie in the sphere. If there are none but the sphere
+    cuts the centre line, the edge nearest to its centre."""
     step = np.diff(x, axis=1)
     from_first = centre[:, None] - x[:, :-1]
     middle = np.linalg.norm(from_first - 0.5 * step, axis=2)
@@ -250,8 +253,10 @@ def _held_edges(x: Array, centre: Array, radius: Array) -> NDArray[np.bool_]:
 def _cut(
     x: Array, centre: Array, radius: Array, length: Array, inside: NDArray[np.bool_], least: float
 ) -> Cut:
-    """Where spheres [L] cut lines of points [L, n, 3] between held and free edges, and what the
-    joints between them then stand for, at least the share ``least`` of their own length."""
+    """Cut lines of points [L, n, 3] with spheres [L] between held and free edges.
+
+    Joints between them represent at least the share ``least`` of their usual length.
+    """
     L, n = x.shape[:2]
     w, i = np.nonzero(inside[:, :-1] != inside[:, 1:])
     i = i + 1
@@ -280,12 +285,12 @@ def _cut(
 
 
 def _leaves(offset: Array, step: Array, radius: Array) -> Array:
-    """[k] the last share in [0, 1] of ways at which offset + share step [k, 3] leaves the sphere;
-    NaN where it does not."""
+    """Largest share [k] in [0, 1] at which offset + share step [k, 3] leaves the sphere; NaN where
+    it does not."""
     a, b = np.sum(step**2, axis=1), np.sum(offset * step, axis=1)
     square = b**2 - a * (np.sum(offset**2, axis=1) - radius**2)
     t = (-b + np.sqrt(np.maximum(square, 0.0))) / a
-    # a sphere that ends at a point does so on one side of it or the other
+    # a sphere that ends exactly at a point is assigned to one of its two sides
     found = (square >= 0.0) & (np.abs(t - 0.5) <= 0.5 + 1e-9)
     return np.where(found, np.clip(t, 0.0, 1.0), np.nan)
 
@@ -293,7 +298,7 @@ def _leaves(offset: Array, step: Array, radius: Array) -> Array:
 def _cut_adjoint(
     cut: Cut, x: Array, centre: Array, length: Array, stiffer_bar: Array
 ) -> tuple[Array, Array, Array]:
-    """Transpose of ``_cut``: derivatives by points [L, n, 3], centres [L, 3] and radii [L]."""
+    """Transpose of ``_cut``: derivatives by points [L, n, 3], centres [L, 3], and radii [L]."""
     w, i = np.nonzero(cut.between[..., 0] >= 0)
     (first, second), share = cut.between[w, i].T, cut.share[w, i, None]
     step = x[w, second] - x[w, first]
@@ -312,20 +317,21 @@ def _cut_adjoint(
 def close_adjoint(
     grip: Grip, x: Array, pose: Pose, place_bar: Array
 ) -> tuple[Array, Array, PoseBars]:
-    """Transpose of the places of what a gripper closes on.
+    """Transpose of the computation of ``Grip.place`` when a gripper closes.
 
     Args:
-        grip, x, pose: As there.
-        place_bar: [W, 6, n] by places and, as turns in the gripper's axes, by directions.
+        grip, x, pose: As in ``close_rod`` and ``close_shell``.
+        place_bar: [W, 6, n] derivatives by places, and by directions as rotations in the gripper's
+            axes.
 
     Returns:
-        Derivatives by x [W, n, 3], by turns of q [W, n, 3], and by the pose.
+        Derivatives by x [W, n, 3], by rotations of q [W, n, 3], and by the pose.
     """
     by_place = rotation.turned(pose.q[:, None], np.swapaxes(place_bar[:, :3], 1, 2))
     by_place = np.where((grip.holds & 1)[..., None] > 0, by_place, 0.0)
     q_bar = rotation.turned(pose.q[:, None], np.swapaxes(place_bar[:, 3:], 1, 2))
     q_bar = np.where((grip.holds & 2)[..., None] > 0, q_bar, 0.0)
-    # places are R^T (x - c): a turn of R by d changes them by R^T ((x - c) x d)
+    # places are R^T (x - c): a rotation of R by d changes them by R^T ((x - c) x d)
     turned = -np.cross(x - pose.centre[:, None], by_place).sum(axis=1) - q_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
     return by_place, q_bar, PoseBars(-by_place.sum(axis=1), turned, none, none)
@@ -334,8 +340,8 @@ def close_adjoint(
 def border_of_rod_adjoint(
     grip: Grip, x: Array, pose: Pose, length: Array, stiffer_bar: Array
 ) -> tuple[Array, Array, Array]:
-    """From derivatives by ``grip.stiffer`` [W, 1, n] those by x [W, n, 3], by the centre [W, 3] and
-    by the radius [W]."""
+    """Derivatives by x [W, n, 3], by the centre [W, 3] and by the radius [W], given those by
+    ``grip.stiffer`` [W, 1, n]."""
     return _cut_adjoint(grip.cuts[0], x, pose.centre, length, stiffer_bar[:, 0])
 
 
@@ -343,7 +349,7 @@ def border_of_shell_adjoint(
     grip: Grip, x: Array, pose: Pose, shape: tuple[int, int], spacing: tuple[float, float],
     stiffer_bar: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """As ``border_of_rod_adjoint``, of a shell's rows and columns."""
+    """As ``border_of_rod_adjoint``, for a shell's rows and columns."""
     W, n = x.shape[:2]
     at = x.reshape(W, *shape, 3)
     x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros((W, 3)), np.zeros(W)
@@ -362,7 +368,7 @@ def border_of_shell_adjoint(
 
 
 def released(x: Array, pose: Pose, grip: Grip) -> tuple[Array, Array]:
-    """Velocities [W, n, 3] [m/s] and spins [W, n, 3] [rad/s] of what a gripper holds, else 0."""
+    """Velocities [m/s] and spins [rad/s] of held points, [W, n, 3] each; 0 for others."""
     v = pose.velocity[:, None] + np.cross(pose.spin[:, None], x - pose.centre[:, None])
     v = np.where((grip.holds & 1)[..., None] > 0, v, 0.0)
     spin = np.where((grip.holds & 2)[..., None] > 0, pose.spin[:, None], 0.0)
@@ -382,6 +388,6 @@ def released_adjoint(
 
 
 def _exp(turn: Array) -> Array:
-    """[..., 4] of rotation vectors [..., 3]."""
+    """Quaternions [..., 4] of rotation vectors [..., 3]."""
     angle = np.linalg.norm(turn, axis=-1, keepdims=True)
     return np.concatenate([0.5 * np.sinc(0.5 * angle / np.pi) * turn, np.cos(0.5 * angle)], axis=-1)

@@ -9,7 +9,8 @@ from gendom.sim.thin.engine import ThinEngine
 
 
 def doubled(engine: ThinEngine) -> ThinEngine:
-    """An engine of the same worlds in the same state, in float64; itself, if it is."""
+    """Return an engine of the same worlds and state in float64; the same engine if it is already
+    in float64."""
     if engine.real == wp.float64:
         return engine
     twin = type(engine)(replace(engine.setting, dtype="float64"), substep=None, cfl=None)
@@ -18,7 +19,7 @@ def doubled(engine: ThinEngine) -> ThinEngine:
 
 
 def take_state(engine: ThinEngine, other: ThinEngine) -> None:
-    """Bring an engine to the state of another one of the same worlds, whatever its precision."""
+    """Copy the state of another engine of the same worlds, of either precision."""
     dtype = np.float64 if engine.real == wp.float64 else np.float32
     for name in ("state", "kept_state"):
         getattr(engine, name).assign(getattr(other, name).numpy().astype(dtype))

@@ -1,10 +1,10 @@
 """Kernels of the search for equilibria: relaxation with kinetic damping, and tangent stiffness.
 
-A search takes the engine's own steps, without damping and air: forces, table, grippers and contact
-are those of motion. Velocities are set to 0 whenever the kinetic energy has passed a maximum, so
-that the energy only falls. While grippers move, velocities are set to 0 every few steps, and the
-body follows without momentum. Source: Barnes (1999), "Form finding and analysis of tension
-structures by dynamic relaxation".
+A search uses the time steps of the simulation, without damping and air; forces, table, grippers
+and contact are the same. Velocities are set to 0 whenever the kinetic energy has passed a maximum,
+so that the total energy only decreases. While grippers move, velocities are set to 0 every few
+steps, and the body follows without momentum. Source: Barnes (1999), "Form finding and analysis of
+tension structures by dynamic relaxation".
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -24,19 +24,19 @@ from gendom.sim.thin.stepping import make_stepping
 from gendom.sim.thin.types import make_types
 
 EVERY = 4
-"""Steps from one look at the kinetic energy to the next."""
+"""Steps between evaluations of the kinetic energy."""
 
 FOLLOWS = 16
-"""Steps from rest to rest while grippers move."""
+"""Steps after which velocities are set to 0 while grippers move."""
 
 SMOOTH = 8
-"""Single steps from rest after each maximum: they take what is left of fast vibrations."""
+"""Single steps from rest after each maximum: they damp the remaining fast vibrations."""
 
 CONTACT_SMOOTH = 128
-"""More of them where the body may meet itself: impulses at its contacts depend on each other."""
+"""The same with self-contact, where more are needed: impulses at contacts are coupled."""
 
 TURN_ROWS = 6
-"""Row of a rod's derivatives by turns of directions, see ``native/rod_adjoint.h``."""
+"""Row of a rod's derivatives by rotations of directions, see ``native/rod_adjoint.h``."""
 
 
 @functools.cache
@@ -77,17 +77,17 @@ def make_relaxing(real: Any, kind: str) -> SimpleNamespace:
         lanes: int,  # threads of a world
         body: Body,
         paths: Paths,
-        begin: wp.array(dtype=wp.float64),  # [W] of the grippers' way [s]
+        begin: wp.array(dtype=wp.float64),  # [W] start of the grippers' movement [s]
         end: wp.array(dtype=wp.float64),  # [W]
-        moves: wp.array(dtype=wp.int32),  # [W] steps that it takes
+        moves: wp.array(dtype=wp.int32),  # [W] number of steps of that movement
         steps: wp.array(dtype=wp.int32),  # [W] at most, moves included; 0: nothing is done
         dt: wp.array(dtype=real),  # [W] [s]
-        least: real,  # unbalanced acceleration that is small enough [m/s^2]
+        least: real,  # tolerance for the unbalanced acceleration [m/s^2]
         limit: real,  # of the squared stretch of an edge
         mean_limit: real,  # of the mean stretch
         state: wp.array3d(dtype=real),
-        marks: wp.array3d(dtype=real),  # [W, 3, P] where points were at rest last [m]
-        left: wp.array(dtype=real),  # [W] unbalanced acceleration when it was at rest last
+        marks: wp.array3d(dtype=real),  # [W, 3, P] points when they were last at rest [m]
+        left: wp.array(dtype=real),  # [W] unbalanced acceleration when last at rest
         taken: wp.array(dtype=wp.int32),  # [W] steps, added
         stopped: wp.array(dtype=wp.int32),  # [W] 1: stretched beyond a limit
     ):
@@ -178,9 +178,11 @@ def make_relaxing(real: Any, kind: str) -> SimpleNamespace:
         bars: Bars,  # 0 but for the model's, of any value
         out: wp.array3d(dtype=real),  # [colours C, C, P]
     ):
-        """Derivatives of forces and torques by points and turns: the transpose of the forces,
-        probed with one component of all points of one colour at a time; points of one colour have
-        no neighbour in common."""
+        """Derivatives of forces and torques by points and rotations.
+
+        They are found by probing the transpose of the forces with one component of all points of
+        one colour at a time; points of the same colour share no neighbour.
+        """
         w = first + wp.tid() // lanes
         lane = wp.tid() % lanes
         P = state.shape[2]

@@ -1,7 +1,7 @@
-"""A rod's model: from a rope's centre line and materials to what its elements need, and back.
+"""The rod model: element parameters from a rope's centre line and materials, and derivatives.
 
-Edges e = 0 .. n - 2 lie between points e and e + 1; joint i, between edges i - 1 and i, stands at
-point i. Rows of edges and joints have n numbers like those of points; what does not exist is 0.
+Edge e = 0 .. n - 2 lies between points e and e + 1; joint i lies at point i, between edges i - 1
+and i. Rows of edges and joints have n numbers like rows of points; unused entries are 0.
 """
 
 import math
@@ -31,13 +31,13 @@ class Section:
     torsion: float
     """Torsion constant [m^4]."""
     breadth: float
-    """That the air meets [m]."""
+    """Width exposed to the air [m]."""
     flat: bool
 
     @classmethod
     def of(cls, body: Body) -> "Section":
-        """Round with the body's thickness, or a rectangle of that thickness and the body's width
-        (along axis 1)."""
+        """Section of a body: a disc with its thickness as the diameter, or a rectangle of its
+        thickness and its width (along axis 1)."""
         h, b = body.thickness, body.width
         if b is None:
             A = math.pi / 4.0 * h**2
@@ -49,7 +49,7 @@ class Section:
         return cls(b * h, (b * h**3 / 12.0, h * b**3 / 12.0), torsion, b, True)
 
     def shear_coefficient(self, nu: float) -> float:
-        """kappa of the shear stiffness kappa G A."""
+        """Shear coefficient kappa in the shear stiffness kappa G A."""
         return (
             10.0 * (1.0 + nu) / (12.0 + 11.0 * nu)
             if self.flat
@@ -57,7 +57,7 @@ class Section:
         )
 
     def shear_coefficient_slope(self, nu: float) -> float:
-        """d kappa / d nu."""
+        """Derivative d kappa / d nu."""
         return 10.0 / (12.0 + 11.0 * nu) ** 2 if self.flat else 6.0 / (7.0 + 6.0 * nu) ** 2
 
     @property
@@ -72,25 +72,26 @@ class RodModel:
 
     section: Section
     length: NDArray[np.float64]
-    """[n - 1] of edges at rest [m]."""
+    """[n - 1] lengths of edges at rest [m]."""
     rest_q: NDArray[np.float64]
     """[n - 1, 4] directions at rest, without twist."""
     rest: NDArray[np.float64]
-    """[7, n] 1 / length, strains of edges and joints that are free of stress."""
+    """[7, n] 1 / length, and the stress-free strains of edges and joints."""
     stiffness: NDArray[np.float64]
-    """[W, 6, n] of shear, shear, stretch [N] and, over length, bending, bending, twist [N m]."""
+    """[W, 6, n] stiffness of two shears and stretch [N], and of two bending directions and twist
+    over length [N m]."""
     mass: NDArray[np.float64]
-    """[W, n] [kg]."""
+    """[W, n] mass of points [kg]."""
     inertia: NDArray[np.float64]
-    """[W, n] of turning an edge [kg m^2]."""
+    """[W, n] moment of inertia of edges [kg m^2]."""
     tributary: NDArray[np.float64]
-    """[n] length of rod that a point stands for [m]."""
+    """[n] length of rod represented by each point [m]."""
 
     @classmethod
     def of(
         cls, body: Body, materials: Sequence[Material], share: NDArray[np.floating]
     ) -> "RodModel":
-        """Of a rope's centre line; ``share`` [W, n] of E at each point."""
+        """Make the model of a rope; ``share`` [W, n] is E at each point over its material's E."""
         section = Section.of(body)
         step = np.diff(body.points, axis=0)
         length = np.linalg.norm(step, axis=1)
@@ -122,16 +123,17 @@ class RodModel:
     def stiffness_by_nu(
         self, materials: Sequence[Material], share: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """[W, 6, n] derivative of ``stiffness`` by nu."""
+        """Derivative [W, 6, n] of ``stiffness`` with respect to nu."""
         _, slopes = _moduli(self.section, materials)
         return slopes[:, :, None] * _shares(share, self.length)
 
     def longest_step(self, damped: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """[W] longest stable step [s] of small vibrations, 2 / omega of the fastest one.
+        """Longest stable step [W] [s] for small vibrations, 2 / omega of the fastest one.
 
-        Of a straight rod with edges as short as the shortest: deflection and turning with the
-        wave number that the points resolve at most, stretching, and twisting. A Maxwell branch
-        doubles all stiffness. Source: von Neumann's analysis of the elements in ``native/rod.h``.
+        The vibrations are those of a straight rod whose edges are all as short as the shortest:
+        deflection and rotation with the largest wave number that the points resolve, stretching,
+        and twisting. A Maxwell branch doubles all stiffness. Source: von Neumann's analysis of the
+        elements in ``native/rod.h``.
         """
         l = self.length.min()
         mass = (self.mass[:, :-1] / self.tributary[:-1]).min(axis=1)
@@ -148,13 +150,14 @@ class RodModel:
 
 
 def joint_strains(q: NDArray[np.floating]) -> NDArray[np.float64]:
-    """[..., n - 2, 3] bending and twist between directions [..., n - 1, 4] [rad], see rod.h."""
+    """Bending and twist [..., n - 2, 3] [rad] between directions [..., n - 1, 4], see rod.h."""
     p = rotation.between(q[..., :-1, :], q[..., 1:, :])
     return 4.0 * p[..., :3] / (1.0 + p[..., 3:])
 
 
 def _shares(share: NDArray[np.floating], length: NDArray[np.floating]) -> NDArray[np.float64]:
-    """[W, 6, n] each element's share of E; of joints over their length, half of both edges."""
+    """Each element's ratio of E to its material's E, [W, 6, n]; for joints divided by their length,
+    half of both edges."""
     W, n = share.shape
     rows = np.zeros((W, 6, n))
     rows[:, :3, :-1] = 0.5 * (share[:, :-1] + share[:, 1:])[:, None]
@@ -165,8 +168,8 @@ def _shares(share: NDArray[np.floating], length: NDArray[np.floating]) -> NDArra
 def _moduli(
     section: Section, materials: Sequence[Material]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """[W, 6] stiffness for shear, shear, stretch [N], bending, bending, twist [N m^2], and its
-    derivative by nu."""
+    """Stiffness [W, 6] for shear, shear, stretch [N], bending, bending, twist [N m^2], and its
+    derivative with respect to nu."""
     E = np.array([m.E for m in materials])
     nu = np.array([m.nu for m in materials])
     G, G_slope = E / (2.0 * (1.0 + nu)), -E / (2.0 * (1.0 + nu) ** 2)
@@ -187,7 +190,7 @@ def material_gradients(
     length: NDArray[np.floating],
     stiffness_bar: NDArray[np.floating],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Derivatives by E [W], nu [W] and share [W, n], from those by stiffness [W, 6, n]."""
+    """Derivatives by E [W], nu [W] and share [W, n], given those by stiffness [W, 6, n]."""
     moduli, slopes = _moduli(section, materials)
     E = np.array([m.E for m in materials])
     by_modulus = np.sum(stiffness_bar * _shares(share, length), axis=2)

@@ -1,4 +1,4 @@
-"""Rods behind ``Simulator``."""
+"""Rod engine of ``Simulator``."""
 
 from typing import Any
 
@@ -55,7 +55,7 @@ class Rods(ThinEngine):
         body.inertia = self.array(self.rows(inertia))
 
     def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Directions without more twist than at rest."""
+        """State [W, ., P] at rest with directions that have the twist of the rest shape."""
         first = np.broadcast_to(self.model.rest_q[0], (self.num_worlds, 4))
         step = np.diff(x, axis=1)
         q = rotation.transported(first, step)
@@ -74,7 +74,7 @@ class Rods(ThinEngine):
         return state
 
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
-        """Set points' velocities [W, n, 3] [m/s]; edges turn with them, without twist."""
+        """Set points' velocities [W, n, 3] [m/s]; edges rotate with them, without twisting."""
         if np.any(np.asarray(affine)):
             raise ParameterError("rods have no affine velocities", fix="engine='mpm'")
         v = spread(v, (self.num_worlds, self.num_points, 3), "velocities")
@@ -126,7 +126,7 @@ class Rods(ThinEngine):
 
 
 def slower(stiffer: NDArray[np.floating]) -> NDArray[np.floating]:
-    """[W, n] by how much more inertia edges turn beside joints that a border makes stiffer: the
-    substep stays stable."""
+    """Factors [W, n] by which the inertia of edges beside stiffer joints at a gripper's border is
+    increased, so that the substep stays stable."""
     after = np.concatenate([stiffer[:, 1:], np.ones_like(stiffer[:, :1])], axis=1)
     return np.maximum(1.0, np.maximum(stiffer, after))

@@ -1,4 +1,4 @@
-"""Unit quaternions (scalar last) that turn a rod's directions, and frames without twist."""
+"""Unit quaternions (scalar last) for the directions of a rod, and twist-free frames."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ Array = NDArray[Any]
 
 
 def product(a: Array, b: Array) -> Array:
-    """[..., 4] the turn b, then a."""
+    """Product a b [..., 4]: the rotation b followed by a."""
     a0, a1, a2, a3 = np.moveaxis(a, -1, 0)
     b0, b1, b2, b3 = np.moveaxis(b, -1, 0)
     return np.stack(
@@ -24,24 +24,24 @@ def product(a: Array, b: Array) -> Array:
 
 
 def conjugate(q: Array) -> Array:
-    """[..., 4] the inverse turn."""
+    """Inverse rotation [..., 4]."""
     return q * np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 def between(a: Array, b: Array) -> Array:
-    """[..., 4] conj(a) b, with a scalar part that is not negative."""
+    """Relative rotation conj(a) b [..., 4], with a non-negative scalar part."""
     p = product(conjugate(a), b)
     return np.where(p[..., 3:] < 0.0, -p, p)
 
 
 def turned(q: Array, v: Array) -> Array:
-    """[..., 3] vectors v turned by q."""
+    """Vectors v rotated by q, [..., 3]."""
     twice = 2.0 * np.cross(q[..., :3], v)
     return v + q[..., 3:] * twice + np.cross(q[..., :3], twice)
 
 
 def shortest(a: Array, b: Array) -> Array:
-    """[..., 4] the smallest turn that takes direction a [..., 3] to direction b."""
+    """Smallest rotation [..., 4] that takes direction a [..., 3] to direction b."""
     a = a / np.linalg.norm(a, axis=-1, keepdims=True)
     b = b / np.linalg.norm(b, axis=-1, keepdims=True)
     q = np.concatenate([np.cross(a, b), 1.0 + np.sum(a * b, axis=-1, keepdims=True)], axis=-1)
@@ -53,7 +53,7 @@ def shortest(a: Array, b: Array) -> Array:
 
 
 def first_frame(direction: Array) -> Array:
-    """[4] a frame whose third axis has the direction [3] and whose first is level."""
+    """Frame [4] whose third axis has the given direction [3] and whose first is horizontal."""
     z = direction / np.linalg.norm(direction)
     up = np.array([0.0, 0.0, 1.0])
     if abs(z @ up) > 1.0 - 1e-9:
@@ -65,32 +65,33 @@ def first_frame(direction: Array) -> Array:
     if w > 1e-3:
         v = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4.0 * w)
         return np.append(v, w)
-    # half a turn: its axis is the column of R + 1 that is longest
+    # half a turn: its axis is the longest column of R + 1
     column = (R + np.eye(3))[:, np.argmax(np.diag(R))]
     return np.append(column / np.linalg.norm(column), 0.0)
 
 
 def transported(first: Array, step: Array) -> Array:
-    """[..., n - 1, 4] frames along edges [..., n - 1, 3], without twist, from the first [..., 4].
+    """Twist-free frames [..., n - 1, 4] along edges [..., n - 1, 3], from a first frame [..., 4].
 
-    The first is turned by the shortest way to the first edge, each other one from the edge before.
-    Neighbours have scalar products that are not negative. Source: Bishop (1975), "There is more
-    than one way to frame a curve".
+    The first frame is rotated onto the first edge by the smallest rotation, and each further frame
+    results from the previous one in the same way. Quaternions of neighbours have non-negative
+    scalar products. Source: Bishop (1975), "There is more than one way to frame a curve".
     """
     third = np.broadcast_to([0.0, 0.0, 1.0], (*step.shape[:-2], 3))
     start = product(shortest(turned(first, third), step[..., 0, :]), first)[..., None, :]
     turns = shortest(step[..., :-1, :], step[..., 1:, :])
     by = 1
-    while by < turns.shape[-2]:  # products of all turns up to each, in pairs, fours, eights...
+    while by < turns.shape[-2]:  # cumulative products of rotations, in pairs, fours, eights...
         turns[..., by:, :] = product(turns[..., by:, :], turns[..., :-by, :])
         by *= 2
     return np.concatenate([start, product(turns, np.broadcast_to(start, turns.shape))], axis=-2)
 
 
 def transported_adjoint(first: Array, step: Array, turn_bar: Array) -> Array:
-    """[..., n - 1, 3] derivatives by edges, from those by turns [..., n - 1, 3] of their frames.
+    """Derivatives by edges [..., n - 1, 3], given those by rotations of their frames.
 
-    An edge's frame turns by t x dt, and about t by as much as keeps the twist 0:
+    ``turn_bar`` is [..., n - 1, 3]. An edge's frame rotates by t x dt, and about t so that the
+    twist stays 0:
     d tau_e = d tau_(e-1) - (t_(e-1) x t_e) . (dt_(e-1) + dt_e) / (1 + t_(e-1) . t_e).
     """
     length = np.linalg.norm(step, axis=-1, keepdims=True)
@@ -106,7 +107,9 @@ def transported_adjoint(first: Array, step: Array, turn_bar: Array) -> Array:
 
 
 def left_jacobian_inverse(turn: Array) -> Array:
-    """[..., 3, 3] of log: log(exp(d) exp(turn)) = turn + J d. Its transpose is that from the right.
+    """Inverse left Jacobian J [..., 3, 3]: log(exp(d) exp(turn)) = turn + J d.
+
+    Its transpose is the inverse right Jacobian.
 
     Source: Sola, Deray and Atchuthan (2018), "A micro Lie theory", equation 146.
     """

@@ -1,4 +1,4 @@
-"""When worlds do what: pieces of equal steps between frames and the moments of grippers."""
+"""Schedule of a run: pieces of equal steps between frames and gripper events."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,31 +11,31 @@ from gendom.sim.setting import Frames
 
 @dataclass
 class Schedule:
-    """Pieces of equal steps of W worlds, S at most."""
+    """Pieces of equal steps of W worlds, at most S pieces for each world."""
 
     begins: NDArray[np.float64]
-    """[W, S] when the interval that it is a part of begins [s]."""
+    """[W, S] start time of the interval that contains the piece [s]."""
     done: NDArray[np.int32]
-    """[W, S] steps of that interval before it."""
+    """[W, S] number of steps of that interval before the piece."""
     steps: NDArray[np.int32]
     """[W, S]."""
     dt: NDArray[np.float64]
     """[W, S] [s]."""
     before: NDArray[np.float64]
-    """[W, S] length of the step before a piece, 0 where velocities are those of its begin [s]."""
+    """[W, S] length of the step before a piece [s]; 0 where velocities are those at its start."""
     frame: NDArray[np.int32]
-    """[W, S] which is recorded at a piece's end; -1: none."""
+    """[W, S] index of the frame recorded at a piece's end; -1: none."""
     due: NDArray[np.bool_]
-    """[W, S + 1] whether a piece begins when a gripper closes or opens."""
+    """[W, S + 1] whether a gripper closes or opens at the start of a piece."""
     count: NDArray[np.int64]
-    """[W] pieces."""
+    """[W] number of pieces."""
 
     def time(self, w: Any, s: Any) -> NDArray[np.float64]:
-        """When pieces s of worlds w begin [s]."""
+        """Start times of pieces s of worlds w [s]."""
         return self.begins[w, s] + self.done[w, s] * self.dt[w, s]
 
     def until(self, worlds: slice, at: NDArray[np.int64]) -> NDArray[np.int64]:
-        """[k] the next pieces after ``at`` [k] that begin with grippers, or the end."""
+        """Next pieces after ``at`` [k] that begin with a gripper event, or the end, [k]."""
         index, count = np.arange(self.due.shape[1]), self.count[worlds]
         later = self.due[worlds] & (index > at[:, None]) & (index < count[:, None])
         return np.where(later.any(axis=1), later.argmax(axis=1), count)
@@ -48,17 +48,17 @@ def make_schedule(
     most_steps: int | None,
     before: NDArray[np.floating],
 ) -> Schedule:
-    """What worlds do until the last frame.
+    """Make the schedule of all worlds up to the last frame.
 
     Args:
-        frames: To be recorded.
+        frames: Frames to record.
         switches: [W, M] times at which grippers close and open [s].
         substep: [W] longest steps [s].
-        most_steps: Of a piece, or None.
-        before: [W] length of the step that was the last one, 0 at a start [s].
+        most_steps: Maximum number of steps in a piece, or None.
+        before: [W] length of the last step before the run, 0 at a start [s].
     """
     W, T, last = len(substep), len(frames.times), frames.times[-1]
-    # worlds whose grippers switch alike have the same pieces, but for their steps
+    # worlds with the same gripper times have the same pieces, with different numbers of steps
     alike, which = np.unique(switches, axis=0, return_inverse=True)
     blocks = []
     for k, row in enumerate(alike):
@@ -104,7 +104,7 @@ def _pieces(
     due: NDArray[np.bool_],
     substep: NDArray[np.floating],
 ) -> dict[str, NDArray[Any]]:
-    """[k, S] pieces between times, of equal steps no longer than substeps [k]."""
+    """Pieces [k, S] between times, of equal steps no longer than substeps [k]."""
     span = np.diff(times)
     n = np.ceil(span / substep[:, None] - 1e-9)
     n = np.where(span > 0.0, np.maximum(1, n), 0).astype(int)
@@ -120,7 +120,7 @@ def _pieces(
 
 
 def _short(pieces: dict[str, NDArray[Any]], most_steps: int) -> dict[str, NDArray[Any]]:
-    """One world's pieces cut into such of at most so many steps."""
+    """Split one world's pieces into pieces of at most ``most_steps`` steps."""
     n, dt = pieces["steps"][0], pieces["dt"][0]
     parts = np.maximum(1, -(-n // most_steps))
     of = np.repeat(np.arange(len(n)), parts)

@@ -1,12 +1,12 @@
-"""Derivatives of shapes at rest by parameters: implicit differentiation in forward mode.
+"""Derivatives of equilibria by parameters: implicit differentiation in forward mode.
 
-Where nothing begins or ceases to touch, stick or slide, the forces R(u, a, p) that are not balanced
-stay 0 as a parameter p changes the shape u and that of the frame before, a:
+As long as no point changes between free, sticking and sliding, the unbalanced forces R(u, a, p)
+stay 0 while a parameter p changes the shape u and the shape of the previous frame, a:
 
     R_u du = -(R_p + R_a da),
 
-with the exact tangent R_u of Newton's method. What is held goes with its gripper, what sticks with
-where it stood. All parameters share one factorisation a frame.
+with the exact tangent R_u of Newton's method. Held points move with their gripper, sticking points
+with their position in the previous frame. All parameters share one factorisation for each frame.
 """
 
 from collections.abc import Sequence
@@ -28,32 +28,32 @@ PARAMETERS = (
     "E", "nu", "density", "thickness", "friction", "gravity", "gripper_radius",
     "gripper_offset",
 )  # fmt: skip
-"""What shapes are differentiated by, see ``Simulator.equilibria``."""
+"""Parameters by which shapes can be differentiated, see ``Simulator.equilibria``."""
 
 
 @dataclass
 class _Grip:
-    """A closed gripper of one world, by each of P parameters."""
+    """Derivatives of a closed gripper of one world by each of P parameters."""
 
     back: Array
     """[4] conjugate of its orientation when it closed."""
     place: Array
-    """[n, 3, P] of held points from its centre, in the world's axes of that moment."""
+    """[n, 3, P] of held points relative to its centre, in world axes when it closed."""
     turn: Array
-    """[n, 3, P] of held directions, likewise."""
+    """[n, 3, P] of held directions, in the same axes."""
     stiffer: Array
     """[M, n, P] of the border's stiffness, see ``Grip.stiffer``."""
 
 
 class Sensitivity:
-    """Derivatives by parameters, carried from shape to shape.
+    """Derivatives by parameters, propagated from shape to shape.
 
     Args:
-        balance: The forces.
-        names: Parameters, of ``PARAMETERS``.
+        balance: The unbalanced forces.
+        names: Names from ``PARAMETERS``.
 
     Raises:
-        ParameterError: If a name is unknown, or the body is not differentiated by it.
+        ParameterError: If a name is unknown, or the derivative is not available for the body.
     """
 
     def __init__(self, balance: Balance, names: Sequence[str]):
@@ -81,16 +81,16 @@ class Sensitivity:
         self.P = max((c.stop for c in self.columns.values()), default=0)
         W, n = e.num_worlds, e.num_points
         self.shape = np.zeros((W, n, balance.components, self.P))
-        """[W, n, C, P] of the shapes now."""
+        """[W, n, C, P] derivatives of the current shapes."""
         self.anchor = np.zeros((W, n, 3, self.P))
-        """[W, n, 3, P] of the points in the frame before."""
+        """[W, n, 3, P] derivatives of the points in the previous frame."""
         self.grips: list[dict[int, _Grip]] = [{} for _ in range(W)]
         self.slopes = e.zeros(e.body.stiffness.shape if self.P else (0, 0, 0))
         self.sloped = balance.copied()
         self.sloped.stiffness = self.slopes
 
     def switch(self, events: Sequence[Event]) -> None:
-        """Take part in what grippers do now."""
+        """Update the derivatives of grippers that close or open."""
         for event in events:
             for k, w in enumerate(int(w) for w in event.worlds):
                 if event.closes:
@@ -99,11 +99,11 @@ class Sensitivity:
                     self.grips[w].pop(event.g, None)
 
     def begin(self, worlds: NDArray[np.int64]) -> None:
-        """The next frame counts slip from the shapes as they are."""
+        """Start a frame: slip is measured from the current shapes."""
         self.anchor[worlds] = self.shape[worlds][:, :, :3]
 
     def values(self, w: int) -> dict[str, Array]:
-        """By name: [n, 3, ...] of world w's points."""
+        """Derivatives of world w's points by parameter name, [n, 3, ...]."""
         n = self.engine.num_points
         return {
             name: self.shape[w, :, :3, at].reshape(n, 3, *self.shapes.get(name, ()))
@@ -111,10 +111,10 @@ class Sensitivity:
         }
 
     def solve(self, w: int, time: float) -> None:
-        """Derivatives of world w's shape, which is at rest at this time [s].
+        """Compute derivatives of world w's shape, which is in equilibrium at this time [s].
 
         Raises:
-            SimulationError: If nothing resists some motion.
+            SimulationError: If the tangent is singular.
         """
         b = self.balance
         f = b.forces(w)
@@ -139,7 +139,7 @@ class Sensitivity:
         du[free] = factors.solve(-loads[free])
         self.shape[w] = du.reshape(self.shape[w].shape)
 
-    # ---- what is held ----------------------------------------------------------------------------
+    # ---- held points -----------------------------------------------------------------------------
 
     def _closed(self, event: Event, k: int, w: int) -> _Grip:
         e, g, P = self.engine, event.g, self.P
@@ -166,7 +166,7 @@ class Sensitivity:
         return _Grip(back, shape[:, :3] - centre, turn.copy(), stiffer)
 
     def _centre(self, g: int) -> Array:
-        """[3, P] of gripper g's centre."""
+        """Derivative [3, P] of gripper g's centre."""
         by = np.zeros((3, self.P))
         if "gripper_offset" in self.columns:
             first = self.columns["gripper_offset"].start + 3 * g
@@ -174,7 +174,7 @@ class Sensitivity:
         return by
 
     def _supported(self, w: int, time: float, on: Any) -> Array:
-        """[n, C, P] of components that are not free, else 0."""
+        """Derivative [n, C, P] of components that are not free; 0 for free ones."""
         e = self.engine
         du = np.zeros_like(self.shape[w])
         for g, grip in self.grips[w].items():
@@ -196,7 +196,7 @@ class Sensitivity:
     # ---- loads -----------------------------------------------------------------------------------
 
     def _loads(self, w: int, f: Array, on: Any, d: Array) -> Array:
-        """[n, C, P] of the forces that are not balanced, the shape as it is."""
+        """Derivative [n, C, P] of the unbalanced forces at constant shape."""
         b, mu = self.balance, self.balance.friction(w)
         loads = np.zeros((*f.shape, self.P))
         weight = b.mass[w][:, None] * b.gravity[w]
@@ -217,7 +217,7 @@ class Sensitivity:
         return loads
 
     def _border(self, w: int, p: int) -> Array:
-        """[R, n] of the stiffness at grippers' borders."""
+        """Derivative [R, n] of the stiffness at grippers' borders."""
         e = self.engine
         k = e.body.stiffness[w].numpy()[:, e.slots].astype(float)
         slope = np.zeros_like(k)
@@ -227,12 +227,12 @@ class Sensitivity:
         return slope
 
     def _elastic(self, w: int, stiffness: Array) -> Array:
-        """[n, C] forces with another stiffness [R, n]: they are linear in it."""
+        """Elastic forces [n, C] with another stiffness [R, n]; they are linear in it."""
         put(self.slopes, slice(w, w + 1), self.engine.rows(stiffness)[None])
         return self.balance.tangent.forces(w, self.sloped)
 
     def _by_anchor(self, w: int, f: Array, on: Any, d: Array) -> Array:
-        """[n, C, P] friction turns as the points slide from elsewhere."""
+        """Derivative [n, C, P] of friction by the anchors, which change its direction."""
         loads = np.zeros((*f.shape, self.P))
         i = np.flatnonzero(on.slides)
         if len(i) and self.balance.friction(w) > 0.0:

@@ -1,4 +1,4 @@
-"""A shell's model: from a cloth's lattice and materials to what its elements need."""
+"""The shell model: element parameters from a cloth's lattice and materials."""
 
 import math
 from collections.abc import Sequence
@@ -17,24 +17,24 @@ class ShellModel:
     """The elements of W shells of one shape; rows of numbers are those of ``native/shell.h``."""
 
     shape: tuple[int, int]
-    """Rows, and points of a row."""
+    """Number of rows, and of points in a row."""
     spacing: tuple[float, float]
-    """Along rows and along columns [m]."""
+    """Distance between points along rows and along columns [m]."""
     thickness: float
     area: NDArray[np.float64]
-    """[n] that a point stands for [m^2]."""
+    """[n] area represented by each point [m^2]."""
     exists: NDArray[np.float64]
     """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
     rest_bend: NDArray[np.float64]
-    """[3, n] second differences along the normal that are free of stress [m]."""
+    """[3, n] stress-free second differences along the normal [m]."""
     stiffest: float
-    """Most that the weave adds to the membrane's stiffness."""
+    """Largest factor of the weave on the membrane's stiffness."""
     bending: float
-    """And to that of bending."""
+    """Largest factor of the weave on the bending stiffness."""
     shares: NDArray[np.float64]
-    """[8, n] of the moduli in each stiffness: areas over spacings."""
+    """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
     alone: NDArray[np.float64]
-    """[2, n] where curvature across is free, along rows and along columns."""
+    """[2, n] whether transverse curvature is free, along rows and along columns."""
 
     @classmethod
     def of(cls, body: Body) -> "ShellModel":
@@ -86,9 +86,9 @@ class ShellModel:
         )
 
     def factors(self, nu: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """[W, 8, n] stiffness over E h (of the membrane) or E h^3 / 12 (of bending), but for
-        ``shares``, and its derivative by nu. Plane stress; where curvature across is free, a beam's
-        modulus."""
+        """Stiffness [W, 8, n] over E h (membrane) or E h^3 / 12 (bending), without the factors
+        ``shares``, and its derivative with respect to nu. Plane stress; where transverse curvature
+        is free, the modulus is that of a beam."""
         plane, plane_nu = 1.0 / (1.0 - nu**2), 2.0 * nu / (1.0 - nu**2) ** 2
         both, both_nu = nu * plane, plane + nu * plane_nu
         shear, shear_nu = 0.5 / (1.0 + nu), -0.5 / (1.0 + nu) ** 2
@@ -102,7 +102,7 @@ class ShellModel:
         return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, slopes[:, :, None])
 
     def scales(self, materials: Sequence[Material]) -> NDArray[np.float64]:
-        """[W, 8, 1] E h with the modulus in the plane, E h^3 / 12."""
+        """Scales [W, 8, 1] of the stiffness: E h with the in-plane modulus, and E h^3 / 12."""
         h = self.thickness
         rows = [4 * [m.in_plane * h] + 4 * [m.E * h**3 / 12.0] for m in materials]
         return np.array(rows)[:, :, None]
@@ -110,7 +110,7 @@ class ShellModel:
     def longest_step(
         self, materials: Sequence[Material], share: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """[W] 2 / omega of the fastest small vibration [s], in the plane or across it.
+        """Longest stable step [W] [s], 2 / omega of the fastest small vibration in or out of plane.
 
         Source: von Neumann's analysis of the elements in ``native/shell.h``.
         """
@@ -119,7 +119,7 @@ class ShellModel:
         E, in_plane = np.array([[m.E, m.in_plane] for m in materials]).T * share.max(axis=1)
         nu = np.array([m.nu for m in materials])
         density = np.array([m.density for m in materials])
-        # a border's joints may be eight times as stiff
+        # joints at a gripper's border can be eight times as stiff
         across = 8.0 * self.thickness**2 / 12.0 * k2**2
         fastest = np.maximum(in_plane * self.stiffest * k2, E * self.bending * across)
         fastest = fastest / (1.0 - nu**2) / density

@@ -1,4 +1,4 @@
-"""Shells behind ``Simulator``."""
+"""Shell engine of ``Simulator``."""
 
 from typing import Any
 
@@ -110,7 +110,7 @@ class Shells(ThinEngine):
         m = self.setting.materials[w]
         k = self.modulus[w] * self.share[w]
         if name == "E":
-            own = m.membrane is not None  # a membrane with a modulus of its own does not follow E
+            own = m.membrane is not None  # a separate membrane modulus does not depend on E
             return k / m.E * np.repeat([0.0 if own else 1.0, 1.0], 4)[:, None]
         if name == "nu":
             _, slopes = self.model.factors(np.array([m.nu]))

@@ -1,8 +1,8 @@
-"""The search for equilibria of thin bodies: frame by frame, each from the shape before.
+"""The search for equilibria of thin bodies, frame by frame, each from the previous shape.
 
-Relaxation (``relaxing``) finds a shape nearly at rest and what it touches; Newton's method
-(``balance``) then ends the search quadratically. Grippers close and open at their times, on shapes
-at rest.
+Relaxation (``relaxing``) finds a shape close to equilibrium and its contacts; Newton's method
+(``balance``) then converges quadratically. Grippers close and open at their times, on shapes in
+equilibrium.
 """
 
 from collections.abc import Sequence
@@ -26,36 +26,36 @@ from gendom.sim.thin.sensitivity import Sensitivity
 from gendom.sim.thin.types import X
 
 WAY = 0.005
-"""How far grippers go in a step of relaxation [spacings]."""
+"""Distance that grippers move in a relaxation step [spacings]."""
 
 SAMPLES = 16
-"""Pieces that a gripper's way is measured in."""
+"""Number of pieces in which the length of a gripper's path is measured."""
 
 BATCH = 400
-"""Steps of relaxation before Newton's method is tried for the first time."""
+"""Relaxation steps before the first attempt of Newton's method."""
 
 NEAR = 0.1
-"""Residual below which it is."""
+"""Residual below which Newton's method is attempted."""
 
 TOLERANCE, CONTACT_TOLERANCE = 1e-6, 0.02
-"""Default bounds on residuals, without and with contact of a body with itself: its impulses are
-not solved for to the end, but in a few turns a step."""
+"""Default tolerances for residuals without and with self-contact, whose impulses are only
+approximate: the solver makes a few iterations in each step."""
 
 
 class Search:
     """One call of ``Simulator.equilibria``.
 
-    It is done in float64 also where motion is in float32: a weight is less than what float32 leaves
-    of the forces in stiff bodies.
+    The search is in float64 even if the simulation is in float32: in stiff bodies the weight of a
+    point is smaller than the float32 rounding error of the elastic forces.
 
     Args:
         engine: Rods or shells.
-        times: [T] frames [s].
-        began: Time of the state before [s].
-        tolerance: Bound on residuals, or None for the defaults; at least what rounding leaves.
-        most_steps: Steps of relaxation, at most, in a frame.
+        times: [T] times of the frames [s].
+        began: Time of the initial state [s].
+        tolerance: Largest residual, or None for the defaults; never below the rounding error.
+        most_steps: Maximum number of relaxation steps in a frame.
         increments: Equilibria for each frame.
-        keep_going: Whether worlds that fail, or frames that do not converge, stop nothing.
+        keep_going: Whether to continue when a world fails or a frame does not converge.
         derivatives: Names of parameters, see ``Sensitivity``.
     """
 
@@ -83,7 +83,7 @@ class Search:
         default = CONTACT_TOLERANCE if e.setting.self_contact else TOLERANCE
         self.tolerance = max(tolerance or default, self.balance.rounding)
         damped = np.array([m.damping > 0.0 for m in e.setting.materials])
-        # the limit is that of twice the stiffness where there is damping
+        # with damping, the step limit is that of twice the stiffness
         dt = CFL * e.longest * np.where(damped, np.sqrt(2.0), 1.0)
         self.dt = e.array(dt)
         self.begin, self.end = e.zeros(W, wp.float64), e.zeros(W, wp.float64)
@@ -107,7 +107,7 @@ class Search:
                 wp.load_module(module, device=e.setting.device, block_dim=e.block)
 
     def _body(self) -> Any:
-        """The engine's, without damping and air, with anchors for friction."""
+        """The engine's body without damping and air, with anchors for friction."""
         e = self.engine
         body = e.types.Body()
         for name in e.types.Body.vars:
@@ -120,11 +120,11 @@ class Search:
         return body
 
     def run(self) -> Equilibria:
-        """All worlds, all frames.
+        """Find the equilibria of all worlds in all frames.
 
         Raises:
-            SimulationError: If a world fails or a frame does not converge, unless told to keep
-                going.
+            SimulationError: If a world fails or a frame does not converge, unless ``keep_going``
+                is set.
         """
         e = self.engine
         with ThreadPoolExecutor(max_workers=e.setting.threads) as pool:
@@ -180,7 +180,7 @@ class Search:
                 self._station(group, stations)
 
     def _stations(self, w: int) -> list[tuple[float, int]]:
-        """Times at which shapes are wanted, in order, with their frames; -1: a gripper's."""
+        """Times at which equilibria are needed, in order, with their frames; -1: gripper event."""
         e = self.engine
         switches = {
             float(t)
@@ -195,7 +195,7 @@ class Search:
         return sorted(stations + [(float(t), -1) for t in {*between, *switches}])
 
     def _check_held(self, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> None:
-        """Bodies that fall for ever have no equilibrium."""
+        """Check that the body is supported: a freely falling body has no equilibrium."""
         e, s = self.engine, self.engine.setting
         if s.table is not None or s.box is not None:
             return
@@ -211,7 +211,7 @@ class Search:
             )
 
     def _station(self, group: slice, stations: dict[int, tuple[float, float, int]]) -> None:
-        """Let worlds of a group come to rest: from a time on, at a time, in a frame."""
+        """Find equilibria of worlds in a group; stations hold (start time, end time, frame)."""
         e, W = self.engine, self.engine.num_worlds
         worlds = np.array(list(stations), dtype=int)
         begins, ends = (np.array([of[k] for of in stations.values()]) for k in (0, 1))
@@ -252,7 +252,7 @@ class Search:
     def _prepare(
         self, group: slice, worlds: NDArray[Any], begins: NDArray[Any], ends: NDArray[Any]
     ) -> None:
-        """Slip counts from the shapes as they are; grippers have these times to go."""
+        """Set the anchors of friction to the current shapes, and the start and end times."""
         e, k = self.engine, group.stop - group.start
         state = e.state.numpy()[group]
         e.kept_time[worlds] = begins
@@ -260,7 +260,7 @@ class Search:
         put(self.body.anchor, group, state[:, X])
         self.sensitivity.begin(worlds)
         inertia = e.body.inertia.numpy()[group].copy()
-        inertia[:, 2 if e.kind == "rod" else 1] = 0.0  # no air
+        inertia[:, 2 if e.kind == "rod" else 1] = 0.0  # no air drag
         put(self.body.inertia, group, inertia)
         for array, values in ((self.begin, begins), (self.end, ends)):
             times = np.zeros(k)
@@ -278,7 +278,7 @@ class Search:
     def _moves(
         self, worlds: NDArray[np.int64], begins: NDArray[np.float64], ends: NDArray[np.float64]
     ) -> NDArray[np.int64]:
-        """[k] steps in which grippers go their way."""
+        """Number of steps in which grippers move along their paths, [k]."""
         e = self.engine
         k, G = len(worlds), e.closed.shape[1]
         longest = np.zeros(k)
@@ -296,7 +296,7 @@ class Search:
         return np.ceil(longest / (WAY * e.spacing)).astype(int) + 1
 
     def _relax(self, group: slice, moves: NDArray[Any], steps: NDArray[Any]) -> NDArray[np.float64]:
-        """[W] residuals of a group's worlds after so many steps each."""
+        """Relax a group's worlds by ``steps`` steps and return their residuals [W]."""
         e = self.engine
         put(self.moves, group, moves[group].astype(np.int32))
         put(self.steps, group, steps[group].astype(np.int32))
@@ -315,7 +315,7 @@ class Search:
         return self.left.numpy().astype(float) / STANDARD_GRAVITY
 
     def _left_of(self, group: slice, w: int) -> float:
-        """Residual of one world, by a step from rest."""
+        """Residual of one world, computed by a step from rest."""
         one = np.zeros(self.engine.num_worlds, dtype=np.int32)
         one[w] = 1
         return float(self._relax(group, 0 * one, one)[w])

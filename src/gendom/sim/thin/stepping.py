@@ -1,10 +1,10 @@
-"""Kernels that take rods and shells through pieces of equal steps, forward and transposed.
+"""Kernels that step rods and shells through pieces of equal steps, and their transposes.
 
-Steps are leapfrogs (Stoermer-Verlet): forces where a step begins take velocities from the middle of
-the step before to that of this one, and velocities take positions and directions to its end;
-contact with the table and walls changes velocities so that no point ends beyond them, with Coulomb
-friction (Moreau 1988); what a gripper holds is put where it is. Every world has a block of threads
-on CUDA, and a thread with SIMD lanes on the CPU.
+The integrator is leapfrog (Stoermer-Verlet): forces at the start of a step advance velocities from
+the middle of the previous step to the middle of this one, and velocities advance positions and
+directions to its end. Contact with the table and walls changes velocities so that no point ends
+beyond them, with Coulomb friction (Moreau 1988). Held points are moved with their gripper. Each
+world uses one block of threads on CUDA, and one thread with SIMD lanes on the CPU.
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -29,7 +29,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
 
     Returns:
         Namespace with ``begin`` (lagged strains from the first state), ``advance`` and ``reverse``,
-        and the functions that they call and other kernels may.
+        and the functions that they call, for use in other kernels.
     """
     types = make_types(real)
     paths_of = make_paths(real)
@@ -89,7 +89,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
 
     @wp.func
     def kick_of(plan: Plan, w: int, p: int, k: int):
-        """From the middle of the step before to the middle of step k of a piece [s]."""
+        """Time from the middle of the previous step to the middle of step k of a piece [s]."""
         kick = plan.dt[w, p]
         if k == 0:
             kick = wp.float64(0.5) * (plan.before[w, p] + kick)
@@ -120,7 +120,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
 
     @wp.func
     def meet_itself(body: Body, w: int, state: wp.array3d(dtype=real), row: int, dt: real):
-        """Contact of a body with itself, at the end of a step."""
+        """Apply self-contact at the end of a step."""
         if any_of(moved_on(body, w, state, row)) != 0:
             begin_list(body, w, state, row)
             meet()
@@ -137,7 +137,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
 
     @wp.func
     def strains_begin(body: Body, w: int, state: wp.array3d(dtype=real), row: int):
-        """The lagged strains are those of the state: a step that is longer than any damping."""
+        """Set the lagged strains to the strains of the state."""
         forces(body, w, state, row, row, real(1.0e30))
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
@@ -150,7 +150,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         body: Body, w: int, began: wp.float64, t: wp.float64, paths: Paths,
         state: wp.array3d(dtype=real), row: int,
     ):  # fmt: skip
-        """Put what grippers hold that were closed at ``began`` where they are at time t."""
+        """Move held points to the poses at time t of the grippers that were closed at ``began``."""
         for g in range(body.holds.shape[1]):
             if is_closed(w, g, began, paths):
                 centre, R, _knot = pose(w, g, t, paths)
@@ -164,16 +164,16 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         body: Body,
         paths: Paths,
         plan: Plan,
-        piece: wp.array2d(dtype=wp.int32),  # [W, 2] the first, and the one after the last
+        piece: wp.array2d(dtype=wp.int32),  # [W, 2] first piece, and the one after the last
         # step k of the call goes from row w + k stride - offset to the next; stride 0: in place
         offset: int,
         stride: int,
         state: wp.array3d(dtype=real),
-        kept: wp.array3d(dtype=real),  # [W + pieces * every] the states that pieces begin with
+        kept: wp.array3d(dtype=real),  # [W + pieces * every] states at the start of pieces
         every: int,  # -1: none are kept
         limit: real,  # of the squared stretch of an edge
         mean_limit: real,  # of the mean stretch, where pieces end
-        stopped: wp.array(dtype=wp.int32),  # [W] the piece in which a world came beyond it, or -1
+        stopped: wp.array(dtype=wp.int32),  # [W] the piece in which a world exceeded a limit, or -1
         frames: wp.array3d(dtype=vec3),  # [T, W, K]
         points: wp.array(dtype=wp.int32),  # [K] recorded
     ):
@@ -266,7 +266,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                         paths, bars.position, bars.path_turn,
                     )  # fmt: skip
             meet()
-            # the scratch as in the step; the lagged strains of the next row are written once more
+            # recompute the scratch of the step; this rewrites the lagged strains of the next row
             forces(body, w, state, row, row + stride, h)
             meet()
             move_adjoint(body, bars, w, state, row, h, kick_of(plan, w, p, k))
@@ -280,7 +280,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     def begin_adjoint(
         first: int, lanes: int, body: Body, state: wp.array3d(dtype=real), offset: int, bars: Bars
     ):
-        """Of ``begin``; the scratch of the derivatives is 0."""
+        """Transpose of ``begin``; the scratch of the derivatives is 0."""
         w = first + wp.tid() // lanes
         forces_adjoint(body, bars, w, state, w - offset, real(1.0e30))
         meet()

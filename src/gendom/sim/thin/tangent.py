@@ -1,7 +1,7 @@
 """Forces of thin bodies and their derivatives by points and directions, as a sparse matrix.
 
-Components C of a point: of shells its position, of rods its position and the direction of the edge
-that begins there, by turns in the world's axes.
+Components C of a point are its position and, for rods, also the direction of the edge that begins
+there, as a rotation about the world's axes.
 """
 
 from typing import Any
@@ -16,14 +16,14 @@ from gendom.sim.thin.types import MODEL_BARS
 
 
 class Tangent:
-    """Elastic forces of single worlds, and how they change.
+    """Elastic forces of single worlds, and their derivatives.
 
     Args:
         engine: Rods or shells.
-        body: What kernels take: without damping and air.
+        body: Body of the kernels, without damping and air.
 
-    Forces reach from a rod's point to the next ones, and from a shell's to the next but one along
-    both axes; points that far apart are probed together.
+    A point exerts forces on its neighbours in a rod, and in a shell on points up to two away along
+    both axes. Points that share no neighbour are probed together (graph colouring).
     """
 
     def __init__(self, engine: Any, body: Any):
@@ -63,7 +63,7 @@ class Tangent:
         self.bars.scratch = e.zeros((e.num_worlds, e.scratch_bars, e.row_length))
 
     def forces(self, w: int, body: Any = None) -> NDArray[np.float64]:
-        """[n, C] elastic forces [N] and torques [N m] of world w."""
+        """Elastic forces [N] and torques [N m] of world w, [n, C]."""
         e = self.engine
         out = e.zeros((1, self.components, e.row_length))
         body = self.body if body is None else body
@@ -71,7 +71,7 @@ class Tangent:
         return out.numpy()[0][:, e.slots].T.astype(float)
 
     def stiffness(self, w: int) -> sparse.csc_matrix:
-        """[n C, n C] derivatives of world w's forces."""
+        """Derivatives [n C, n C] of world w's forces."""
         e, C = self.engine, self.components
         out = e.zeros((self.colours * C, C, e.row_length))
         e.launch(

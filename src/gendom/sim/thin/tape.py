@@ -1,4 +1,4 @@
-"""The reverse mode of thin bodies: pieces run again from kept states, then transposed."""
+"""Reverse mode of thin bodies: pieces are recomputed from checkpoints, then transposed."""
 
 import math
 from abc import ABC, abstractmethod
@@ -38,20 +38,20 @@ from gendom.sim.thin.types import (
 )
 
 PER_TURN = 14
-"""Component of derivatives by a rod's model."""
+"""Component of derivatives with respect to a rod's model."""
 
 TURN, SPIN_BAR = slice(6, 9), slice(9, 12)
-"""Components of derivatives by a rod's state: by turns of directions, and by spins."""
+"""Components of derivatives with respect to a rod's state: rotations of directions, and spins."""
 
 
 class ThinTape(ABC):
     """A run of thin bodies that can be differentiated.
 
     Args:
-        engine: Not run before.
+        engine: An engine that has not been run.
 
-    Kept are as many states as a piece has steps, the square root of all: less is not possible
-    without running pieces several times.
+    The number of checkpoints and the number of steps in a piece are both about the square root of
+    the total number of steps: less memory would require running pieces several times.
     """
 
     def __init__(self, engine: Any):
@@ -64,7 +64,7 @@ class ThinTape(ABC):
         engine.load("reverse", "begin_adjoint")
 
     def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
-        """[T, W, n, 3] points at the given times [m]."""
+        """Simulate, and return points at the given times, [T, W, n, 3] [m]."""
         e = self.engine
         T, W, n = len(times), e.num_worlds, e.num_points
         x = np.empty((T, W, n, 3), dtype=e.setting.dtype)
@@ -84,7 +84,7 @@ class ThinTape(ABC):
         return x
 
     def _with_held(self, group: slice, round: Round) -> Round:
-        """Remember what grippers hold in a round, which kernels must be told again."""
+        """Store the held points of a round, which the reverse pass copies to the kernels again."""
         e = self.engine
         round.held = (e.holds[group].copy(), e.stiffer[group].copy(), self._places(group))
         return round
@@ -94,7 +94,7 @@ class ThinTape(ABC):
         return self.engine.body.place.numpy()[group.start * G : group.stop * G].copy()
 
     def backward(self, bar: NDArray[np.floating]) -> Gradients:
-        """Derivatives from those by the points of ``forward``."""
+        """Derivatives with respect to all inputs, given those by the points of ``forward``."""
         e = self.engine
         W, n, G = e.num_worlds, e.num_points, e.closed.shape[1]
         k = e.types
@@ -179,7 +179,7 @@ class ThinTape(ABC):
         e.stiffen(e.body, np.arange(group.start, group.stop))
 
     def _take_model(self, group: slice) -> None:
-        """Add up derivatives by the model as it is without grippers, and by their borders."""
+        """Add derivatives by the model without grippers, and by the grippers' borders."""
         e = self.engine
         found = self.bars.model.numpy()[group][..., e.slots].astype(float)
         put(self.bars.model, group, np.zeros((len(found), MODEL_BARS, e.row_length)))
@@ -266,17 +266,17 @@ class ThinTape(ABC):
                 )
         return found
 
-    # ---- of each kind of body --------------------------------------------------------------------
+    # ---- defined by each kind of body ------------------------------------------------------------
 
     rest_rows: ClassVar[slice]
-    """Components of derivatives by strains that are free of stress."""
+    """Components of derivatives with respect to stress-free strains."""
 
     @abstractmethod
     def unstiffened(
         self, group: slice, stiffer: NDArray[np.floating], found: NDArray[np.floating]
     ) -> NDArray[np.floating]:
-        """Turn derivatives ``found`` by a stiffness with borders into such without; returns those
-        by ``stiffer`` [k, M, n]."""
+        """Convert derivatives ``found`` by the stiffness with borders to those by the stiffness
+        without borders, in place; return the derivatives by ``stiffer`` [k, M, n]."""
 
     @abstractmethod
     def border_adjoint(
@@ -289,24 +289,24 @@ class ThinTape(ABC):
         """Derivatives by E, nu [W], stiffness [W, n] and density [W]."""
 
     def by_start(self, state: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Derivatives by first positions and velocities [W, n, 3], from those by the state."""
+        """Derivatives by initial positions and velocities [W, n, 3], given those by the state."""
         return state[..., X].copy(), state[..., V].copy()
 
     def take_turns(self, part: Any, take: Any, q_bar: NDArray[np.floating]) -> None:
-        """Add derivatives by turns of directions [k, n, 3]."""
-        del part, take, q_bar  # a shell has none
+        """Add derivatives by rotations of directions [k, n, 3]."""
+        del part, take, q_bar  # shells have no directions
 
     def spins(self, part: Any) -> NDArray[np.floating]:
-        """[k, n, 3] derivatives by spins."""
+        """Derivatives by spins, [k, n, 3]."""
         return np.zeros_like(part(V))
 
     def stop_spins(self, part: Any, take: Any, grip: Grip) -> None:
-        """What is held has no spin of its own."""
-        del part, take, grip  # nor has a shell any
+        """Set derivatives by the spins of held edges to 0."""
+        del part, take, grip  # shells have no spins
 
 
 class RodTape(ThinTape):
-    """Of rods."""
+    """Tape of rods."""
 
     engine: Rods
     rest_rows = slice(6, 12)
@@ -317,7 +317,7 @@ class RodTape(ThinTape):
         e, one = self.engine, stiffer[:, 0]
         bar = np.sum(found[:, 3:6] * e.model.stiffness[group, 3:], axis=1)
         found[:, 3:6] *= stiffer
-        # edges beside stiffer joints turn by more inertia, that of the stiffer one
+        # edges beside stiffer joints have more inertia, according to the stiffer joint
         slow = slower(one)
         by_slow = -found[:, PER_TURN] * e.per_turn[group] / slow**2
         found[:, PER_TURN] /= slow
@@ -345,7 +345,7 @@ class RodTape(ThinTape):
     def by_start(self, state: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
         x_bar, v_bar = super().by_start(state)
         q_bar, spin_bar = state[:, :-1, TURN], state[:, :-1, SPIN_BAR]
-        # spins are those of edges that turn with their points
+        # initial spins are those of edges that rotate with their points
         d, dv = np.diff(self.first_x, axis=1), np.diff(self.first_v, axis=1)
         square = np.sum(d**2, axis=2, keepdims=True)
         spin = np.cross(d, dv) / square
@@ -367,7 +367,7 @@ class RodTape(ThinTape):
 
 
 class ShellTape(ThinTape):
-    """Of shells."""
+    """Tape of shells."""
 
     engine: Shells
     rest_rows = slice(8, 11)
@@ -399,7 +399,7 @@ class ShellTape(ThinTape):
         by_nu = by_stiffness * slopes * e.model.scales(s.materials) * e.model.shares
         by_modulus = m[:, :8] * e.modulus
         share_bar = np.sum(by_modulus, axis=1)
-        # a membrane with a modulus of its own does not change with E
+        # a separate membrane modulus does not depend on E
         own = np.array([material.membrane is not None for material in s.materials])
         by_modulus[own, :4] = 0.0
         by_mass = m[:, PER_MASS] / e.mass
@@ -412,6 +412,6 @@ class ShellTape(ThinTape):
 
 
 def _to_ends(points: NDArray[np.floating], edges: NDArray[np.floating]) -> None:
-    """Add derivatives by edges x_(e+1) - x_e [W, n - 1, 3] to those by points."""
+    """Add derivatives by edges x_(e+1) - x_e [W, n - 1, 3] to the derivatives by points."""
     points[:, 1:] += edges
     points[:, :-1] -= edges

@@ -1,8 +1,8 @@
-"""What the thin engine's kernels take: structs of arrays, made for one scalar type.
+"""Structs of arrays for the thin engine's kernels, made for one scalar type.
 
-Shapes: W worlds, G grippers, n points, P numbers of a row: points stand in slots between margins,
-so that kernels may read beyond all ends and several points at once. Components of rows are named
-in ``native/rod.h``, ``native/shell.h`` and their adjoints.
+Shapes: W worlds, G grippers, n points, P numbers in a row. Points are stored in slots between
+margins, so that kernels can read beyond both ends, and several points at once. Components of rows
+are named in ``native/rod.h``, ``native/shell.h`` and their adjoints.
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -15,13 +15,13 @@ from typing import Any
 import warp as wp
 
 MARGIN = 8
-"""Numbers of a row before the first that kernels work on."""
+"""Length of the margin at the start of a row."""
 
 X, V = slice(0, 3), slice(3, 6)
-"""Components of every state and of derivatives by it: positions [m] and velocities [m/s]."""
+"""Components of states and of derivatives by states: positions [m] and velocities [m/s]."""
 
 PER_MASS, DRAG, GRAVITY, DAMPING, FRICTION, VELOCITY_DAMPING = 12, 13, slice(15, 18), 18, 19, 20
-"""Components of derivatives by the model that rods and shells have in common."""
+"""Components of derivatives by the model that are common to rods and shells."""
 
 MODEL_BARS = 21
 """Components of derivatives by the model."""
@@ -29,7 +29,7 @@ MODEL_BARS = 21
 
 @dataclass(frozen=True)
 class Types:
-    """Vectors and structs of one scalar type."""
+    """Vector types and structs for one scalar type."""
 
     real: Any
     vec3: Any
@@ -41,23 +41,23 @@ class Types:
 
 @functools.cache
 def make_types(real: Any) -> Types:
-    """The types for ``wp.float32`` or ``wp.float64``."""
+    """Make the types for ``wp.float32`` or ``wp.float64``."""
     vec3 = wp.types.vector(3, real)
     quat = wp.quatf if real == wp.float32 else wp.quatd
 
     @wp.struct
     class Body:
-        """W rods or shells, and what surrounds them."""
+        """W rods or shells, and their surroundings."""
 
         points: int
         slot: wp.array(dtype=wp.int32)  # [n] of each point in a row
-        # of shells: numbers from row to row, 0 of rods; the first point's, and after the last one's
+        # for shells: stride between rows, 0 for rods; index of the first point, and after the last
         pitch: int
         first: int
         end: int
         per_x: real  # 1 / spacing along rows [1/m]
         per_y: real
-        rest: wp.array3d(dtype=real)  # [1, ., P] shape, and strains free of stress
+        rest: wp.array3d(dtype=real)  # [1, ., P] shape, and stress-free strains
         stiffness: wp.array3d(dtype=real)  # [W, ., P]
         inertia: wp.array3d(dtype=real)  # [W, ., P]
         scratch: wp.array3d(dtype=real)  # [W, ., P]
@@ -67,22 +67,22 @@ def make_types(real: Any) -> Types:
         gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
         table: int  # at height 0
         radius: real  # height of a point on the table [m]
-        anchored: int  # whether sliding counts from anchors instead of a step's begin
+        anchored: int  # whether slip is measured from anchors instead of a step's start
         anchor: wp.array3d(dtype=real)  # [W, 3, P] of a search for equilibria [m]
         walls: int
         box_lower: vec3
         box_upper: vec3
         holds: wp.array3d(dtype=wp.int32)  # [W, G, n] 1: a point is held, 2: an edge's direction is
-        place: wp.array3d(dtype=real)  # [W G, 7, P] of those, as seen from the gripper
+        place: wp.array3d(dtype=real)  # [W G, 7, P] of those, in the gripper's frame
         # contact with itself
         contact: int
-        contact_distance: real  # between middles [m]
+        contact_distance: real  # between centre lines or middle surfaces [m]
         contact_margin: real  # of the list of pairs [m]
         contact_reach: real  # between points whose features may meet [m]
-        contact_apart: int  # points along the body from where on they may
-        contact_turns: int  # of the contacts of a step
+        contact_apart: int  # smallest number of points along the body between parts in self-contact
+        contact_turns: int  # solver iterations over the contacts of a step
         self_friction: wp.array(dtype=real)  # [W]
-        loose: wp.array3d(dtype=real)  # [W, 1, P] 1 / mass of what nobody holds [1/kg]
+        loose: wp.array3d(dtype=real)  # [W, 1, P] 1 / mass of free points, 0 for held ones [1/kg]
         push: wp.array3d(dtype=real)  # [W, 7, P] of one step's contacts, see ``native/contact.h``
         listed: wp.array3d(dtype=real)  # [W, 3, P] where points were when pairs were listed [m]
         near: wp.array3d(dtype=wp.int32)  # [W, M, 2] pairs
@@ -90,23 +90,23 @@ def make_types(real: Any) -> Types:
 
     @wp.struct
     class Bars:
-        """Derivatives of a loss; those by the model are by each point's share of it."""
+        """Derivatives of a loss; those by the model are for each point's contribution."""
 
         state: wp.array3d(dtype=real)  # [W, ., P]
         model: wp.array3d(dtype=real)  # [W, 21, P]
         scratch: wp.array3d(dtype=real)  # [W, ., P]
         place: wp.array3d(dtype=real)  # [W G, 6, P]
         position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by grippers' knots
-        path_turn: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by a turn of them, in the world's axes
+        path_turn: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by a rotation of them, in world axes
         centre: wp.array2d(dtype=vec3)  # [W, G] of one step
         turn: wp.array2d(dtype=vec3)  # [W, G] of one step
 
     @wp.struct
     class Plan:
-        """What W worlds do one after the other: pieces of equal steps."""
+        """Schedule of W worlds: pieces of equal steps."""
 
-        begins: wp.array2d(dtype=wp.float64)  # [W, S] of the interval that it is a part of [s]
-        done: wp.array2d(dtype=wp.int32)  # [W, S] steps of that interval before it
+        begins: wp.array2d(dtype=wp.float64)  # [W, S] start of the piece's interval [s]
+        done: wp.array2d(dtype=wp.int32)  # [W, S] steps of that interval before the piece
         steps: wp.array2d(dtype=wp.int32)  # [W, S]
         dt: wp.array2d(dtype=wp.float64)  # [W, S] [s]
         before: wp.array2d(dtype=wp.float64)  # [W, S] length of the step before; 0 at a start [s]

@@ -1,9 +1,10 @@
-"""The substep on CUDA where bodies are small: a block of threads takes one world through many.
+"""Substeps on CUDA for small bodies: a block of threads runs many substeps of one world.
 
-The same functions as in ``step``, called by the lanes of a block, which meet between stages. What
-is different is where particles are: each world has them as records, component by component, in the
-order of their lowest nodes. Lanes then read and write neighbouring numbers, and what neighbouring
-particles give to the same nodes is summed before it goes to the grid.
+The functions are those of ``step``, called by the lanes of a block, which synchronise between
+stages. Only the storage of particles differs: each world has them as records, component by
+component, in the order of their lowest nodes. Lanes then access neighbouring numbers, and the
+contributions of neighbouring particles to the same nodes are summed before they are added to the
+grid.
 
 Shapes: W worlds, N particles, L layouts of the grid, M nodes.
 """
@@ -48,7 +49,7 @@ from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
 
 AHEAD = 32
-"""Substeps for which grippers are posed at once."""
+"""Number of substeps for which gripper poses are computed at once."""
 
 
 @functools.cache
@@ -111,7 +112,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
 
     @wp.func
     def next_event(w: int, t: wp.float64, paths: Paths):
-        """When a gripper opens or closes next [s]."""
+        """Time at which a gripper opens or closes next [s]."""
         soon = wp.float64(1.0e30)
         for g in range(paths.radius.shape[1]):
             if paths.hold_from[w, g] > t:

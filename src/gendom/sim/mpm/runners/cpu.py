@@ -1,4 +1,4 @@
-"""Running on the CPU: every thread takes a world from the first frame to the last."""
+"""Running on the CPU: each thread simulates one world from the first frame to the last."""
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
@@ -117,11 +117,11 @@ def make_hold_as_at(real: Any) -> Any:
 
 
 class Threads:
-    """Worlds one by one, several side by side.
+    """Runs worlds in parallel, each in one thread.
 
     Args:
-        worlds: On the CPU.
-        count: Worlds side by side.
+        worlds: Worlds on the CPU.
+        count: Number of worlds in parallel.
     """
 
     def __init__(self, worlds: Worlds, count: int):
@@ -131,7 +131,7 @@ class Threads:
         self.clock = {name: getattr(worlds.clock, name).numpy() for name in CLOCK}
         self.state = {name: getattr(worlds.state, name).numpy() for name in worlds.carried}
         self.low = worlds.low.numpy()
-        # threads do not make kernels side by side: Python's parser fails at that
+        # kernels are made in one thread: Python's parser fails with concurrent ones
         real, law = worlds.real, worlds.setting.law
         for yields in np.unique(worlds.yields):
             load(make_advance(real, law, yields=bool(yields)), worlds.device)
@@ -142,7 +142,7 @@ class Threads:
         """Simulate all worlds to all times.
 
         Raises:
-            SimulationError: If a world diverges, unless told to keep going.
+            SimulationError: If a world diverges, unless ``keep_going`` is set.
         """
         worlds = self.worlds
         done = np.zeros(worlds.num_worlds, dtype=int)
@@ -204,7 +204,7 @@ class Threads:
                 job.result()
 
     def _submit(self, pool: ThreadPoolExecutor, work: Callable[[int], None]) -> list[Future[None]]:
-        # the slowest worlds go first, so that no thread ends alone
+        # start with the slowest worlds, to balance the load of threads
         return [pool.submit(work, int(w)) for w in np.argsort(self.worlds.substep)]
 
     def plan(self, w: int, *, begun: int, steps: int, dt: float) -> None:
@@ -214,14 +214,14 @@ class Threads:
         clock["status"][w] = OK
 
     def hold_as_at(self, w: int, age: int) -> None:
-        """Let world w's grippers hold what they held before substep ``age`` of all."""
+        """Restore what world w's grippers held before its substep ``age``."""
         grips = self.worlds.grips
         if grips.count.shape[1]:
             kernel = make_hold_as_at(self.worlds.real)
             wp.launch(kernel, dim=1, inputs=[w, age, grips], device=self.worlds.device)
 
     def advance(self, w: int, now: float, grid: Grid) -> Grid:
-        """Take world w through its planned substeps; returns the grid, larger if it had to grow.
+        """Run world w's planned substeps; return the grid, which is larger if it had to grow.
 
         Raises:
             SimulationError: If the world diverges.
@@ -258,7 +258,7 @@ class Threads:
 
 
 def load(kernel: Any, device: Any) -> None:
-    """Compile a kernel, or find it in Warp's cache, before threads call it."""
+    """Compile a kernel, or load it from Warp's cache, before threads call it."""
     with making:
         wp.load_module(kernel.module, device=device)
 

@@ -167,7 +167,7 @@ def make_graph_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNames
         r: int, clock: Clock, lap: Lap, matter: Matter, scene: Scene, paths: Paths, grips: Grips,
         state: State,
     ):  # fmt: skip
-        """Let grippers open and close."""
+        """Open and close grippers."""
         w = wp.tid()
         if r == 0:
             lap.stale[w] = 0  # rebuilt by now

@@ -1,4 +1,4 @@
-"""Particles as a block of threads has them: records, component by component, in order of nodes.
+"""Particles as records for a block of threads: component by component, in the order of nodes.
 
 Shapes: W worlds, N particles, L layouts of the grid, M nodes.
 """
@@ -22,7 +22,7 @@ from gendom.sim.mpm.transfer import make_transfer
 from gendom.sim.mpm.types import make_types
 
 ORDERLY = 1.0
-"""How far a particle may travel, in cells, before the records are put in order anew."""
+"""Largest distance [cells] that a particle may travel before the records are sorted again."""
 
 X, V, C, PULLS, LOW = 0, 3, 6, 15, 24
 """First components of a record: position, velocity, affine velocity, pulls on the neighbours, what
@@ -31,7 +31,7 @@ rounding leaves out; then Z and G where bodies have them."""
 
 @dataclass(frozen=True)
 class Variant:
-    """What a kernel is compiled for."""
+    """Parameters for which a kernel is compiled."""
 
     real: Any
     law: str
