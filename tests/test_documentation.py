@@ -57,6 +57,7 @@ EXPENSIVE = {
     r"gendom estimate rope_red_lift.npz.*|gendom estimate wire_white_loop.npz": "real recordings; "
     "tests/estimation/test_real.py",
     r"gendom calibrate .*|gendom perceive .*": "need pictures; tests/perception/test_commands.py",
+    r"gendom view .*": "serves until it is stopped; tests/viz",
     r"gendom train .*--data REAL.*": "a placeholder",
 }
 """Complete commands in backticks that are not run, as patterns, with the reason."""
