@@ -48,6 +48,14 @@ class Supports:
     """[n, 3] 1 at lower walls, -1 at upper ones."""
 
 
+def copied(engine: Any, body: Any) -> Any:
+    """Return a copy of a body's struct that shares its arrays."""
+    twin = engine.types.Body()
+    for name in engine.types.Body.vars:
+        setattr(twin, name, getattr(body, name))
+    return twin
+
+
 class Balance:
     """Unbalanced forces and equilibria of single worlds.
 
@@ -79,13 +87,6 @@ class Balance:
         k = stiffest * e.body.stiffness.numpy()[:, :rows].max()
         self.rounding = float(2.0 * self.eps * extent * k / self.scale[..., 0].min())
         """Rounding error of residuals."""
-
-    def copied(self) -> Any:
-        """Return a copy of the body's struct that shares its arrays."""
-        body = self.engine.types.Body()
-        for name in self.engine.types.Body.vars:
-            setattr(body, name, getattr(self.body, name))
-        return body
 
     # ---- forces ----------------------------------------------------------------------------------
 

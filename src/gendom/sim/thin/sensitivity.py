@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gendom.errors import ParameterError
 from gendom.sim.thin import rotation
-from gendom.sim.thin.balance import Balance, factor
+from gendom.sim.thin.balance import Balance, copied, factor
 from gendom.sim.thin.engine import Event, put
 from gendom.sim.thin.grips import Paths, border_of_rod_adjoint, border_of_shell_adjoint
 
@@ -86,7 +86,7 @@ class Sensitivity:
         """[W, n, 3, P] derivatives of the points in the previous frame."""
         self.grips: list[dict[int, _Grip]] = [{} for _ in range(W)]
         self.slopes = e.zeros(e.body.stiffness.shape if self.P else (0, 0, 0))
-        self.sloped = balance.copied()
+        self.sloped = copied(balance.engine, balance.body)
         self.sloped.stiffness = self.slopes
 
     def switch(self, events: Sequence[Event]) -> None:

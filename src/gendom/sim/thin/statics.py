@@ -18,7 +18,7 @@ from gendom.materials import STANDARD_GRAVITY
 from gendom.sim.device import making
 from gendom.sim.equilibria import Equilibria
 from gendom.sim.thin import rotation
-from gendom.sim.thin.balance import Balance
+from gendom.sim.thin.balance import Balance, copied
 from gendom.sim.thin.engine import CFL, LOCAL_STRETCH, STRETCH, put
 from gendom.sim.thin.grips import Paths
 from gendom.sim.thin.precision import doubled, take_state
@@ -109,9 +109,7 @@ class Search:
     def _body(self) -> Any:
         """The engine's body without damping and air, with anchors for friction."""
         e = self.engine
-        body = e.types.Body()
-        for name in e.types.Body.vars:
-            setattr(body, name, getattr(e.body, name))
+        body = copied(e, e.body)
         W = e.num_worlds
         body.damping, body.velocity_damping = e.zeros(W), e.zeros(W)
         body.inertia = wp.clone(e.body.inertia)
