@@ -143,8 +143,8 @@ def make_paths(real: Any) -> SimpleNamespace:
         next_bar = wp.transpose(wp.inverse(left_jacobian(turn, one))) * turn_bar
         this_bar = wp.transpose(gone) * R_bar
         this_bar -= wp.transpose(wp.inverse(left_jacobian(turn, -one))) * turn_bar
-        turn_bars[w, g, knot] = turn_bars[w, g, knot] + this_bar
-        turn_bars[w, g, knot + 1] = turn_bars[w, g, knot + 1] + next_bar
+        wp.atomic_add(turn_bars, w, g, knot, this_bar)
+        wp.atomic_add(turn_bars, w, g, knot + 1, next_bar)
 
     @wp.func
     def pose_adjoint(
@@ -154,8 +154,8 @@ def make_paths(real: Any) -> SimpleNamespace:
         """Transpose of ``pose``; ``R_bar`` is with respect to a rotation of R in world axes."""
         knot, u = knot_before(w, g, t, paths)
         left = wp.float64(1.0) - u
-        position_bars[w, g, knot] = position_bars[w, g, knot] + left * centre_bar
-        position_bars[w, g, knot + 1] = position_bars[w, g, knot + 1] + u * centre_bar
+        wp.atomic_add(position_bars, w, g, knot, left * centre_bar)
+        wp.atomic_add(position_bars, w, g, knot + 1, u * centre_bar)
         if paths.turns[w, g] == 1:
             turn_adjoint(w, g, knot, u, R_bar, wp.vec3d(), paths, turn_bars)
 

@@ -39,11 +39,15 @@ def make_block(real: Any) -> SimpleNamespace:
     """Build the functions for one scalar type; all threads of a block must call them.
 
     Returns:
-        Namespace with ``meet``, after which every thread sees what the others have written;
+        Namespace with ``resident_at``, the address of a byte of a block's memory for particles;
+        ``meet``, after which every thread sees what the others have written;
         ``any``, whether a thread's value is not 0, which meets too; ``largest``, the largest of all
         threads' values (no NaN), which meets too, and wants another meeting before it is called
         again; ``before``, the sum of the values of the threads before this one.
     """
+
+    @wp.func_native("return gendom::resident_at(byte);")
+    def resident_at(byte: int) -> wp.uint64: ...
 
     @wp.func_native("gendom::meet();")
     def meet(): ...
@@ -54,10 +58,20 @@ def make_block(real: Any) -> SimpleNamespace:
     @wp.func_native("return gendom::largest(value);")
     def largest(value: real) -> real: ...
 
+    @wp.func_native("gendom::add_by_warp(to, i, j, value);")
+    def add_by_warp(to: wp.array2d(dtype=wp.vec3d), i: int, j: int, value: wp.vec3d): ...
+
     @wp.func_native("return gendom::sum_before(value);")
     def before(value: int) -> int: ...
 
-    return SimpleNamespace(meet=meet, any=any_of, largest=largest, before=before)
+    return SimpleNamespace(
+        resident_at=resident_at,
+        meet=meet,
+        any=any_of,
+        largest=largest,
+        before=before,
+        add_by_warp=add_by_warp,
+    )
 
 
 @functools.cache

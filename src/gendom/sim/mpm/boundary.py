@@ -68,8 +68,8 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
 
     Returns:
         Namespace with ``contact`` (of a section's mean position and velocity), ``near_table``,
-        ``guided`` and ``carried`` (a held particle), ``grasp`` (grippers that open and close) and
-        ``hold_as_at``.
+        ``follow``, ``guided`` and ``carried`` (a held particle), ``grasp`` (grippers that open and
+        close) and ``hold_as_at``.
     """
     types = make_types(real)
     vec3 = types.vec3
@@ -116,10 +116,14 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         )
 
     @wp.func
-    def spring(w: int, p: int, dt: real, matter: Matter, dx: real):
+    def modulus_of(w: int, p: int, matter: Matter):
+        """Of pressure waves [Pa]."""
+        return matter.lam[w, p] + real(2.0) * matter.mu[w, p]
+
+    @wp.func
+    def spring(w: int, modulus: real, dt: real, matter: Matter, dx: real):
         """b of a particle that is held in part, and its logarithm's slope by mu + lam / 2
         [1/Pa]."""
-        modulus = matter.lam[w, p] + real(2.0) * matter.mu[w, p]
         b = real(STIFFNESS) * dt * dt * modulus * matter.volume / (matter.mass[w] * dx * dx)
         slope = real(1.0) / modulus
         if b > real(FOLLOWS):
@@ -128,17 +132,25 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         return b, slope
 
     @wp.func
-    def carried(w: int, p: int, grip_row: int, x: vec3, b: real, dt: real, grips: Grips):
-        """Velocity that a gripper gives to a particle of its that is at x, its spin, and the
+    def follow(g: int, place: vec3, grip_row: int, x: vec3, b: real, dt: real, grips: Grips):
+        """Velocity that gripper g gives to a particle of its that is at x, its spin, and the
         derivative of that velocity by b."""
-        N = grips.held_by.shape[1]
-        g = grips.held_by[w, p] // N
         spin = grips.spin[grip_row, g]
-        arm = grips.orientation[grip_row, g] * grips.place[w, g, grips.held_by[w, p] % N]
+        arm = grips.orientation[grip_row, g] * place
         V = grips.velocity[grip_row, g] + wp.cross(spin, arm)
         # X is known where the substep ends
         behind = grips.centre[grip_row, g] + arm - dt * V - x
         return V + (b / dt) * behind, spin, behind / dt
+
+    @wp.func
+    def carried(w: int, p: int, grip_row: int, x: vec3, b: real, dt: real, grips: Grips):
+        """``follow`` of a particle that is held."""
+        N = grips.held_by.shape[1]
+        g = grips.held_by[w, p] // N
+        v, spin, by_b = follow(
+            g, grips.place[w, g, grips.held_by[w, p] % N], grip_row, x, b, dt, grips
+        )
+        return v, spin, by_b
 
     @wp.func
     def guided(
@@ -146,7 +158,7 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         grips: Grips,
     ):  # fmt: skip
         """Velocity w of a particle that is held in part, from its place and its own u."""
-        b, _slope = spring(w, p, dt, matter, dx)
+        b, _slope = spring(w, modulus_of(w, p, matter), dt, matter, dx)
         v, _spin, _by_b = carried(w, p, grip_row, x, b, dt, grips)
         return u + (real(1.0) - grips.free[w, p]) * (v - u)
 
@@ -236,8 +248,10 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         push=push,
         contact=contact,
         near_table=near_table,
+        modulus_of=modulus_of,
         spring=spring,
         carried=carried,
+        follow=follow,
         guided=guided,
         section_centre=section_centre,
         hold_on=hold_on,

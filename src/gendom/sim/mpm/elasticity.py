@@ -229,22 +229,26 @@ def make_elasticity(
         return mat33(A[0, 0], xy, xz, xy, A[1, 1], yz, xz, yz, A[2, 2])
 
     @wp.func
+    def per(spans: int):
+        """One over so many lattice spacings, 1 or 2."""
+        return wp.where(spans == 1, real(1.0), real(0.5))
+
+    @wp.func
     def air(D: mat33, v: vec3, spans: wp.vec3i, sheet: int, drag: real, dt: real):
         """Impulse of the air on a particle.
 
         ``drag`` is 1/2 rho c times the diameter for each particle of a rope's section, or times the
         particle's share of a sheet's thickness.
         """
-        first = vec3(D[0, 0], D[1, 0], D[2, 0]) / real(spans[0])
+        first = vec3(D[0, 0], D[1, 0], D[2, 0]) * per(spans[0])
         if sheet == 1:
-            second = vec3(D[0, 1], D[1, 1], D[2, 1]) / real(spans[1])
+            second = vec3(D[0, 1], D[1, 1], D[2, 1]) * per(spans[1])
             area = wp.cross(first, second)
             flow = wp.dot(v, area) / wp.length(area)
             return (-dt * drag * wp.abs(flow) * flow) * area
-        length = wp.length(first)
-        along = first / length
-        across = v - wp.dot(v, along) * along
-        return (-dt * drag * length * wp.length(across)) * across
+        square = wp.length_sq(first)
+        across = v - (wp.dot(v, first) / square) * first
+        return (-dt * drag * wp.sqrt(square * wp.length_sq(across))) * across
 
     @wp.func
     def air_adjoint(
@@ -254,10 +258,10 @@ def make_elasticity(
         D_bar = mat33()
         v_bar = vec3()
         drag_bar = real(0.0)
-        first = vec3(D[0, 0], D[1, 0], D[2, 0]) / real(spans[0])
+        first = vec3(D[0, 0], D[1, 0], D[2, 0]) * per(spans[0])
         first_bar = vec3()
         if sheet == 1:
-            second = vec3(D[0, 1], D[1, 1], D[2, 1]) / real(spans[1])
+            second = vec3(D[0, 1], D[1, 1], D[2, 1]) * per(spans[1])
             area = wp.cross(first, second)
             size = wp.length(area)
             flow = wp.dot(v, area) / size
@@ -267,25 +271,26 @@ def make_elasticity(
             area_bar = (-dt * drag * wp.abs(flow) * flow) * bar
             area_bar += (flow_bar / size) * (v - (flow / size) * area)
             first_bar = wp.cross(second, area_bar)
-            second_bar = wp.cross(area_bar, first) / real(spans[1])
+            second_bar = wp.cross(area_bar, first) * per(spans[1])
             for n in range(3):
                 D_bar[n, 1] = second_bar[n]
         else:
-            length = wp.length(first)
-            along = first / length
-            across = v - wp.dot(v, along) * along
+            square = wp.length_sq(first)
+            per_square = real(1.0) / square
+            length = wp.sqrt(square)
+            share = wp.dot(v, first) * per_square
+            across = v - share * first
             speed = wp.length(across)
             if speed > real(0.0):
                 work = wp.dot(across, bar)
                 drag_bar = -dt * length * speed * work
                 across_bar = (-dt * drag * length) * (speed * bar + (work / speed) * across)
-                inward = wp.dot(across_bar, along)
-                v_bar = across_bar - inward * along
-                along_bar = -wp.dot(v, along) * across_bar - inward * v
-                first_bar = (along_bar - wp.dot(along_bar, along) * along) / length
-                first_bar -= (dt * drag * speed * work) * along
+                inward = wp.dot(across_bar, first) * per_square
+                v_bar = across_bar - inward * first
+                first_bar = inward * (real(2.0) * share * first - v) - share * across_bar
+                first_bar -= (dt * drag * speed * work * length * per_square) * first
         for n in range(3):
-            D_bar[n, 0] = first_bar[n] / real(spans[0])
+            D_bar[n, 0] = first_bar[n] * per(spans[0])
         return D_bar, v_bar, drag_bar
 
     return SimpleNamespace(

@@ -45,24 +45,24 @@ def make_poses(real: Any) -> SimpleNamespace:
 
     @wp.func
     def pose_gripper_adjoint(
-        w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, bars: SceneBars
+        row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, bars: SceneBars
     ):
-        """Transpose of ``pose_gripper``; resets the substep's sums."""
-        moved = bars.velocity[w, g] / dt
+        """Transpose of ``pose_gripper``; resets the row's sums."""
+        moved = bars.velocity[row, g] / dt
         _here, _R, knot = pose(w, g, t, paths)
         _there, _R_end, end = pose(w, g, t + dt, paths)
         pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, bars.position, bars.turn)
         pose_adjoint(
-            w, g, t + dt, bars.centre[w, g] + moved, bars.rotation[w, g], paths, bars.position,
-            bars.turn,
+            w, g, t + dt, bars.centre[row, g] + moved, bars.rotation[row, g], paths,
+            bars.position, bars.turn,
         )  # fmt: skip
         if paths.turns[w, g] == 1:
             for k in range(knot, end + 1):
-                by_turn = (share_of(w, g, k, t, dt, paths) / dt) * bars.spin[w, g]
+                by_turn = (share_of(w, g, k, t, dt, paths) / dt) * bars.spin[row, g]
                 turn_adjoint(w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, bars.turn)
-        bars.centre[w, g] = wp.vec3d()
-        bars.rotation[w, g] = wp.vec3d()
-        bars.velocity[w, g] = wp.vec3d()
-        bars.spin[w, g] = wp.vec3d()
+        bars.centre[row, g] = wp.vec3d()
+        bars.rotation[row, g] = wp.vec3d()
+        bars.velocity[row, g] = wp.vec3d()
+        bars.spin[row, g] = wp.vec3d()
 
     return SimpleNamespace(pose_gripper=pose_gripper, pose_gripper_adjoint=pose_gripper_adjoint)

@@ -313,7 +313,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     node_velocity_adjoint = k.transfer.node_velocity_adjoint
     grasp, grasp_adjoint = boundary.grasp, boundary_adjoint.grasp_adjoint
     pose_gripper = k.paths.pose_gripper
-    close_substep = make_close_substep(real)
+    close_substep = make_closing(real).close_substep
     largest = k.largest
 
     # while, not range: with range the compiler cannot tell that indices are not negative, and
@@ -455,8 +455,13 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
 
 
 @functools.cache
-def make_close_substep(real: Any) -> Any:
-    """Build the function that adds a substep's sums to derivatives by paths and rates."""
+def make_closing(real: Any) -> SimpleNamespace:
+    """Build what adds the sums of substeps to derivatives by paths and rates.
+
+    Returns:
+        Namespace with ``close_substep``, for one, and ``close_rates``, for the rates of several
+        equally long ones.
+    """
     types = make_types(real)
     Matter, Scene, Paths, Grips = types.Matter, types.Scene, types.Paths, types.Grips
     SceneBars = types.SceneBars
@@ -464,14 +469,10 @@ def make_close_substep(real: Any) -> Any:
     branch_adjoint = make_maxwell_branch(real).branch_adjoint
 
     @wp.func
-    def close_substep(
-        w: int, grip_row: int, t: wp.float64, dt: wp.float64, age: int, matter: Matter,
-        scene: Scene, paths: Paths, grips: Grips, bars: SceneBars,
-    ):  # fmt: skip
-        """Add a substep's derivatives by gripper paths and damping rates; reset the sums."""
-        for g in range(grips.closed.shape[1]):
-            if grips.closed[grip_row, g] == 1:
-                pose_gripper_adjoint(w, g, t, dt, paths, bars)
+    def close_rates(
+        w: int, dt: wp.float64, age: int, matter: Matter, scene: Scene, bars: SceneBars
+    ):
+        """Add derivatives by damping rates; reset their sums."""
         h = real(dt)
         slope = wp.float64(-h * wp.exp(-scene.velocity_damping[w] * h))
         bars.velocity_damping[w] = bars.velocity_damping[w] + slope * bars.damping_factor[w]
@@ -483,4 +484,15 @@ def make_close_substep(real: Any) -> Any:
         bars.branch_factor[w] = wp.float64(0.0)
         bars.branch_share[w] = wp.float64(0.0)
 
-    return close_substep
+    @wp.func
+    def close_substep(
+        w: int, grip_row: int, t: wp.float64, dt: wp.float64, age: int, matter: Matter,
+        scene: Scene, paths: Paths, grips: Grips, bars: SceneBars,
+    ):  # fmt: skip
+        """Add a substep's derivatives by gripper paths and damping rates; reset the sums."""
+        for g in range(grips.closed.shape[1]):
+            if grips.closed[grip_row, g] == 1:
+                pose_gripper_adjoint(grip_row, w, g, t, dt, paths, bars)
+        close_rates(w, dt, age, matter, scene, bars)
+
+    return SimpleNamespace(close_substep=close_substep, close_rates=close_rates)

@@ -38,7 +38,8 @@ def make_bspline(real: Any) -> SimpleNamespace:
     Returns:
         Namespace with ``sums``, the matrix of coefficients; ``scatter``, ``gather`` and
         ``gather_with_slope``; ``collect`` and ``hand_over``, which add to a ``window`` of 27 nodes,
-        and what is left behind of it to the grid; ``get_node`` and ``put_node``, whole on CUDA; and
+        and what is left behind of it to the grid; ``get_node`` and ``put_node``, whole on CUDA;
+        ``row_at``, the address of a row; and
         for the CPU ``clear`` and ``normalise`` of all nodes.
     """
     types = make_types(real)
@@ -84,6 +85,9 @@ def make_bspline(real: Any) -> SimpleNamespace:
     @wp.func_native("gendom::put_node(grid, row, n, h);")
     def put_node(grid: nodes, row: int, n: int, h: vec4): ...
 
+    @wp.func_native("return (wp::uint64)&wp::index(grid, row, 0);")
+    def row_at(grid: nodes, row: int) -> wp.uint64: ...
+
     cpu_only = "\n#if !defined(__CUDA_ARCH__)\n{}\n#endif\n"
 
     @wp.func_native(cpu_only.format("gendom::clear(grid, row, count);"))
@@ -106,6 +110,7 @@ def make_bspline(real: Any) -> SimpleNamespace:
         hand_over=hand_over,
         get_node=get_node,
         put_node=put_node,
+        row_at=row_at,
         clear=clear,
         normalise=normalise,
     )

@@ -160,11 +160,12 @@ def make_types(real: Any) -> Types:
         radius: wp.array2d(dtype=wp.float64)  # [W, G]
         weight: wp.array3d(dtype=real)  # [W, G, N]
         place: wp.array3d(dtype=vec3)  # [W, G, N]
-        # of one substep
-        centre: wp.array2d(dtype=wp.vec3d)  # [W, G]
+        # by the poses of ``Grips``, row by row, until they are closed
+        centre: wp.array2d(dtype=wp.vec3d)  # [rows, G]
         rotation: wp.array2d(dtype=wp.vec3d)
         velocity: wp.array2d(dtype=wp.vec3d)
         spin: wp.array2d(dtype=wp.vec3d)
+        # of substeps until they are closed
         damping_factor: wp.array(dtype=wp.float64)  # [W] share of velocity that damping leaves
         branch_factor: wp.array(dtype=wp.float64)  # [W] share of Z that stays
         branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``elasticity``

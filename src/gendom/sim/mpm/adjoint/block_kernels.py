@@ -35,8 +35,9 @@ from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import Particles
 from gendom.sim.mpm.poses import make_poses
 from gendom.sim.mpm.runners.block_kernels import AHEAD
+from gendom.sim.mpm.runners.held import make_held
 from gendom.sim.mpm.runners.records import C, V, Variant, X, make_tape
-from gendom.sim.mpm.step import NOT_FINITE, OK, make_close_substep
+from gendom.sim.mpm.step import NOT_FINITE, OK, make_closing
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
 
@@ -120,12 +121,16 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
     bar_records = make_bar_records(real, resident=variant.room > 0)
     Tape, BarRecords = recorded.Struct, bar_records.Struct
     boundary = make_boundary_adjoint(real, recorded, bar_records)
-    contact_adjoint, guided_adjoint = boundary.contact_adjoint, boundary.guided_adjoint
-    carried_adjoint, turned_adjoint = boundary.carried_adjoint, boundary.turned_adjoint
-    contact, guided = make_boundary(real, recorded).contact, make_boundary(real, recorded).guided
+    contact_adjoint, led_adjoint = boundary.contact_adjoint, boundary.led_adjoint
+    follow_adjoint, turned_adjoint = boundary.follow_adjoint, boundary.turned_adjoint
+    wide = boundary.wide
+    forward = make_boundary(real, recorded)
+    contact, spring, follow = forward.contact, forward.spring, forward.follow
+    Held, list_held = make_held(real).Held, make_held(real).list_held
     grasp_adjoint = boundary.grasp_adjoint
-    pose_gripper = make_poses(real).pose_gripper
-    close_substep = make_close_substep(real)
+    poses = make_poses(real)
+    pose_gripper, pose_gripper_adjoint = poses.pose_gripper, poses.pose_gripper_adjoint
+    close_rates = make_closing(real).close_rates
     kept = make_store(real, resident=False)
     bar = make_store(real, resident=variant.room > 0)
     get, put = bar.get, bar.put
@@ -134,7 +139,8 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
     bar_differences, pulled = bar.differences, bar.pulled
     vector, matrix, symmetric = kept.vector, kept.matrix, kept.symmetric
     differences = kept.differences
-    meet = make_block(real).meet
+    block = make_block(real)
+    meet, any_of, add_by_warp = block.meet, block.any, block.add_by_warp
     COMPONENTS, Z, G = map(wp.constant, (variant.components, variant.Z, variant.G))
     TAPED_Z, TAPED_G = wp.constant(18), wp.constant(18 + 6 * variant.damped)
     damped, plastic = wp.constant(int(variant.damped)), wp.constant(int(variant.yields))
@@ -168,6 +174,102 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
         share = real(1.0) / real(size)
         return share * x, (share / mass) * q
 
+    @wp.func
+    def carry_adjoint(
+        w: int, lane: int, lanes: int, holding: int, grip_row: int, h: real, grips: Grips,
+        records: BarRecords, held: Held, bars: SceneBars,
+    ):  # fmt: skip
+        """Derivatives by x and by grippers of what they hold firmly."""
+        for g in range(grips.closed.shape[1]):
+            centre = wp.vec3d()
+            velocity = wp.vec3d()
+            spin = wp.vec3d()
+            rotation = wp.vec3d()
+            for n in range(lane, holding, lanes):
+                if held.gripper[w, n] == g and held.share[w, n] == real(0.0):
+                    i = held.record[w, n]
+                    x_bar = bar_vector(records.of, w, X, i)
+                    centre_bar, V_bar, spin_bar, R_bar = follow_adjoint(
+                        w, g, held.number[w, n], grip_row, real(FOLLOWS), h,
+                        bar_vector(records.of, w, V, i) + h * x_bar,
+                        turned_adjoint(bar_matrix(records.of, w, C, i)), grips, bars,
+                    )  # fmt: skip
+                    put_vector(records.of, w, X, i, x_bar - centre_bar)
+                    centre += wide(centre_bar)
+                    velocity += wide(V_bar)
+                    spin += wide(spin_bar)
+                    rotation += wide(R_bar)
+            add_by_warp(bars.centre, grip_row, g, centre)
+            add_by_warp(bars.velocity, grip_row, g, velocity)
+            add_by_warp(bars.spin, grip_row, g, spin)
+            add_by_warp(bars.rotation, grip_row, g, rotation)
+
+    @wp.func
+    def lead_adjoint(
+        w: int, lane: int, lanes: int, holding: int, grip_row: int, slot: int, layout: int,
+        h: real, matter: Matter, scene: Scene, grips: Grips, tape: Tape, touches: int,
+        touched: wp.array2d(dtype=vec3), records: BarRecords, held: Held, bars: SceneBars,
+    ):  # fmt: skip
+        """The same of what they hold in part, and by mass and moduli.
+
+        Derivatives by u are known, those by the velocity that a particle is given follow.
+        """
+        for g in range(grips.closed.shape[1]):
+            centre = wp.vec3d()
+            velocity = wp.vec3d()
+            spin = wp.vec3d()
+            rotation = wp.vec3d()
+            for n in range(lane, holding, lanes):
+                share = held.share[w, n]
+                if held.gripper[w, n] == g and share > real(0.0):
+                    i = held.record[w, n]
+                    u = vector(tape.of, slot, 15, i) / matter.mass[w]
+                    if touches == 1:
+                        u += touched[w, tape.order[layout, i] // matter.section]
+                    by_lam, by_mass, centre_bar, V_bar, spin_bar, R_bar = led_adjoint(
+                        w, g, held.number[w, n], held.modulus[w, n], real(1.0) - share, grip_row,
+                        vector(tape.of, slot, 0, i), u, h, scene.dx, matter,
+                        bar_vector(records.of, w, V, i) / share, grips, bars,
+                    )  # fmt: skip
+                    x_bar = bar_vector(records.of, w, X, i)
+                    put_vector(records.of, w, X, i, x_bar - centre_bar)
+                    records.sums[w, _LAM, i] = records.sums[w, _LAM, i] + by_lam
+                    records.sums[w, _MU, i] = records.sums[w, _MU, i] + real(2.0) * by_lam
+                    records.sums[w, _MASS, i] = records.sums[w, _MASS, i] + by_mass
+                    centre += wide(centre_bar)
+                    velocity += wide(V_bar)
+                    spin += wide(spin_bar)
+                    rotation += wide(R_bar)
+            add_by_warp(bars.centre, grip_row, g, centre)
+            add_by_warp(bars.velocity, grip_row, g, velocity)
+            add_by_warp(bars.spin, grip_row, g, spin)
+            add_by_warp(bars.rotation, grip_row, g, rotation)
+
+    @wp.func
+    def pose_ahead(
+        w: int, lane: int, lanes: int, first: int, count: int, t: wp.float64, dt: wp.float64,
+        paths: Paths, grips: Grips,
+    ):  # fmt: skip
+        """Poses of grippers in ``count`` substeps, side by side; ``first`` begins at t."""
+        grippers = grips.closed.shape[1]
+        for n in range(lane, count * grippers, lanes):
+            ahead = n // grippers
+            at = t + wp.float64(first + ahead) * dt
+            pose_gripper(w * AHEAD + ahead, w, n % grippers, at, dt, paths, grips)
+
+    @wp.func
+    def close_poses(
+        w: int, lane: int, lanes: int, first: int, count: int, t: wp.float64, dt: wp.float64,
+        paths: Paths, grips: Grips, bars: SceneBars,
+    ):  # fmt: skip
+        """Transpose of ``pose_ahead``."""
+        grippers = grips.closed.shape[1]
+        for n in range(lane, count * grippers, lanes):
+            row = w * AHEAD + n // grippers
+            if grips.closed[row, n % grippers] == 1:
+                at = t + wp.float64(first + n // grippers) * dt
+                pose_gripper_adjoint(row, w, n % grippers, at, dt, paths, bars)
+
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds(variant.lanes))
     def reverse(
         order: wp.array(dtype=wp.int32),  # world of each block
@@ -187,6 +289,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
         nodes_bar: wp.array2d(dtype=vec4),  # [W, M]
         touched: wp.array2d(dtype=vec3),  # [W, sections]
         records: BarRecords,
+        held: Held,
         # by the state: after the tape on entry, before it on return
         bars: MatterBars,
         scene_bars: SceneBars,
@@ -202,18 +305,20 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
         of, sums, spare = records.of, records.sums, records.spare
         W = clock.dt.shape[0]
         N = bars.x.shape[1]
+        # of the records that this lane gives to the grid
+        begin = lane * N // lanes
+        end = (lane + 1) * N // lanes
         grippers = grips.closed.shape[1]
         inv_dx = real(1.0) / scene.dx
         dt = clock.dt[w]
         h = real(dt)
         factor = wp.exp(-scene.velocity_damping[w] * h)
         mass = matter.mass[w]
+        per_mass = real(1.0) / mass
         drag = matter.drag[w]
         gravity = scene.gravity[w]
         touches = wp.max(scene.table, scene.walls)
-        grip_row = w * AHEAD
-        slot = int((slots - 1) * W + w)
-        layout = tape.layout_of[slot]
+        layout = int(tape.layout_of[(slots - 1) * W + w])
         for i in range(lane, N, lanes):
             p = tape.order[layout, i]
             put_vector(of, w, X, i, bars.x[w, p])
@@ -227,8 +332,13 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
             for c in range(SUMS):
                 sums[w, c, i] = real(0.0)
         find_neighbours(w, lane, lanes, layout, matter, tape, records)
-        meet()
-        while slot >= 0:
+        holding = int(list_held(w, lane, lanes, tape.order, layout, matter, grips, held))
+        began = time + wp.float64(clock.step[w]) * dt
+        gone = int(slots - 1)
+        posed = int(slots)  # the substep from which on poses are known, and how many of them
+        count = int(0)
+        while gone >= 0:
+            slot = gone * W + w
             if tape.layout_of[slot] != layout:
                 earlier = tape.layout_of[slot]
                 for i in range(lane, N, lanes):
@@ -245,13 +355,27 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     for c in range(SUMS):
                         sums[w, c, i] = spare[w, COMPONENTS + c, i]
                 find_neighbours(w, lane, lanes, layout, matter, tape, records)
-                meet()
+                holding = list_held(w, lane, lanes, tape.order, layout, matter, grips, held)
             nodes = grid.count[layout]
-            gone = (slot - w) // W
-            t = time + wp.float64(clock.step[w] + gone) * dt
             age = clock.age[w] + gone
-            for g in range(lane, grippers, lanes):
-                pose_gripper(grip_row, w, g, t, dt, paths, grips)
+            if grippers > 0 and gone < posed:
+                # poses of many substeps at once
+                close_poses(w, lane, lanes, posed, count, began, dt, paths, grips, scene_bars)
+                meet()
+                posed = wp.max(0, gone - AHEAD + 1)
+                count = gone + 1 - posed
+                pose_ahead(w, lane, lanes, posed, count, began, dt, paths, grips)
+                meet()
+            grip_row = w * AHEAD + gone - posed
+            for n in range(lane, holding, lanes):
+                if held.share[w, n] > real(0.0):
+                    i = held.record[w, n]
+                    x = vector(tape.of, slot, 0, i)
+                    b, _slope = spring(w, held.modulus[w, n], h, matter, scene.dx)
+                    v, _spin, _by_b = follow(
+                        held.gripper[w, n], held.place[w, n], grip_row, x, b, h, grips
+                    )
+                    held.led[w, i] = v
             if touches == 1:
                 for s in range(lane, N // matter.section, lanes):
                     x, u = section_motion(s, slot, mass, matter, tape)
@@ -269,37 +393,33 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                 put_node(velocity, w, n, node_velocity(q, factor))
             meet()
             window = window_type()
-            held = wp.vec3i(-1, -1, -1)
-            for i in range(lane * N // lanes, (lane + 1) * N // lanes):
-                free = real(1.0)
-                if grippers > 0:
-                    free = grips.free[w, tape.order[layout, i]]
-                if free > real(0.0):
-                    x_bar = bar_vector(of, w, X, i)
-                    node, f, taken = taken_by(
-                        vector(tape.of, slot, 0, i), bar_vector(of, w, V, i) + h * x_bar,
-                        bar_matrix(of, w, C, i), layout, inv_dx, grid,
-                    )  # fmt: skip
-                    window = hand_over(window, held, node, nodes_bar, w, grid.start, layout)
-                    window = collect(window, f, taken)
-                    held = node
-            hand_over(window, held, wp.vec3i(-1, -1, -1), nodes_bar, w, grid.start, layout)
+            window_at = wp.vec3i(-1, -1, -1)
+            for i in range(begin, end):
+                if held.free[w, i] == real(0.0):
+                    continue
+                x_bar = bar_vector(of, w, X, i)
+                node, f, taken = taken_by(
+                    vector(tape.of, slot, 0, i), bar_vector(of, w, V, i) + h * x_bar,
+                    bar_matrix(of, w, C, i), layout, inv_dx, grid,
+                )  # fmt: skip
+                window = hand_over(window, window_at, node, nodes_bar, w, grid.start, layout)
+                window = collect(window, f, taken)
+                window_at = node
+            hand_over(window, window_at, wp.vec3i(-1, -1, -1), nodes_bar, w, grid.start, layout)
             meet()
             for i in range(lane, N, lanes):
-                p = tape.order[layout, i]
+                if held.free[w, i] == real(0.0):
+                    continue
                 x_bar = bar_vector(of, w, X, i)
-                v_bar = bar_vector(of, w, V, i) + h * x_bar
-                C_bar = bar_matrix(of, w, C, i)
-                if grippers == 0 or grips.free[w, p] > real(0.0):
-                    x_bar += g2p_adjoint(
-                        vector(tape.of, slot, 0, i), v_bar, C_bar, layout, w, inv_dx, grid, velocity
-                    )
-                else:
-                    x_bar += carried_adjoint(
-                        w, p, grip_row, real(FOLLOWS), h, v_bar, turned_adjoint(C_bar), grips,
-                        scene_bars,
-                    )  # fmt: skip
+                x_bar += g2p_adjoint(
+                    vector(tape.of, slot, 0, i), bar_vector(of, w, V, i) + h * x_bar,
+                    bar_matrix(of, w, C, i), layout, w, inv_dx, grid, velocity,
+                )  # fmt: skip
                 put_vector(of, w, X, i, x_bar)
+            if holding > 0:
+                carry_adjoint(
+                    w, lane, lanes, holding, grip_row, h, grips, records, held, scene_bars
+                )
             factor_sum = wp.float64(0.0)
             for n in range(lane, nodes, lanes):
                 node_bar, factor_bar = node_velocity_adjoint(
@@ -312,9 +432,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
             meet()
             for i in range(lane, N, lanes):
                 p = tape.order[layout, i]
-                free = real(1.0)
-                if grippers > 0:
-                    free = grips.free[w, p]
+                free = held.free[w, i]
                 x_bar = vec3()
                 q_bar = vec3()
                 C_bar = mat33()
@@ -322,30 +440,22 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                 u_bar = vec3()
                 if free > real(0.0):
                     x = vector(tape.of, slot, 0, i)
-                    own = vector(tape.of, slot, 15, i) / mass
+                    own = per_mass * vector(tape.of, slot, 15, i)
                     u = own
                     if touches == 1:
                         u += touched[w, p // matter.section]
                     v = u
                     if free < real(1.0):
-                        v = guided(w, p, grip_row, x, u, h, scene.dx, matter, grips)
+                        v += (real(1.0) - free) * (held.led[w, i] - u)
                     x_bar, q_bar, C_bar, mass_bar = p2g_adjoint(
                         x, mass * v, matrix(tape.of, slot, 6, i), mass, layout, w, inv_dx, grid,
                         nodes_bar,
                     )  # fmt: skip
                     u_bar = mass * q_bar
                     mass_bar += wp.dot(q_bar, v)
-                    if free < real(1.0):
-                        by_x, by_u, lam_bar_grip, by_mass = guided_adjoint(
-                            w, p, grip_row, x, u, h, scene.dx, matter, u_bar, grips, scene_bars
-                        )
-                        x_bar += by_x
-                        mass_bar += by_mass
-                        sums[w, _LAM, i] = sums[w, _LAM, i] + lam_bar_grip
-                        sums[w, _MU, i] = sums[w, _MU, i] + real(2.0) * lam_bar_grip
-                        u_bar = by_u
+                    u_bar = free * u_bar
                     # its own velocity is momentum over mass
-                    mass_bar -= wp.dot(u_bar, own) / mass
+                    mass_bar -= per_mass * wp.dot(u_bar, own)
                 put_vector(of, w, X, i, bar_vector(of, w, X, i) + x_bar)
                 put_vector(of, w, V, i, u_bar)
                 put_matrix(of, w, C, i, C_bar)
@@ -358,6 +468,12 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     trouble.failed_particle[w] = p
                     trouble.slot[w] = gone
             meet()
+            if holding > 0:
+                lead_adjoint(
+                    w, lane, lanes, holding, grip_row, slot, layout, h, matter, scene, grips, tape,
+                    touches, touched, records, held, scene_bars,
+                )  # fmt: skip
+                meet()
             if touches == 1:
                 for s in range(lane, N // matter.section, lanes):
                     if wp.length_sq(touched[w, s]) > real(0.0):
@@ -397,7 +513,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     inverse_plastic = matrix(tape.of, slot, TAPED_G, i)
                     G_bar = bar_matrix(of, w, G, i)
                 # a pull draws one neighbour forth and the other back
-                pull_bar = (real(-1.0) / mass) * bar_differences(of, w, V, near)
+                pull_bar = -per_mass * bar_differences(of, w, V, near)
                 D_bar, mu_bar, lam_bar, yield_bar, keep_bar, share_bar, Z_before, G_before = (
                     pull_adjoint(
                         D, matter.rest_frame[p], matter.mu[w, p], matter.lam[w, p],
@@ -409,7 +525,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                 if drag > real(0.0):
                     by_air, wind_bar, drag_bar = air_adjoint(
                         D, vector(tape.of, slot, 3, i), spans_of(near, i), matter.sheet, drag, h,
-                        bar_vector(of, w, V, i) / mass,
+                        per_mass * bar_vector(of, w, V, i),
                     )  # fmt: skip
                     D_bar += by_air
                     wind = wind_bar
@@ -425,7 +541,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                 if plastic == 1:
                     put_matrix(of, w, G, i, G_before)
                     sums[w, _YIELD, i] = sums[w, _YIELD, i] + yield_bar
-            if damped == 1 and share > real(0.0):
+            if damped == 1 and age > 0:
                 wp.atomic_add(scene_bars.branch_factor, w, keep_sum)
                 wp.atomic_add(scene_bars.branch_share, w, share_sum)
             meet()
@@ -436,7 +552,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                 v_bar = bar_vector(of, w, V, i)
                 gravity_sum += h * v_bar
                 speed = vector(tape.of, slot, 3, i) + h * gravity
-                sums[w, _MASS, i] = sums[w, _MASS, i] + wp.dot(v_bar, speed) / mass
+                sums[w, _MASS, i] = sums[w, _MASS, i] + per_mass * wp.dot(v_bar, speed)
                 v_bar += bar_vector(of, w, WIND, i)
                 put_vector(of, w, V, i, v_bar)
             wp.atomic_add(
@@ -447,14 +563,21 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                 ),
             )  # fmt: skip
             meet()
-            if lane == 0:
-                close_substep(w, grip_row, t, dt, age, matter, scene, paths, grips, scene_bars)
-                if grippers > 0:
+            grasped = int(0)
+            for g in range(grippers):
+                if grips.until[w, g] == age or grips.since[w, g] == age:
+                    grasped = 1
+            if any_of(grasped) == 1:
+                if lane == 0:
+                    t = began + wp.float64(gone) * dt
                     grasp_adjoint(
                         w, t, age, slot, matter, scene, paths, grips, tape, records, scene_bars
                     )
-            meet()
-            slot -= W
+                holding = list_held(w, lane, lanes, tape.order, layout, matter, grips, held)
+            gone -= 1
+        close_poses(w, lane, lanes, posed, count, began, dt, paths, grips, scene_bars)
+        if lane == 0:
+            close_rates(w, dt, int(1), matter, scene, scene_bars)
         for i in range(lane, N, lanes):
             p = tape.order[layout, i]
             bars.x[w, p] = bar_vector(of, w, X, i)

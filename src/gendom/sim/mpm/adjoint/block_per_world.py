@@ -121,7 +121,7 @@ class BlockTape(BatchTape):
             blocks.launch_block(make_block_reverse(variant).reverse, order, [
                 segment.time, segment.until, segment.clock, s.matter, s.scene, s.paths, s.grips,
                 grid.layouts, grid.momentum, recording.tape, velocity, nodes_bar, s.touched,
-                self._bars, sums.matter, sums.scene, sums.trouble,
+                self._bars, blocks.held, sums.matter, sums.scene, sums.trouble,
             ])  # fmt: skip
         segment.recording = None
 

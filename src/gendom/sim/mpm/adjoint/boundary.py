@@ -58,7 +58,8 @@ def make_boundary_adjoint(
         particle_bars: How the derivatives by them are.
 
     Returns:
-        Namespace with ``contact_adjoint`` (of a section's mean motion), ``carried_adjoint``,
+        Namespace with ``wide`` (to float64), ``contact_adjoint`` (of a section's mean motion),
+        ``follow_adjoint``, ``led_adjoint``, ``carried_adjoint``,
         ``turned_adjoint`` and ``guided_adjoint`` (of a held particle) and ``grasp_adjoint``.
     """
     types = make_types(real)
@@ -70,7 +71,7 @@ def make_boundary_adjoint(
     x_bar_of, put_x_bar = particle_bars.x, particle_bars.put_x
     boundary = make_boundary(real, particles)
     push, section_centre, hold_on = boundary.push, boundary.section_centre, boundary.hold_on
-    carried, spring = boundary.carried, boundary.spring
+    follow, spring, modulus_of = boundary.follow, boundary.spring, boundary.modulus_of
     paths_of = make_paths(real)
     pose, pose_adjoint = paths_of.pose, paths_of.pose_adjoint
     narrow, narrow_matrix = paths_of.narrow, paths_of.narrow_matrix
@@ -119,6 +120,35 @@ def make_boundary_adjoint(
         return x_bar, u_bar
 
     @wp.func
+    def follow_adjoint(
+        w: int, g: int, n: int, grip_row: int, b: real, dt: real, v_bar: vec3, spin_bar: vec3,
+        grips: Grips, scene_bars: SceneBars,
+    ):  # fmt: skip
+        """Transpose of ``follow`` for the n-th particle of gripper g.
+
+        Returns derivatives by the gripper's centre (less those by x), velocity, spin and rotation.
+        """
+        arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
+        centre_bar = (b / dt) * v_bar
+        V_bar = (real(1.0) - b) * v_bar
+        arm_bar = centre_bar + wp.cross(V_bar, grips.spin[grip_row, g])
+        scene_bars.place[w, g, n] = (
+            scene_bars.place[w, g, n] + wp.transpose(grips.orientation[grip_row, g]) * arm_bar
+        )
+        return centre_bar, V_bar, spin_bar + wp.cross(arm, V_bar), wp.cross(arm, arm_bar)
+
+    @wp.func
+    def add_to_pose(
+        grip_row: int, g: int, centre_bar: vec3, V_bar: vec3, spin_bar: vec3, R_bar: vec3,
+        scene_bars: SceneBars,
+    ):  # fmt: skip
+        """Add a particle's derivatives by its gripper's pose."""
+        wp.atomic_add(scene_bars.centre, grip_row, g, wide(centre_bar))
+        wp.atomic_add(scene_bars.velocity, grip_row, g, wide(V_bar))
+        wp.atomic_add(scene_bars.spin, grip_row, g, wide(spin_bar))
+        wp.atomic_add(scene_bars.rotation, grip_row, g, wide(R_bar))
+
+    @wp.func
     def carried_adjoint(
         w: int, p: int, grip_row: int, b: real, dt: real, v_bar: vec3, spin_bar: vec3,
         grips: Grips, scene_bars: SceneBars,
@@ -127,23 +157,37 @@ def make_boundary_adjoint(
         N = grips.held_by.shape[1]
         g = grips.held_by[w, p] // N
         n = grips.held_by[w, p] % N
-        arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
-        place_bar = (b / dt) * v_bar
-        V_bar = (real(1.0) - b) * v_bar
-        arm_bar = place_bar + wp.cross(V_bar, grips.spin[grip_row, g])
-        wp.atomic_add(scene_bars.centre, w, g, wide(place_bar))
-        wp.atomic_add(scene_bars.velocity, w, g, wide(V_bar))
-        wp.atomic_add(scene_bars.spin, w, g, wide(spin_bar + wp.cross(arm, V_bar)))
-        wp.atomic_add(scene_bars.rotation, w, g, wide(wp.cross(arm, arm_bar)))
-        scene_bars.place[w, g, n] = (
-            scene_bars.place[w, g, n] + wp.transpose(grips.orientation[grip_row, g]) * arm_bar
+        centre_bar, V_bar, by_spin, R_bar = follow_adjoint(
+            w, g, n, grip_row, b, dt, v_bar, spin_bar, grips, scene_bars
         )
-        return -place_bar
+        add_to_pose(grip_row, g, centre_bar, V_bar, by_spin, R_bar, scene_bars)
+        return -centre_bar
 
     @wp.func
     def turned_adjoint(C_bar: mat33):
         """Derivative by a spin from that by its matrix."""
         return vec3(C_bar[2, 1] - C_bar[1, 2], C_bar[0, 2] - C_bar[2, 0], C_bar[1, 0] - C_bar[0, 1])
+
+    @wp.func
+    def led_adjoint(
+        w: int, g: int, n: int, modulus: real, f: real, grip_row: int, x: vec3, u: vec3, dt: real,
+        dx: real, matter: Matter, w_bar: vec3, grips: Grips, scene_bars: SceneBars,
+    ):  # fmt: skip
+        """Of the velocity w that the n-th particle of gripper g, held with weight f, is given.
+
+        Returns derivatives by lam and mass, and those of ``follow_adjoint``.
+        """
+        b, slope = spring(w, modulus, dt, matter, dx)
+        v, _spin, by_b = follow(g, grips.place[w, g, n], grip_row, x, b, dt, grips)
+        b_bar = f * wp.dot(w_bar, by_b)
+        mass_bar = real(0.0)
+        if slope > real(0.0):
+            mass_bar = -b_bar * b / matter.mass[w]
+        scene_bars.weight[w, g, n] = scene_bars.weight[w, g, n] + wp.dot(w_bar, v - u)
+        centre_bar, V_bar, spin_bar, R_bar = follow_adjoint(
+            w, g, n, grip_row, b, dt, f * w_bar, vec3(), grips, scene_bars
+        )
+        return b_bar * b * slope, mass_bar, centre_bar, V_bar, spin_bar, R_bar
 
     @wp.func
     def guided_adjoint(
@@ -154,17 +198,13 @@ def make_boundary_adjoint(
         and by the particle's mass."""
         N = grips.held_by.shape[1]
         g = grips.held_by[w, p] // N
-        n = grips.held_by[w, p] % N
         f = real(1.0) - grips.free[w, p]
-        b, slope = spring(w, p, dt, matter, dx)
-        v, _spin, by_b = carried(w, p, grip_row, x, b, dt, grips)
-        b_bar = f * wp.dot(w_bar, by_b)
-        mass_bar = real(0.0)
-        if slope > real(0.0):
-            mass_bar = -b_bar * b / matter.mass[w]
-        scene_bars.weight[w, g, n] = scene_bars.weight[w, g, n] + wp.dot(w_bar, v - u)
-        x_bar = carried_adjoint(w, p, grip_row, b, dt, f * w_bar, vec3(), grips, scene_bars)
-        return x_bar, (real(1.0) - f) * w_bar, b_bar * b * slope, mass_bar
+        by_lam, by_mass, centre_bar, V_bar, spin_bar, R_bar = led_adjoint(
+            w, g, grips.held_by[w, p] % N, modulus_of(w, p, matter), f, grip_row, x, u, dt, dx,
+            matter, w_bar, grips, scene_bars,
+        )  # fmt: skip
+        add_to_pose(grip_row, g, centre_bar, V_bar, spin_bar, R_bar, scene_bars)
+        return -centre_bar, (real(1.0) - f) * w_bar, by_lam, by_mass
 
     @wp.func
     def attach_adjoint(
@@ -215,6 +255,9 @@ def make_boundary_adjoint(
 
     return SimpleNamespace(
         contact_adjoint=contact_adjoint,
+        wide=wide,
+        follow_adjoint=follow_adjoint,
+        led_adjoint=led_adjoint,
         carried_adjoint=carried_adjoint,
         turned_adjoint=turned_adjoint,
         guided_adjoint=guided_adjoint,

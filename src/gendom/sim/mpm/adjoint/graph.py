@@ -21,7 +21,7 @@ from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.model import CLOCK
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.runners.graph import SUBSTEPS_A_GRAPH, YIELDS, Batch
-from gendom.sim.mpm.step import NOT_FINITE, OK, make_close_substep, make_stages
+from gendom.sim.mpm.step import NOT_FINITE, OK, make_closing, make_stages
 
 _LAYOUT = ("bounds", "low", "high", "start", "count")
 _POSES = ("closed", "centre", "orientation", "velocity", "spin")
@@ -54,7 +54,7 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     scatter_adjoint, move_adjoint = k.scatter_adjoint, k.move_adjoint
     touch_section, touch_adjoint, momentum_adjoint = k.touch, k.touch_adjoint, k.momentum_adjoint
     grasp_adjoint = k.boundary_adjoint.grasp_adjoint
-    close_substep = make_close_substep(real)
+    close_substep = make_closing(real).close_substep
     largest = k.largest
     plastic = wp.constant(int(yields))
 

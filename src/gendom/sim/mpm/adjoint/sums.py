@@ -65,7 +65,7 @@ class Sums:
         self.scene.weight = worlds.zeros((W, G, N), types.real)
         self.scene.place = worlds.zeros((W, G, N), types.vec3)
         for name in ("centre", "rotation", "velocity", "spin"):
-            setattr(self.scene, name, worlds.zeros((W, G), wp.vec3d))
+            setattr(self.scene, name, worlds.zeros(worlds.grips.closed.shape, wp.vec3d))
         self.trouble = Trouble()
         for name in ("status", "slot", "failed_particle"):
             setattr(self.trouble, name, worlds.zeros(W, wp.int32))

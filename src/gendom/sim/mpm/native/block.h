@@ -17,6 +17,17 @@ template <typename real> CUDA_CALLABLE inline real largest(real value) {
     return value;
 }
 
+// Add the sum of a warp's values to an array's element; all its threads must call it.
+CUDA_CALLABLE inline void add_by_warp(const wp::array_t<wp::vec3d>& to, int i, int j, wp::vec3d value) {
+#if defined(__CUDA_ARCH__)
+    for (int by = 16; by > 0; by /= 2)
+        for (int c = 0; c < 3; ++c) value[c] += __shfl_xor_sync(0xffffffffu, value[c], by);
+    if (threadIdx.x % 32 == 0) wp::atomic_add(to, i, j, value);
+#else
+    wp::atomic_add(to, i, j, value);
+#endif
+}
+
 // The sum of the values of the threads before this one.
 CUDA_CALLABLE inline int sum_before(int value) {
 #if defined(__CUDA_ARCH__)
@@ -46,6 +57,16 @@ CUDA_CALLABLE inline real& resident(const wp::array_t<real>& of, int row, int c,
     return ((real*)gendom_shared)[c * of.shape[2] + i];
 #else
     return wp::index(of, row, c, i);
+#endif
+}
+
+// Where a byte of that memory is.
+CUDA_CALLABLE inline wp::uint64 resident_at(int byte) {
+#if defined(__CUDA_ARCH__)
+    extern __shared__ __align__(16) unsigned char gendom_shared[];
+    return (wp::uint64)(gendom_shared + byte);
+#else
+    return 0;
 #endif
 }
 

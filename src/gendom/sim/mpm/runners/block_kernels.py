@@ -32,6 +32,7 @@ from gendom.sim.mpm.elasticity import make_elasticity, make_maxwell_branch
 from gendom.sim.mpm.grid import MARGIN, SparseGrid, make_rebuild_world
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.poses import make_poses
+from gendom.sim.mpm.runners.held import make_held
 from gendom.sim.mpm.runners.records import (
     LOW,
     ORDERLY,
@@ -69,7 +70,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     branch = make_maxwell_branch(real).branch
     bspline, transfer = make_bspline(real), make_transfer(real)
     window_type, collect, hand_over = bspline.window, bspline.collect, bspline.hand_over
-    get_node, put_node = bspline.get_node, bspline.put_node
+    get_node, put_node, row_at = bspline.get_node, bspline.put_node, bspline.row_at
     given_by, g2p = transfer.given_by, transfer.g2p
     node_velocity = transfer.node_velocity
     records_of = make_records(real, resident=variant.room > 0)
@@ -78,7 +79,9 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     load, unload, put_in_order = access.load, access.unload, access.put_in_order
     rebuild = make_rebuild_world(real, records_of)
     boundary, paths_of = make_boundary(real, records_of), make_poses(real)
-    grasp, guided, carried = boundary.grasp, boundary.guided, boundary.carried
+    grasp, follow = boundary.grasp, boundary.follow
+    spring = boundary.spring
+    Held, list_held = make_held(real).Held, make_held(real).list_held
     contact, near_table = boundary.contact, boundary.near_table
     pose_gripper = paths_of.pose_gripper
     store = make_store(real, resident=variant.room > 0)
@@ -96,6 +99,9 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     compensated_sum = make_compensated_sum(real)
     block = make_block(real)
     meet, any_of, largest = block.meet, block.any, block.largest
+    resident_at = block.resident_at
+    number = wp.constant(4 if real == wp.float32 else 8)
+    before_nodes = wp.constant(variant.components)
     Z, G = map(wp.constant, (variant.Z, variant.G))
     TAPED_Z, TAPED_G = wp.constant(18), wp.constant(18 + 6 * variant.damped)
     damped, plastic = wp.constant(int(variant.damped)), wp.constant(int(variant.yields))
@@ -122,11 +128,6 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         return soon
 
     @wp.func
-    def take_free(w: int, lane: int, lanes: int, grips: Grips, records: Records):
-        for i in range(lane, records.free.shape[1], lanes):
-            records.free[w, i] = grips.free[w, records.order[w, i]]
-
-    @wp.func
     def momentum_of(w: int, i: int, h: real, mass: real, gravity: vec3, records: Records):
         """Momentum of a particle with the impulses of the substep, but for the table's."""
         q = mass * (vector(records.of, w, V, i) + h * gravity)
@@ -134,14 +135,12 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
 
     @wp.func
     def touch(
-        w: int, s: int, h: real, mass: real, matter: Matter, scene: Scene, records: Records,
-        touched: wp.array2d(dtype=vec3),
+        w: int, s: int, h: real, mass: real, matter: Matter, scene: Scene, records: Records
     ):  # fmt: skip
-        """As that of ``step``."""
+        """As that of ``step``, but what table and walls change is added to the velocities."""
         size = matter.section
         x = vec3()
         q = vec3()
-        change = vec3()
         first = vector(records.of, w, X, records.place[w, s * size])
         if near_table(first, matter, scene):
             for p in range(s * size, (s + 1) * size):
@@ -150,7 +149,59 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                 q += momentum_of(w, i, h, mass, scene.gravity[w], records)
             share = real(1.0) / real(size)
             change = contact(w, share * x, (share / mass) * q, h, matter.contact_radius, scene)
-        touched[w, s] = change
+            if wp.length_sq(change) > real(0.0):
+                for p in range(s * size, (s + 1) * size):
+                    i = records.place[w, p]
+                    put_vector(records.of, w, V, i, vector(records.of, w, V, i) + change)
+
+    @wp.func
+    def lead(
+        w: int, lane: int, lanes: int, holding: int, grip_row: int, h: real, matter: Matter,
+        scene: Scene, grips: Grips, records: Records, held: Held,
+    ):  # fmt: skip
+        """Set the velocities that grippers would give to what they hold in part."""
+        for n in range(lane, holding, lanes):
+            if held.share[w, n] > real(0.0):
+                i = held.record[w, n]
+                x = vector(records.of, w, X, i)
+                b, _slope = spring(w, held.modulus[w, n], h, matter, scene.dx)
+                v, _spin, _by_b = follow(
+                    held.gripper[w, n], held.place[w, n], grip_row, x, b, h, grips
+                )
+                held.led[w, i] = v
+
+    @wp.func
+    def carry(
+        w: int, lane: int, lanes: int, holding: int, grip_row: int, h: real, dx: real,
+        grips: Grips, records: Records, held: Held,
+    ):  # fmt: skip
+        """Move what grippers hold firmly; return the square of a lane's longest way."""
+        far = real(0.0)
+        for n in range(lane, holding, lanes):
+            if held.share[w, n] == real(0.0):
+                i = held.record[w, n]
+                x = vector(records.of, w, X, i)
+                v, spin, _by_b = follow(
+                    held.gripper[w, n], held.place[w, n], grip_row, x, real(FOLLOWS), h, grips
+                )
+                far = wp.max(far, move(w, i, x, v, wp.skew(spin), h, dx, records))
+        return far
+
+    @wp.func
+    def move(w: int, i: int, x: vec3, v: vec3, affine: mat33, h: real, dx: real, records: Records):
+        """Advance record i from x; return the square of its way [m^2], too long a one for a NaN."""
+        if compensates == 1:
+            there, low = compensated_sum(x, h * v, vector(records.of, w, LOW, i))
+            put_vector(records.of, w, X, i, there)
+            put_vector(records.of, w, LOW, i, low)
+        else:
+            put_vector(records.of, w, X, i, x + h * v)
+        put_vector(records.of, w, V, i, v)
+        put_matrix(records.of, w, C, i, affine)
+        far = wp.length_sq(v) * h * h
+        if not (far <= dx * dx):
+            far = real(4.0) * dx * dx
+        return far
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds(variant.lanes))
     def advance(
@@ -170,8 +221,8 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         # empty before and after each substep; kept with the tape
         momentum: wp.array2d(dtype=vec4),  # [W, M] and mass; [S * W, M] for the tape
         velocity: wp.array2d(dtype=vec4),  # [W, M] and mass
-        touched: wp.array2d(dtype=vec3),  # [W, sections] scratch
         records: Records,
+        held: Held,
         tape: Tape,
     ):
         block, lane = wp.tid()
@@ -182,6 +233,10 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         moduli = records.moduli
         W = state.x.shape[0]
         N = state.x.shape[1]
+        sections = N // matter.section
+        # of the records that this lane gives to the grid
+        begin = lane * N // lanes
+        end = (lane + 1) * N // lanes
         grippers = grips.closed.shape[1]
         frames = plan.steps.shape[0]
         frame = int(clock.frame[w])
@@ -196,6 +251,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         dx = scene.dx
         inv_dx = real(1.0) / dx
         mass = matter.mass[w]
+        per_mass = real(1.0) / mass
         drag = matter.drag[w]
         gravity = scene.gravity[w]
         steps = int(plan.steps[frame, w])
@@ -205,6 +261,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         slot = int(w)
         layout = int(w)
         age = clock.age[w]
+        holding = int(held.count[w])
         travel = clock.travel[w]
         near_by = int(clock.near_table[w])
         event = wp.float64(-1.0e30)
@@ -215,6 +272,13 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         lost = travel >= real(MARGIN) * dx  # whatever the order was, it will be made anew
         if lost:
             strayed = real(ORDERLY) * dx
+        # the nodes' velocities stand behind the particles where they fit
+        velocity_at = row_at(velocity, w)
+        room = momentum.shape[1]
+        offset = (before_nodes * N + 3) // 4 * 4
+        if stays == 1 and offset + 4 * room <= numbers:
+            velocity_at = resident_at(number * offset)
+        nodal = wp.array(ptr=velocity_at, shape=(1, room), dtype=vec4)
         for i in range(lane, N, lanes):
             p = int(i)
             if lost:
@@ -252,7 +316,9 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                         if strayed >= real(ORDERLY) * dx:
                             strayed = real(0.0)
                             put_in_order(w, lane, lanes, layout, inv_dx, matter, grid, records)
-                            take_free(w, lane, lanes, grips, records)
+                            holding = list_held(
+                                w, lane, lanes, records.order, w, matter, grips, held
+                            )
                         if keeps == 1:
                             for i in range(lane, N, lanes):
                                 tape.order[layout, i] = records.order[w, i]
@@ -272,7 +338,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                 if any_of(int(empty >= 0)) == 1:
                     status = NOTHING_HELD
                     substep = False
-                take_free(w, lane, lanes, grips, records)
+                holding = list_held(w, lane, lanes, records.order, w, matter, grips, held)
             if substep:
                 # poses of many substeps at once, side by side
                 if grippers > 0 and (step < posed or step >= posed + AHEAD):
@@ -284,7 +350,9 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                             paths,
                             grips,
                         )  # fmt: skip
+                    meet()
                 grip_row = w * AHEAD + step - posed
+                lead(w, lane, lanes, holding, grip_row, h, matter, scene, grips, records, held)
                 if keeps == 1:
                     tape.layout_of[slot] = layout
                     for n in range(lane, grid.count[layout], lanes):
@@ -317,7 +385,7 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                             tape_matrix(tape.of, slot, TAPED_G, i, inverse_plastic)
                     if drag > real(0.0):
                         wind = air(D, v, spans_of(near, i), matter.sheet, drag, h)
-                        put_vector(of, w, V, i, v + wind / mass)
+                        put_vector(of, w, V, i, v + per_mass * wind)
                     put_matrix(of, w, PULLS, i, pull)
                     if damped == 1:
                         put_symmetric(of, w, Z, i, filtered_after)
@@ -330,37 +398,37 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     status = INVERTED
                     substep = False
             if substep:
+                if keeps == 1:
+                    for i in range(lane, N, lanes):
+                        q = momentum_of(w, i, h, mass, gravity, records)
+                        tape_vector(tape.of, slot, 15, i, q)
+                    meet()
                 if near_by == 1:
-                    for s in range(lane, N // matter.section, lanes):
-                        touch(w, s, h, mass, matter, scene, records, touched)
+                    for s in range(lane, sections, lanes):
+                        touch(w, s, h, mass, matter, scene, records)
                     meet()
                 nodes = grid.count[layout]
                 window = window_type()
-                held = wp.vec3i(-1, -1, -1)
-                for i in range(lane * N // lanes, (lane + 1) * N // lanes):
-                    free = real(1.0)
-                    if grippers > 0:
-                        free = records.free[w, i]
+                window_at = wp.vec3i(-1, -1, -1)
+                for i in range(begin, end):
+                    free = held.free[w, i]
+                    if free == real(0.0):
+                        continue
                     q = momentum_of(w, i, h, mass, gravity, records)
-                    if keeps == 1:
-                        tape_vector(tape.of, slot, 15, i, q)
-                    if near_by == 1:
-                        q += mass * touched[w, records.order[w, i] // matter.section]
-                    if free < real(1.0) and free > real(0.0):
-                        x = vector(of, w, X, i)
-                        q = mass * guided(
-                            w, records.order[w, i], grip_row, x, q / mass, h, dx, matter, grips
-                        )
-                    if free > real(0.0):
-                        node, f, given = given_by(
-                            vector(of, w, X, i), q, matrix(of, w, C, i), mass, layout, inv_dx,
-                            grid,
-                        )  # fmt: skip
-                        window = hand_over(window, held, node, momentum, slot, grid.start, layout)
-                        window = collect(window, f, given)
-                        held = node
-                hand_over(window, held, wp.vec3i(-1, -1, -1), momentum, slot, grid.start, layout)
+                    if free < real(1.0):
+                        q += (real(1.0) - free) * (mass * held.led[w, i] - q)
+                    node, f, given = given_by(
+                        vector(of, w, X, i), q, matrix(of, w, C, i), mass, layout, inv_dx, grid
+                    )
+                    window = hand_over(window, window_at, node, momentum, slot, grid.start, layout)
+                    window = collect(window, f, given)
+                    window_at = node
+                hand_over(
+                    window, window_at, wp.vec3i(-1, -1, -1), momentum, slot, grid.start, layout
+                )
                 meet()
+                # the square of the longest way [m^2]
+                longest = carry(w, lane, lanes, holding, grip_row, h, dx, grips, records, held)
                 following = vec4()
                 if lane < nodes:
                     following = get_node(momentum, slot, lane)
@@ -372,41 +440,19 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     if m[3] > real(0.0):
                         if keeps == 0:
                             put_node(momentum, slot, n, vec4())
-                        put_node(velocity, w, n, node_velocity(m, factor))
+                        put_node(nodal, 0, n, node_velocity(m, factor))
                 meet()
-                # the longest way, in squared cells; above 1 what went wrong
-                worst = real(0.0)
                 for i in range(lane, N, lanes):
-                    free = real(1.0)
-                    if grippers > 0:
-                        free = records.free[w, i]
-                    v = vec3()
-                    affine = mat33()
+                    if held.free[w, i] == real(0.0):
+                        continue
                     x = vector(of, w, X, i)
-                    if free > real(0.0):
-                        v, affine = g2p(layout, w, x, inv_dx, grid, velocity)
-                    else:
-                        p = records.order[w, i]
-                        v, spin, _by_b = carried(w, p, grip_row, x, real(FOLLOWS), h, grips)
-                        affine = wp.skew(spin)
-                    if compensates == 1:
-                        there, low = compensated_sum(x, h * v, vector(of, w, LOW, i))
-                        put_vector(of, w, X, i, there)
-                        put_vector(of, w, LOW, i, low)
-                    else:
-                        put_vector(of, w, X, i, x + h * v)
-                    put_vector(of, w, V, i, v)
-                    put_matrix(of, w, C, i, affine)
-                    far = wp.length_sq(v) * h * h / (dx * dx)
-                    # a NaN is not below anything
-                    if not (far <= real(1.0)):
-                        far = real(3.0)
-                    worst = wp.max(worst, far)
-                worst = largest(worst)
-                if worst > real(1.5):
+                    v, affine = g2p(layout, 0, x, inv_dx, grid, nodal)
+                    longest = wp.max(longest, move(w, i, x, v, affine, h, dx, records))
+                longest = largest(longest)
+                if longest > real(1.5) * dx * dx:
                     status = int(DIVERGED)
                 else:
-                    travel += dx * wp.sqrt(worst)
+                    travel += wp.sqrt(longest)
                 if keeps == 1:
                     slot += W
                 step += 1

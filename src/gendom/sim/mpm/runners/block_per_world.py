@@ -9,6 +9,7 @@ from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
 from gendom.sim.mpm.grid import Grid
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.mpm.runners.block_kernels import AHEAD, make_block_kernels
+from gendom.sim.mpm.runners.held import empty_list
 from gendom.sim.mpm.runners.paced import Paced
 from gendom.sim.mpm.runners.records import Variant
 
@@ -84,7 +85,7 @@ class Blocks(Paced):
         self.records.near = worlds.zeros((W, 3, N), wp.int32)
         self.records.spare = worlds.zeros((W, every.components + 2, N), worlds.real)
         self.records.strayed = worlds.zeros(W, worlds.real)
-        self.records.free = worlds.zeros((W, N), worlds.real)
+        self.held = empty_list(worlds)
         for name in ("order", "place", "spare_order"):
             setattr(self.records, name, worlds.zeros((W, N), wp.int32))
         self._streams: list[Any] = [None]
@@ -142,7 +143,7 @@ class Blocks(Paced):
             kernels = make_block_kernels(variant, taped=tape is not None)
             self.launch_block(kernels.advance, order[share[0] :: share[1]], [
                 most, pause, plan, s.clock, s.matter, s.scene, s.paths, s.grips, s.state,
-                s.last_good, grid.layouts, grid.momentum, self.velocity, s.touched, self.records,
+                s.last_good, grid.layouts, grid.momentum, self.velocity, self.records, self.held,
                 kernels.Tape() if tape is None else tape,
             ], stream)  # fmt: skip
 

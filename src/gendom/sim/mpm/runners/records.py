@@ -82,7 +82,6 @@ def make_records(real: Any, *, resident: bool) -> Particles:
         order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
         place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
         near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
-        free: wp.array2d(dtype=real)  # [W, N] what ``Grips.free`` says of it
         strayed: wp.array(dtype=real)  # [W] distance travelled since they were put in order [m]
         # scratch
         spare: wp.array3d(dtype=real)  # [W, components + 2, N]

@@ -1,0 +1,91 @@
+"""What grippers hold, listed for the threads of a block, with all that moving it needs.
+
+Looked up particle by particle (who holds it, where, how stiff it is) each number would be waited
+for in turn; a list is read at once.
+
+Shapes: W worlds, N particles.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from gendom.sim.mpm.block import make_block
+from gendom.sim.mpm.model import Worlds
+from gendom.sim.mpm.types import make_types
+
+
+@functools.cache
+def make_held(real: Any) -> SimpleNamespace:
+    """Build the list for one scalar type.
+
+    Returns:
+        Namespace with ``Held`` and ``list_held``.
+    """
+    types = make_types(real)
+    Matter, Grips = types.Matter, types.Grips
+    vec3 = types.vec3
+    meet = make_block(real).meet
+
+    @wp.struct
+    class Held:
+        """Of each record ``free`` and ``led``; then the records that are held, in any order."""
+
+        free: wp.array2d(dtype=real)  # [W, N] as ``Grips.free``
+        led: wp.array2d(dtype=vec3)  # [W, N] velocity that its gripper would give it [m/s]
+        count: wp.array(dtype=wp.int32)  # [W]
+        record: wp.array2d(dtype=wp.int32)  # [W, N]
+        gripper: wp.array2d(dtype=wp.int32)  # [W, N]
+        number: wp.array2d(dtype=wp.int32)  # [W, N] among what that gripper holds
+        share: wp.array2d(dtype=real)  # [W, N] ``free`` of it
+        place: wp.array2d(dtype=vec3)  # [W, N] in the gripper's frame [m]
+        modulus: wp.array2d(dtype=real)  # [W, N] of pressure waves [Pa]
+
+    @wp.func
+    def list_held(
+        w: int, lane: int, lanes: int, order: wp.array2d(dtype=wp.int32), row: int,
+        matter: Matter, grips: Grips, held: Held,
+    ):  # fmt: skip
+        """List what is held of the records of particles ``order[row]``; return how many."""
+        N = held.free.shape[1]
+        meet()
+        if lane == 0:
+            held.count[w] = 0
+        meet()
+        for i in range(lane, N, lanes):
+            p = order[row, i]
+            free = grips.free[w, p]
+            held.free[w, i] = free
+            if free < real(1.0):
+                n = wp.atomic_add(held.count, w, 1)
+                g = grips.held_by[w, p] // N
+                held.record[w, n] = i
+                held.gripper[w, n] = g
+                held.number[w, n] = grips.held_by[w, p] % N
+                held.share[w, n] = free
+                held.place[w, n] = grips.place[w, g, grips.held_by[w, p] % N]
+                held.modulus[w, n] = matter.lam[w, p] + real(2.0) * matter.mu[w, p]
+        meet()
+        return held.count[w]
+
+    return SimpleNamespace(Held=Held, list_held=list_held)
+
+
+def empty_list(worlds: Worlds) -> Any:
+    """A ``Held`` for all worlds."""
+    held = make_held(worlds.real).Held()
+    shape = (worlds.num_worlds, worlds.num_particles)
+    held.count = worlds.zeros(shape[0], wp.int32)
+    for name in ("record", "gripper", "number"):
+        setattr(held, name, worlds.zeros(shape, wp.int32))
+    for name in ("free", "share", "modulus"):
+        setattr(held, name, worlds.zeros(shape, worlds.real))
+    for name in ("led", "place"):
+        setattr(held, name, worlds.zeros(shape, worlds.types.vec3))
+    return held
