@@ -46,7 +46,8 @@ CUDA_CALLABLE inline void keep_turn(const Body& body, const Pushes& pushes, int 
     for (EACH_IN(p, body.first, body.end))
         for (int c = 0; c < 6; ++c) kept.put(6 * turn + c, p, s.template get<real>(c, p));
 #else
-    for (int k = 0; k < wp::index(body.near_count, w); ++k) wp::index(pushes.made, turn, k) = 0;
+    for (int k = 0; k < pushes.made.shape[1] && k < wp::index(body.near_count, w); ++k)
+        wp::index(pushes.made, turn, k) = 0;
 #endif
 }
 
