@@ -6,6 +6,8 @@ changes small. How small depends on what is changed: of several sizes the one is
 difference is most like that of the next smaller one.
 """
 
+import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,8 +16,11 @@ import warp as wp
 
 from gendom.materials import Material
 from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.sim.thin import tape
 
 TIMES = [0.01, 0.02, 0.025, 0.03]
+FIRST = [0.00415, 0.0043]
+"""When a faster cloth has been in contact for a few steps."""
 
 
 def crossed_rope():
@@ -25,31 +30,34 @@ def crossed_rope():
     return rope(diameter=0.01, centre_line=line, points=26)
 
 
-def folded_cloth():
-    """A sheet, and its points when it is bent by half a turn, not along a row."""
+def folded_cloth(skew, slide):
+    """A sheet, and its points when it is bent by half a turn, with its upper half slid aside."""
     body = cloth(
         width=0.13, height=0.1, thickness=0.005, dx=0.02, corner=(0, 0, 0.1), points=(12, 9)
     )
     x, radius = body.points.copy(), 0.0075
-    n = np.array([np.cos(0.23), np.sin(0.23), 0.0])
+    n = np.array([np.cos(skew), np.sin(skew), 0.0])
     beyond = (x - x.mean(axis=0)) @ n
     on = np.clip(beyond / radius, 0.0, np.pi)
     along = np.where(beyond > np.pi * radius, np.pi * radius - beyond, radius * np.sin(on))
     bent = x + np.where(beyond > 0.0, along - beyond, 0.0)[:, None] * n
     bent[:, 2] += radius * (1.0 - np.cos(on))
+    bent[:, 1] += slide * on / np.pi
     return body, bent
 
 
 ROPE = crossed_rope()
-CLOTH, FOLDED = folded_cloth()
+CLOTH, FOLDED = folded_cloth(0.23, 0.0)
 
 
-def given(body, self_friction, seed=0):
+def given(body, self_friction, seed=0, points=None, noise=2e-4):
     """Everything that a scene depends on; the first gripper stays and lets go while
     the second pushes down."""
     rng = np.random.default_rng(seed)
     n, sheet = len(body.points), body.kind == "cloth"
-    x = (FOLDED if sheet else body.points) + 2e-4 * rng.normal(size=(n, 3))
+    if points is None:
+        points = FOLDED if sheet else body.points
+    x = points + noise * rng.normal(size=(n, 3))
     low, high = (x[0], x[11]) if sheet else (x[0], x[-1])
     down, on = np.array([[0.004, 0.006, -0.009], [0.006, 0.01, -0.01]])
     velocities = 0.05 * rng.normal(size=(n, 3))
@@ -101,9 +109,9 @@ def simulator(body, p, worlds=1, **options):
     return s
 
 
-def loss_of(body, p, weights, x0, device):
+def loss_of(body, p, times, weights, x0, device):
     """Of displacements from points x0, which are rounded less than positions are."""
-    return float(np.sum((simulator(body, p, device=device).run(TIMES) - x0) * weights))
+    return float(np.sum((simulator(body, p, device=device).run(times) - x0) * weights))
 
 
 def difference(loss, h):
@@ -119,17 +127,17 @@ STEPS = {"positions": 2e-8, "gripper_positions": 2e-8, "self_friction": 2e-5}
 """Relative steps where they are not 2e-6: shorter where they move points at once."""
 
 
-def check_every_derivative(body, self_friction, device, rel):
-    p, rng = given(body, self_friction), np.random.default_rng(1)
-    weights = rng.normal(size=(len(TIMES), 1, len(body.points), 3))
+def check_derivatives(body, p, names, times=TIMES, device="cpu", rel=1e-6):
+    rng = np.random.default_rng(1)
+    weights = rng.normal(size=(len(times), 1, len(body.points), 3))
     rollout = Rollout(simulator(body, p, device=device))
-    x0 = rollout.forward(TIMES)
+    x0 = rollout.forward(times)
     found = rollout.backward(weights)
-    for name in p:
+    for name in names:
         direction = rng.normal(size=np.shape(p[name])) if np.ndim(p[name]) else np.array(1.0)
         expected = difference(
             lambda h, name=name, by=direction: loss_of(
-                body, p | {name: p[name] + h * by}, weights, x0, device
+                body, p | {name: p[name] + h * by}, times, weights, x0, device
             ),
             STEPS.get(name, 2e-6) * max(np.abs(p[name]).max(), 1e-2),
         )
@@ -155,7 +163,21 @@ SCENES = scenes(*GIVEN)
 
 @SCENES
 def test_every_derivative_is_that_of_central_differences(body, self_friction):
-    check_every_derivative(body, self_friction, "cpu", 1e-6)
+    p = given(body, self_friction)
+    check_derivatives(body, p, p)
+
+
+@pytest.mark.parametrize(
+    ("skew", "slide", "noise"), [(0.23, 0.0, 2e-4), (0.0, 0.0041, 2e-6)], ids=["skew", "parallel"]
+)
+@pytest.mark.parametrize("self_friction", [0.2, 5.0])
+def test_first_touches_are_differentiated(skew, slide, noise, self_friction):
+    """Deep ones, of many points at once: beside triangles too, and of edges that are parallel."""
+    _, x = folded_cloth(skew, slide)
+    p = given(CLOTH, self_friction, points=x, noise=noise)
+    p["velocities"] += 2.0 * np.outer(x[:, 2] > x[:, 2].mean(), [0.1, 0.05, -1.0])
+    names = ("density", "self_friction", "velocities", "positions")
+    check_derivatives(CLOTH, p, names, times=FIRST)
 
 
 @pytest.mark.gpu
@@ -165,7 +187,8 @@ def test_cuda_differentiates_its_own_contacts(body, self_friction):
     The fourth scene has contacts there that begin within the changes."""
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
-    check_every_derivative(body, self_friction, "cuda", 1e-4)
+    p = given(body, self_friction)
+    check_derivatives(body, p, p, device="cuda", rel=1e-4)
 
 
 @SCENES
@@ -187,22 +210,23 @@ def test_pieces_are_run_again_bit_for_bit(body, self_friction, monkeypatch):
     rollout = Rollout(simulator(body, given(body, self_friction)))
     x = rollout.forward(TIMES)
     np.testing.assert_array_equal(x, simulator(body, given(body, self_friction)).run(TIMES))
-    tape: Any = rollout._tape
-    engine, steps = tape.engine, tape.plan.steps[0]
+    recorded: Any = rollout._tape
+    engine, plan = recorded.engine, recorded.plan
+    steps = plan.steps[0]
     launch, compared = engine.launch, []
 
     def known(rows):
         """Positions, velocities and where points were listed."""
         return rows.numpy()[:, np.r_[0:6, -3:0]][..., engine.slots]
 
-    kept = known(tape.kept)
+    kept = known(recorded.kept)
 
     def launch_and_compare(kernel, group, inputs):
         launch(kernel, group, inputs)
         if kernel is engine.kernels.advance:
             piece, rows = inputs[3].numpy()[0, 0], known(inputs[6])
             np.testing.assert_array_equal(rows[0], kept[piece])
-            if piece + 1 < len(steps) and not tape.plan.due[0, piece + 1]:
+            if piece + 1 < len(steps) and not plan.due[0, piece + 1]:
                 np.testing.assert_array_equal(rows[steps[piece]], kept[piece + 1])
                 compared.append(not np.array_equal(kept[piece, -3:], kept[piece + 1, -3:]))
 
@@ -211,6 +235,24 @@ def test_pieces_are_run_again_bit_for_bit(body, self_friction, monkeypatch):
     assert len(compared) > 8
     assert any(compared)  # pairs were listed anew
     assert not all(compared)
+
+
+def test_every_step_has_its_own_list_of_pairs(monkeypatch):
+    """A piece as long as the run, at whose end pairs are listed that were not when it began."""
+    p = given(CLOTH, 0.2)
+    weights = np.random.default_rng(1).normal(size=(len(TIMES), 1, len(CLOTH.points), 3))
+
+    def gradients():
+        rollout = Rollout(simulator(CLOTH, p))
+        rollout.forward(TIMES)
+        return vars(rollout.backward(weights))
+
+    expected = gradients()
+    monkeypatch.setattr(tape, "math", SimpleNamespace(ceil=math.ceil, sqrt=lambda steps: steps))
+    for name, values in gradients().items():
+        np.testing.assert_allclose(
+            values, expected[name], rtol=1e-9, atol=1e-9 * np.abs(values).max(), err_msg=name
+        )
 
 
 def test_worlds_do_not_see_each_others_contacts():
