@@ -185,7 +185,7 @@ def test_first_touches_are_differentiated(self_friction):
 
 
 @TOUCHES
-def test_parallel_edges_are_differentiated(self_friction):
+def test_nearly_parallel_edges_are_differentiated(self_friction):
     p = touching(self_friction, 0.0, 0.0041, 2e-6) | {"stiffness": np.ones(len(CLOTH.points))}
     check_derivatives(CLOTH, p, BY, times=FIRST)
 
