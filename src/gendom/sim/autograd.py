@@ -26,6 +26,7 @@ _NAMES = (
     "damping",
     "velocity_damping",
     "friction",
+    "self_friction",
     "gravity",
     "positions",
     "velocities",
@@ -53,13 +54,13 @@ def simulate(
         table: Table; ``friction``, if given, replaces its coefficient.
         memory: Limit on memory for the backward pass [bytes] (default: as ``Rollout``).
         options: Further arguments of ``Simulator`` (``engine``, by default ``mpm``; ``law``,
-            ``substep``, ``dtype``, ``threads``).
+            ``self_contact``, ``substep``, ``dtype``, ``threads``).
         given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and optionally ``yield_stress`` [Pa],
-            ``damping`` [s] (``Material.damping``), ``velocity_damping`` [1/s], ``friction``:
-            numbers or [W]; ``gravity`` [3] or [W, 3]; ``stiffness`` [N] or [W, N]; ``positions``
-            and ``velocities`` [N, 3] or [W, N, 3]; ``gripper_positions`` [G, K, 3] or
-            [W, G, K, 3], K the knots of each gripper's own path. Tensors that require a gradient
-            get one.
+            ``damping`` [s] (``Material.damping``), ``velocity_damping`` [1/s], ``friction``,
+            ``self_friction``: numbers or [W]; ``gravity`` [3] or [W, 3]; ``stiffness`` [N] or
+            [W, N]; ``positions`` and ``velocities`` [N, 3] or [W, N, 3]; ``gripper_positions``
+            [G, K, 3] or [W, G, K, 3], K the knots of each gripper's own path. Tensors that require
+            a gradient get one.
 
     Returns:
         [T, W, N, 3] positions [m], in the dtype of the simulation.
@@ -137,7 +138,7 @@ class _Simulation(torch.autograd.Function):
             if table is None:
                 raise ParameterError("friction without a table: pass table=Table(height=...)")
             table = replace(table, friction=v["friction"])
-        direct = ("stiffness", "velocity_damping", "gravity", "positions")
+        direct = ("stiffness", "velocity_damping", "self_friction", "gravity", "positions")
         more = {n: v[n] for n in direct if n in v}
         simulator = Simulator(
             body,

@@ -11,7 +11,7 @@ class Gradients:
     """Derivatives of a loss with respect to all inputs of a simulation.
 
     Not differentiated: the times at which grippers open and close, the substep's length, and
-    whether a section touches the table, sticks or slides.
+    whether a section touches the table or the body itself, sticks or slides.
     """
 
     E: NDArray[np.float64]
@@ -32,6 +32,8 @@ class Gradients:
     """[W] by the density of the air [m^3/kg]."""
     friction: NDArray[np.float64]
     """[W] by the table's coefficient of friction."""
+    self_friction: NDArray[np.float64]
+    """[W] by the coefficient of friction at self-contact; 0 without it."""
     gravity: NDArray[np.float64]
     """[W, 3] by gravity [s^2/m]."""
     positions: NDArray[np.floating]

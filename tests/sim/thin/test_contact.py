@@ -8,7 +8,7 @@ import warp as wp
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Simulator, Table, cloth, rope
 
 
 def nearest(x, apart):
@@ -188,6 +188,3 @@ def test_what_cannot_be_is_said():
     thick = cloth(width=0.1, height=0.1, thickness=0.008, dx=0.02, points=(10, 10))
     with pytest.raises(ParameterError, match="cannot be folded"):
         Simulator(thick, [Material()], engine="thin", self_contact=True)
-    body = rope(diameter=0.01, length=0.3)
-    with pytest.raises(ParameterError, match="is not differentiated"):
-        Rollout(Simulator(body, [Material()], engine="thin", self_contact=True))

@@ -15,6 +15,7 @@ from gendom.sim.device import making
 from gendom.sim.gripper import stack_paths
 from gendom.sim.paths import make_path_type
 from gendom.sim.setting import Frames, Setting, spread
+from gendom.sim.thin.contact import PAIRS, fill_contact, loose
 from gendom.sim.thin.grips import Grip, Paths, Pose, released
 from gendom.sim.thin.schedule import Schedule, make_schedule
 from gendom.sim.thin.stepping import make_stepping
@@ -28,12 +29,6 @@ STRETCH = 0.2
 
 LOCAL_STRETCH = 1.0
 """Largest momentary stretch of one edge: a soft rope that cracks like a whip stretches by 25 %."""
-
-MARGIN_OF_LISTS = 0.3
-"""Margin of the list of pairs that may come into contact [spacings]."""
-
-PAIRS = 40
-"""Maximum number of such pairs for each point."""
 
 GROUP = 16
 """Maximum number of worlds that a CPU thread simulates at a time."""
@@ -362,7 +357,7 @@ class ThinEngine(ABC):
         put_worlds(self.body.holds, worlds, self.holds[worlds])
         self.stiffen(self.body, worlds)
         if self.setting.self_contact:
-            self._let_loose(self.body, worlds)
+            put_worlds(self.body.loose, worlds, loose(self, worlds))
 
     # ---- arrays ----------------------------------------------------------------------------------
 
@@ -430,33 +425,8 @@ class ThinEngine(ABC):
         body.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
         self.air_density = spread(s.air_density, (W,), "air_density")
         self.fill(body)
-        self._contact(body)
+        fill_contact(self, body, STRETCH)
         return body
-
-    def _contact(self, body: Any) -> None:
-        s, W, n, P = self.setting, self.num_worlds, self.num_points, self.row_length
-        on = int(s.self_contact)
-        thickness, spacing = s.body.thickness, self.spacing
-        body.contact = on
-        body.contact_distance = thickness
-        body.contact_margin = MARGIN_OF_LISTS * spacing
-        body.contact_reach = 2.0 * (1.0 + STRETCH) * spacing + thickness + body.contact_margin
-        body.contact_apart = self.apart
-        body.contact_turns = 4 if s.device.is_cuda else 2
-        body.self_friction = self.array(spread(s.self_friction, (W,), "self_friction"))
-        body.loose = self.zeros((W * on, 1, P))
-        body.push = self.zeros((W * on, 7, P))
-        body.listed = self.zeros((W * on, 3, P))
-        body.listed.fill_(1e6)
-        body.near = self.zeros((W * on, PAIRS * n, 2), wp.int32)
-        body.near_count = self.zeros(W * on, wp.int32)
-        if on:
-            self._let_loose(body, np.arange(W))
-
-    def _let_loose(self, body: Any, worlds: NDArray[np.int64]) -> None:
-        free = 1.0 - np.any(self.holds[worlds] & 1, axis=1)
-        per_mass = np.broadcast_to(self.per_mass, (self.num_worlds, self.num_points))[worlds]
-        put_worlds(body.loose, worlds, self.rows(per_mass * free)[:, None])
 
 
 class _Job:

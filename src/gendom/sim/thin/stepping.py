@@ -19,6 +19,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.paths import make_path_type, make_paths
+from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.native import MODULE_OPTIONS
 from gendom.sim.thin.types import make_types
 
@@ -37,6 +38,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     is_closed = paths_of.is_closed
     Paths = make_path_type(real)
     Body, Bars, Plan, vec3, quat = types.Body, types.Bars, types.Plan, types.vec3, types.quat
+    Pushes = types.Pushes
 
     @wp.func_native("gendom::meet();")
     def meet(): ...
@@ -98,14 +100,16 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     @wp.func_native(f"return gendom::{kind}_stretch(body, state, row);")
     def mean_stretch(body: Body, state: wp.array3d(dtype=real), row: int) -> real: ...
 
-    @wp.func_native("return gendom::moved_on(body, w, state, row);")
-    def moved_on(body: Body, w: int, state: wp.array3d(dtype=real), row: int) -> int: ...
+    @wp.func_native("return gendom::moved_on(body, w, state, row, c, far);")
+    def moved_on(
+        body: Body, w: int, state: wp.array3d(dtype=real), row: int, c: int, far: real
+    ) -> int: ...
 
-    @wp.func_native("gendom::begin_list(body, w, state, row);")
-    def begin_list(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
+    @wp.func_native("gendom::begin_list(body, w, state, row, c);")
+    def begin_list(body: Body, w: int, state: wp.array3d(dtype=real), row: int, c: int): ...
 
-    @wp.func_native("gendom::list_pairs(body, w, state, row);")
-    def list_pairs(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
+    @wp.func_native("gendom::list_pairs(body, w);")
+    def list_pairs(body: Body, w: int): ...
 
     @wp.func_native("gendom::count_contacts(body, w, state, row);")
     def count_contacts(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
@@ -119,13 +123,18 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     def take_push(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
 
     @wp.func
+    def relist(body: Body, w: int, state: wp.array3d(dtype=real), row: int, c: int, far: real):
+        """List pairs anew if a point of components c to c + 2 has moved farther than this."""
+        if any_of(moved_on(body, w, state, row, c, far)) != 0:
+            begin_list(body, w, state, row, c)
+            meet()
+            list_pairs(body, w)
+            meet()
+
+    @wp.func
     def meet_itself(body: Body, w: int, state: wp.array3d(dtype=real), row: int, dt: real):
         """Apply self-contact at the end of a step."""
-        if any_of(moved_on(body, w, state, row)) != 0:
-            begin_list(body, w, state, row)
-            meet()
-            list_pairs(body, w, state, row)
-            meet()
+        relist(body, w, state, row, 0, real(0.5) * body.contact_margin)
         if body.near_count[w] > 0:
             for turn in range(body.contact_turns):
                 count_contacts(body, w, state, row)
@@ -133,6 +142,59 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                 push_apart(body, w, state, row, dt, turn)
                 meet()
                 take_push(body, w, state, row)
+                meet()
+
+    @wp.func_native("gendom::keep_list(body, w, state, row, c);")
+    def keep_list(body: Body, w: int, state: wp.array3d(dtype=real), row: int, c: int): ...
+
+    @wp.func_native("gendom::keep_turn(body, pushes, w, at, state, row, turn);")
+    def keep_turn(
+        body: Body, pushes: Pushes, w: int, at: int, state: wp.array3d(dtype=real), row: int,
+        turn: int,
+    ): ...  # fmt: skip
+
+    @wp.func_native("gendom::push_apart_kept(body, pushes, w, state, row, dt, turn);")
+    def push_apart_kept(
+        body: Body, pushes: Pushes, w: int, state: wp.array3d(dtype=real), row: int, dt: real,
+        turn: int,
+    ): ...  # fmt: skip
+
+    @wp.func_native("gendom::put_back(body, pushes, at, state, row, turn);")
+    def put_back(
+        body: Body, pushes: Pushes, at: int, state: wp.array3d(dtype=real), row: int, turn: int
+    ): ...
+
+    @wp.func_native("gendom::push_apart_adjoint(body, bars, pushes, w, state, row, dt, turn);")
+    def push_apart_adjoint(
+        body: Body, bars: Bars, pushes: Pushes, w: int, state: wp.array3d(dtype=real), row: int,
+        dt: real, turn: int,
+    ): ...  # fmt: skip
+
+    @wp.func
+    def meet_itself_adjoint(
+        body: Body, bars: Bars, pushes: Pushes, w: int, at: int, state: wp.array3d(dtype=real),
+        row: int, dt: real,
+    ):  # fmt: skip
+        """Transpose of ``meet_itself``; the row is as that found it, with the list it kept."""
+        relist(body, w, state, row, state.shape[1] - LISTED, real(0.0))
+        if body.near_count[w] > 0:
+            for turn in range(body.contact_turns):
+                keep_turn(body, pushes, w, at, state, row, turn)
+                count_contacts(body, w, state, row)
+                meet()
+                push_apart_kept(body, pushes, w, state, row, dt, turn)
+                meet()
+                take_push(body, w, state, row)
+                meet()
+            for back in range(body.contact_turns):
+                turn = body.contact_turns - 1 - back
+                put_back(body, pushes, at, state, row, turn)
+                meet()
+                count_contacts(body, w, state, row)
+                meet()
+                push_apart_adjoint(body, bars, pushes, w, state, row, dt, turn)
+                meet()
+                take_push(body, w, bars.state, w)
                 meet()
 
     @wp.func
@@ -169,7 +231,9 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         offset: int,
         stride: int,
         state: wp.array3d(dtype=real),
-        kept: wp.array3d(dtype=real),  # [W + pieces * every] states at the start of pieces
+        # [W + pieces * every] states at the start of pieces; with LISTED more components they, and
+        # the states of a stride, tell what the list of pairs was made from
+        kept: wp.array3d(dtype=real),
         every: int,  # -1: none are kept
         limit: real,  # of the squared stretch of an edge
         mean_limit: real,  # of the mean stretch, where pieces end
@@ -186,6 +250,10 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                     for c in range(state.shape[1]):
                         for i in range(lane, state.shape[2], lanes):
                             kept[w + p * every, c, i] = state[row, c, i]
+                    if kept.shape[1] > state.shape[1]:
+                        keep_list(body, w, kept, w + p * every, state.shape[1])
+                if body.contact * stride > 0:
+                    relist(body, w, state, row, state.shape[1] - LISTED, real(0.0))
                 t0 = plan.begins[w, p]
                 dt = plan.dt[w, p]
                 h = real(dt)
@@ -201,6 +269,8 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                     hold_all(body, w, t0, t, paths, state, row)
                     if body.contact == 1:
                         meet_itself(body, w, state, row, h)
+                        if stride > 0:
+                            keep_list(body, w, state, row, state.shape[1] - LISTED)
                 if not mean_stretch(body, state, row) <= mean_limit:
                     bad = 1
                 if body.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
@@ -231,6 +301,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         state: wp.array3d(dtype=real),
         frames_bar: wp.array3d(dtype=vec3),  # [T, W, n]
         bars: Bars,
+        pushes: Pushes,
     ):
         w = first + wp.tid() // lanes
         lane = wp.tid() % lanes
@@ -252,6 +323,15 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
             k = steps - 1 - back
             row = w - offset + k * stride
             t = t0 + wp.float64(plan.done[w, p] + k + 1) * dt
+            # recompute the scratch of the step; this rewrites the lagged strains of the next row
+            forces(body, w, state, row, row + stride, h)
+            meet()
+            if body.contact == 1:
+                # the next row as contacts found it; steps from there have been transposed
+                move(body, w, state, row, row + stride, h, kick_of(plan, w, p, k))
+                meet()
+                hold_all(body, w, t0, t, paths, state, row + stride)
+                meet_itself_adjoint(body, bars, pushes, w, w - offset, state, row + stride, h)
             for before in range(body.holds.shape[1]):
                 g = body.holds.shape[1] - 1 - before
                 if lane == 0 and is_closed(w, g, t0, paths):
@@ -265,9 +345,6 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                         wide(by_turn),
                         paths, bars.position, bars.path_turn,
                     )  # fmt: skip
-            meet()
-            # recompute the scratch of the step; this rewrites the lagged strains of the next row
-            forces(body, w, state, row, row + stride, h)
             meet()
             move_adjoint(body, bars, w, state, row, h, kick_of(plan, w, p, k))
             meet()

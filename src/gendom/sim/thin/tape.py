@@ -9,10 +9,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.errors import ParameterError
 from gendom.sim.gradients import Gradients
 from gendom.sim.setting import Frames
 from gendom.sim.thin import rotation
+from gendom.sim.thin.contact import LISTED, kept_pushes
 from gendom.sim.thin.engine import Event, Round, device_plan, put
 from gendom.sim.thin.grips import (
     Grip,
@@ -32,6 +32,7 @@ from gendom.sim.thin.types import (
     GRAVITY,
     MODEL_BARS,
     PER_MASS,
+    SELF_FRICTION,
     VELOCITY_DAMPING,
     V,
     X,
@@ -55,10 +56,6 @@ class ThinTape(ABC):
     """
 
     def __init__(self, engine: Any):
-        if engine.setting.self_contact:
-            raise ParameterError(
-                "contact of a body with itself is not differentiated", fix="self_contact=False"
-            )
         self.engine = engine
         self.rounds: list[tuple[slice, Round]] = []
         engine.load("reverse", "begin_adjoint")
@@ -74,7 +71,8 @@ class ThinTape(ABC):
         self.first_x, self.first_v = e.component(X), e.component(V)
         self.first = wp.clone(e.state)
         pieces = e.schedule(frames, self.most).steps.shape[1]
-        self.kept = e.zeros((pieces * W, e.state_rows, e.row_length))
+        self.rows = e.state_rows + LISTED * e.body.contact
+        self.kept = e.zeros((pieces * W, self.rows, e.row_length))
         self.plan = e.run_rounds(
             frames,
             lambda group, round: self.rounds.append((group, self._with_held(group, round))),
@@ -138,15 +136,16 @@ class ThinTape(ABC):
         G = e.closed.shape[1]
         put(e.body.place, slice(group.start * G, group.stop * G), places)
         worlds = np.arange(group.start, group.stop)
-        self._hold(group)
+        e.hold(worlds)
         length = round.pieces[:, 1] - round.pieces[:, 0]
         P = e.row_length
-        rows = e.zeros((count * (self.most + 1), e.state_rows, P))
+        rows = e.zeros((count * (self.most + 1), self.rows, P))
+        pushes = kept_pushes(e, count)
         for back in range(int(length.max(initial=0))):
             s = np.where(back < length, round.pieces[:, 1] - 1 - back, -1).astype(np.int32)
             alive = s >= 0
             kept = np.arange(count)
-            size = e.state_rows * P
+            size = self.rows * P
             for k in kept[alive]:
                 begins = int(worlds[k] + s[k] * W) * size
                 wp.copy(rows, self.kept, dest_offset=int(k) * size, src_offset=begins, count=size)
@@ -167,16 +166,11 @@ class ThinTape(ABC):
             e.launch(
                 e.kernels.reverse, group,
                 [e.body, e.paths, self.plan_on_device, e.array(every, wp.int32), group.start, count,
-                 rows, self.frames_bar, self.bars],
+                 rows, self.frames_bar, self.bars, pushes],
             )  # fmt: skip
         self._take_model(group)
         for event in reversed(round.events):
             self._reverse_event(group, event)
-
-    def _hold(self, group: slice) -> None:
-        e = self.engine
-        put(e.body.holds, group, e.holds[group])
-        e.stiffen(e.body, np.arange(group.start, group.stop))
 
     def _take_model(self, group: slice) -> None:
         """Add derivatives by the model without grippers, and by the grippers' borders."""
@@ -246,6 +240,7 @@ class ThinTape(ABC):
             velocity_damping=m[:, VELOCITY_DAMPING].sum(axis=1),
             air_density=m[:, DRAG] @ e.drag_by_air,
             friction=m[:, FRICTION].sum(axis=1),
+            self_friction=m[:, SELF_FRICTION].sum(axis=1),
             gravity=m[:, GRAVITY].sum(axis=2),
             positions=x_bar,
             velocities=v_bar,

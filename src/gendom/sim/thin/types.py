@@ -21,9 +21,10 @@ X, V = slice(0, 3), slice(3, 6)
 """Components of states and of derivatives by states: positions [m] and velocities [m/s]."""
 
 PER_MASS, DRAG, GRAVITY, DAMPING, FRICTION, VELOCITY_DAMPING = 12, 13, slice(15, 18), 18, 19, 20
+SELF_FRICTION = 21
 """Components of derivatives by the model that are common to rods and shells."""
 
-MODEL_BARS = 21
+MODEL_BARS = 22
 """Components of derivatives by the model."""
 
 
@@ -36,6 +37,7 @@ class Types:
     quat: Any
     Body: Any
     Bars: Any
+    Pushes: Any
     Plan: Any
 
 
@@ -93,13 +95,20 @@ def make_types(real: Any) -> Types:
         """Derivatives of a loss; those by the model are for each point's contribution."""
 
         state: wp.array3d(dtype=real)  # [W, ., P]
-        model: wp.array3d(dtype=real)  # [W, 21, P]
+        model: wp.array3d(dtype=real)  # [W, 22, P]
         scratch: wp.array3d(dtype=real)  # [W, ., P]
         place: wp.array3d(dtype=real)  # [W G, 6, P]
         position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by grippers' knots
         path_turn: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by a rotation of them, in world axes
         centre: wp.array2d(dtype=vec3)  # [W, G] of one step
         turn: wp.array2d(dtype=vec3)  # [W, G] of one step
+
+    @wp.struct
+    class Pushes:
+        """State before each push of a step's contacts, see ``native/contact_adjoint.h``."""
+
+        before: wp.array3d(dtype=real)
+        made: wp.array2d(dtype=wp.int32)
 
     @wp.struct
     class Plan:
@@ -112,4 +121,4 @@ def make_types(real: Any) -> Types:
         before: wp.array2d(dtype=wp.float64)  # [W, S] length of the step before; 0 at a start [s]
         frame: wp.array2d(dtype=wp.int32)  # [W, S] recorded at its end; -1: none
 
-    return Types(real=real, vec3=vec3, quat=quat, Body=Body, Bars=Bars, Plan=Plan)
+    return Types(real=real, vec3=vec3, quat=quat, Body=Body, Bars=Bars, Pushes=Pushes, Plan=Plan)

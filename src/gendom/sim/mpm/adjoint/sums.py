@@ -110,6 +110,7 @@ class Sums:
             velocity_damping=np.array(scene.velocity_damping.numpy()),
             air_density=matter.drag.numpy().astype(float).sum(axis=1) * s.worlds.drag_by_air,
             friction=np.array(scene.friction.numpy()),
+            self_friction=np.zeros(s.num_worlds),
             gravity=np.array(scene.gravity.numpy()),
             positions=np.array(matter.x.numpy()),
             velocities=np.array(matter.v.numpy()),

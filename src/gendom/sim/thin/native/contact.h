@@ -3,8 +3,10 @@
 // Edges meet edges, and of shells points meet triangles: the two of a cell, on either side of its
 // diagonal b c. What is nearer than the thickness after a step is pushed apart by impulses at the two
 // nearest places: they take away the speed of approach; what is still too near is moved apart without
-// speed. Friction takes what slides, at most by its coefficient times what was pushed. Pairs that may meet are listed with a margin, and listed anew once a point has moved by half
-// of that. Nearest places: Ericson (2005), "Real-Time Collision Detection", chapter 5.
+// speed. Friction takes what slides, at most by its coefficient times what was pushed. Pairs that may
+// meet are listed with a margin, and listed anew once a point has moved by half of that; the list
+// depends on nothing but where points were then. Nearest places: Ericson (2005), "Real-Time Collision
+// Detection", chapter 5.
 #pragma once
 
 namespace gendom {
@@ -97,26 +99,27 @@ CUDA_CALLABLE inline void list_pair(const Body& body, int w, const rows_of<real>
     }
 }
 
-// Whether a point has moved by half the margin since pairs were listed.
+// Whether a point of rows c to c + 2 is farther than this from where it was when pairs were listed.
 template <typename Body, typename real>
-CUDA_CALLABLE inline int moved_on(const Body& body, int w, const wp::array_t<real>& state, int row) {
+CUDA_CALLABLE inline int moved_on(const Body& body, int w, const wp::array_t<real>& state, int row, int c,
+                                  real far) {
     typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), then(body.listed, w), m(body.inertia, w);
     T most = T(real(0));
     for (EACH_IN(p, body.first, body.end)) {
-        const vec<T> d = s.template get3<T>(0, p) - then.template get3<T>(0, p);
+        const vec<T> d = s.template get3<T>(c, p) - then.template get3<T>(0, p);
         most = larger(most, dot(d, d) * is_above(m.template get<T>(0, p), T(real(0))));
     }
-    const real worst = largest_of(most), half = real(0.5) * body.contact_margin;
-    return worst <= half * half ? 0 : 1;
+    return largest_of(most) <= far * far ? 0 : 1;
 }
 
-// Begins a list; the threads meet before `list_pairs`.
+// Begins a list of points in rows c to c + 2; the threads meet before `list_pairs`.
 template <typename Body, typename real>
-CUDA_CALLABLE inline void begin_list(const Body& body, int w, const wp::array_t<real>& state, int row) {
+CUDA_CALLABLE inline void begin_list(const Body& body, int w, const wp::array_t<real>& state, int row,
+                                     int c) {
     typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), then(body.listed, w);
-    for (EACH_IN(p, body.first, body.end)) then.put3(0, p, s.template get3<T>(0, p));
+    for (EACH_IN(p, body.first, body.end)) then.put3(0, p, s.template get3<T>(c, p));
     wp::index(body.near_count, w) = 0;
 }
 
@@ -151,10 +154,10 @@ CUDA_CALLABLE inline bool is_folded(const Body& body, const rows_of<real>& s, in
 }
 
 // Points whose features may meet are at most so far apart; a rod's neighbours never meet.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void list_pairs(const Body& body, int w, const wp::array_t<real>& state, int row) {
+template <typename Body> CUDA_CALLABLE inline void list_pairs(const Body& body, int w) {
+    typedef decltype(Body::radius) real;
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), rest(body.rest, 0), m(body.inertia, w);
+    const rows_of<real> s(body.listed, w), rest(body.rest, 0), m(body.inertia, w);
     const int width = sizeof(T) / sizeof(real), pitch = body.pitch, apart = body.contact_apart;
     const T reach = T(body.contact_reach * body.contact_reach);
     const auto is_point = [&](int i) { return m.template get<real>(0, i) > real(0); };
@@ -195,64 +198,109 @@ template <typename real> CUDA_CALLABLE inline void add_to(const rows_of<real>& r
     rows.first[c * rows.pitch + i] += a;
 #endif
 }
+template <typename real>
+CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, const vec<real>& a) {
+    add_to(rows, c, i, a.x), add_to(rows, c + 1, i, a.y), add_to(rows, c + 2, i, a.z);
+}
+
+// Two places that are too near, and what pushes them apart.
+template <typename real> struct contact {
+    meeting<real> places;
+    vec<real> n, v, vt;  // n of the first from the second; its velocity against that, and across n
+    real depth, needed;  // and the speed that undoes it in a step
+    real vn, speed;      // of approach, and what is taken away of it
+    real sliding, held_back, per_mass, share;
+
+    CUDA_CALLABLE inline vec<real> impulse() const { return share * (speed * n - held_back * vt); }
+    CUDA_CALLABLE inline vec<real> shift(real dt) const {
+        return dt * impulse() + (share * (depth - speed * dt)) * n;
+    }
+};
+
+// The listed pairs of a world in one state.
+template <typename Body, typename real> struct contacts {
+    const Body& body;
+    const int w, count;
+    const rows_of<real> s, push, loose;
+    const real dt, per_dt, mu;
+
+    CUDA_CALLABLE inline contacts(const Body& body, int w, const wp::array_t<real>& state, int row,
+                                  real dt)
+        : body(body), w(w), count(wp::min(wp::index(body.near_count, w), body.near.shape[1])),
+          s(state, row), push(body.push, w), loose(body.loose, w), dt(dt), per_dt(real(1) / dt),
+          mu(wp::index(body.self_friction, w)) {}
+
+    CUDA_CALLABLE inline meeting<real> pair(int k) const {
+        return pair_meets(s, wp::index(body.near, w, k, 0), wp::index(body.near, w, k, 1), body.pitch);
+    }
+    // Whether pair k is pushed apart, and how.
+    CUDA_CALLABLE inline bool find(int k, contact<real>& c) const {
+        c.places = pair(k);
+        const meeting<real>& m = c.places;
+        c.depth = body.contact_distance - m.distance;
+        if (c.depth <= real(0) || m.distance < real(1e-12)) return false;
+        c.n = (real(1) / m.distance) * m.away;
+        c.v = {real(0), real(0), real(0)};
+        c.per_mass = real(0);
+        real most = real(1);
+        for (int i = 0; i < 4; ++i) {
+            c.v = c.v + m.share[i] * s.template get3<real>(3, m.point[i]);
+            c.per_mass += m.share[i] * m.share[i] * loose.template get<real>(0, m.point[i]);
+#if defined(__CUDA_ARCH__)
+            most = larger(most, push.template get<real>(6, m.point[i]));
+#endif
+        }
+        if (c.per_mass <= real(0)) return false;
+        c.vn = dot(c.v, c.n), c.needed = c.depth * per_dt;
+        c.speed = wp::min(larger(-c.vn, real(0)), c.needed);
+        c.vt = c.v - c.vn * c.n;
+        c.sliding = larger(wp::sqrt(dot(c.vt, c.vt)), real(1e-12));
+        c.held_back = wp::min(mu * c.needed / c.sliding, real(1));
+        c.share = real(1) / (c.per_mass * most);
+        return true;
+    }
+};
 
 // Counts the contacts of every point (CUDA).
 template <typename Body, typename real>
 CUDA_CALLABLE inline void count_contacts(const Body& body, int w, const wp::array_t<real>& state, int row) {
 #if defined(__CUDA_ARCH__)
-    const rows_of<real> s(state, row), push(body.push, w);
-    const int count = wp::min(wp::index(body.near_count, w), body.near.shape[1]);
-    for (EACH_ONE_IN(k, 0, count)) {
-        const meeting<real> m =
-            pair_meets(s, wp::index(body.near, w, k, 0), wp::index(body.near, w, k, 1), body.pitch);
+    const contacts<Body, real> all(body, w, state, row, real(1));
+    for (EACH_ONE_IN(k, 0, all.count)) {
+        const meeting<real> m = all.pair(k);
         if (m.distance < body.contact_distance)
-            for (int i = 0; i < 4; ++i) add_to(push, 6, m.point[i], real(1));
+            for (int i = 0; i < 4; ++i) add_to(all.push, 6, m.point[i], real(1));
     }
 #endif
 }
 
+// Forth and back in turns.
+CUDA_CALLABLE inline int in_turn(int j, int count, int turn) { return turn % 2 == 0 ? j : count - 1 - j; }
+
+// Is told of every pair that is about to be pushed apart, and its points; this one does nothing.
+struct nothing_kept {
+    CUDA_CALLABLE inline void operator()(int, const int*) const {}
+};
+
 // A thread of the CPU takes contacts one after the other (Gauss and Seidel), forth and back in turns;
 // those of CUDA take all at once (Jacobi), each with its share where a point has several.
-template <typename Body, typename real>
+template <typename Body, typename real, typename Keep = nothing_kept>
 CUDA_CALLABLE inline void push_apart(const Body& body, int w, const wp::array_t<real>& state, int row,
-                                     real dt, int turn) {
-    const rows_of<real> s(state, row), push(body.push, w), loose(body.loose, w);
-    const int count = wp::min(wp::index(body.near_count, w), body.near.shape[1]);
-    const real mu = wp::index(body.self_friction, w), per_dt = real(1) / dt;
-    for (EACH_ONE_IN(j, 0, count)) {
-        const int k = turn % 2 == 0 ? j : count - 1 - j;
-        const meeting<real> m =
-            pair_meets(s, wp::index(body.near, w, k, 0), wp::index(body.near, w, k, 1), body.pitch);
-        const real depth = body.contact_distance - m.distance;
-        if (depth <= real(0) || m.distance < real(1e-12)) continue;
-        const vec<real> n = (real(1) / m.distance) * m.away;
-        vec<real> v = {real(0), real(0), real(0)};
-        real per_mass = real(0), most = real(1);
+                                     real dt, int turn, const Keep& keep = Keep()) {
+    const contacts<Body, real> all(body, w, state, row, dt);
+    contact<real> c;
+    for (EACH_ONE_IN(j, 0, all.count)) {
+        const int k = in_turn(j, all.count, turn);
+        if (!all.find(k, c)) continue;
+        keep(k, c.places.point);
+        const vec<real> impulse = c.impulse(), shift = c.shift(dt);
         for (int i = 0; i < 4; ++i) {
-            v = v + m.share[i] * s.template get3<real>(3, m.point[i]);
-            per_mass += m.share[i] * m.share[i] * loose.template get<real>(0, m.point[i]);
+            const int p = c.places.point[i];
+            const real by = c.places.share[i] * all.loose.template get<real>(0, p);
 #if defined(__CUDA_ARCH__)
-            most = larger(most, push.template get<real>(6, m.point[i]));
-#endif
-        }
-        if (per_mass <= real(0)) continue;
-        const real vn = dot(v, n), needed = depth * per_dt;
-        const real speed = wp::min(larger(-vn, real(0)), needed);
-        const vec<real> vt = v - vn * n;
-        const real sliding = larger(wp::sqrt(dot(vt, vt)), real(1e-12));
-        const real held_back = wp::min(mu * needed / sliding, real(1));
-        const real share = real(1) / (per_mass * most);
-        const vec<real> impulse = share * (speed * n - held_back * vt);
-        const vec<real> shift = dt * impulse + (share * (depth - speed * dt)) * n;
-        for (int i = 0; i < 4; ++i) {
-            const int p = m.point[i];
-            const real by = m.share[i] * loose.template get<real>(0, p);
-#if defined(__CUDA_ARCH__)
-            add_to(push, 0, p, by * impulse.x), add_to(push, 3, p, by * shift.x);
-            add_to(push, 1, p, by * impulse.y), add_to(push, 4, p, by * shift.y);
-            add_to(push, 2, p, by * impulse.z), add_to(push, 5, p, by * shift.z);
+            add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
 #else
-            s.add3(3, p, by * impulse), s.add3(0, p, by * shift);
+            all.s.add3(3, p, by * impulse), all.s.add3(0, p, by * shift);
 #endif
         }
     }

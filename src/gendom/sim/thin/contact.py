@@ -1,0 +1,72 @@
+"""Arrays for contact of thin bodies with themselves, see ``native/contact.h`` and its adjoint."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gendom.sim.setting import spread
+
+MARGIN_OF_LISTS = 0.3
+"""Margin of the list of pairs that may come into contact [spacings]."""
+
+PAIRS = 40
+"""Maximum number of such pairs for each point."""
+
+LISTED = 3
+"""Components of a kept state that hold where points were when pairs were listed."""
+
+
+def fill_contact(engine: Any, body: Any, stretch: float) -> None:
+    """Set what the kernels' body needs for contact.
+
+    Args:
+        engine: A thin engine.
+        body: The kernels' body.
+        stretch: Largest mean stretch of a body.
+    """
+    e, s = engine, engine.setting
+    W, n, P = e.num_worlds, e.num_points, e.row_length
+    on = int(s.self_contact)
+    thickness, spacing = s.body.thickness, e.spacing
+    body.contact = on
+    body.contact_distance = thickness
+    body.contact_margin = MARGIN_OF_LISTS * spacing
+    body.contact_reach = 2.0 * (1.0 + stretch) * spacing + thickness + body.contact_margin
+    body.contact_apart = e.apart
+    body.contact_turns = 4 if s.device.is_cuda else 2
+    body.self_friction = e.array(spread(s.self_friction, (W,), "self_friction"))
+    body.push = e.zeros((W * on, 7, P))
+    # where nothing is near: the first step lists pairs
+    nowhere = np.broadcast_to(1e6 * (1.0 + np.arange(n)), (W * on, 3, n))
+    body.listed = e.array(e.rows(nowhere))
+    body.near = e.zeros((W * on, PAIRS * n, 2), wp.int32)
+    body.near_count = e.zeros(W * on, wp.int32)
+    body.loose = e.array(loose(e, np.arange(W * on)))
+
+
+def loose(engine: Any, worlds: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, P] [1/kg]."""
+    e = engine
+    free = 1.0 - np.any(e.holds[worlds] & 1, axis=1)
+    per_mass = np.broadcast_to(e.per_mass, (e.num_worlds, e.num_points))[worlds]
+    return e.rows(per_mass * free)[:, None]
+
+
+def kept_pushes(engine: Any, worlds: int) -> Any:
+    """Memory for the contacts of a step of so many worlds, for the reverse pass.
+
+    On the CPU worlds of a launch come one after the other and share it.
+    """
+    e, body = engine, engine.body
+    pushes = e.types.Pushes()
+    turns, pairs = body.contact_turns, body.near.shape[1]
+    shape, made = (turns, pairs, 24), (turns, pairs)
+    if e.setting.device.is_cuda:
+        shape, made = (worlds, 6 * turns, e.row_length), (0, 0)
+    if not e.setting.self_contact:
+        shape, made = (0, 0, 0), (0, 0)
+    pushes.before = wp.empty(shape, dtype=e.real, device=e.setting.device)
+    pushes.made = e.zeros(made, wp.int32)
+    return pushes

@@ -1,0 +1,219 @@
+// The transpose of a body's contact with itself: derivatives of a loss by what the contacts of a step
+// leave become those by what they began with. A bar marks them.
+//
+// The contacts go as in the step once more, and what they change is kept. Then it is put back, the last
+// first, and each push is transposed where it was made. Nearest places x = sum_i s_i x_i, with
+// a = x - y between them, slide along those edges e_k of their features at whose ends they do not
+// stand. There a . e_k = 0, so that with ds_to = dt_k, ds_from = -dt_k (implicit differentiation)
+//
+//     sum_l (e_k . e_l) dt_l = -(e_k . da + a . de_k),  da at unchanged shares s.
+#pragma once
+
+namespace gendom {
+
+enum { CONTACT_X_BAR = 0, CONTACT_V_BAR = 3, CONTACT_PER_MASS_BAR = 12, SELF_FRICTION_BAR = 21 };
+
+// A row keeps where points were when pairs were listed.
+template <typename Body, typename real>
+CUDA_CALLABLE inline void keep_list(const Body& body, int w, const wp::array_t<real>& state, int row, int c) {
+    typedef typename several<real>::lanes T;
+    const rows_of<real> to(state, row), listed(body.listed, w);
+    for (EACH_IN(p, body.first, body.end)) to.put3(c, p, listed.template get3<T>(0, p));
+}
+
+// Keeps the points of a pair before they are pushed, on the CPU: [turns, pairs, 24].
+template <typename Pushes, typename real> struct pushes_kept {
+    const Pushes& pushes;
+    const rows_of<real> s;
+    const int turn;
+
+    CUDA_CALLABLE inline void operator()(int k, const int* point) const {
+#if !defined(__CUDA_ARCH__)
+        wp::index(pushes.made, turn, k) = 1;
+        for (int i = 0; i < 4; ++i)
+            for (int c = 0; c < 6; ++c)
+                wp::index(pushes.before, turn, k, 6 * i + c) = s.template get<real>(c, point[i]);
+#endif
+    }
+};
+
+// Before a turn: on CUDA all points are kept, [worlds, turns * 6, P].
+template <typename Body, typename Pushes, typename real>
+CUDA_CALLABLE inline void keep_turn(const Body& body, const Pushes& pushes, int w, int at,
+                                    const wp::array_t<real>& state, int row, int turn) {
+#if defined(__CUDA_ARCH__)
+    const rows_of<real> s(state, row), kept(pushes.before, at);
+    for (EACH_IN(p, body.first, body.end))
+        for (int c = 0; c < 6; ++c) kept.put(6 * turn + c, p, s.template get<real>(c, p));
+#else
+    for (int k = 0; k < pushes.made.shape[1] && k < wp::index(body.near_count, w); ++k)
+        wp::index(pushes.made, turn, k) = 0;
+#endif
+}
+
+template <typename Body, typename Pushes, typename real>
+CUDA_CALLABLE inline void push_apart_kept(const Body& body, const Pushes& pushes, int w,
+                                          const wp::array_t<real>& state, int row, real dt, int turn) {
+    push_apart(body, w, state, row, dt, turn, pushes_kept<Pushes, real>{pushes, {state, row}, turn});
+}
+
+// All points as they were before a turn (CUDA).
+template <typename Body, typename Pushes, typename real>
+CUDA_CALLABLE inline void put_back(const Body& body, const Pushes& pushes, int at,
+                                   const wp::array_t<real>& state, int row, int turn) {
+#if defined(__CUDA_ARCH__)
+    const rows_of<real> s(state, row), kept(pushes.before, at);
+    for (EACH_IN(p, body.first, body.end))
+        for (int c = 0; c < 6; ++c) s.put(c, p, kept.template get<real>(6 * turn + c, p));
+#endif
+}
+
+// Up to two edges, between points of a pair, along which its nearest places slide.
+struct sliding_along {
+    int count, from[2], to[2];
+
+    CUDA_CALLABLE inline void add(int a, int b) { from[count] = a, to[count] = b, ++count; }
+};
+
+template <typename real>
+CUDA_CALLABLE inline sliding_along slides_of(const rows_of<real>& s, const meeting<real>& m, bool is_point) {
+    const auto inside = [](real a) { return a > real(0) && a < real(1); };
+    const auto edge = [&](int a, int b) {
+        return s.template get3<real>(0, m.point[b]) - s.template get3<real>(0, m.point[a]);
+    };
+    sliding_along along = {0, {0, 0}, {0, 0}};
+    if (is_point) {
+        const real v = -m.share[2], w = -m.share[3];
+        const bool on_far_edge = v == real(1) - w;
+        if (inside(v) && inside(w) && on_far_edge) along.add(2, 3);
+        else if (inside(v) || inside(w)) {
+            if (v > real(0)) along.add(1, 2);
+            if (w > real(0)) along.add(1, 3);
+        }
+        return along;
+    }
+    const bool first = inside(m.share[1]), second = inside(-m.share[3]);
+    if (second) along.add(2, 3);
+    const vec<real> u = edge(0, 1), v = edge(2, 3);
+    const real uu = dot(u, u), vv = dot(v, v), uv = dot(u, v);
+    // of parallel edges the first one's middle is taken, unless the second one ends before
+    if (first && (!second || uu * vv - uv * uv > real(1e-6) * uu * vv)) along.add(0, 1);
+    return along;
+}
+
+// Solves sum_l (e_k . e_l) t_l = by_k.
+template <typename real>
+CUDA_CALLABLE inline void solve_slides(int count, const vec<real> e[2], const real by[2], real t[2]) {
+    t[0] = t[1] = real(0);
+    if (count == 1) t[0] = by[0] / dot(e[0], e[0]);
+    if (count == 2) {
+        const real a = dot(e[0], e[0]), b = dot(e[0], e[1]), c = dot(e[1], e[1]), det = a * c - b * b;
+        t[0] = (c * by[0] - b * by[1]) / det, t[1] = (a * by[1] - b * by[0]) / det;
+    }
+}
+
+// Derivatives by what a push is made of, given those by its impulse and its shift.
+template <typename real> struct contact_bar {
+    vec<real> away, v;
+    real per_mass, mu;
+
+    CUDA_CALLABLE inline contact_bar(const contact<real>& c, const vec<real>& by_impulse,
+                                     const vec<real>& by_shift, real dt, real mu_is) {
+        // shift = share (depth n - dt held_back vt), the rest of its terms cancel
+        const vec<real> I = c.share * by_impulse, S = c.share * by_shift, slows = -(I + dt * S);
+        per_mass = -(dot(I, c.speed * c.n - c.held_back * c.vt) +
+                     dot(S, c.depth * c.n - dt * c.held_back * c.vt)) / c.per_mass;
+        vec<real> n = c.speed * I + c.depth * S, vt = c.held_back * slows;
+        real depth = dot(S, c.n), needed = real(0), vn = real(0);
+        const real speed = dot(I, c.n);
+        if (-c.vn >= c.needed) needed += speed;
+        else if (c.vn < real(0)) vn -= speed;
+        mu = real(0);
+        if (c.held_back < real(1)) {  // it slides: held_back = mu needed / sliding
+            const real held_back = dot(slows, c.vt);
+            mu = held_back * c.needed / c.sliding;
+            needed += held_back * mu_is / c.sliding;
+            if (c.sliding > real(1e-12))
+                vt = vt - (held_back * c.held_back / (c.sliding * c.sliding)) * c.vt;
+        }
+        depth += needed / dt;
+        // vt = v - vn n, vn = v . n
+        vn -= dot(vt, c.n);
+        n = n - c.vn * vt + vn * c.v;
+        v = vt + vn * c.n;
+        away = (real(1) / c.places.distance) * (n - dot(n, c.n) * c.n) - depth * c.n;
+    }
+};
+
+// Of one push. `x_bar` and `v_bar` are the rows of `out` to which it adds.
+template <typename Body, typename real>
+CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real>& all, int k, const contact<real>& c,
+                                       const rows_of<real>& b, const rows_of<real>& by,
+                                       const rows_of<real>& out, int x_bar, int v_bar) {
+    const meeting<real>& m = c.places;
+    const vec<real> impulse = c.impulse(), shift = c.shift(all.dt), none = {real(0), real(0), real(0)};
+    vec<real> by_impulse = none, by_shift = none;
+    real moved[4], loose[4];
+    for (int i = 0; i < 4; ++i) {
+        const vec<real> xb = b.template get3<real>(CONTACT_X_BAR, m.point[i]);
+        const vec<real> vb = b.template get3<real>(CONTACT_V_BAR, m.point[i]);
+        loose[i] = all.loose.template get<real>(0, m.point[i]);
+        by_impulse = by_impulse + m.share[i] * loose[i] * vb;
+        by_shift = by_shift + m.share[i] * loose[i] * xb;
+        moved[i] = dot(vb, impulse) + dot(xb, shift);
+    }
+    const contact_bar<real> bar(c, by_impulse, by_shift, all.dt, all.mu);
+    add_to(by, SELF_FRICTION_BAR, m.point[0], bar.mu);
+
+    vec<real> x[4];
+    for (int i = 0; i < 4; ++i) x[i] = all.s.template get3<real>(0, m.point[i]);
+    const auto by_share = [&](int i) {
+        return loose[i] * (moved[i] + real(2) * m.share[i] * bar.per_mass) + dot(bar.away, x[i]) +
+               dot(bar.v, all.s.template get3<real>(3, m.point[i]));
+    };
+    const sliding_along along = slides_of(all.s, m, wp::index(all.body.near, all.w, k, 0) % 4 == 3);
+    vec<real> e[2] = {none, none};
+    real ends[2] = {real(0), real(0)}, t[2];
+    for (int a = 0; a < along.count; ++a) {
+        e[a] = x[along.to[a]] - x[along.from[a]];
+        ends[a] = by_share(along.to[a]) - by_share(along.from[a]);
+    }
+    solve_slides(along.count, e, ends, t);
+    const vec<real> away = bar.away - t[0] * e[0] - t[1] * e[1];
+    for (int i = 0; i < 4; ++i) {
+        vec<real> add = m.share[i] * away;
+        for (int a = 0; a < along.count; ++a)
+            add = add + (i == along.from[a] ? t[a] : i == along.to[a] ? -t[a] : real(0)) * m.away;
+        add_to(out, x_bar, m.point[i], add);
+        add_to(out, v_bar, m.point[i], m.share[i] * bar.v);
+        if (loose[i] > real(0))
+            add_to(by, CONTACT_PER_MASS_BAR, m.point[i],
+                   m.share[i] * (moved[i] + m.share[i] * bar.per_mass));
+    }
+}
+
+// Of one turn. On CUDA derivatives add up in `push`, from where `take_push` takes them.
+template <typename Body, typename Bars, typename Pushes, typename real>
+CUDA_CALLABLE inline void push_apart_adjoint(const Body& body, const Bars& bars, const Pushes& pushes,
+                                             int w, const wp::array_t<real>& state, int row, real dt,
+                                             int turn) {
+    const contacts<Body, real> all(body, w, state, row, dt);
+    const rows_of<real> b(bars.state, w), by(bars.model, w);
+    contact<real> c;
+#if defined(__CUDA_ARCH__)
+    for (EACH_ONE_IN(k, 0, all.count))
+        if (all.find(k, c)) push_adjoint(all, k, c, b, by, all.push, 3, 0);
+#else
+    for (int j = all.count - 1; j >= 0; --j) {
+        const int k = in_turn(j, all.count, turn);
+        if (!wp::index(pushes.made, turn, k)) continue;
+        const meeting<real> m = all.pair(k);  // for its points
+        for (int i = 0; i < 4; ++i)
+            for (int c = 0; c < 6; ++c)
+                all.s.put(c, m.point[i], wp::index(pushes.before, turn, k, 6 * i + c));
+        if (all.find(k, c)) push_adjoint(all, k, c, b, by, b, CONTACT_X_BAR, CONTACT_V_BAR);
+    }
+#endif
+}
+
+}  // namespace gendom

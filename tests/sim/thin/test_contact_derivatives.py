@@ -1,0 +1,304 @@
+"""Derivatives through contact of rods and shells with themselves against central differences.
+
+A difference is right where each contact begins, sticks and ends in the same step on both its sides.
+The scenes are therefore irregular and short, 200 steps with contact in the last 100 of them, and
+changes small. How small depends on what is changed: of several sizes the one is taken whose
+difference is most like that of the next smaller one.
+"""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+from gendom.materials import Material
+from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.sim.thin import tape
+
+TIMES = [0.01, 0.02, 0.025, 0.03]
+FIRST = [0.00415, 0.0043]
+"""When a faster cloth has been in contact for a few steps."""
+
+
+def crossed_rope():
+    """A loop whose ends cross, one above the other."""
+    turn = np.linspace(-1.3, 1.3, 300) * np.pi
+    line = np.stack([0.05 * np.sin(turn), 0.05 * np.cos(turn), 0.0018 * turn + 0.1], axis=1)
+    return rope(diameter=0.01, centre_line=line, points=26)
+
+
+def folded_cloth(skew, slide):
+    """A sheet, and its points when it is bent by half a turn, with its upper half slid aside."""
+    body = cloth(
+        width=0.13, height=0.1, thickness=0.005, dx=0.02, corner=(0, 0, 0.1), points=(12, 9)
+    )
+    x, radius = body.points.copy(), 0.0075
+    n = np.array([np.cos(skew), np.sin(skew), 0.0])
+    beyond = (x - x.mean(axis=0)) @ n
+    on = np.clip(beyond / radius, 0.0, np.pi)
+    along = np.where(beyond > np.pi * radius, np.pi * radius - beyond, radius * np.sin(on))
+    bent = x + np.where(beyond > 0.0, along - beyond, 0.0)[:, None] * n
+    bent[:, 2] += radius * (1.0 - np.cos(on))
+    bent[:, 1] += slide * on / np.pi
+    return body, bent
+
+
+ROPE = crossed_rope()
+CLOTH, FOLDED = folded_cloth(0.23, 0.0)
+
+
+def given(body, self_friction, seed=0, points=None, noise=2e-4):
+    """Everything that a scene depends on; the first gripper stays and lets go while
+    the second pushes down."""
+    rng = np.random.default_rng(seed)
+    n, sheet = len(body.points), body.kind == "cloth"
+    if points is None:
+        points = FOLDED if sheet else body.points
+    x = points + noise * rng.normal(size=(n, 3))
+    low, high = (x[0], x[11]) if sheet else (x[0], x[-1])
+    down, on = np.array([[0.004, 0.006, -0.009], [0.006, 0.01, -0.01]])
+    velocities = 250.0 * noise * rng.normal(size=(n, 3))
+    velocities[:, 2] -= 0.6 * (x[:, 2] > x[:, 2].mean())
+    return {
+        "E": 1e5 if sheet else 1e6,
+        "nu": 0.3,
+        "density": 900.0,
+        "damping": 0.003,
+        "friction": 0.3,
+        "self_friction": self_friction,
+        "gravity": np.array([0.3, 0.2, -30.0]),
+        "velocity_damping": 2.0,
+        "air_density": 40.0,
+        "stiffness": 1.0 + 0.2 * rng.normal(size=n) ** 2,
+        "positions": x,
+        "velocities": velocities,
+        "gripper_positions": np.array(
+            [[low, low + 0.1 * down, low], [high, high + down, high + on]]
+        ),
+        "gripper_radius": np.array([0.021, 0.017]),
+    }
+
+
+def simulator(body, p, worlds=1, **options):
+    lowest = (FOLDED if body.kind == "cloth" else body.points)[:, 2].min()
+    knots = [0, 0.025, 0.05]
+    s = Simulator(
+        body,
+        [Material(**{name: float(p[name]) for name in ("E", "nu", "density", "damping")})] * worlds,
+        engine="thin",
+        grippers=[
+            Gripper(time=knots, position=path, radius=radius, hold_until=until)
+            for path, radius, until in zip(
+                p["gripper_positions"], p["gripper_radius"], (0.0213, 1.0), strict=True
+            )
+        ],
+        table=Table(height=lowest - body.thickness / 2.0 - 0.002, friction=p["friction"]),
+        gravity=p["gravity"],
+        velocity_damping=p["velocity_damping"],
+        air_density=p["air_density"],
+        stiffness=p["stiffness"],
+        positions=p["positions"],
+        self_friction=p["self_friction"],
+        substep=1.5e-4,
+        **{"self_contact": True, **options},
+    )
+    s.set_velocities(p["velocities"])
+    return s
+
+
+def loss_of(body, p, times, weights, x0, device):
+    """Of displacements from points x0, which are rounded less than positions are."""
+    return float(np.sum((simulator(body, p, device=device).run(times) - x0) * weights))
+
+
+def difference(loss, h):
+    """The directional derivative of a loss by the steadiest of several central differences."""
+    found = []
+    for size in (0.03 * h, 0.1 * h, 0.3 * h, h, 3.0 * h):
+        near, far = (loss(k * size) - loss(-k * size) for k in (1.0, 2.0))
+        found.append((8.0 * near - far) / (12.0 * size))
+    return found[1 + int(np.abs(np.diff(found)).argmin())]
+
+
+STEPS = {"positions": 2e-8, "gripper_positions": 2e-8, "self_friction": 2e-5}
+"""Relative steps where they are not 2e-6: shorter where they move points at once."""
+
+
+def check_derivatives(body, p, names, times=TIMES, device="cpu", rel=1e-6):
+    rng = np.random.default_rng(1)
+    weights = rng.normal(size=(len(times), 1, len(body.points), 3))
+    rollout = Rollout(simulator(body, p, device=device))
+    x0 = rollout.forward(times)
+    found = rollout.backward(weights)
+    for name in names:
+        direction = rng.normal(size=np.shape(p[name])) if np.ndim(p[name]) else np.array(1.0)
+        expected = difference(
+            lambda h, name=name, by=direction: loss_of(
+                body, p | {name: p[name] + h * by}, times, weights, x0, device
+            ),
+            STEPS.get(name, 2e-6) * max(np.abs(p[name]).max(), 1e-2),
+        )
+        by = np.sum(getattr(found, name)[0] * direction)
+        assert by == pytest.approx(expected, rel=rel), name
+
+
+GIVEN = {
+    "rope-slides": (ROPE, 0.2),
+    "rope-sticks": (ROPE, 5.0),
+    "cloth-slides": (CLOTH, 0.2),
+    "cloth-sticks": (CLOTH, 5.0),
+}
+
+
+def scenes(*names):
+    chosen = [pytest.param(*GIVEN[name], id=name) for name in names]
+    return pytest.mark.parametrize(("body", "self_friction"), chosen)
+
+
+SCENES = scenes(*GIVEN)
+
+
+@SCENES
+def test_every_derivative_is_that_of_central_differences(body, self_friction):
+    p = given(body, self_friction)
+    check_derivatives(body, p, p)
+
+
+def touching(self_friction, skew, slide, noise):
+    """A faster cloth: deep contacts of many points at once."""
+    _, x = folded_cloth(skew, slide)
+    p = given(CLOTH, self_friction, points=x, noise=noise)
+    p["velocities"] += 2.0 * np.outer(x[:, 2] > x[:, 2].mean(), [0.1, 0.05, -1.0])
+    return p
+
+
+TOUCHES = pytest.mark.parametrize("self_friction", [0.2, 5.0])
+BY = ("density", "self_friction", "velocities", "positions")
+
+
+@TOUCHES
+def test_first_touches_are_differentiated(self_friction):
+    check_derivatives(CLOTH, touching(self_friction, 0.23, 0.0, 2e-4), BY, times=FIRST)
+
+
+@TOUCHES
+def test_nearly_parallel_edges_are_differentiated(self_friction):
+    p = touching(self_friction, 0.0, 0.0041, 2e-6) | {"stiffness": np.ones(len(CLOTH.points))}
+    check_derivatives(CLOTH, p, BY, times=FIRST)
+
+
+@pytest.mark.gpu
+@TOUCHES
+def test_cuda_differentiates_first_touches(self_friction):
+    """There points are pushed from the edges of triangles beside them, too."""
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    p = touching(self_friction, 0.23, 0.0, 2e-4)
+    check_derivatives(CLOTH, p, BY, times=FIRST, device="cuda", rel=1e-5)
+
+
+@pytest.mark.gpu
+@scenes("rope-slides", "rope-sticks", "cloth-slides")
+def test_cuda_differentiates_its_own_contacts(body, self_friction):
+    """They are taken all at once there, and added up in any order, so that runs differ by rounding.
+    The fourth scene has contacts there that begin within the changes."""
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    p = given(body, self_friction)
+    check_derivatives(body, p, p, device="cuda", rel=1e-4)
+
+
+@SCENES
+def test_these_scenes_have_contact_with_friction(body, self_friction):
+    p = given(body, self_friction)
+    x = simulator(body, p).run(TIMES)
+    for other in (
+        simulator(body, p, self_contact=False),
+        simulator(body, p | {"self_friction": 0.0}),
+    ):
+        assert np.abs(other.run(TIMES) - x)[2].max() > 1e-5
+    sticks = simulator(body, p | {"self_friction": 1e9}).run(TIMES)
+    assert np.abs(sticks - x)[2].max() > 1e-6
+
+
+@SCENES
+def test_pieces_are_run_again_bit_for_bit(body, self_friction, monkeypatch):
+    """With the lists of pairs that the first run had, though they were made in pieces before."""
+    rollout = Rollout(simulator(body, given(body, self_friction)))
+    x = rollout.forward(TIMES)
+    np.testing.assert_array_equal(x, simulator(body, given(body, self_friction)).run(TIMES))
+    recorded: Any = rollout._tape
+    engine, plan = recorded.engine, recorded.plan
+    steps = plan.steps[0]
+    launch, compared = engine.launch, []
+
+    def known(rows):
+        """Positions, velocities and where points were listed."""
+        return rows.numpy()[:, np.r_[0:6, -3:0]][..., engine.slots]
+
+    kept = known(recorded.kept)
+
+    def launch_and_compare(kernel, group, inputs):
+        launch(kernel, group, inputs)
+        if kernel is engine.kernels.advance:
+            piece, rows = inputs[3].numpy()[0, 0], known(inputs[6])
+            np.testing.assert_array_equal(rows[0], kept[piece])
+            if piece + 1 < len(steps) and not plan.due[0, piece + 1]:
+                np.testing.assert_array_equal(rows[steps[piece]], kept[piece + 1])
+                compared.append(not np.array_equal(kept[piece, -3:], kept[piece + 1, -3:]))
+
+    monkeypatch.setattr(engine, "launch", launch_and_compare)
+    rollout.backward(np.ones_like(x))
+    assert len(compared) > 8
+    assert any(compared)  # pairs were listed anew
+    assert not all(compared)
+
+
+def test_every_step_has_its_own_list_of_pairs(monkeypatch):
+    """A rope coils in one piece, at whose end other pairs are listed than in its middle."""
+    body = rope(
+        diameter=0.01, length=0.4, start=(0, 0, 0.42), direction=(0.02, 0.01, -1), points=41
+    )
+
+    def by_positions():
+        material = [Material(E=2e5, damping=0.01)]
+        s = Simulator(body, material, table=Table(height=0.0), self_contact=True)
+        rollout = Rollout(s)
+        return rollout.backward(np.ones_like(rollout.forward([0.5]))).positions
+
+    expected = by_positions()
+    monkeypatch.setattr(tape, "math", SimpleNamespace(ceil=math.ceil, sqrt=lambda steps: steps))
+    np.testing.assert_array_equal(by_positions(), expected)
+
+
+def test_worlds_do_not_see_each_others_contacts():
+    """Worlds of one launch share memory for their contacts."""
+    bodies = [given(ROPE, mu, seed) for seed, mu in enumerate((0.2, 5.0, 0.0))]
+    shared = given(ROPE, 0.2)
+
+    def run(chosen):
+        stacked = {
+            name: np.array([p[name] for p in chosen])
+            for name in ("positions", "velocities", "self_friction")
+        }
+        rollout = Rollout(simulator(ROPE, shared | stacked, worlds=len(chosen)))
+        x = rollout.forward(TIMES)
+        return x, rollout.backward(np.ones_like(x))
+
+    together = run(bodies)
+    for k, p in enumerate(bodies):
+        x, found = run([p])
+        np.testing.assert_array_equal(together[0][:, k], x[:, 0])
+        for name, values in vars(found).items():
+            np.testing.assert_allclose(
+                getattr(together[1], name)[k], values[0], rtol=1e-12, atol=1e-20, err_msg=name
+            )
+
+
+def test_without_contact_self_friction_does_not_matter():
+    rollout = Rollout(simulator(ROPE, given(ROPE, 0.2), self_contact=False))
+    x = rollout.forward(TIMES)
+    np.testing.assert_array_equal(rollout.backward(np.ones_like(x)).self_friction, 0.0)
