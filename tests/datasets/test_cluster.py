@@ -25,8 +25,8 @@ class Throwing:
     def about(self):
         return {"task": {"name": "throwing"}}
 
-    def draw(self, rng):
-        return {"speed": rng.uniform(0.0, 10.0)}
+    def draw(self, rngs):
+        return {"speed": np.array([rng.uniform(0.0, 10.0) for rng in rngs])}
 
     def demonstrate(self, draws, *, device, on_frame=None):
         if self.breaks:
@@ -38,8 +38,8 @@ class Throwing:
                 pass
             else:
                 os.kill(os.getpid(), signal.SIGKILL)
-        speed = np.array([draw["speed"] for draw in draws])
-        return Outcomes(columns={"goal_x": speed**2 / 9.81}, faults=(None,) * len(draws))
+        speed = draws["speed"]
+        return Outcomes(columns={"goal_x": speed**2 / 9.81}, faults=(None,) * len(speed))
 
 
 @pytest.fixture(scope="module")

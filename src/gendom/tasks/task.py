@@ -293,42 +293,59 @@ class Task(ABC):
         Raises:
             ParameterError: None is found.
         """
-        low, high = self.limits(item).T
-        drawn = np.empty((count, len(low)))
-        for row in drawn:
-            for _ in range(DRAWS):
-                row[:] = rng.uniform(low, high)
-                if self.allows(item, row, slack=0.0):
-                    break
-            else:
-                raise ParameterError(f"no action of {self.name} is allowed for this {self.kind}")
-        return drawn
+        return np.concatenate([self.draw_actions([item], [rng]) for _ in range(count)])
+
+    def draw_actions(self, items: Sequence[Item], rngs: Sequence[np.random.Generator]) -> Array:
+        """[W, A] one action for each of W objects, each from its own generator: drawn uniformly
+        from all that are allowed.
+
+        Raises:
+            ParameterError: None is found.
+        """
+        low, high = np.moveaxis(np.array([self.limits(item) for item in items]), 2, 0)
+        drawn = np.empty_like(low)
+        left = list(range(len(items)))
+        for _ in range(DRAWS):
+            share = np.array([rngs[w].random(low.shape[1]) for w in left])
+            drawn[left] = low[left] + (high - low)[left] * share
+            left = [w for w in left if self.margin(items[w], drawn[w]) < 0.0]
+            if not left:
+                return drawn
+        raise ParameterError(f"no action of {self.name} is allowed for this {self.kind}")
 
     # ---- demonstrations --------------------------------------------------------------------------
 
     def draw_item(self, rng: np.random.Generator) -> Item:
         """An object with parameters drawn from `ranges`: log-uniformly where ratios count."""
-        value = {}
-        for name in PARAMETERS:  # in their own order, so that draws do not depend on the mapping's
-            if name in self.ranges:
-                low, high = self.ranges[name]
-                log = PARAMETERS[name].log and low > 0.0
-                value[name] = (
-                    math.exp(rng.uniform(math.log(low), math.log(high)))
-                    if log
-                    else rng.uniform(low, high)
-                )
+        return self.draw_items([rng])[0]
+
+    def draw_items(self, rngs: Sequence[np.random.Generator]) -> list[Item]:
+        """W objects, each drawn as `draw_item` from its own generator."""
         m = self.item.material
-        density = value.get("density", m.density)
-        material = replace(
-            m,
-            E=value.get("E", m.specific_modulus) * density,
-            nu=value.get("nu", m.nu),
-            density=density,
-            damping=value.get("damping", m.damping),
-        )
-        friction = value.get("friction", self.item.friction)
-        return replace(self.item, material=material, friction=friction)
+        value = {
+            "E": m.specific_modulus,
+            "nu": m.nu,
+            "density": m.density,
+            "damping": m.damping,
+            "friction": self.item.friction,
+        }
+        columns = {name: [number] * len(rngs) for name, number in value.items()}
+        # in their own order, so that draws do not depend on the mapping's
+        names = [name for name in PARAMETERS if name in self.ranges]
+        shares = np.array([rng.random(len(names)) for rng in rngs])
+        for k, name in enumerate(names):
+            low, high = self.ranges[name]
+            log = PARAMETERS[name].log and low > 0.0
+            if log:
+                low, high = math.log(low), math.log(high)
+            numbers = (low + (high - low) * shares[:, k]).tolist()
+            columns[name] = [math.exp(x) for x in numbers] if log else numbers
+        drawn = []
+        for row in zip(*columns.values(), strict=True):
+            of = dict(zip(columns, row, strict=True))
+            friction, E = of.pop("friction"), of.pop("E") * of["density"]
+            drawn.append(replace(self.item, material=replace(m, E=E, **of), friction=friction))
+        return drawn
 
     def demonstrate(
         self,
