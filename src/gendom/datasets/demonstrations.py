@@ -542,7 +542,9 @@ def _read_shard(
             raise DatasetError(
                 "is damaged (its SHA-256 is not that of dataset.json)", where=str(path), fix=fix
             )
-        rows = pq.read_table(pa.BufferReader(content))
+        # not read_table: threads of its scanner may drop Python's bytes after Python has ended, and
+        # abort (https://github.com/apache/arrow/issues/33975)
+        rows = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
         about = json.loads((rows.schema.metadata or {}).get(_METADATA, b"null"))
     except (FileNotFoundError, DatasetError):
         raise

@@ -172,6 +172,13 @@ class Task(ABC):
                     where=f"range of {name}",
                     fix="give positive numbers, the smaller one first",
                 )
+            for end in (low, high):
+                try:
+                    self._item_with({name: end})
+                except ParameterError as error:
+                    raise ParameterError(
+                        error.what, where=f"range of {name}", fix=error.fix
+                    ) from None
 
     # ---- what a task's file says -----------------------------------------------------------------
 
@@ -321,31 +328,38 @@ class Task(ABC):
 
     def draw_items(self, rngs: Sequence[np.random.Generator]) -> list[Item]:
         """W objects, each drawn as `draw_item` from its own generator."""
-        m = self.item.material
-        value = {
-            "E": m.specific_modulus,
-            "nu": m.nu,
-            "density": m.density,
-            "damping": m.damping,
-            "friction": self.item.friction,
-        }
-        columns = {name: [number] * len(rngs) for name, number in value.items()}
         # in their own order, so that draws do not depend on the mapping's
         names = [name for name in PARAMETERS if name in self.ranges]
         shares = np.array([rng.random(len(names)) for rng in rngs])
+        columns = []
         for k, name in enumerate(names):
             low, high = self.ranges[name]
             log = PARAMETERS[name].log and low > 0.0
             if log:
                 low, high = math.log(low), math.log(high)
             numbers = (low + (high - low) * shares[:, k]).tolist()
-            columns[name] = [math.exp(x) for x in numbers] if log else numbers
-        drawn = []
-        for row in zip(*columns.values(), strict=True):
-            of = dict(zip(columns, row, strict=True))
-            friction, E = of.pop("friction"), of.pop("E") * of["density"]
-            drawn.append(replace(self.item, material=replace(m, E=E, **of), friction=friction))
-        return drawn
+            columns.append([math.exp(x) for x in numbers] if log else numbers)
+        rows = zip(*columns, strict=True) if names else [()] * len(rngs)
+        return [self._item_with(dict(zip(names, row, strict=True))) for row in rows]
+
+    def _item_with(self, values: Mapping[str, float]) -> Item:
+        """The task's object with other parameters, as named in `ranges`.
+
+        Raises:
+            ParameterError: There is no such object.
+        """
+        m = self.item.material
+        density = values.get("density", m.density)
+        material = replace(
+            m,
+            E=values.get("E", m.specific_modulus) * density,
+            nu=values.get("nu", m.nu),
+            density=density,
+            damping=values.get("damping", m.damping),
+        )
+        return replace(
+            self.item, material=material, friction=values.get("friction", self.item.friction)
+        )
 
     def demonstrate(
         self,
