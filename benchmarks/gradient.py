@@ -15,6 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gendom.materials import Material
+from gendom.robot import TcpPaths
 from gendom.sim import Rollout, Simulator
 from gendom.sim.rollout import MEMORY
 from gendom.tasks import RopeReaching
@@ -54,13 +55,14 @@ def main() -> None:
 def simulator(dtype: str) -> Simulator:
     task = RopeReaching()
     action = task.sample_actions(task.item, np.random.default_rng(0), 1)[0]
+    path = task.tool_path(task.item, action)
     body, _ = Simulation(engine="mpm", cells_across=2.0).body(task, task.item)
     material = Material(E=1.0e6, nu=0.3, density=1000.0)
     return Simulator(
         body,
         [material],
         engine="mpm",
-        grippers=grippers(task.scene(task.item), task.tool_path(task.item, action), 0.0),
+        grippers=grippers(task.scene(task.item), TcpPaths([path]), 0.0),
         dtype=dtype,
         threads=1,
     )

@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from gendom.materials import Material
+from gendom.robot import TcpPaths
 from gendom.sim import Body, Simulator, Table, cloth
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
@@ -73,7 +74,8 @@ def by_worlds(device: str, most: int, substeps: int) -> list[dict[str, Any]]:
     rows = []
     for worlds in 4 ** np.arange(0, int(math.log(most, 4)) + 1):
         actions = task.sample_actions(task.item, np.random.default_rng(0), int(worlds))
-        hands = [grippers(scene, task.tool_path(task.item, a), 0.0) for a in actions]
+        paths = TcpPaths([task.tool_path(task.item, a) for a in actions])
+        hands = grippers(scene, paths, 0.0)
         before = memory(wp.get_device(device))
         simulator = Simulator(
             body,

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,8 +26,8 @@ class Throwing:
     def about(self):
         return {"task": {"name": "throwing"}}
 
-    def draw(self, rng):
-        return {"speed": rng.uniform(0.0, 10.0)}
+    def draw(self, rngs):
+        return {"speed": np.array([rng.uniform(0.0, 10.0) for rng in rngs])}
 
     def demonstrate(self, draws, *, device, on_frame=None):
         if self.breaks:
@@ -38,8 +39,8 @@ class Throwing:
                 pass
             else:
                 os.kill(os.getpid(), signal.SIGKILL)
-        speed = np.array([draw["speed"] for draw in draws])
-        return Outcomes(columns={"goal_x": speed**2 / 9.81}, faults=(None,) * len(draws))
+        speed = draws["speed"]
+        return Outcomes(columns={"goal_x": speed**2 / 9.81}, faults=(None,) * len(speed))
 
 
 @pytest.fixture(scope="module")
@@ -79,3 +80,18 @@ def test_a_cluster_without_gpus_is_told(tmp_path, cluster):
         pytest.skip("there is a GPU")
     with pytest.raises(DeviceError, match="the cluster has no GPU"):
         generate(Throwing(), 20, tmp_path / "set", seed=3, cluster=cluster, device="cuda")
+
+
+def test_an_unreachable_cluster_is_told_in_one_line(tmp_path, monkeypatch, recwarn):
+    """Without what Ray's client has to say about it."""
+    import ray
+
+    def no_answer(**_):
+        warnings.warn("Ray Client connection timed out.", stacklevel=2)
+        raise ConnectionError("ray client connection timeout\nmore")
+
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", no_answer)
+    with pytest.raises(DeviceError, match="no cluster answers there") as error:
+        generate(Throwing(), 20, tmp_path / "set", seed=3, cluster="ray://nowhere:10001")
+    assert "\n" not in str(error.value) and len(recwarn) == 0

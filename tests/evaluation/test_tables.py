@@ -164,7 +164,7 @@ def test_real_demonstrations_are_drawn_where_the_estimate_is_steady():
     )
     plain = Demonstrator(task=task, world=Thrown(), items=(rope,))
     heights = [
-        np.array([d.draw(np.random.default_rng(k))["release_z"] for k in range(40)]) / rope.length
+        d.draw([np.random.default_rng(k) for k in range(40)])["release_z"] / rope.length
         for d in (source, plain)
     ]
     assert (heights[0] <= limit).all() and (heights[1] > limit).any()

@@ -242,6 +242,20 @@ def test_the_origin_can_be_chosen(act):
     assert shift == pytest.approx(np.tile([0.02, -0.1, -0.02], (len(shift), 1)))
 
 
+def test_a_motion_that_the_arm_cannot_do_is_refused(act):
+    """Unless it is forced: another robot may."""
+    far = ("--origin", "1.5", "0.2", "0.1")
+    code, out, err = act(*far)
+    assert (code, out) == (2, "") and err.count("\n") == 1
+    assert "xarm7: position (1.500" in err and "is out of reach" in err
+    assert "choose another --origin, or add --force" in err
+    code, out, err = act(*far, "--force", "--json")
+    assert code == 0 and "is out of reach" in err
+    assert any("is out of reach" in line for line in json.loads(out)["warnings"])
+    assert json.loads(act("--json")[1])["arm"] == {"name": "xarm7", "slowed_by": 1.0}
+    assert "xarm7 follows the motion" in act()[1]
+
+
 def test_act_takes_flags_instead_of_a_file_and_before_it(act):
     material = ["--E=9e5", "--nu=0.3", "--density=900"]
     sizes = ["--length=0.25", "--diameter=0.014"]

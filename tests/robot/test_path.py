@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gendom.errors import RobotError
-from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath, follow
+from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath, TcpPaths, follow
 
 KNOTS = np.array([[0.35, 0.0, 0.2], [0.35, 0.0, 0.2], [0.45, 0.0, 0.2], [0.45, 0.1, 0.25]])
 TURNS = Rotation.from_euler("zyx", [[0, 0, 180], [0, 0, 180], [40, 0, 180], [40, 30, 150]], True)
@@ -164,3 +164,32 @@ def test_a_shifted_path_does_everything_later(path):
     )
     assert [e.time for e in later.events] == pytest.approx([0.8, 3.2])
     assert later.blend == 0.2 and later.moves == pytest.approx(1.1)
+
+
+# ---- many paths ----------------------------------------------------------------------------------
+
+
+def test_many_paths_are_as_each_alone(path):
+    """To the last bit, whatever their numbers of knots and blends."""
+    short = TcpPath(time=path.time[:2] - 0.3, position=path.position[1:3], quat_xyzw=np.array(DOWN))
+    still = replace(path, position=np.repeat(KNOTS[:1], 4, axis=0))
+    turning = replace(still, quat_xyzw=TURNS.as_quat())
+    some = [path, replace(path, blend=0.06), short, still, replace(path, blend=0.3), turning]
+    many, t = TcpPaths(some), np.linspace(-0.5, 2.5, 50)
+    assert many.moves.tolist() == [p.moves for p in some]
+    assert many.turning.tolist() == [False] * 5 + [True]
+    for one, found in zip(some, many.position_at(t), strict=True):
+        np.testing.assert_array_equal(found, one.position_at(t, one.blend or 0.0))
+    for one, time, position, count in zip(some, *many.sampled(), strict=True):
+        own, place = one.sampled()
+        np.testing.assert_array_equal(time[:count], own)
+        np.testing.assert_array_equal(position[:count], place)
+        assert (time[count:] == own[-1]).all() and (position[count:] == place[-1]).all()
+
+
+def test_a_blend_is_sampled_at_its_knots_and_within(path):
+    """Nothing closer than rounding, nothing lost."""
+    time, position = replace(path, blend=0.2).sampled(per_blend=4)
+    expected = [0.0, *(c + d for c in (0.5, 1.0, 2.0) for d in (-0.1, -0.05, 0.0, 0.05, 0.1))]
+    np.testing.assert_allclose(time, expected, atol=1e-12)
+    np.testing.assert_array_equal(position, path.position_at(time, 0.2))

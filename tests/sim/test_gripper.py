@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError
-from gendom.sim import Gripper
+from gendom.sim import Gripper, Grippers
 
 
 def path(**changes):
@@ -79,3 +79,40 @@ def test_bad_paths_are_refused(changes, words):
     """Shapes that disagree, times that stand still and numbers that are none raise."""
     with pytest.raises(ParameterError, match=words):
         Gripper(**path(**changes))
+
+
+# ---- as arrays -----------------------------------------------------------------------------------
+
+
+def test_stacked_grippers_are_those_that_were_given():
+    turning = Gripper(
+        **path(quat_xyzw=Rotation.from_rotvec([[0, 0, a] for a in (0.0, 0.3, 1.1)]).as_quat())
+    )
+    still = Gripper.still([0.1, 0.2, 0.3], radius=0.02, hold_until=0.7, may_miss=True)
+    every = [[turning, still], [still, turning]]
+    stacked = Grippers.of(every)
+    assert len(stacked) == 2
+    np.testing.assert_allclose(stacked.arrays["turn"][0, 0], turning.turn, atol=1e-15)
+    for given, found in zip(every, stacked, strict=True):
+        for a, b in zip(given, found, strict=True):
+            for name in ("time", "position", "radius", "hold_from", "hold_until", "may_miss"):
+                np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+            assert (a.quat_xyzw is None) == (b.quat_xyzw is None)
+            np.testing.assert_allclose(a.turn, b.turn, atol=1e-15)
+    np.testing.assert_array_equal(stacked[1:].arrays["time"], stacked.arrays["time"][1:])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("time", -1.0, "times must increase"),
+        ("position", np.nan, "finite"),
+        ("radius", 0.0, "radius"),
+    ],
+)
+def test_bad_arrays_are_refused(name, value, words):
+    arrays = dict(Grippers.of([[Gripper(**path())]]).arrays)
+    arrays[name] = arrays[name].copy()
+    arrays[name][..., -1] = value
+    with pytest.raises(ParameterError, match=words):
+        Grippers(arrays)

@@ -118,6 +118,11 @@ def test_ranges_and_objects_are_checked():
         ({"nu": (0.4, 0.3)}, "range of nu: is 0.4 to 0.3; give two finite numbers, the lower"),
         ({"E": (0.0, 1.0)}, "positive numbers"),
         ({"damping": (math.nan, 1.0)}, "range of damping"),
+        ({"nu": (0.2, 0.6)}, r"range of nu: Poisson's ratio nu must lie in \(-1, 0.5\), got 0.6"),
+        ({"nu": (0.2, 0.5)}, "range of nu"),
+        ({"E": (0.0, 0.0)}, "range of E: Young's modulus E must be positive"),
+        ({"damping": (1.0, 20.0)}, "range of damping: damping is 1 s; give s: 1 ms are 0.001 s"),
+        ({"density": (0.5, 1.5)}, "range of density: density is .* give kg/m"),
     ]:
         with pytest.raises(ParameterError, match=says):
             RopeReaching(ranges=ranges)

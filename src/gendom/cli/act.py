@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,12 +15,15 @@ import tyro
 from gendom.cli.arguments import TaskName
 from gendom.cli.known_object import KnownObject, ObjectInfo
 from gendom.cli.outputs import tell_written
-from gendom.errors import GendomError, PolicyError
+from gendom.errors import GendomError, PolicyError, RobotError
 from gendom.files import check_file, to_json, write_json
-from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, to_columns
+from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, thickness_of, to_columns
+from gendom.robot import XARM7, TcpPath, follow
 from gendom.tasks import Task
 
 _ACTION = "gendom-action/3"
+
+_log = logging.getLogger(__name__)
 
 DRAWS = 64
 """Objects drawn from an estimate's posterior to say what will be reached."""
@@ -117,9 +121,19 @@ class Command(KnownObject):
             "network_input_meaning": {
                 name: f"{PARAMETERS[name].meaning}, dimensionless" for name in action.network_input
             },
-            "warnings": action.warnings,
-            "trajectory": trajectory(task, item, values, self.origin),
+            "warnings": list(action.warnings),
         }
+        T, path = placed(task, item, values, self.origin)
+        try:
+            result["arm"] = accepted(path, item)
+        except RobotError as error:
+            if not self.force:
+                raise RobotError(
+                    error.what, where=error.where, fix="choose another --origin, or add --force"
+                ) from None
+            result["warnings"].append(str(error))
+            _log.warning("%s", error)
+        result["trajectory"] = {"T_base_task": T.tolist(), **path.to_dict()}
         if polished is not None:
             result["polished"] = polished
         if not self.no_prediction and "specific_modulus" in held.columns:
@@ -156,14 +170,11 @@ class Command(KnownObject):
         return found.action, about
 
 
-def trajectory(
+def placed(
     task: Task, item: Item, action: np.ndarray, origin: tuple[float, float, float] | None
-) -> dict[str, Any]:
-    """The tool's motion in the robot's base frame, ready for JSON.
-
-    Returns:
-        As `TcpPath.to_dict`, and T_base_task [4][4], by which the task was placed.
-    """
+) -> tuple[np.ndarray, TcpPath]:
+    """T_base_task [4, 4], by which a task is placed [m], and the tool's path in the robot's base
+    frame."""
     T = task.T_world_task(item)
     if origin is not None:
         if not all(map(math.isfinite, origin)):
@@ -173,7 +184,17 @@ def trajectory(
                 f"is {' '.join(f'{x:g}' for x in origin)} m", where="--origin", fix="give metres"
             )
         T[:3, 3] = origin
-    return {"T_base_task": T.tolist(), **task.tool_path(item, action).moved(T).to_dict()}
+    return T, task.tool_path(item, action).moved(T)
+
+
+def accepted(path: TcpPath, item: Item) -> dict[str, Any]:
+    """The arm that carries out a path, and how much longer it takes, ready for JSON.
+
+    Raises:
+        RobotError: It cannot.
+    """
+    motion = follow(XARM7, path, slow_down=True, opening=thickness_of(item))
+    return {"name": XARM7.name, "slowed_by": motion.slowed_by}
 
 
 def predicted(task: Task, item: Item, action: np.ndarray, others: Sequence[Item]) -> dict[str, Any]:
@@ -242,6 +263,10 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
             ("polished", f"expected miss {p['expected']:.2g} {unit} (before {p['before']:.2g}), "
              f"{p['rollouts']} rollouts in {p['seconds']:.1f} s")
         )  # fmt: skip
+    if "arm" in result:
+        name, slower = result["arm"]["name"], result["arm"]["slowed_by"]
+        late = f", but takes {slower:.3g} times as long" if slower > 1.0 else ""
+        rows.append(("arm", f"{name} follows the motion{late}"))
     if "predicted" in result:
         rows.append(("predicts", predicted_text(result["predicted"], units)))
     for name in inputs:

@@ -93,8 +93,9 @@ class KnownObject:
     thickness: float | None = None
     """A cloth's thickness [m]."""
     force: bool = False
-    """Accept an estimate that is not usable, and goals and objects outside of the policy's training
-    range: it then uses the nearest numbers in range, with a warning."""
+    """Accept an estimate that is not usable, goals and objects outside of the policy's training
+    range (it then uses the nearest numbers in range), and motions that the arm cannot do, with a
+    warning."""
 
     def held(self, task: Task, *, needs: tuple[str, ...] = ()) -> ObjectInfo:
         """What the file and the flags say.

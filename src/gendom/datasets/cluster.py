@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
@@ -91,7 +92,9 @@ def _connected(address: str) -> Iterator[Any]:
         if address != "local":
             where = {"address": address}
         try:
-            ray.init(logging_level=logging.ERROR, log_to_driver=False, **where)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the client warns of what is told below
+                ray.init(logging_level=logging.ERROR, log_to_driver=False, **where)
         except (ConnectionError, RuntimeError, ValueError, OSError) as error:
             raise DeviceError(
                 f"no cluster answers there ({(str(error).splitlines() or ['no reason given'])[0]})",

@@ -17,6 +17,7 @@ shards can be simulated in any order, on any machine, and a set can be continued
 from __future__ import annotations
 
 import functools
+import gc
 import hashlib
 import json
 import logging
@@ -75,13 +76,13 @@ class Demonstrator(Protocol):
         """Settings common to all demonstrations, ready for JSON; `task` has a `name`."""
         ...
 
-    def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """Draw the inputs of one demonstration, by column name."""
+    def draw(self, rngs: Sequence[np.random.Generator]) -> dict[str, NDArray[np.float64]]:
+        """Draw the inputs of W demonstrations, each from its own generator, by column name [W]."""
         ...
 
     def demonstrate(
         self,
-        draws: Sequence[Mapping[str, float]],
+        draws: Mapping[str, NDArray[np.float64]],
         *,
         device: str,
         on_frame: Callable[[int], None] | None = None,
@@ -154,8 +155,8 @@ def generate(
     folder = Path(out)
     description = _describe(source, size, seed, kind, shard_size)
     _check_same(folder, description)
-    _check_room(folder, size, len(source.draw(np.random.default_rng([seed, 0]))))
-    with _alone(folder):
+    _check_room(folder, size, len(source.draw([generator_of(seed, 0)])))
+    with _alone(folder), _spared_of_collections():
         return _complete(source, folder, description, device, kind, cluster, progress)
 
 
@@ -272,6 +273,17 @@ def _alone(folder: Path) -> Iterator[None]:
             (folder / _LOCK).unlink(missing_ok=True)
             folder.rmdir()
         lock.release()
+
+
+@contextmanager
+def _spared_of_collections() -> Iterator[None]:
+    """Keep Python's garbage collector from visiting all that was imported: demonstrations make so
+    many small objects that it would take a quarter of the time."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def _sha256(path: Path) -> str:
@@ -530,7 +542,9 @@ def _read_shard(
             raise DatasetError(
                 "is damaged (its SHA-256 is not that of dataset.json)", where=str(path), fix=fix
             )
-        rows = pq.read_table(pa.BufferReader(content))
+        # not read_table: threads of its scanner may drop Python's bytes after Python has ended, and
+        # abort (https://github.com/apache/arrow/issues/33975)
+        rows = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
         about = json.loads((rows.schema.metadata or {}).get(_METADATA, b"null"))
     except (FileNotFoundError, DatasetError):
         raise
@@ -548,6 +562,11 @@ def _read_shard(
     return rows
 
 
+def generator_of(seed: int, index: int) -> np.random.Generator:
+    """The generator of one demonstration: `numpy.random.default_rng([seed, index])`."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, index])))
+
+
 def _simulate(
     source: Demonstrator,
     indices: range,
@@ -557,12 +576,11 @@ def _simulate(
     on_frame: Callable[[int], None] | None = None,
 ) -> pa.Table:
     """Draw and simulate the demonstrations with these numbers."""
-    draws = [source.draw(np.random.default_rng([seed, i])) for i in indices]
+    draws = source.draw([generator_of(seed, i) for i in indices])
     outcomes = source.demonstrate(draws, device=device, on_frame=on_frame)
     ok = np.array([fault is None for fault in outcomes.faults])
-    numbers = {name: np.array([draw[name] for draw in draws]) for name in draws[0]}
     columns = {"demonstration": pa.array(indices, pa.int64())}
-    for name, values in (numbers | dict(outcomes.columns)).items():
+    for name, values in {**draws, **outcomes.columns}.items():
         columns[name] = pa.array(values, pa.float64(), from_pandas=True)  # NaN becomes null
     columns["ok"] = pa.array(ok)
     columns["fault"] = pa.array(outcomes.faults, pa.string())

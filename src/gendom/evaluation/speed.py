@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from gendom.materials import Material
+from gendom.robot import TcpPaths
 from gendom.sim import Rollout, Simulator, open_device
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
@@ -83,7 +84,8 @@ def measure_speed(
     scene = task.scene(task.item)
     material = Material(E=1.0e6, nu=0.3, density=1000.0)
     actions = task.sample_actions(task.item, np.random.default_rng(seed), worlds)
-    hands = [grippers(scene, task.tool_path(task.item, a), 0.0) for a in actions]
+    paths = TcpPaths([task.tool_path(task.item, a) for a in actions])
+    hands = grippers(scene, paths, 0.0)
 
     def simulator() -> Simulator:
         return Simulator(

@@ -455,7 +455,7 @@ class Policy(Shown):
             raise PolicyError(
                 f"goal is {wanted.tolist()}",
                 where=task.name,
-                fix=f"give {len(names)} finite numbers: {', '.join(names)}"
+                fix=f"give {len(names)} finite number{'s' * (len(names) != 1)}: {', '.join(names)}"
                 if names
                 else "give no goal",
             )

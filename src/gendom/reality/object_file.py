@@ -86,14 +86,13 @@ def read_object(path: str | os.PathLike) -> RealObject:
     item: dict[str, Any] = {
         large: number[large],
         small: number[small],
-        "material": Material(
-            E=number["E"], nu=number["nu"], density=density, damping=number["damping"]
-        ),
         "friction": number["friction"],
         "name": Path(path).stem,
         "colour": tuple(colour),
     }
+    elastic = {name: number[name] for name in ("E", "nu", "damping")}
     try:
+        item["material"] = Material(density=density, **elastic)
         if kind == "rope":
             return RealRope(**item)
         return RealCloth(vertices=vertices_of(item[large]), **item)

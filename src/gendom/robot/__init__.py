@@ -38,6 +38,7 @@ from gendom.robot.path import (
     Deviation,
     GripperEvent,
     TcpPath,
+    TcpPaths,
     pointing,
     pointing_down,
 )
@@ -86,6 +87,7 @@ __all__ = [
     "Post",
     "Surroundings",
     "TcpPath",
+    "TcpPaths",
     "arm_shape",
     "check_collisions",
     "collision_along",

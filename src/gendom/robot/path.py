@@ -20,6 +20,7 @@ path begins and ends half a blend earlier and later. Orientations are rounded in
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -123,9 +124,10 @@ class TcpPath:
             raise _bad(f"needs quat_xyzw [4] or [{len(time)}, 4], got {quat.shape}")
         if not (np.isfinite(time).all() and np.isfinite(position).all()):
             raise _bad("holds a number that is not finite")
-        if not np.isfinite(quat).all() or np.any(np.linalg.norm(quat, axis=-1) < 1e-6):
+        size = np.sqrt(np.sum(quat * quat, axis=-1, keepdims=True))
+        if not (1e-6 <= size.min() and size.max() < math.inf):
             raise _bad("has a quaternion that is zero or not finite")
-        if np.any(np.diff(time) <= 0.0):
+        if (time[1:] <= time[:-1]).any():
             raise _bad("has times that do not increase from knot to knot")
         if any(b.time < a.time for a, b in zip(self.events, self.events[1:], strict=False)):
             raise _bad("has gripper events that are not in order of time")
@@ -133,7 +135,7 @@ class TcpPath:
             raise _bad(f"has max_blend {self.max_blend}")
         if self.blend is not None and not 0.0 <= self.blend <= self.max_blend:
             raise _bad(f"has blend {self.blend}, beyond its max_blend {self.max_blend}")
-        quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+        quat = quat / size
         for name, value in (("time", time), ("position", position), ("quat_xyzw", quat)):
             object.__setattr__(self, name, value)
 
@@ -146,13 +148,8 @@ class TcpPath:
     def sampled(self, per_blend: int = 16) -> tuple[Array, Array]:
         """Times [K] [s] and positions [K, 3] [m] of a path without blend that runs like this one:
         its own knots, and where it has a blend, so many in each."""
-        if not self.blend:
-            return self.time, self.position
-        near = np.linspace(-0.5 * self.blend, 0.5 * self.blend, per_blend + 1)
-        times = np.unique(np.concatenate([self.time, np.add.outer(self.corners(), near).ravel()]))
-        # two that differ by rounding would be a jump
-        times = times[np.append(np.diff(times) > 1e-9, True)]
-        return times, self.position_at(times, self.blend)
+        time, position, _ = TcpPaths([self]).sampled(per_blend)
+        return time[0], position[0]
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON and robots that play it: its own blend sampled; the frame is the base's.
@@ -228,10 +225,7 @@ class TcpPath:
     @cached_property
     def _jumps(self) -> tuple[Array, Array]:
         """Jumps of the velocity [J, 3] [m/s] and their times [J] [s]."""
-        velocity = np.diff(self.position, axis=0) / np.diff(self.time)[:, None]
-        still = np.zeros((1, 3))
-        padded = np.concatenate([still, velocity, still])
-        jumps = padded[1:] - padded[:-1]
+        jumps = _velocity_jumps(self.time, self.position)
         some = np.linalg.norm(jumps, axis=1) > 0.0
         return jumps[some], self.time[some]
 
@@ -302,15 +296,113 @@ class TcpPath:
         )
 
 
+class TcpPaths:
+    """W paths of the tool, evaluated side by side: all numbers are those of the paths alone, each
+    rounded off by its own blend."""
+
+    def __init__(self, paths: Sequence[TcpPath]):
+        self.paths = list(paths)
+        self.turning = np.array([path.quat_xyzw.ndim == 2 for path in self.paths])
+        """[W] whether orientations change."""
+        kinds = [(len(path.time), bool(path.blend)) for path in self.paths]
+        self._alike = [_Alike(self, kinds, kind) for kind in dict.fromkeys(kinds)]
+
+    @cached_property
+    def moves(self) -> Array:
+        """[W] times at which the tools first move [s]; infinite: never."""
+        moves = np.empty(len(self.paths))
+        for some in self._alike:
+            first = np.where(some.corner, some.time, np.inf).min(axis=1)
+            moves[some.worlds] = first - 0.5 * some.blend[:, 0]
+        return moves
+
+    def position_at(self, time: ArrayLike) -> Array:
+        """[W, T, 3] the tool points [m] at times [T] [s]."""
+        t = np.asarray(time, dtype=float)
+        found = np.empty((len(self.paths), len(t), 3))
+        for some in self._alike:
+            found[some.worlds] = some.position_at(t)
+        return found
+
+    def sampled(self, per_blend: int = 16) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Times [W, K] [s] and positions [W, K, 3] [m] as `TcpPath.sampled`, and how many of them
+        each path has [W]; shorter ones repeat their last."""
+        parts = [some.sampled(per_blend) for some in self._alike]
+        K = max(time.shape[1] for time, _, _ in parts)
+        times, positions = np.empty((len(self.paths), K)), np.empty((len(self.paths), K, 3))
+        counts = np.empty(len(self.paths), dtype=np.intp)
+        for some, (time, position, count) in zip(self._alike, parts, strict=True):
+            last = np.minimum(np.arange(K), time.shape[1] - 1)
+            times[some.worlds], positions[some.worlds] = time[:, last], position[:, last]
+            counts[some.worlds] = count
+        return times, positions, counts
+
+
+class _Alike:
+    """Those w of W paths that have K knots, and all a blend or all none."""
+
+    def __init__(self, of: TcpPaths, kinds: Sequence[tuple[int, bool]], kind: tuple[int, bool]):
+        self.worlds = np.flatnonzero([other == kind for other in kinds])
+        paths = [of.paths[w] for w in self.worlds]
+        self.blended = kind[1]
+        self.time = np.array([path.time for path in paths])
+        """[w, K] [s]."""
+        self.position = np.array([path.position for path in paths])
+        """[w, K, 3] [m]."""
+        self.blend = np.array([[path.blend or 0.0] for path in paths])
+        """[w, 1] [s]."""
+        self.jumps = _velocity_jumps(self.time, self.position)
+        """[w, K, 3] [m/s]."""
+        self.corner = np.linalg.norm(self.jumps, axis=2) > 0.0
+        """[w, K] whether a knot is one of `TcpPath.corners`."""
+        for i in np.flatnonzero(of.turning[self.worlds]):
+            self.corner[i] = np.isin(self.time[i], paths[i].corners())
+
+    def position_at(self, time: Array) -> Array:
+        """[w, T, 3] [m] at times [T] or [w, T] [s]."""
+        total = np.zeros((len(self.worlds), time.shape[-1], 3))
+        for k in range(self.time.shape[1]):
+            if self.jumps[:, k].any():
+                after = time - self.time[:, k, None]
+                rising = _ramp(after, self.blend if self.blended else 0.0)
+                total += rising[..., None] * self.jumps[:, None, k]
+        return self.position[:, :1] + total
+
+    def sampled(self, per_blend: int) -> tuple[Array, Array, NDArray[np.intp]]:
+        """As `TcpPaths.sampled`."""
+        count = np.full(len(self.worlds), self.time.shape[1])
+        if not self.blended:
+            return self.time, self.position, count
+        near = np.linspace(-0.5 * self.blend[:, 0], 0.5 * self.blend[:, 0], per_blend + 1, axis=1)
+        around = np.where(self.corner[..., None], self.time[..., None] + near[:, None], np.inf)
+        every = np.concatenate([self.time, around.reshape(len(near), -1)], axis=1)
+        every = np.sort(np.append(every, np.full((len(near), 1), np.inf), axis=1), axis=1)
+        # two that differ by rounding would be a jump
+        kept = np.isfinite(every[:, :-1])
+        kept[kept] = every[:, 1:][kept] - every[:, :-1][kept] > 1e-9
+        count = np.count_nonzero(kept, axis=1)
+        first = np.argsort(~kept, axis=1, kind="stable")[:, : count.max()]
+        first = np.take_along_axis(first, np.minimum(np.arange(count.max()), count[:, None] - 1), 1)
+        time = np.take_along_axis(every, first, axis=1)
+        return time, self.position_at(time), count
+
+
+def _velocity_jumps(time: Array, position: Array) -> Array:
+    """Jumps of the velocity [..., K, 3] [m/s] at knots [..., K] [s] with positions [..., K, 3]."""
+    padded = np.zeros((*time.shape[:-1], time.shape[-1] + 1, 3))
+    padded[..., 1:-1, :] = np.diff(position, axis=-2) / np.diff(time)[..., None]
+    return padded[..., 1:, :] - padded[..., :-1, :]
+
+
 def _ramp_acceleration(t: Array, blend: float) -> Array:
     """R''."""
     u = np.clip(t / blend + 0.5, 0.0, 1.0)
     return 6.0 * u * (1.0 - u) / blend
 
 
-def _ramp(t: Array, blend: float) -> Array:
-    """R(t) above [s]."""
-    if blend <= 0.0:
+def _ramp(t: Array, blend: float | Array) -> Array:
+    """R(t) above [s]; blends are all positive, or one is 0."""
+    if np.ndim(blend) == 0 and blend <= 0.0:
         return np.maximum(t, 0.0)
     u = np.clip(t / blend + 0.5, 0.0, 1.0)
     return blend * (u**3 - 0.5 * u**4) + np.maximum(t - 0.5 * blend, 0.0)

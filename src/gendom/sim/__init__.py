@@ -5,7 +5,7 @@ from gendom.sim.bodies import Body, Weave, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device
 from gendom.sim.equilibria import Equilibria
 from gendom.sim.gradients import Gradients
-from gendom.sim.gripper import Gripper
+from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import CFL, stable_substep
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
@@ -24,6 +24,7 @@ __all__ = [
     "Equilibria",
     "Gradients",
     "Gripper",
+    "Grippers",
     "Preset",
     "Rollout",
     "Simulator",

@@ -1,9 +1,9 @@
 """Grippers: their paths, radii, and times of closing and opening."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -72,8 +72,7 @@ class Gripper:
         """[K, 3] rotation vector from each knot to the next, in world axes [rad]."""
         turns = np.zeros((len(np.asarray(self.time)), 3))
         if self.quat_xyzw is not None and len(turns) > 1:
-            pose = Rotation.from_quat(self.quat_xyzw)
-            turns[:-1] = (pose[1:] * pose[:-1].inv()).as_rotvec()
+            turns[:-1] = _turns(np.asarray(self.quat_xyzw))
         return turns
 
     def position_at(self, time: ArrayLike) -> NDArray[np.floating]:
@@ -83,39 +82,100 @@ class Gripper:
         return np.stack([np.interp(t, knots, p[:, a]) for a in range(3)], axis=-1)
 
 
-def stack_paths(every: Sequence[Sequence[Gripper]]) -> dict[str, NDArray[np.floating]]:
-    """Stack the paths of G grippers in each world into arrays [W, G, K].
+def _turns(q: NDArray[np.floating]) -> NDArray[np.floating]:
+    """[..., K - 1, 3] rotation vectors from each orientation [..., K, 4] to the next [rad]."""
+    before, after = (Rotation.from_quat(k.reshape(-1, 4)) for k in (q[..., :-1, :], q[..., 1:, :]))
+    return (after * before.inv()).as_rotvec().reshape(*q.shape[:-2], -1, 3)
 
-    Shorter paths repeat their last knot.
+
+class Grippers(Sequence[Sequence[Gripper]]):
+    """The G grippers of each of W worlds, as arrays; an element is the sequence of one world.
+
+    Args:
+        arrays: By name: `time` [W, G, K] [s], `position` [W, G, K, 3] [m] and `orientation`
+            [W, G, K, 4] (quaternions, scalar last) at K knots, where shorter paths repeat their
+            last knot; [W, G] `turns` (whether orientations were given), `hold_from`, `hold_until`
+            [s], `radius` [m] and `may_miss`. `orientation`, `turns` and `may_miss` may be left out.
+
+    Raises:
+        ParameterError: If times decrease, a number is not finite or a radius is not positive.
     """
-    W, G = len(every), len(every[0])
-    K = max([2] + [len(np.asarray(g.time)) for grippers in every for g in grippers])
-    out = {
-        "time": np.zeros((W, G, K)),
-        "position": np.zeros((W, G, K, 3)),
-        "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, G, K, 1)),
-        "turn": np.zeros((W, G, K, 3)),
-        "turns": np.zeros((W, G)),
-        "hold_from": np.zeros((W, G)),
-        "hold_until": np.zeros((W, G)),
-        "radius": np.zeros((W, G)),
-        "may_miss": np.zeros((W, G)),
-    }
-    for w, grippers in enumerate(every):
-        for g, gripper in enumerate(grippers):
-            t = np.asarray(gripper.time)
-            out["time"][w, g] = np.concatenate([t, np.full(K - len(t), t[-1])])
-            out["position"][w, g] = np.concatenate(
-                [gripper.position, np.repeat(np.asarray(gripper.position)[-1:], K - len(t), 0)]
+
+    def __init__(self, arrays: Mapping[str, NDArray[np.floating]]):
+        shape = arrays["time"].shape
+        self.arrays: dict[str, NDArray[np.floating]] = {
+            "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (*shape, 1)),
+            "turn": np.zeros((*shape, 3)),
+            "turns": np.zeros(shape[:2]),
+            "may_miss": np.zeros(shape[:2]),
+            **arrays,
+        }
+        if not all(np.isfinite(arrays[name]).all() for name in ("time", "position")):
+            raise ParameterError("gripper path holds a number that is not finite")
+        if np.any(np.diff(arrays["time"]) < 0.0):
+            raise ParameterError("gripper path: times must increase from knot to knot")
+        if not np.all(arrays["radius"] > 0.0):
+            raise ParameterError("gripper radius must be positive [m]")
+        turning = self.arrays["turns"] == 1.0
+        if turning.any():
+            self.arrays["turn"][turning, :-1] = _turns(self.arrays["orientation"][turning])
+
+    @classmethod
+    def of(cls, every: Sequence[Sequence[Gripper]], *, knots: int = 2) -> "Grippers":
+        """Stack W sequences of G grippers, with at least so many knots."""
+        W, G = len(every), len(every[0])
+        K = max([knots] + [len(np.asarray(g.time)) for grippers in every for g in grippers])
+        out = {
+            "time": np.zeros((W, G, K)),
+            "position": np.zeros((W, G, K, 3)),
+            "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, G, K, 1)),
+            "turns": np.zeros((W, G)),
+            "hold_from": np.zeros((W, G)),
+            "hold_until": np.zeros((W, G)),
+            "radius": np.zeros((W, G)),
+            "may_miss": np.zeros((W, G)),
+        }
+        for w, grippers in enumerate(every):
+            for g, gripper in enumerate(grippers):
+                t = np.asarray(gripper.time)
+                out["time"][w, g] = np.concatenate([t, np.full(K - len(t), t[-1])])
+                out["position"][w, g] = np.concatenate(
+                    [gripper.position, np.repeat(np.asarray(gripper.position)[-1:], K - len(t), 0)]
+                )
+                if gripper.quat_xyzw is not None:
+                    q = np.asarray(gripper.quat_xyzw, dtype=float)
+                    q = q / np.linalg.norm(q, axis=1, keepdims=True)
+                    out["orientation"][w, g] = np.concatenate([q, np.repeat(q[-1:], K - len(t), 0)])
+                    out["turns"][w, g] = 1
+                out["may_miss"][w, g] = gripper.may_miss
+                out["hold_from"][w, g] = gripper.hold_from
+                out["hold_until"][w, g] = gripper.hold_until
+                out["radius"][w, g] = gripper.radius
+        return cls(out)
+
+    def __len__(self) -> int:
+        return len(self.arrays["time"])
+
+    @overload
+    def __getitem__(self, w: int) -> list[Gripper]: ...
+    @overload
+    def __getitem__(self, w: slice) -> "Grippers": ...
+    def __getitem__(self, w: int | slice) -> "list[Gripper] | Grippers":
+        part = {name: values[w] for name, values in self.arrays.items()}
+        if isinstance(w, slice):
+            return Grippers(part)
+        made = []
+        for g, t in enumerate(part["time"]):
+            knots = slice(0, 1 + np.count_nonzero(np.diff(t)))
+            made.append(
+                Gripper(
+                    time=t[knots],
+                    position=part["position"][g, knots],
+                    quat_xyzw=part["orientation"][g, knots] if part["turns"][g] else None,
+                    radius=float(part["radius"][g]),
+                    hold_from=float(part["hold_from"][g]),
+                    hold_until=float(part["hold_until"][g]),
+                    may_miss=bool(part["may_miss"][g]),
+                )
             )
-            if gripper.quat_xyzw is not None:
-                q = np.asarray(gripper.quat_xyzw, dtype=float)
-                q = q / np.linalg.norm(q, axis=1, keepdims=True)
-                out["orientation"][w, g] = np.concatenate([q, np.repeat(q[-1:], K - len(t), 0)])
-                out["turn"][w, g, : len(t)] = gripper.turn
-                out["turns"][w, g] = 1
-            out["may_miss"][w, g] = gripper.may_miss
-            out["hold_from"][w, g] = gripper.hold_from
-            out["hold_until"][w, g] = gripper.hold_until
-            out["radius"][w, g] = gripper.radius
-    return out
+        return made

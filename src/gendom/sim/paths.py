@@ -25,7 +25,7 @@ def make_path_type(real: Any) -> Any:
 
     @wp.struct
     class Paths:
-        """Paths of all grippers as arrays, see ``gripper.stack_paths``."""
+        """Paths of all grippers as arrays, see ``Grippers``."""
 
         time: wp.array3d(dtype=wp.float64)  # [W, G, K] [s]
         position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] [m]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim.bodies import Body
-from gendom.sim.gripper import Gripper
+from gendom.sim.gripper import Grippers
 from gendom.sim.scene import Box, Table
 
 DRAG = {"rope": 1.1, "cloth": 1.2}
@@ -40,8 +40,7 @@ class Setting:
 
     body: Body
     materials: Sequence[Material]
-    grippers: Sequence[Sequence[Gripper]]
-    """One sequence for each world, all of the same length."""
+    grippers: Grippers
     table: Table | None
     box: Box | None
     gravity: ArrayLike

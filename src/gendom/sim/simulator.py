@@ -17,7 +17,7 @@ from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
 from gendom.sim.equilibria import Equilibria
-from gendom.sim.gripper import Gripper
+from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
@@ -46,7 +46,8 @@ class Simulator(Shown):
         engine: ``thin`` (a rope as a rod, a cloth as a shell), the default for elastic ropes and
             cloths, or ``mpm`` (particles on a grid), the default for all other bodies and for
             materials with a yield stress.
-        grippers: Grippers shared by all worlds, or one sequence of them for each world.
+        grippers: Grippers shared by all worlds, or one sequence of them for each world, or all as
+            arrays (``Grippers``).
         table: Table, or None for open space.
         gravity: [3] or [W, 3] [m/s^2].
         velocity_damping: Rate at which all velocities decay, one number or [W] [1/s]; for damping
@@ -427,18 +428,20 @@ def _worlds(n: int) -> str:
 
 def _grippers_of_worlds(
     grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]], worlds: int
-) -> list[Sequence[Gripper]]:
-    """Return one sequence of grippers for each world.
+) -> Grippers:
+    """Return the grippers of each world.
 
     Raises:
         ParameterError: If a world has no grippers, or fewer than others.
     """
-    every: list[Any] = [grippers] * worlds
+    every: Any = [grippers] * worlds
     if len(grippers) and not isinstance(grippers[0], Gripper):
         if len(grippers) < worlds:
             raise ParameterError(f"no grippers given for world {len(grippers)} of the batch")
-        every = list(grippers[:worlds])
+        every = grippers[:worlds]
+    if isinstance(every, Grippers):
+        return every
     count = {len(g) for g in every}
     if len(count) != 1:
         raise ParameterError(f"every world needs the same number of grippers, got {count}")
-    return every
+    return Grippers.of(every)

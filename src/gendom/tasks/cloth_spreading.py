@@ -175,7 +175,8 @@ class ClothSpreading(Task):
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
         x = seen.points[-1] / size_of(item)
         triangles = lattice_triangles(*seen.lattice)
-        share, covered = spread_share(x, triangles), covered_area(x, triangles)
+        flat = _lie_flat(x, triangles)
+        share, covered = _covered_areas(x, triangles[flat], triangles[~flat])
         return {"share": share, "unspread": 1.0 - share, "covered": covered}
 
     def error(self, item: Item, goal: Array, values: Mapping[str, float]) -> float:
@@ -274,12 +275,16 @@ def spread_share(x: Array, triangles: np.ndarray) -> float:
         x: [V, 3] vertices [sides]; the table is z = 0.
         triangles: [F, 3].
     """
+    return covered_area(x, triangles[_lie_flat(x, triangles)])
+
+
+def _lie_flat(x: Array, triangles: np.ndarray) -> np.ndarray:
+    """[F] which triangles lie flat on the table, see `spread_share`."""
     corners = x[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(normal, axis=1)
     level = np.abs(normal[:, 2]) >= math.cos(FLAT_ANGLE) * np.maximum(size, 1e-30)
-    low = corners[:, :, 2].max(axis=1) <= FLAT_HEIGHT
-    return covered_area(x, triangles[level & low])
+    return level & (corners[:, :, 2].max(axis=1) <= FLAT_HEIGHT)
 
 
 def covered_area(x: Array, triangles: np.ndarray) -> float:
@@ -289,13 +294,19 @@ def covered_area(x: Array, triangles: np.ndarray) -> float:
         x: [V, 3] vertices [sides].
         triangles: [F, 3] those that count.
     """
-    if len(triangles) == 0:
-        return 0.0
+    return _covered_areas(x, triangles)[0]
+
+
+def _covered_areas(x: Array, *parts: np.ndarray) -> list[float]:
+    """`covered_area` of the first part of a cloth's triangles, of the first two, and so on."""
     pixels = (x[:, :2] - x[:, :2].min(axis=0)) / PIXEL
     width, height = (int(p) + 2 for p in pixels.max(axis=0))
     picture = Image.new("1", (width, height))
     draw = ImageDraw.Draw(picture)
-    for triangle in pixels[triangles]:
-        draw.polygon([tuple(point) for point in triangle], fill=1)
-    # pixels that a border crosses count as covered
-    return min(float(np.asarray(picture).sum()) * PIXEL**2, 1.0)
+    areas = []
+    for triangles in parts:
+        for triangle in pixels[triangles].reshape(-1, 6).tolist():
+            draw.polygon(triangle, fill=1)
+        # pixels that a border crosses count as covered
+        areas.append(min(float(np.asarray(picture).sum()) * PIXEL**2, 1.0))
+    return areas

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gendom.datasets.demonstrations import GOAL, Outcomes
 from gendom.materials import Item, from_columns, to_columns
@@ -38,17 +39,23 @@ class Demonstrator:
             **objects,
         }
 
-    def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """One demonstration's object and action, by column name, in SI units."""
-        items = self.items
-        item = items[rng.integers(len(items))] if items else self.task.draw_item(rng)
-        action = self.task.sample_actions(item, rng, 1)[0]
-        names = [q.name for q in self.task.actions]
-        return {**to_columns(item), **dict(zip(names, map(float, action), strict=True))}
+    def draw(self, rngs: Sequence[np.random.Generator]) -> dict[str, NDArray[np.float64]]:
+        """Objects and actions of W demonstrations, by column name [W], in SI units."""
+        task = self.task
+        if self.items:
+            items = [self.items[rng.integers(len(self.items))] for rng in rngs]
+        else:
+            items = task.draw_items(rngs)
+        actions = task.draw_actions(items, rngs)
+        rows = [to_columns(item) for item in items]
+        return {
+            **{name: np.array([row[name] for row in rows]) for name in rows[0]},
+            **{q.name: actions[:, k] for k, q in enumerate(task.actions)},
+        }
 
     def demonstrate(
         self,
-        draws: Sequence[Mapping[str, float]],
+        draws: Mapping[str, NDArray[np.float64]],
         *,
         device: str,
         on_frame: Callable[[int], None] | None = None,
@@ -63,8 +70,9 @@ class Demonstrator:
             DeviceError: The device is not there.
         """
         task = self.task
-        items = [from_columns(task.kind, draw) for draw in draws]
-        drawn = np.array([[draw[q.name] for q in task.actions] for draw in draws])
+        rows = zip(*(values.tolist() for values in draws.values()), strict=True)
+        items = [from_columns(task.kind, dict(zip(draws, row, strict=True))) for row in rows]
+        drawn = np.stack([draws[q.name] for q in task.actions], axis=1)
         actions, outcomes = task.demonstrate(self.world.on(device), items, drawn, on_frame=on_frame)
         goals = [q.name for q in task.goals]
         done = [o.values for o in outcomes if o.fault is None]

@@ -109,7 +109,7 @@ class RopeCasting(Task):
         blend = 1.5 * speed / (ACCELERATION * STANDARD_GRAVITY)
         begin = 0.5 * blend
         return TcpPath(
-            time=np.array([-WAIT * second, begin, begin + way / speed, self.times(item)[-1]]),
+            time=np.array([-WAIT * second, begin, begin + way / speed, second * self._watched]),
             position=np.array([start, start, end, end]),
             quat_xyzw=np.array(DOWN),
             events=(GripperEvent(time=-WAIT * second, closed=True),),
@@ -117,9 +117,13 @@ class RopeCasting(Task):
         )
 
     def times(self, item: Item) -> Array:
+        return unit_of("s", item) * np.linspace(0.0, self._watched, FRAMES + 1)
+
+    @property
+    def _watched(self) -> float:
+        """How long the tip is looked at [sqrt(L / g)]."""
         slowest = min(self.speed, SPEED[0]) if len(self.actions) > 1 else self.speed
-        after = WATCHED_WHOLE if self.whole_motion else WATCHED
-        return unit_of("s", item) * np.linspace(0.0, WAY[1] / slowest + after, FRAMES + 1)
+        return WAY[1] / slowest + (WATCHED_WHOLE if self.whole_motion else WATCHED)
 
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
         x, z = seen.tip[:, 0], seen.tip[:, 2]

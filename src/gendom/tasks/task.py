@@ -172,6 +172,13 @@ class Task(ABC):
                     where=f"range of {name}",
                     fix="give positive numbers, the smaller one first",
                 )
+            for end in (low, high):
+                try:
+                    self._item_with({name: end})
+                except ParameterError as error:
+                    raise ParameterError(
+                        error.what, where=f"range of {name}", fix=error.fix
+                    ) from None
 
     # ---- what a task's file says -----------------------------------------------------------------
 
@@ -293,42 +300,66 @@ class Task(ABC):
         Raises:
             ParameterError: None is found.
         """
-        low, high = self.limits(item).T
-        drawn = np.empty((count, len(low)))
-        for row in drawn:
-            for _ in range(DRAWS):
-                row[:] = rng.uniform(low, high)
-                if self.allows(item, row, slack=0.0):
-                    break
-            else:
-                raise ParameterError(f"no action of {self.name} is allowed for this {self.kind}")
-        return drawn
+        return np.concatenate([self.draw_actions([item], [rng]) for _ in range(count)])
+
+    def draw_actions(self, items: Sequence[Item], rngs: Sequence[np.random.Generator]) -> Array:
+        """[W, A] one action for each of W objects, each from its own generator: drawn uniformly
+        from all that are allowed.
+
+        Raises:
+            ParameterError: None is found.
+        """
+        low, high = np.moveaxis(np.array([self.limits(item) for item in items]), 2, 0)
+        drawn = np.empty_like(low)
+        left = list(range(len(items)))
+        for _ in range(DRAWS):
+            share = np.array([rngs[w].random(low.shape[1]) for w in left])
+            drawn[left] = low[left] + (high - low)[left] * share
+            left = [w for w in left if self.margin(items[w], drawn[w]) < 0.0]
+            if not left:
+                return drawn
+        raise ParameterError(f"no action of {self.name} is allowed for this {self.kind}")
 
     # ---- demonstrations --------------------------------------------------------------------------
 
     def draw_item(self, rng: np.random.Generator) -> Item:
         """An object with parameters drawn from `ranges`: log-uniformly where ratios count."""
-        value = {}
-        for name in PARAMETERS:  # in their own order, so that draws do not depend on the mapping's
-            if name in self.ranges:
-                low, high = self.ranges[name]
-                log = PARAMETERS[name].log and low > 0.0
-                value[name] = (
-                    math.exp(rng.uniform(math.log(low), math.log(high)))
-                    if log
-                    else rng.uniform(low, high)
-                )
+        return self.draw_items([rng])[0]
+
+    def draw_items(self, rngs: Sequence[np.random.Generator]) -> list[Item]:
+        """W objects, each drawn as `draw_item` from its own generator."""
+        # in their own order, so that draws do not depend on the mapping's
+        names = [name for name in PARAMETERS if name in self.ranges]
+        shares = np.array([rng.random(len(names)) for rng in rngs])
+        columns = []
+        for k, name in enumerate(names):
+            low, high = self.ranges[name]
+            log = PARAMETERS[name].log and low > 0.0
+            if log:
+                low, high = math.log(low), math.log(high)
+            numbers = (low + (high - low) * shares[:, k]).tolist()
+            columns.append([math.exp(x) for x in numbers] if log else numbers)
+        rows = zip(*columns, strict=True) if names else [()] * len(rngs)
+        return [self._item_with(dict(zip(names, row, strict=True))) for row in rows]
+
+    def _item_with(self, values: Mapping[str, float]) -> Item:
+        """The task's object with other parameters, as named in `ranges`.
+
+        Raises:
+            ParameterError: There is no such object.
+        """
         m = self.item.material
-        density = value.get("density", m.density)
+        density = values.get("density", m.density)
         material = replace(
             m,
-            E=value.get("E", m.specific_modulus) * density,
-            nu=value.get("nu", m.nu),
+            E=values.get("E", m.specific_modulus) * density,
+            nu=values.get("nu", m.nu),
             density=density,
-            damping=value.get("damping", m.damping),
+            damping=values.get("damping", m.damping),
         )
-        friction = value.get("friction", self.item.friction)
-        return replace(self.item, material=material, friction=friction)
+        return replace(
+            self.item, material=material, friction=values.get("friction", self.item.friction)
+        )
 
     def demonstrate(
         self,

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError
 from gendom.materials import AIR_DENSITY, Cloth, Item, Rope
-from gendom.robot.path import TcpPath
-from gendom.sim import Body, Gripper, Simulator, Table, claimed, cloth, rope
+from gendom.robot.path import TcpPath, TcpPaths
+from gendom.sim import Body, Gripper, Grippers, Simulator, Table, claimed, cloth, rope
 from gendom.tasks.task import Array, Observed, Scene, Task
 
 _log = logging.getLogger(__name__)
@@ -199,8 +199,8 @@ class Simulation:
         first = items[0]
         scene = task.scene(first)
         body, x = self.body(task, first)
-        paths = [task.tool_path(item, a) for item, a in zip(items, actions, strict=True)]
-        begin = min(path.moves for path in paths)
+        paths = TcpPaths([task.tool_path(item, a) for item, a in zip(items, actions, strict=True)])
+        begin = float(paths.moves.min())
         times = task.times(first)
         if self.everything:
             before = np.linspace(begin, times[0], EVERYTHING, endpoint=False)
@@ -214,7 +214,7 @@ class Simulation:
                 body,
                 [item.material for item in items],
                 engine=self.engine,
-                grippers=[grippers(scene, path, begin) for path in paths],
+                grippers=grippers(scene, paths, begin),
                 table=table,
                 air_density=self.air_density,
                 self_contact=scene.self_contact and self.engine == "thin",
@@ -233,8 +233,10 @@ class Simulation:
                 particles=None if all_points else np.atleast_1d(tip),
                 keep_going=True,
             )
+        hands = paths.position_at(times)
+        lattice = _lattice(body, simulator.num_points) if isinstance(first, Cloth) else (0, 0)
         outcomes = []
-        for w, (item, path) in enumerate(zip(items, paths, strict=True)):
+        for w, (item, path) in enumerate(zip(items, paths.paths, strict=True)):
             if w in simulator.failures:
                 error = simulator.failures[w]
                 when = "" if error.time is None else f" at {error.time:.4f} s"
@@ -243,9 +245,9 @@ class Simulation:
             seen = Observed(
                 times=times,
                 points=centre(body, recorded[:, w].astype(float)),
-                hand=path.position_at(times, path.blend or 0.0),
+                hand=hands[w],
                 opens=opening(path),
-                lattice=_lattice(body, simulator.num_points) if isinstance(item, Cloth) else (0, 0),
+                lattice=lattice,
             )
             outcomes.append(Outcome(values=task.outcome(item, seen), seen=seen if keep else None))
         return outcomes
@@ -264,7 +266,12 @@ def check_actions(task: Task, items: Sequence[Item], actions: ArrayLike) -> Arra
             where="actions",
             fix="give one for each object",
         )
-    return np.array([task.check_action(i, a) for i, a in zip(items, wanted, strict=True)])
+    low, high = np.moveaxis(np.array([task.limits(item) for item in items]), 2, 0)
+    within = np.all((wanted >= low) & (wanted <= high), axis=1)
+    for item, action, inside in zip(items, wanted, within, strict=True):
+        if not (inside and task.margin(item, action) >= 0.0):
+            task.check_action(item, action)
+    return wanted
 
 
 def opening(path: TcpPath) -> float:
@@ -272,31 +279,66 @@ def opening(path: TcpPath) -> float:
     return next((e.time for e in path.events if not e.closed), math.inf)
 
 
-def grippers(scene: Scene, path: TcpPath, begin: float) -> list[Gripper]:
-    """The stand, if there is one, and the tool; what closed before `begin` [s] holds from there."""
-    made = []
+def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
+    """The stand, if there is one, and the tool, in W worlds that begin at `begin` [s]; what closed
+    before holds from there.
+
+    Raises:
+        ParameterError: Tools do not close equally often.
+    """
+    holds = [_holds(path, begin) for path in paths.paths]
+    often = {len(h) for h in holds}
+    if len(often) != 1:
+        raise ParameterError(f"the tool must close equally often in all worlds, got {often}")
+    time, position = _from(paths, begin)
+    W, K = time.shape
+    hold_from, hold_until = np.moveaxis(np.array(holds).reshape(W, -1, 2), 2, 0)
+    tools = hold_from.shape[1]
+    arrays = {
+        "time": np.repeat(time[:, None], tools, axis=1),
+        "position": np.repeat(position[:, None], tools, axis=1),
+        "hold_from": hold_from,
+        "hold_until": hold_until,
+        "radius": np.full((W, tools), scene.grip),
+        "turns": np.repeat(paths.turning[:, None].astype(float), tools, axis=1),
+        "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, tools, K, 1)),
+    }
+    for w in np.flatnonzero(paths.turning):
+        arrays["orientation"][w] = _turns(paths.paths[w], time[w])
     if scene.stand > 0.0:
-        made.append(Gripper.still(np.asarray(scene.origin, dtype=float), radius=scene.stand))
-    times, position = path.sampled()
-    later = times > begin
-    time = np.concatenate([[begin], times[later]])
-    place = np.concatenate([[path.position_at(begin, path.blend or 0.0)], position[later]])
-    turned = path.quat_xyzw.ndim == 2
+        still = Gripper.still(np.asarray(scene.origin, dtype=float), radius=scene.stand)
+        for name, values in Grippers.of([[still]], knots=K).arrays.items():
+            if name in arrays:
+                stand = np.repeat(values, W, axis=0)
+                arrays[name] = np.concatenate([stand, arrays[name]], axis=1)
+    return Grippers(arrays)
+
+
+def _holds(path: TcpPath, begin: float) -> list[tuple[float, float]]:
+    """When the tool closes and opens again, each time that it closes [s]."""
+    found = []
     for event in path.events:
-        if not event.closed:
-            continue
-        opens = [e.time for e in path.events if not e.closed and e.time > event.time]
-        made.append(
-            Gripper(
-                time=time,
-                position=place,
-                quat_xyzw=_turns(path, time) if turned else None,
-                radius=scene.grip,
-                hold_from=-math.inf if event.time <= begin else event.time,
-                hold_until=min(opens, default=math.inf),
-            )
-        )
-    return made
+        if event.closed:
+            opens = [e.time for e in path.events if not e.closed and e.time > event.time]
+            since = -math.inf if event.time <= begin else event.time
+            found.append((since, min(opens, default=math.inf)))
+    return found
+
+
+def _from(paths: TcpPaths, begin: float) -> tuple[Array, Array]:
+    """Times [W, K] [s] and positions [W, K, 3] [m] of paths that begin at `begin` [s]; shorter
+    ones repeat their last."""
+    times, position, count = paths.sampled()
+    later = (times > begin) & (np.arange(times.shape[1]) < count[:, None])
+    left = np.count_nonzero(later, axis=1)
+    K = 1 + max(1, int(left.max()))
+    knot = np.minimum(np.arange(1, K) - 1, left[:, None] - 1) + (count - left)[:, None]
+    row = np.arange(len(times))[:, None]
+    first = np.full((len(times), 1), begin)
+    place = paths.position_at([begin])
+    time = np.concatenate([first, np.where(left[:, None] > 0, times[row, knot], begin)], axis=1)
+    after = np.where(left[:, None, None] > 0, position[row, knot], place)
+    return time, np.concatenate([place, after], axis=1)
 
 
 def _turns(path: TcpPath, times: Array) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gendom.materials import Material, Rope, thickness_of
+from gendom.robot import TcpPaths
 from gendom.sim import CFL, Body, Gripper, Simulator, Table, cloth
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
@@ -111,7 +112,7 @@ def _material(rng: np.random.Generator) -> Material:
 
 def _carry(task: RopeReaching, rng: np.random.Generator) -> list[Gripper]:
     path = task.tool_path(task.item, task.sample_actions(task.item, rng, 1)[0])
-    return grippers(task.scene(task.item), path, 0.0)
+    return grippers(task.scene(task.item), TcpPaths([path]), 0.0)[0]
 
 
 def _pull(task: RopeReaching, rng: np.random.Generator) -> list[Gripper]:

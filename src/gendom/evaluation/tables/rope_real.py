@@ -126,9 +126,14 @@ class Steady(Demonstrator):
     def about(self) -> dict[str, Any]:
         return {**super().about(), "steady_for": to_columns(self.known)}
 
-    def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        drawn = [super(Steady, self).draw(rng) for _ in range(CANDIDATES)]
-        actions = np.array([[d[q.name] for q in self.task.actions] for d in drawn])
+    def draw(self, rngs: Sequence[np.random.Generator]) -> dict[str, NDArray[np.float64]]:
+        rows = [self._steady(rng) for rng in rngs]
+        return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+
+    def _steady(self, rng: np.random.Generator) -> dict[str, NDArray[np.float64]]:
+        """Columns [1] of one demonstration."""
+        drawn = [super(Steady, self).draw([rng]) for _ in range(CANDIDATES)]
+        actions = np.array([[d[q.name][0] for q in self.task.actions] for d in drawn])
         outcomes = self.foresight.carry_out(self.task, [self.known] * CANDIDATES, actions)
         steady = (
             d

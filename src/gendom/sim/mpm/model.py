@@ -8,7 +8,6 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
-from gendom.sim.gripper import stack_paths
 from gendom.sim.mpm.grid import Grid, grown_room, make_grid, room_for
 from gendom.sim.mpm.step import INVERTED, NOTHING_HELD
 from gendom.sim.mpm.types import make_types
@@ -114,7 +113,7 @@ class Worlds:
         return scene
 
     def _paths(self) -> Any:
-        stacked = stack_paths(self.setting.grippers)
+        stacked = self.setting.grippers.arrays
         paths = self.types.Paths()
         paths.time = self.array(stacked["time"], wp.float64)
         paths.position = self.array(stacked["position"] - self.origin, wp.vec3d)

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import SimulationError
 from gendom.sim.device import making
-from gendom.sim.gripper import stack_paths
 from gendom.sim.paths import make_path_type
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, fill_contact, loose
@@ -94,7 +93,7 @@ class ThinEngine(ABC):
         self.num_worlds, self.num_points = W, n
         self.slots, self.row_length = self.layout()
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
-        self.stacked = stack_paths(s.grippers)
+        self.stacked = dict(s.grippers.arrays)
         self.stacked["position"] = self.stacked["position"] - self.origin
         self.paths = self._paths()
         self.closed = np.zeros((W, G), dtype=int)
@@ -164,8 +163,9 @@ class ThinEngine(ABC):
         """
 
     @abstractmethod
-    def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:
-        """Determine the points held by gripper g, which closes in these worlds now."""
+    def close(self, g: int, worlds: NDArray[np.int64], pose: Pose, state: NDArray[Any]) -> Grip:
+        """Determine the points held by gripper g, which closes in these worlds [k] now, with
+        states [k, ., P]."""
 
     @abstractmethod
     def stiffen(self, body: Any, worlds: NDArray[np.int64]) -> None:
@@ -193,8 +193,11 @@ class ThinEngine(ABC):
 
     def component(self, which: slice, rows: Any = None) -> NDArray[np.float64]:
         """Components [W, n, k] of the state, or of other rows."""
-        values = (self.state if rows is None else rows).numpy()
-        return np.swapaxes(values[:, which][..., self.slots], 1, 2).astype(float)
+        return self.pick(which, (self.state if rows is None else rows).numpy())
+
+    def pick(self, which: slice, rows: NDArray[Any]) -> NDArray[np.float64]:
+        """Components [k, n, .] of rows [k, ., P]."""
+        return np.swapaxes(rows[:, which][..., self.slots], 1, 2).astype(float)
 
     def positions(self) -> NDArray[Any]:
         """Positions of points, [W, n, 3] [m]."""
@@ -313,9 +316,14 @@ class ThinEngine(ABC):
         return events
 
     def _close(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
-        x = self.component(X)[worlds]
+        state = self.state.numpy()[worlds]
         pose = Paths(self.stacked).pose(g, worlds, now)
-        grip = self.close(g, worlds, pose)
+        given = (state, self.holds[worlds], self.stacked["radius"][worlds, g], *vars(pose).values())
+        if all((values == values[:1]).all() for values in given):  # as worlds that begin alike
+            first = Pose(*(values[:1] for values in vars(pose).values()))
+            grip = self.close(g, worlds[:1], first, state[:1]).repeated(len(worlds))
+        else:
+            grip = self.close(g, worlds, pose, state)
         self.closed[worlds, g] = 1
         missed = grip.misses & (self.stacked["may_miss"][worlds, g] == 0)
         for w in worlds[missed]:
@@ -330,13 +338,13 @@ class ThinEngine(ABC):
         self.stiffer[worlds, g] = grip.stiffer
         put_worlds(self.body.place, worlds * self.closed.shape[1] + g, self.rows(grip.place))
         self.hold(worlds)
-        return Event(g, True, worlds, now, pose, grip, x)
+        return Event(g, True, worlds, now, pose, grip, self.pick(X, state))
 
     def _open(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
-        x = self.component(X)[worlds]
+        rows = self.state.numpy()[worlds]
+        x = self.pick(X, rows)
         pose = Paths(self.stacked).pose(g, worlds, now)
         grip = Grip(self.holds[worlds, g].copy(), np.empty(0), self.stiffer[worlds, g].copy(), ())
-        rows = self.state.numpy()[worlds]
         for which, values in self.let_go(*released(x, pose, grip)):
             rows[:, which] += self.rows(np.swapaxes(values, 1, 2))
         put_worlds(self.state, worlds, rows)
@@ -513,6 +521,9 @@ def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: NDArray[Any])
     """
     if wp.get_device(array.device).is_cpu:
         array.numpy()[worlds] = values  # the array's own memory
+        return
+    if np.array_equal(worlds, np.arange(len(array))):
+        array.assign(np.ascontiguousarray(values))
         return
     rows = array.numpy()
     rows[worlds] = values

@@ -51,7 +51,7 @@ class PoseBars:
 
 
 class Paths:
-    """Gripper paths as returned by ``stack_paths``, with derivatives by their knots."""
+    """Gripper paths as arrays of ``Grippers``, with derivatives by their knots."""
 
     def __init__(self, stacked: dict[str, NDArray[Any]]):
         self.stacked = stacked
@@ -133,6 +133,22 @@ class Grip:
     """[W, M, n] factor on the stiffness of joints at its border: of a rod, or of a shell along
     rows and along columns."""
     cuts: tuple[Cut, ...]
+
+    def repeated(self, worlds: int) -> "Grip":
+        """This grip of one world in many."""
+        holds, place, stiffer = (
+            np.repeat(values, worlds, axis=0) for values in (self.holds, self.place, self.stiffer)
+        )
+        cuts = (
+            Cut(
+                *(
+                    np.tile(values, (worlds, *[1] * (values.ndim - 1)))
+                    for values in vars(c).values()
+                )
+            )
+            for c in self.cuts
+        )
+        return Grip(holds, place, stiffer, tuple(cuts))
 
     @property
     def misses(self) -> NDArray[np.bool_]:

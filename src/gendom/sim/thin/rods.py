@@ -56,8 +56,9 @@ class Rods(ThinEngine):
 
     def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
         """State [W, ., P] at rest with directions that have the twist of the rest shape."""
-        first = np.broadcast_to(self.model.rest_q[0], (self.num_worlds, 4))
-        step = np.diff(x, axis=1)
+        alike = x.strides[0] == 0  # what is the same in all worlds is computed once
+        step = np.diff(x[:1] if alike else x, axis=1)
+        first = np.broadcast_to(self.model.rest_q[0], (len(step), 4))
         q = rotation.transported(first, step)
         stretch = np.linalg.norm(step, axis=2) / self.model.length - 1.0
         w, e = np.unravel_index(np.abs(stretch).argmax(), stretch.shape)
@@ -89,8 +90,8 @@ class Rods(ThinEngine):
     def check_apart(self, x: NDArray[np.floating]) -> None:
         check_rope(x, self.setting.body.thickness, self.apart)
 
-    def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:
-        x, q = self.component(X)[worlds], self.component(Q)[worlds][:, :-1]
+    def close(self, g: int, worlds: NDArray[np.int64], pose: Pose, state: NDArray[Any]) -> Grip:
+        x, q = self.pick(X, state), self.pick(Q, state)[:, :-1]
         taken = np.any(self.holds[worlds][:, :, :-1] & 2, axis=1)
         return close_rod(x, q, pose, self.stacked["radius"][worlds, g], self.model.length, taken)
 

@@ -95,8 +95,8 @@ class Shells(ThinEngine):
     def check_apart(self, x: NDArray[np.floating]) -> None:
         check_cloth(x, self.model.shape)
 
-    def close(self, g: int, worlds: NDArray[np.int64], pose: Pose) -> Grip:
-        x, m = self.component(X)[worlds], self.model
+    def close(self, g: int, worlds: NDArray[np.int64], pose: Pose, state: NDArray[Any]) -> Grip:
+        x, m = self.pick(X, state), self.model
         taken = np.any(self.holds[worlds] & 1, axis=1)
         radius = self.stacked["radius"][worlds, g]
         return close_shell(x, m.shape, pose, radius, m.spacing, taken)
