@@ -14,10 +14,14 @@ import warp as wp
 from gendom.sim.mpm.types import make_types
 from gendom.sim.paths import make_paths
 
+AHEAD = 32
+"""Number of substeps for which gripper poses are computed at once."""
+
 
 @functools.cache
 def make_poses(real: Any) -> SimpleNamespace:
-    """Build ``pose_gripper`` and ``pose_gripper_adjoint`` for one scalar type."""
+    """Build ``pose_gripper``, ``pose_ahead`` (many substeps, by the threads of a block) and their
+    transposes ``pose_gripper_adjoint`` and ``close_poses``, for one scalar type."""
     types = make_types(real)
     Paths, Grips, SceneBars = types.Paths, types.Grips, types.SceneBars
     paths_of = make_paths(real)
@@ -65,4 +69,34 @@ def make_poses(real: Any) -> SimpleNamespace:
         bars.velocity[row, g] = wp.vec3d()
         bars.spin[row, g] = wp.vec3d()
 
-    return SimpleNamespace(pose_gripper=pose_gripper, pose_gripper_adjoint=pose_gripper_adjoint)
+    @wp.func
+    def pose_ahead(
+        w: int, lane: int, lanes: int, first: int, count: int, t: wp.float64, dt: wp.float64,
+        paths: Paths, grips: Grips,
+    ):  # fmt: skip
+        """Poses in ``count`` substeps from ``first`` on, side by side; substep 0 begins at t."""
+        grippers = grips.closed.shape[1]
+        for n in range(lane, count * grippers, lanes):
+            ahead = n // grippers
+            at = t + wp.float64(first + ahead) * dt
+            pose_gripper(w * AHEAD + ahead, w, n % grippers, at, dt, paths, grips)
+
+    @wp.func
+    def close_poses(
+        w: int, lane: int, lanes: int, first: int, count: int, t: wp.float64, dt: wp.float64,
+        paths: Paths, grips: Grips, bars: SceneBars,
+    ):  # fmt: skip
+        """Transpose of ``pose_ahead``."""
+        grippers = grips.closed.shape[1]
+        for n in range(lane, count * grippers, lanes):
+            row = w * AHEAD + n // grippers
+            if grips.closed[row, n % grippers] == 1:
+                at = t + wp.float64(first + n // grippers) * dt
+                pose_gripper_adjoint(row, w, n % grippers, at, dt, paths, bars)
+
+    return SimpleNamespace(
+        pose_gripper=pose_gripper,
+        pose_gripper_adjoint=pose_gripper_adjoint,
+        pose_ahead=pose_ahead,
+        close_poses=close_poses,
+    )

@@ -13,11 +13,23 @@ Shapes: W worlds, N particles, S recorded substeps, M nodes.
 
 import functools
 from types import SimpleNamespace
-from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.adjoint.boundary import ParticleBars, make_boundary_adjoint
+from gendom.sim.mpm.adjoint.boundary import make_boundary_adjoint
+from gendom.sim.mpm.adjoint.held import make_held_adjoint
+from gendom.sim.mpm.adjoint.records import (
+    DRAG,
+    LAM,
+    MASS,
+    MU,
+    STRETCHES,
+    SUMS,
+    WIND,
+    YIELD,
+    make_bar_records,
+    make_recorded,
+)
 from gendom.sim.mpm.adjoint.sums import Trouble
 from gendom.sim.mpm.block import (
     Near,
@@ -28,69 +40,16 @@ from gendom.sim.mpm.block import (
     put_near,
     spans_of,
 )
-from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
+from gendom.sim.mpm.boundary import make_boundary
 from gendom.sim.mpm.elasticity import make_elasticity, make_maxwell_branch
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.native import MODULE_OPTIONS
-from gendom.sim.mpm.particles import Particles
-from gendom.sim.mpm.poses import make_poses
-from gendom.sim.mpm.runners.block_kernels import AHEAD
+from gendom.sim.mpm.poses import AHEAD, make_poses
 from gendom.sim.mpm.runners.held import make_held
-from gendom.sim.mpm.runners.records import C, V, Variant, X, make_tape
+from gendom.sim.mpm.runners.records import C, V, Variant, X
 from gendom.sim.mpm.step import NOT_FINITE, OK, make_closing
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
-
-STRETCHES, WIND = 15, 24
-"""Components of a record of derivatives besides those by the state: by the differences between
-neighbours, and what the air adds to those by v."""
-
-SUMS = 5
-"""Derivatives by mu, lam, mass, yield stress and drag of a particle."""
-
-_MU, _LAM, _MASS, _YIELD, _DRAG = range(SUMS)
-
-
-@functools.cache
-def make_recorded(real: Any) -> Particles:
-    """Particles on a tape, of which nothing but positions is asked and nothing is written."""
-    Tape = make_tape(real)
-    vector = make_store(real, resident=False).vector
-
-    @wp.func
-    def x_of(tape: Tape, row: int, p: int):
-        return vector(tape.of, row, X, tape.place[tape.layout_of[row], p])
-
-    return Particles(Tape, x_of, x_of)
-
-
-@functools.cache
-def make_bar_records(real: Any, *, resident: bool) -> ParticleBars:
-    """Derivatives in records, as ``adjoint.boundary.make_row_bars``."""
-    types = make_types(real)
-    vec3 = types.vec3
-    store = make_store(real, resident=resident)
-    vector, put_vector = store.vector, store.put_vector
-
-    @wp.struct
-    class BarRecords:
-        """Derivatives by W worlds' particles in order."""
-
-        of: wp.array3d(dtype=real)  # [W, components, N], or [1, ...] if they are resident
-        sums: wp.array3d(dtype=real)  # [W, SUMS, N]
-        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
-        place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
-        spare: wp.array3d(dtype=real)  # [W, components + SUMS, N] scratch
-
-    @wp.func
-    def x_of(bars: BarRecords, w: int, p: int):
-        return vector(bars.of, w, X, bars.place[w, p])
-
-    @wp.func
-    def put_x(bars: BarRecords, w: int, p: int, value: vec3):
-        put_vector(bars.of, w, X, bars.place[w, p], value)
-
-    return ParticleBars(BarRecords, x_of, put_x)
 
 
 @functools.cache
@@ -121,15 +80,14 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
     bar_records = make_bar_records(real, resident=variant.room > 0)
     Tape, BarRecords = recorded.Struct, bar_records.Struct
     boundary = make_boundary_adjoint(real, recorded, bar_records)
-    contact_adjoint, led_adjoint = boundary.contact_adjoint, boundary.led_adjoint
-    follow_adjoint, turned_adjoint = boundary.follow_adjoint, boundary.turned_adjoint
-    wide = boundary.wide
+    contact_adjoint, grasp_adjoint = boundary.contact_adjoint, boundary.grasp_adjoint
+    held_adjoint = make_held_adjoint(real, resident=variant.room > 0)
+    carry_adjoint, lead_adjoint = held_adjoint.carry_adjoint, held_adjoint.lead_adjoint
     forward = make_boundary(real, recorded)
     contact, spring, follow = forward.contact, forward.spring, forward.follow
     Held, list_held = make_held(real).Held, make_held(real).list_held
-    grasp_adjoint = boundary.grasp_adjoint
     poses = make_poses(real)
-    pose_gripper, pose_gripper_adjoint = poses.pose_gripper, poses.pose_gripper_adjoint
+    pose_ahead, close_poses = poses.pose_ahead, poses.close_poses
     close_rates = make_closing(real).close_rates
     kept = make_store(real, resident=False)
     bar = make_store(real, resident=variant.room > 0)
@@ -140,7 +98,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
     vector, matrix, symmetric = kept.vector, kept.matrix, kept.symmetric
     differences = kept.differences
     block = make_block(real)
-    meet, any_of, add_by_warp = block.meet, block.any, block.add_by_warp
+    meet, any_of = block.meet, block.any
     COMPONENTS, Z, G = map(wp.constant, (variant.components, variant.Z, variant.G))
     TAPED_Z, TAPED_G = wp.constant(18), wp.constant(18 + 6 * variant.damped)
     damped, plastic = wp.constant(int(variant.damped)), wp.constant(int(variant.yields))
@@ -173,102 +131,6 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
             q += vector(tape.of, row, 15, i)
         share = real(1.0) / real(size)
         return share * x, (share / mass) * q
-
-    @wp.func
-    def carry_adjoint(
-        w: int, lane: int, lanes: int, holding: int, grip_row: int, h: real, grips: Grips,
-        records: BarRecords, held: Held, bars: SceneBars,
-    ):  # fmt: skip
-        """Derivatives by x and by grippers of what they hold firmly."""
-        for g in range(grips.closed.shape[1]):
-            centre = wp.vec3d()
-            velocity = wp.vec3d()
-            spin = wp.vec3d()
-            rotation = wp.vec3d()
-            for n in range(lane, holding, lanes):
-                if held.gripper[w, n] == g and held.share[w, n] == real(0.0):
-                    i = held.record[w, n]
-                    x_bar = bar_vector(records.of, w, X, i)
-                    centre_bar, V_bar, spin_bar, R_bar = follow_adjoint(
-                        w, g, held.number[w, n], grip_row, real(FOLLOWS), h,
-                        bar_vector(records.of, w, V, i) + h * x_bar,
-                        turned_adjoint(bar_matrix(records.of, w, C, i)), grips, bars,
-                    )  # fmt: skip
-                    put_vector(records.of, w, X, i, x_bar - centre_bar)
-                    centre += wide(centre_bar)
-                    velocity += wide(V_bar)
-                    spin += wide(spin_bar)
-                    rotation += wide(R_bar)
-            add_by_warp(bars.centre, grip_row, g, centre)
-            add_by_warp(bars.velocity, grip_row, g, velocity)
-            add_by_warp(bars.spin, grip_row, g, spin)
-            add_by_warp(bars.rotation, grip_row, g, rotation)
-
-    @wp.func
-    def lead_adjoint(
-        w: int, lane: int, lanes: int, holding: int, grip_row: int, slot: int, layout: int,
-        h: real, matter: Matter, scene: Scene, grips: Grips, tape: Tape, touches: int,
-        touched: wp.array2d(dtype=vec3), records: BarRecords, held: Held, bars: SceneBars,
-    ):  # fmt: skip
-        """The same of what they hold in part, and by mass and moduli.
-
-        Derivatives by u are known, those by the velocity that a particle is given follow.
-        """
-        for g in range(grips.closed.shape[1]):
-            centre = wp.vec3d()
-            velocity = wp.vec3d()
-            spin = wp.vec3d()
-            rotation = wp.vec3d()
-            for n in range(lane, holding, lanes):
-                share = held.share[w, n]
-                if held.gripper[w, n] == g and share > real(0.0):
-                    i = held.record[w, n]
-                    u = vector(tape.of, slot, 15, i) / matter.mass[w]
-                    if touches == 1:
-                        u += touched[w, tape.order[layout, i] // matter.section]
-                    by_lam, by_mass, centre_bar, V_bar, spin_bar, R_bar = led_adjoint(
-                        w, g, held.number[w, n], held.modulus[w, n], real(1.0) - share, grip_row,
-                        vector(tape.of, slot, 0, i), u, h, scene.dx, matter,
-                        bar_vector(records.of, w, V, i) / share, grips, bars,
-                    )  # fmt: skip
-                    x_bar = bar_vector(records.of, w, X, i)
-                    put_vector(records.of, w, X, i, x_bar - centre_bar)
-                    records.sums[w, _LAM, i] = records.sums[w, _LAM, i] + by_lam
-                    records.sums[w, _MU, i] = records.sums[w, _MU, i] + real(2.0) * by_lam
-                    records.sums[w, _MASS, i] = records.sums[w, _MASS, i] + by_mass
-                    centre += wide(centre_bar)
-                    velocity += wide(V_bar)
-                    spin += wide(spin_bar)
-                    rotation += wide(R_bar)
-            add_by_warp(bars.centre, grip_row, g, centre)
-            add_by_warp(bars.velocity, grip_row, g, velocity)
-            add_by_warp(bars.spin, grip_row, g, spin)
-            add_by_warp(bars.rotation, grip_row, g, rotation)
-
-    @wp.func
-    def pose_ahead(
-        w: int, lane: int, lanes: int, first: int, count: int, t: wp.float64, dt: wp.float64,
-        paths: Paths, grips: Grips,
-    ):  # fmt: skip
-        """Poses of grippers in ``count`` substeps, side by side; ``first`` begins at t."""
-        grippers = grips.closed.shape[1]
-        for n in range(lane, count * grippers, lanes):
-            ahead = n // grippers
-            at = t + wp.float64(first + ahead) * dt
-            pose_gripper(w * AHEAD + ahead, w, n % grippers, at, dt, paths, grips)
-
-    @wp.func
-    def close_poses(
-        w: int, lane: int, lanes: int, first: int, count: int, t: wp.float64, dt: wp.float64,
-        paths: Paths, grips: Grips, bars: SceneBars,
-    ):  # fmt: skip
-        """Transpose of ``pose_ahead``."""
-        grippers = grips.closed.shape[1]
-        for n in range(lane, count * grippers, lanes):
-            row = w * AHEAD + n // grippers
-            if grips.closed[row, n % grippers] == 1:
-                at = t + wp.float64(first + n // grippers) * dt
-                pose_gripper_adjoint(row, w, n % grippers, at, dt, paths, bars)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds(variant.lanes))
     def reverse(
@@ -459,7 +321,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                 put_vector(of, w, X, i, bar_vector(of, w, X, i) + x_bar)
                 put_vector(of, w, V, i, u_bar)
                 put_matrix(of, w, C, i, C_bar)
-                sums[w, _MASS, i] = sums[w, _MASS, i] + mass_bar
+                sums[w, MASS, i] = sums[w, MASS, i] + mass_bar
                 # the first one found is named; a NaN is not below anything
                 size = wp.length_sq(x_bar) + wp.length_sq(u_bar)
                 if not (size < real(largest)) and (
@@ -487,7 +349,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                         )
                         # u is momentum over mass
                         first = records.place[w, s * members]
-                        sums[w, _MASS, first] = sums[w, _MASS, first] - wp.dot(by_u, u) / mass
+                        sums[w, MASS, first] = sums[w, MASS, first] - wp.dot(by_u, u) / mass
                         by_x = by_x / real(members)
                         by_u = by_u / real(members)
                         for p in range(s * members, (s + 1) * members):
@@ -529,18 +391,18 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     )  # fmt: skip
                     D_bar += by_air
                     wind = wind_bar
-                    sums[w, _DRAG, i] = sums[w, _DRAG, i] + drag_bar
+                    sums[w, DRAG, i] = sums[w, DRAG, i] + drag_bar
                 put_vector(of, w, WIND, i, wind)
                 put_matrix(of, w, STRETCHES, i, D_bar)
-                sums[w, _MU, i] = sums[w, _MU, i] + mu_bar
-                sums[w, _LAM, i] = sums[w, _LAM, i] + lam_bar
+                sums[w, MU, i] = sums[w, MU, i] + mu_bar
+                sums[w, LAM, i] = sums[w, LAM, i] + lam_bar
                 if damped == 1 and share > real(0.0):
                     put_symmetric(of, w, Z, i, Z_before)
                     keep_sum += wp.float64(keep_bar)
                     share_sum += wp.float64(share_bar)
                 if plastic == 1:
                     put_matrix(of, w, G, i, G_before)
-                    sums[w, _YIELD, i] = sums[w, _YIELD, i] + yield_bar
+                    sums[w, YIELD, i] = sums[w, YIELD, i] + yield_bar
             if damped == 1 and age > 0:
                 wp.atomic_add(scene_bars.branch_factor, w, keep_sum)
                 wp.atomic_add(scene_bars.branch_share, w, share_sum)
@@ -552,7 +414,7 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                 v_bar = bar_vector(of, w, V, i)
                 gravity_sum += h * v_bar
                 speed = vector(tape.of, slot, 3, i) + h * gravity
-                sums[w, _MASS, i] = sums[w, _MASS, i] + per_mass * wp.dot(v_bar, speed)
+                sums[w, MASS, i] = sums[w, MASS, i] + per_mass * wp.dot(v_bar, speed)
                 v_bar += bar_vector(of, w, WIND, i)
                 put_vector(of, w, V, i, v_bar)
             wp.atomic_add(
@@ -588,10 +450,10 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
                     bars.Z[w, c, p] = get(of, w, Z + c, i)
             if plastic == 1:
                 bars.G[w, p] = bar_matrix(of, w, G, i)
-            bars.mu[w, p] = bars.mu[w, p] + sums[w, _MU, i]
-            bars.lam[w, p] = bars.lam[w, p] + sums[w, _LAM, i]
-            bars.mass[w, p] = bars.mass[w, p] + sums[w, _MASS, i]
-            bars.yield_stress[w, p] = bars.yield_stress[w, p] + sums[w, _YIELD, i]
-            bars.drag[w, p] = bars.drag[w, p] + sums[w, _DRAG, i]
+            bars.mu[w, p] = bars.mu[w, p] + sums[w, MU, i]
+            bars.lam[w, p] = bars.lam[w, p] + sums[w, LAM, i]
+            bars.mass[w, p] = bars.mass[w, p] + sums[w, MASS, i]
+            bars.yield_stress[w, p] = bars.yield_stress[w, p] + sums[w, YIELD, i]
+            bars.drag[w, p] = bars.drag[w, p] + sums[w, DRAG, i]
 
     return SimpleNamespace(BarRecords=BarRecords, reverse=reverse)

@@ -6,8 +6,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.sim.mpm.adjoint.block_kernels import SUMS, make_block_reverse
+from gendom.sim.mpm.adjoint.block_kernels import make_block_reverse
 from gendom.sim.mpm.adjoint.graph import BatchTape, Segment, raise_trouble
+from gendom.sim.mpm.adjoint.records import SUMS
 from gendom.sim.mpm.adjoint.sums import Sums
 from gendom.sim.mpm.runners.block_per_world import Blocks
 from gendom.sim.mpm.runners.records import make_tape

@@ -31,7 +31,7 @@ from gendom.sim.mpm.compensated_sum import make_compensated_sum
 from gendom.sim.mpm.elasticity import make_elasticity, make_maxwell_branch
 from gendom.sim.mpm.grid import MARGIN, SparseGrid, make_rebuild_world
 from gendom.sim.mpm.native import MODULE_OPTIONS
-from gendom.sim.mpm.poses import make_poses
+from gendom.sim.mpm.poses import AHEAD, make_poses
 from gendom.sim.mpm.runners.held import make_held
 from gendom.sim.mpm.runners.records import (
     LOW,
@@ -48,9 +48,6 @@ from gendom.sim.mpm.runners.records import (
 from gendom.sim.mpm.step import DIVERGED, GRID_FULL, INVERTED, NOTHING_HELD, OK
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
-
-AHEAD = 32
-"""Number of substeps for which gripper poses are computed at once."""
 
 
 @functools.cache
@@ -78,12 +75,11 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     access = make_record_access(variant)
     load, unload, put_in_order = access.load, access.unload, access.put_in_order
     rebuild = make_rebuild_world(real, records_of)
-    boundary, paths_of = make_boundary(real, records_of), make_poses(real)
+    boundary, pose_ahead = make_boundary(real, records_of), make_poses(real).pose_ahead
     grasp, follow = boundary.grasp, boundary.follow
     spring = boundary.spring
     Held, list_held = make_held(real).Held, make_held(real).list_held
     contact, near_table = boundary.contact, boundary.near_table
-    pose_gripper = paths_of.pose_gripper
     store = make_store(real, resident=variant.room > 0)
     vector, put_vector = store.vector, store.put_vector
     matrix, put_matrix = store.matrix, store.put_matrix
@@ -340,16 +336,11 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     substep = False
                 holding = list_held(w, lane, lanes, records.order, w, matter, grips, held)
             if substep:
-                # poses of many substeps at once, side by side
+                # poses of many substeps at once
                 if grippers > 0 and (step < posed or step >= posed + AHEAD):
                     posed = step
-                    for n in range(lane, AHEAD * grippers, lanes):
-                        ahead = n // grippers
-                        pose_gripper(
-                            w * AHEAD + ahead, w, n % grippers, t + wp.float64(ahead) * dt, dt,
-                            paths,
-                            grips,
-                        )  # fmt: skip
+                    began = plan.time[frame]
+                    pose_ahead(w, lane, lanes, step, AHEAD, began, dt, paths, grips)
                     meet()
                 grip_row = w * AHEAD + step - posed
                 lead(w, lane, lanes, holding, grip_row, h, matter, scene, grips, records, held)

@@ -8,7 +8,8 @@ import warp as wp
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
 from gendom.sim.mpm.grid import Grid
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.runners.block_kernels import AHEAD, make_block_kernels
+from gendom.sim.mpm.poses import AHEAD
+from gendom.sim.mpm.runners.block_kernels import make_block_kernels
 from gendom.sim.mpm.runners.held import empty_list
 from gendom.sim.mpm.runners.paced import Paced
 from gendom.sim.mpm.runners.records import Variant

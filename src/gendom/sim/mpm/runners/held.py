@@ -9,6 +9,7 @@ Shapes: W worlds, N particles.
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
 # pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportGeneralTypeIssues=false
 
 import functools
 from types import SimpleNamespace
