@@ -30,7 +30,7 @@ from gendom.sim.mpm.types import make_types
 
 @functools.cache
 def make_bspline(real: Any) -> SimpleNamespace:
-    """The sums over 27 nodes of ``native/bspline_transfer.h`` for one scalar type.
+    """The sums over 27 nodes of ``native/bspline.h`` for one scalar type.
 
     All take a grid's array, its row and its layout (see ``grid``), the particle's lowest node
     (column i and j of the layout, level), and the particle's place f above that node in cells.

@@ -20,7 +20,8 @@ from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.model import CLOCK
 from gendom.sim.mpm.native import MODULE_OPTIONS
-from gendom.sim.mpm.runners.graph import SUBSTEPS_A_GRAPH, YIELDS, Batch
+from gendom.sim.mpm.runners.graph import SUBSTEPS_A_GRAPH, Batch
+from gendom.sim.mpm.runners.graph_kernels import YIELDS
 from gendom.sim.mpm.step import NOT_FINITE, OK, make_closing, make_stages
 
 _LAYOUT = ("bounds", "low", "high", "start", "count")

@@ -2,5 +2,8 @@
 
 from gendom.sim.native import module_options
 
-MODULE_OPTIONS = module_options(__name__, "block.h", "bspline_transfer.h", "simd_elasticity.h")
+MODULE_OPTIONS = module_options(
+    __name__, "block.h", "bspline.h", "bspline_cpu.h", "bspline_cuda.h", "bspline_window.h",
+    "simd_elasticity.h",
+)  # fmt: skip
 """Options of every Warp module of the engine."""

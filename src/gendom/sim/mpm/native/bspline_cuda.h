@@ -1,0 +1,203 @@
+// ``scatter``, ``gather`` and ``gather_with_slope`` of bspline.h on CUDA: node by node.
+#pragma once
+
+#if defined(__CUDA_ARCH__)
+namespace gendom {
+
+// whole values, whose alignment the compiler does not see
+GENDOM_INLINE vec4<float> load(const vec4<float>* node) {
+    const float4 h = *(const float4*)node;
+    return vec4<float>(h.x, h.y, h.z, h.w);
+}
+GENDOM_INLINE vec4<double> load(const vec4<double>* node) {
+    const double2 a = *(const double2*)node, b = *((const double2*)node + 1);
+    return vec4<double>(a.x, a.y, b.x, b.y);
+}
+GENDOM_INLINE void store(vec4<float>* node, const vec4<float>& h) {
+    *(float4*)node = make_float4(h[0], h[1], h[2], h[3]);
+}
+GENDOM_INLINE void store(vec4<double>* node, const vec4<double>& h) {
+    *(double2*)node = make_double2(h[0], h[1]);
+    *((double2*)node + 1) = make_double2(h[2], h[3]);
+}
+GENDOM_INLINE void add(vec4<float>* node, const vec4<float>& h) {
+#if __CUDA_ARCH__ >= 900
+    atomicAdd((float4*)node, make_float4(h[0], h[1], h[2], h[3]));
+#else
+    wp::atomic_add(node, h);
+#endif
+}
+GENDOM_INLINE void add(vec4<double>* node, const vec4<double>& h) { wp::atomic_add(node, h); }
+
+template <typename real> GENDOM_INLINE vec4<real> row_of(const real* a) {
+    return vec4<real>(a[0], a[1], a[2], a[3]);
+}
+
+template <typename real> struct stencil {
+    real wx[3], wy[3], wz[3], sx[3], sy[3], sz[3];
+
+    GENDOM_INLINE explicit stencil(const vec3<real>& f) {
+        const auto set = [](real f, real* w, real* s) {
+            const real half = real(0.5);
+            w[0] = half * (real(1.5) - f) * (real(1.5) - f);
+            w[1] = real(0.75) - (f - real(1)) * (f - real(1));
+            w[2] = half * (f - half) * (f - half);
+            s[0] = f - real(1.5);
+            s[1] = real(-2) * (f - real(1));
+            s[2] = f - half;
+        };
+        set(f[0], wx, sx);
+        set(f[1], wy, sy);
+        set(f[2], wz, sz);
+    }
+    // not a[i]: where i is not known beforehand that array would not be in registers
+    static GENDOM_INLINE real pick(const real* a, int i) { return i == 0 ? a[0] : i == 1 ? a[1] : a[2]; }
+
+    // Call add(9 i + 3 j + k, value) for every node.
+    template <typename adder> GENDOM_INLINE void spread(const sums<4, real>& c, adder add) const {
+        const vec4<real> Q = row_of(c.data[0]), A0 = row_of(c.data[1]), A1 = row_of(c.data[2]);
+        const vec4<real> A2 = row_of(c.data[3]);
+        #pragma unroll
+        for (int i = 0; i < 3; ++i) {
+            const vec4<real> Qi = Q + A0 * real(i);
+            #pragma unroll
+            for (int j = 0; j < 3; ++j) {
+                const real w = wx[i] * wy[j];
+                const vec4<real> b = (Qi + A1 * real(j)) * w, s = A2 * w;
+                add(9 * i + 3 * j, b * wz[0]);
+                add(9 * i + 3 * j + 1, (b + s) * wz[1]);
+                add(9 * i + 3 * j + 2, (b + s + s) * wz[2]);
+            }
+        }
+    }
+};
+
+// The node numbers of nine columns at the level of `node`. They are read before anything is added
+// to the grid, which would keep the compiler from reading them together.
+struct nine_columns {
+    int n[9];
+    GENDOM_INLINE nine_columns(const wp::array_t<int>& start, int layout, const lowest_node& node) {
+        #pragma unroll
+        for (int c = 0; c < 9; ++c)
+            n[c] = wp::index(start, layout, node[0] + c / 3, node[1] + c % 3) + node[2];
+    }
+};
+
+template <typename real>
+GENDOM_INLINE void scatter(const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
+                               int layout, const lowest_node& node, const vec3<real>& f,
+                               const sums<4, real>& c) {
+    const nine_columns columns(start, layout, node);
+    vec4<real>* nodes = &wp::index(grid, row, 0);
+    stencil<real>(f).spread(
+        c, [&](int n, const vec4<real>& h) { add(nodes + columns.n[n / 3] + n % 3, h); });
+}
+
+// Sums over all nodes; with the coefficients c also the derivative of P by the place, as last row.
+template <int rows, typename real>
+GENDOM_INLINE sums<rows, real> gathered(const nodes_of<real>& grid, int row,
+                                            const wp::array_t<int>& start, int layout,
+                                            const lowest_node& node, const vec3<real>& f,
+                                            const sums<4, real>& c) {
+    constexpr bool sloped = rows == 5;
+    const stencil<real> at(f);
+    const vec4<real>* nodes = &wp::index(grid, row, 0);
+    const auto column = [&](int i, int j) {
+        return wp::index(start, layout, node[0] + i, node[1] + j) + node[2];
+    };
+    vec4<real> V, C0, C1, C2, X, Y, Z, Q, A0, A1, A2;
+    if constexpr (sloped) {
+        Q = row_of(c.data[0]);
+        A0 = row_of(c.data[1]);
+        A1 = row_of(c.data[2]);
+        A2 = row_of(c.data[3]);
+    }
+    // the next plane's columns and the next column's nodes are on their way while these are summed
+    int n0 = column(0, 0), n1 = column(0, 1), n2 = column(0, 2);
+    vec4<real> h0, h1, h2;
+    if constexpr (sloped) {
+        h0 = load(nodes + n0);
+        h1 = load(nodes + n0 + 1);
+        h2 = load(nodes + n0 + 2);
+    }
+    // loops that stay loops spare the instruction cache
+    #pragma unroll 1
+    for (int i = 0; i < 3; ++i) {
+        const int next = i < 2 ? i + 1 : i;
+        const int m0 = column(next, 0), m1 = column(next, 1), m2 = column(next, 2);
+        const real wxi = at.pick(at.wx, i), sxi = at.pick(at.sx, i);
+        #pragma unroll (sloped ? 1 : 3)
+        for (int j = 0; j < 3; ++j) {
+            const real wyj = at.pick(at.wy, j);
+            const real w = wxi * wyj;
+            vec4<real> g0, g1, g2;
+            if constexpr (sloped) {
+                const int n = j == 0 ? n1 : j == 1 ? n2 : m0;
+                g0 = load(nodes + n);
+                g1 = load(nodes + n + 1);
+                g2 = load(nodes + n + 2);
+            } else {
+                const int n = j == 0 ? n0 : j == 1 ? n1 : n2;
+                h0 = load(nodes + n);
+                h1 = load(nodes + n + 1);
+                h2 = load(nodes + n + 2);
+            }
+            const vec4<real> u1 = h1 * at.wz[1], u2 = h2 * at.wz[2];
+            const vec4<real> u = h0 * at.wz[0] + u1 + u2, k = u1 + u2 + u2;
+            const vec4<real> s = u * w;
+            V = V + s;
+            C0 = C0 + s * real(i);
+            C1 = C1 + s * real(j);
+            C2 = C2 + k * w;
+            if constexpr (sloped) {
+                const real dx = sxi * wyj, dy = wxi * at.pick(at.sy, j);
+                const vec4<real> z = h0 * at.sz[0] + h1 * at.sz[1] + h2 * at.sz[2];
+                const vec4<real> zk = h1 * at.sz[1] + h2 * (at.sz[2] + at.sz[2]);
+                const vec4<real> Qij = Q + A0 * real(i) + A1 * real(j);
+                const vec4<real> p = wp::cw_mul(u, Qij) + wp::cw_mul(k, A2);
+                X = X + p * dx;
+                Y = Y + p * dy;
+                Z = Z + (wp::cw_mul(z, Qij) + wp::cw_mul(zk, A2)) * w;
+                h0 = g0;
+                h1 = g1;
+                h2 = g2;
+            }
+        }
+        n0 = m0;
+        n1 = m1;
+        n2 = m2;
+    }
+    sums<rows, real> out;
+    #pragma unroll
+    for (int a = 0; a < 4; ++a) {
+        out.data[0][a] = V[a];
+        out.data[1][a] = C0[a];
+        out.data[2][a] = C1[a];
+        out.data[3][a] = C2[a];
+    }
+    if constexpr (sloped) {
+        out.data[4][0] = X[0] + X[1] + X[2] + X[3];
+        out.data[4][1] = Y[0] + Y[1] + Y[2] + Y[3];
+        out.data[4][2] = Z[0] + Z[1] + Z[2] + Z[3];
+        out.data[4][3] = real(0);
+    }
+    return out;
+}
+
+template <typename real>
+GENDOM_INLINE sums<4, real> gather(const nodes_of<real>& grid, int row,
+                                       const wp::array_t<int>& start, int layout,
+                                       const lowest_node& node, const vec3<real>& f) {
+    return gathered<4>(grid, row, start, layout, node, f, sums<4, real>());
+}
+
+template <typename real>
+GENDOM_INLINE sums<5, real> gather_with_slope(const nodes_of<real>& grid, int row,
+                                                  const wp::array_t<int>& start, int layout,
+                                                  const lowest_node& node, const vec3<real>& f,
+                                                  const sums<4, real>& c) {
+    return gathered<5>(grid, row, start, layout, node, f, c);
+}
+
+}  // namespace gendom
+#endif
