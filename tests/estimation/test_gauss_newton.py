@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gendom.estimation import METHODS, EstimateSettings, Problem, Scene
+from gendom.estimation import METHODS, EstimateSettings, Problem, Scene, estimate
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
 from gendom.estimation.replay import replay
 from gendom.estimation.shape import Shape
@@ -190,3 +190,12 @@ def test_cloths_are_simulated_in_single_precision(cloth_lift):
         assert scene.dtype == (dtype or "float32")
         shapes.append(replay(scene, [truth]))
     assert 0.0 < np.abs(shapes[0] - shapes[1]).max() < 2e-5
+
+
+def test_a_cloth_of_known_material_is_placed(cloth_lift):
+    """Leaps are by the object's unknowns, of which there are none."""
+    settings = EstimateSettings(
+        starts=1, unknowns=("grip_height", "yaw"), scene=cloth_lift.settings
+    )
+    found = estimate(cloth_lift.seen(frames=8), settings, known=cloth_lift.truth)
+    assert found.posterior.names == ("grip_height", "yaw") and found.record["rms"] < 3e-3

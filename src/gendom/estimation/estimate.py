@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,6 +13,8 @@ from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation.methods import METHODS
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
+from gendom.estimation.methods.nearest import nearest
+from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.posterior import Calibration, Posterior
 from gendom.estimation.problem import (
     EstimateSettings,
@@ -24,7 +27,11 @@ from gendom.estimation.registration import register
 from gendom.estimation.result import Estimate, result_of
 from gendom.estimation.scene import Scene
 from gendom.estimation.theta import Theta
-from gendom.estimation.verdict import judge
+from gendom.estimation.verdict import displaced, judge, recording_faults
+
+ASTRAY = 5.0
+"""Displacement of a cloth's model, over what is usable at most, from which on the search has gone
+astray: then it is as large as the deviation of how a corner is held."""
 
 
 def estimate(
@@ -77,11 +84,38 @@ def estimate(
         finer = problem.finer(found.best.vector)
         if finer is not problem and settings.method == "gauss-newton" and not found.interrupted:
             problem, found = finer, refined(finer, found)
+        if settings.method == "gauss-newton" and not found.interrupted:
+            found = _nearer(problem, found)
         calibration = calibration or Calibration.of(problem.scene.kind)
         posterior = _posterior(problem, found, calibration)
         alone = _alone(problem, found, posterior, calibration)
         verdict = judge(problem, found, alone)
         return result_of(problem, found, posterior, alone, verdict, clock.perf_counter() - began)
+
+
+def _nearer(problem: Problem, found: Found) -> Found:
+    """The result, or that of a search over the whole prior where a cloth moves otherwise than the
+    best fit does: with a large displacement of the model every place fits, and steps end anywhere.
+    """
+    parts = list(zip(problem.parts, found.noise, strict=True))
+    faulty = any(recording_faults(part.scene.recording, None) for part, _ in parts)
+    cloth = problem.scene.kind == "cloth" and problem.scene.thin
+    astray = any(displaced(part, noise, times=ASTRAY) for part, noise in parts)
+    if faulty or not cloth or not astray:
+        return found
+    try:
+        best = nearest(problem)
+    except KeyboardInterrupt:
+        return replace(found, interrupted=True)
+    assert best.comparison is not None and found.best.comparison is not None
+    noise = estimated_noise(best.comparison, problem.first_noise())
+    if not any(displaced(part, one) for part, one in zip(problem.parts, noise, strict=True)):
+        # it can be simulated: what is nearest is not yet what is most likely
+        settings = GaussNewtonSettings.of(problem.scene.kind, initial=(best.vector,))
+        return gauss_newton(problem, settings)
+    if best.comparison.distance >= found.best.comparison.distance:
+        return found
+    return replace(found, best=best, starts=[*found.starts, best], noise=noise)
 
 
 def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Posterior:

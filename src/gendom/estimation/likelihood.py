@@ -206,9 +206,7 @@ class Observation:
             gap[t], which = self.trees[t].query(c[t])
             near[t] = self.clouds[t][which]
         out = gap - r - self.gaps[:, None]
-        bare = (out > 0.0) & self.in_view
-        if self.scene.floor is not None:
-            bare &= c[..., 2] > self.scene.floor
+        bare = (out > 0.0) & self.shown(shape)
         # what the object hides of itself needs no points
         cameras = self.scene.recording.camera_positions
         for t in np.flatnonzero(bare.any(axis=1)):
@@ -227,6 +225,14 @@ class Observation:
             counts=np.concatenate([self.counts, bare * stands_for], axis=1),
             on_skin=True,
         )
+
+    def shown(self, shape: Array) -> NDArray[np.bool_]:
+        """[T, S] samples of shapes [T, n, 3] in the recorded space that no fingers hide."""
+        own, share = self.shape.samples
+        shown = np.tile(self.in_view, (len(shape), 1))
+        if self.scene.floor is not None:
+            shown &= np.einsum("mk,tmk->tm", share, shape[:, own, 2]) > self.scene.floor
+        return shown
 
     def _marker_rows(self, shape: Array) -> Rows:
         """All three coordinates of a marker count: markers are few and accurate."""
@@ -342,6 +348,16 @@ class Comparison:
         squares = 2.0 * c**2 * (np.sqrt(1.0 + (rows.rho / c) ** 2) - 1.0)
         return math.sqrt(float((rows.counts * squares).sum() / max(rows.counts.sum(), 1e-9)))
 
+    @cached_property
+    def distance(self) -> float:
+        """Mean distance of points from the skin plus that of the skin from the points, where they
+        could show it [m]."""
+        rows, o = self.rows, self.observation
+        own, away = o.counts.shape[1], np.abs(rows.rho)
+        points = (away[:, :own] * o.counts).sum(axis=1) / o.counts.sum(axis=1)
+        shown = np.maximum(o.shown(self.here).sum(axis=1), 1)
+        return float((points + (away * (rows.counts > 0.0))[:, own:].sum(axis=1) / shown).mean())
+
     def fit(self, noise: NoiseModel) -> Fit:
         """With motion, skin and displacement registered for this noise."""
         if self._last is None or self._last.noise != noise:
@@ -442,6 +458,11 @@ class Comparisons:
     def rms(self) -> float:
         """`Comparison.rms` of all, each recording counting alike [m]."""
         return math.sqrt(sum(c.rms**2 for c in self.parts) / len(self.parts))
+
+    @property
+    def distance(self) -> float:
+        """`Comparison.distance` of all, each recording counting alike [m]."""
+        return sum(c.distance for c in self.parts) / len(self.parts)
 
     def follow(self, other: Comparisons) -> None:
         """Start the registrations from the results of comparisons nearby."""

@@ -173,14 +173,23 @@ def _faults(part: Part, comparison: Comparison, noise: NoiseModel, s: VerdictSet
             reasons.append(
                 f"clouds show nothing where {share:.0%} of the object should be: is its size right?"
             )
-    displaced = s.displaced if len(scene.held) == 1 else s.displaced_by_two
-    if scene.kind == "cloth":
-        displaced = s.displaced_cloth
-    if noise.model > displaced * scene.size:
+    if displaced(part, noise, s):
         reasons.append(
             f"the object moves {1e3 * noise.model:.0f} mm otherwise than any simulated one"
         )
     return reasons
+
+
+def displaced(
+    part: Part, noise: NoiseModel, settings: VerdictSettings | None = None, times: float = 1.0
+) -> bool:
+    """Whether the object moves otherwise than any simulated one, by so many times what is
+    usable."""
+    s, scene = settings or VerdictSettings(), part.scene
+    most = s.displaced if len(scene.held) == 1 else s.displaced_by_two
+    if scene.kind == "cloth":
+        most = s.displaced_cloth
+    return noise.model > times * most * scene.size
 
 
 def _at_end(problem: Problem, vector: Array) -> list[str]:

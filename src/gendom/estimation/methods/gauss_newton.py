@@ -182,9 +182,9 @@ def _leaps(
     Each of the object's unknowns is moved in both directions, the others by their conditional
     means.
     """
-    if not settings.leaps:
-        return False
     prior = problem.prior
+    if not settings.leaps or not any(UNKNOWNS[name].material for name in prior.names):
+        return False
     covariance = np.linalg.inv(problem.slopes(start, noise)[1])
     places = [
         prior.clipped(start.vector + way * far * covariance[k] / np.sqrt(covariance[k, k]))
