@@ -59,6 +59,7 @@ def simulator_of(scene: Scene, thetas: Sequence[Theta]) -> tuple[Simulator, Arra
         stiffness=_stiffness(scene, thetas),
         positions=np.stack([_laid(scene, theta) for theta in thetas]),
         start_time=begin,
+        substep=scene.settings.substep,
         dtype=scene.dtype,
         device=scene.settings.device,
         threads=scene.settings.threads,

@@ -68,6 +68,9 @@ class SceneSettings:
     """Frames that are compared elsewhere, at most."""
     dtype: str | None = None
     """``float32`` or ``float64``; None: the first for cloths as shells, else the engine's own."""
+    substep: float | None = None
+    """Of all worlds [s]; None: each its own. Then the number of substeps between two frames depends
+    on E, and where it changes, positions jump by some 1e-7 m, which shows in exact clouds only."""
     device: str = "cpu"
     threads: int | None = None
 
@@ -86,5 +89,7 @@ class SceneSettings:
         if self.clock is not None:
             check_numbers("clock", self.clock, above=0.0)
         check_numbers("stretch", self.stretch, above=0.0)
+        if self.substep is not None:
+            check_numbers("substep", self.substep, above=0.0)
         if self.points is not None and self.points < 5:
             raise ParameterError(f"is {self.points}", where="points", fix="give 5 or more")
