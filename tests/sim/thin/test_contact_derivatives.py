@@ -17,6 +17,7 @@ import warp as wp
 from gendom.materials import Material
 from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
 from gendom.sim.thin import tape
+from gendom.sim.thin.contact import take_at_once
 
 TIMES = [0.01, 0.02, 0.025, 0.03]
 FIRST = [0.00415, 0.0043]
@@ -82,7 +83,7 @@ def given(body, self_friction, seed=0, points=None, noise=2e-4):
     }
 
 
-def simulator(body, p, worlds=1, **options):
+def simulator(body, p, worlds=1, at_once=None, **options):
     lowest = (FOLDED if body.kind == "cloth" else body.points)[:, 2].min()
     knots = [0, 0.025, 0.05]
     s = Simulator(
@@ -106,12 +107,15 @@ def simulator(body, p, worlds=1, **options):
         **{"self_contact": True, **options},
     )
     s.set_velocities(p["velocities"])
+    if at_once is not None:
+        engine: Any = s.engine
+        take_at_once(engine.body, at_once)
     return s
 
 
-def loss_of(body, p, times, weights, x0, device):
+def loss_of(body, p, times, weights, x0, **options):
     """Of displacements from points x0, which are rounded less than positions are."""
-    return float(np.sum((simulator(body, p, device=device).run(times) - x0) * weights))
+    return float(np.sum((simulator(body, p, **options).run(times) - x0) * weights))
 
 
 def difference(loss, h):
@@ -127,17 +131,17 @@ STEPS = {"positions": 2e-8, "gripper_positions": 2e-8, "self_friction": 2e-5}
 """Relative steps where they are not 2e-6: shorter where they move points at once."""
 
 
-def check_derivatives(body, p, names, times=TIMES, device="cpu", rel=1e-6):
+def check_derivatives(body, p, names, times=TIMES, rel=1e-6, **options):
     rng = np.random.default_rng(1)
     weights = rng.normal(size=(len(times), 1, len(body.points), 3))
-    rollout = Rollout(simulator(body, p, device=device))
+    rollout = Rollout(simulator(body, p, **options))
     x0 = rollout.forward(times)
     found = rollout.backward(weights)
     for name in names:
         direction = rng.normal(size=np.shape(p[name])) if np.ndim(p[name]) else np.array(1.0)
         expected = difference(
             lambda h, name=name, by=direction: loss_of(
-                body, p | {name: p[name] + h * by}, times, weights, x0, device
+                body, p | {name: p[name] + h * by}, times, weights, x0, **options
             ),
             STEPS.get(name, 2e-6) * max(np.abs(p[name]).max(), 1e-2),
         )
@@ -190,10 +194,24 @@ def test_nearly_parallel_edges_are_differentiated(self_friction):
     check_derivatives(CLOTH, p, BY, times=FIRST)
 
 
+@TOUCHES
+def test_first_touches_taken_at_once_are_differentiated(self_friction):
+    """There points are pushed from the edges of triangles beside them, too. Differences of runs
+    with more turns are rounded more."""
+    p = touching(self_friction, 0.23, 0.0, 2e-4)
+    check_derivatives(CLOTH, p, BY, times=FIRST, at_once=True, rel=1e-5)
+
+
+@scenes("rope-slides", "rope-sticks", "cloth-slides")
+def test_contacts_taken_at_once_are_differentiated(body, self_friction):
+    """The fourth scene has contacts there that begin within the changes."""
+    p = given(body, self_friction)
+    check_derivatives(body, p, p, at_once=True, rel=1e-5)
+
+
 @pytest.mark.gpu
 @TOUCHES
 def test_cuda_differentiates_first_touches(self_friction):
-    """There points are pushed from the edges of triangles beside them, too."""
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
     p = touching(self_friction, 0.23, 0.0, 2e-4)
@@ -203,8 +221,7 @@ def test_cuda_differentiates_first_touches(self_friction):
 @pytest.mark.gpu
 @scenes("rope-slides", "rope-sticks", "cloth-slides")
 def test_cuda_differentiates_its_own_contacts(body, self_friction):
-    """They are taken all at once there, and added up in any order, so that runs differ by rounding.
-    The fourth scene has contacts there that begin within the changes."""
+    """They are added up in any order there, so that runs differ by rounding."""
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
     p = given(body, self_friction)

@@ -14,6 +14,16 @@ MARGIN_OF_LISTS = 0.3
 PAIRS = 40
 """Maximum number of such pairs for each point."""
 
+TURNS, TURNS_AT_ONCE = 2, 4
+"""Turns over the contacts of a step that friction needs: of contacts taken one after the other, and
+all at once."""
+
+MOST_TURNS = 32
+"""Maximum number of turns: after those they go on until one finds nothing nearer than enough."""
+
+ENOUGH = 0.9
+"""Distance that is enough [thicknesses]."""
+
 LISTED = 3
 """Components of a kept state that hold where points were when pairs were listed."""
 
@@ -35,7 +45,9 @@ def fill_contact(engine: Any, body: Any, stretch: float) -> None:
     body.contact_margin = MARGIN_OF_LISTS * spacing
     body.contact_reach = 2.0 * (1.0 + stretch) * spacing + thickness + body.contact_margin
     body.contact_apart = e.apart
-    body.contact_turns = 4 if s.device.is_cuda else 2
+    take_at_once(body, s.device.is_cuda)
+    body.contact_most_turns = MOST_TURNS
+    body.contact_enough = ENOUGH * thickness
     body.self_friction = e.array(spread(s.self_friction, (W,), "self_friction"))
     body.push = e.zeros((W * on, 7, P))
     # where nothing is near: the first step lists pairs
@@ -44,6 +56,12 @@ def fill_contact(engine: Any, body: Any, stretch: float) -> None:
     body.near = e.zeros((W * on, PAIRS * n, 2), wp.int32)
     body.near_count = e.zeros(W * on, wp.int32)
     body.loose = e.array(loose(e, np.arange(W * on)))
+
+
+def take_at_once(body: Any, at_once: bool) -> None:
+    """Set whether contacts are taken all at once, or one after the other (on the CPU)."""
+    body.contact_at_once = int(at_once)
+    body.contact_turns = TURNS_AT_ONCE if at_once else TURNS
 
 
 def loose(engine: Any, worlds: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -57,13 +75,13 @@ def loose(engine: Any, worlds: NDArray[np.int64]) -> NDArray[np.float64]:
 def kept_pushes(engine: Any, worlds: int) -> Any:
     """Memory for the contacts of a step of so many worlds, for the reverse pass.
 
-    On the CPU worlds of a launch come one after the other and share it.
+    Where contacts are taken one after the other, worlds of a launch come so, too, and share it.
     """
     e, body = engine, engine.body
     pushes = e.types.Pushes()
-    turns, pairs = body.contact_turns, body.near.shape[1]
+    turns, pairs = body.contact_most_turns, body.near.shape[1]
     shape, made = (turns, pairs, 24), (turns, pairs)
-    if e.setting.device.is_cuda:
+    if body.contact_at_once:
         shape, made = (worlds, 6 * turns, e.row_length), (0, 0)
     if not e.setting.self_contact:
         shape, made = (0, 0, 0), (0, 0)

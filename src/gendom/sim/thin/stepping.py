@@ -114,10 +114,10 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     @wp.func_native("gendom::count_contacts(body, w, state, row);")
     def count_contacts(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
 
-    @wp.func_native("gendom::push_apart(body, w, state, row, dt, turn);")
+    @wp.func_native("return gendom::push_apart(body, w, state, row, dt, turn);")
     def push_apart(
         body: Body, w: int, state: wp.array3d(dtype=real), row: int, dt: real, turn: int
-    ): ...
+    ) -> int: ...
 
     @wp.func_native("gendom::take_push(body, w, state, row);")
     def take_push(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
@@ -136,13 +136,14 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         """Apply self-contact at the end of a step."""
         relist(body, w, state, row, 0, real(0.5) * body.contact_margin)
         if body.near_count[w] > 0:
-            for turn in range(body.contact_turns):
+            for turn in range(body.contact_most_turns):
                 count_contacts(body, w, state, row)
                 meet()
-                push_apart(body, w, state, row, dt, turn)
-                meet()
+                again = any_of(push_apart(body, w, state, row, dt, turn))
                 take_push(body, w, state, row)
                 meet()
+                if again == 0:
+                    break
 
     @wp.func_native("gendom::keep_list(body, w, state, row, c);")
     def keep_list(body: Body, w: int, state: wp.array3d(dtype=real), row: int, c: int): ...
@@ -153,11 +154,11 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         turn: int,
     ): ...  # fmt: skip
 
-    @wp.func_native("gendom::push_apart_kept(body, pushes, w, state, row, dt, turn);")
+    @wp.func_native("return gendom::push_apart_kept(body, pushes, w, state, row, dt, turn);")
     def push_apart_kept(
         body: Body, pushes: Pushes, w: int, state: wp.array3d(dtype=real), row: int, dt: real,
         turn: int,
-    ): ...  # fmt: skip
+    ) -> int: ...  # fmt: skip
 
     @wp.func_native("gendom::put_back(body, pushes, at, state, row, turn);")
     def put_back(
@@ -178,16 +179,19 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         """Transpose of ``meet_itself``; the row is as that found it, with the list it kept."""
         relist(body, w, state, row, state.shape[1] - LISTED, real(0.0))
         if body.near_count[w] > 0:
-            for turn in range(body.contact_turns):
+            turns = int(0)
+            for turn in range(body.contact_most_turns):
                 keep_turn(body, pushes, w, at, state, row, turn)
                 count_contacts(body, w, state, row)
                 meet()
-                push_apart_kept(body, pushes, w, state, row, dt, turn)
-                meet()
+                again = any_of(push_apart_kept(body, pushes, w, state, row, dt, turn))
                 take_push(body, w, state, row)
                 meet()
-            for back in range(body.contact_turns):
-                turn = body.contact_turns - 1 - back
+                turns += 1
+                if again == 0:
+                    break
+            for back in range(turns):
+                turn = turns - 1 - back
                 put_back(body, pushes, at, state, row, turn)
                 meet()
                 count_contacts(body, w, state, row)

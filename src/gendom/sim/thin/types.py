@@ -82,7 +82,12 @@ def make_types(real: Any) -> Types:
         contact_margin: real  # of the list of pairs [m]
         contact_reach: real  # between points whose features may meet [m]
         contact_apart: int  # smallest number of points along the body between parts in self-contact
-        contact_turns: int  # solver iterations over the contacts of a step
+        contact_at_once: int  # whether a CPU thread takes contacts at once, as CUDA does
+        # turns over the contacts of a step, if there are any, and at most, while a turn still finds
+        # one nearer than enough [m]
+        contact_turns: int
+        contact_most_turns: int
+        contact_enough: real
         self_friction: wp.array(dtype=real)  # [W]
         loose: wp.array3d(dtype=real)  # [W, 1, P] 1 / mass of free points, 0 for held ones [1/kg]
         push: wp.array3d(dtype=real)  # [W, 7, P] of one step's contacts, see ``native/contact.h``

@@ -203,6 +203,16 @@ CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, const 
     add_to(rows, c, i, a.x), add_to(rows, c + 1, i, a.y), add_to(rows, c + 2, i, a.z);
 }
 
+// Whether contacts are taken all at once (Jacobi), as many threads must, or one after the other (Gauss
+// and Seidel).
+template <typename Body> CUDA_CALLABLE inline bool takes_at_once(const Body& body) {
+#if defined(__CUDA_ARCH__)
+    return true;
+#else
+    return body.contact_at_once != 0;
+#endif
+}
+
 // Two places that are too near, and what pushes them apart.
 template <typename real> struct contact {
     meeting<real> places;
@@ -218,7 +228,7 @@ template <typename real> struct contact {
 };
 
 // The listed pairs of a world in one state.
-template <typename Body, typename real> struct contacts {
+template <typename Body, typename real, bool at_once> struct contacts {
     const Body& body;
     const int w, count;
     const rows_of<real> s, push, loose;
@@ -233,6 +243,10 @@ template <typename Body, typename real> struct contacts {
     CUDA_CALLABLE inline meeting<real> pair(int k) const {
         return pair_meets(s, wp::index(body.near, w, k, 0), wp::index(body.near, w, k, 1), body.pitch);
     }
+    // The number of contacts among which the mass of point p is divided.
+    CUDA_CALLABLE inline real split(int p) const {
+        return at_once ? push.template get<real>(6, p) : real(1);
+    }
     // Whether pair k is pushed apart, and how.
     CUDA_CALLABLE inline bool find(int k, contact<real>& c) const {
         c.places = pair(k);
@@ -242,13 +256,10 @@ template <typename Body, typename real> struct contacts {
         c.n = (real(1) / m.distance) * m.away;
         c.v = {real(0), real(0), real(0)};
         c.per_mass = real(0);
-        real most = real(1);
         for (int i = 0; i < 4; ++i) {
             c.v = c.v + m.share[i] * s.template get3<real>(3, m.point[i]);
-            c.per_mass += m.share[i] * m.share[i] * loose.template get<real>(0, m.point[i]);
-#if defined(__CUDA_ARCH__)
-            most = larger(most, push.template get<real>(6, m.point[i]));
-#endif
+            const real of_share = split(m.point[i]) * loose.template get<real>(0, m.point[i]);
+            c.per_mass += m.share[i] * m.share[i] * of_share;
         }
         if (c.per_mass <= real(0)) return false;
         c.vn = dot(c.v, c.n), c.needed = c.depth * per_dt;
@@ -256,22 +267,22 @@ template <typename Body, typename real> struct contacts {
         c.vt = c.v - c.vn * c.n;
         c.sliding = larger(wp::sqrt(dot(c.vt, c.vt)), real(1e-12));
         c.held_back = wp::min(mu * c.needed / c.sliding, real(1));
-        c.share = real(1) / (c.per_mass * most);
+        c.share = real(1) / c.per_mass;
         return true;
     }
 };
 
-// Counts the contacts of every point (CUDA).
+// Counts the contacts of every point that share in it, where they are taken at once.
 template <typename Body, typename real>
 CUDA_CALLABLE inline void count_contacts(const Body& body, int w, const wp::array_t<real>& state, int row) {
-#if defined(__CUDA_ARCH__)
-    const contacts<Body, real> all(body, w, state, row, real(1));
+    if (!takes_at_once(body)) return;
+    const contacts<Body, real, true> all(body, w, state, row, real(1));
     for (EACH_ONE_IN(k, 0, all.count)) {
         const meeting<real> m = all.pair(k);
-        if (m.distance < body.contact_distance)
-            for (int i = 0; i < 4; ++i) add_to(all.push, 6, m.point[i], real(1));
+        if (m.distance >= body.contact_distance) continue;
+        for (int i = 0; i < 4; ++i)
+            if (m.share[i] != real(0)) add_to(all.push, 6, m.point[i], real(1));
     }
-#endif
 }
 
 // Forth and back in turns.
@@ -282,41 +293,50 @@ struct nothing_kept {
     CUDA_CALLABLE inline void operator()(int, const int*) const {}
 };
 
-// A thread of the CPU takes contacts one after the other (Gauss and Seidel), forth and back in turns;
-// those of CUDA take all at once (Jacobi), each with its share where a point has several.
-template <typename Body, typename real, typename Keep = nothing_kept>
-CUDA_CALLABLE inline void push_apart(const Body& body, int w, const wp::array_t<real>& state, int row,
-                                     real dt, int turn, const Keep& keep = Keep()) {
-    const contacts<Body, real> all(body, w, state, row, dt);
+// One turn over the contacts of a step; tells whether one of this thread's was nearer than the distance
+// that asks for another turn. Where they are taken at once, each contact has its part of a point's mass,
+// and the point takes the mean of what its parts do, so that impulses stay equal and opposite (Tonge et
+// al. (2012), "Mass splitting for jitter-free parallel rigid body simulation").
+template <bool at_once, typename Body, typename real, typename Keep>
+CUDA_CALLABLE inline int push_apart_in(const Body& body, int w, const wp::array_t<real>& state, int row,
+                                       real dt, int turn, const Keep& keep) {
+    const contacts<Body, real, at_once> all(body, w, state, row, dt);
+    const real enough = turn + 1 < body.contact_turns ? body.contact_distance : body.contact_enough;
     contact<real> c;
+    int again = 0;
     for (EACH_ONE_IN(j, 0, all.count)) {
         const int k = in_turn(j, all.count, turn);
         if (!all.find(k, c)) continue;
         keep(k, c.places.point);
+        if (c.places.distance < enough) again = 1;
         const vec<real> impulse = c.impulse(), shift = c.shift(dt);
         for (int i = 0; i < 4; ++i) {
             const int p = c.places.point[i];
             const real by = c.places.share[i] * all.loose.template get<real>(0, p);
-#if defined(__CUDA_ARCH__)
-            add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
-#else
-            all.s.add3(3, p, by * impulse), all.s.add3(0, p, by * shift);
-#endif
+            if constexpr (at_once) add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
+            else all.s.add3(3, p, by * impulse), all.s.add3(0, p, by * shift);
         }
     }
+    return again;
+}
+template <typename Body, typename real, typename Keep = nothing_kept>
+CUDA_CALLABLE inline int push_apart(const Body& body, int w, const wp::array_t<real>& state, int row,
+                                    real dt, int turn, const Keep& keep = Keep()) {
+    return takes_at_once(body) ? push_apart_in<true>(body, w, state, row, dt, turn, keep)
+                               : push_apart_in<false>(body, w, state, row, dt, turn, keep);
 }
 
-// Velocities and positions take the impulses of all contacts, which are then 0 again (CUDA).
+// Velocities and positions take the impulses of all contacts at once, which are then 0 again.
 template <typename Body, typename real>
 CUDA_CALLABLE inline void take_push(const Body& body, int w, const wp::array_t<real>& state, int row) {
-#if defined(__CUDA_ARCH__)
+    typedef typename several<real>::lanes T;
+    if (!takes_at_once(body)) return;
     const rows_of<real> s(state, row), push(body.push, w);
     for (EACH_IN(p, body.first, body.end)) {
-        s.add3(3, p, push.template get3<real>(0, p));
-        s.add3(0, p, push.template get3<real>(3, p));
-        for (int c = 0; c < 7; ++c) push.put(c, p, real(0));
+        s.add3(3, p, push.template get3<T>(0, p));
+        s.add3(0, p, push.template get3<T>(3, p));
+        for (int c = 0; c < 7; ++c) push.put(c, p, T(real(0)));
     }
-#endif
 }
 
 }  // namespace gendom

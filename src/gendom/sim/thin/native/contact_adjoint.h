@@ -21,51 +21,53 @@ CUDA_CALLABLE inline void keep_list(const Body& body, int w, const wp::array_t<r
     for (EACH_IN(p, body.first, body.end)) to.put3(c, p, listed.template get3<T>(0, p));
 }
 
-// Keeps the points of a pair before they are pushed, on the CPU: [turns, pairs, 24].
-template <typename Pushes, typename real> struct pushes_kept {
+// Keeps the points of a pair before they are pushed, one pair after the other: [turns, pairs, 24].
+template <typename Body, typename Pushes, typename real> struct pushes_kept {
+    const Body& body;
     const Pushes& pushes;
     const rows_of<real> s;
     const int turn;
 
     CUDA_CALLABLE inline void operator()(int k, const int* point) const {
-#if !defined(__CUDA_ARCH__)
+        if (takes_at_once(body)) return;
         wp::index(pushes.made, turn, k) = 1;
         for (int i = 0; i < 4; ++i)
             for (int c = 0; c < 6; ++c)
                 wp::index(pushes.before, turn, k, 6 * i + c) = s.template get<real>(c, point[i]);
-#endif
     }
 };
 
-// Before a turn: on CUDA all points are kept, [worlds, turns * 6, P].
+// Before a turn: where pairs are pushed at once all points are kept, [worlds, turns * 6, P].
 template <typename Body, typename Pushes, typename real>
 CUDA_CALLABLE inline void keep_turn(const Body& body, const Pushes& pushes, int w, int at,
                                     const wp::array_t<real>& state, int row, int turn) {
-#if defined(__CUDA_ARCH__)
-    const rows_of<real> s(state, row), kept(pushes.before, at);
-    for (EACH_IN(p, body.first, body.end))
-        for (int c = 0; c < 6; ++c) kept.put(6 * turn + c, p, s.template get<real>(c, p));
-#else
+    typedef typename several<real>::lanes T;
+    if (takes_at_once(body)) {
+        const rows_of<real> s(state, row), kept(pushes.before, at);
+        for (EACH_IN(p, body.first, body.end))
+            for (int c = 0; c < 6; ++c) kept.put(6 * turn + c, p, s.template get<T>(c, p));
+        return;
+    }
     for (int k = 0; k < pushes.made.shape[1] && k < wp::index(body.near_count, w); ++k)
         wp::index(pushes.made, turn, k) = 0;
-#endif
 }
 
 template <typename Body, typename Pushes, typename real>
-CUDA_CALLABLE inline void push_apart_kept(const Body& body, const Pushes& pushes, int w,
-                                          const wp::array_t<real>& state, int row, real dt, int turn) {
-    push_apart(body, w, state, row, dt, turn, pushes_kept<Pushes, real>{pushes, {state, row}, turn});
+CUDA_CALLABLE inline int push_apart_kept(const Body& body, const Pushes& pushes, int w,
+                                         const wp::array_t<real>& state, int row, real dt, int turn) {
+    const pushes_kept<Body, Pushes, real> keep = {body, pushes, {state, row}, turn};
+    return push_apart(body, w, state, row, dt, turn, keep);
 }
 
-// All points as they were before a turn (CUDA).
+// All points as they were before a turn of pairs at once.
 template <typename Body, typename Pushes, typename real>
 CUDA_CALLABLE inline void put_back(const Body& body, const Pushes& pushes, int at,
                                    const wp::array_t<real>& state, int row, int turn) {
-#if defined(__CUDA_ARCH__)
+    typedef typename several<real>::lanes T;
+    if (!takes_at_once(body)) return;
     const rows_of<real> s(state, row), kept(pushes.before, at);
     for (EACH_IN(p, body.first, body.end))
-        for (int c = 0; c < 6; ++c) s.put(c, p, kept.template get<real>(6 * turn + c, p));
-#endif
+        for (int c = 0; c < 6; ++c) s.put(c, p, kept.template get<T>(6 * turn + c, p));
 }
 
 // Up to two edges, between points of a pair, along which its nearest places slide.
@@ -146,14 +148,15 @@ template <typename real> struct contact_bar {
 };
 
 // Of one push. `x_bar` and `v_bar` are the rows of `out` to which it adds.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real>& all, int k, const contact<real>& c,
-                                       const rows_of<real>& b, const rows_of<real>& by,
-                                       const rows_of<real>& out, int x_bar, int v_bar) {
+template <typename Body, typename real, bool at_once>
+CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real, at_once>& all, int k,
+                                       const contact<real>& c, const rows_of<real>& b,
+                                       const rows_of<real>& by, const rows_of<real>& out, int x_bar,
+                                       int v_bar) {
     const meeting<real>& m = c.places;
     const vec<real> impulse = c.impulse(), shift = c.shift(all.dt), none = {real(0), real(0), real(0)};
     vec<real> by_impulse = none, by_shift = none;
-    real moved[4], loose[4];
+    real moved[4], loose[4], by_per_mass[4];
     for (int i = 0; i < 4; ++i) {
         const vec<real> xb = b.template get3<real>(CONTACT_X_BAR, m.point[i]);
         const vec<real> vb = b.template get3<real>(CONTACT_V_BAR, m.point[i]);
@@ -166,9 +169,12 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real>& all, int k, c
     add_to(by, SELF_FRICTION_BAR, m.point[0], bar.mu);
 
     vec<real> x[4];
-    for (int i = 0; i < 4; ++i) x[i] = all.s.template get3<real>(0, m.point[i]);
+    for (int i = 0; i < 4; ++i) {
+        x[i] = all.s.template get3<real>(0, m.point[i]);
+        by_per_mass[i] = m.share[i] * all.split(m.point[i]) * bar.per_mass;
+    }
     const auto by_share = [&](int i) {
-        return loose[i] * (moved[i] + real(2) * m.share[i] * bar.per_mass) + dot(bar.away, x[i]) +
+        return loose[i] * (moved[i] + real(2) * by_per_mass[i]) + dot(bar.away, x[i]) +
                dot(bar.v, all.s.template get3<real>(3, m.point[i]));
     };
     const sliding_along along = slides_of(all.s, m, wp::index(all.body.near, all.w, k, 0) % 4 == 3);
@@ -188,22 +194,26 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real>& all, int k, c
         add_to(out, v_bar, m.point[i], m.share[i] * bar.v);
         if (loose[i] > real(0))
             add_to(by, CONTACT_PER_MASS_BAR, m.point[i],
-                   m.share[i] * (moved[i] + m.share[i] * bar.per_mass));
+                   m.share[i] * (moved[i] + by_per_mass[i]));
     }
 }
 
-// Of one turn. On CUDA derivatives add up in `push`, from where `take_push` takes them.
+// Of one turn. Where pairs are pushed at once, derivatives add up in `push`, from where `take_push` takes
+// them.
 template <typename Body, typename Bars, typename Pushes, typename real>
 CUDA_CALLABLE inline void push_apart_adjoint(const Body& body, const Bars& bars, const Pushes& pushes,
                                              int w, const wp::array_t<real>& state, int row, real dt,
                                              int turn) {
-    const contacts<Body, real> all(body, w, state, row, dt);
     const rows_of<real> b(bars.state, w), by(bars.model, w);
+    if (takes_at_once(body)) {
+        contact<real> c;
+        const contacts<Body, real, true> all(body, w, state, row, dt);
+        for (EACH_ONE_IN(k, 0, all.count))
+            if (all.find(k, c)) push_adjoint(all, k, c, b, by, all.push, 3, 0);
+        return;
+    }
+    const contacts<Body, real, false> all(body, w, state, row, dt);
     contact<real> c;
-#if defined(__CUDA_ARCH__)
-    for (EACH_ONE_IN(k, 0, all.count))
-        if (all.find(k, c)) push_adjoint(all, k, c, b, by, all.push, 3, 0);
-#else
     for (int j = all.count - 1; j >= 0; --j) {
         const int k = in_turn(j, all.count, turn);
         if (!wp::index(pushes.made, turn, k)) continue;
@@ -213,7 +223,6 @@ CUDA_CALLABLE inline void push_apart_adjoint(const Body& body, const Bars& bars,
                 all.s.put(c, m.point[i], wp::index(pushes.before, turn, k, 6 * i + c));
         if (all.find(k, c)) push_adjoint(all, k, c, b, by, b, CONTACT_X_BAR, CONTACT_V_BAR);
     }
-#endif
 }
 
 }  // namespace gendom
