@@ -102,9 +102,9 @@ def test_action_beyond_the_limits_is_moved_into_them(make_policy):
 @pytest.mark.parametrize(
     ("goal", "text"),
     [
-        (math.nan, "give 1 finite numbers: x"),
-        ([0.3, 0.3], "give 1 finite numbers: x"),
-        ([], "give 1 finite numbers: x"),
+        (math.nan, "give 1 finite number: x"),
+        ([0.3, 0.3], "give 1 finite number: x"),
+        ([], "give 1 finite number: x"),
     ],
 )
 def test_goals_that_are_none_are_refused(make_policy, goal, text):
