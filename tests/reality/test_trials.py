@@ -26,6 +26,7 @@ from gendom.reality import (
     RealWorld,
     as_real,
     default_cameras,
+    find_object,
     lift,
     lift_cameras,
     looking_at,
@@ -493,6 +494,27 @@ def test_the_world_s_settings_arrive():
     assert RealWorld().performance(REACHING, POLYESTER, STRETCHED).motion is not None
     _, seen = carried_out(RealWorld(robot=False, frame_rate=40.0), REACHING, POLYESTER, STRETCHED)
     np.testing.assert_allclose(np.diff(seen.times), 0.025)
+
+
+def test_cloths_of_tasks_take_long_steps_unless_told():
+    for timestep, taken in [(None, 0.004), (0.002, 0.002)]:
+        world = RealWorld(robot=False, timestep=timestep)
+        performance = world.performance(SPREADING, COTTON_CLOTH, [0.2])
+        performance.step_to(0.008)
+        options = performance.world.model.opt
+        assert (options.timestep, options.tolerance) == (taken, 1e-4)
+    lifted = Performance(lift(COTTON_CLOTH), robot=False)
+    assert lifted.world.model.opt.tolerance == 1e-6
+
+
+@pytest.mark.slow
+def test_long_steps_leave_a_spreading_as_it_is():
+    rubber = find_object("cloth-rubber-200mm")
+    shares = [
+        carried_out(RealWorld(robot=False, timestep=timestep), SPREADING, rubber, [0.2])[0]["share"]
+        for timestep in (None, 0.002)
+    ]
+    assert shares == pytest.approx([1.0, 1.0], abs=0.02)
 
 
 def test_an_object_without_a_name_is_carried_out():

@@ -146,6 +146,7 @@ def build_model(
     cameras: Sequence[Camera] = (),
     table: bool = True,
     timestep: float | None = None,
+    tolerance: float | None = None,
     gravity: npt.ArrayLike = (0.0, 0.0, -STANDARD_GRAVITY),
 ) -> Any:
     """Compile the scene.
@@ -163,6 +164,7 @@ def build_model(
         cameras: Fixed cameras.
         table: Whether the scene has a table.
         timestep: Time step [s]; by default 1 ms for ropes, 4 ms for cloths.
+        tolerance: Of MuJoCo's solver; by default 1e-8 for ropes, 1e-6 for cloths.
         gravity: [3] gravity [m/s^2].
 
     Returns:
@@ -200,10 +202,11 @@ def build_model(
         f'<connect name="stand_{v}" body1="object_{v}" anchor="0 0 0" {_firm(step)}/>' for v in held
     ]
     # CG needs many iterations where a cloth lies on itself; with too few, vertices penetrate.
-    solver, tolerance = ("Newton", 1e-8) if isinstance(item, RealRope) else ("CG", 1e-6)
+    solver, usual = ("Newton", 1e-8) if isinstance(item, RealRope) else ("CG", 1e-6)
     xml = f"""
 <mujoco model="{item.name}">
-  <option timestep="{step}" integrator="discrete" solver="{solver}" tolerance="{tolerance}"
+  <option timestep="{step}" integrator="discrete" solver="{solver}"
+          tolerance="{usual if tolerance is None else tolerance}"
           iterations="400" gravity="{_row(gravity)}"/>
   <size memory="256M"/>
   <visual>

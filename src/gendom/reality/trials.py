@@ -23,7 +23,7 @@ from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
 from gendom.perception.camera import Camera
 from gendom.reality.arm import RobotArm, surroundings
 from gendom.reality.objects import RealCloth, RealObject, RealRope, as_real
-from gendom.reality.scene import Layout, default_cameras
+from gendom.reality.scene import CLOTH_STEP, Layout, default_cameras
 from gendom.reality.world import FINGER_WIDTH, Reality
 from gendom.robot import (
     XARM7,
@@ -50,7 +50,8 @@ like one of 3.5 ms, at this one like one of 2.8 ms."""
 
 CLOTH_TIMESTEP = 0.002
 """The same in tasks with cloths [s]: at the default of 4 ms a rubber cloth of 0.2 m that is brought
-down by A = 0.2 covers 0.60 of its area (31 points a side), at this one 0.80, as at 1 ms."""
+down by A = 0.2 covers 0.60 of its area (31 points a side), at this one 0.80, as at 1 ms. While all
+of it is slow (`gendom.reality.world.CALM`), the default is taken."""
 
 TIP_HEIGHT = 0.002
 """The lowest that the tool point goes above the table [m]: the pads reach 1.1 mm below it."""
@@ -64,6 +65,10 @@ START = 0.32
 
 SETTLE = 0.5
 """Time in which the object comes to rest before the hand closes, and the hand's pauses [s]."""
+
+TASK_TOLERANCE = 1e-4
+"""Of MuJoCo's solver in tasks with cloths. It moves the vertices of a lifted cloth by 0.05 mm in
+the mean, 0.6 mm at most, so lifts, which are estimated from, keep the default of 1e-6."""
 
 START_DELAY = 0.01
 """When the hand closes in a task [s]: what hangs would fall until then."""
@@ -90,6 +95,10 @@ class Trial:
     """Whether inertia plays no part."""
     timestep: float | None = None
     """Time step of MuJoCo [s]; None: the default of the object's kind."""
+    calm_timestep: float | None = None
+    """That while the object is slow [s], see `Reality`; None: the same."""
+    tolerance: float | None = None
+    """Of MuJoCo's solver; None: the default of the object's kind."""
     quick: bool = False
     """Whether the object moves so fast that cameras must be synchronised."""
 
@@ -103,7 +112,7 @@ class Performance:
         cameras: Fixed cameras.
         air_density: Of the still air [kg/m^3]; 0: none.
         grip_force: That the fingers hold at most before the object slips [N]; infinite: all.
-        timestep: MuJoCo's [s]; None for the trial's.
+        timestep: MuJoCo's [s], throughout; None for the trial's.
 
     Raises:
         RobotError: The arm cannot follow the path within its limits, or would touch itself, the
@@ -134,6 +143,8 @@ class Performance:
             robot=arm,
             cameras=cameras,
             timestep=trial.timestep if timestep is None else timestep,
+            calm_timestep=trial.calm_timestep if timestep is None else None,
+            tolerance=trial.tolerance,
             air_density=air_density,
             grip_force=grip_force,
         )
@@ -343,6 +354,7 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
     scene, T = task.scene(item), task.T_world_task(item)
     path = task.tool_path(item, task.check_action(item, action))
     closes = next(e.time for e in path.events if e.closed)
+    cloth = task.kind == "cloth"
     origin = np.array(scene.origin, dtype=float)
     if scene.table is not None:
         # MuJoCo's contact radius may be larger than half the thickness
@@ -357,10 +369,12 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
             clamped=scene.stand,
         ),
         path=path.moved(T).shifted(START_DELAY - closes),
-        grasp="center" if task.kind == "cloth" else "end",
+        grasp="center" if cloth else "end",
         reach=scene.grip,
         end=START_DELAY - closes + float(task.times(item)[-1]),
-        timestep=ROPE_TIMESTEP if task.kind == "rope" else CLOTH_TIMESTEP,
+        timestep=CLOTH_TIMESTEP if cloth else ROPE_TIMESTEP,
+        calm_timestep=CLOTH_STEP if cloth else None,
+        tolerance=TASK_TOLERANCE if cloth else None,
     )
 
 
