@@ -37,11 +37,11 @@ def made_up(job, group, round):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--task", default="rope-reaching")
     parser.add_argument("--size", type=int, default=40000)
     given = parser.parse_args()
-    engine._Job.advance = made_up
+    setattr(engine._Job, "advance", made_up)  # noqa: B010 - a method of other arguments
     # in batches as large as on a GPU
     demonstrations._count_together = lambda kind, shard_size, left, devices: shard_size
     engine.ThinEngine.groups = lambda self: iter([slice(0, self.num_worlds)])
