@@ -83,9 +83,9 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
     contact_adjoint, grasp_adjoint = boundary.contact_adjoint, boundary.grasp_adjoint
     held_adjoint = make_held_adjoint(real, resident=variant.room > 0)
     carry_adjoint, lead_adjoint = held_adjoint.carry_adjoint, held_adjoint.lead_adjoint
-    forward = make_boundary(real, recorded)
-    contact, spring, follow = forward.contact, forward.spring, forward.follow
-    Held, list_held = make_held(real).Held, make_held(real).list_held
+    contact = make_boundary(real, recorded).contact
+    of_held = make_held(real)
+    Held, list_held, lead = of_held.Held, of_held.list_held, of_held.lead
     poses = make_poses(real)
     pose_ahead, close_poses = poses.pose_ahead, poses.close_poses
     close_rates = make_closing(real).close_rates
@@ -231,13 +231,8 @@ def make_block_reverse(variant: Variant) -> SimpleNamespace:
             grip_row = w * AHEAD + gone - posed
             for n in range(lane, holding, lanes):
                 if held.share[w, n] > real(0.0):
-                    i = held.record[w, n]
-                    x = vector(tape.of, slot, 0, i)
-                    b, _slope = spring(w, held.modulus[w, n], h, matter, scene.dx)
-                    v, _spin, _by_b = follow(
-                        held.gripper[w, n], held.place[w, n], grip_row, x, b, h, grips
-                    )
-                    held.led[w, i] = v
+                    x = vector(tape.of, slot, 0, held.record[w, n])
+                    lead(w, n, x, grip_row, h, matter, scene, grips, held)
             if touches == 1:
                 for s in range(lane, N // matter.section, lanes):
                     x, u = section_motion(s, slot, mass, matter, tape)

@@ -42,6 +42,20 @@ def make_held_adjoint(real: Any, *, resident: bool) -> SimpleNamespace:
     bar_vector, bar_matrix, put_vector = bar.vector, bar.matrix, bar.put_vector
     vector = make_store(real, resident=False).vector
     add_by_warp = make_block(real).add_by_warp
+    pose_type = wp.types.matrix((4, 3), wp.float64)
+
+    @wp.func
+    def rows_of(centre_bar: vec3, V_bar: vec3, spin_bar: vec3, R_bar: vec3):
+        """Derivatives by a gripper's pose, a row each."""
+        return wp.matrix_from_rows(wide(centre_bar), wide(V_bar), wide(spin_bar), wide(R_bar))
+
+    @wp.func
+    def add_to_pose(grip_row: int, g: int, total: pose_type, bars: SceneBars):
+        """Add the sum of a warp's derivatives by a gripper's pose."""
+        add_by_warp(bars.centre, grip_row, g, total[0])
+        add_by_warp(bars.velocity, grip_row, g, total[1])
+        add_by_warp(bars.spin, grip_row, g, total[2])
+        add_by_warp(bars.rotation, grip_row, g, total[3])
 
     @wp.func
     def carry_adjoint(
@@ -50,10 +64,7 @@ def make_held_adjoint(real: Any, *, resident: bool) -> SimpleNamespace:
     ):  # fmt: skip
         """Derivatives by x and by grippers of what they hold firmly."""
         for g in range(grips.closed.shape[1]):
-            centre = wp.vec3d()
-            velocity = wp.vec3d()
-            spin = wp.vec3d()
-            rotation = wp.vec3d()
+            total = pose_type()
             for n in range(lane, holding, lanes):
                 if held.gripper[w, n] == g and held.share[w, n] == real(0.0):
                     i = held.record[w, n]
@@ -64,14 +75,8 @@ def make_held_adjoint(real: Any, *, resident: bool) -> SimpleNamespace:
                         turned_adjoint(bar_matrix(records.of, w, C, i)), grips, bars,
                     )  # fmt: skip
                     put_vector(records.of, w, X, i, x_bar - centre_bar)
-                    centre += wide(centre_bar)
-                    velocity += wide(V_bar)
-                    spin += wide(spin_bar)
-                    rotation += wide(R_bar)
-            add_by_warp(bars.centre, grip_row, g, centre)
-            add_by_warp(bars.velocity, grip_row, g, velocity)
-            add_by_warp(bars.spin, grip_row, g, spin)
-            add_by_warp(bars.rotation, grip_row, g, rotation)
+                    total += rows_of(centre_bar, V_bar, spin_bar, R_bar)
+            add_to_pose(grip_row, g, total, bars)
 
     @wp.func
     def lead_adjoint(
@@ -84,10 +89,7 @@ def make_held_adjoint(real: Any, *, resident: bool) -> SimpleNamespace:
         Derivatives by u are known, those by the velocity that a particle is given follow.
         """
         for g in range(grips.closed.shape[1]):
-            centre = wp.vec3d()
-            velocity = wp.vec3d()
-            spin = wp.vec3d()
-            rotation = wp.vec3d()
+            total = pose_type()
             for n in range(lane, holding, lanes):
                 share = held.share[w, n]
                 if held.gripper[w, n] == g and share > real(0.0):
@@ -105,13 +107,7 @@ def make_held_adjoint(real: Any, *, resident: bool) -> SimpleNamespace:
                     records.sums[w, LAM, i] = records.sums[w, LAM, i] + by_lam
                     records.sums[w, MU, i] = records.sums[w, MU, i] + real(2.0) * by_lam
                     records.sums[w, MASS, i] = records.sums[w, MASS, i] + by_mass
-                    centre += wide(centre_bar)
-                    velocity += wide(V_bar)
-                    spin += wide(spin_bar)
-                    rotation += wide(R_bar)
-            add_by_warp(bars.centre, grip_row, g, centre)
-            add_by_warp(bars.velocity, grip_row, g, velocity)
-            add_by_warp(bars.spin, grip_row, g, spin)
-            add_by_warp(bars.rotation, grip_row, g, rotation)
+                    total += rows_of(centre_bar, V_bar, spin_bar, R_bar)
+            add_to_pose(grip_row, g, total, bars)
 
     return SimpleNamespace(carry_adjoint=carry_adjoint, lead_adjoint=lead_adjoint)

@@ -77,8 +77,8 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     rebuild = make_rebuild_world(real, records_of)
     boundary, pose_ahead = make_boundary(real, records_of), make_poses(real).pose_ahead
     grasp, follow = boundary.grasp, boundary.follow
-    spring = boundary.spring
-    Held, list_held = make_held(real).Held, make_held(real).list_held
+    of_held = make_held(real)
+    Held, list_held, lead = of_held.Held, of_held.list_held, of_held.lead
     contact, near_table = boundary.contact, boundary.near_table
     store = make_store(real, resident=variant.room > 0)
     vector, put_vector = store.vector, store.put_vector
@@ -149,22 +149,6 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                 for p in range(s * size, (s + 1) * size):
                     i = records.place[w, p]
                     put_vector(records.of, w, V, i, vector(records.of, w, V, i) + change)
-
-    @wp.func
-    def lead(
-        w: int, lane: int, lanes: int, holding: int, grip_row: int, h: real, matter: Matter,
-        scene: Scene, grips: Grips, records: Records, held: Held,
-    ):  # fmt: skip
-        """Set the velocities that grippers would give to what they hold in part."""
-        for n in range(lane, holding, lanes):
-            if held.share[w, n] > real(0.0):
-                i = held.record[w, n]
-                x = vector(records.of, w, X, i)
-                b, _slope = spring(w, held.modulus[w, n], h, matter, scene.dx)
-                v, _spin, _by_b = follow(
-                    held.gripper[w, n], held.place[w, n], grip_row, x, b, h, grips
-                )
-                held.led[w, i] = v
 
     @wp.func
     def carry(
@@ -343,7 +327,10 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     pose_ahead(w, lane, lanes, step, AHEAD, began, dt, paths, grips)
                     meet()
                 grip_row = w * AHEAD + step - posed
-                lead(w, lane, lanes, holding, grip_row, h, matter, scene, grips, records, held)
+                for n in range(lane, holding, lanes):
+                    if held.share[w, n] > real(0.0):
+                        x = vector(of, w, X, held.record[w, n])
+                        lead(w, n, x, grip_row, h, matter, scene, grips, held)
                 if keeps == 1:
                     tape.layout_of[slot] = layout
                     for n in range(lane, grid.count[layout], lanes):

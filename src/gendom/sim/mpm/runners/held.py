@@ -18,7 +18,9 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import make_block
+from gendom.sim.mpm.boundary import make_boundary
 from gendom.sim.mpm.model import Worlds
+from gendom.sim.mpm.particles import make_rows
 from gendom.sim.mpm.types import make_types
 
 
@@ -27,12 +29,14 @@ def make_held(real: Any) -> SimpleNamespace:
     """Build the list for one scalar type.
 
     Returns:
-        Namespace with ``Held`` and ``list_held``.
+        Namespace with ``Held``, ``list_held`` and ``lead``.
     """
     types = make_types(real)
-    Matter, Grips = types.Matter, types.Grips
+    Matter, Scene, Grips = types.Matter, types.Scene, types.Grips
     vec3 = types.vec3
     meet = make_block(real).meet
+    boundary = make_boundary(real, make_rows(real))
+    follow, modulus_of, spring = boundary.follow, boundary.modulus_of, boundary.spring
 
     @wp.struct
     class Held:
@@ -71,11 +75,21 @@ def make_held(real: Any) -> SimpleNamespace:
                 held.number[w, n] = grips.held_by[w, p] % N
                 held.share[w, n] = free
                 held.place[w, n] = grips.place[w, g, grips.held_by[w, p] % N]
-                held.modulus[w, n] = matter.lam[w, p] + real(2.0) * matter.mu[w, p]
+                held.modulus[w, n] = modulus_of(w, p, matter)
         meet()
         return held.count[w]
 
-    return SimpleNamespace(Held=Held, list_held=list_held)
+    @wp.func
+    def lead(
+        w: int, n: int, x: vec3, grip_row: int, h: real, matter: Matter, scene: Scene,
+        grips: Grips, held: Held,
+    ):  # fmt: skip
+        """Set the velocity that its gripper would give to the n-th of the list, which is at x."""
+        b, _slope = spring(w, held.modulus[w, n], h, matter, scene.dx)
+        v, _spin, _by_b = follow(held.gripper[w, n], held.place[w, n], grip_row, x, b, h, grips)
+        held.led[w, held.record[w, n]] = v
+
+    return SimpleNamespace(Held=Held, list_held=list_held, lead=lead)
 
 
 def empty_list(worlds: Worlds) -> Any:
