@@ -19,6 +19,7 @@ from gendom.errors import DeviceError, ParameterError
 class Throwing:
     """Throw a ball: it lands at speed^2 / gravity."""
 
+    cost: float = 1.0
     dies_once: str | None = None
     """The first worker to make this file dies in it."""
     breaks: bool = False

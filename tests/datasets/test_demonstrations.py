@@ -36,6 +36,7 @@ class Throwing:
     """Throw a ball: it lands at speed^2 / gravity. Throws of more than 9 m/s fail."""
 
     gravity: float = 9.81
+    cost: float = 1.0
     thrown: list = field(default_factory=list, compare=False)
     """Batches simulated, by their speeds."""
     stop_at: int | None = None
@@ -63,7 +64,7 @@ class Throwing:
         return sum(map(len, self.thrown))
 
 
-def make(folder, size=10, *, task=None, seed=5, shard_size=4, **options):
+def make(folder, size=10, *, task=None, seed=5, shard_size: int | None = 4, **options):
     return generate(task or Throwing(), size, folder, seed=seed, shard_size=shard_size, **options)
 
 
@@ -197,6 +198,19 @@ def test_a_smaller_size_ends_an_interrupted_set(tmp_path, size):
 
 def test_the_shard_size_changes_no_row(tmp_path, whole):
     assert make(tmp_path / "set", shard_size=7).equals(load(whole))
+
+
+def test_costly_demonstrations_are_kept_sooner_and_a_set_keeps_its_shards(tmp_path):
+    def shard_size(cost, **options):
+        made = make(tmp_path / "set", 12, task=Throwing(cost=cost), shard_size=None, **options)
+        assert len(made) == 12
+        return read_description(tmp_path / "set")["shard_size"]
+
+    assert shard_size(32.0) == 8
+    assert names(tmp_path / "set")[1:] == ["shard-00000.parquet", "shard-00001.parquet"]
+    shard(tmp_path / "set", 1).unlink()
+    assert shard_size(1.0) == 8
+    assert demonstrations.SHARD_SIZE["cuda"] / find_task("cloth-spreading").cost == 256
 
 
 def test_a_damaged_shard_is_simulated_again(whole, caplog):

@@ -56,7 +56,7 @@ _log = logging.getLogger(__name__)
 
 
 SHARD_SIZE = {"cpu": 256, "cuda": 4096}
-"""Default numbers of demonstrations in a shard."""
+"""Default numbers of demonstrations in a shard, of cost 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +71,11 @@ class Outcomes:
 
 class Demonstrator(Protocol):
     """Source of demonstrations, see `gendom.tasks.demonstrator`."""
+
+    @property
+    def cost(self) -> float:
+        """About how long one takes, in those of rope reaching."""
+        ...
 
     def about(self) -> dict[str, Any]:
         """Settings common to all demonstrations, ready for JSON; `task` has a `name`."""
@@ -133,7 +138,8 @@ def generate(
             ``all`` GPUs. On one GPU a shard is handed to the task at once.
         cluster: A Ray cluster that shares the work, see `gendom.datasets.cluster`; the result is
             the same. ``device`` is then that of each worker.
-        shard_size: Demonstrations in a shard (default: ``SHARD_SIZE`` of the device).
+        shard_size: Demonstrations in a shard (default: that of the set which is continued, or
+            ``SHARD_SIZE`` of the device by the source's cost).
         progress: Called with the number of demonstrations done, those already there included,
             and `size`.
 
@@ -147,12 +153,14 @@ def generate(
         DeviceError: The device is not there.
     """
     kind = device_kind(device)
+    folder = Path(out)
     if shard_size is None:
-        shard_size = SHARD_SIZE[kind]
+        usual = max(1, round(SHARD_SIZE[kind] / source.cost))
+        begun = (folder / _DESCRIPTION).exists()
+        shard_size = int(read_description(folder)["shard_size"]) if begun else usual
     for name, value, least in [("size", size, 1), ("shard_size", shard_size, 1), ("seed", seed, 0)]:
         if value < least:
             raise ParameterError(f"is {value}", where=name, fix=f"give {least} or more")
-    folder = Path(out)
     description = _describe(source, size, seed, kind, shard_size)
     _check_same(folder, description)
     _check_room(folder, size, len(source.draw([generator_of(seed, 0)])))

@@ -122,6 +122,7 @@ class ClothSpreading(Task):
     )
     risk: ClassVar[Risk | None] = Risk(name="unspread", unit="1", limit=1.0 - SPREAD)
     watches: ClassVar[str] = "all"
+    cost: ClassVar[float] = 16.0
     height: ClassVar[float] = HEIGHT
     """To which a cloth is raised [sides]."""
     step_time: ClassVar[float] = STEP_TIME

@@ -24,6 +24,11 @@ class Demonstrator:
     items: tuple[Item, ...] = ()
     """Objects to draw from in place of the task's own."""
 
+    @property
+    def cost(self) -> float:
+        """As that of the task."""
+        return self.task.cost
+
     def about(self) -> dict[str, Any]:
         """What all demonstrations have in common, ready for JSON."""
         task = self.task

@@ -144,6 +144,9 @@ class Task(ABC):
     """What actions are to avoid."""
     watches: ClassVar[str] = "tip"
     """What it observes: ``tip`` or ``all`` points."""
+    cost: ClassVar[float] = 1.0
+    """About how long a demonstration takes, in those of rope reaching: long ones are written to a
+    data set in smaller parts."""
 
     item: Item = ROPE
     """The object that demonstrations are simulated with; its parameters are drawn."""
