@@ -28,11 +28,6 @@ LIMITS: dict[str, tuple[float, float]] = {
 }
 """Lowest and highest value of each uncertain parameter, in SI units (E: E / density)."""
 
-MODEL_ERROR = {"E": 0.03, "damping": 0.4}
-"""Standard deviations of logarithms by which an object in quick motion differs from one in a lift,
-as we model it: damping of real materials, and of other simulators, depends on frequency in another
-way."""
-
 OF_POSTERIOR = {"specific_modulus": "E", "nu": "nu", "damping": "damping", "friction": "friction"}
 """Names in the posterior of an estimate's file."""
 
@@ -125,13 +120,10 @@ class Belief:
         *,
         known: Sequence[str] = (),
     ) -> Belief:
-        """As `of`, where only what the task's outcome depends on is uncertain, and our model with
-        it (`MODEL_ERROR`)."""
+        """As `of`, where only what the task's outcome depends on is uncertain."""
         counts = uncertain(task, item)
         certain = [n for n in PARAMETERS if n in known or n not in counts]
-        belief = cls.of(item, posterior, known=certain)
-        error = np.array([MODEL_ERROR.get(name, 0.0) for name in belief.names])
-        return replace(belief, covariance=belief.covariance + np.diag(error**2))
+        return cls.of(item, posterior, known=certain)
 
     def doubting(self, name: str, sd: float) -> Belief:
         """With one more uncertain parameter, independent of the others, around the object's value.
@@ -190,25 +182,6 @@ class Belief:
         rng = np.random.default_rng(seed)
         drawn = rng.multivariate_normal(self.mean, self.covariance, size=count)
         return [self.at(vector) for vector in drawn]
-
-    def points(self, *others: float) -> tuple[list[Item], Array]:
-        """Objects with the belief's mean and covariance, for expectations of what is nearly
-        quadratic: the third-degree cubature of Arasaratnam and Haykin (2009), "Cubature Kalman
-        filters".
-
-        Args:
-            others: Standard deviations of X further numbers, independent of the object, around 0.
-
-        Returns:
-            2 (P + X) objects of equal weight, and the further numbers that go with each
-            [2 (P + X), X].
-        """
-        P, n = len(self.names), len(self.names) + len(others)
-        root = np.zeros((n, n))
-        root[:P, :P] = np.linalg.cholesky(self.covariance)
-        root[P:, P:] = np.diag(others)
-        ways = math.sqrt(n) * np.stack([root.T, -root.T], axis=1).reshape(2 * n, n)
-        return [self.at(self.mean + way[:P]) for way in ways], ways[:, P:]
 
     def interval(self, name: str, deviations: float = 1.645) -> tuple[float, float]:
         """Ends of the interval of so many standard deviations (default: 90 %), in SI units.

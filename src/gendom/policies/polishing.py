@@ -3,13 +3,12 @@
 The miss of an action is simulated for plausible objects, and its mean square over them is reduced
 by damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963):
 
-    min over a of  sum_k |f(a + slip_k, object_k) + b(a) - g|^2 / K + sum_k caution(risk_k)^2 / K
-                   + s(a)^2,
+    min over a of  sum_k |f(a, object_k) + b(a) - g|^2 / K + sum_k caution(risk_k)^2 / K + s(a)^2,
 
-where f is the simulated result, slip how a robot misses its action, b the simulator's error as
-learnt from executions, and s the standard deviation of b (`gendom.policies.adaptation`). Actions
-whose outcome depends little on what is uncertain win. An action has one to three numbers, so its
-derivatives are central differences of worlds in one batch.
+where f is the simulated result, b the simulator's error as learnt from executions, and s the
+standard deviation of b (`gendom.policies.adaptation`). Actions whose outcome depends little on what
+is uncertain win. An action has one to three numbers, so its derivatives are central differences of
+worlds in one batch.
 """
 
 from __future__ import annotations
@@ -24,17 +23,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item, unit_of
-from gendom.policies.belief import Belief
 from gendom.policies.rollouts import Asking, Rollouts, side_by_side
 from gendom.tasks import Task
 from gendom.tasks.world import Outcome, Simulation, World
 
 Array = NDArray[np.float64]
-
-
-SLIP = 0.003
-"""Standard deviation of how a robot misses an action [units of similarity]: 1 mm with a rope of
-0.3 m."""
 
 
 class Discrepancy(Protocol):
@@ -126,7 +119,6 @@ class _Problem:
     task: Task
     goal: Array
     items: Sequence[Item]
-    slips: Array
     settings: PolishSettings
     discrepancy: Discrepancy | None
     rollouts: int = 0
@@ -145,7 +137,6 @@ class _Problem:
         K = len(self.items)
         items = [item for _ in actions for item in self.items]
         rows = np.repeat(np.array(actions) * self.units, K, axis=0)
-        rows += np.tile(self.slips, (len(actions), 1))
         # objects of one size may differ in what they allow
         rows = [self.task.nearest(i, a) for i, a in zip(items, rows, strict=True)]
         outcomes = yield Rollouts(items=items, actions=rows)
@@ -205,24 +196,12 @@ class _Problem:
         return self.task.nearest(self.items[0], a * self.units) / self.units
 
 
-def plausible(task: Task, belief: Belief) -> tuple[list[Item], Array]:
-    """`items` and `slips` of `polish`: K objects of equal weight that stand for a belief (one that
-    is known stands for itself), and how the robot misses its action with each [K, A], in SI units.
-    """
-    first = belief.item
-    if not belief.names:
-        return [first], np.zeros((1, len(task.actions)))
-    items, ways = belief.points(*[SLIP] * len(task.actions))
-    return items, ways * task.action_units(first)
-
-
 def polish(
     task: Task,
     goal: ArrayLike,
     items: Sequence[Item],
     start: ArrayLike,
     *,
-    slips: ArrayLike | None = None,
     world: World | None = None,
     settings: PolishSettings | None = None,
     discrepancy: Discrepancy | None = None,
@@ -232,9 +211,8 @@ def polish(
     Args:
         task: What is done.
         goal: [G] in SI units.
-        items: K objects of one size: one that is known, or those of `plausible`.
+        items: K objects of one size: one that is known, or draws of a `Belief`.
         start: [A] where to begin, such as a policy's action, in SI units.
-        slips: [K, A] what is added to the action with each object, in SI units (default: nothing).
         world: Where it is simulated (default: our simulator).
         settings: How long and how far to look.
         discrepancy: What is added to what the simulator says is reached.
@@ -243,9 +221,7 @@ def polish(
         ParameterError: Numbers do not agree, or the start is not allowed.
         SimulationError: No action could be simulated.
     """
-    search = polishing(
-        task, goal, items, start, slips=slips, settings=settings, discrepancy=discrepancy
-    )
+    search = polishing(task, goal, items, start, settings=settings, discrepancy=discrepancy)
     return side_by_side(task, world or Simulation(), [search])[0]
 
 
@@ -255,7 +231,6 @@ def polishing(
     items: Sequence[Item],
     start: ArrayLike,
     *,
-    slips: ArrayLike | None = None,
     settings: PolishSettings | None = None,
     discrepancy: Discrepancy | None = None,
 ) -> Asking[Polished]:
@@ -267,24 +242,14 @@ def polishing(
         raise ParameterError(f"is {wanted.tolist()}", where="goal")
     if not items:
         raise ParameterError("no object to polish for", fix="give one or more")
-    shape = (len(items), len(task.actions))
-    missed = np.zeros(shape) if slips is None else np.asarray(slips, dtype=float)
-    if missed.shape != shape or not np.isfinite(missed).all():
-        raise ParameterError(f"must be {shape} finite numbers", where="slips")
     problem = _Problem(
-        task=task,
-        goal=wanted,
-        items=items,
-        slips=missed,
-        settings=settings,
-        discrepancy=discrepancy,
+        task=task, goal=wanted, items=items, settings=settings, discrepancy=discrepancy
     )
     first = task.check_action(items[0], start) / problem.units
     rng = np.random.default_rng(settings.seed)
     others = task.sample_actions(items[0], rng, settings.candidates) / problem.units
     tried = [first, *others]
-    screened = settings.screened
-    few = replace(problem, items=items[:screened], slips=missed[:screened])
+    few = replace(problem, items=items[: settings.screened])
     r = yield from few.residuals(tried)
     problem.rollouts = few.rollouts
     costs = np.array([float(x @ x) for x in r])
