@@ -1,6 +1,7 @@
 """`gendom train`, `gendom act` and `gendom evaluate`."""
 
 import json
+import math
 import re
 
 import numpy as np
@@ -198,8 +199,18 @@ def test_act_predicts_by_the_level_of_the_interval(act):
         changed = ESTIMATE | {"intervals": intervals}
         out = act("--json", "--damping", "0.004", estimate=changed)[1]
         low, high = json.loads(out)["predicted"]["interval_90"]["x"]
-        spans.append(high - low)
+        own = 2.0 * 1.645 * 0.008 * ESTIMATE["object"]["length"]  # of the simulator
+        spans.append(math.sqrt((high - low) ** 2 - own**2))
     assert spans[1] > 1.5 * spans[0]
+
+
+def test_act_expects_its_simulator_to_err(act):
+    """Also where the object is known all but exactly."""
+    changed = ESTIMATE | {"intervals": {"youngs_modulus": [0.8999e6, 0.9001e6], "level": 0.9}}
+    found = json.loads(act("--json", "--damping", "0.004", estimate=changed)[1])
+    low, high = found["predicted"]["interval_90"]["x"]
+    sd = 0.008 * found["object"]["length"]
+    assert 2.4 * sd < high - low < 4.2 * sd
 
 
 def test_act_takes_damping_and_friction_from_the_estimate(act):

@@ -138,7 +138,7 @@ class Command(KnownObject):
             result["polished"] = polished
         if not self.no_prediction and "specific_modulus" in held.columns:
             others = [] if held.posterior is None else held.belief(task).draws(DRAWS, self.seed)
-            result["predicted"] = predicted(task, item, values, others)
+            result["predicted"] = predicted(task, item, values, others, self.seed)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         if self.out is not None:
             write_json(self.out, result)
@@ -197,16 +197,20 @@ def accepted(path: TcpPath, item: Item) -> dict[str, Any]:
     return {"name": XARM7.name, "slowed_by": motion.slowed_by}
 
 
-def predicted(task: Task, item: Item, action: np.ndarray, others: Sequence[Item]) -> dict[str, Any]:
+def predicted(
+    task: Task, item: Item, action: np.ndarray, others: Sequence[Item], seed: int
+) -> dict[str, Any]:
     """What the action will reach, simulated: with the object as it is, and the 90 % interval over
-    others that are plausible.
+    others that are plausible and over the simulator's error.
 
     Args:
         task: What is done.
         item: The object.
         action: [A].
         others: Plausible ones; none: the object is taken as known.
+        seed: Of the simulator's error, as `gendom.policies.adaptation` expects it.
     """
+    from gendom.policies.adaptation import AdaptSettings
     from gendom.tasks.world import Simulation
 
     items = [item, *others]
@@ -217,9 +221,12 @@ def predicted(task: Task, item: Item, action: np.ndarray, others: Sequence[Item]
     values = [o.values for o in outcomes[1:] if o.fault is None]
     if values:
         names = [q.name for q in task.goals] or list(values[0])
-        found["interval_90"] = {
-            name: np.quantile([v[name] for v in values], [0.05, 0.95]).tolist() for name in names
-        }
+        some = np.array([[v[name] for name in names] for v in values])
+        if task.goals:
+            error = np.random.default_rng(seed).normal(size=some.shape)
+            some += AdaptSettings().discrepancy * task.goal_units(item) * error
+        ends = np.quantile(some, [0.05, 0.95], axis=0).T
+        found["interval_90"] = dict(zip(names, ends.tolist(), strict=True))
     return found
 
 
