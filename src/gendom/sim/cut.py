@@ -1,0 +1,242 @@
+"""The part of a lattice that a cloth with an outline has: cut cells, and points of those."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.spatial import KDTree
+
+from gendom.errors import ParameterError
+from gendom.sim.outlines import Outline, integrals
+
+Array = NDArray[np.float64]
+
+LEAST_SHARE = 0.05
+"""Share of its area below which a cell is left out, and its area given to a neighbour. A membrane's
+stable step is the same with any share: mass and stiffness have it alike. A point of one such cell
+has 1/80 of the usual mass and takes part in the bending of its neighbours: without a limit the
+stable step of bending would be arbitrarily short."""
+
+NARROWEST = 2.0
+"""Least width of a cloth's parts [spacings]: narrower ones may have no point with neighbours on all
+sides, which bending needs."""
+
+CLOSEST = 3.0
+"""Least distance between parts side by side [spacings]: nearer ones may share points."""
+
+LONG = 4.0
+"""Way along the outline between two places, over their distance, from which they lie on two sides
+of a part or a gap. Less is a corner (of more than 29 degrees) or a small hole or notch."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """Cells and points of a lattice that lie within an outline, or reach into it."""
+
+    outline: Outline
+    spacing: tuple[float, float]
+    """Distance between points along both axes [m]."""
+    cells: Array
+    """[rows - 1, columns - 1] share of each cell's area within the outline; 0: there is no cell."""
+    corners: Array
+    """[2, 2, rows - 1, columns - 1] what of it is represented by a cell's corners: integrals of
+    bilinear shape functions, the corner's row and column first."""
+    at: NDArray[np.int64]
+    """[n] index of each point in the whole lattice, row by row."""
+    area: Array
+    """[n] area represented by each point [m^2]; it has the area and its centre exactly."""
+    skin: Any
+    """[n, n] sparse matrix from points to the places of cloth nearest to them."""
+
+    def on_skin(self, x: NDArray[np.floating]) -> Array:
+        """Places of cloth [..., n, 3] nearest to its points x [..., n, 3] [m]: points beyond the
+        outline are moved onto it."""
+        return _applied(self.skin, x)
+
+    def on_skin_transpose(self, bar: NDArray[np.floating]) -> Array:
+        """Derivatives [..., n, 3] by x, given those by ``on_skin(x)``."""
+        return _applied(self.skin.T, bar)
+
+    @property
+    def triangles(self) -> NDArray[np.int64]:
+        """[F, 3] points of two triangles for each cell, counter-clockwise seen from the third
+        axis."""
+        number = np.full(self.exists.shape, -1)
+        number.flat[self.at] = np.arange(len(self.at))
+        j, i = np.nonzero(self.cells)
+        a, b, c, d = number[j, i], number[j, i + 1], number[j + 1, i], number[j + 1, i + 1]
+        return np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, c, b], axis=1)])
+
+    @property
+    def exists(self) -> NDArray[np.bool_]:
+        """[rows, columns] whether there is a point."""
+        found = np.zeros(np.array(self.cells.shape) + 1, dtype=bool)
+        found.flat[self.at] = True
+        return found
+
+
+def cut(outline: Outline, points: tuple[int, int]) -> Cut:
+    """Cut a lattice along an outline's box.
+
+    Args:
+        outline: What is left.
+        points: Numbers of points along the first and second axis.
+
+    Raises:
+        ParameterError: If parts of the outline are too narrow for the lattice, or too close.
+    """
+    lower, upper = outline.box
+    spacing = (upper - lower) / (np.array(points) - 1.0)
+    _check_resolved(outline, spacing, upper - lower)
+    corners = _corner_shares(outline, lower, spacing, points)
+    cells = _merged(corners)
+    if label(cells > 0.0)[1] != 1:
+        raise ParameterError("the outline falls apart on this lattice", fix="more points")
+    has = np.zeros(points[::-1], dtype=bool)
+    quarters = np.zeros(points[::-1])
+    for j, i in np.ndindex(2, 2):
+        part = (slice(j, points[1] - 1 + j), slice(i, points[0] - 1 + i))
+        has[part] |= cells > 0.0
+        quarters[part] += 0.25 * cells
+    at = np.flatnonzero(has)
+    place = lower + spacing * np.stack(np.unravel_index(at, has.shape)[::-1], axis=1)
+    area = _balanced(quarters.flat[at] * spacing.prod(), place, outline)
+    made = Cut(
+        outline=outline, spacing=(float(spacing[0]), float(spacing[1])), cells=cells,
+        corners=corners, at=at, area=area, skin=None,
+    )  # fmt: skip
+    return replace(made, skin=_skin(made, place, lower, spacing))
+
+
+def _applied(matrix: Any, x: NDArray[np.floating]) -> Array:
+    """A matrix [n, n] times vectors [..., n, 3]."""
+    first = np.moveaxis(x, -2, 0)
+    return np.moveaxis((matrix @ first.reshape(len(first), -1)).reshape(first.shape), 0, -2)
+
+
+def _corner_shares(
+    outline: Outline, lower: Array, spacing: Array, points: tuple[int, int]
+) -> Array:
+    """``Cut.corners`` of all cells that the outline reaches into."""
+    shares = np.zeros((2, 2, points[1] - 1, points[0] - 1))
+    for loop in outline.loops:
+        rest = (loop - lower) / spacing
+        for j in range(points[1] - 1):
+            row, rest = _clip(rest, 1, j + 1.0)
+            for i in range(points[0] - 1):
+                if not len(row):
+                    break
+                cell, row = _clip(row, 0, i + 1.0)
+                if len(cell):
+                    one, x, y, xy = integrals(cell - (i, j))
+                    shares[:, :, j, i] += [[one - x - y + xy, x - xy], [y - xy, xy]]
+    full = np.abs(shares.sum(axis=(0, 1)) - 1.0) < 1e-12
+    shares[:, :, full] = 0.25  # as of a rectangle
+    return shares
+
+
+def _clip(loop: Array, axis: int, bound: float) -> tuple[Array, Array]:
+    """Parts [., 2] of a polygon [K, 2] with coordinates up to and from ``bound`` on along an axis.
+
+    Source: Sutherland and Hodgman (1974), "Reentrant polygon clipping". Edges of parts that it
+    joins along the bound cancel in integrals.
+    """
+    beyond = loop[:, axis] > bound
+    if not beyond.any() or beyond.all():
+        none = np.empty((0, 2))
+        return (none, loop) if beyond.any() else (loop, none)
+    after = np.roll(loop, -1, axis=0)
+    crosses = beyond != np.roll(beyond, -1)
+    step = np.where(crosses, after[:, axis] - loop[:, axis], 1.0)
+    meets = loop + ((bound - loop[:, axis]) / step)[:, None] * (after - loop)
+    meets[:, axis] = bound
+    both = np.stack([loop, meets], axis=1)
+    return both[np.stack([~beyond, crosses], axis=1)], both[np.stack([beyond, crosses], axis=1)]
+
+
+def _merged(corners: Array) -> Array:
+    """``Cut.cells``, of which those with too small a share go to a neighbour, in place."""
+    cells = corners.sum(axis=(0, 1))
+    kept = cells >= LEAST_SHARE
+    found = np.where(kept, cells, 0.0)
+    for j, i in np.argwhere(~kept & (cells > 0.0)):
+        near = [
+            (abs(a) + abs(b) == 1, cells[j + b, i + a], j + b, i + a)
+            for b in (-1, 0, 1)
+            for a in (-1, 0, 1)
+            if 0 <= j + b < len(cells) and 0 <= i + a < cells.shape[1] and kept[j + b, i + a]
+        ]
+        if near:
+            *_, b, a = max(near)
+            found[b, a] += cells[j, i]
+    corners *= np.where(kept, found / np.where(kept, cells, 1.0), 0.0)
+    return found
+
+
+def _balanced(area: Array, place: Array, outline: Outline) -> Array:
+    """Areas [n] of points at places [n, 2], times 1 + a + b . x, so that the outline's area and its
+    centre are exact. a and b are small: a cut cell's area counts at the middle of the cell."""
+    out = place - outline.centre
+    basis = np.column_stack([np.ones(len(out)), out / np.abs(out).max()])
+    wanted = np.array([outline.area, 0.0, 0.0])
+    for _ in range(2):  # once more for what rounding leaves
+        by = (basis.T * area) @ basis
+        area = area * (1.0 + basis @ np.linalg.solve(by, wanted - basis.T @ area))
+    return area
+
+
+def _skin(of: Cut, place: Array, lower: Array, spacing: Array) -> csr_matrix:
+    """``Cut.skin``: points within the outline, and for others the nearest place on the outline, by
+    the bilinear shape functions of one of their cells."""
+    n, columns = len(place), of.cells.shape[1] + 1
+    number = np.full(of.exists.shape, -1)
+    number.flat[of.at] = np.arange(n)
+    inside = of.outline.contains(place)
+    foot = (of.outline.nearest(place[~inside]) - lower) / spacing
+    rows, which, weights = [np.flatnonzero(inside)] * 2, [], [np.ones(inside.sum())]
+    rows, which = [rows[0]], [rows[0]]
+    for p, x in zip(np.flatnonzero(~inside), foot, strict=True):
+        j, i = divmod(int(of.at[p]), columns)
+        near = [
+            (float(np.abs(x - (a + 0.5, b + 0.5)).max()), b, a)
+            for b in (j - 1, j)
+            for a in (i - 1, i)
+            if 0 <= b < len(of.cells) and 0 <= a < columns - 1 and of.cells[b, a] > 0.0
+        ]
+        _, b, a = min(near)
+        u, v = x - (a, b)
+        rows.append(np.full(4, p))
+        which.append(number[[b, b, b + 1, b + 1], [a, a + 1, a, a + 1]])
+        weights.append(np.array([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v]))
+    entries = np.concatenate(weights), (np.concatenate(rows), np.concatenate(which))
+    return coo_matrix(entries, shape=(n, n)).tocsr()
+
+
+def _check_resolved(outline: Outline, spacing: Array, size: Array) -> None:
+    """Check that parts of the outline, and gaps between them, are wide enough for the lattice."""
+    widest = float(spacing.max())
+    reach = CLOSEST * widest
+    places, of, along, whole = outline.sampled(reach / 8.0)
+    i, j = KDTree(places).query_pairs(reach, output_type="ndarray").T
+    distance = np.linalg.norm(places[i] - places[j], axis=1)
+    way = np.abs(along[i] - along[j])
+    way = np.where(of[i] == of[j], np.minimum(way, whole[i] - way), np.inf)
+    middle = 0.5 * (places[i] + places[j])
+    part = outline.contains(middle)
+    for inside, least, what in (
+        (True, NARROWEST, "a part of the cloth is only {} wide"),
+        (False, CLOSEST, "parts of the cloth are only {} apart"),
+    ):
+        d = np.where((part == inside) & (way > LONG * least * widest), distance, np.inf)
+        k = int(d.argmin()) if len(d) else 0
+        if len(d) and d[k] < least * widest:
+            finer = np.ceil(least * size / d[k] + 1.0).astype(int)
+            raise ParameterError(
+                what.format(f"{1e3 * d[k]:.3g} mm")
+                + f", and points are {1e3 * widest:.3g} mm apart",
+                where=f"outline, near ({middle[k, 0]:.4g}, {middle[k, 1]:.4g}) m",
+                fix=f"give it {least:g} spacings: points=({finer[0]}, {finer[1]})",
+            )
