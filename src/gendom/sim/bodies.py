@@ -97,7 +97,15 @@ class Body:
 
     @property
     def rest_frames(self) -> NDArray[np.floating]:
-        """Inverses of the position differences along the lattice axes at rest, [N, 3, 3] [1/m]."""
+        """Inverses of the position differences along the lattice axes at rest, [N, 3, 3] [1/m].
+
+        Raises:
+            ParameterError: If an outline leaves no particles.
+        """
+        if not self.num_particles:
+            raise ParameterError(
+                "the outline is narrower than the particles", fix="a smaller dx, or engine='thin'"
+            )
         first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
         return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
 
@@ -129,8 +137,7 @@ class Body:
         """
         x = np.asarray(x, dtype=float)
         if self.kind != "rope":
-            whole = self.cut is None or not self._has_points(x)
-            return x if whole else self.cut.on_skin(x)
+            return self.cut.on_skin(x) if self.cut is not None and self._has_points(x) else x
         if self._has_points(x):
             return around(self.points, self.thickness, x)
         sections = x.reshape(*x.shape[:-2], -1, self.section, 3)
@@ -153,8 +160,8 @@ class Body:
             [..., N, 3] [1/m].
         """
         if self.kind != "rope":
-            whole = self.cut is None or not self._has_points(x)
-            return bar if whole else self.cut.on_skin_transpose(bar)
+            cut = self.cut if self._has_points(x) else None
+            return bar if cut is None else cut.on_skin_transpose(bar)
         if self._has_points(x):
             return around_transpose(self.points, self.thickness, x, bar)
         sections = x.reshape(*x.shape[:-2], -1, self.section, 3)
@@ -369,7 +376,9 @@ def cloth(
         part, area = cut(shape_of, points), shape_of.area
         local[:, :2] += lower
         middle[:, :2] += lower
-        inside = shape_of.contains(local[:, :2])
+        inside = np.flatnonzero(shape_of.contains(local[:, :2]))
+        while len(inside) and (lonely := _lonely(_neighbours(cells[inside])).any(axis=1)).any():
+            inside = inside[~lonely]
         local, cells, middle = local[inside], cells[inside], middle[part.at]
     thick = thickness > dx
     c, s = math.cos(yaw), math.sin(yaw)
@@ -380,7 +389,7 @@ def cloth(
         x=x,
         material_coordinates=local,
         lattice=_neighbours(cells),
-        volume=area * thickness / len(x),
+        volume=area * thickness / max(1, len(x)),
         dx=dx,
         thickness=thickness,
         section=1 if thick else shape[2],
@@ -465,3 +474,8 @@ def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
             n = number[tuple(beside.T)]
             found[:, axis, side] = np.where(n >= 0, n, np.arange(len(cells)))
     return found
+
+
+def _lonely(neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """[N, 3] which particles have no neighbour along each axis, of ``_neighbours``."""
+    return (neighbours == np.arange(len(neighbours))[:, None, None]).all(axis=2)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
-from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse import coo_matrix
 from scipy.spatial import KDTree
 
 from gendom.errors import ParameterError
@@ -21,8 +21,8 @@ has 1/80 of the usual mass and takes part in the bending of its neighbours: with
 stable step of bending would be arbitrarily short."""
 
 NARROWEST = 1.0
-"""Least width of a cloth's parts [spacings]: such strips bend as they should within 4 %, at any angle
-to the lattice."""
+"""Least width of a cloth's parts [spacings]: strips bend as they should within 4 % then, at any
+angle to the lattice."""
 
 CLOSEST = 3.0
 """Least distance between parts side by side [spacings]: nearer ones may share points."""
@@ -62,21 +62,19 @@ class Cut:
         return _applied(self.skin.T, bar)
 
     @property
+    def number(self) -> NDArray[np.int64]:
+        """[rows, columns] of each point of the lattice among those that exist; -1: it does not."""
+        found = np.full(np.array(self.cells.shape) + 1, -1)
+        found.flat[self.at] = np.arange(len(self.at))
+        return found
+
+    @property
     def triangles(self) -> NDArray[np.int64]:
         """[F, 3] points of two triangles for each cell, counter-clockwise seen from the third
         axis."""
-        number = np.full(self.exists.shape, -1)
-        number.flat[self.at] = np.arange(len(self.at))
         j, i = np.nonzero(self.cells)
-        a, b, c, d = number[j, i], number[j, i + 1], number[j + 1, i], number[j + 1, i + 1]
+        a, b, c, d = (self.number[j + k, i + l] for k in (0, 1) for l in (0, 1))
         return np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, c, b], axis=1)])
-
-    @property
-    def exists(self) -> NDArray[np.bool_]:
-        """[rows, columns] whether there is a point."""
-        found = np.zeros(np.array(self.cells.shape) + 1, dtype=bool)
-        found.flat[self.at] = True
-        return found
 
 
 def cut(outline: Outline, points: tuple[int, int]) -> Cut:
@@ -94,7 +92,8 @@ def cut(outline: Outline, points: tuple[int, int]) -> Cut:
     _check_resolved(outline, spacing, upper - lower)
     corners = _corner_shares(outline, lower, spacing, points)
     cells = _merged(corners)
-    if label(cells > 0.0)[1] != 1:
+    _, parts = label(cells > 0.0)  # pyright: ignore[reportGeneralTypeIssues]
+    if parts != 1:
         raise ParameterError("the outline falls apart on this lattice", fix="more points")
     has = np.zeros(points[::-1], dtype=bool)
     quarters = np.zeros(points[::-1])
@@ -189,16 +188,15 @@ def _balanced(area: Array, place: Array, outline: Outline) -> Array:
     return area
 
 
-def _skin(of: Cut, place: Array, lower: Array, spacing: Array) -> csr_matrix:
+def _skin(of: Cut, place: Array, lower: Array, spacing: Array) -> coo_matrix:
     """``Cut.skin``: points within the outline, and for others the nearest place on the outline, by
     the bilinear shape functions of one of their cells."""
     n, columns = len(place), of.cells.shape[1] + 1
-    number = np.full(of.exists.shape, -1)
-    number.flat[of.at] = np.arange(n)
+    number = of.number
     inside = of.outline.contains(place)
+    rows, which = [np.flatnonzero(inside)], [np.flatnonzero(inside)]
+    weights = [np.ones(len(rows[0]))]
     foot = (of.outline.nearest(place[~inside]) - lower) / spacing
-    rows, which, weights = [np.flatnonzero(inside)] * 2, [], [np.ones(inside.sum())]
-    rows, which = [rows[0]], [rows[0]]
     for p, x in zip(np.flatnonzero(~inside), foot, strict=True):
         j, i = divmod(int(of.at[p]), columns)
         near = [
@@ -213,7 +211,7 @@ def _skin(of: Cut, place: Array, lower: Array, spacing: Array) -> csr_matrix:
         which.append(number[[b, b, b + 1, b + 1], [a, a + 1, a, a + 1]])
         weights.append(np.array([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v]))
     entries = np.concatenate(weights), (np.concatenate(rows), np.concatenate(which))
-    return coo_matrix(entries, shape=(n, n)).tocsr()
+    return coo_matrix(entries, shape=(n, n))
 
 
 def _check_resolved(outline: Outline, spacing: Array, size: Array) -> None:

@@ -195,7 +195,7 @@ def _corners(values: NDArray[np.floating]) -> NDArray[np.floating]:
 
 def _bent(
     cut: Cut, inner_x: NDArray[np.floating], inner_y: NDArray[np.floating]
-) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
+) -> tuple[list[NDArray[np.float64]], list[NDArray[np.floating]]]:
     """Areas [rows, columns] that bend with x_xx and x_yy of each point, and with both, and where
     the transverse curvature is free, see ``ShellModel.alone``.
 
