@@ -97,15 +97,7 @@ class Body:
 
     @property
     def rest_frames(self) -> NDArray[np.floating]:
-        """Inverses of the position differences along the lattice axes at rest, [N, 3, 3] [1/m].
-
-        Raises:
-            ParameterError: If an outline leaves no particles.
-        """
-        if not self.num_particles:
-            raise ParameterError(
-                "the outline is narrower than the particles", fix="a smaller dx, or engine='thin'"
-            )
+        """Inverses of the position differences along the lattice axes at rest, [N, 3, 3] [1/m]."""
         first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
         return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
 
@@ -464,7 +456,7 @@ def _check_positive(**values: float) -> None:
 
 def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
     """[N, 3, 2] indices of each particle's neighbours, from lattice cells [N, 3]."""
-    number = np.full(cells.max(axis=0) + 3, -1)
+    number = np.full(cells.max(axis=0, initial=0) + 3, -1)
     number[tuple((cells + 1).T)] = np.arange(len(cells))
     found = np.empty((len(cells), 3, 2), dtype=np.int32)
     for axis in range(3):

@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix
 from scipy.spatial import KDTree
 
 from gendom.errors import ParameterError
-from gendom.sim.outlines import Outline, integrals
+from gendom.sim.outlines import Outline, cross, integrals
 
 Array = NDArray[np.float64]
 
@@ -70,11 +70,15 @@ class Cut:
 
     @property
     def triangles(self) -> NDArray[np.int64]:
-        """[F, 3] points of two triangles for each cell, counter-clockwise seen from the third
-        axis."""
+        """[F, 3] triangles of the skin, counter-clockwise seen from the third axis: two for
+        each cell, less those that an outline leaves nothing of."""
         j, i = np.nonzero(self.cells)
-        a, b, c, d = (self.number[j + k, i + l] for k in (0, 1) for l in (0, 1))
-        return np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, c, b], axis=1)])
+        number = self.number
+        a, b, c, d = (number[j + k, i + l] for k in (0, 1) for l in (0, 1))
+        found = np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, c, b], axis=1)])
+        rows, columns = np.nonzero(number >= 0)
+        first, second, third = np.moveaxis((self.skin @ np.stack([columns, rows], 1))[found], 1, 0)
+        return found[cross(second - first, third - first) > 1e-3]
 
 
 def cut(outline: Outline, points: tuple[int, int]) -> Cut:
@@ -223,21 +227,23 @@ def _check_resolved(outline: Outline, spacing: Array, size: Array) -> None:
     distance = np.linalg.norm(places[i] - places[j], axis=1)
     way = np.abs(along[i] - along[j])
     way = np.where(of[i] == of[j], np.minimum(way, whole[i] - way), np.inf)
-    middle = 0.5 * (places[i] + places[j])
-    part = outline.contains(middle)
-    own = of[i] == of[j]  # a gap has one line around it
+    shares = np.linspace(0.1, 0.9, 5)[:, None, None]
+    between = places[i] + shares * (places[j] - places[i])
+    cloth = outline.contains(between.reshape(-1, 2)).reshape(len(shares), -1)
+    # a gap has one line around it
+    part, gap = cloth.all(axis=0), ~cloth.any(axis=0) & (of[i] == of[j])
     for inside, least, what in (
         (True, NARROWEST, "a part of the cloth is only {} wide"),
         (False, CLOSEST, "parts of the cloth are only {} apart"),
     ):
-        d = np.where(part if inside else own & ~part, distance, np.inf)
+        d = np.where(part if inside else gap, distance, np.inf)
         d = np.where(way > LONG * least * widest, d, np.inf)
         k = int(d.argmin()) if len(d) else 0
-        if len(d) and d[k] < least * widest:
-            finer = np.ceil(least * size / d[k] + 1.0).astype(int)
+        if len(d) and d[k] < (1.0 - 1e-9) * least * widest:
+            finer = 1 + np.ceil(least * size / d[k] - 1e-9).astype(int)
             raise ParameterError(
                 what.format(f"{1e3 * d[k]:.3g} mm")
                 + f", and points are {1e3 * widest:.3g} mm apart",
-                where=f"outline, near ({middle[k, 0]:.4g}, {middle[k, 1]:.4g}) m",
+                where=f"outline, near ({between[2, k, 0]:.4g}, {between[2, k, 1]:.4g}) m",
                 fix=f"give it {least:g} spacings: points=({finer[0]}, {finer[1]})",
             )

@@ -142,12 +142,12 @@ class Outline:
         after = np.concatenate(
             [np.roll(np.flatnonzero(of == k), -1) for k in range(len(self.loops))]
         )
-        turn, on = _cross(b - a, (b - a)[after]), np.sum((b - a) * (b - a)[after], axis=1)
+        turn, on = cross(b - a, (b - a)[after]), np.sum((b - a) * (b - a)[after], axis=1)
         back = (np.abs(turn) <= ROUNDING * np.abs(on)) & (on < 0.0)
         pairs = [(int(i), int(after[i])) for i in np.flatnonzero(back)[:1]]
 
         def side(p: Array, q: Array, x: Array) -> Array:
-            value = _cross(q - p, x - p)
+            value = cross(q - p, x - p)
             return np.where(np.abs(value) <= ROUNDING**2 * size**2, 0.0, np.sign(value))
 
         lower, upper = np.minimum(a, b), np.maximum(a, b)
@@ -190,7 +190,7 @@ def outline_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> list[Array]:
 
     Raises:
         ParameterError: If an index is out of range, a triangle has no area, the mesh is not flat,
-            consists of parts that share no edge, meets itself in a point, or overlaps.
+            or triangles share no edge with the others, overlap, or meet only in a point.
     """
     x, triangles = np.asarray(vertices, dtype=float), np.asarray(faces)
     if x.ndim != 2 or x.shape[1] not in (2, 3) or not np.isfinite(x).all():
@@ -210,16 +210,13 @@ def outline_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> list[Array]:
     if x.shape[1] == 3:
         x = _in_plane(x, used, size)
     a, b, c = (x[triangles[:, k]] for k in range(3))
-    double = _cross(b - a, c - a)
+    double = cross(b - a, c - a)
     flat = np.abs(double) <= ROUNDING * size**2
     if flat.any():
         raise ParameterError(f"triangle {int(flat.argmax())} has no area", where="faces")
     turned = np.where(double[:, None] > 0.0, triangles, triangles[:, ::-1]).astype(np.int64)
     loops = [x[loop] for loop in _borders(turned)]
     areas = np.array([integrals(loop)[0] for loop in loops])
-    covered = float(np.abs(double).sum()) / 2.0
-    if np.count_nonzero(areas > 0.0) != 1 or abs(areas.sum() / covered - 1.0) > 1e-6:
-        raise ParameterError("triangles of the mesh overlap", where="faces")
     first = int(areas.argmax())
     return [loops[first], *(loop for k, loop in enumerate(loops) if k != first)]
 
@@ -267,7 +264,8 @@ def _borders(triangles: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     begins, times = np.unique(border[:, 0], return_counts=True)
     if times.max(initial=0) > 1:
         raise ParameterError(
-            f"the mesh meets itself in vertex {begins[times.argmax()]}", where="faces"
+            f"triangles overlap, or meet only in a point, at vertex {begins[times.argmax()]}",
+            where="faces",
         )
     after = dict(border.tolist())
     loops = []
@@ -291,7 +289,8 @@ def integrals(loop: NDArray[np.floating]) -> Array:
     return np.array([w.sum() / 2, w @ (x + x2) / 6, w @ (y + y2) / 6, w @ both / 24])
 
 
-def _cross(a: Array, b: Array) -> Array:
+def cross(a: Array, b: Array) -> Array:
+    """Third component of the cross products of vectors [..., 2]."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 

@@ -40,7 +40,7 @@ class ShellModel:
     """Largest factor of the weave on the bending stiffness."""
     shares: NDArray[np.float64]
     """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
-    alone: NDArray[np.float64]
+    alone: NDArray[np.floating]
     """[2, n] whether transverse curvature is free, along rows and along columns."""
     faster: tuple[float, float]
     """Largest factors on the squared frequencies of membrane and bending by light points at an

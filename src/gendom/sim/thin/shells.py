@@ -10,7 +10,7 @@ from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.crossing import check_cloth
 from gendom.sim.thin.engine import STRETCH, ThinEngine, put_worlds
 from gendom.sim.thin.grips import Grip, Pose, close_shell
-from gendom.sim.thin.shell_model import ShellModel
+from gendom.sim.thin.shell_model import MOST_COUPLED, ShellModel
 from gendom.sim.thin.types import MARGIN, V, X
 
 
@@ -26,6 +26,9 @@ class Shells(ThinEngine):
     def check_suits(setting: Setting) -> None:
         if any(np.isfinite(m.yield_stress) for m in setting.materials):
             raise ParameterError("shells do not yield", fix="engine='mpm', or no yield_stress")
+        least = -1.0 if setting.body.cut is None else -1.0 / MOST_COUPLED
+        if any(m.nu < least for m in setting.materials):
+            raise ParameterError(f"cloths with an outline have a nu of at least {least:.2f}")
         spacing = min(ShellModel.of(setting.body).spacing)
         if setting.self_contact and setting.body.thickness > 0.5 * spacing:
             raise ParameterError(
