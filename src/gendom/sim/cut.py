@@ -230,8 +230,7 @@ def _check_resolved(outline: Outline, spacing: Array, size: Array) -> None:
     shares = np.linspace(0.1, 0.9, 5)[:, None, None]
     between = places[i] + shares * (places[j] - places[i])
     cloth = outline.contains(between.reshape(-1, 2)).reshape(len(shares), -1)
-    # a gap has one line around it
-    part, gap = cloth.all(axis=0), ~cloth.any(axis=0) & (of[i] == of[j])
+    part, gap = cloth.all(axis=0), ~cloth.any(axis=0)
     for inside, least, what in (
         (True, NARROWEST, "a part of the cloth is only {} wide"),
         (False, CLOSEST, "parts of the cloth are only {} apart"),

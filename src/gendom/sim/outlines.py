@@ -142,9 +142,7 @@ class Outline:
         after = np.concatenate(
             [np.roll(np.flatnonzero(of == k), -1) for k in range(len(self.loops))]
         )
-        turn, on = cross(b - a, (b - a)[after]), np.sum((b - a) * (b - a)[after], axis=1)
-        back = (np.abs(turn) <= ROUNDING * np.abs(on)) & (on < 0.0)
-        pairs = [(int(i), int(after[i])) for i in np.flatnonzero(back)[:1]]
+        pairs: list[tuple[int, int]] = []
 
         def side(p: Array, q: Array, x: Array) -> Array:
             value = cross(q - p, x - p)

@@ -79,6 +79,7 @@ def test_points_are_those_of_cells_that_the_outline_reaches(outline):
             assert 0.9 * inside < part.cells[j, i] < inside + 0.08
         elif inside < 0.02:
             assert part.cells[j, i] == 0.0
+    assert part.cells.sum() * spacing.prod() == pytest.approx(part.outline.area, rel=1e-12)
     corners = {tuple(c) for j, i in np.argwhere(part.cells) for c in
                ((j, i), (j, i + 1), (j + 1, i), (j + 1, i + 1))}  # fmt: skip
     rows, columns = np.divmod(part.at, 20)
@@ -239,6 +240,29 @@ def test_a_dropped_ring_keeps_clear_of_itself():
             check_cloth(shape, model)
 
 
+def test_a_tongue_goes_through_a_slit():
+    """One cell wide: its corners exist, and no triangle between them."""
+    strip = [(0, 0), (0.2, 0), (0.2, 0.04), (0.4, 0.04), (0.4, 0.06), (0.2, 0.06), (0.2, 0.1),
+             (0, 0.1)]  # fmt: skip
+    slit = [(0.05, 0.03), (0.06, 0.03), (0.06, 0.07), (0.05, 0.07)]
+    body = cloth(outline=[strip, slit], points=(41, 11), thickness=0.001, dx=0.02)
+    assert len(body.points) == 11 * 21 + 3 * 20
+    # level, around three quarters of a circle, and down through the slit
+    u, v = body.points[:, :2].T
+    r, turn = 0.035, np.clip((u - 0.09) / 0.035, 0.0, 1.5 * np.pi)
+    down = np.clip(u - 0.09 - 1.5 * np.pi * r, 0.0, None)
+    x = np.stack([np.minimum(u, 0.09) + r * np.sin(turn), v, r * (1 - np.cos(turn)) - down], axis=1)
+    assert x[:, 2].min() < -0.05
+    options: dict[str, Any] = {"positions": x, "gravity": (0, 0, 0), "air_density": 0.0}
+    found = [
+        Simulator(body, [MATERIAL], self_contact=on, **options).run([2e-3]) for on in (True, False)
+    ]
+    np.testing.assert_array_equal(found[0], found[1])
+    beside = x + np.where(u > 0.27, 0.0137, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    with pytest.raises(ParameterError, match="begins crossing itself"):
+        check_cloth(beside, ShellModel.of(body))
+
+
 def test_float32_is_close_to_float64():
     body = cloth(outline=SHIRT, points=(14, 12), **SHEET)
     hand = Gripper(time=[0, 1], position=[(0, 0.12, 0), (0, 0.12, 0.1)], radius=0.03)
@@ -269,6 +293,12 @@ def test_grippers_hold_cloth_only():
     with pytest.raises(SimulationError, match="closed on nothing"):
         held(body, body.points[far], 0.9 * gap)  # around a point, but not on cloth
     assert far in held(body, body.points[far], 1.2 * gap)
+    s = Simulator(body, [MATERIAL], grippers=[Gripper.still(body.points[0], radius=2.5 * h)])
+    s.run([1e-4])
+    e = engine_of(s)
+    # joints at its border are those of points with neighbours on both sides
+    assert np.any(e.stiffer[0, 0] != 1.0)
+    assert np.all(e.stiffer[0, 0][e.model.shares[4:6] == 0.0] == 1.0)
     for centre, radius in (((0.02, 0.01, 0.0), 0.03), ((0.02, 0.01 + 0.027, 0.0), 0.007)):
         with pytest.raises(SimulationError, match="closed on nothing"):
             held(body, centre, radius)  # in the hole
@@ -288,6 +318,7 @@ SMALL = 0.2 * np.array(SQUARE) + 0.08
     [
         (BOW, r"outline, near \(0, 0.1\) m: crosses or touches itself"),
         ([(0, 0), (0.2, 0), (0.1, 0), (0.1, 0.2)], "crosses or touches itself"),
+        ([(0, 0), (0.2, 0), (0.3, 0), (0.2, 0), (0.2, 0.2)], "crosses or touches itself"),
         ([(0, 0), (0.2, 0), (0.2, 0)], "outline: has 2 different points; give at least three"),
         ([(0, 0), (0.1, 0), (0.2, 0)], "outline: has no area"),
         ([(0, 0), (0.2, 0), (0.1, math.nan)], "holds numbers that are not finite"),
