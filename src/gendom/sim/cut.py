@@ -15,10 +15,10 @@ from gendom.sim.outlines import Outline, cross, integrals
 Array = NDArray[np.float64]
 
 LEAST_SHARE = 0.05
-"""Share of its area below which a cell is left out, and its area given to a neighbour. A membrane's
-stable step is the same with any share: mass and stiffness have it alike. A point of one such cell
-has 1/80 of the usual mass and takes part in the bending of its neighbours: without a limit the
-stable step of bending would be arbitrarily short."""
+"""Share of its area below which a cell is left out, and its area given to a neighbour. The stable
+step of a membrane is the same with any share, for mass and stiffness have it alike. That of
+bending is shorter: light points take part in the bending of their neighbours. Of 60 outlines drawn
+at random it was at most 2.2 times as short, with 2 % 3.4 times, with 0.5 % 6.6 times."""
 
 NARROWEST = 1.0
 """Least width of a cloth's parts [spacings]: strips bend as they should within 4 % then, at any
@@ -224,9 +224,11 @@ def _check_resolved(outline: Outline, spacing: Array, size: Array) -> None:
     reach = CLOSEST * widest
     places, of, along, whole = outline.sampled(reach / 8.0)
     i, j = KDTree(places).query_pairs(reach, output_type="ndarray").T
-    distance = np.linalg.norm(places[i] - places[j], axis=1)
     way = np.abs(along[i] - along[j])
     way = np.where(of[i] == of[j], np.minimum(way, whole[i] - way), np.inf)
+    across = way > LONG * NARROWEST * widest
+    i, j, way = i[across], j[across], way[across]
+    distance = np.linalg.norm(places[i] - places[j], axis=1)
     shares = np.linspace(0.1, 0.9, 5)[:, None, None]
     between = places[i] + shares * (places[j] - places[i])
     cloth = outline.contains(between.reshape(-1, 2)).reshape(len(shares), -1)
