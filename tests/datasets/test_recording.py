@@ -382,6 +382,11 @@ META_FAULTS = {
         lambda m: m["object"].update(kind="cloth", width=0.3),
         "object.height: is missing for a cloth; measure it and give metres",
     ),
+    "outline": (
+        lambda m: m["object"].update(outline=[[0, 0], [1, 0], [0, 1]]),
+        "object.outline: is not supported: cloths of recordings are rectangles; "
+        "leave it out if the cloth is a rectangle",
+    ),
     "negative size": (
         lambda m: m["object"].update(diameter=-0.01),
         "object.diameter: is -0.01; give metres above 0, or null if unknown",

@@ -71,6 +71,7 @@ def test_a_cloth(tmp_path):
         ({"friction": "-1"}, "friction must be"),
         ({"colour": "[1, 2]"}, "three of 0 to 255"),
         ({"weight": "1"}, "weight means nothing"),
+        ({"outline": "[[0, 0], [1, 0], [0, 1]]"}, r"without outline; gendom.sim.cloth\(outline="),
     ],
 )
 def test_what_is_missing_or_impossible_is_named(tmp_path, change, says):

@@ -100,6 +100,14 @@ def _check_object(description: ObjectDescription) -> list[Fault]:
                 f"give one of {', '.join(map(repr, GRASPS))}",
             )
         )
+    if "outline" in description.extra:
+        faults.append(
+            Fault(
+                "is not supported: cloths of recordings are rectangles",
+                "object.outline",
+                "leave it out if the cloth is a rectangle",
+            )
+        )
     for name in SIZES:
         value = getattr(description, name)
         unit = "kg" if name == "mass" else "metres"

@@ -48,6 +48,12 @@ def read_object(path: str | os.PathLike) -> RealObject:
     large, small = KINDS[kind].sizes
     colour = table.pop("colour", list(PLAIN))
     usual = _usual(table.pop("material", None), kind, where)
+    if "outline" in table:
+        raise ParameterError(
+            "objects of tasks and of the MuJoCo test scene are squares or ropes, without outline",
+            where=where,
+            fix="gendom.sim.cloth(outline=...) simulates it; or give its side",
+        )
     known = {large, small, "mass", "density", "E", "nu", *DEFAULTS}
     if unknown := [name for name in table if name not in known]:
         raise ParameterError(

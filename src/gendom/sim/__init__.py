@@ -7,6 +7,7 @@ from gendom.sim.equilibria import Equilibria
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import CFL, stable_substep
+from gendom.sim.outlines import outline_of_mesh
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
 from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
@@ -35,6 +36,7 @@ __all__ = [
     "cloth",
     "list_devices",
     "open_device",
+    "outline_of_mesh",
     "preset",
     "rope",
     "stable_substep",

@@ -2,11 +2,15 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError
+from gendom.sim.cut import Cut, cut
+from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
+from gendom.sim.outlines import Outline
 
 CELLS_ACROSS = (0.5, 6.0)
 """Fewest and most grid cells across a rope for which its bending and twisting are validated."""
@@ -75,7 +79,10 @@ class Body:
     """[n, 3] rest positions of the thin engine's points [m]: a rope's centre line from one end to
     the other, or a cloth's middle surface row by row, each row along the first axis."""
     shape: tuple[int, ...] = (0,)
-    """Number of points of a rope, or number of rows and points in each row of a cloth."""
+    """Number of points of a rope, or number of rows and points in each row of a cloth's lattice, of
+    which a cloth with an outline has a part."""
+    cut: Cut | None = None
+    """That part; None: all of it."""
     width: float | None = None
     """Width of a flat rope, horizontal and across it [m]; None: round rope."""
     weave: "Weave" = field(default_factory=lambda: Weave())
@@ -117,13 +124,14 @@ class Body:
 
         Each particle represents the material around it, so the visible surface of a rope lies
         further out than its particles: its outer particles are moved away from the middle of
-        their section, to half a diameter. A cloth is thin, so its particles are its surface.
+        their section, to half a diameter. A cloth is thin, so its particles are its surface; points
+        of a cell that an outline cuts are moved onto the outline.
         """
         x = np.asarray(x, dtype=float)
         if self.kind != "rope":
-            return x
-        if x.shape[-2] == len(self.points) != self.num_particles:
-            return self._around(x)
+            return self.cut.on_skin(x) if self.cut is not None and self._has_points(x) else x
+        if self._has_points(x):
+            return around(self.points, self.thickness, x)
         sections = x.reshape(*x.shape[:-2], -1, self.section, 3)
         out = sections - sections.mean(axis=-2, keepdims=True)
         out = out[..., self._outer, :]
@@ -144,9 +152,10 @@ class Body:
             [..., N, 3] [1/m].
         """
         if self.kind != "rope":
-            return bar
-        if x.shape[-2] == len(self.points) != self.num_particles:
-            return self._around_transpose(x, bar)
+            cut = self.cut if self._has_points(x) else None
+            return bar if cut is None else cut.on_skin_transpose(bar)
+        if self._has_points(x):
+            return around_transpose(self.points, self.thickness, x, bar)
         sections = x.reshape(*x.shape[:-2], -1, self.section, 3)
         outer = self._outer
         out = (sections - sections.mean(axis=-2, keepdims=True))[..., outer, :]
@@ -161,60 +170,15 @@ class Body:
         found += (bar - of_out).sum(axis=-2, keepdims=True) / self.section
         return found.reshape(x.shape)
 
+    def _has_points(self, x: NDArray[np.floating]) -> bool:
+        """Whether positions [..., N, 3] are those of the thin engine's points, not of particles."""
+        return x.shape[-2] == len(self.points) != self.num_particles
+
     @property
     def _outer(self) -> NDArray[np.bool_]:
         """Mask of the particles on the rim of a rope's section."""
         radius = np.linalg.norm(self.material_coordinates[: self.section, 1:], axis=1)
         return radius > 0.6 * radius.max()
-
-    def _around(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Rings of eight points around a centre line [..., n, 3], a third of a diameter apart."""
-        spacing = np.linalg.norm(self.points[1] - self.points[0])
-        parts = max(1, round(3.0 * float(spacing) / self.thickness))
-        share = (np.arange(parts) + 0.5)[:, None] / parts
-        step = np.diff(x, axis=-2)[..., :, None, :]
-        centres = x[..., :-1, None, :] + share * step
-        tangent = step / np.linalg.norm(step, axis=-1, keepdims=True)
-        # any two normals that change smoothly: a fixed frame under the smallest rotation that
-        # takes its axis to the tangent
-        first = _fixed_frame(self.points[1] - self.points[0])
-        along = tangent + first[2]
-        scale = np.maximum(1.0 + tangent @ first[2], 1e-9)[..., None]
-        normals = [d - (tangent @ d)[..., None] / scale * along for d in first[:2]]
-        angle = 2.0 * math.pi * np.arange(8) / 8.0
-        ring = np.cos(angle)[:, None] * normals[0][..., None, :]
-        ring = ring + np.sin(angle)[:, None] * normals[1][..., None, :]
-        skin = centres[..., None, :] + 0.5 * self.thickness * ring
-        return skin.reshape(*x.shape[:-2], -1, 3)
-
-    def _around_transpose(
-        self, x: NDArray[np.floating], bar: NDArray[np.floating]
-    ) -> NDArray[np.floating]:
-        """Transpose of the derivative of ``_around``, with the same names."""
-        n, lead = x.shape[-2], x.shape[:-2]
-        bar = bar.reshape(*lead, n - 1, -1, 8, 3)
-        parts = bar.shape[-3]
-        share = (np.arange(parts) + 0.5)[:, None] / parts
-        step = np.diff(x, axis=-2)
-        size = np.linalg.norm(step, axis=-1, keepdims=True)
-        tangent = step / size
-        *first, axis = _fixed_frame(self.points[1] - self.points[0])
-        angle = 2.0 * math.pi * np.arange(8) / 8.0
-        each = 0.5 * self.thickness * bar.sum(axis=-3)
-        along, scale = tangent + axis, np.maximum(1.0 + tangent @ axis, 1e-9)[..., None]
-        of_tangent = np.zeros(tangent.shape)
-        for d, turn in zip(first, (np.cos(angle), np.sin(angle)), strict=True):
-            # normal = d - (t . d) / (1 + t . axis) (t + axis)
-            g = (each * turn[:, None]).sum(axis=-2)
-            pull, off = (g * along).sum(axis=-1, keepdims=True), (tangent @ d)[..., None]
-            of_tangent += axis * off * pull / scale**2 - d * pull / scale - g * off / scale
-        of_step = (of_tangent - tangent * (tangent * of_tangent).sum(axis=-1, keepdims=True)) / size
-        of_centre = bar.sum(axis=-2)
-        of_step += (share * of_centre).sum(axis=-2)
-        found = np.zeros(x.shape)
-        found[..., :-1, :] = of_centre.sum(axis=-2) - of_step
-        found[..., 1:, :] += of_step
-        return found
 
     def moved(self, offset: ArrayLike) -> "Body":
         """Return the same body shifted by ``offset`` [3] [m]."""
@@ -279,7 +243,7 @@ def rope(
             raise ParameterError(f"centre_line must be [K >= 2, 3], got {line.shape}")
     dx = diameter / cells_across
     spacing = dx / 2.0
-    total = length if length is not None else float(_arc_length(line)[-1])
+    total = length if length is not None else float(arc_length(line)[-1])
     if width is not None:
         _check_positive(width=width)
     if points is None:
@@ -288,12 +252,12 @@ def rope(
         raise ParameterError(f"a rope needs at least three points, got {points}")
     count = max(2, round(total / spacing))
     along = (np.arange(count) + 0.5) * (total / count)
-    centre, tangent = _along_line(line, along)
+    centre, tangent = along_line(line, along)
 
     section, places = round_section(max(2, round(diameter / spacing)), diameter)
     per_section = len(section)
 
-    side, up = _frames(tangent)
+    side, up = frames(tangent)
     x = centre[:, None] + side[:, None] * section[None, :, :1] + up[:, None] * section[None, :, 1:]
     coordinates = np.concatenate(
         [
@@ -320,7 +284,7 @@ def rope(
         thickness=diameter,
         section=per_section,
         contact_radius=diameter / 2.0,
-        points=_along_line(line, np.linspace(0.0, total, points))[0],
+        points=along_line(line, np.linspace(0.0, total, points))[0],
         shape=(points,),
         width=width,
     )
@@ -328,8 +292,8 @@ def rope(
 
 def cloth(
     *,
-    width: float,
-    height: float,
+    width: float | None = None,
+    height: float | None = None,
     thickness: float,
     dx: float,
     corner: ArrayLike = (0.0, 0.0, 0.0),
@@ -337,16 +301,23 @@ def cloth(
     points: tuple[int, int] | None = None,
     weave: Weave | None = None,
     natural_curvature: ArrayLike | None = None,
+    outline: Any = None,
 ) -> Body:
-    """Make a flat rectangular cloth in a horizontal plane.
+    """Make a flat cloth in a horizontal plane: a rectangle, or of any outline.
 
     It has at least two layers of particles. Their spacing is such that their mean squared distance
     from the middle is the sheet's second moment, h^2 / 12 per unit of area. A sheet thinner than
     a cell is simulated at its true thickness: its layers stretch and shorten with the curvature
     of the velocity field, which the grid resolves.
 
+    A towel with a hole, 0.6 m x 0.4 m:
+
+        cloth(outline=[[(0, 0), (0.6, 0), (0.6, 0.4), (0, 0.4)],
+                       [(0.2, 0.1), (0.4, 0.1), (0.4, 0.3), (0.2, 0.3)]], thickness=0.002, dx=0.02)
+
     Args:
-        width, height: Sizes along the cloth's own first and second axis [m].
+        width, height: Sizes along the cloth's own first and second axis [m]. With an outline they
+            are those of its box, and may be left out.
         thickness: Thickness [m].
         dx: Size of a grid cell [m]. For the MPM.
         points: Numbers of points along the first and second axis, for shells; by default 28 along
@@ -354,12 +325,26 @@ def cloth(
         weave: Stiffness along threads, in shear and in bending; for shells (default: isotropic).
         natural_curvature: [2, 2] curvature of the stress-free cloth in its first two axes,
             positive where it arches towards its third axis [1/m]; for shells (default: flat).
-        corner: [3] position of one corner of the mid-plane [m].
+        corner: [3] position of one corner of the mid-plane, from which both axes go, or with an
+            outline of the origin of its coordinates [m].
         yaw: Angle of the first axis about z [rad].
+        outline: A polygon [K, 2], or a sequence of them, the outside and then holes, with
+            coordinates along the first and second axis [m] (default: a rectangle). Those around a
+            mesh: ``outline_of_mesh``. The points are those of cells of a lattice over the box of
+            the outline that it reaches into (``Body.cut``).
 
     Raises:
-        ParameterError: If a size is not positive, or there are fewer than two points along a side.
+        ParameterError: If a size is not positive, there are fewer than two points along a side, the
+            outline crosses itself, has no area or other sizes, or parts of it are too narrow for
+            the points.
     """
+    shape_of, lower = None, np.zeros(2)
+    if outline is not None:
+        shape_of = Outline.of(outline)
+        lower, upper = shape_of.box
+        width, height = _sizes(upper - lower, width, height)
+    if width is None or height is None:
+        raise ParameterError("a cloth needs its width and height [m], or an outline")
     _check_positive(width=width, height=height, thickness=thickness, dx=dx)
     if points is None:
         spacing = max(width, height) / (POINTS - 1)
@@ -374,26 +359,36 @@ def cloth(
     ticks[2] -= thickness / 2.0
     ticks[2] *= thickness / math.sqrt(12.0 * np.mean(ticks[2] ** 2))
     local = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-    thick = thickness > dx
-    c, s = math.cos(yaw), math.sin(yaw)
-    to_world = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
-    x = np.asarray(corner, dtype=float) + local @ to_world
     along, across = (
         np.linspace(0.0, size, n) for size, n in zip((width, height), points, strict=True)
     )
     middle = np.stack([*np.meshgrid(along, across), np.zeros(points[::-1])], axis=-1).reshape(-1, 3)
+    cells, area, part = np.argwhere(np.ones(shape)), width * height, None
+    if shape_of is not None:
+        part, area = cut(shape_of, points), shape_of.area
+        local[:, :2] += lower
+        middle[:, :2] += lower
+        inside = np.flatnonzero(shape_of.contains(local[:, :2]))
+        while len(inside) and (lonely := _lonely(_neighbours(cells[inside])).any(axis=1)).any():
+            inside = inside[~lonely]
+        local, cells, middle = local[inside], cells[inside], middle[part.at]
+    thick = thickness > dx
+    c, s = math.cos(yaw), math.sin(yaw)
+    to_world = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
+    x = np.asarray(corner, dtype=float) + local @ to_world
     return Body(
         kind="cloth",
         x=x,
         material_coordinates=local,
-        lattice=_neighbours(np.argwhere(np.ones(shape))),
-        volume=width * height * thickness / len(x),
+        lattice=_neighbours(cells),
+        volume=area * thickness / max(1, len(x)),
         dx=dx,
         thickness=thickness,
         section=1 if thick else shape[2],
         contact_radius=thickness / shape[2] / 2.0 if thick else thickness / 2.0,
         points=np.asarray(corner, dtype=float) + middle @ to_world,
         shape=points[::-1],
+        cut=part,
         weave=weave or Weave(),
         natural_curvature=None if natural_curvature is None else _curvature(natural_curvature),
     )
@@ -423,6 +418,22 @@ def round_section(across: int, diameter: float) -> tuple[NDArray[np.floating], N
     return points * ((diameter / 4.0) / math.sqrt(np.mean(points[:, 0] ** 2))), cells
 
 
+def _sizes(
+    box: NDArray[np.floating], width: float | None, height: float | None
+) -> tuple[float, float]:
+    """Sizes of an outline's box [2] [m].
+
+    Raises:
+        ParameterError: If a given one is another.
+    """
+    for name, given, size in (("width", width, box[0]), ("height", height, box[1])):
+        if given is not None and abs(given - size) > 1e-6 * size:
+            raise ParameterError(
+                f"{name} is {given:g} m, and the outline's is {size:g} m", fix=f"leave {name} out"
+            )
+    return float(box[0]), float(box[1])
+
+
 def _curvature(values: ArrayLike) -> NDArray[np.floating]:
     """Check a natural curvature and return it as an array [2, 2].
 
@@ -445,7 +456,7 @@ def _check_positive(**values: float) -> None:
 
 def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
     """[N, 3, 2] indices of each particle's neighbours, from lattice cells [N, 3]."""
-    number = np.full(cells.max(axis=0) + 3, -1)
+    number = np.full(cells.max(axis=0, initial=0) + 3, -1)
     number[tuple((cells + 1).T)] = np.arange(len(cells))
     found = np.empty((len(cells), 3, 2), dtype=np.int32)
     for axis in range(3):
@@ -457,39 +468,6 @@ def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
     return found
 
 
-def _fixed_frame(direction: NDArray[np.floating]) -> NDArray[np.floating]:
-    """[3, 3] rows: two normals of a direction [3], and its unit vector."""
-    unit = direction / np.linalg.norm(direction)
-    side, up = _frames(unit[None])
-    return np.stack([side[0], up[0], unit])
-
-
-def _arc_length(line: NDArray[np.floating]) -> NDArray[np.floating]:
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-
-
-def _along_line(
-    line: NDArray[np.floating], along: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Points [M, 3] and unit tangents [M, 3] at arc lengths; straight beyond both ends."""
-    s = _arc_length(line)
-    steps = np.diff(line, axis=0)
-    lengths = np.diff(s)
-    if np.any(lengths <= 0.0):
-        raise ParameterError("centre_line repeats a point: remove neighbours that coincide")
-    unit = steps / lengths[:, None]
-    segment = np.clip(np.searchsorted(s, along, side="right") - 1, 0, len(unit) - 1)
-    points = line[segment] + unit[segment] * (along - s[segment])[:, None]
-    # average tangents over neighbouring points, so that sections do not jump at corners
-    tangent = np.gradient(points, axis=0)
-    return points, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
-
-
-def _frames(tangent: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Two unit normals [M, 3] of each tangent; the first is horizontal where possible."""
-    reference = np.array([0.0, 0.0, 1.0])
-    if np.max(np.abs(tangent @ reference)) > 0.99:
-        reference = np.array([0.0, 1.0, 0.0])
-    side = np.cross(reference, tangent)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return side, np.cross(tangent, side)
+def _lonely(neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """[N, 3] which particles have no neighbour along each axis, of ``_neighbours``."""
+    return (neighbours == np.arange(len(neighbours))[:, None, None]).all(axis=2)

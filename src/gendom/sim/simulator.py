@@ -135,6 +135,10 @@ class Simulator(Shown):
                 f"unknown elastic law {law!r}", fix=f"choose one of {', '.join(LAWS)}"
             )
         rest = body.points if thin else body.x
+        if not len(rest):
+            raise ParameterError(
+                "the outline is narrower than the particles", fix="a smaller dx, or engine='thin'"
+            )
         x = np.asarray(rest if positions is None else positions, dtype=float)
         if not np.isfinite(x).all():
             raise ParameterError("positions hold numbers that are not finite")

@@ -21,6 +21,7 @@ from gendom.validation import (
     grip,
     layers,
     master_curves,
+    outlines,
     resting,
     rods,
     shells,
@@ -81,6 +82,7 @@ CASES = {
                 ("shell-free-flight", "a sheet in space", shells.free_flight),
                 ("shell-cantilever", "strips' sags over decades", master_curves.strips_sag),
                 ("shell-lateral", "a strip on its edge", master_curves.strip_falls_over),
+                ("shell-discs", "discs cut out of a lattice", outlines.discs),
             )
         ),
         Case(
@@ -97,6 +99,8 @@ CASES = {
                 ("static-stick-slip", "tips on the table, at rest", statics.tips_slip),
                 ("static-strips", "strips' sags, at rest", shells.strips),
                 ("static-shells", "strips' sags over decades, at rest", master_curves.strips_sag),
+                ("static-discs", "discs held in their middle, at rest", outlines.held_discs),
+                ("static-cut-strips", "strips cut at an angle, at rest", outlines.cut_strips),
             )
         ),
     )

@@ -12,6 +12,7 @@ from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Table, cloth, rope
 from gendom.sim.thin.contact import take_at_once
 from gendom.sim.thin.crossing import check_cloth
+from gendom.sim.thin.shell_model import ShellModel
 
 
 def nearest(x, apart):
@@ -181,15 +182,15 @@ def test_contacts_taken_at_once_keep_a_cloth_from_crossing(seed):
     body, heap = dropped(16, at_once=True, seed=seed)
     assert min(nearest_edges(f, body.shape) for f in heap) > 0.8 * body.thickness
     for f in heap:
-        check_cloth(f, (16, 16))
+        check_cloth(f, ShellModel.of(body))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_a_stiffer_cloth_never_crosses(seed):
-    _, heap = dropped(16, E=2e5, seed=seed)
+    body, heap = dropped(16, E=2e5, seed=seed)
     for f in heap:
-        check_cloth(f, (16, 16))
+        check_cloth(f, ShellModel.of(body))
 
 
 @pytest.mark.slow

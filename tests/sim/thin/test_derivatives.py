@@ -19,7 +19,16 @@ RIBBON = rope(diameter=0.004, length=0.2, start=(0, 0, 0.1), points=12, width=0.
 CLOTH = cloth(
     width=0.12, height=0.1, thickness=0.004, dx=0.02, corner=(0, 0, 0.1), points=(7, 6), yaw=0.1
 )
-BODIES = pytest.mark.parametrize("body", [ROPE, RIBBON, CLOTH], ids=["rope", "ribbon", "cloth"])
+CUT = cloth(
+    outline=[
+        [(0, 0), (0.12, 0), (0.125, 0.05), (0.055, 0.06), (0.06, 0.1), (0, 0.1)],
+        [(0.02, 0.02), (0.05, 0.02), (0.03, 0.045)],
+    ],
+    thickness=0.004, dx=0.02, corner=(0, 0, 0.1), points=(8, 6), yaw=0.1,
+)  # fmt: skip
+BODIES = pytest.mark.parametrize(
+    "body", [ROPE, RIBBON, CLOTH, CUT], ids=["rope", "ribbon", "cloth", "cut"]
+)
 
 
 def given(body, seed=0):

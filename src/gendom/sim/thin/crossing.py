@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gendom.errors import ParameterError
+from gendom.sim.thin.shell_model import ShellModel
 
 LEAST = 0.5
 """Smallest initial distance between centre lines of a rope's parts, in diameters."""
@@ -27,21 +28,25 @@ def check_rope(x: NDArray[np.floating], diameter: float, apart: int) -> None:
         )
 
 
-def check_cloth(x: NDArray[np.floating], shape: tuple[int, int]) -> None:
-    """Check that a cloth of rows and columns of points [n, 3] [m] does not cross itself.
+def check_cloth(x: NDArray[np.floating], model: ShellModel) -> None:
+    """Check that a cloth of points [n, 3] [m] does not cross itself.
 
     Raises:
         ParameterError: If it does; the error names the place.
     """
-    ny, nx = shape
-    g = np.arange(ny * nx).reshape(shape)
-    a, b, c, d = (of.ravel() for of in (g[:-1, :-1], g[:-1, 1:], g[1:, :-1], g[1:, 1:]))
+    g = model.on_lattice(np.arange(len(x))[None], fill=-1)[0]
+    has = model.on_lattice(model.exists, fill=0.0) > 0.0
+    corners = (of[has[2, :-1, :-1]] for of in (g[:-1, :-1], g[:-1, 1:], g[1:, :-1], g[1:, 1:]))
+    a, b, c, d = corners
+    after, below = has[0, :, :-1], has[1, :-1]
     edges = np.concatenate(
         [
-            np.stack([p.ravel(), q.ravel()], axis=1)
-            for p, q in ((g[:, :-1], g[:, 1:]), (g[:-1], g[1:]), (b, c))
+            np.stack([p, q], axis=1)
+            for p, q in (
+                (g[:, :-1][after], g[:, 1:][after]), (g[:-1][below], g[1:][below]), (b, c)
+            )
         ]
-    )
+    )  # fmt: skip
     triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, b, c], axis=1)])
     middles, centres = x[edges].mean(axis=1), x[triangles].mean(axis=1)
     reach = np.linalg.norm(x[edges] - middles[:, None], axis=2).max()
@@ -63,12 +68,31 @@ def check_cloth(x: NDArray[np.floating], shape: tuple[int, int]) -> None:
     crosses &= (along > 0.0) & (across > 0.0) & (along + across < 1.0)
     if crosses.any():
         k = int(np.argmax(crosses))
-        p, q = (tuple(int(i) for i in np.unravel_index(of[k, 0], shape)) for of in (e, t))
+        places = np.unravel_index(model.at[[e[k, 0], t[k, 0]]], model.shape)
+        p, q = zip(*(of.tolist() for of in places), strict=True)
         raise ParameterError(
             "the cloth begins crossing itself",
             where=f"at its points (row, column) {p} and {q}",
             fix="give other positions, or no self_contact",
         )
+
+
+def triangle_distance(x: NDArray[np.floating], corners: NDArray[np.floating]) -> float:
+    """Smallest distance between a point [3] and triangles [F, 3, 3] [m]."""
+    a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal, at = np.cross(u, v), x - a
+    square = np.maximum(np.sum(normal**2, axis=1), 1e-300)
+    along = np.sum(np.cross(at, v) * normal, axis=1) / square
+    across = np.sum(np.cross(u, at) * normal, axis=1) / square
+    above = (along >= 0.0) & (across >= 0.0) & (along + across <= 1.0)
+    level = np.abs(np.sum(at * normal, axis=1)) / np.sqrt(square)
+    first = corners.reshape(-1, 3)
+    step = np.roll(corners, -1, axis=1).reshape(-1, 3) - first
+    share = np.sum((x - first) * step, axis=1) / np.maximum(np.sum(step**2, axis=1), 1e-300)
+    foot = first + np.clip(share, 0.0, 1.0)[:, None] * step
+    return min(
+        float(level[above].min(initial=np.inf)), float(np.linalg.norm(x - foot, axis=1).min())
+    )
 
 
 def edge_distance(

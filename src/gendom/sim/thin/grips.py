@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.sim.thin import rotation
+from gendom.sim.thin.crossing import triangle_distance
+from gendom.sim.thin.shell_model import ShellModel
 
 Array = NDArray[Any]
 
@@ -183,53 +185,60 @@ def close_rod(
 
 
 def close_shell(
-    x: Array, shape: tuple[int, int], pose: Pose, radius: Array,
-    spacing: tuple[float, float], taken: NDArray[np.bool_],
-) -> Grip:  # fmt: skip
+    x: Array, model: ShellModel, pose: Pose, radius: Array, taken: NDArray[np.bool_]
+) -> Grip:
     """Determine the points of shells held by grippers of W worlds that close now.
 
     A gripper holds the points inside its sphere, and those whose lattice edge to such a point has
     its midpoint inside. If there are none but the sphere touches the sheet, it holds the nearest
-    point.
+    point. Of a point beyond the sheet's outline the nearest place of cloth counts.
 
     Args:
         x: [W, n, 3] points [m].
-        shape: Rows, and points of a row.
+        model: Of the shells.
         pose: Of the grippers.
         radius: [W] [m].
-        spacing: Along rows and along columns [m].
         taken: [W, n] points that other grippers hold.
     """
     W, n = x.shape[:2]
-    at = x.reshape(W, *shape, 3)
-    distance = np.linalg.norm(at - pose.centre[:, None, None], axis=3)
-    held = distance < radius[:, None, None]
+    shape, spacing = model.shape, model.spacing
+    skin = x if model.cut is None else model.cut.on_skin(x)
+    at = model.on_lattice(skin, fill=np.inf)
+    centre, radii = pose.centre[:, None, None], radius[:, None, None]
+    distance = np.linalg.norm(at - centre, axis=3)
+    held = distance < radii
     for axis in (1, 2):
         first, second = (np.take(at, k, axis) for k in _ends(at.shape[axis]))
-        middle = np.linalg.norm(0.5 * (first + second) - pose.centre[:, None, None], axis=3)
-        near = middle < radius[:, None, None]
+        middle = np.linalg.norm(0.5 * (first + second) - centre, axis=3)
+        near = middle < radii
         ends = np.moveaxis(held, axis, 0)
         near = np.moveaxis(near, axis, 0)
         ends[:-1] |= near
         ends[1:] |= near
-    flat = distance.reshape(W, n)
-    touched = (flat.min(axis=1) < np.maximum(radius, 0.75 * max(spacing))) & ~held.any(axis=(1, 2))
-    held = held.reshape(W, n)
+    flat = model.of_lattice(distance)
+    held = model.of_lattice(held)
+    touched = (flat.min(axis=1) < np.maximum(radius, 0.75 * max(spacing))) & ~held.any(axis=1)
+    if model.cut is not None:
+        for w in np.flatnonzero(touched):
+            sheet = skin[w][model.cut.triangles]
+            touched[w] = triangle_distance(pose.centre[w], sheet) < radius[w]
     held[np.flatnonzero(touched), flat.argmin(axis=1)[touched]] = True
     held &= ~taken
     place = np.zeros((W, 7, n))
     back = rotation.conjugate(pose.q)[:, None]
     place[:, :3] = np.swapaxes(rotation.turned(back, x - pose.centre[:, None]), 1, 2)
-    grid = held.reshape(W, *shape)
+    at, grid = model.on_lattice(x), model.on_lattice(held)
+    has = model.on_lattice(model.exists) > 0.0
     cuts, stiffer = [], []
-    for axis, step in ((1, spacing[0]), (0, spacing[1])):
+    for k, (axis, step) in enumerate(((1, spacing[0]), (0, spacing[1]))):
         lines = _lines(at, axis)
         edges = np.logical_and(*(_lines(grid, axis)[:, k] for k in _ends(lines.shape[1])))
         many = shape[0] if axis == 1 else shape[1]
+        exist = np.tile(_lines(has[k : k + 1], axis)[:, :-1], (W, 1))
         centre, radii = np.repeat(pose.centre, many, axis=0), np.repeat(radius, many)
         length = np.full(lines.shape[1] - 1, step)
-        cuts.append(_cut(lines, centre, radii, length, edges, SHORTEST_OF_SHELL))
-        stiffer.append(_unlines(cuts[-1].stiffer, W, shape, axis).reshape(W, n))
+        cuts.append(_cut(lines, centre, radii, length, edges, SHORTEST_OF_SHELL, exist))
+        stiffer.append(model.of_lattice(_unlines(cuts[-1].stiffer, W, shape, axis)))
     return Grip(held.astype(np.int32), place, np.stack(stiffer, axis=1), tuple(cuts))
 
 
@@ -267,14 +276,19 @@ def _held_edges(x: Array, centre: Array, radius: Array) -> NDArray[np.bool_]:
 
 
 def _cut(
-    x: Array, centre: Array, radius: Array, length: Array, inside: NDArray[np.bool_], least: float
-) -> Cut:
-    """Cut lines of points [L, n, 3] with spheres [L] between held and free edges.
+    x: Array, centre: Array, radius: Array, length: Array, inside: NDArray[np.bool_], least: float,
+    exist: NDArray[np.bool_] | None = None,
+) -> Cut:  # fmt: skip
+    """Cut lines of points [L, n, 3] with spheres [L] between held and free edges that ``exist``
+    [L, n - 1] (default: all).
 
     Joints between them represent at least the share ``least`` of their usual length.
     """
     L, n = x.shape[:2]
-    w, i = np.nonzero(inside[:, :-1] != inside[:, 1:])
+    borders = inside[:, :-1] != inside[:, 1:]
+    if exist is not None:
+        borders &= exist[:, :-1] & exist[:, 1:]
+    w, i = np.nonzero(borders)
     i = i + 1
     before = inside[w, i - 1]
     held, free = np.where(before, i - 1, i), np.where(before, i, i - 1)
@@ -362,22 +376,21 @@ def border_of_rod_adjoint(
 
 
 def border_of_shell_adjoint(
-    grip: Grip, x: Array, pose: Pose, shape: tuple[int, int], spacing: tuple[float, float],
-    stiffer_bar: Array,
-) -> tuple[Array, Array, Array]:  # fmt: skip
+    grip: Grip, x: Array, pose: Pose, model: ShellModel, stiffer_bar: Array
+) -> tuple[Array, Array, Array]:
     """As ``border_of_rod_adjoint``, for a shell's rows and columns."""
-    W, n = x.shape[:2]
-    at = x.reshape(W, *shape, 3)
+    W, shape = len(x), model.shape
+    at = model.on_lattice(x)
     x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros((W, 3)), np.zeros(W)
-    for k, (axis, step) in enumerate(((1, spacing[0]), (0, spacing[1]))):
+    for k, (axis, step) in enumerate(((1, model.spacing[0]), (0, model.spacing[1]))):
         lines = _lines(at, axis)
         many = shape[0] if axis == 1 else shape[1]
-        bars = _lines(stiffer_bar[:, k].reshape(W, *shape), axis)
+        bars = _lines(model.on_lattice(stiffer_bar[:, k]), axis)
         by_x, by_centre, by_radius = _cut_adjoint(
             grip.cuts[k], lines, np.repeat(pose.centre, many, axis=0),
             np.full(lines.shape[1] - 1, step), bars,
         )  # fmt: skip
-        x_bar += _unlines(by_x, W, shape, axis).reshape(W, n, 3)
+        x_bar += model.of_lattice(_unlines(by_x, W, shape, axis))
         centre_bar += by_centre.reshape(W, many, 3).sum(axis=1)
         radius_bar += by_radius.reshape(W, many).sum(axis=1)
     return x_bar, centre_bar, radius_bar

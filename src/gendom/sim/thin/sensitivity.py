@@ -154,9 +154,7 @@ class Sensitivity:
             if e.kind == "rod":
                 by = border_of_rod_adjoint(event.grip, event.x, event.pose, e.model.length, bar)
             else:
-                by = border_of_shell_adjoint(
-                    event.grip, event.x, event.pose, e.model.shape, e.model.spacing, bar
-                )
+                by = border_of_shell_adjoint(event.grip, event.x, event.pose, e.model, bar)
             by_x, by_centre, by_radius = (of[k] for of in by)
             stiffer[m, i] = (
                 np.einsum("na,nap->p", by_x, shape[:, :3]) + by_centre @ centre + by_radius * radius

@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 
 from gendom.materials import Material
 from gendom.sim.bodies import Body
+from gendom.sim.cut import Cut
+
+MOST_COUPLED = 1.5
+"""Largest area that couples both curvatures of a point, over the geometric mean of the areas that
+they have alone. The energy is positive for nu down to -1 / 1.5."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +22,9 @@ class ShellModel:
     """The elements of W shells of one shape; rows of numbers are those of ``native/shell.h``."""
 
     shape: tuple[int, int]
-    """Number of rows, and of points in a row."""
+    """Number of rows, and of points in a row, of the whole lattice."""
+    at: NDArray[np.int64]
+    """[n] index of each point in the lattice, row by row."""
     spacing: tuple[float, float]
     """Distance between points along rows and along columns [m]."""
     thickness: float
@@ -33,26 +40,43 @@ class ShellModel:
     """Largest factor of the weave on the bending stiffness."""
     shares: NDArray[np.float64]
     """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
-    alone: NDArray[np.float64]
+    alone: NDArray[np.floating]
     """[2, n] whether transverse curvature is free, along rows and along columns."""
+    faster: tuple[float, float]
+    """Largest factors on the squared frequencies of membrane and bending by light points at an
+    outline."""
+    cut: Cut | None
+    """Of the body."""
 
     @classmethod
     def of(cls, body: Body) -> "ShellModel":
         ny, nx = body.shape
-        grid = body.points.reshape(ny, nx, 3)
-        lx = float(np.linalg.norm(grid[0, 1] - grid[0, 0]))
-        ly = float(np.linalg.norm(grid[1, 0] - grid[0, 0]))
-        one = np.ones((ny, nx))
-        after, below = one.copy(), one.copy()
-        after[:, -1] = below[-1] = 0.0
-        cell = after * below
-        wide, high = one.copy(), one.copy()
-        wide[:, [0, -1]] *= 0.5
-        high[[0, -1]] *= 0.5
-        area = lx * ly * wide * high
-        inner_x, inner_y = 0.0 * one, 0.0 * one
-        inner_x[:, 1:-1] = inner_y[1:-1] = 1.0
+        if body.cut is None:
+            at = np.arange(ny * nx)
+            grid = body.points.reshape(ny, nx, 3)
+            lx = float(np.linalg.norm(grid[0, 1] - grid[0, 0]))
+            ly = float(np.linalg.norm(grid[1, 0] - grid[0, 0]))
+            share = np.ones((ny - 1, nx - 1))
+        else:
+            at, (lx, ly), share = body.cut.at, body.cut.spacing, body.cut.cells
+        cell = np.zeros((ny, nx))
+        cell[:-1, :-1] = share
+        there = (cell > 0.0).astype(float)
+        after, below = there.copy(), there.copy()
+        after[1:] = np.maximum(after[1:], there[:-1])
+        below[:, 1:] = np.maximum(below[:, 1:], there[:, :-1])
+        inner_x, inner_y = np.zeros((ny, nx)), np.zeros((ny, nx))
+        inner_x[:, 1:] = after[:, 1:] * after[:, :-1]
+        inner_y[1:] = below[1:] * below[:-1]
         both = inner_x * inner_y
+        if body.cut is None:
+            area = 0.25 * lx * ly * _to_corners(share)
+            bent = [area * inner_x, area * inner_y, area * both]
+            alone = [inner_x * (1.0 - inner_y), inner_y * (1.0 - inner_x)]
+        else:
+            area = np.zeros((ny, nx))
+            area.flat[at] = body.cut.area
+            bent, alone = _bent(body.cut, inner_x, inner_y)
         quarter = 0.25 * lx * ly * cell
         shares = np.stack(
             [
@@ -60,12 +84,13 @@ class ShellModel:
                 quarter,
                 quarter,
                 16.0 * quarter,
-                area * inner_x / lx**4,
-                area * inner_y / ly**4,
-                area * both / (lx * ly) ** 2,
+                bent[0] / lx**4,
+                bent[1] / ly**4,
+                bent[2] / (lx * ly) ** 2,
                 2.0 * lx * ly * cell / (lx * ly) ** 2,
             ]
         )
+        faster = (1.0, 1.0) if body.cut is None else _faster(body.cut, area, shares[4:])
         weave = body.weave
         coupled = math.sqrt(weave.warp * weave.weft)
         membrane = [weave.warp, weave.weft, coupled, weave.shear]
@@ -74,16 +99,32 @@ class ShellModel:
         rest = [k[0, 0] * lx**2, k[1, 1] * ly**2, k[0, 1] * lx * ly]
         return cls(
             shape=(ny, nx),
+            at=at,
             spacing=(lx, ly),
             thickness=body.thickness,
-            area=area.reshape(-1),
-            exists=np.stack([after, below, cell]).reshape(3, -1),
-            rest_bend=np.array(rest)[:, None] * np.ones((1, nx * ny)),
+            area=area.reshape(-1)[at],
+            exists=np.stack([after, below, there]).reshape(3, -1)[:, at],
+            rest_bend=np.array(rest)[:, None] * np.ones((1, len(at))),
             stiffest=max(weave.warp, weave.weft, weave.shear),
             bending=weave.bending,
-            shares=shares.reshape(8, -1),
-            alone=np.stack([inner_x * (1.0 - inner_y), inner_y * (1.0 - inner_x)]).reshape(2, -1),
+            shares=shares.reshape(8, -1)[:, at],
+            alone=np.stack(alone).reshape(2, -1)[:, at],
+            faster=faster,
+            cut=body.cut,
         )
+
+    def on_lattice(self, values: NDArray[Any], fill: float = 0.0) -> NDArray[Any]:
+        """Values of points [W, n, ...] on the whole lattice, [W, rows, columns, ...]."""
+        ny, nx = self.shape
+        if len(self.at) == ny * nx:
+            return values.reshape(len(values), ny, nx, *values.shape[2:])
+        whole = np.full((len(values), ny * nx, *values.shape[2:]), fill, dtype=values.dtype)
+        whole[:, self.at] = values
+        return whole.reshape(len(values), ny, nx, *values.shape[2:])
+
+    def of_lattice(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Inverse of ``on_lattice``: [W, n, ...] of [W, rows, columns, ...]."""
+        return values.reshape(len(values), -1, *values.shape[3:])[:, self.at]
 
     def factors(self, nu: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
         """Stiffness [W, 8, n] over E h (membrane) or E h^3 / 12 (bending), without the factors
@@ -120,8 +161,83 @@ class ShellModel:
         nu = np.array([m.nu for m in materials])
         density = np.array([m.density for m in materials])
         # joints at a gripper's border can be eight times as stiff
-        across = 8.0 * self.thickness**2 / 12.0 * k2**2
-        fastest = np.maximum(in_plane * self.stiffest * k2, E * self.bending * across)
+        across = 8.0 * self.faster[1] * self.thickness**2 / 12.0 * k2**2
+        along = self.faster[0] * k2
+        fastest = np.maximum(in_plane * self.stiffest * along, E * self.bending * across)
         fastest = fastest / (1.0 - nu**2) / density
         damped = np.array([m.damping > 0.0 for m in materials])
         return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
+
+
+def _to_corners(cells: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Sums [rows, columns] at points of values [rows - 1, columns - 1] of the cells around them."""
+    return _corner_sums(np.broadcast_to(cells, (2, 2, *cells.shape)))
+
+
+def _corner_sums(corners: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Sums [rows, columns] at points of values [2, 2, rows - 1, columns - 1] at cells' corners."""
+    rows, columns = corners.shape[2:]
+    total = np.zeros((rows + 1, columns + 1))
+    for j, i in np.ndindex(2, 2):
+        total[j : rows + j, i : columns + i] += corners[j, i]
+    return total
+
+
+def _corners(values: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Values [rows, columns] of points at the corners of cells, [2, 2, rows - 1, columns - 1]."""
+    return np.stack(
+        [
+            np.stack([values[:-1, :-1], values[:-1, 1:]]),
+            np.stack([values[1:, :-1], values[1:, 1:]]),
+        ]
+    )
+
+
+def _bent(
+    cut: Cut, inner_x: NDArray[np.floating], inner_y: NDArray[np.floating]
+) -> tuple[list[NDArray[np.float64]], list[NDArray[np.floating]]]:
+    """Areas [rows, columns] that bend with x_xx and x_yy of each point, and with both, and where
+    the transverse curvature is free, see ``ShellModel.alone``.
+
+    A cell's area goes to those of its corners that have the difference: points at the outline
+    have not. A sheet of constant curvature then has the energy of a plate in all directions.
+    """
+    lx, ly = cut.spacing
+    both = inner_x * inner_y
+    areas = []
+    for has in (inner_x, inner_y, both):
+        part = cut.corners * _corners(has)
+        some = part.sum(axis=(0, 1))
+        part = part * np.where(some > 0.0, cut.cells / np.where(some > 0.0, some, 1.0), 0.0)
+        areas.append(lx * ly * _corner_sums(part))
+    areas[2] = np.minimum(areas[2], MOST_COUPLED * np.sqrt(areas[0] * areas[1]))
+    # in parts one cell wide no cell has a point with both
+    coupled = _to_corners((_corners(both) * (cut.cells > 0.0)).max(axis=(0, 1))) > 0.0
+    return areas, [inner_x * ~coupled, inner_y * ~coupled]
+
+
+def _faster(
+    cut: Cut, area: NDArray[np.floating], bent: NDArray[np.floating]
+) -> tuple[float, float]:
+    """``ShellModel.faster``: sums of absolute values in rows of stiffness over mass (Gershgorin).
+
+    Args:
+        cut: The lattice's part.
+        area: [rows, columns] of points [m^2].
+        bent: [4, rows, columns] ``ShellModel.shares`` of bending, without the weave.
+    """
+    lx, ly = cut.spacing
+
+    def spread(values: NDArray[np.floating], axis: int) -> NDArray[np.float64]:
+        beside = np.pad(values, 1)
+        before, after = (np.roll(beside, k, axis)[1:-1, 1:-1] for k in (1, -1))
+        return 4.0 * (before + 2.0 * values + after)
+
+    twist = 4.0 * _to_corners(bent[3, :-1, :-1])
+    coupled = np.maximum(spread(bent[2], 0) + spread(bent[2], 1), twist)
+    rows = spread(bent[0], 1) + spread(bent[1], 0) + coupled
+    there = area > 0.0
+    usual = (4.0 / lx**2 + 4.0 / ly**2) ** 2
+    quarters = 0.25 * lx * ly * _to_corners(cut.cells)
+    lighter = float((quarters[there] / area[there]).max())
+    return max(1.0, lighter), max(1.0, float((rows[there] / area[there]).max()) / usual)

@@ -10,7 +10,7 @@ from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.crossing import check_cloth
 from gendom.sim.thin.engine import STRETCH, ThinEngine, put_worlds
 from gendom.sim.thin.grips import Grip, Pose, close_shell
-from gendom.sim.thin.shell_model import ShellModel
+from gendom.sim.thin.shell_model import MOST_COUPLED, ShellModel
 from gendom.sim.thin.types import MARGIN, V, X
 
 
@@ -26,6 +26,9 @@ class Shells(ThinEngine):
     def check_suits(setting: Setting) -> None:
         if any(np.isfinite(m.yield_stress) for m in setting.materials):
             raise ParameterError("shells do not yield", fix="engine='mpm', or no yield_stress")
+        least = -1.0 if setting.body.cut is None else -1.0 / MOST_COUPLED
+        if any(m.nu < least for m in setting.materials):
+            raise ParameterError(f"cloths with an outline have a nu of at least {least:.2f}")
         spacing = min(ShellModel.of(setting.body).spacing)
         if setting.self_contact and setting.body.thickness > 0.5 * spacing:
             raise ParameterError(
@@ -42,7 +45,7 @@ class Shells(ThinEngine):
         ny, nx = self.setting.body.shape
         pitch = -(-(nx + 1) // 8) * 8
         slots = MARGIN + pitch * (1 + np.arange(ny))[:, None] + np.arange(nx)
-        return slots.reshape(-1), MARGIN + (ny + 2) * pitch + MARGIN
+        return slots.reshape(-1)[self.model.at], MARGIN + (ny + 2) * pitch + MARGIN
 
     def fill(self, body: Any) -> None:
         s, W, n = self.setting, self.num_worlds, self.num_points
@@ -67,12 +70,13 @@ class Shells(ThinEngine):
         body.inertia = self.array(self.rows(inertia))
 
     def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
-        W, (ny, nx) = self.num_worlds, self.model.shape
-        grid = x.reshape(W, ny, nx, 3)
+        ny, nx = self.model.shape
+        grid = self.model.on_lattice(np.asarray(x, dtype=float), fill=np.nan)
         for axis, length in ((2, self.model.spacing[0]), (1, self.model.spacing[1])):
             stretch = np.linalg.norm(np.diff(grid, axis=axis), axis=3) / length - 1.0
-            if np.abs(stretch).max() > STRETCH:
-                w, j, i = np.unravel_index(np.abs(stretch).argmax(), stretch.shape)
+            most = np.where(np.isnan(stretch), 0.0, np.abs(stretch))
+            if most.max() > STRETCH:
+                w, j, i = np.unravel_index(most.argmax(), stretch.shape)
                 raise ParameterError(
                     f"the cloth begins stretched by {100 * stretch[w, j, i]:.0f} %",
                     where=f"row {j}, column {i} of world {w}",
@@ -93,13 +97,13 @@ class Shells(ThinEngine):
         self.last_dt[:] = 0.0
 
     def check_apart(self, x: NDArray[np.floating]) -> None:
-        check_cloth(x, self.model.shape)
+        check_cloth(x, self.model)
 
     def close(self, g: int, worlds: NDArray[np.int64], pose: Pose, state: NDArray[Any]) -> Grip:
-        x, m = self.pick(X, state), self.model
+        x = self.pick(X, state)
         taken = np.any(self.holds[worlds] & 1, axis=1)
         radius = self.stacked["radius"][worlds, g]
-        return close_shell(x, m.shape, pose, radius, m.spacing, taken)
+        return close_shell(x, self.model, pose, radius, taken)
 
     def stiffen(self, body: Any, worlds: NDArray[np.int64]) -> None:
         inertia = body.inertia.numpy()[worlds]

@@ -33,7 +33,10 @@ class Tangent:
         rod = e.kind == "rod"
         self.components = C = 6 if rod else 3
         shape, reach = ((1, n), 1) if rod else (e.model.shape, 2)
-        row, column = (a.reshape(-1) for a in np.indices(shape))
+        at = np.arange(n) if rod else e.model.at
+        row, column = (a.reshape(-1)[at] for a in np.indices(shape))
+        number = np.full(shape, -1)
+        number[row, column] = np.arange(n)
         width = 2 * reach + 1
         high = 1 if rod else width
         colour = (row % high) * width + column % width
@@ -43,7 +46,8 @@ class Tangent:
             for right in range(-reach, reach + 1):
                 r, c = row + down, column + right
                 there = (r >= 0) & (r < shape[0]) & (c >= 0) & (c < shape[1])
-                near.append(np.stack([np.arange(n)[there], (r * shape[1] + c)[there]]))
+                there[there] = number[r[there], c[there]] >= 0
+                near.append(np.stack([np.flatnonzero(there), number[r[there], c[there]]]))
         of, by = np.concatenate(near, axis=1)
         a, b = np.indices((C, C))
         rows = (of[:, None, None] * C + a).reshape(-1)

@@ -379,10 +379,8 @@ class ShellTape(ThinTape):
     def border_adjoint(
         self, event: Event, stiffer_bar: NDArray[np.floating]
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        m = self.engine.model
-        return border_of_shell_adjoint(
-            event.grip, event.x, event.pose, m.shape, m.spacing, stiffer_bar
-        )
+        model = self.engine.model
+        return border_of_shell_adjoint(event.grip, event.x, event.pose, model, stiffer_bar)
 
     def by_materials(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
         e, s, m = self.engine, self.engine.setting, self.model_bar

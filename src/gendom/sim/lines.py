@@ -1,0 +1,103 @@
+"""Centre lines: places along them, frames, and the skin around them."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.errors import ParameterError
+
+
+def arc_length(line: NDArray[np.floating]) -> NDArray[np.floating]:
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+
+
+def along_line(
+    line: NDArray[np.floating], along: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Points [M, 3] and unit tangents [M, 3] at arc lengths; straight beyond both ends."""
+    s = arc_length(line)
+    steps = np.diff(line, axis=0)
+    lengths = np.diff(s)
+    if np.any(lengths <= 0.0):
+        raise ParameterError("centre_line repeats a point: remove neighbours that coincide")
+    unit = steps / lengths[:, None]
+    segment = np.clip(np.searchsorted(s, along, side="right") - 1, 0, len(unit) - 1)
+    points = line[segment] + unit[segment] * (along - s[segment])[:, None]
+    # average tangents over neighbouring points, so that sections do not jump at corners
+    tangent = np.gradient(points, axis=0)
+    return points, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
+
+
+def frames(tangent: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Two unit normals [M, 3] of each tangent; the first is horizontal where possible."""
+    reference = np.array([0.0, 0.0, 1.0])
+    if np.max(np.abs(tangent @ reference)) > 0.99:
+        reference = np.array([0.0, 1.0, 0.0])
+    side = np.cross(reference, tangent)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    return side, np.cross(tangent, side)
+
+
+def fixed_frame(direction: NDArray[np.floating]) -> NDArray[np.floating]:
+    """[3, 3] rows: two normals of a direction [3], and its unit vector."""
+    unit = direction / np.linalg.norm(direction)
+    side, up = frames(unit[None])
+    return np.stack([side[0], up[0], unit])
+
+
+def around(
+    points: NDArray[np.floating], thickness: float, x: NDArray[np.floating]
+) -> NDArray[np.floating]:
+    """Rings of eight points around a centre line x [..., n, 3] that is ``points`` [n, 3] at rest, a
+    third of a diameter apart [m]."""
+    spacing = np.linalg.norm(points[1] - points[0])
+    parts = max(1, round(3.0 * float(spacing) / thickness))
+    share = (np.arange(parts) + 0.5)[:, None] / parts
+    step = np.diff(x, axis=-2)[..., :, None, :]
+    centres = x[..., :-1, None, :] + share * step
+    tangent = step / np.linalg.norm(step, axis=-1, keepdims=True)
+    # any two normals that change smoothly: a fixed frame under the smallest rotation that
+    # takes its axis to the tangent
+    first = fixed_frame(points[1] - points[0])
+    along = tangent + first[2]
+    scale = np.maximum(1.0 + tangent @ first[2], 1e-9)[..., None]
+    normals = [d - (tangent @ d)[..., None] / scale * along for d in first[:2]]
+    angle = 2.0 * math.pi * np.arange(8) / 8.0
+    ring = np.cos(angle)[:, None] * normals[0][..., None, :]
+    ring = ring + np.sin(angle)[:, None] * normals[1][..., None, :]
+    skin = centres[..., None, :] + 0.5 * thickness * ring
+    return skin.reshape(*x.shape[:-2], -1, 3)
+
+
+def around_transpose(
+    points: NDArray[np.floating],
+    thickness: float,
+    x: NDArray[np.floating],
+    bar: NDArray[np.floating],
+) -> NDArray[np.floating]:
+    """Transpose of the derivative of ``around``, with the same names."""
+    n, lead = x.shape[-2], x.shape[:-2]
+    bar = bar.reshape(*lead, n - 1, -1, 8, 3)
+    parts = bar.shape[-3]
+    share = (np.arange(parts) + 0.5)[:, None] / parts
+    step = np.diff(x, axis=-2)
+    size = np.linalg.norm(step, axis=-1, keepdims=True)
+    tangent = step / size
+    *first, axis = fixed_frame(points[1] - points[0])
+    angle = 2.0 * math.pi * np.arange(8) / 8.0
+    each = 0.5 * thickness * bar.sum(axis=-3)
+    along, scale = tangent + axis, np.maximum(1.0 + tangent @ axis, 1e-9)[..., None]
+    of_tangent = np.zeros(tangent.shape)
+    for d, turn in zip(first, (np.cos(angle), np.sin(angle)), strict=True):
+        # normal = d - (t . d) / (1 + t . axis) (t + axis)
+        g = (each * turn[:, None]).sum(axis=-2)
+        pull, off = (g * along).sum(axis=-1, keepdims=True), (tangent @ d)[..., None]
+        of_tangent += axis * off * pull / scale**2 - d * pull / scale - g * off / scale
+    of_step = (of_tangent - tangent * (tangent * of_tangent).sum(axis=-1, keepdims=True)) / size
+    of_centre = bar.sum(axis=-2)
+    of_step += (share * of_centre).sum(axis=-2)
+    found = np.zeros(x.shape)
+    found[..., :-1, :] = of_centre.sum(axis=-2) - of_step
+    found[..., 1:, :] += of_step
+    return found

@@ -1,0 +1,296 @@
+"""Flat outlines of cloths: polygons with holes, given or found in a triangle mesh."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from gendom.errors import ParameterError
+
+Array = NDArray[np.float64]
+
+ROUNDING = 1e-9
+"""Share of an outline's size that counts as no distance, and of a mesh's that counts as flat."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A flat shape; coordinates are those of the cloth's first and second axis."""
+
+    loops: tuple[Array, ...]
+    """Polygons [K, 2] [m]: the outside counter-clockwise, then holes clockwise."""
+
+    @classmethod
+    def of(cls, outline: Any) -> "Outline":
+        """Check one polygon [K, 2], or the outside and its holes [m].
+
+        Raises:
+            ParameterError: If a polygon has fewer than three points, no area, or crosses itself or
+                another, or a hole is not inside the outside.
+        """
+        try:
+            given = [outline] if np.ndim(outline[0]) == 1 else list(outline)
+            loops = [np.asarray(loop, dtype=float) for loop in given]
+        except (TypeError, ValueError, IndexError, KeyError):
+            loops = []
+        if not loops or any(a.ndim != 2 or a.shape[1] != 2 for a in loops):
+            raise ParameterError(
+                "outline must be a polygon [K, 2] [m], or a sequence of them: outside, holes"
+            )
+        cleaned = []
+        for k, loop in enumerate(loops):
+            if not np.isfinite(loop).all():
+                raise ParameterError("holds numbers that are not finite", where=_name(k))
+            loop = loop[np.any(loop != np.roll(loop, 1, axis=0), axis=1)]
+            if len(loop) < 3:
+                raise ParameterError(
+                    f"has {len(loop)} different points", where=_name(k), fix="give at least three"
+                )
+            area = integrals(loop)[0]
+            if abs(area) <= ROUNDING * float(np.ptp(loop, axis=0).max()) ** 2:
+                raise ParameterError("has no area", where=_name(k))
+            cleaned.append(loop if (area > 0.0) == (k == 0) else loop[::-1])
+        made = cls(tuple(cleaned))
+        made._check_crossings()
+        made._check_holes()
+        return made
+
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """Least and largest coordinates, [2] each [m]."""
+        return self.loops[0].min(axis=0), self.loops[0].max(axis=0)
+
+    @property
+    def area(self) -> float:
+        """[m^2]."""
+        return float(self._totals()[0])
+
+    @property
+    def centre(self) -> Array:
+        """Centre of area, [2] [m]."""
+        area, x, y, _ = self._totals()
+        return self.box[0] + np.array([x, y]) / area
+
+    def contains(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Whether points [N, 2] are inside of the outside and outside of the holes, [N].
+
+        Source: even-odd rule (Haines 1994, "Point in polygon strategies").
+        """
+        a, b, _ = self._edges()
+        inside = np.zeros(len(points), dtype=bool)
+        for some in np.array_split(np.arange(len(points)), 1 + len(points) * len(a) // 10**6):
+            x, y = points[some, :1], points[some, 1:]
+            spans = (a[:, 1] > y) != (b[:, 1] > y)
+            rise = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
+            left = x < a[:, 0] + (y - a[:, 1]) / rise * (b[:, 0] - a[:, 0])
+            inside[some] = np.count_nonzero(spans & left, axis=1) % 2 == 1
+        return inside
+
+    def nearest(self, points: NDArray[np.floating]) -> Array:
+        """Nearest places [N, 2] on the outline to points [N, 2] [m]."""
+        a, b, _ = self._edges()
+        step, found = b - a, np.empty((len(points), 2))
+        for k, x in enumerate(points):
+            share = np.clip(np.sum((x - a) * step, axis=1) / np.sum(step**2, axis=1), 0.0, 1.0)
+            foot = a + share[:, None] * step
+            found[k] = foot[np.sum((x - foot) ** 2, axis=1).argmin()]
+        return found
+
+    def sampled(self, spacing: float) -> tuple[Array, NDArray[np.int64], Array, Array]:
+        """Places along the outline at most ``spacing`` apart.
+
+        Returns:
+            Places [N, 2], the loop of each, how far along it each is, and how long that is [m].
+        """
+        places, of, along, whole = [], [], [], []
+        for k, loop in enumerate(self.loops):
+            step = np.roll(loop, -1, axis=0) - loop
+            length = np.linalg.norm(step, axis=1)
+            begins = np.cumsum(length) - length
+            for a, d, l, s in zip(loop, step, length, begins, strict=True):
+                share = np.arange(max(1, int(np.ceil(l / spacing))))
+                share = share / len(share)
+                places.append(a + share[:, None] * d)
+                along.append(s + share * l)
+                of.append(np.full(len(share), k))
+                whole.append(np.full(len(share), length.sum()))
+        return (
+            np.concatenate(places), np.concatenate(of), np.concatenate(along),
+            np.concatenate(whole),
+        )  # fmt: skip
+
+    # ---- checks ----------------------------------------------------------------------------------
+
+    def _totals(self) -> Array:
+        """``integrals`` from the corner of the box on."""
+        return np.sum([integrals(loop - self.box[0]) for loop in self.loops], axis=0)
+
+    def _edges(self) -> tuple[Array, Array, NDArray[np.int64]]:
+        """First and second ends of all edges [S, 2], and their loops [S]."""
+        first = np.concatenate(self.loops)
+        second = np.concatenate([np.roll(loop, -1, axis=0) for loop in self.loops])
+        of = np.repeat(np.arange(len(self.loops)), [len(loop) for loop in self.loops])
+        return first, second, of
+
+    def _check_crossings(self) -> None:
+        a, b, of = self._edges()
+        size = float(np.ptp(a, axis=0).max())
+        at = np.arange(len(a))
+        after = np.concatenate(
+            [np.roll(np.flatnonzero(of == k), -1) for k in range(len(self.loops))]
+        )
+        pairs: list[tuple[int, int]] = []
+
+        def side(p: Array, q: Array, x: Array) -> Array:
+            value = cross(q - p, x - p)
+            return np.where(np.abs(value) <= ROUNDING**2 * size**2, 0.0, np.sign(value))
+
+        lower, upper = np.minimum(a, b), np.maximum(a, b)
+        for some in np.array_split(at, 1 + len(at) ** 2 // 10**6):
+            i = some[:, None]
+            p, q = a[i], b[i]
+            meet = side(p, q, a) * side(p, q, b) <= 0.0
+            meet &= side(a, b, p) * side(a, b, q) <= 0.0
+            meet &= np.all((lower[i] <= upper) & (lower <= upper[i]), axis=2)
+            meet &= (i < at) & (after[i] != at) & (i != after)
+            pairs += [(int(some[k]), int(j)) for k, j in np.argwhere(meet)[:1]]
+        for i, j in pairs[:1]:
+            own = of[i] == of[j]
+            raise ParameterError(
+                "crosses or touches " + ("itself" if own else _name(int(of[j]))),
+                where=f"{_name(int(of[i]))}, near ({a[i, 0]:.4g}, {a[i, 1]:.4g}) m",
+                fix="give polygons whose edges meet at their common points only",
+            )
+
+    def _check_holes(self) -> None:
+        for k, hole in enumerate(self.loops[1:], start=1):
+            if not Outline(self.loops[:1]).contains(hole[:1])[0]:
+                raise ParameterError("is not inside of the outline", where=_name(k))
+            for other in range(1, len(self.loops)):
+                if other != k and Outline((self.loops[other],)).contains(hole[:1])[0]:
+                    raise ParameterError(f"is inside of {_name(other)}", where=_name(k))
+
+
+def outline_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> list[Array]:
+    """Polygons around a flat triangle mesh, for ``cloth(outline=...)``.
+
+    Args:
+        vertices: [V, 2], or [V, 3] in a plane of space [m]. Coordinates in that plane are those
+            along x, made parallel to the plane (along y if the plane is that of y and z), and
+            across it. They are x and y of a horizontal mesh.
+        faces: [F, 3] indices of the vertices of triangles, in any order.
+
+    Returns:
+        The outside [K, 2], then holes [m].
+
+    Raises:
+        ParameterError: If an index is out of range, a triangle has no area, the mesh is not flat,
+            or triangles share no edge with the others, overlap, or meet only in a point.
+    """
+    x, triangles = np.asarray(vertices, dtype=float), np.asarray(faces)
+    if x.ndim != 2 or x.shape[1] not in (2, 3) or not np.isfinite(x).all():
+        raise ParameterError(f"vertices must be [V, 2] or [V, 3] and finite, got {x.shape}")
+    shaped = triangles.ndim == 2 and triangles.shape[1] == 3 and len(triangles) > 0
+    if not shaped or triangles.dtype.kind not in "iu":
+        raise ParameterError(f"faces must be integers [F > 0, 3], got {triangles.shape}")
+    out = np.any((triangles < 0) | (triangles >= len(x)), axis=1)
+    if out.any():
+        raise ParameterError(
+            f"triangle {int(out.argmax())} has vertices {triangles[out][0].tolist()}, there are "
+            f"{len(x)}",
+            where="faces",
+        )
+    used = x[np.unique(triangles)]
+    size = float(np.ptp(used, axis=0).max())
+    if x.shape[1] == 3:
+        x = _in_plane(x, used, size)
+    a, b, c = (x[triangles[:, k]] for k in range(3))
+    double = cross(b - a, c - a)
+    flat = np.abs(double) <= ROUNDING * size**2
+    if flat.any():
+        raise ParameterError(f"triangle {int(flat.argmax())} has no area", where="faces")
+    turned = np.where(double[:, None] > 0.0, triangles, triangles[:, ::-1]).astype(np.int64)
+    loops = [x[loop] for loop in _borders(turned)]
+    areas = np.array([integrals(loop)[0] for loop in loops])
+    first = int(areas.argmax())
+    return [loops[first], *(loop for k, loop in enumerate(loops) if k != first)]
+
+
+def _in_plane(x: Array, used: Array, size: float) -> Array:
+    """Coordinates [V, 2] of points [V, 3] in the plane of the used ones."""
+    middle = used.mean(axis=0)
+    normal = np.linalg.svd(used - middle, full_matrices=False)[2][2]
+    off = float(np.abs((used - middle) @ normal).max())
+    if off > 1e-6 * size:
+        raise ParameterError(
+            f"the mesh is not flat: vertices are up to {1e3 * off:.3g} mm out of their plane",
+            where="vertices",
+        )
+    normal = normal * (1.0 if normal[np.abs(normal).argmax()] > 0.0 else -1.0)
+    axis = np.eye(3)[0 if abs(normal[0]) < 1.0 - ROUNDING else 1]
+    along = axis - (axis @ normal) * normal
+    along /= np.linalg.norm(along)
+    return x @ np.stack([along, np.cross(normal, along)], axis=1)
+
+
+def _borders(triangles: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Closed lines of vertices around counter-clockwise triangles [F, 3]."""
+    F = len(triangles)
+    edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    of = np.tile(np.arange(F), 3)
+    _, edge, count = np.unique(
+        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    edge = edge.reshape(-1)
+    if count.max() > 2:
+        i, j = edges[count[edge] > 2][0]
+        raise ParameterError(
+            f"more than two triangles share the edge of vertices {i}, {j}", where="faces"
+        )
+    beside = coo_matrix((np.ones(3 * F), (of, edge)), shape=(F, len(count))).tocsr()
+    parts, _ = connected_components(beside @ beside.T, directed=False)
+    if parts > 1:
+        raise ParameterError(
+            f"the mesh has {parts} parts that share no edge",
+            where="faces",
+            fix="weld vertices that coincide, or make one cloth of each part",
+        )
+    border = edges[count[edge] == 1]
+    begins, times = np.unique(border[:, 0], return_counts=True)
+    if times.max(initial=0) > 1:
+        raise ParameterError(
+            f"triangles overlap, or meet only in a point, at vertex {begins[times.argmax()]}",
+            where="faces",
+        )
+    after = dict(border.tolist())
+    loops = []
+    while after:
+        loop = [next(iter(after))]
+        while (on := after.pop(loop[-1], None)) is not None and on != loop[0]:
+            loop.append(on)
+        loops.append(np.array(loop))
+    return loops
+
+
+def integrals(loop: NDArray[np.floating]) -> Array:
+    """Integrals of 1, x, y and x y over a polygon [K, 2], negative of a clockwise one.
+
+    Source: Green's theorem (Steger 1996, "On the calculation of arbitrary moments of polygons").
+    """
+    x, y = loop.T
+    x2, y2 = np.roll(x, -1), np.roll(y, -1)
+    w = x * y2 - x2 * y
+    both = 2.0 * x * y + x * y2 + x2 * y + 2.0 * x2 * y2
+    return np.array([w.sum() / 2, w @ (x + x2) / 6, w @ (y + y2) / 6, w @ both / 24])
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Third component of the cross products of vectors [..., 2]."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _name(k: int) -> str:
+    return "outline" if k == 0 else f"hole {k}"

@@ -1,0 +1,416 @@
+"""Cloths of any outline: what their cells and points are, how they bend, are held and meet."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import eigvalsh
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Material
+from gendom.sim import Gripper, Simulator, Table, cloth, outline_of_mesh
+from gendom.sim.outlines import Outline
+from gendom.sim.thin.crossing import check_cloth
+from gendom.sim.thin.shell_model import ShellModel
+from gendom.sim.thin.shells import Shells
+from gendom.sim.thin.tangent import Tangent
+from gendom.validation.outlines import circle
+from gendom.validation.shells import bending_energy, membrane_energy
+
+SHEET: dict[str, Any] = {"thickness": 0.002, "dx": 0.02}
+MATERIAL = Material(E=1.0e6, nu=0.3, density=500.0)
+SHIRT = [
+    (-0.06, 0), (0.06, 0), (0.06, 0.1), (0.12, 0.06), (0.15, 0.1), (0.08, 0.17), (0.03, 0.17),
+    (0, 0.15), (-0.03, 0.17), (-0.08, 0.17), (-0.15, 0.1), (-0.12, 0.06), (-0.06, 0.1),
+]  # fmt: skip
+RING = [circle(0.1), circle(0.035) + np.array([0.02, 0.01])]
+L = [(0, 0), (0.3, 0), (0.3, 0.1), (0.1, 0.1), (0.1, 0.3), (0, 0.3)]
+SQUARE = [(0, 0), (0.2, 0), (0.2, 0.2), (0, 0.2)]
+OUTLINES = pytest.mark.parametrize("outline", [SHIRT, RING, L], ids=["shirt", "ring", "L"])
+
+
+def part_of(body):
+    assert body.cut is not None
+    return body.cut
+
+
+def engine_of(s) -> Shells:
+    assert isinstance(s.engine, Shells)
+    return s.engine
+
+
+# ---- cells and points ----------------------------------------------------------------------------
+
+
+@OUTLINES
+@pytest.mark.parametrize("points", [(17, 13), (28, 31)])
+def test_mass_and_its_centre_are_those_of_the_outline(outline, points):
+    body, shape = cloth(outline=outline, points=points, **SHEET), Outline.of(outline)
+    area = part_of(body).area
+    assert area.sum() == pytest.approx(shape.area, rel=1e-12)
+    assert (area > 0.0).all()
+    np.testing.assert_allclose(area @ body.points[:, :2] / shape.area, shape.centre, atol=1e-13)
+    assert body.volume * body.num_particles == pytest.approx(shape.area * 0.002, rel=1e-12)
+
+
+def test_areas_of_outlines_are_right():
+    """Of a square with a square hole, far from the origin, in either sense of rotation."""
+    hole = 0.25 * np.array(SQUARE) + 0.1
+    for side in (1, -1):
+        shape = Outline.of([np.array(SQUARE)[::side] + 50.0, hole[::side] + 50.0])
+        assert shape.area == pytest.approx(0.04 - 0.0025, rel=1e-10)
+        out = (0.0025 * 0.125 - 0.04 * 0.1) / -0.0375
+        np.testing.assert_allclose(shape.centre, 50.0 + out, atol=1e-12)
+
+
+@OUTLINES
+def test_points_are_those_of_cells_that_the_outline_reaches(outline):
+    body = cloth(outline=outline, points=(20, 20), **SHEET)
+    part, model = part_of(body), ShellModel.of(body)
+    lower, spacing = part.outline.box[0], np.array(part.spacing)
+    ticks = (np.arange(16) + 0.5) / 16.0
+    for j, i in np.ndindex(part.cells.shape):
+        inside = part.outline.contains(
+            lower + spacing * np.stack([a.ravel() for a in np.meshgrid(i + ticks, j + ticks)], 1)
+        ).mean()
+        if inside > 0.08:
+            assert 0.9 * inside < part.cells[j, i] < inside + 0.08
+        elif inside < 0.02:
+            assert part.cells[j, i] == 0.0
+    assert part.cells.sum() * spacing.prod() == pytest.approx(part.outline.area, rel=1e-12)
+    corners = {tuple(c) for j, i in np.argwhere(part.cells) for c in
+               ((j, i), (j, i + 1), (j + 1, i), (j + 1, i + 1))}  # fmt: skip
+    rows, columns = np.divmod(part.at, 20)
+    assert corners == set(zip(rows.tolist(), columns.tolist(), strict=True))
+    assert len(body.points) == len(corners) < 400
+    has = model.on_lattice(model.exists)
+    np.testing.assert_array_equal(has[2, :-1, :-1], part.cells > 0.0)
+    below, above = np.pad(part.cells, 1)[1:, 1:-1] > 0, np.pad(part.cells, 1)[:-1, 1:-1] > 0
+    np.testing.assert_array_equal(has[0, :, :-1] > 0, below | above)
+
+
+def test_the_outline_of_a_rectangle_makes_the_same_cloth():
+    plain = cloth(width=0.2, height=0.15, points=(12, 9), yaw=0.3, corner=(1, 2, 3), **SHEET)
+    square = [(0, 0), (0.2, 0), (0.2, 0.15), (0, 0.15)]
+    same = cloth(outline=square, points=(12, 9), yaw=0.3, corner=(1, 2, 3), **SHEET)
+    np.testing.assert_array_equal(plain.points, same.points)
+    np.testing.assert_array_equal(plain.x, same.x)
+    one, other = ShellModel.of(plain), ShellModel.of(same)
+    np.testing.assert_allclose(one.area, other.area, rtol=1e-13)
+    np.testing.assert_array_equal(one.exists, other.exists)
+    np.testing.assert_allclose(one.shares[[0, 3, 7]], other.shares[[0, 3, 7]], rtol=1e-12)
+    # but for the ends of lines, which carry no moment
+    np.testing.assert_allclose(
+        one.shares[4].reshape(9, 12)[:, 2:-2], other.shares[4].reshape(9, 12)[:, 2:-2], rtol=1e-12
+    )
+
+
+def test_width_and_height_must_agree():
+    assert cloth(outline=SQUARE, width=0.2, height=0.2, **SHEET).shape == (28, 28)
+    with pytest.raises(ParameterError, match=r"width is 0.3 m, and the outline's is 0.2 m"):
+        cloth(outline=SQUARE, width=0.3, **SHEET)
+    with pytest.raises(ParameterError, match="needs its width and height"):
+        cloth(width=0.3, **SHEET)
+
+
+def test_the_skin_ends_at_the_outline():
+    body = cloth(outline=RING, points=(15, 15), **SHEET)
+    part, x = part_of(body), body.surface(body.points)
+    inside = part.outline.contains(x[:, :2])
+    off = np.linalg.norm(part.outline.nearest(x[:, :2]) - x[:, :2], axis=1)
+    assert (inside | (off < 1e-12)).all()
+    stay = part.outline.contains(body.points[:, :2])
+    np.testing.assert_array_equal(x[stay], body.points[stay])
+    a, b, c = (x[part.triangles[:, k], :2] for k in range(3))
+    areas = 0.5 * np.linalg.det(np.stack([b - a, c - a], axis=1))
+    assert areas.min() > 0.0 and areas.sum() == pytest.approx(part.outline.area, rel=0.03)
+    # its transpose, for several frames at once
+    rng = np.random.default_rng(0)
+    y, bar = rng.normal(size=(2, 3, len(x), 3))
+    back = np.sum(body.surface_transpose(y, bar) * y)
+    assert back == pytest.approx(np.sum(bar * body.surface(y)), rel=1e-12)
+
+
+# ---- mechanics -----------------------------------------------------------------------------------
+
+
+@OUTLINES
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0])
+def test_a_rolled_sheet_has_the_energy_of_a_plate(outline, degrees):
+    R, body, a = 0.5, cloth(outline=outline, points=(25, 25), **SHEET), math.radians(degrees)
+    turn = np.array([[math.cos(a), math.sin(a)], [-math.sin(a), math.cos(a)]])
+    along, across = turn @ body.points[:, :2].T
+    flat = np.stack([R * np.sin(along / R), across], axis=1) @ turn
+    x = np.column_stack([flat, R * (1.0 - np.cos(along / R))])
+    s = Simulator(body, [MATERIAL], positions=x)
+    D = MATERIAL.E * 0.002**3 / (12.0 * (1.0 - MATERIAL.nu**2))
+    expected = 0.5 * D * part_of(body).outline.area / R**2
+    assert bending_energy(s) == pytest.approx(expected, rel=0.01)
+
+
+@OUTLINES
+def test_a_stretched_sheet_has_the_energy_of_a_membrane(outline):
+    body, strain = cloth(outline=outline, points=(25, 25), **SHEET), 1e-4
+    x = body.points * [1.0 + strain, 1.0 - 0.3 * strain, 1.0]
+    found = membrane_energy(Simulator(body, [MATERIAL], positions=x))
+    area = part_of(body).outline.area
+    assert found == pytest.approx(0.5 * MATERIAL.E * strain**2 * area * 0.002, rel=1e-3)
+
+
+@pytest.mark.parametrize("thickness", [0.0005, 0.003])
+@pytest.mark.parametrize("points", [14, 16])
+def test_steps_are_stable(points, thickness):
+    """Against the fastest vibration of the whole sheet. Discs have points of very little mass."""
+    body = cloth(outline=circle(0.1), points=(points, points), thickness=thickness, dx=0.02)
+    s = Simulator(body, [MATERIAL])
+    e, n = engine_of(s), len(body.points)
+    K = -Tangent(e, e.body).stiffness(0).toarray()
+    m = np.sqrt(np.repeat(e.mass[0], 3))
+    fastest = math.sqrt(eigvalsh(K / m / m[:, None], subset_by_index=[3 * n - 1, 3 * n - 1])[0])
+    longest = e.model.longest_step([MATERIAL], np.ones((1, 1)))[0]
+    assert 0.3 * 2.0 / fastest < longest < 2.0 / fastest
+
+
+def test_bending_of_light_points_shortens_the_step():
+    """Beside the factor that joints at a gripper's border need."""
+    for points in (14, 15, 28):
+        body = cloth(outline=circle(0.1), points=(points, points), thickness=0.003, dx=0.02)
+        s = Simulator(body, [MATERIAL])
+        e = engine_of(s)
+        K = -Tangent(e, e.body).stiffness(0).toarray()[2::3, 2::3]
+        m = np.sqrt(e.mass[0])
+        fastest = eigvalsh(K / m / m[:, None])[-1]
+        lx, ly = e.model.spacing
+        usual = MATERIAL.E * 0.003**2 / 12.0 / (1.0 - MATERIAL.nu**2) / MATERIAL.density
+        usual *= (4.0 / lx**2 + 4.0 / ly**2) ** 2
+        assert fastest < usual * e.model.faster[1]
+
+
+def test_equilibria_are_differentiated():
+    body = cloth(outline=RING, points=(11, 11), corner=(0, 0, 0.03), **SHEET)
+    first = body.points[0]
+
+    def rest(p, derivatives=()):
+        lifted = first + p["gripper_offset"] + np.array([[0, 0, 0], [0.01, 0.005, 0.06]])
+        s = Simulator(
+            body,
+            [Material(E=p["E"], nu=p["nu"], density=p["density"])],
+            grippers=[Gripper(time=[0, 1], position=lifted, radius=p["gripper_radius"])],
+            gravity=p["gravity"],
+            table=Table(height=0.0, friction=p["friction"]),
+        )
+        return s.equilibria([0.5, 1.0], tolerance=1e-10, derivatives=derivatives)
+
+    p: dict[str, Any] = {
+        "E": 2e5, "nu": 0.25, "density": 400.0, "gravity": np.array([0.2, 0.1, -9.0]),
+        "friction": 0.4, "gripper_radius": 0.036, "gripper_offset": np.zeros(3),
+    }  # fmt: skip
+    found = rest(p, tuple(p)).derivatives
+    rng = np.random.default_rng(0)
+    weights = rng.normal(size=(2, 1, len(body.points), 3))
+    for name, value in p.items():
+        direction = rng.normal(size=np.shape(value))
+        h = 1e-5 * max(float(np.abs(value).max()), 0.01)
+        up, down = (
+            np.sum(weights * rest(p | {name: value + k * h * direction}).positions) for k in (1, -1)
+        )
+        by = np.tensordot(weights, found[name].reshape(*weights.shape, -1), 4)
+        assert by @ np.ravel(direction) == pytest.approx((up - down) / (2.0 * h), rel=2e-5), name
+
+
+def test_a_dropped_ring_keeps_clear_of_itself():
+    body = cloth(outline=RING, points=(18, 18), thickness=0.001, dx=0.02)
+    x = body.points @ Rotation.from_euler("x", 75, degrees=True).as_matrix().T
+    x += [0.0, 0.0, 0.02 - x[:, 2].min()]
+    x += 1e-4 * np.random.default_rng(0).normal(size=x.shape)
+    soft = [Material(E=E, density=400.0, damping=0.005) for E in (1e5, 1.5e5)]
+    options: dict[str, Any] = {"table": Table(height=0, friction=0.5), "positions": x}
+    s = Simulator(body, soft, self_contact=True, self_friction=0.4, **options)
+    model, frames = engine_of(s).model, s.run(np.linspace(0.05, 0.5, 10))
+    for shape in frames.reshape(-1, len(x), 3):
+        check_cloth(shape, model)
+    for w in range(2):  # bit for bit
+        alone = Simulator(body, soft[w : w + 1], self_contact=True, self_friction=0.4, **options)
+        np.testing.assert_array_equal(alone.run(np.linspace(0.05, 0.5, 10))[:, 0], frames[:, w])
+    crossed = Simulator(body, soft[:1], **options).run(np.linspace(0.05, 0.5, 10))[:, 0]
+    with pytest.raises(ParameterError, match="begins crossing itself"):
+        for shape in crossed:
+            check_cloth(shape, model)
+
+
+def test_a_tongue_goes_through_a_slit():
+    """One cell wide: its corners exist, and no triangle between them."""
+    strip = [(0, 0), (0.2, 0), (0.2, 0.04), (0.4, 0.04), (0.4, 0.06), (0.2, 0.06), (0.2, 0.1),
+             (0, 0.1)]  # fmt: skip
+    slit = [(0.05, 0.03), (0.06, 0.03), (0.06, 0.07), (0.05, 0.07)]
+    body = cloth(outline=[strip, slit], points=(41, 11), thickness=0.001, dx=0.02)
+    assert len(body.points) == 11 * 21 + 3 * 20
+    # level, around three quarters of a circle, and down through the slit
+    u, v = body.points[:, :2].T
+    r, turn = 0.035, np.clip((u - 0.09) / 0.035, 0.0, 1.5 * np.pi)
+    down = np.clip(u - 0.09 - 1.5 * np.pi * r, 0.0, None)
+    x = np.stack([np.minimum(u, 0.09) + r * np.sin(turn), v, r * (1 - np.cos(turn)) - down], axis=1)
+    assert x[:, 2].min() < -0.05
+    options: dict[str, Any] = {"positions": x, "gravity": (0, 0, 0), "air_density": 0.0}
+    found = [
+        Simulator(body, [MATERIAL], self_contact=on, **options).run([2e-3]) for on in (True, False)
+    ]
+    np.testing.assert_array_equal(found[0], found[1])
+    beside = x + np.where(u > 0.27, 0.0137, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    with pytest.raises(ParameterError, match="begins crossing itself"):
+        check_cloth(beside, ShellModel.of(body))
+
+
+def test_float32_is_close_to_float64():
+    body = cloth(outline=SHIRT, points=(14, 12), **SHEET)
+    hand = Gripper(time=[0, 1], position=[(0, 0.12, 0), (0, 0.12, 0.1)], radius=0.03)
+    found = [
+        Simulator(body, [MATERIAL], grippers=[hand], dtype=dtype).run([0.1])
+        for dtype in ("float64", "float32")
+    ]
+    np.testing.assert_allclose(found[0], found[1], atol=1e-4)
+
+
+# ---- grippers ------------------------------------------------------------------------------------
+
+
+def held(body, centre, radius):
+    s = Simulator(body, [MATERIAL], grippers=[Gripper.still(centre, radius=radius)])
+    s.run([1e-4])
+    return np.flatnonzero(engine_of(s).holds[0, 0])
+
+
+def test_grippers_hold_cloth_only():
+    body = cloth(outline=RING, points=(14, 14), **SHEET)
+    part, h = part_of(body), part_of(body).spacing[0]
+    skin = body.surface(body.points)
+    beyond = ~part.outline.contains(body.points[:, :2])
+    far = np.argmax(beyond * np.linalg.norm(skin - body.points, axis=1))
+    gap = float(np.linalg.norm(skin[far] - body.points[far]))
+    assert gap > 0.4 * h
+    with pytest.raises(SimulationError, match="closed on nothing"):
+        held(body, body.points[far], 0.9 * gap)  # around a point, but not on cloth
+    assert far in held(body, body.points[far], 1.2 * gap)
+    s = Simulator(body, [MATERIAL], grippers=[Gripper.still(body.points[0], radius=2.5 * h)])
+    s.run([1e-4])
+    e = engine_of(s)
+    # joints at its border are those of points with neighbours on both sides
+    assert np.any(e.stiffer[0, 0] != 1.0)
+    assert np.all(e.stiffer[0, 0][e.model.shares[4:6] == 0.0] == 1.0)
+    for centre, radius in (((0.02, 0.01, 0.0), 0.03), ((0.02, 0.01 + 0.027, 0.0), 0.007)):
+        with pytest.raises(SimulationError, match="closed on nothing"):
+            held(body, centre, radius)  # in the hole
+    # a small sphere on cloth between points holds the nearest one
+    for centre in ((-0.05, 0.003, 0.0), (0.0, -0.0995, 0.0), (0.1 + 0.001, 0.0, 0.0)):
+        assert 1 <= len(held(body, centre, 0.0015)) <= 2
+
+
+# ---- outlines and meshes -------------------------------------------------------------------------
+
+BOW = [(0, 0), (0.2, 0.2), (0.2, 0), (0, 0.1)]
+SMALL = 0.2 * np.array(SQUARE) + 0.08
+
+
+@pytest.mark.parametrize(
+    ("outline", "message"),
+    [
+        (BOW, r"outline, near \(0, 0.1\) m: crosses or touches itself"),
+        ([(0, 0), (0.2, 0), (0.1, 0), (0.1, 0.2)], "crosses or touches itself"),
+        ([(0, 0), (0.2, 0), (0.3, 0), (0.2, 0), (0.2, 0.2)], "crosses or touches itself"),
+        ([(0, 0), (0.2, 0), (0.2, 0)], "outline: has 2 different points; give at least three"),
+        ([(0, 0), (0.1, 0), (0.2, 0)], "outline: has no area"),
+        ([(0, 0), (0.2, 0), (0.1, math.nan)], "holds numbers that are not finite"),
+        ([SQUARE, SMALL + 0.5], "hole 1: is not inside of the outline"),
+        ([SQUARE, SMALL + 0.1], "outline, near .* crosses or touches hole 1"),
+        ([SQUARE, SMALL, 0.5 * SMALL + 0.05], "hole 2: is inside of hole 1"),
+        ([SQUARE, SMALL, SMALL + 0.01], "hole 1, near .* crosses or touches hole 2"),
+        (SHIRT[0], "outline must be a polygon"),
+        ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], "outline must be a polygon"),
+    ],
+)
+def test_bad_outlines_are_named(outline, message):
+    with pytest.raises(ParameterError, match=message):
+        cloth(outline=outline, **SHEET)
+
+
+def test_what_the_lattice_cannot_resolve_is_named():
+    neck = [(0, 0), (0.1, 0), (0.1, 0.05), (0.2, 0.05), (0.2, 0), (0.3, 0), (0.3, 0.1), (0.2, 0.1),
+            (0.2, 0.056), (0.1, 0.056), (0.1, 0.1), (0, 0.1)]  # fmt: skip
+    with pytest.raises(
+        ParameterError, match=r"a part of the cloth is only 6.* mm wide, and points are 11.1 mm "
+        r"apart; give it 1 spacings: points=\(51, 18\)"
+    ):  # fmt: skip
+        cloth(outline=neck, **SHEET)
+    assert cloth(outline=neck, points=(51, 18), **SHEET).shape == (18, 51)
+    legs = [(0, 0), (0.1, 0), (0.1, 0.2), (0.12, 0.2), (0.12, 0), (0.22, 0), (0.22, 0.3), (0, 0.3)]
+    with pytest.raises(ParameterError, match="parts of the cloth are only 20 mm apart"):
+        cloth(outline=legs, points=(15, 20), **SHEET)
+    body = cloth(outline=legs, points=(34, 46), **SHEET)
+    assert not np.any((np.abs(body.points[:, 0] - 0.11) < 0.004) & (body.points[:, 1] < 0.19))
+    # corners and small holes are no narrow parts
+    cloth(outline=[[(0, 0), (0.3, 0), (0.15, 0.2)], circle(0.005) + np.array([0.15, 0.1])], **SHEET)
+
+
+def mesh(n=13, hole=True):
+    """Vertices and triangles of a square with a square hole."""
+    x = np.stack([a.ravel() for a in np.meshgrid(*[np.linspace(0, 0.2, n)] * 2)], axis=1)
+    at = np.arange(n * n).reshape(n, n)
+    a, b, c, d = at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]
+    faces = np.stack([np.stack([a, b, c], -1), np.stack([b, c, d], -1)], axis=2)
+    keep = np.ones((n - 1, n - 1), dtype=bool)
+    keep[4:8, 4:8] = not hole
+    return x, faces[keep].reshape(-1, 3)
+
+
+def test_a_mesh_gives_its_outline():
+    x, faces = mesh()
+    found = Outline.of(outline_of_mesh(x, faces))
+    assert len(found.loops) == 2
+    assert found.area == pytest.approx(0.04 * (1.0 - 16.0 / 144.0), rel=1e-12)
+    flat = np.column_stack([x, np.full(len(x), 0.3)])
+    np.testing.assert_allclose(Outline.of(outline_of_mesh(flat, faces)).centre, found.centre)
+    turned = flat @ Rotation.from_rotvec([1.0, 0.5, -0.3]).as_matrix().T
+    tilted = Outline.of(outline_of_mesh(turned, faces[::-1]))
+    assert tilted.area == pytest.approx(found.area, rel=1e-9)
+    body = cloth(outline=outline_of_mesh(x, faces), **SHEET)
+    assert part_of(body).area.sum() == pytest.approx(found.area, rel=1e-12)
+
+
+def test_bad_meshes_are_named():
+    x, faces = mesh(hole=False)
+    for bad, message in (
+        (np.concatenate([faces, [[0, 1, 169]]]), r"triangle 288 has vertices \[0, 1, 169\]"),
+        (np.concatenate([faces, [[0, 1, 2]]]), "triangle 288 has no area"),
+        (np.concatenate([faces, faces[:1]]), "more than two triangles share the edge"),
+        (faces[:0], "faces must be integers"),
+        (faces.astype(float), "faces must be integers"),
+        (faces[[0, 1, 100, 101]], "the mesh has 2 parts that share no edge"),
+        (np.concatenate([faces, [[0, 1, 27]]]), "triangles overlap, or meet only in a point"),
+    ):
+        with pytest.raises(ParameterError, match=message):
+            outline_of_mesh(x, bad)
+    bumped = np.column_stack([x, np.where(np.arange(len(x)) == 40, 1e-3, 0.0)])
+    with pytest.raises(ParameterError, match=r"not flat: vertices are up to .* mm out"):
+        outline_of_mesh(bumped, faces)
+    with pytest.raises(ParameterError, match=r"vertices must be \[V, 2\]"):
+        outline_of_mesh(x[:, :1], faces)
+    around = np.flatnonzero((faces == 84).any(axis=1))
+    out = x[faces[around]].mean(axis=1) - x[84]
+    around = around[np.argsort(np.arctan2(out[:, 1], out[:, 0]))]
+    pinched = np.delete(faces, around[[0, 3]], axis=0)
+    with pytest.raises(ParameterError, match="meet only in a point, at vertex 84"):
+        outline_of_mesh(x, pinched)
+
+
+def test_a_sheet_too_auxetic_is_refused():
+    with pytest.raises(ParameterError, match=r"nu of at least -0.67"):
+        Simulator(cloth(outline=RING, **SHEET), [Material(nu=-0.8)])
+
+
+def test_without_particles_only_the_mpm_is_refused():
+    body = cloth(outline=[circle(0.1), circle(0.08)], points=(40, 40), thickness=0.002, dx=0.2)
+    Simulator(body, [MATERIAL]).run([1e-3])
+    with pytest.raises(ParameterError, match="narrower than the particles"):
+        Simulator(body, [MATERIAL], engine="mpm")
