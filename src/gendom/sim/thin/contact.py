@@ -24,6 +24,9 @@ MOST_TURNS = 32
 ENOUGH = 0.9
 """Distance that is enough [thicknesses]."""
 
+CLOSE = 1.25
+"""Distance from which on pairs play no part in a step's contacts [thicknesses]."""
+
 LISTED = 3
 """Components of a kept state that hold where points were when pairs were listed."""
 
@@ -55,6 +58,9 @@ def fill_contact(engine: Any, body: Any, stretch: float) -> None:
     body.listed = e.array(e.rows(nowhere))
     body.near = e.zeros((W * on, PAIRS * n, 2), wp.int32)
     body.near_count = e.zeros(W * on, wp.int32)
+    body.close = e.zeros((W * on, PAIRS * n, 2), wp.int32)
+    body.close_count = e.zeros(W * on, wp.int32)
+    body.contact_close = CLOSE * thickness
     body.loose = e.array(loose(e, np.arange(W * on)))
 
 

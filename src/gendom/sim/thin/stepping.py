@@ -111,6 +111,12 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     @wp.func_native("gendom::list_pairs(body, w);")
     def list_pairs(body: Body, w: int): ...
 
+    @wp.func_native("gendom::begin_close(body, w);")
+    def begin_close(body: Body, w: int): ...
+
+    @wp.func_native("gendom::list_close(body, w, state, row);")
+    def list_close(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
+
     @wp.func_native("gendom::count_contacts(body, w, state, row);")
     def count_contacts(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
 
@@ -132,10 +138,19 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
             meet()
 
     @wp.func
+    def choose_close(body: Body, w: int, state: wp.array3d(dtype=real), row: int):
+        """List those of the pairs that a step's turns go over."""
+        begin_close(body, w)
+        meet()
+        list_close(body, w, state, row)
+        meet()
+
+    @wp.func
     def meet_itself(body: Body, w: int, state: wp.array3d(dtype=real), row: int, dt: real):
         """Apply self-contact at the end of a step."""
         relist(body, w, state, row, 0, real(0.5) * body.contact_margin)
         if body.near_count[w] > 0:
+            choose_close(body, w, state, row)
             for turn in range(body.contact_most_turns):
                 count_contacts(body, w, state, row)
                 meet()
@@ -179,6 +194,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         """Transpose of ``meet_itself``; the row is as that found it, with the list it kept."""
         relist(body, w, state, row, state.shape[1] - LISTED, real(0.0))
         if body.near_count[w] > 0:
+            choose_close(body, w, state, row)
             turns = int(0)
             for turn in range(body.contact_most_turns):
                 keep_turn(body, pushes, w, at, state, row, turn)

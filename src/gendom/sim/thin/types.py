@@ -94,6 +94,10 @@ def make_types(real: Any) -> Types:
         listed: wp.array3d(dtype=real)  # [W, 3, P] where points were when pairs were listed [m]
         near: wp.array3d(dtype=wp.int32)  # [W, M, 2] pairs
         near_count: wp.array(dtype=wp.int32)  # [W]
+        # those of them that a step's turns go over: nearer than contact_close when they begin [m]
+        close: wp.array3d(dtype=wp.int32)  # [W, M, 2]
+        close_count: wp.array(dtype=wp.int32)  # [W]
+        contact_close: real
 
     @wp.struct
     class Bars:

@@ -5,7 +5,8 @@
 // nearest places: they take away the speed of approach; what is still too near is moved apart without
 // speed. Friction takes what slides, at most by its coefficient times what was pushed. Pairs that may
 // meet are listed with a margin, and listed anew once a point has moved by half of that; the list
-// depends on nothing but where points were then. Nearest places: Ericson (2005), "Real-Time Collision
+// depends on nothing but where points were then. Of the list, a step's turns go over those that are close
+// when they begin. Nearest places: Ericson (2005), "Real-Time Collision
 // Detection", chapter 5.
 #pragma once
 
@@ -153,6 +154,28 @@ CUDA_CALLABLE inline bool is_folded(const Body& body, const rows_of<real>& s, in
     return false;
 }
 
+template <typename Body> CUDA_CALLABLE inline void begin_close(const Body& body, int w) {
+    wp::index(body.close_count, w) = 0;
+}
+
+// The listed pairs that are close; `begin_close` and a meeting of the threads come before.
+template <typename Body, typename real>
+CUDA_CALLABLE inline void list_close(const Body& body, int w, const wp::array_t<real>& state, int row) {
+    const rows_of<real> s(state, row);
+    const int count = wp::min(wp::index(body.near_count, w), body.near.shape[1]);
+    for (EACH_ONE_IN(k, 0, count)) {
+        const int one = wp::index(body.near, w, k, 0), other = wp::index(body.near, w, k, 1);
+        if (pair_meets(s, one, other, body.pitch).distance >= body.contact_close) continue;
+#if defined(__CUDA_ARCH__)
+        const int at = atomicAdd(&wp::index(body.close_count, w), 1);
+#else
+        const int at = wp::index(body.close_count, w)++;
+#endif
+        wp::index(body.close, w, at, 0) = one;
+        wp::index(body.close, w, at, 1) = other;
+    }
+}
+
 // Points whose features may meet are at most so far apart; a rod's neighbours never meet.
 template <typename Body> CUDA_CALLABLE inline void list_pairs(const Body& body, int w) {
     typedef decltype(Body::radius) real;
@@ -227,7 +250,7 @@ template <typename real> struct contact {
     }
 };
 
-// The listed pairs of a world in one state.
+// The close pairs of a world in one state.
 template <typename Body, typename real, bool at_once> struct contacts {
     const Body& body;
     const int w, count;
@@ -236,12 +259,12 @@ template <typename Body, typename real, bool at_once> struct contacts {
 
     CUDA_CALLABLE inline contacts(const Body& body, int w, const wp::array_t<real>& state, int row,
                                   real dt)
-        : body(body), w(w), count(wp::min(wp::index(body.near_count, w), body.near.shape[1])),
-          s(state, row), push(body.push, w), loose(body.loose, w), dt(dt), per_dt(real(1) / dt),
+        : body(body), w(w), count(wp::index(body.close_count, w)), s(state, row),
+          push(body.push, w), loose(body.loose, w), dt(dt), per_dt(real(1) / dt),
           mu(wp::index(body.self_friction, w)) {}
 
     CUDA_CALLABLE inline meeting<real> pair(int k) const {
-        return pair_meets(s, wp::index(body.near, w, k, 0), wp::index(body.near, w, k, 1), body.pitch);
+        return pair_meets(s, wp::index(body.close, w, k, 0), wp::index(body.close, w, k, 1), body.pitch);
     }
     // The number of contacts among which the mass of point p is divided.
     CUDA_CALLABLE inline real split(int p) const {

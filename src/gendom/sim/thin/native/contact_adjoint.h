@@ -48,7 +48,7 @@ CUDA_CALLABLE inline void keep_turn(const Body& body, const Pushes& pushes, int 
             for (int c = 0; c < 6; ++c) kept.put(6 * turn + c, p, s.template get<T>(c, p));
         return;
     }
-    for (int k = 0; k < pushes.made.shape[1] && k < wp::index(body.near_count, w); ++k)
+    for (int k = 0; k < pushes.made.shape[1] && k < wp::index(body.close_count, w); ++k)
         wp::index(pushes.made, turn, k) = 0;
 }
 
@@ -177,7 +177,7 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real, at_once>& all,
         return loose[i] * (moved[i] + real(2) * by_per_mass[i]) + dot(bar.away, x[i]) +
                dot(bar.v, all.s.template get3<real>(3, m.point[i]));
     };
-    const sliding_along along = slides_of(all.s, m, wp::index(all.body.near, all.w, k, 0) % 4 == 3);
+    const sliding_along along = slides_of(all.s, m, wp::index(all.body.close, all.w, k, 0) % 4 == 3);
     vec<real> e[2] = {none, none};
     real ends[2] = {real(0), real(0)}, t[2];
     for (int a = 0; a < along.count; ++a) {
