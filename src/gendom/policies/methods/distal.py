@@ -11,6 +11,9 @@ seek out such places. A pull brings actions that stray farther from the demonstr
 these lie from each other back to the nearest. Where a task names a risk (rope reaching: falling out
 of the plane), the forward model learns it too, and the policy is kept below its limit: beyond it
 what is reached cannot be predicted.
+
+Here and there what is reached jumps, and no network follows. Large errors count linearly (Huber
+1964), so that both networks fit what can be fitted.
 """
 
 from __future__ import annotations
@@ -26,6 +29,9 @@ from gendom.policies.networks import PhysicalNetwork
 
 ANCHORS = 1024
 """Demonstrated actions, at most, that the pull looks for the nearest among."""
+
+LARGE = 0.1
+"""Error from which on it counts linearly [standard deviations of the goal]."""
 
 RISK_MARGIN = 0.5
 """How far below its limit a policy keeps the risk that is predicted, in powers of e."""
@@ -65,7 +71,7 @@ def teach(lesson: Lesson) -> dict[str, float]:
 
     def model_loss(rows: Tensor) -> Tensor:
         error = (predicted(lesson.action[rows], rows) - target[rows]) / model.output_scale
-        return (counts[rows] * error**2).mean()
+        return (counts[rows] * _robust(error)).mean()
 
     lesson.fit("forward model", model, model_loss)
     model.requires_grad_(False)
@@ -76,7 +82,7 @@ def teach(lesson: Lesson) -> dict[str, float]:
         action = lesson.act(rows)
         found = predicted(action, rows)
         error = (found[:, :G] - lesson.goal[rows]) / model.output_scale[:G]
-        loss = (error**2).mean() + training.pull * stray(action / scale)
+        loss = _robust(error).mean() + training.pull * stray(action / scale)
         if lesson.log_risk is not None:
             beyond = torch.relu(found[:, G] - (highest - RISK_MARGIN))
             loss = loss + training.caution * (beyond**2).mean()
@@ -90,6 +96,12 @@ def teach(lesson: Lesson) -> dict[str, float]:
         known = predicted(lesson.action[rows], rows)[:, :G] - lesson.goal[rows]
         own = predicted(lesson.act(rows), rows)[:, :G] - lesson.goal[rows]
         return {"forward_model_rms": rms(known), "goal_rms_by_forward_model": rms(own)}
+
+
+def _robust(error: Tensor) -> Tensor:
+    """Huber's loss, of slope 2 beyond `LARGE`."""
+    size = error.abs()
+    return torch.where(size < LARGE, size**2 / LARGE, 2.0 * size - LARGE)
 
 
 class _Stray:
