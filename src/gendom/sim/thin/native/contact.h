@@ -80,6 +80,20 @@ CUDA_CALLABLE inline meeting<real> pair_meets(const rows_of<real>& s, int one, i
     return edges_meet(s, from(p, a), to(p, a), from(q, b), to(q, b));
 }
 
+// Adds a pair to a world's list; a full one only counts on.
+CUDA_CALLABLE inline void append(const wp::array_t<int>& pairs, const wp::array_t<int>& count, int w,
+                                 int one, int other) {
+#if defined(__CUDA_ARCH__)
+    const int at = atomicAdd(&wp::index(count, w), 1);
+#else
+    const int at = wp::index(count, w)++;
+#endif
+    if (at < pairs.shape[1]) {
+        wp::index(pairs, w, at, 0) = one;
+        wp::index(pairs, w, at, 1) = other;
+    }
+}
+
 template <typename Body, typename real>
 CUDA_CALLABLE inline void list_pair(const Body& body, int w, const rows_of<real>& s, int one, int other) {
     const meeting<real> m = pair_meets(s, one, other, body.pitch);
@@ -89,15 +103,7 @@ CUDA_CALLABLE inline void list_pair(const Body& body, int w, const rows_of<real>
         for (int b = own; b < 4; ++b)
             if (i[a] == i[b]) return;
     if (m.distance >= body.contact_distance + body.contact_margin) return;
-#if defined(__CUDA_ARCH__)
-    const int at = atomicAdd(&wp::index(body.near_count, w), 1);
-#else
-    const int at = wp::index(body.near_count, w)++;
-#endif
-    if (at < body.near.shape[1]) {
-        wp::index(body.near, w, at, 0) = one;
-        wp::index(body.near, w, at, 1) = other;
-    }
+    append(body.near, body.near_count, w, one, other);
 }
 
 // Whether a point of rows c to c + 2 is farther than this from where it was when pairs were listed.
@@ -165,14 +171,8 @@ CUDA_CALLABLE inline void list_close(const Body& body, int w, const wp::array_t<
     const int count = wp::min(wp::index(body.near_count, w), body.near.shape[1]);
     for (EACH_ONE_IN(k, 0, count)) {
         const int one = wp::index(body.near, w, k, 0), other = wp::index(body.near, w, k, 1);
-        if (pair_meets(s, one, other, body.pitch).distance >= body.contact_close) continue;
-#if defined(__CUDA_ARCH__)
-        const int at = atomicAdd(&wp::index(body.close_count, w), 1);
-#else
-        const int at = wp::index(body.close_count, w)++;
-#endif
-        wp::index(body.close, w, at, 0) = one;
-        wp::index(body.close, w, at, 1) = other;
+        if (pair_meets(s, one, other, body.pitch).distance < body.contact_close)
+            append(body.close, body.close_count, w, one, other);
     }
 }
 
