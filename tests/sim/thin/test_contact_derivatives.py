@@ -2,8 +2,7 @@
 
 A difference is right where each contact begins, sticks and ends in the same step on both its sides.
 The scenes are therefore irregular and short, 200 steps with contact in the last 100 of them, and
-changes small. How small depends on what is changed: of several sizes the one is taken whose
-difference is most like that of the next smaller one.
+changes small. How small depends on what is changed, see ``differences``.
 """
 
 import math
@@ -18,6 +17,7 @@ from gendom.materials import Material
 from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
 from gendom.sim.thin import tape
 from gendom.sim.thin.contact import take_at_once
+from sim.thin.differences import check_derivative
 
 TIMES = [0.01, 0.02, 0.025, 0.03]
 FIRST = [0.00415, 0.0043]
@@ -118,15 +118,6 @@ def loss_of(body, p, times, weights, x0, **options):
     return float(np.sum((simulator(body, p, **options).run(times) - x0) * weights))
 
 
-def difference(loss, h):
-    """The directional derivative of a loss by the steadiest of several central differences."""
-    found = []
-    for size in (0.03 * h, 0.1 * h, 0.3 * h, h, 3.0 * h):
-        near, far = (loss(k * size) - loss(-k * size) for k in (1.0, 2.0))
-        found.append((8.0 * near - far) / (12.0 * size))
-    return found[1 + int(np.abs(np.diff(found)).argmin())]
-
-
 STEPS = {"positions": 2e-8, "gripper_positions": 2e-8, "self_friction": 2e-5}
 """Relative steps where they are not 2e-6: shorter where they move points at once."""
 
@@ -139,14 +130,15 @@ def check_derivatives(body, p, names, times=TIMES, rel=1e-6, **options):
     found = rollout.backward(weights)
     for name in names:
         direction = rng.normal(size=np.shape(p[name])) if np.ndim(p[name]) else np.array(1.0)
-        expected = difference(
+        check_derivative(
+            np.sum(getattr(found, name)[0] * direction),
             lambda h, name=name, by=direction: loss_of(
                 body, p | {name: p[name] + h * by}, times, weights, x0, **options
             ),
             STEPS.get(name, 2e-6) * max(np.abs(p[name]).max(), 1e-2),
+            rel,
+            name,
         )
-        by = np.sum(getattr(found, name)[0] * direction)
-        assert by == pytest.approx(expected, rel=rel), name
 
 
 GIVEN = {

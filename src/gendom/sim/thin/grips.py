@@ -2,9 +2,10 @@
 
 A gripper holds the edges whose midpoints lie inside its sphere, with both their points; of a rod
 that it touches, at least one edge. Between a held and a free edge, the free part of the rod begins
-where the sphere's surface cuts the centre line. The joint between them therefore represents the
-length from there to the midpoint of the free edge, which makes it stiffer or softer. Lines of a
-shell's lattice are cut in the same way.
+where the sphere's surface cuts the centre line. The joint between them and the next one on the free
+side represent the length from there to where that of the joint after them begins, which makes them
+stiffer or softer. They divide it so that its first moment is right, too: then errors do not depend
+on where the sphere ends between points. Lines of a shell's lattice are cut in the same way.
 
 Shapes: W worlds, G grippers, K knots, n points.
 """
@@ -116,11 +117,14 @@ class Cut:
     stiffer: Array
     """[L, n] factor on the stiffness of joints."""
     between: Array
-    """[L, n, 2] the two points on either side of a cut, -1 where there is no cut."""
+    """[L, n, 2] the two points on either side of a joint's cut, -1 where there is no cut."""
     share: Array
     """[L, n] position of the cut from the first (0) to the second point (1)."""
+    next: Array
+    """[L, n] the joint that shares a joint's free length, or itself."""
     free: Array
-    """[L, n] derivative of the length represented by the joint with respect to ``share`` [m]."""
+    """[L, n, 2] derivatives of the lengths represented by the joint and by the next with respect to
+    ``share`` [m]."""
 
 
 @dataclass
@@ -283,12 +287,15 @@ def _cut(
     [L, n - 1] (default: all).
 
     Joints between them represent at least the share ``least`` of their usual length.
+
+    With x the distance from the joint, the border at x = b, the free edge's length l and the end of
+    the length of the next joint at x = e, both stand for e - b, of which the next one for
+    (e^2 - b^2) / (2 l): its moment about the joint is that of the rod.
     """
     L, n = x.shape[:2]
-    borders = inside[:, :-1] != inside[:, 1:]
-    if exist is not None:
-        borders &= exist[:, :-1] & exist[:, 1:]
-    w, i = np.nonzero(borders)
+    exist = np.ones_like(inside) if exist is None else exist
+    all_borders = inside[:, :-1] != inside[:, 1:]
+    w, i = np.nonzero(all_borders & exist[:, :-1] & exist[:, 1:])
     i = i + 1
     before = inside[w, i - 1]
     held, free = np.where(before, i - 1, i), np.where(before, i, i - 1)
@@ -298,19 +305,41 @@ def _cut(
     along = _leaves(x[w, inner] - centre[w], x[w, i] - x[w, inner], radius[w])
     far = beyond <= 0.5 + 1e-9
     share = np.where(far, beyond, along)
-    stands_for = np.where(
-        far, (0.5 - share) * length[free], 0.5 * length[free] + (1.0 - share) * length[held]
-    )
-    own = 0.5 * (length[i - 1] + length[i])
     cuts = np.isfinite(share)
-    follows = cuts & (stands_for > least * own)
-    stands_for = np.where(cuts, np.maximum(stands_for, least * own), own)
-    cut = Cut(np.ones((L, n)), np.full((L, n, 2), -1), np.zeros((L, n)), np.zeros((L, n)))
-    cut.stiffer[w, i] = own / stands_for
-    ends = np.stack([np.where(far, i, inner), np.where(far, outer, i)], axis=1)
-    cut.between[w, i] = np.where(follows[:, None], ends, -1)
+    w, i, before, held, free, outer, inner, far, share = (
+        values[cuts] for values in (w, i, before, held, free, outer, inner, far, share)
+    )
+    edge = length[free]
+    step = np.where(far, edge, length[held])
+    border = np.where(far, share, share - 1.0) * step  # from the joint on
+    after = np.clip(np.where(before, outer, outer - 1), 0, n - 2)
+    shared = (outer > 0) & (outer < n - 1) & exist[w, after]
+    taken = np.pad(all_borders, ((0, 0), (1, 1))).astype(int)
+    np.add.at(taken, (w, outer), 1)
+    shared &= taken[w, outer] == 1  # it is at no border, and beside one
+    own = 0.5 * (length[i - 1] + length[i])
+    least_own = least * own
+    whole = np.where(shared, edge + 0.5 * length[after], 0.5 * edge) - border
+    second = np.where(shared, 0.5 * ((whole + border) ** 2 - border**2) / edge, 0.0)
+    follows = whole - second > least_own
+    first = np.maximum(whole - second, least_own)
+    by_border = np.where(shared, -border / edge, 0.0)
+    by_border = np.stack([-1.0 - by_border, by_border], axis=1)
+    by_border[~follows] = np.stack([0.0 * border, np.where(shared, -1.0, 0.0)], axis=1)[~follows]
+    cut = Cut(
+        stiffer=np.ones((L, n)),
+        between=np.full((L, n, 2), -1),
+        share=np.zeros((L, n)),
+        next=np.tile(np.arange(n), (L, 1)),
+        free=np.zeros((L, n, 2)),
+    )
+    cut.stiffer[w, i] = own / first
+    w2, i2, after = w[shared], outer[shared], after[shared]
+    cut.stiffer[w2, i2] = 0.5 * (edge[shared] + length[after]) / (whole - first)[shared]
+    cut.between[w, i] = np.stack([np.where(far, i, inner), np.where(far, outer, i)], axis=1)
     cut.share[w, i] = share
-    cut.free[w, i] = -np.where(far, length[free], length[held])
+    cut.next[w2, i[shared]] = i2
+    cut.free[w, i] = by_border * step[:, None]
     return cut
 
 
@@ -333,8 +362,11 @@ def _cut_adjoint(
     (first, second), share = cut.between[w, i].T, cut.share[w, i, None]
     step = x[w, second] - x[w, first]
     out = x[w, first] + share * step - centre[w]
-    own = 0.5 * (length[i - 1] + length[i])
-    by_share = -(cut.stiffer[w, i] ** 2) / own * cut.free[w, i] * stiffer_bar[w, i]
+    by_share = np.zeros(len(w))
+    for k, joint in enumerate((i, cut.next[w, i])):
+        own = 0.5 * (length[joint - 1] + length[np.minimum(joint, len(length) - 1)])
+        by_own = -(cut.stiffer[w, joint] ** 2) / own * stiffer_bar[w, joint]
+        by_share += cut.free[w, i, k] * by_own
     moved = (by_share / np.sum(out * step, axis=1))[:, None] * out
     x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros_like(centre), np.zeros(len(x))
     np.add.at(x_bar, (w, first), -(1.0 - share) * moved)
