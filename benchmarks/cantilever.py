@@ -434,6 +434,9 @@ def main() -> None:
     def ask(name: str, runs: list[tuple[int, str, int]]) -> list[dict]:
         """In a process of its own, on one core unless there are many worlds."""
         python = given.elastica if name == "elastica" else sys.executable
+        if not Path(python).exists():
+            print(f"{name}: no interpreter at {python} (make -C benchmarks peers)", file=sys.stderr)
+            return []
         done = subprocess.run(
             [str(python), __file__, given.body, "--only", json.dumps([name, runs])],
             env={**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
