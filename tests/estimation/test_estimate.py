@@ -26,7 +26,8 @@ from gendom.observation import chamfer
 
 KEYS = {
     "begins_with", "bending_length", "bending_stiffness", "bounds", "calibration", "chamfer_last",
-    "chamfer_last_surface", "chamfer_mean", "chamfer_mean_surface", "compared", "damping",
+    "chamfer_last_registered", "chamfer_last_surface", "chamfer_mean", "chamfer_mean_registered",
+    "chamfer_mean_surface", "compared", "damping",
     "density", "density_assumed", "device", "digest", "format", "frames", "friction", "history",
     "identifiable", "interrupted", "intervals", "iterations", "method", "noise", "notes", "object",
     "poissons_ratio", "posterior", "recordings", "rms", "rms_by_frame", "rms_registered", "seconds",
@@ -185,6 +186,14 @@ def test_chamfer_is_that_of_the_best_fit(lifted, result):
     assert record["chamfer_last_surface"] == surface[-1]
     assert surface.mean() < whole.mean() < 0.01  # noise and the unseen lower side
     assert np.allclose(replay(scene, [estimated.theta])[:, 0], estimated.positions)
+
+
+def test_registered_chamfer_is_free_of_the_cameras_motion(lifted, settings):
+    """Cameras that are 5 mm off, as badly calibrated ones are."""
+    off = np.eye(4)
+    off[:3, 3] = 0.003, -0.003, 0.003
+    record = estimate(lifted.moved(off), settings).record
+    assert record["chamfer_mean_registered"] < record["chamfer_mean"] - 0.001
 
 
 def test_progress_is_reported(result):

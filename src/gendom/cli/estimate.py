@@ -338,7 +338,9 @@ def estimate_text(found: Estimate) -> str:
                 f"last frame {1e3 * own['chamfer_last']:.1f} mm, mean "
                 f"{1e3 * own['chamfer_mean']:.1f} mm; seen surface "
                 f"{1e3 * own['chamfer_last_surface']:.1f} and "
-                f"{1e3 * own['chamfer_mean_surface']:.1f} mm",
+                f"{1e3 * own['chamfer_mean_surface']:.1f} mm; with the cameras' motion "
+                f"{1e3 * own['chamfer_last_registered']:.1f} and "
+                f"{1e3 * own['chamfer_mean_registered']:.1f} mm",
             ),
         ]
     rows += [

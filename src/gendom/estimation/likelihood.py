@@ -403,8 +403,15 @@ class Comparison:
         o = self.observation
         U, B = o.in_time, o.in_place
         smooth = (U @ a[:-7].reshape(U.shape[1], -1)).reshape(len(U), -1, 3)
-        shape = self.here + np.einsum("nq,tqa->tna", B, smooth)
-        return shape - a[-7:-4] - np.cross(a[-4:-1], shape - o.centre)
+        return self._moved(self.here + np.einsum("nq,tqa->tna", B, smooth), a)
+
+    def _moved(self, shape: Array, a: Array) -> Array:
+        """A shape [..., 3] with the rigid motion of ``a`` [S + 7] [m]."""
+        return shape - a[-7:-4] - np.cross(a[-4:-1], shape - self.observation.centre)
+
+    def as_seen(self, shape: Array, noise: NoiseModel) -> Array:
+        """A shape [..., 3] moved as the cameras' estimated rigid motion shows it [m]."""
+        return self._moved(shape, self.fit(noise).a)
 
     def _sums(self, a: Array, noise: NoiseModel, J: Array) -> _Sums:
         """Of the shape displaced by ``a`` [S + 7]; J [T, n, 3, P] as that of the comparison."""

@@ -69,12 +69,15 @@ class RecordingFit:
     def record(self, comparison: Comparison, noise: NoiseModel) -> dict[str, Any]:
         """The file's entries for this recording."""
         scene, fit = self.scene, comparison.fit(noise)
+        registered, _ = chamfers(scene, comparison.as_seen(self.positions, noise), self.theta)
         return {
             "theta": {n: v for n, v in asdict(self.theta).items() if not UNKNOWNS[n].material},
             "chamfer_last": float(self.chamfer[-1]),
             "chamfer_mean": float(self.chamfer.mean()),
             "chamfer_last_surface": float(self.chamfer_surface[-1]),
             "chamfer_mean_surface": float(self.chamfer_surface.mean()),
+            "chamfer_last_registered": float(registered[-1]),
+            "chamfer_mean_registered": float(registered.mean()),
             "rms": comparison.rms,
             "rms_by_frame": [float(np.sqrt((r**2).mean())) for r in comparison.residuals],
             "rms_registered": fit.rms,

@@ -48,6 +48,8 @@ def _fit_facts(summary: EstimateSummary) -> str:
         ("chamfer_last", "Chamfer distance, last frame"),
         ("chamfer_mean_surface", "Chamfer distance, seen surface, all frames"),
         ("chamfer_last_surface", "Chamfer distance, seen surface, last frame"),
+        ("chamfer_mean_registered", "Chamfer distance with the cameras' motion, all frames"),
+        ("chamfer_last_registered", "Chamfer distance with the cameras' motion, last frame"),
     ):
         value = summary.value(key)
         if value is not None:
