@@ -18,8 +18,9 @@ TURNS, TURNS_AT_ONCE = 2, 4
 """Turns over the contacts of a step that friction needs: of contacts taken one after the other, and
 all at once."""
 
-MOST_TURNS = 32
-"""Maximum number of turns: after those they go on until one finds nothing nearer than enough."""
+MOST_TURNS = 12
+"""Maximum number of turns: after those they go on until one finds nothing nearer than enough. Where a
+hand presses layers on a table there is no room for all of them, and turns are in vain."""
 
 ENOUGH = 0.9
 """Distance that is enough [thicknesses]."""

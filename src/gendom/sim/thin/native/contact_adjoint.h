@@ -121,12 +121,12 @@ template <typename real> struct contact_bar {
 
     CUDA_CALLABLE inline contact_bar(const contact<real>& c, const vec<real>& by_impulse,
                                      const vec<real>& by_shift, real dt, real mu_is) {
-        // shift = share (depth n - dt held_back vt), the rest of its terms cancel
+        // shift = share (over depth n - dt held_back vt), the rest of its terms cancel
         const vec<real> I = c.share * by_impulse, S = c.share * by_shift, slows = -(I + dt * S);
         per_mass = -(dot(I, c.speed * c.n - c.held_back * c.vt) +
-                     dot(S, c.depth * c.n - dt * c.held_back * c.vt)) / c.per_mass;
-        vec<real> n = c.speed * I + c.depth * S, vt = c.held_back * slows;
-        real depth = dot(S, c.n), needed = real(0), vn = real(0);
+                     dot(S, c.over * c.depth * c.n - dt * c.held_back * c.vt)) / c.per_mass;
+        vec<real> n = c.speed * I + c.over * c.depth * S, vt = c.held_back * slows;
+        real depth = c.over * dot(S, c.n), needed = real(0), vn = real(0);
         const real speed = dot(I, c.n);
         if (-c.vn >= c.needed) needed += speed;
         else if (c.vn < real(0)) vn -= speed;
