@@ -19,8 +19,8 @@ TURNS, TURNS_AT_ONCE = 2, 4
 all at once."""
 
 MOST_TURNS = 12
-"""Maximum number of turns: after those they go on until one finds nothing nearer than enough. Where a
-hand presses layers on a table there is no room for all of them, and turns are in vain."""
+"""Maximum number of turns: after those they go on until one finds nothing nearer than enough. Where
+a hand presses layers on a table there is no room for all of them, and turns are in vain."""
 
 ENOUGH = 0.9
 """Distance that is enough [thicknesses]."""
