@@ -398,3 +398,21 @@ def test_cuda_rests_where_the_cpu_does(body):
     for name, values in one.derivatives.items():
         scale = np.abs(values).max()
         np.testing.assert_allclose(other.derivatives[name], values, rtol=0.0, atol=1e-5 * scale)
+
+
+@pytest.mark.parametrize("held", [0.7, 0.85, 1.0, 1.15, 1.3, 1.45])
+def test_a_coarse_rope_sags_alike_wherever_the_gripper_ends(held):
+    """Ten edges; the sphere ends so many edges from the rope's end."""
+    length, diameter = 0.3, 0.006
+    radius = held * length / 10.0
+    free = length - radius
+    m = Material(E=1e6, nu=0.3, density=800.0)
+    # a sag of 1 %, w L^4 / (8 E I)
+    gravity = 0.01 * 8.0 * m.E * (diameter**2 / 16.0) / (m.density * free**3)
+    s = Simulator(
+        rope(diameter=diameter, length=length, start=(0, 0, 0), points=11), [m], engine="thin",
+        grippers=[Gripper.still((0, 0, 0), radius=radius)], gravity=(0.0, 0.0, -gravity),
+        air_density=0.0,
+    )  # fmt: skip
+    sag = -s.equilibria([1.0]).positions[0, 0, -1, 2] / (0.01 * free)
+    assert sag == pytest.approx(0.995, abs=0.002)

@@ -287,15 +287,11 @@ def _cut(
     [L, n - 1] (default: all).
 
     Joints between them represent at least the share ``least`` of their usual length.
-
-    With x the distance from the joint, the border at x = b, the free edge's length l and the end of
-    the length of the next joint at x = e, both stand for e - b, of which the next one for
-    (e^2 - b^2) / (2 l): its moment about the joint is that of the rod.
     """
     L, n = x.shape[:2]
     exist = np.ones_like(inside) if exist is None else exist
-    all_borders = inside[:, :-1] != inside[:, 1:]
-    w, i = np.nonzero(all_borders & exist[:, :-1] & exist[:, 1:])
+    borders = inside[:, :-1] != inside[:, 1:]
+    w, i = np.nonzero(borders & exist[:, :-1] & exist[:, 1:])
     i = i + 1
     before = inside[w, i - 1]
     held, free = np.where(before, i - 1, i), np.where(before, i, i - 1)
@@ -314,18 +310,12 @@ def _cut(
     border = np.where(far, share, share - 1.0) * step  # from the joint on
     after = np.clip(np.where(before, outer, outer - 1), 0, n - 2)
     shared = (outer > 0) & (outer < n - 1) & exist[w, after]
-    taken = np.pad(all_borders, ((0, 0), (1, 1))).astype(int)
+    taken = np.pad(borders, ((0, 0), (1, 1))).astype(int)
     np.add.at(taken, (w, outer), 1)
     shared &= taken[w, outer] == 1  # it is at no border, and beside one
     own = 0.5 * (length[i - 1] + length[i])
-    least_own = least * own
-    whole = np.where(shared, edge + 0.5 * length[after], 0.5 * edge) - border
-    second = np.where(shared, 0.5 * ((whole + border) ** 2 - border**2) / edge, 0.0)
-    follows = whole - second > least_own
-    first = np.maximum(whole - second, least_own)
-    by_border = np.where(shared, -border / edge, 0.0)
-    by_border = np.stack([-1.0 - by_border, by_border], axis=1)
-    by_border[~follows] = np.stack([0.0 * border, np.where(shared, -1.0, 0.0)], axis=1)[~follows]
+    beyond_outer = np.where(shared, length[after], 0.0)
+    first, second, by_border = _divided(edge, beyond_outer, border, least * own)
     cut = Cut(
         stiffer=np.ones((L, n)),
         between=np.full((L, n, 2), -1),
@@ -334,13 +324,43 @@ def _cut(
         free=np.zeros((L, n, 2)),
     )
     cut.stiffer[w, i] = own / first
-    w2, i2, after = w[shared], outer[shared], after[shared]
-    cut.stiffer[w2, i2] = 0.5 * (edge[shared] + length[after]) / (whole - first)[shared]
     cut.between[w, i] = np.stack([np.where(far, i, inner), np.where(far, outer, i)], axis=1)
     cut.share[w, i] = share
-    cut.next[w2, i[shared]] = i2
+    cut.next[w, i] = np.where(shared, outer, i)
     cut.free[w, i] = by_border * step[:, None]
+    own = 0.5 * (edge + beyond_outer)[shared]
+    cut.stiffer[w[shared], outer[shared]] = own / second[shared]
     return cut
+
+
+def _divided(edge: Array, beyond: Array, border: Array, least: Array) -> tuple[Array, Array, Array]:
+    """Divide the free length at borders [k] between the joint there and the next one.
+
+    With x the distance from the joint, the border at x = b, the free edge's length l and the end of
+    the length of the next joint at x = e, both represent e - b, of which the next one represents
+    (e^2 - b^2) / (2 l): its moment about the joint is that of the rod.
+
+    Args:
+        edge: l [k] [m].
+        beyond: [k] length of the edge beyond the next joint, 0 where that does not share [m].
+        border: b [k] [m].
+        least: [k] least length that the joint represents [m].
+
+    Returns:
+        Lengths of the joint and of the next one (0 where it does not share) [k] [m], and their
+        derivatives by b [k, 2].
+    """
+    shared = beyond > 0.0
+    end = np.where(shared, edge + 0.5 * beyond, 0.5 * edge)
+    second = np.where(shared, 0.5 * (end**2 - border**2) / edge, 0.0)
+    by_border = np.where(shared, -border / edge, 0.0)
+    first = end - border - second
+    follows = first > least
+    first = np.where(follows, first, least)
+    second = np.where(shared, end - border - first, 0.0)
+    by_first = np.where(follows, -1.0 - by_border, 0.0)
+    by_second = np.where(shared, -1.0 - by_first, 0.0)
+    return first, second, np.stack([by_first, by_second], axis=1)
 
 
 def _leaves(offset: Array, step: Array, radius: Array) -> Array:
