@@ -32,13 +32,12 @@ LISTED = 3
 """Components of a kept state that hold where points were when pairs were listed."""
 
 
-def fill_contact(engine: Any, body: Any, stretch: float) -> None:
+def fill_contact(engine: Any, body: Any) -> None:
     """Set what the kernels' body needs for contact.
 
     Args:
         engine: A thin engine.
         body: The kernels' body.
-        stretch: Largest mean stretch of a body.
     """
     e, s = engine, engine.setting
     W, n, P = e.num_worlds, e.num_points, e.row_length
@@ -47,7 +46,6 @@ def fill_contact(engine: Any, body: Any, stretch: float) -> None:
     body.contact = on
     body.contact_distance = thickness
     body.contact_margin = MARGIN_OF_LISTS * spacing
-    body.contact_reach = 2.0 * (1.0 + stretch) * spacing + thickness + body.contact_margin
     body.contact_apart = e.apart
     take_at_once(body, s.device.is_cuda)
     body.contact_most_turns = MOST_TURNS
@@ -57,10 +55,13 @@ def fill_contact(engine: Any, body: Any, stretch: float) -> None:
     # where nothing is near: the first step lists pairs
     nowhere = np.broadcast_to(1e6 * (1.0 + np.arange(n)), (W * on, 3, n))
     body.listed = e.array(e.rows(nowhere))
+    body.boxes = e.zeros((W * on, 6, P))
     body.near = e.zeros((W * on, PAIRS * n, 2), wp.int32)
-    body.near_count = e.zeros(W * on, wp.int32)
+    body.near_count = e.zeros((W * on, 2), wp.int32)
     body.close = e.zeros((W * on, PAIRS * n, 2), wp.int32)
-    body.close_count = e.zeros(W * on, wp.int32)
+    body.close_count = e.zeros((W * on, 2), wp.int32)
+    body.touching = e.zeros((W * on, PAIRS * n), wp.int32)
+    body.touching_count = e.zeros(W * on, wp.int32)
     body.contact_close = CLOSE * thickness
     body.loose = e.array(loose(e, np.arange(W * on)))
 

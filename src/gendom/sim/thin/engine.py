@@ -433,7 +433,7 @@ class ThinEngine(ABC):
         body.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
         self.air_density = spread(s.air_density, (W,), "air_density")
         self.fill(body)
-        fill_contact(self, body, STRETCH)
+        fill_contact(self, body)
         return body
 
 
@@ -475,7 +475,7 @@ class _Job:
             s = int(stopped[w])
             begin = plan.time(w, s)
             e.kept_time[w] = begin
-            if e.setting.self_contact and e.body.near_count.numpy()[w] > e.body.near.shape[1]:
+            if e.setting.self_contact and e.body.near_count.numpy()[w].sum() > e.body.near.shape[1]:
                 e.failures[w] = e.setting.error(
                     w,
                     float(begin),

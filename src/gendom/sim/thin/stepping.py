@@ -111,6 +111,9 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     @wp.func_native("gendom::list_pairs(body, w);")
     def list_pairs(body: Body, w: int): ...
 
+    @wp.func_native("return gendom::near_pairs(body, w).number();")
+    def number_near(body: Body, w: int) -> int: ...
+
     @wp.func_native("gendom::begin_close(body, w);")
     def begin_close(body: Body, w: int): ...
 
@@ -149,7 +152,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     def meet_itself(body: Body, w: int, state: wp.array3d(dtype=real), row: int, dt: real):
         """Apply self-contact at the end of a step."""
         relist(body, w, state, row, 0, real(0.5) * body.contact_margin)
-        if body.near_count[w] > 0:
+        if number_near(body, w) > 0:
             choose_close(body, w, state, row)
             for turn in range(body.contact_most_turns):
                 count_contacts(body, w, state, row)
@@ -193,7 +196,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     ):  # fmt: skip
         """Transpose of ``meet_itself``; the row is as that found it, with the list it kept."""
         relist(body, w, state, row, state.shape[1] - LISTED, real(0.0))
-        if body.near_count[w] > 0:
+        if number_near(body, w) > 0:
             choose_close(body, w, state, row)
             turns = int(0)
             for turn in range(body.contact_most_turns):
@@ -294,7 +297,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                 if not mean_stretch(body, state, row) <= mean_limit:
                     bad = 1
                 if body.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
-                    if body.near_count[w] > body.near.shape[1]:
+                    if body.near_count[w, 0] + body.near_count[w, 1] > body.near.shape[1]:
                         bad = 1
                 if any_of(bad) != 0:
                     stopped[w] = p

@@ -80,7 +80,6 @@ def make_types(real: Any) -> Types:
         contact: int
         contact_distance: real  # between centre lines or middle surfaces [m]
         contact_margin: real  # of the list of pairs [m]
-        contact_reach: real  # between points whose features may meet [m]
         contact_apart: int  # smallest number of points along the body between parts in self-contact
         contact_at_once: int  # whether a CPU thread takes contacts at once, as CUDA does
         # turns over the contacts of a step, if there are any, and at most, while a turn still finds
@@ -92,11 +91,15 @@ def make_types(real: Any) -> Types:
         loose: wp.array3d(dtype=real)  # [W, 1, P] 1 / mass of free points, 0 for held ones [1/kg]
         push: wp.array3d(dtype=real)  # [W, 7, P] of one step's contacts, see ``native/contact.h``
         listed: wp.array3d(dtype=real)  # [W, 3, P] where points were when pairs were listed [m]
+        boxes: wp.array3d(dtype=real)  # [W, 6, P] around each one's features then [m]
         near: wp.array3d(dtype=wp.int32)  # [W, M, 2] pairs
-        near_count: wp.array(dtype=wp.int32)  # [W]
+        near_count: wp.array2d(dtype=wp.int32)  # [W, 2] from the front and from the back
         # those of them that a step's turns go over: nearer than contact_close when they begin [m]
         close: wp.array3d(dtype=wp.int32)  # [W, M, 2]
-        close_count: wp.array(dtype=wp.int32)  # [W]
+        close_count: wp.array2d(dtype=wp.int32)  # [W, 2]
+        # those of the close ones that touch, where contacts are taken at once
+        touching: wp.array2d(dtype=wp.int32)  # [W, M]
+        touching_count: wp.array(dtype=wp.int32)  # [W]
         contact_close: real
 
     @wp.struct

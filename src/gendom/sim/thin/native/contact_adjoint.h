@@ -48,7 +48,7 @@ CUDA_CALLABLE inline void keep_turn(const Body& body, const Pushes& pushes, int 
             for (int c = 0; c < 6; ++c) kept.put(6 * turn + c, p, s.template get<T>(c, p));
         return;
     }
-    for (int k = 0; k < pushes.made.shape[1] && k < wp::index(body.close_count, w); ++k)
+    for (int k = 0; k < pushes.made.shape[1] && k < close_pairs(body, w).number(); ++k)
         wp::index(pushes.made, turn, k) = 0;
 }
 
@@ -177,7 +177,7 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real, at_once>& all,
         return loose[i] * (moved[i] + real(2) * by_per_mass[i]) + dot(bar.away, x[i]) +
                dot(bar.v, all.s.template get3<real>(3, m.point[i]));
     };
-    const sliding_along along = slides_of(all.s, m, wp::index(all.body.close, all.w, k, 0) % 4 == 3);
+    const sliding_along along = slides_of(all.s, m, all.has_point(k));
     vec<real> e[2] = {none, none};
     real ends[2] = {real(0), real(0)}, t[2];
     for (int a = 0; a < along.count; ++a) {
@@ -208,14 +208,16 @@ CUDA_CALLABLE inline void push_apart_adjoint(const Body& body, const Bars& bars,
     if (takes_at_once(body)) {
         contact<real> c;
         const contacts<Body, real, true> all(body, w, state, row, dt);
-        for (EACH_ONE_IN(k, 0, all.count))
+        for (EACH_ONE_IN(j, 0, all.number())) {
+            const int k = all.at(j, turn);
             if (all.find(k, c)) push_adjoint(all, k, c, b, by, all.push, 3, 0);
+        }
         return;
     }
     const contacts<Body, real, false> all(body, w, state, row, dt);
     contact<real> c;
-    for (int j = all.count - 1; j >= 0; --j) {
-        const int k = in_turn(j, all.count, turn);
+    for (int j = all.number() - 1; j >= 0; --j) {
+        const int k = all.at(j, turn);
         if (!wp::index(pushes.made, turn, k)) continue;
         const meeting<real> m = all.pair(k);  // for its points
         for (int i = 0; i < 4; ++i)
