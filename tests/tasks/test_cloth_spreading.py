@@ -9,6 +9,7 @@ from gendom.errors import ParameterError
 from gendom.materials import Cloth, Material
 from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import (
+    CLOTH,
     SEARCHED,
     covered_area,
     lattice_triangles,
@@ -133,6 +134,14 @@ def test_a_cloth_that_no_action_can_simulate_keeps_its_fault():
 def test_shortfall_is_the_error():
     assert TASK.error(TASK.item, np.empty(0), {"share": 0.5}) == 0.25
     assert TASK.error(TASK.item, np.empty(0), {"share": 0.9}) == 0.0
+
+
+def test_a_hand_that_presses_a_limp_heap_on_the_table_keeps_it_whole():
+    """Between the fingers and the table there is no room for all the layers."""
+    limp = replace(CLOTH, material=Material(E=1e5, nu=0.3, density=360.0, damping=0.006))
+    limp = replace(limp, friction=0.6)
+    outcomes = Simulation().carry_out(TASK, [limp, limp], [[0.3], [0.6]])
+    assert [o.fault for o in outcomes] == [None, None]
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ from scipy.spatial import KDTree
 from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Table, cloth, rope
-from gendom.sim.thin.contact import take_at_once
 from gendom.sim.thin.crossing import check_cloth
 from gendom.sim.thin.shell_model import ShellModel
 
@@ -116,14 +115,7 @@ def test_contact_keeps_momentum():
     np.testing.assert_allclose(mass @ s.velocities()[0], before, rtol=0, atol=1e-12)
 
 
-def taking(at_once, s):
-    """The simulator, with contacts taken at once as on CUDA, or one after the other."""
-    if at_once is not None:
-        take_at_once(s.engine.body, at_once)
-    return s
-
-
-def dropped(n, at_once=None, E=1e5, seed=0, **options):
+def dropped(n, E=1e5, seed=0, **options):
     """A cloth that hangs by its middle, is let down to the table, and dropped: the body, and its
     points [T, n n, 3]. A seed changes where it begins by rounding."""
     size = 0.011 * (n - 1)
@@ -141,12 +133,12 @@ def dropped(n, at_once=None, E=1e5, seed=0, **options):
         table=Table(height=0.0, friction=0.4), self_contact=True,
         positions=body.points + (seed > 0) * noise, **options,
     )  # fmt: skip
-    return body, taking(at_once, s).run(np.linspace(0.02, 1.5, 75))[:, 0]
+    return body, s.run(np.linspace(0.02, 1.5, 75))[:, 0]
 
 
-def crumpled(n, at_once=None, **options):
+def crumpled(n, **options):
     """The same cloth, which is then pulled apart by two corners: [T, n n, 3] and its shape."""
-    body, heap = dropped(n, at_once, **options)
+    body, heap = dropped(n, **options)
     size = 0.011 * (n - 1)
     corners = heap[-1][[0, -1]]
     up, apart = np.array([0, 0, 1.2 * size]), np.array([[-0.48, -0.48, 0], [0.48, 0.48, 0]]) * size
@@ -158,7 +150,6 @@ def crumpled(n, at_once=None, **options):
         ],
         table=Table(height=0.0, friction=0.4), self_contact=True, positions=heap[-1], **options,
     )  # fmt: skip
-    pulled = taking(at_once, pulled)
     return np.concatenate([heap, pulled.run(np.linspace(0.02, 2.2, 110))[:, 0]]), body.shape
 
 
@@ -177,9 +168,9 @@ def nearest_edges(x, shape):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_contacts_taken_at_once_keep_a_cloth_from_crossing(seed):
-    """As CUDA takes them. How limp layers press each other hangs on rounding."""
-    body, heap = dropped(16, at_once=True, seed=seed)
+def test_a_limp_cloth_never_crosses(seed):
+    """How limp layers press each other hangs on rounding."""
+    body, heap = dropped(16, seed=seed)
     assert min(nearest_edges(f, body.shape) for f in heap) > 0.8 * body.thickness
     for f in heap:
         check_cloth(f, ShellModel.of(body))
@@ -194,9 +185,8 @@ def test_a_stiffer_cloth_never_crosses(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("at_once", [False, True])
-def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart(at_once):
-    x, shape = crumpled(16, at_once)
+def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart():
+    x, shape = crumpled(16)
     assert max(crossings(f, shape) for f in x) == 0
     heap, end = x[74], x[-1]
     diagonal = 0.011 * 15 * np.sqrt(2.0)
@@ -206,9 +196,8 @@ def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart(at_once):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("at_once", [False, True])
-def test_a_larger_cloth_never_crosses(at_once):
-    x, shape = crumpled(28, at_once)
+def test_a_larger_cloth_never_crosses():
+    x, shape = crumpled(28)
     assert max(crossings(f, shape) for f in x) == 0
 
 

@@ -14,9 +14,8 @@ MARGIN_OF_LISTS = 0.3
 PAIRS = 40
 """Maximum number of such pairs for each point."""
 
-TURNS, TURNS_AT_ONCE = 2, 4
-"""Turns over the contacts of a step that friction needs: of contacts taken one after the other, and
-all at once."""
+TURNS = 4
+"""Turns over the contacts of a step that friction needs."""
 
 MOST_TURNS = 12
 """Maximum number of turns: after those they go on until one finds nothing nearer than enough. Where
@@ -47,7 +46,7 @@ def fill_contact(engine: Any, body: Any) -> None:
     body.contact_distance = thickness
     body.contact_margin = MARGIN_OF_LISTS * spacing
     body.contact_apart = e.apart
-    take_at_once(body, s.device.is_cuda)
+    body.contact_turns = TURNS
     body.contact_most_turns = MOST_TURNS
     body.contact_enough = ENOUGH * thickness
     body.self_friction = e.array(spread(s.self_friction, (W,), "self_friction"))
@@ -66,12 +65,6 @@ def fill_contact(engine: Any, body: Any) -> None:
     body.loose = e.array(loose(e, np.arange(W * on)))
 
 
-def take_at_once(body: Any, at_once: bool) -> None:
-    """Set whether contacts are taken all at once, or one after the other (on the CPU)."""
-    body.contact_at_once = int(at_once)
-    body.contact_turns = TURNS_AT_ONCE if at_once else TURNS
-
-
 def loose(engine: Any, worlds: NDArray[np.int64]) -> NDArray[np.float64]:
     """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, P] [1/kg]."""
     e = engine
@@ -80,19 +73,8 @@ def loose(engine: Any, worlds: NDArray[np.int64]) -> NDArray[np.float64]:
     return e.rows(per_mass * free)[:, None]
 
 
-def kept_pushes(engine: Any, worlds: int) -> Any:
-    """Memory for the contacts of a step of so many worlds, for the reverse pass.
-
-    Where contacts are taken one after the other, worlds of a launch come so, too, and share it.
-    """
-    e, body = engine, engine.body
-    pushes = e.types.Pushes()
-    turns, pairs = body.contact_most_turns, body.near.shape[1]
-    shape, made = (turns, pairs, 24), (turns, pairs)
-    if body.contact_at_once:
-        shape, made = (worlds, 6 * turns, e.row_length), (0, 0)
-    if not e.setting.self_contact:
-        shape, made = (0, 0, 0), (0, 0)
-    pushes.before = wp.empty(shape, dtype=e.real, device=e.setting.device)
-    pushes.made = e.zeros(made, wp.int32)
-    return pushes
+def kept_turns(engine: Any, worlds: int) -> wp.array:
+    """Memory for points in the turns of a step of so many worlds, for the reverse pass."""
+    rows = worlds * int(engine.setting.self_contact)
+    shape = (rows, 6 * engine.body.contact_most_turns, engine.row_length)
+    return wp.empty(shape, dtype=engine.real, device=engine.setting.device)

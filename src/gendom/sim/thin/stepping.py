@@ -38,7 +38,6 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     is_closed = paths_of.is_closed
     Paths = make_path_type(real)
     Body, Bars, Plan, vec3, quat = types.Body, types.Bars, types.Plan, types.vec3, types.quat
-    Pushes = types.Pushes
 
     @wp.func_native("gendom::meet();")
     def meet(): ...
@@ -131,6 +130,14 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     @wp.func_native("gendom::take_push(body, w, state, row);")
     def take_push(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
 
+    @wp.func_native("gendom::end_turn(body, w, state, row);")
+    def end_turn(body: Body, w: int, state: wp.array3d(dtype=real), row: int): ...
+
+    @wp.func_native("gendom::end_turn_adjoint(body, bars, w, state, row);")
+    def end_turn_adjoint(
+        body: Body, bars: Bars, w: int, state: wp.array3d(dtype=real), row: int
+    ): ...
+
     @wp.func
     def relist(body: Body, w: int, state: wp.array3d(dtype=real), row: int, c: int, far: real):
         """List pairs anew if a point of components c to c + 2 has moved farther than this."""
@@ -158,7 +165,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                 count_contacts(body, w, state, row)
                 meet()
                 again = any_of(push_apart(body, w, state, row, dt, turn))
-                take_push(body, w, state, row)
+                end_turn(body, w, state, row)
                 meet()
                 if again == 0:
                     break
@@ -166,33 +173,28 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     @wp.func_native("gendom::keep_list(body, w, state, row, c);")
     def keep_list(body: Body, w: int, state: wp.array3d(dtype=real), row: int, c: int): ...
 
-    @wp.func_native("gendom::keep_turn(body, pushes, w, at, state, row, turn);")
+    @wp.func_native("gendom::keep_turn(body, kept, at, state, row, turn);")
     def keep_turn(
-        body: Body, pushes: Pushes, w: int, at: int, state: wp.array3d(dtype=real), row: int,
+        body: Body, kept: wp.array3d(dtype=real), at: int, state: wp.array3d(dtype=real), row: int,
         turn: int,
     ): ...  # fmt: skip
 
-    @wp.func_native("return gendom::push_apart_kept(body, pushes, w, state, row, dt, turn);")
-    def push_apart_kept(
-        body: Body, pushes: Pushes, w: int, state: wp.array3d(dtype=real), row: int, dt: real,
-        turn: int,
-    ) -> int: ...  # fmt: skip
-
-    @wp.func_native("gendom::put_back(body, pushes, at, state, row, turn);")
+    @wp.func_native("gendom::put_back(body, kept, at, state, row, turn);")
     def put_back(
-        body: Body, pushes: Pushes, at: int, state: wp.array3d(dtype=real), row: int, turn: int
-    ): ...
+        body: Body, kept: wp.array3d(dtype=real), at: int, state: wp.array3d(dtype=real), row: int,
+        turn: int,
+    ): ...  # fmt: skip
 
-    @wp.func_native("gendom::push_apart_adjoint(body, bars, pushes, w, state, row, dt, turn);")
+    @wp.func_native("gendom::push_apart_adjoint(body, bars, w, state, row, dt, turn);")
     def push_apart_adjoint(
-        body: Body, bars: Bars, pushes: Pushes, w: int, state: wp.array3d(dtype=real), row: int,
-        dt: real, turn: int,
+        body: Body, bars: Bars, w: int, state: wp.array3d(dtype=real), row: int, dt: real,
+        turn: int,
     ): ...  # fmt: skip
 
     @wp.func
     def meet_itself_adjoint(
-        body: Body, bars: Bars, pushes: Pushes, w: int, at: int, state: wp.array3d(dtype=real),
-        row: int, dt: real,
+        body: Body, bars: Bars, turns_kept: wp.array3d(dtype=real), w: int, at: int,
+        state: wp.array3d(dtype=real), row: int, dt: real,
     ):  # fmt: skip
         """Transpose of ``meet_itself``; the row is as that found it, with the list it kept."""
         relist(body, w, state, row, state.shape[1] - LISTED, real(0.0))
@@ -200,22 +202,24 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
             choose_close(body, w, state, row)
             turns = int(0)
             for turn in range(body.contact_most_turns):
-                keep_turn(body, pushes, w, at, state, row, turn)
+                keep_turn(body, turns_kept, at, state, row, turn)
                 count_contacts(body, w, state, row)
                 meet()
-                again = any_of(push_apart_kept(body, pushes, w, state, row, dt, turn))
-                take_push(body, w, state, row)
+                again = any_of(push_apart(body, w, state, row, dt, turn))
+                end_turn(body, w, state, row)
                 meet()
                 turns += 1
                 if again == 0:
                     break
             for back in range(turns):
                 turn = turns - 1 - back
-                put_back(body, pushes, at, state, row, turn)
+                end_turn_adjoint(body, bars, w, state, row)
+                meet()
+                put_back(body, turns_kept, at, state, row, turn)
                 meet()
                 count_contacts(body, w, state, row)
                 meet()
-                push_apart_adjoint(body, bars, pushes, w, state, row, dt, turn)
+                push_apart_adjoint(body, bars, w, state, row, dt, turn)
                 meet()
                 take_push(body, w, bars.state, w)
                 meet()
@@ -324,7 +328,9 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         state: wp.array3d(dtype=real),
         frames_bar: wp.array3d(dtype=vec3),  # [T, W, n]
         bars: Bars,
-        pushes: Pushes,
+        turns_kept: wp.array3d(
+            dtype=real
+        ),  # [., 6 turns, P] points in the turns of a step's contacts
     ):
         w = first + wp.tid() // lanes
         lane = wp.tid() % lanes
@@ -354,7 +360,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                 move(body, w, state, row, row + stride, h, kick_of(plan, w, p, k))
                 meet()
                 hold_all(body, w, t0, t, paths, state, row + stride)
-                meet_itself_adjoint(body, bars, pushes, w, w - offset, state, row + stride, h)
+                meet_itself_adjoint(body, bars, turns_kept, w, w - offset, state, row + stride, h)
             for before in range(body.holds.shape[1]):
                 g = body.holds.shape[1] - 1 - before
                 if lane == 0 and is_closed(w, g, t0, paths):

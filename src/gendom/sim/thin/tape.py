@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gendom.sim.gradients import Gradients
 from gendom.sim.setting import Frames
 from gendom.sim.thin import rotation
-from gendom.sim.thin.contact import LISTED, kept_pushes
+from gendom.sim.thin.contact import LISTED, kept_turns
 from gendom.sim.thin.engine import Event, Round, device_plan, put
 from gendom.sim.thin.grips import (
     Grip,
@@ -140,7 +140,7 @@ class ThinTape(ABC):
         length = round.pieces[:, 1] - round.pieces[:, 0]
         P = e.row_length
         rows = e.zeros((count * (self.most + 1), self.rows, P))
-        pushes = kept_pushes(e, count)
+        turns = kept_turns(e, count)
         for back in range(int(length.max(initial=0))):
             s = np.where(back < length, round.pieces[:, 1] - 1 - back, -1).astype(np.int32)
             alive = s >= 0
@@ -166,7 +166,7 @@ class ThinTape(ABC):
             e.launch(
                 e.kernels.reverse, group,
                 [e.body, e.paths, self.plan_on_device, e.array(every, wp.int32), group.start, count,
-                 rows, self.frames_bar, self.bars, pushes],
+                 rows, self.frames_bar, self.bars, turns],
             )  # fmt: skip
         self._take_model(group)
         for event in reversed(round.events):

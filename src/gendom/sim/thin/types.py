@@ -37,7 +37,6 @@ class Types:
     quat: Any
     Body: Any
     Bars: Any
-    Pushes: Any
     Plan: Any
 
 
@@ -81,7 +80,6 @@ def make_types(real: Any) -> Types:
         contact_distance: real  # between centre lines or middle surfaces [m]
         contact_margin: real  # of the list of pairs [m]
         contact_apart: int  # smallest number of points along the body between parts in self-contact
-        contact_at_once: int  # whether a CPU thread takes contacts at once, as CUDA does
         # turns over the contacts of a step, if there are any, and at most, while a turn still finds
         # one nearer than enough [m]
         contact_turns: int
@@ -97,7 +95,7 @@ def make_types(real: Any) -> Types:
         # those of them that a step's turns go over: nearer than contact_close when they begin [m]
         close: wp.array3d(dtype=wp.int32)  # [W, M, 2]
         close_count: wp.array2d(dtype=wp.int32)  # [W, 2]
-        # those of the close ones that touch, where contacts are taken at once
+        # those of the close ones that touch
         touching: wp.array2d(dtype=wp.int32)  # [W, M]
         touching_count: wp.array(dtype=wp.int32)  # [W]
         contact_close: real
@@ -116,13 +114,6 @@ def make_types(real: Any) -> Types:
         turn: wp.array2d(dtype=vec3)  # [W, G] of one step
 
     @wp.struct
-    class Pushes:
-        """State before each push of a step's contacts, see ``native/contact_adjoint.h``."""
-
-        before: wp.array3d(dtype=real)
-        made: wp.array2d(dtype=wp.int32)
-
-    @wp.struct
     class Plan:
         """Schedule of W worlds: pieces of equal steps."""
 
@@ -133,4 +124,4 @@ def make_types(real: Any) -> Types:
         before: wp.array2d(dtype=wp.float64)  # [W, S] length of the step before; 0 at a start [s]
         frame: wp.array2d(dtype=wp.int32)  # [W, S] recorded at its end; -1: none
 
-    return Types(real=real, vec3=vec3, quat=quat, Body=Body, Bars=Bars, Pushes=Pushes, Plan=Plan)
+    return Types(real=real, vec3=vec3, quat=quat, Body=Body, Bars=Bars, Plan=Plan)

@@ -2,7 +2,11 @@
 //
 // What is nearer than the thickness after a step is pushed apart by impulses at the two nearest places
 // (`contact_lists.h`): they take away the speed of approach; what is still too near is moved apart without
-// speed. Friction takes what slides, at most by its coefficient times what was pushed.
+// speed. Friction takes what slides, at most by its coefficient times what was pushed. The contacts of a turn are
+// taken at once (Jacobi): each has its part of a point's mass, and the point takes the mean of what its parts do,
+// so that impulses stay equal and opposite (Tonge et al. (2012), "Mass splitting for jitter-free parallel rigid
+// body simulation"). One after the other (Gauss and Seidel) they throw points out of places that are too narrow
+// for them; a search for equilibria, which has no velocities, converges only so.
 #pragma once
 
 namespace gendom {
@@ -19,13 +23,12 @@ CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, const 
     add_to(rows, c, i, a.x), add_to(rows, c + 1, i, a.y), add_to(rows, c + 2, i, a.z);
 }
 
-// Whether contacts are taken all at once (Jacobi), as many threads must, or one after the other (Gauss
-// and Seidel).
-template <typename Body> CUDA_CALLABLE inline bool takes_at_once(const Body& body) {
+// Whether contacts are taken one after the other: in a CPU's search for equilibria.
+template <typename Body> CUDA_CALLABLE inline bool one_by_one(const Body& body) {
 #if defined(__CUDA_ARCH__)
-    return true;
+    return false;
 #else
-    return body.contact_at_once != 0;
+    return body.anchored != 0;
 #endif
 }
 
@@ -34,9 +37,9 @@ template <typename real> struct contact {
     meeting<real> places;
     vec<real> n, v, vt;  // n of the first from the second; its velocity against that, and across n
     real depth, needed;  // and the speed that undoes it in a step
-    real over;           // how far they are moved apart over the depth
     real vn, speed;      // of approach, and what is taken away of it
     real sliding, held_back, per_mass, share;
+    real over;  // how far they are moved apart over the depth
 
     CUDA_CALLABLE inline vec<real> impulse() const { return share * (speed * n - held_back * vt); }
     CUDA_CALLABLE inline vec<real> shift(real dt) const {
@@ -45,20 +48,23 @@ template <typename real> struct contact {
 };
 
 // The close pairs of a world in one state.
-template <typename Body, typename real, bool at_once> struct contacts {
+template <typename Body, typename real> struct contacts {
     const Body& body;
     const int w;
     const pairs_of close;
     const rows_of<real> s, push, loose;
     const real dt, per_dt, mu;
-    // Points that take the mean of many pushes go less far than each asks for: over-relaxation takes
-    // fewer turns. From 2 on it may diverge.
-    static constexpr real over = at_once ? real(1.8) : real(1);
+    // Points that take the mean of many pushes go less far than each asks for. Where the first turns do not suffice,
+    // over-relaxation takes fewer further ones. From 2 on it may diverge.
+    const real over;
+    const bool in_order;
 
     CUDA_CALLABLE inline contacts(const Body& body, int w, const wp::array_t<real>& state, int row,
-                                  real dt)
+                                  real dt, int turn)
         : body(body), w(w), close(close_pairs(body, w)), s(state, row), push(body.push, w),
-          loose(body.loose, w), dt(dt), per_dt(real(1) / dt), mu(wp::index(body.self_friction, w)) {}
+          loose(body.loose, w), dt(dt), per_dt(real(1) / dt), mu(wp::index(body.self_friction, w)),
+          over(turn < body.contact_turns || one_by_one(body) ? real(1) : real(1.8)),
+          in_order(one_by_one(body)) {}
 
     CUDA_CALLABLE inline meeting<real> pair(int k) const {
         int one, other;
@@ -70,18 +76,12 @@ template <typename Body, typename real, bool at_once> struct contacts {
         close.read(k, one, other);
         return one % 4 == 3;
     }
-    // How many pairs a turn goes over, and which is its j-th: those that `count_contacts` found to touch, or
-    // all, forth and back in turns.
-    CUDA_CALLABLE inline int number() const {
-        return at_once ? wp::index(body.touching_count, w) : close.number();
-    }
-    CUDA_CALLABLE inline int at(int j, int turn) const {
-        if (at_once) return wp::index(body.touching, w, j);
-        return turn % 2 == 0 ? j : number() - 1 - j;
-    }
+    // The pairs that `count_contacts` found to touch.
+    CUDA_CALLABLE inline int number() const { return wp::index(body.touching_count, w); }
+    CUDA_CALLABLE inline int at(int j) const { return wp::index(body.touching, w, j); }
     // The number of contacts among which the mass of point p is divided.
     CUDA_CALLABLE inline real split(int p) const {
-        return at_once ? push.template get<real>(6, p) : real(1);
+        return in_order ? real(1) : push.template get<real>(6, p);
     }
     // Whether pair k is pushed apart, and how.
     CUDA_CALLABLE inline bool find(int k, contact<real>& c) const {
@@ -108,12 +108,10 @@ template <typename Body, typename real, bool at_once> struct contacts {
     }
 };
 
-// Finds the pairs that touch, and counts those of every point that share in it, where contacts are taken at
-// once.
+// Finds the pairs that touch, and counts those of every point that share in it.
 template <typename Body, typename real>
 CUDA_CALLABLE inline void count_contacts(const Body& body, int w, const wp::array_t<real>& state, int row) {
-    if (!takes_at_once(body)) return;
-    const contacts<Body, real, true> all(body, w, state, row, real(1));
+    const contacts<Body, real> all(body, w, state, row, real(1), 0);
     for (EACH_ONE_IN(k, 0, all.close.number())) {
         const meeting<real> m = all.pair(k);
         if (m.distance >= body.contact_distance) continue;
@@ -123,56 +121,69 @@ CUDA_CALLABLE inline void count_contacts(const Body& body, int w, const wp::arra
     }
 }
 
-// Is told of every pair that is about to be pushed apart, and its points; this one does nothing.
-struct nothing_kept {
-    CUDA_CALLABLE inline void operator()(int, const int*) const {}
-};
-
 // One turn over the contacts of a step; tells whether one of this thread's was nearer than the distance
-// that asks for another turn. Where they are taken at once, each contact has its part of a point's mass,
-// and the point takes the mean of what its parts do, so that impulses stay equal and opposite (Tonge et
-// al. (2012), "Mass splitting for jitter-free parallel rigid body simulation").
-template <bool at_once, typename Body, typename real, typename Keep>
-CUDA_CALLABLE inline int push_apart_in(const Body& body, int w, const wp::array_t<real>& state, int row,
-                                       real dt, int turn, const Keep& keep) {
-    const contacts<Body, real, at_once> all(body, w, state, row, dt);
+// that asks for another turn.
+template <typename Body, typename real>
+CUDA_CALLABLE inline int push_apart(const Body& body, int w, const wp::array_t<real>& state, int row,
+                                    real dt, int turn) {
+    const contacts<Body, real> all(body, w, state, row, dt, turn);
     const real enough = turn + 1 < body.contact_turns ? body.contact_distance : body.contact_enough;
     contact<real> c;
     int again = 0;
     for (EACH_ONE_IN(j, 0, all.number())) {
-        const int k = all.at(j, turn);
-        if (!all.find(k, c)) continue;
-        keep(k, c.places.point);
+        if (!all.find(all.at(j), c)) continue;
         if (c.places.distance < enough) again = 1;
         const vec<real> impulse = c.impulse(), shift = c.shift(dt);
         for (int i = 0; i < 4; ++i) {
             const int p = c.places.point[i];
             const real by = c.places.share[i] * all.loose.template get<real>(0, p);
-            if constexpr (at_once) add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
-            else all.s.add3(3, p, by * impulse), all.s.add3(0, p, by * shift);
+            if (all.in_order) all.s.add3(3, p, by * impulse), all.s.add3(0, p, by * shift);
+            else add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
         }
     }
     return again;
 }
-template <typename Body, typename real, typename Keep = nothing_kept>
-CUDA_CALLABLE inline int push_apart(const Body& body, int w, const wp::array_t<real>& state, int row,
-                                    real dt, int turn, const Keep& keep = Keep()) {
-    return takes_at_once(body) ? push_apart_in<true>(body, w, state, row, dt, turn, keep)
-                               : push_apart_in<false>(body, w, state, row, dt, turn, keep);
-}
 
-// Velocities and positions take the impulses of all contacts at once, which are then 0 again; none is known
-// to touch any more.
+// Velocities and positions take the impulses of a turn, which are then 0 again; none is known to touch any more.
 template <typename Body, typename real>
 CUDA_CALLABLE inline void take_push(const Body& body, int w, const wp::array_t<real>& state, int row) {
     typedef typename several<real>::lanes T;
-    if (!takes_at_once(body)) return;
     const rows_of<real> s(state, row), push(body.push, w);
     for (EACH_ONE_IN(k, 0, 1)) wp::index(body.touching_count, w) = k;
     for (EACH_IN(p, body.first, body.end)) {
         s.add3(3, p, push.template get3<T>(0, p));
         s.add3(0, p, push.template get3<T>(3, p));
         for (int c = 0; c < 7; ++c) push.put(c, p, T(real(0)));
+    }
+}
+
+// What a turn pushed beyond the table or a wall goes back to it; left there, it would be thrown out by the next
+// step's velocities. In a search for equilibria only places tell the table what rests on it, and its friction.
+template <typename Body, typename real>
+CUDA_CALLABLE inline void end_turn(const Body& body, int w, const wp::array_t<real>& state, int row) {
+    typedef typename several<real>::lanes T;
+    take_push(body, w, state, row);
+    if (body.anchored) return;
+    const ground<T> around(body, w, real(1));
+    const rows_of<real> s(state, row), loose(body.loose, w);
+    for (EACH_IN(p, body.first, body.end)) {
+        const vec<T> x = s.template get3<T>(0, p);
+        const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
+        s.put3(0, p, moves * around.brought_back(x) + (T(real(1)) - moves) * x);
+    }
+}
+
+// Its transpose but for `take_push`; the row is as the turn left it.
+template <typename Body, typename Bars, typename real>
+CUDA_CALLABLE inline void end_turn_adjoint(const Body& body, const Bars& bars, int w,
+                                           const wp::array_t<real>& state, int row) {
+    typedef typename several<real>::lanes T;
+    const ground<T> around(body, w, real(1));
+    const rows_of<real> s(state, row), b(bars.state, w), loose(body.loose, w);
+    for (EACH_IN(p, body.first, body.end)) {
+        const T held = T(real(1)) - is_above(loose.template get<T>(0, p), T(real(0)));
+        const vec<T> free = around.is_free(s.template get3<T>(0, p)), x_bar = b.template get3<T>(0, p);
+        b.put3(0, p, free * x_bar + held * (x_bar - free * x_bar));
     }
 }
 

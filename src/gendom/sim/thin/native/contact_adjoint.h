@@ -1,8 +1,8 @@
 // The transpose of a body's contact with itself: derivatives of a loss by what the contacts of a step
 // leave become those by what they began with. A bar marks them.
 //
-// The contacts go as in the step once more, and what they change is kept. Then it is put back, the last
-// first, and each push is transposed where it was made. Nearest places x = sum_i s_i x_i, with
+// The contacts go as in the step once more, and the points before each turn are kept. Then they are put back, the
+// last first, and each push is transposed where it was made. Nearest places x = sum_i s_i x_i, with
 // a = x - y between them, slide along those edges e_k of their features at whose ends they do not
 // stand. There a . e_k = 0, so that with ds_to = dt_k, ds_from = -dt_k (implicit differentiation)
 //
@@ -21,53 +21,24 @@ CUDA_CALLABLE inline void keep_list(const Body& body, int w, const wp::array_t<r
     for (EACH_IN(p, body.first, body.end)) to.put3(c, p, listed.template get3<T>(0, p));
 }
 
-// Keeps the points of a pair before they are pushed, one pair after the other: [turns, pairs, 24].
-template <typename Body, typename Pushes, typename real> struct pushes_kept {
-    const Body& body;
-    const Pushes& pushes;
-    const rows_of<real> s;
-    const int turn;
-
-    CUDA_CALLABLE inline void operator()(int k, const int* point) const {
-        if (takes_at_once(body)) return;
-        wp::index(pushes.made, turn, k) = 1;
-        for (int i = 0; i < 4; ++i)
-            for (int c = 0; c < 6; ++c)
-                wp::index(pushes.before, turn, k, 6 * i + c) = s.template get<real>(c, point[i]);
-    }
-};
-
-// Before a turn: where pairs are pushed at once all points are kept, [worlds, turns * 6, P].
-template <typename Body, typename Pushes, typename real>
-CUDA_CALLABLE inline void keep_turn(const Body& body, const Pushes& pushes, int w, int at,
+// Before a turn all points are kept, [worlds, turns * 6, P].
+template <typename Body, typename real>
+CUDA_CALLABLE inline void keep_turn(const Body& body, const wp::array_t<real>& kept, int at,
                                     const wp::array_t<real>& state, int row, int turn) {
     typedef typename several<real>::lanes T;
-    if (takes_at_once(body)) {
-        const rows_of<real> s(state, row), kept(pushes.before, at);
-        for (EACH_IN(p, body.first, body.end))
-            for (int c = 0; c < 6; ++c) kept.put(6 * turn + c, p, s.template get<T>(c, p));
-        return;
-    }
-    for (int k = 0; k < pushes.made.shape[1] && k < close_pairs(body, w).number(); ++k)
-        wp::index(pushes.made, turn, k) = 0;
+    const rows_of<real> s(state, row), to(kept, at);
+    for (EACH_IN(p, body.first, body.end))
+        for (int c = 0; c < 6; ++c) to.put(6 * turn + c, p, s.template get<T>(c, p));
 }
 
-template <typename Body, typename Pushes, typename real>
-CUDA_CALLABLE inline int push_apart_kept(const Body& body, const Pushes& pushes, int w,
-                                         const wp::array_t<real>& state, int row, real dt, int turn) {
-    const pushes_kept<Body, Pushes, real> keep = {body, pushes, {state, row}, turn};
-    return push_apart(body, w, state, row, dt, turn, keep);
-}
-
-// All points as they were before a turn of pairs at once.
-template <typename Body, typename Pushes, typename real>
-CUDA_CALLABLE inline void put_back(const Body& body, const Pushes& pushes, int at,
+// All points as they were before a turn.
+template <typename Body, typename real>
+CUDA_CALLABLE inline void put_back(const Body& body, const wp::array_t<real>& kept, int at,
                                    const wp::array_t<real>& state, int row, int turn) {
     typedef typename several<real>::lanes T;
-    if (!takes_at_once(body)) return;
-    const rows_of<real> s(state, row), kept(pushes.before, at);
+    const rows_of<real> s(state, row), from(kept, at);
     for (EACH_IN(p, body.first, body.end))
-        for (int c = 0; c < 6; ++c) s.put(c, p, kept.template get<T>(6 * turn + c, p));
+        for (int c = 0; c < 6; ++c) s.put(c, p, from.template get<T>(6 * turn + c, p));
 }
 
 // Up to two edges, between points of a pair, along which its nearest places slide.
@@ -147,12 +118,11 @@ template <typename real> struct contact_bar {
     }
 };
 
-// Of one push. `x_bar` and `v_bar` are the rows of `out` to which it adds.
-template <typename Body, typename real, bool at_once>
-CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real, at_once>& all, int k,
-                                       const contact<real>& c, const rows_of<real>& b,
-                                       const rows_of<real>& by, const rows_of<real>& out, int x_bar,
-                                       int v_bar) {
+// Of one push. What it adds to derivatives by positions and velocities adds up in `push`, from where `take_push`
+// takes it.
+template <typename Body, typename real>
+CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real>& all, int k, const contact<real>& c,
+                                       const rows_of<real>& b, const rows_of<real>& by) {
     const meeting<real>& m = c.places;
     const vec<real> impulse = c.impulse(), shift = c.shift(all.dt), none = {real(0), real(0), real(0)};
     vec<real> by_impulse = none, by_shift = none;
@@ -190,40 +160,24 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real, at_once>& all,
         vec<real> add = m.share[i] * away;
         for (int a = 0; a < along.count; ++a)
             add = add + (i == along.from[a] ? t[a] : i == along.to[a] ? -t[a] : real(0)) * m.away;
-        add_to(out, x_bar, m.point[i], add);
-        add_to(out, v_bar, m.point[i], m.share[i] * bar.v);
+        add_to(all.push, 3, m.point[i], add);
+        add_to(all.push, 0, m.point[i], m.share[i] * bar.v);
         if (loose[i] > real(0))
             add_to(by, CONTACT_PER_MASS_BAR, m.point[i],
                    m.share[i] * (moved[i] + by_per_mass[i]));
     }
 }
 
-// Of one turn. Where pairs are pushed at once, derivatives add up in `push`, from where `take_push` takes
-// them.
-template <typename Body, typename Bars, typename Pushes, typename real>
-CUDA_CALLABLE inline void push_apart_adjoint(const Body& body, const Bars& bars, const Pushes& pushes,
-                                             int w, const wp::array_t<real>& state, int row, real dt,
-                                             int turn) {
+// Of one turn.
+template <typename Body, typename Bars, typename real>
+CUDA_CALLABLE inline void push_apart_adjoint(const Body& body, const Bars& bars, int w,
+                                             const wp::array_t<real>& state, int row, real dt, int turn) {
     const rows_of<real> b(bars.state, w), by(bars.model, w);
-    if (takes_at_once(body)) {
-        contact<real> c;
-        const contacts<Body, real, true> all(body, w, state, row, dt);
-        for (EACH_ONE_IN(j, 0, all.number())) {
-            const int k = all.at(j, turn);
-            if (all.find(k, c)) push_adjoint(all, k, c, b, by, all.push, 3, 0);
-        }
-        return;
-    }
-    const contacts<Body, real, false> all(body, w, state, row, dt);
     contact<real> c;
-    for (int j = all.number() - 1; j >= 0; --j) {
-        const int k = all.at(j, turn);
-        if (!wp::index(pushes.made, turn, k)) continue;
-        const meeting<real> m = all.pair(k);  // for its points
-        for (int i = 0; i < 4; ++i)
-            for (int c = 0; c < 6; ++c)
-                all.s.put(c, m.point[i], wp::index(pushes.before, turn, k, 6 * i + c));
-        if (all.find(k, c)) push_adjoint(all, k, c, b, by, b, CONTACT_X_BAR, CONTACT_V_BAR);
+    const contacts<Body, real> all(body, w, state, row, dt, turn);
+    for (EACH_ONE_IN(j, 0, all.number())) {
+        const int k = all.at(j);
+        if (all.find(k, c)) push_adjoint(all, k, c, b, by);
     }
 }
 

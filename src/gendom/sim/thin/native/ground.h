@@ -65,6 +65,27 @@ template <typename T> struct ground {
         return {-larger(-up.x, -most.x), -larger(-up.y, -most.y), -larger(-up.z, -most.z)};
     }
 
+    // A place that is beyond the table or a wall, brought back to it.
+    CUDA_CALLABLE inline vec<T> brought_back(const vec<T>& x) const {
+        vec<T> y = x;
+        if (table) y.z = larger(y.z, radius);
+        if (walls)
+            y = {-larger(-larger(y.x, lower.x), -upper.x), -larger(-larger(y.y, lower.y), -upper.y),
+                 -larger(-larger(y.z, lower.z), -upper.z)};
+        return y;
+    }
+    // 1 for each component at which a place is free, 0 where it stands at the table or a wall.
+    CUDA_CALLABLE inline vec<T> is_free(const vec<T>& x) const {
+        const T one = T(real(1));
+        vec<T> free = {one, one, one};
+        if (table) free.z = is_above(x.z, radius);
+        if (walls)
+            free = free * vec<T>{is_above(x.x, lower.x) * is_above(upper.x, x.x),
+                                 is_above(x.y, lower.y) * is_above(upper.y, x.y),
+                                 is_above(x.z, lower.z) * is_above(upper.z, x.z)};
+        return free;
+    }
+
     // Transpose of `stopped`: derivatives by x are added, those by v replaced; returns that by mu.
     CUDA_CALLABLE inline T stopped_adjoint(const vec<T>& x, const vec<T>& free, vec<T>& x_bar,
                                            vec<T>& v_bar) const {
