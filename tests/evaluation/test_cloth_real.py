@@ -1,7 +1,8 @@
 """The table of cloths, in worlds whose shares are a formula."""
 
 import importlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from gendom.policies.belief import Belief
 from gendom.reality import find_object
 from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import OFF_CENTRE
+from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.world import Outcome
 
 COTTON, RUBBER = "cloth-cotton-200mm", "cloth-rubber-200mm"
@@ -83,6 +85,30 @@ def test_every_row_is_tried_and_what_has_no_estimate_is_said(bench):
     assert cotton["searched"]["covered"] == pytest.approx(1.0 - off)
     (first, second) = sheets.cloth_real_sheets(result)
     assert "0.78" in str(first) and "0.52" in str(first) and "it did not move" in str(second)
+
+
+def test_policies_are_trained_on_their_own_demonstrations(bench, monkeypatch):
+    pytest.importorskip("torch", reason="needs the extra train")
+
+    class Teacher(Formula):
+        def on(self, device):
+            return self
+
+        def settings(self):
+            return {}
+
+        def carry_out(self, *args, **options):
+            found = super().carry_out(*args, **options)
+            for one in found:
+                one.values["unspread"] = 1.0 - one.values.get("share", 0.0)
+            return found
+
+    monkeypatch.setattr(module, "Demonstrator", partial(Demonstrator, world=Teacher()))
+    settings = replace(SMALL, demonstrations=24, trials=1, epochs=2, steps=60)
+    rows = cloth_real(bench, settings)["cloths"][COTTON]
+    # 0.15 is the smallest A that spreads
+    assert rows["ours"]["A"] == pytest.approx(0.15, abs=0.02)
+    assert rows["ours, no parameters"]["A"] == pytest.approx(0.15, abs=0.02)
 
 
 def test_trials_are_kept_and_faults_are_no_numbers(bench, monkeypatch):

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
+from gendom.estimation.discrepancy import discrepancy
 from gendom.estimation.methods import METHODS
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
 from gendom.estimation.methods.nearest import nearest
@@ -123,7 +124,12 @@ def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Post
     if covariance is None:
         covariance = np.linalg.inv(problem.slopes(found.best, found.noise)[1])
     return Posterior.calibrated(
-        problem.prior, found.best.vector, covariance, problem.bases, calibration
+        problem.prior,
+        found.best.vector,
+        covariance,
+        problem.bases,
+        calibration,
+        discrepancy(problem, found, covariance, calibration),
     )
 
 

@@ -36,6 +36,8 @@ class Calibration:
 
     factor: Mapping[str, float]
     added: Mapping[str, float]
+    displaced: float = math.inf
+    """Up to which displacement of the model, over the object's size, it holds."""
 
     @classmethod
     @functools.cache
@@ -43,7 +45,7 @@ class Calibration:
         """The shipped one of ropes or cloths."""
         place = resources.files("gendom") / "assets" / "calibration.json"
         read = json.loads(place.read_text(encoding="utf-8"))[kind]
-        return cls(factor=read["factor"], added=read["added"])
+        return cls(factor=read["factor"], added=read["added"], displaced=read["displaced"])
 
     @classmethod
     def none(cls) -> Calibration:
@@ -74,10 +76,13 @@ class Posterior:
         covariance: Array,
         bases: Sequence[Theta],
         calibration: Calibration,
+        added: Array | float = 0.0,
     ) -> Posterior:
-        """With calibrated deviations, which are at most those of the prior."""
+        """With calibrated deviations, and further ones [P] added in squares; they are at most those
+        of the prior."""
         own = np.sqrt(np.diag(covariance))
         sd = np.array([calibration.sd(n, s) for n, s in zip(prior.names, own, strict=True)])
+        sd = np.hypot(sd, added)
         share = np.minimum(sd, np.maximum(prior.sd, own)) / own
         return cls(
             prior=prior,

@@ -1,0 +1,92 @@
+"""What the simulator cannot explain, as uncertainty of the parameters.
+
+Where a recorded object moves otherwise than any simulated one, the likelihood takes the difference
+for random: it averages it over frames and becomes sure of the parameters that imitate it best. But
+it may be the same throughout, like a bend that the real object has by nature. So a parameter is
+uncertain by at least the change that moves the shape by as much as is not explained. The change is
+simulated, not extrapolated from derivatives: shapes that swing have derivatives that grow with the
+stiffness, while large changes of it hardly move them.
+
+Lifts with known truth have such differences, too, and their intervals are calibrated with them; only
+what exceeds theirs counts (`Calibration.displaced`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.estimation.posterior import IDENTIFIABLE, Calibration
+from gendom.estimation.problem import Found, Problem
+from gendom.estimation.replay import middle
+from gendom.estimation.theta import UNKNOWNS
+
+Array = NDArray[np.floating]
+
+SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, IDENTIFIABLE)
+"""Of the prior's deviation: changes that are simulated, both ways. Beyond the last the recording does
+not determine a parameter."""
+
+
+def discrepancy(
+    problem: Problem, found: Found, covariance: Array, calibration: Calibration
+) -> Array:
+    """Deviations of the transformed unknowns by unexplained displacements.
+
+    Of several recordings the best one counts: their errors need not be independent.
+
+    Args:
+        problem: The problem.
+        found: The result of the search.
+        covariance: [P, P] of the likelihood; what it does not determine is left alone.
+        calibration: Of the intervals.
+
+    Returns:
+        [P] at most those of the prior; 0 where there is no more of it than in lifts with known
+        truth.
+    """
+    prior = problem.prior
+    sd = np.full(len(prior.names), math.inf)
+    determined = np.sqrt(np.diag(covariance)) < IDENTIFIABLE * prior.sd
+    for k, part in enumerate(problem.parts):
+        usual = calibration.displaced * part.scene.size if len(part.scene.held) == 1 else 0.0
+        excess = math.sqrt(max(found.noise[k].model ** 2 - usual**2, 0.0))
+        for p in part.shown:
+            own, wanted = 0.0, determined[p] and UNKNOWNS[prior.names[p]].material
+            if wanted and excess > 0.0 and not part.scene.static:
+                own = _change(problem, found.best.vector, k, int(p), excess)
+            sd[p] = min(sd[p], own)
+    return np.where(np.isfinite(sd), sd, 0.0)
+
+
+def _change(problem: Problem, vector: Array, recording: int, p: int, by: float) -> float:
+    """The change of unknown p beyond which every larger one, up or down, moves the shape by more
+    than this, root mean square of a coordinate [m]; at most the prior's deviation."""
+    sd = float(problem.prior.sd[p])
+    changes = sd * np.array(SHARES)
+    (last,) = _moved(problem, vector, recording, p, changes[-1:])
+    if last < by:
+        return sd
+    moved = np.append(_moved(problem, vector, recording, p, changes[:-1]), last)
+    within = np.flatnonzero(moved < by)
+    if len(within) == 0:
+        return float(changes[0] * by / moved[0])
+    n = int(within[-1])
+    share = (by - moved[n]) / (moved[n + 1] - moved[n])
+    return float(changes[n] + share * (changes[n + 1] - changes[n]))
+
+
+def _moved(problem: Problem, vector: Array, recording: int, p: int, changes: Array) -> Array:
+    """[k] how far shapes move with changes [k] of unknown p in the direction that moves them less
+    [m]. A world that diverges or lies beyond the range of the search says nothing."""
+    prior, scene = problem.prior, problem.parts[recording].scene
+    ends = vector[p] + np.array([[-1.0], [1.0]]) * changes
+    inside = (ends >= prior.low[p]) & (ends <= prior.high[p])
+    worlds = [vector]
+    for end in np.clip(ends, prior.low[p], prior.high[p]).ravel():
+        worlds.append(np.where(np.arange(len(vector)) == p, end, vector))
+    x = middle(scene, problem.positions(worlds, recording))
+    off = np.sqrt(np.mean((x[:, 1:] - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(2, -1)
+    return np.where(inside & np.isfinite(off), off, np.inf).min(axis=0)
