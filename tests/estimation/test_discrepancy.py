@@ -39,7 +39,10 @@ class Given:
         return x
 
 
-def deviations(model, x, calibration=Calibration.none(), **options):
+NOT_CALIBRATED = Calibration.none()
+
+
+def deviations(model, x, calibration=NOT_CALIBRATED, **options):
     found: Any = SimpleNamespace(
         noise=[SimpleNamespace(model=model)], best=SimpleNamespace(vector=np.array([1.0, 0.0]))
     )

@@ -7,8 +7,8 @@ uncertain by at least the change that moves the shape by as much as is not expla
 simulated, not extrapolated from derivatives: shapes that swing have derivatives that grow with the
 stiffness, while large changes of it hardly move them.
 
-Lifts with known truth have such differences, too, and their intervals are calibrated with them; only
-what exceeds theirs counts (`Calibration.displaced`).
+Lifts with known truth have such differences, too, and their intervals are calibrated with them;
+only what exceeds theirs counts (`Calibration.displaced`).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from gendom.estimation.theta import UNKNOWNS
 Array = NDArray[np.floating]
 
 SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, IDENTIFIABLE)
-"""Of the prior's deviation: changes that are simulated, both ways. Beyond the last the recording does
-not determine a parameter."""
+"""Of the prior's deviation: changes that are simulated, both ways. Beyond the last the recording
+does not determine a parameter."""
 
 
 def discrepancy(
