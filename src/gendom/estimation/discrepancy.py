@@ -51,8 +51,10 @@ def discrepancy(
     sd = np.full(len(prior.names), math.inf)
     determined = np.sqrt(np.diag(covariance)) < IDENTIFIABLE * prior.sd
     for k, part in enumerate(problem.parts):
+        noise = found.noise[k]
         usual = calibration.displaced * part.scene.size if len(part.scene.held) == 1 else 0.0
-        excess = math.sqrt(max(found.noise[k].model ** 2 - usual**2, 0.0))
+        usual = max(usual, noise.least_model)
+        excess = math.sqrt(max(noise.model**2 - usual**2, 0.0))
         for p in part.shown:
             own, wanted = 0.0, determined[p] and UNKNOWNS[prior.names[p]].material
             if wanted and excess > 0.0 and not part.scene.static:
