@@ -56,10 +56,17 @@ def test_a_cable_is_predicted_from_one_sequence(cable, real_data):
 
 
 def test_a_wire_at_rest(real_data):
-    """Its authors found 1.2e-4 N m^2 in another way."""
+    """Its authors found 1.22e-4 N m^2 in another way, an elastica with free ends has 0.98e-4."""
     path = real_data / "wire_white_loop.npz"
     if not path.is_file():
         pytest.skip(f"no {path.name} in {real_data}")
     found = estimate(Recording.read(path, on_warning=lambda _: None), EstimateSettings(starts=1))
     assert found.usable
     assert found.record["bending_stiffness"] == pytest.approx(1.2166e-4, rel=0.15)
+    ends = found.interval("bending_stiffness")
+    assert ends is not None and ends[0] < 0.98e-4 < 1.2166e-4 < ends[1]
+    # it is as long as it is
+    (x,) = found.positions[:1]
+    assert np.linalg.norm(np.diff(x, axis=0), axis=1).sum() == pytest.approx(1.5, rel=0.002)
+    assert np.abs(found.record["calibration"]["shift"]).max() < 0.003
+    assert found.record["rms"] < 0.003

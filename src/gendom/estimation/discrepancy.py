@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.estimation.posterior import IDENTIFIABLE, Calibration
-from gendom.estimation.problem import Found, Problem
+from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import middle
 from gendom.estimation.theta import UNKNOWNS
 
@@ -51,16 +51,24 @@ def discrepancy(
     sd = np.full(len(prior.names), math.inf)
     determined = np.sqrt(np.diag(covariance)) < IDENTIFIABLE * prior.sd
     for k, part in enumerate(problem.parts):
-        noise = found.noise[k]
-        usual = calibration.displaced * part.scene.size if len(part.scene.held) == 1 else 0.0
-        usual = max(usual, noise.least_model)
-        excess = math.sqrt(max(noise.model**2 - usual**2, 0.0))
+        excess = _unexplained(found, part, k, calibration)
         for p in part.shown:
             own, wanted = 0.0, determined[p] and UNKNOWNS[prior.names[p]].material
-            if wanted and excess > 0.0 and not part.scene.static:
+            if wanted and excess > 0.0:
                 own = _change(problem, found.best.vector, k, int(p), excess)
             sd[p] = min(sd[p], own)
     return np.where(np.isfinite(sd), sd, 0.0)
+
+
+def _unexplained(found: Found, part: Part, recording: int, calibration: Calibration) -> float:
+    """Displacement of the model beyond that of lifts with known truth, of a coordinate [m]."""
+    noise, comparison = found.noise[recording], found.best.comparison
+    if part.scene.static:
+        # repeats of one shape average the sensor's noise, not what is wrong with the shape
+        assert comparison is not None
+        return comparison.parts[recording].fit(noise).rms
+    usual = calibration.displaced * part.scene.size if len(part.scene.held) == 1 else 0.0
+    return math.sqrt(max(noise.model**2 - max(usual, noise.least_model) ** 2, 0.0))
 
 
 def _change(problem: Problem, vector: Array, recording: int, p: int, by: float) -> float:
