@@ -72,12 +72,12 @@ def test_every_row_is_tried_and_what_has_no_estimate_is_said(bench):
     assert set(rubber) == {"ours, no parameters", "ours, true parameters"}
     assert "it did not move" in result["estimates"][RUBBER]["refused"]
     assert "friction" in result["estimates"][COTTON]
-    # of the shipped policy: what it was taught in the mean, and what it says of the true cloth
+    # of the shipped policy: what was enough for nine of ten cloths that it was taught
     shipped = Policy.pretrained("cloth-spreading")
     assert cotton["ours, no parameters"]["A"] == rubber["ours, no parameters"]["A"]
-    assert cotton["ours, no parameters"]["A"] == pytest.approx(
-        shipped.description.outputs[0].mean, abs=1e-4
-    )
+    A = shipped.description.outputs[0]
+    enough = min(A.mean + 1.2816 * A.scale, 0.65)
+    assert cotton["ours, no parameters"]["A"] == pytest.approx(enough, abs=1e-4)
     assert cotton["searched"]["A"] == 0.3
     off = np.hypot(*(np.array(result["hands"]) - OFF_CENTRE).T)
     assert off[0] == 0.0 and 0.001 < off[1:].min() < off.max() < 0.05

@@ -198,6 +198,25 @@ def test_goals_of_two_numbers_and_of_none(tmp_path):
         train(spread, tmp_path / "no.onnx", Training(method="inverse", conditioned_on=()))
 
 
+def test_a_quantile_is_enough_for_most(tmp_path):
+    """Of actions that differ by chance between like objects it is the upper end."""
+    rng = np.random.default_rng(0)
+    E = np.exp(rng.uniform(-1.4, -0.4, 2000))
+    one = np.ones(2000)
+    spread = Demonstrations(
+        task={"name": "cloth-spreading", **ClothSpreading().settings()},
+        action_names=("A",),
+        goal_names=(),
+        goal=np.empty((2000, 0)),
+        action=(0.5 - 0.4 * E + rng.uniform(0.0, 0.1, 2000))[:, None],
+        parameters={"E": E, "nu": one, "damping": one, "friction": one, "density": one},
+    )
+    policy = train(spread, tmp_path / "spread.onnx", Training(epochs=100, method="quantile"))
+    found = policy.actions(np.empty((2000, 0)), {"E": E})[:, 0]
+    assert np.abs(found - 0.5 + 0.4 * E - 0.09).mean() < 0.01
+    assert np.mean(found >= spread.action[:, 0]) == pytest.approx(0.9, abs=0.05)
+
+
 def test_failed_training_leaves_the_older_file(tmp_path, monkeypatch):
     path = tmp_path / "policy.onnx"
     path.write_text("older")
@@ -312,7 +331,7 @@ def test_divergence_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"method": "magic"}, "choose from distal, inverse"),
+        ({"method": "magic"}, "choose from distal, inverse, quantile"),
         ({"conditioned_on": ("mass",)}, "choose from E, nu, damping"),
         ({"architecture": "huge"}, "choose from smooth, paper"),
         ({"epochs": 0}, "epochs must be positive"),

@@ -28,8 +28,8 @@ OUTLINE_POINTS = 2000
 THICK, THIN = 50.0, 200.0
 """Length over the assumed diameter of a rope whose diameter is not stated: in motion, and at rest,
 where points of the centre line alone are compared. A thicker rod that bends alike is stretched by
-its own weight, a thinner one takes longer: a wire of 1.5 m that bends over 88 mm by 41 mm with 50, by
-2 mm with 200."""
+its own weight, a thinner one takes longer: a wire of 1.5 m that bends over 88 mm by 41 mm with 50,
+by 2 mm with 200."""
 
 EDGE_BINS = 16
 """Along an edge of a cloth."""

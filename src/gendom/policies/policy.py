@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 
 FORMAT = "gendom-policy/2"
 METADATA_KEY = "gendom-policy"
-METHODS = ("distal", "inverse")
+METHODS = ("distal", "inverse", "quantile")
+QUANTILE = 0.9
+"""Of the method ``quantile``: share of like objects for which an action is to be enough."""
 GOAL = "goal_"
 """What inputs for goals begin with."""
 

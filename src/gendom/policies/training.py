@@ -59,7 +59,7 @@ class Training:
     """
 
     method: str = "distal"
-    """"distal" or "inverse"; see `gendom.policies.methods`."""
+    """One of "distal", "inverse" and "quantile"; see `gendom.policies.methods`."""
     conditioned_on: tuple[str, ...] | None = None
     """The parameters that the policy sees; None: all that vary. The forward model that teaches it
     always sees all of them: they are those of the demonstration, and a policy that does not see
