@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from gendom.datasets import Recording
@@ -123,13 +124,12 @@ def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Post
     covariance = found.covariance
     if covariance is None:
         covariance = np.linalg.inv(problem.slopes(found.best, found.noise)[1])
+    added: float | NDArray[np.floating] = 0.0
+    # what moves otherwise than any simulated object gets no intervals
+    if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
+        added = discrepancy(problem, found, covariance, calibration)
     return Posterior.calibrated(
-        problem.prior,
-        found.best.vector,
-        covariance,
-        problem.bases,
-        calibration,
-        discrepancy(problem, found, covariance, calibration),
+        problem.prior, found.best.vector, covariance, problem.bases, calibration, added
     )
 
 
