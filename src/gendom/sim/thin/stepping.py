@@ -328,9 +328,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         state: wp.array3d(dtype=real),
         frames_bar: wp.array3d(dtype=vec3),  # [T, W, n]
         bars: Bars,
-        turns_kept: wp.array3d(
-            dtype=real
-        ),  # [., 6 turns, P] points in the turns of a step's contacts
+        turns_kept: wp.array3d(dtype=real),  # [., 6 turns, P] points before each of a step's turns
     ):
         w = first + wp.tid() // lanes
         lane = wp.tid() % lanes

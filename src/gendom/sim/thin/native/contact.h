@@ -24,7 +24,7 @@ CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, const 
 }
 
 // Whether contacts are taken one after the other: in a CPU's search for equilibria.
-template <typename Body> CUDA_CALLABLE inline bool one_by_one(const Body& body) {
+template <typename Body> CUDA_CALLABLE inline bool takes_in_order(const Body& body) {
 #if defined(__CUDA_ARCH__)
     return false;
 #else
@@ -63,8 +63,8 @@ template <typename Body, typename real> struct contacts {
                                   real dt, int turn)
         : body(body), w(w), close(close_pairs(body, w)), s(state, row), push(body.push, w),
           loose(body.loose, w), dt(dt), per_dt(real(1) / dt), mu(wp::index(body.self_friction, w)),
-          over(turn < body.contact_turns || one_by_one(body) ? real(1) : real(1.8)),
-          in_order(one_by_one(body)) {}
+          over(turn < body.contact_turns || takes_in_order(body) ? real(1) : real(1.8)),
+          in_order(takes_in_order(body)) {}
 
     CUDA_CALLABLE inline meeting<real> pair(int k) const {
         int one, other;
