@@ -94,6 +94,21 @@ class Checkpoint:
         if time.monotonic() - self._stored >= STORE_EVERY:
             self.write()
 
+    def remember(self, name: str, tensors: Mapping[str, Tensor]) -> None:
+        """Keep what took long to make, and write it."""
+        kept = {f"{name}/kept/{key}": value.numpy().copy() for key, value in tensors.items()}
+        self._arrays |= kept
+        self.write()
+
+    def recall(self, name: str) -> dict[str, Tensor] | None:
+        """What was kept by that name."""
+        start = f"{name}/kept/"
+        return {
+            key.removeprefix(start): torch.from_numpy(value)
+            for key, value in self._arrays.items()
+            if key.startswith(start)
+        } or None
+
     def write(self) -> None:
         """Put what was kept on disk."""
         with atomic_path(self.path) as temporary, open(temporary, "wb") as file:

@@ -43,6 +43,11 @@ class Thrown(Throws):
     jobs: int = 1
 
 
+@pytest.fixture(autouse=True)
+def refined_in_closed_form(monkeypatch):
+    monkeypatch.setattr(Workbench, "beside_training", lambda *_: Thrown())
+
+
 @pytest.fixture
 def bench(tmp_path) -> Workbench:
     return Workbench(folder=tmp_path / "table")
@@ -102,7 +107,7 @@ def test_ablation_has_all_rows_and_parameters_that_count_help(bench, monkeypatch
     )
     result = ablation(bench, settings)
     rows, curve = result["rows"], result["by_demonstrations"]
-    assert set(rows) == {f"{m}, {s}" for m in ("inverse", "distal")
+    assert set(rows) == {f"{m}, {s}" for m in ("inverse", "distal", "refined")
                          for s in ("both", "E", "nu", "none")} | {"polished, both"}  # fmt: skip
     assert set(curve) == {"inverse, 25", "distal, 25"}  # no more than there are
     error = {name: row["20"]["mean"] for name, row in rows.items()}
@@ -122,7 +127,7 @@ def test_ablation_has_all_rows_and_parameters_that_count_help(bench, monkeypatch
 @pytest.mark.slow
 def test_the_command_writes_json_and_a_page(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(simulated_module, "_world", lambda *_: Thrown())
-    monkeypatch.setattr("gendom.cli.reproduce.SIMULATED", {"small": (60, 1, 1)})
+    monkeypatch.setattr("gendom.cli.reproduce.SIMULATED", {"small": (60, 1, 1, 0)})
     monkeypatch.setattr(
         "gendom.evaluation.tables.SimulatedSettings",
         functools.partial(SimulatedSettings, steps=20, curve=(30,), goals=(5, 10)),
@@ -144,7 +149,7 @@ def test_generalization_has_both_domains_and_what_r2s2r_found(bench, monkeypatch
     for domain in ("in domain", "outside"):
         rows = result["rows"][domain]
         assert rows["ours, polished"]["6"]["mean"] < 1e-3
-        assert {"ours", "R2S2R, three ropes, inverse", "R2S2R, cotton rope, distal"} <= set(rows)
+        assert {"ours", "R2S2R, three ropes, inverse", "R2S2R, cotton rope, refined"} <= set(rows)
         assert "0.0" in str(sheets.simulated_sheet(domain, rows, sheets.GENERALIZATION[domain]))
     assert result["identified"]["R2S2R, cotton rope"]["misfit"] < 1e-3
     assert result["identified"]["R2S2R, three ropes"]["misfit"] > 1e-3

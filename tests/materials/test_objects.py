@@ -15,6 +15,7 @@ from gendom.materials import (
     from_columns,
     to_columns,
     unit_of,
+    with_dimensionless,
 )
 
 ROPE = Rope(
@@ -42,6 +43,17 @@ def test_likeness_of_a_cloth_is_that_of_a_plate():
     bending = (rigidity / (1100.0 * 0.001 * 9.81)) ** (1 / 3)
     assert dimensionless_parameters(CLOTH)["E"] == pytest.approx(bending / 0.2)
     assert dimensionless_parameters(CLOTH)["density"] == pytest.approx(1.2 * 0.2 / 1.1)
+
+
+@pytest.mark.parametrize("item", [ROPE, CLOTH])
+def test_likeness_is_given(item):
+    wanted = {"E": 0.3, "nu": 0.25, "damping": 0.03, "friction": 0.6, "density": 0.05}
+    own = dimensionless_parameters(item)
+    for names in ((), ("nu",), ("density",), ("E", "damping"), tuple(wanted)):
+        given = {name: wanted[name] for name in names}
+        made = with_dimensionless(item, given)
+        assert dimensionless_parameters(made) == pytest.approx({**own, **given})
+        assert [getattr(made, n) for n in made.sizes] == [getattr(item, n) for n in item.sizes]
 
 
 def test_a_larger_rope_that_is_alike():

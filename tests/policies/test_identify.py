@@ -1,14 +1,12 @@
 """R2S2R's identification, in a world solved in closed form."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from gendom.errors import ParameterError, SimulationError
-from gendom.materials import dimensionless_parameters, size_of
+from gendom.materials import dimensionless_parameters, with_dimensionless
 from gendom.policies.adaptation import Execution
-from gendom.policies.identify import IdentifySettings, identify, with_dimensionless
+from gendom.policies.identify import IdentifySettings, identify
 from policies.ballistic import ROPE, TASK, Throws
 
 PARAMETERS = {"E": 0.5, "damping": 0.03}
@@ -23,13 +21,6 @@ def seen(item, count=20):
         (ROPE, Execution(action=a, reached=np.array([o.values["x"]])))
         for a, o in zip(actions, outcomes, strict=True)
     ]
-
-
-def test_likeness_is_given():
-    alike = dimensionless_parameters(TRUE)
-    assert alike["E"] == pytest.approx(0.5) and alike["damping"] == pytest.approx(0.03)
-    assert (size_of(TRUE), TRUE.material.density) == (ROPE.length, ROPE.material.density)
-    assert with_dimensionless(ROPE, {"nu": 0.2}).material == replace(ROPE.material, nu=0.2)
 
 
 def test_one_object_is_explained():

@@ -65,8 +65,11 @@ def made_by(policy: Policy) -> list[str]:
         train += ["--condition", "none"]
     elif training.get("conditioned_on"):
         train += ["--condition", *about.conditioned_on]
-    for flag in ("architecture", "epochs", "seed"):
-        train += [f"--{flag}", str(training[flag])]
+    flags = ["architecture", "epochs", "seed"]
+    if training.get("refine"):
+        flags += ["refine", "refine_cases"]
+    for flag in flags:
+        train += [f"--{flag.replace('_', '-')}", str(training[flag])]
     size = str(training["demonstrations"])
     return [
         shlex.join(["gendom", "dataset", task, "--size", size, "--out", "set"]),

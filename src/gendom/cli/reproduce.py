@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 SCALES = {"small": (2, 1), "full": (5, 5)}
 """Objects, and starts of each, by scale of the table sim2sim."""
 
-SIMULATED = {"small": (2_000, 60, 1), "full": (40_000, 150, 3)}
-"""Demonstrations, epochs and trainings of the table ablation; generalization takes the paper's
-number of demonstrations."""
+SIMULATED = {"small": (2_000, 60, 1, 2), "full": (40_000, 150, 3, 4)}
+"""Demonstrations, epochs, trainings and rounds of refining of the table ablation; generalization
+takes the paper's number of demonstrations."""
 
-ROPE_REAL = {"small": (2, 4_000, 20, 60, 1), "full": (24, 40_000, 100, 150, 5)}
-"""Goals of each rope, demonstrations, real ones of each rope, epochs and executions of the table
-rope-real."""
+ROPE_REAL = {"small": (2, 4_000, 20, 60, 1, 1), "full": (24, 40_000, 100, 150, 5, 4)}
+"""Goals of each rope, demonstrations, real ones of each rope, epochs, executions and rounds of
+refining of the table rope-real."""
 
 CLOTH_REAL = {"small": (1, 0, 2), "full": (5, 800, 8)}
 """Trials of each cloth, demonstrations and draws of the table cloth-real."""
@@ -164,7 +164,7 @@ class Command:
         bench = self._bench()
         began = time.monotonic()
         if self.table == "rope-real":
-            goals, demonstrations, real, epochs, executions = ROPE_REAL[self.scale]
+            goals, demonstrations, real, epochs, executions, refine = ROPE_REAL[self.scale]
             result = rope_real(
                 bench,
                 RopeRealSettings(
@@ -174,17 +174,19 @@ class Command:
                     real=real,
                     epochs=epochs,
                     executions=executions,
+                    refine=refine,
                 ),
             )
             shown = sheets.rope_real_sheets(result)
         else:
-            demonstrations, epochs, seeds = SIMULATED[self.scale]
+            demonstrations, epochs, seeds, refine = SIMULATED[self.scale]
             settings = SimulatedSettings(
                 task=self.task,
                 engine=self.engine,
                 demonstrations=demonstrations,
                 epochs=epochs,
                 seeds=seeds,
+                refine=refine,
             )
             if self.table == "ablation":
                 result = ablation(bench, settings)

@@ -20,6 +20,7 @@ from gendom.materials.objects import (
     to_columns,
     unit_of,
     unit_of_size,
+    with_dimensionless,
 )
 from gendom.materials.parameters import Material, bending_length, specific_modulus_of
 
@@ -46,4 +47,5 @@ __all__ = [
     "to_columns",
     "unit_of",
     "unit_of_size",
+    "with_dimensionless",
 ]

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError
-from gendom.materials.parameters import Material, bending_length
+from gendom.materials.parameters import Material, bending_length, specific_modulus_of
 
 STANDARD_GRAVITY = 9.81
 """[m/s^2]."""
@@ -224,6 +224,25 @@ def dimensionless_parameters(item: Item) -> dict[str, float]:
         "friction": item.friction,
         "density": AIR_DENSITY * L / item.mass_per_area,
     }
+
+
+def with_dimensionless(item: Item, parameters: Mapping[str, float]) -> Item:
+    """An object of the same sizes with other `dimensionless_parameters`; those that are not given
+    stay.
+
+    Raises:
+        ParameterError: There is no such object.
+    """
+    own = dimensionless_parameters(item)
+    alike = {**own, **parameters}
+    density = item.material.density * own["density"] / alike["density"]
+    # the bending length depends on nu, so the modulus that it stands for is asked of this one
+    same = replace(item, material=replace(item.material, nu=alike["nu"], density=density))
+    bending = alike["E"] * size_of(item)
+    specific = specific_modulus_of(bending, same.radius_of_gyration, STANDARD_GRAVITY)
+    damping = alike["damping"] * unit_of("s", item)
+    material = replace(same.material, E=specific * density, damping=damping)
+    return replace(same, material=material, friction=alike["friction"])
 
 
 def to_columns(item: Item) -> dict[str, float]:

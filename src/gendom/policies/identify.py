@@ -9,21 +9,14 @@ simulations with these parameters alone. Objects of several kinds share one set.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
 from gendom.errors import ParameterError, SimulationError
-from gendom.materials import (
-    PARAMETERS,
-    STANDARD_GRAVITY,
-    Item,
-    size_of,
-    specific_modulus_of,
-    unit_of,
-)
+from gendom.materials import PARAMETERS, Item, with_dimensionless
 from gendom.policies.adaptation import Execution
 from gendom.tasks import Task
 from gendom.tasks.world import Simulation, World
@@ -145,18 +138,3 @@ def identify(
         executions=len(seen),
         rollouts=rollouts,
     )
-
-
-def with_dimensionless(item: Item, parameters: Mapping[str, float]) -> Item:
-    """An object of the same sizes and density with other `dimensionless_parameters`: E, nu,
-    damping, friction."""
-    material = item.material
-    material = replace(material, nu=parameters.get("nu", material.nu))
-    item = replace(item, material=material, friction=parameters.get("friction", item.friction))
-    if "E" in parameters:
-        bending = parameters["E"] * size_of(item)
-        specific = specific_modulus_of(bending, item.radius_of_gyration, STANDARD_GRAVITY)
-        material = replace(material, E=specific * material.density)
-    if "damping" in parameters:
-        material = replace(material, damping=parameters["damping"] * unit_of("s", item))
-    return replace(item, material=material)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
 RISK_FLOOR = 1e-5
 """Smaller risks count as zero [units of similarity]."""
+
+RISK_MARGIN = 0.5
+"""How far below its limit a policy keeps the risk that is predicted, in powers of e."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +103,12 @@ class Lesson:
         if self.risk is not None and d.risk is not None:
             logs = np.log(np.maximum(d.risk, RISK_FLOOR))
             self.log_risk = torch.tensor(logs, dtype=torch.float32)[:, None]
+        self.highest = math.log(self.risk.limit) if self.risk is not None else 0.0
+        """Logarithm of the risk's limit."""
+        self.within = torch.ones(len(d), dtype=torch.bool)
+        """[N] which demonstrations' risk is within it."""
+        if self.log_risk is not None:
+            self.within = self.log_risk[:, 0] <= self.highest
         self.policy = PhysicalNetwork(self.inputs, self.actions, training.architecture)
         self._observe, self._checkpoint = observe, checkpoint
 
@@ -116,6 +126,20 @@ class Lesson:
         """[B, A] what the policy does for some demonstrations' goals and objects."""
         goals = self.goal[rows].split(1, dim=1) if self.goals else ()
         return self.policy(*goals, *(self.data[name][rows] for name in self.sees))
+
+    def caution(self, log_risk: Tensor) -> Tensor:
+        """Loss of risks [B], given by their logarithms, that are near the limit or beyond."""
+        beyond = torch.relu(log_risk - (self.highest - RISK_MARGIN))
+        return self.training.caution * (beyond**2).mean()
+
+    def remembered(self, name: str, make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
+        """Tensors that an interrupted training need not make again."""
+        if self._checkpoint is None:
+            return make()
+        if (kept := self._checkpoint.recall(name)) is None:
+            kept = make()
+            self._checkpoint.remember(name, kept)
+        return kept
 
     def fit(
         self,
@@ -168,6 +192,32 @@ class Lesson:
             taught = chosen if len(chosen) >= SMALLEST else taught
             held_out = held_out[only[held_out]]
 
+        self.fit_to(name, network, loss_of, taught, settings, held_out=held_out)
+
+    def fit_to(
+        self,
+        name: str,
+        network: nn.Module,
+        loss_of: Callable[[Tensor], Tensor],
+        rows: Tensor,
+        settings: FitSettings,
+        *,
+        held_out: Tensor | None = None,
+    ) -> None:
+        """Fit a network to rows of any kind.
+
+        Args:
+            name: For people and for the checkpoint.
+            network: What is trained.
+            loss_of: Loss of some rows.
+            rows: [M] all of them.
+            settings: How.
+            held_out: Rows whose loss is only reported.
+
+        Raises:
+            PolicyError: It diverged.
+        """
+
         def observe(epoch: Epoch) -> None:
             if self._observe is not None:
                 self._observe(name, epoch)
@@ -175,7 +225,7 @@ class Lesson:
         fit(
             network,
             loss_of,
-            taught,
+            rows,
             settings,
             held_out=held_out,
             on_epoch=observe,
@@ -191,6 +241,12 @@ def standardised(name: str, values: NDArray[np.float64], *, log: bool = False) -
     # a quantity that never changes stays at zero once standardised
     scale = float(x.std()) if np.ptp(x) > 0.0 else 1.0
     return Column(name=name, mean=float(x.mean()), scale=scale, log=log)
+
+
+def huber(error: Tensor, large: float) -> Tensor:
+    """Huber's (1964) loss, of slope 2 beyond `large`."""
+    size = error.abs()
+    return torch.where(size < large, size**2 / large, 2.0 * size - large)
 
 
 def rms(error: Tensor) -> float:

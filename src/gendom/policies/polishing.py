@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item, unit_of
-from gendom.policies.rollouts import Asking, Rollouts, side_by_side
+from gendom.policies.rollouts import Asking, Rollouts, around, side_by_side, slopes
 from gendom.tasks import Task
 from gendom.tasks.world import Outcome, Simulation, World
 
@@ -173,24 +173,12 @@ class _Problem:
 
     def points(self, actions: Sequence[Array]) -> Asking[list[_Point]]:
         """Actions with residuals and derivatives, all simulated side by side."""
-        h, A = self.settings.step, len(self.units)
-        ends = []
-        for a in actions:
-            ends += [a] + [a + sign * h * e for e in np.eye(A) for sign in (1.0, -1.0)]
-        allowed = [self._allowed(a) for a in ends]
-        r = yield from self.residuals(allowed)
-        found = []
-        for n in range(len(actions)):
-            at = n * (2 * A + 1)
-            J = np.zeros((len(r[at]), A))
-            for k in range(A):
-                plus, minus = at + 1 + 2 * k, at + 2 + 2 * k
-                width = allowed[plus][k] - allowed[minus][k]
-                if width > 0.0:
-                    J[:, k] = (r[plus] - r[minus]) / width
-            J[~np.isfinite(J)] = 0.0
-            found.append(_Point(a=allowed[at], r=r[at], J=J))
-        return found
+        ends = around(np.array(actions), self.settings.step)
+        allowed = np.array([[self._allowed(a) for a in of_one] for of_one in ends])
+        flat = yield from self.residuals(list(allowed.reshape(-1, allowed.shape[-1])))
+        r = np.array(flat).reshape(*allowed.shape[:2], -1)
+        J = slopes(allowed, r)
+        return [_Point(a=a[0], r=x[0], J=j) for a, x, j in zip(allowed, r, J, strict=True)]
 
     def _allowed(self, a: Array) -> Array:
         return self.task.nearest(self.items[0], a * self.units) / self.units

@@ -18,6 +18,7 @@ from gendom.tasks import Task
 from gendom.tasks.world import Outcome, World
 
 T = TypeVar("T")
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +27,7 @@ class Rollouts:
 
     items: Sequence[Item]
     """W objects."""
-    actions: Sequence[NDArray[np.float64]]
+    actions: Sequence[Array]
     """W of [A], within the limits."""
 
 
@@ -57,3 +58,29 @@ def side_by_side(task: Task, world: World, searches: Sequence[Asking[T]]) -> lis
             count = len(rollouts.items)
             answers[k], outcomes = outcomes[:count], outcomes[count:]
     return [results[k] for k in range(len(searches))]
+
+
+def around(at: Array, step: float) -> Array:
+    """[..., 2 A + 1, A] points [..., A] themselves, then a step up and down along each axis."""
+    A = at.shape[-1]
+    steps = step * np.repeat(np.eye(A), 2, axis=0) * np.tile([[1.0], [-1.0]], (A, 1))
+    return at[..., None, :] + np.concatenate([np.zeros((1, A)), steps])
+
+
+def slopes(points: Array, values: Array) -> Array:
+    """Central differences, 0 where a point did not move or a value is not finite.
+
+    Args:
+        points: [..., 2 A + 1, A] as `around` gives them, perhaps moved into limits.
+        values: [..., 2 A + 1, R] at these.
+
+    Returns:
+        [..., R, A].
+    """
+    up, down = points[..., 1::2, :], points[..., 2::2, :]
+    width = np.diagonal(up - down, axis1=-2, axis2=-1)[..., None]  # [..., A, 1]
+    with np.errstate(invalid="ignore"):
+        rise = values[..., 1::2, :] - values[..., 2::2, :]
+    usable = (width > 0.0) & np.isfinite(rise)
+    J = np.where(usable, rise, 0.0) / np.where(usable, width, 1.0)
+    return np.swapaxes(J, -1, -2)

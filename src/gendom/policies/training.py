@@ -37,8 +37,10 @@ from gendom.policies.lesson import Lesson
 from gendom.policies.methods import teacher
 from gendom.policies.networks import ARCHITECTURES
 from gendom.policies.policy import METADATA_KEY, METHODS, Description, GoalRange, Policy
+from gendom.policies.refining import refine
 from gendom.progress import Show, bar
-from gendom.tasks import find_task
+from gendom.tasks import Task, find_task, rebuild
+from gendom.tasks.world import Simulation, World
 
 GOAL_BINS = 8
 """Bins of the parameter E in which the range of goals is kept."""
@@ -79,6 +81,12 @@ class Training:
     """Weight of the pull towards demonstrated actions, distal only."""
     caution: float = 1.0
     """Weight of the task's risk, distal only."""
+    refine: int = 0
+    """Rounds in the simulator after that, see `gendom.policies.refining`."""
+    refine_cases: int = 2000
+    """Demonstrations whose goals and objects the policy acts for in each round, at most."""
+    refine_steps: int = 4000
+    """Of the optimiser in each round; the last has four times as many."""
     validation_share: float = 0.1
     """Share of the demonstrations held out."""
     seed: int = 0
@@ -98,6 +106,12 @@ class Training:
         ):
             if not getattr(self, name) > 0:
                 raise PolicyError(f"{name} must be positive, got {getattr(self, name)}")
+        if self.refine < 0 or min(self.refine_cases, self.refine_steps) < 1:
+            raise PolicyError(
+                f"{self.refine} rounds of {self.refine_cases} cases and {self.refine_steps} steps",
+                where="refine",
+                fix="give 0 rounds or more, of 1 case and 1 step or more",
+            )
         if not 0.0 < self.validation_share < 1.0:
             raise PolicyError(
                 f"validation_share must lie between 0 and 1, got {self.validation_share}"
@@ -110,6 +124,7 @@ def train(
     training: Training | None = None,
     *,
     finetune: Demonstrations | None = None,
+    world: World | None = None,
     progress: bool = False,
     tensorboard: str | os.PathLike | None = None,
 ) -> Policy:
@@ -125,6 +140,7 @@ def train(
         training: How to train.
         finetune: Other demonstrations of the task, such as real ones, that everything is fitted to
             once more; columns stay standardised as the first ones are.
+        world: Where a policy that is refined acts (default: our simulator).
         progress: Show progress bars on stderr.
         tensorboard: Folder to log losses to.
 
@@ -142,6 +158,9 @@ def train(
     if not demonstrations.goal_names:
         demonstrations = _steady(demonstrations)  # an action that failed teaches no other goal
     sees = _seen(demonstrations, training)
+    task, world = rebuild(demonstrations.task), world or Simulation()
+    if training.refine:
+        _check_refined(task, finetune)
     if finetune is not None:
         _check_alike(demonstrations, finetune)
     checkpoint = Checkpoint(
@@ -152,6 +171,7 @@ def train(
             "training": asdict(training),
             "demonstrations": _digest(demonstrations),
             "finetune": None if finetune is None else _digest(finetune),
+            "world": world.settings() if training.refine else None,
         },
     )
     with reproducible(training.seed), _shown(progress, tensorboard) as observe:
@@ -164,10 +184,13 @@ def train(
             checkpoint=checkpoint,
         )
         errors = teacher(training.method)(lesson)
+        if training.refine:
+            errors |= refine(lesson, task, world, shown=progress)
         figures = {
             **asdict(training),
             "demonstrations": given,
             "failed": given - len(demonstrations),
+            "refined_in": world.settings() if training.refine else None,
             "finetuned_on": 0 if finetune is None else len(finetune),
             "held_out": len(lesson.held_out),
             "errors": errors,
@@ -247,6 +270,21 @@ def _seen(demonstrations: Demonstrations, training: Training) -> tuple[str, ...]
             fix=f"choose from {', '.join(varying)}" if varying else "train it on none",
         )
     return sees
+
+
+def _check_refined(task: Task, finetune: Demonstrations | None) -> None:
+    if not task.goals:
+        raise PolicyError(
+            f"{task.name} has no goals that a policy could be refined for",
+            where="refine",
+            fix="give 0 rounds",
+        )
+    if finetune is not None:
+        raise PolicyError(
+            "refining in the simulator would undo the fine-tuning",
+            where="refine",
+            fix="choose one of them",
+        )
 
 
 def _check_alike(demonstrations: Demonstrations, finetune: Demonstrations) -> None:

@@ -16,12 +16,18 @@ from numpy.typing import NDArray
 from gendom.evaluation.protocol import Cases, choose, draw_cases, judge
 from gendom.evaluation.tables.lifted import lifted, stated
 from gendom.evaluation.tables.workbench import Wanted, Workbench
-from gendom.materials import PARAMETERS, Item, dimensionless_parameters, to_columns
+from gendom.materials import (
+    PARAMETERS,
+    Item,
+    dimensionless_parameters,
+    to_columns,
+    with_dimensionless,
+)
 from gendom.policies import Policy
 from gendom.policies.adaptation import Execution, adapting
 from gendom.policies.belief import Belief
 from gendom.policies.demonstrations import Demonstrations, joined
-from gendom.policies.identify import Identified, identify, with_dimensionless
+from gendom.policies.identify import Identified, identify
 from gendom.policies.polishing import PolishSettings, polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import Task, find_task
@@ -55,7 +61,9 @@ class RopeRealSettings:
     """Demonstrations of each rope in the second reality."""
     epochs: int = 150
     steps: int = 3000
-    """Of the optimiser in each training, at least."""
+    """Of the optimiser in each training, at least, and in each round of refining."""
+    refine: int = 4
+    """Rounds in the simulator of policies that are trained on simulations by our method."""
     finetune_epochs: int = 300
     """Of fine-tuning on the second reality's demonstrations."""
     executions: int = 3
@@ -167,16 +175,20 @@ def _ours(
     """Policies trained on simulations of all ropes, by row."""
     from gendom.policies.training import Training
 
-    plain = Training(epochs=settings.epochs, seed=bench.seed)
+    plain = Training(epochs=settings.epochs, refine_steps=settings.steps, seed=bench.seed)
+    refined = replace(plain, refine=settings.refine)
     inverse = replace(plain, method="inverse")
     tuned = replace(plain, finetune_epochs=settings.finetune_epochs)
     trainings = {
-        "ours": plain,
-        "ours, no parameters": replace(plain, conditioned_on=()),
+        "ours": refined,
+        "ours, no parameters": replace(refined, conditioned_on=()),
         "inverse": inverse,
         "inverse, no parameters": replace(inverse, conditioned_on=()),
     }
-    wanted = {n: Wanted.suited(simulated, t, settings.steps) for n, t in trainings.items()}
+    world = bench.beside_training()
+    wanted = {
+        n: Wanted.suited(simulated, t, settings.steps, world=world) for n, t in trainings.items()
+    }
     wanted["sim+real"] = Wanted.suited(simulated, tuned, settings.steps, finetune=real)
     return _named(bench, settings, wanted)
 
@@ -200,9 +212,20 @@ def _baselines(
             f"{task.name}-{row}", Demonstrator(task=only), settings.demonstrations
         )
 
-    plain = Training(epochs=settings.epochs, seed=bench.seed, conditioned_on=())
+    plain = Training(
+        epochs=settings.epochs, refine_steps=settings.steps, seed=bench.seed, conditioned_on=()
+    )
 
-    own = {row: Wanted.suited(some, plain, settings.steps) for row, some in sets.items()}
+    own = {
+        row: Wanted.suited(
+            some,
+            # real demonstrations have no simulator to refine in
+            replace(plain, refine=settings.refine if row.startswith("R2S2R") else 0),
+            settings.steps,
+            world=bench.beside_training(),
+        )
+        for row, some in sets.items()
+    }
     policies = _named(bench, settings, own)
     tried = [
         (

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from gendom.evaluation.protocol import Cases, choose, draw_cases, judge
 from gendom.evaluation.tables.workbench import Wanted, Workbench
-from gendom.materials import Item, Material, Rope
+from gendom.materials import Item, Material, Rope, with_dimensionless
 from gendom.policies import Policy
 from gendom.policies.adaptation import Execution
 from gendom.policies.demonstrations import Demonstrations
-from gendom.policies.identify import IdentifySettings, identify, with_dimensionless
+from gendom.policies.identify import IdentifySettings, identify
 from gendom.policies.polishing import PolishSettings, polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import Task, find_task
@@ -48,8 +48,9 @@ ROPES = ((1779.38, 0.35), (3276.12, 0.346), (8000.31, 0.36))
 IDENTIFIED_FROM = 20
 """Executions that R2S2R finds its parameters from."""
 
-ARCHITECTURES = {"inverse": "paper", "distal": "smooth"}
-"""The paper's network for its method, ours for ours."""
+ARCHITECTURES = {"inverse": "paper", "distal": "smooth", "refined": "smooth"}
+"""Of networks by row: the paper's for its method, ours for ours. ``refined``: distal, then refined
+in the simulator."""
 
 SEES: dict[str, tuple[str, ...]] = {"both": ("E", "nu"), "E": ("E",), "nu": ("nu",), "none": ()}
 
@@ -70,7 +71,9 @@ class SimulatedSettings:
     curve: tuple[int, ...] = (100, 300, 1000, 3000, 10_000)
     """Demonstrations, fewer than all, that `ablation` also trains on."""
     steps: int = 3000
-    """Of the optimiser in each training, at least."""
+    """Of the optimiser in each training, at least, and in each round of refining."""
+    refine: int = 4
+    """Rounds in the simulator, of rows that are refined."""
     damping: float = 0.001
     """Of all ropes [s]; of the MPM none, whose grid damps about as much."""
 
@@ -90,14 +93,14 @@ def ablation(bench: Workbench, settings: SimulatedSettings) -> dict[str, Any]:
     name = f"ablation-{task.name}-{settings.engine}"
     data = bench.demonstrations(name, Demonstrator(task=task, world=world), settings.demonstrations)
     wanted = {
-        f"{method}, {sees}": _wanted(data, settings, method, SEES[sees], architecture)
-        for method, architecture in ARCHITECTURES.items()
+        f"{method}, {sees}": _wanted(bench, data, settings, method, SEES[sees])
+        for method in ARCHITECTURES
         for sees in SEES
     }
     policies = _trained(bench, name, settings, wanted)
     cases = draw_cases(task, max(settings.goals), seed=bench.seed, simulation=world)
     rows = _rows(bench, settings, policies, cases, world)
-    polished = _polished(cases, policies["distal, both"][0], world)
+    polished = _polished(cases, policies["refined, both"][0], world)
     rows["polished, both"] = _figures(settings, [polished])
     return {
         "rows": rows,
@@ -116,10 +119,8 @@ def _curve(
 ) -> dict[str, Any]:
     """Rows of policies that see both parameters, trained on the first demonstrations only."""
     wanted = {
-        f"{method}, {count}": _wanted(
-            data.first(count), settings, method, SEES["both"], architecture
-        )
-        for method, architecture in ARCHITECTURES.items()
+        f"{method}, {count}": _wanted(bench, data.first(count), settings, method, SEES["both"])
+        for method in ("inverse", "distal")
         for count in settings.curve
         if count < len(data)
     }
@@ -140,9 +141,9 @@ def generalization(bench: Workbench, settings: SimulatedSettings) -> dict[str, A
     name = f"generalization-{task.name}-{settings.engine}"
     data = bench.demonstrations(name, Demonstrator(task=task, world=world), settings.demonstrations)
     wanted = {
-        "ours, inverse": _wanted(data, settings, "inverse", ("E", "nu")),
-        "ours": _wanted(data, settings, "distal", ("E", "nu")),
-        "ours, no parameters": _wanted(data, settings, "distal", ()),
+        "ours, inverse": _wanted(bench, data, settings, "inverse", ("E", "nu"), "smooth"),
+        "ours": _wanted(bench, data, settings, "refined", ("E", "nu")),
+        "ours, no parameters": _wanted(bench, data, settings, "refined", ()),
     }
     found: dict[str, Any] = {}
     ropes = [_rope(task.item, E, nu) for E, nu in ROPES]
@@ -158,8 +159,8 @@ def generalization(bench: Workbench, settings: SimulatedSettings) -> dict[str, A
             Demonstrator(task=only, world=world),
             settings.demonstrations,
         )
-        for method in ("inverse", "distal"):
-            wanted[f"{label}, {method}"] = _wanted(own, settings, method, ())
+        for method in ("inverse", "refined"):
+            wanted[f"{label}, {method}"] = _wanted(bench, own, settings, method, (), "smooth")
     policies = _trained(bench, name, settings, wanted)
     count = max(settings.goals)
     sets = {
@@ -204,18 +205,26 @@ def _world(bench: Workbench, settings: SimulatedSettings) -> Simulation:
 
 
 def _wanted(
-    data: Any,
+    bench: Workbench,
+    data: Demonstrations,
     settings: SimulatedSettings,
-    method: str,
+    row: str,
     sees: tuple[str, ...],
-    architecture: str = "smooth",
+    architecture: str | None = None,
 ) -> Wanted:
+    """A policy of a row, one of `ARCHITECTURES`."""
     from gendom.policies.training import Training
 
     training = Training(
-        method=method, conditioned_on=sees, architecture=architecture, epochs=settings.epochs
+        method="distal" if row == "refined" else row,
+        conditioned_on=sees,
+        architecture=architecture or ARCHITECTURES[row],
+        epochs=settings.epochs,
+        refine=settings.refine if row == "refined" else 0,
+        refine_steps=settings.steps,
     )
-    return Wanted.suited(data, training, settings.steps)
+    world = bench.beside_training(settings.engine)
+    return Wanted.suited(data, training, settings.steps, world=world)
 
 
 def _trained(

@@ -16,6 +16,7 @@ from gendom.files import read_json, write_json
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks.demonstrator import Demonstrator
+from gendom.tasks.world import Simulation, World
 
 if TYPE_CHECKING:
     from gendom.policies.training import Training
@@ -34,6 +35,8 @@ class Wanted:
     demonstrations: Demonstrations
     training: Training
     finetune: Demonstrations | None = None
+    world: World | None = None
+    """Where a policy that is refined acts (default: our simulator)."""
 
     @classmethod
     def suited(
@@ -43,6 +46,7 @@ class Wanted:
         steps: int,
         *,
         finetune: Demonstrations | None = None,
+        world: World | None = None,
     ) -> Wanted:
         """With batches for the number of demonstrations, and as many more passes over them as
         `steps` of the optimiser need."""
@@ -50,7 +54,7 @@ class Wanted:
         taught = (1.0 - training.validation_share) * len(demonstrations)
         epochs = max(training.epochs, math.ceil(steps / max(taught / size, 1.0)))
         training = replace(training, batch_size=size, epochs=epochs)
-        return cls(demonstrations=demonstrations, training=training, finetune=finetune)
+        return cls(demonstrations=demonstrations, training=training, finetune=finetune, world=world)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +72,11 @@ class Workbench:
     seed: int = 0
     on_stage: Callable[[str], None] = field(default=lambda _: None)
     """Called with what begins."""
+
+    def beside_training(self, engine: str = "thin") -> Simulation:
+        """Where policies are refined, which are trained side by side."""
+        threads = 1 if self.jobs > 1 else None
+        return Simulation(engine=engine, device=self.device, threads=threads)
 
     def kept(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """The content of a JSON file, made if it is missing."""
@@ -146,4 +155,4 @@ def _slug(name: str) -> str:
 def _train(one: Wanted, path: str) -> None:
     from gendom.policies.training import train
 
-    train(one.demonstrations, path, one.training, finetune=one.finetune)
+    train(one.demonstrations, path, one.training, finetune=one.finetune, world=one.world)

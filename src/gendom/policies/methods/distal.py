@@ -18,13 +18,11 @@ Here and there what is reached jumps, and no network follows. Large errors count
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
 from gendom.errors import PolicyError
-from gendom.policies.lesson import Lesson, rms, standardised
+from gendom.policies.lesson import Lesson, huber, rms, standardised
 from gendom.policies.networks import PhysicalNetwork
 
 ANCHORS = 1024
@@ -32,9 +30,6 @@ ANCHORS = 1024
 
 LARGE = 0.1
 """Error from which on it counts linearly [standard deviations of the goal]."""
-
-RISK_MARGIN = 0.5
-"""How far below its limit a policy keeps the risk that is predicted, in powers of e."""
 
 
 def teach(lesson: Lesson) -> dict[str, float]:
@@ -61,17 +56,13 @@ def teach(lesson: Lesson) -> dict[str, float]:
     def predicted(action: Tensor, rows: Tensor) -> Tensor:
         return model(*action.split(1, dim=1), *(lesson.data[n][rows] for n in lesson.parameters))
 
-    highest = math.log(lesson.risk.limit) if lesson.risk is not None else 0.0
-    within = torch.ones(len(target), dtype=torch.bool)
-    if lesson.log_risk is not None:
-        within = lesson.log_risk[:, 0] <= highest
     # what is reached beyond the risk's limit is noise: only the risk itself is learnt there
     counts = torch.ones_like(target)
-    counts[:, :G] = within[:, None].float()
+    counts[:, :G] = lesson.within[:, None].float()
 
     def model_loss(rows: Tensor) -> Tensor:
         error = (predicted(lesson.action[rows], rows) - target[rows]) / model.output_scale
-        return (counts[rows] * _robust(error)).mean()
+        return (counts[rows] * huber(error, LARGE)).mean()
 
     lesson.fit("forward model", model, model_loss)
     model.requires_grad_(False)
@@ -82,26 +73,19 @@ def teach(lesson: Lesson) -> dict[str, float]:
         action = lesson.act(rows)
         found = predicted(action, rows)
         error = (found[:, :G] - lesson.goal[rows]) / model.output_scale[:G]
-        loss = _robust(error).mean() + training.pull * stray(action / scale)
+        loss = huber(error, LARGE).mean() + training.pull * stray(action / scale)
         if lesson.log_risk is not None:
-            beyond = torch.relu(found[:, G] - (highest - RISK_MARGIN))
-            loss = loss + training.caution * (beyond**2).mean()
+            loss = loss + lesson.caution(found[:, G])
         return loss
 
-    lesson.fit("policy", lesson.policy, policy_loss, only=within)
+    lesson.fit("policy", lesson.policy, policy_loss, only=lesson.within)
     with torch.no_grad():
-        rows = lesson.held_out[within[lesson.held_out]]
+        rows = lesson.held_out[lesson.within[lesson.held_out]]
         if not len(rows):
             return {}
         known = predicted(lesson.action[rows], rows)[:, :G] - lesson.goal[rows]
         own = predicted(lesson.act(rows), rows)[:, :G] - lesson.goal[rows]
         return {"forward_model_rms": rms(known), "goal_rms_by_forward_model": rms(own)}
-
-
-def _robust(error: Tensor) -> Tensor:
-    """Huber's loss, of slope 2 beyond `LARGE`."""
-    size = error.abs()
-    return torch.where(size < LARGE, size**2 / LARGE, 2.0 * size - LARGE)
 
 
 class _Stray:

@@ -1,0 +1,222 @@
+"""A policy refined through the simulator itself, once its method has taught it. Needs torch.
+
+In rounds, the policy acts with objects and goals of its demonstrations in the simulator, which says
+what is reached and, by central differences, how that changes with the action. Then the policy is
+fitted to reach the goals by these linear models (Gauss-Newton steps of the whole policy; analytic
+gradients of it in other words):
+
+    min over pi of  sum_i huber(y_i + J_i d_i - g_i) + small |d_i|^2,    d_i = pi(g_i, p_i) - a_i,
+
+where case i reached y_i by action a_i. Models of earlier rounds stay: they are of nearly the same
+actions. In place of a forward model that was learnt, whose errors the policy would inherit, the
+simulator's own slopes count, where the policy acts. A policy that does not see all parameters is
+fitted over all objects that look alike to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.errors import PolicyError
+from gendom.learning import FitSettings  # explains a missing torch
+
+# isort: split
+import torch
+from torch import Tensor
+
+from gendom.materials import PARAMETERS, Item, unit_of, with_dimensionless
+from gendom.policies.lesson import RISK_FLOOR, Lesson, huber
+from gendom.policies.rollouts import around, slopes
+from gendom.progress import bar
+from gendom.tasks import Task
+from gendom.tasks.world import BATCH, World
+
+Array = NDArray[np.float64]
+
+STEP = 0.002
+"""Of central differences [units of similarity]."""
+
+JUMP = 0.005
+"""Second difference beyond which what is reached jumps there and has no slope [units of
+similarity]."""
+
+LARGE = 0.03
+"""Error from which on it counts linearly [standard deviations of the goal]."""
+
+NEAR = 0.003
+"""Weight of the squared distance from the actions that models are of [standard deviations]."""
+
+LEARNING_RATE = 2e-3
+"""At its peak."""
+
+LAST = 4
+"""How many times as many steps of the optimiser the last round has."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Models:
+    """What M actions reached, and how that changes with them, in units of similarity."""
+
+    row: Tensor
+    """[M] the demonstration that goal and object are of."""
+    action: Tensor
+    """[M, A]."""
+    beyond: Tensor
+    """[M, A] direction in which the policy left the task's limits; 0 where it did not."""
+    reached: Tensor
+    """[M, G, and 1 for the logarithm of the risk]."""
+    slope: Tensor
+    """[M, G or G + 1, A]."""
+    counts: Tensor
+    """[M, G or G + 1] 1 where a residual counts, else 0."""
+
+    def and_then(self, later: Models) -> Models:
+        """Those of both."""
+        both = {f.name: torch.cat([getattr(self, f.name), getattr(later, f.name)])
+                for f in fields(self)}  # fmt: skip
+        return Models(**both)
+
+
+def refine(lesson: Lesson, task: Task, world: World, *, shown: bool = False) -> dict[str, float]:
+    """Refine the lesson's policy in as many rounds as its training says.
+
+    Args:
+        lesson: Its policy is changed.
+        task: What is done.
+        world: Where.
+        shown: Whether to show a bar of what is simulated.
+
+    Returns:
+        Root mean square errors of the goals [units of similarity] in the simulator, of the policy
+        at the start of the first and of the last round.
+
+    Raises:
+        PolicyError: Nothing could be simulated.
+    """
+    training, G = lesson.training, len(lesson.goals)
+    rng = np.random.default_rng([training.seed, training.refine])
+    steady = lesson.taught[lesson.within[lesson.taught]].numpy()
+    models, misses = None, []
+    for k in range(1, training.refine + 1):
+        rows = rng.permutation(steady)[: training.refine_cases]
+        name = f"round {k} of {training.refine}"
+        found = lesson.remembered(
+            name, lambda rows=rows, name=name: _simulated(lesson, task, world, rows, name, shown)
+        )
+        new = Models(**found)
+        usable = new.counts[:, :G] > 0.0
+        if not usable.any():
+            raise PolicyError(
+                "nothing that the policy does can be simulated", where="refine", fix="train longer"
+            )
+        miss = (new.reached[:, :G] - lesson.goal[new.row])[usable]
+        misses.append(float((miss**2).mean().sqrt()))
+        models = new if models is None else models.and_then(new)
+        _fit(lesson, models, name, LAST if k == training.refine else 1)
+    return {"goal_rms_before_refining": misses[0], "goal_rms_before_last_round": misses[-1]}
+
+
+def _fit(lesson: Lesson, models: Models, name: str, times: int) -> None:
+    """Fit the policy to what models say that its actions reach."""
+    training, G = lesson.training, len(lesson.goals)
+    goal_scale = torch.tensor([column.scale for column in lesson.goals])
+    scale = lesson.policy.output_scale
+
+    def loss(at: Tensor) -> Tensor:
+        row = models.row[at]
+        moved = lesson.act(row) - models.action[at]
+        found = models.reached[at] + torch.einsum("bra,ba->br", models.slope[at], moved)
+        miss = (found[:, :G] - lesson.goal[row]) / goal_scale
+        away = moved / scale
+        outwards = torch.relu((models.beyond[at] * away).sum(dim=1))
+        total = (models.counts[at, :G] * huber(miss, LARGE)).mean() + (outwards**2).mean()
+        total = total + NEAR * (away**2).sum(dim=1).mean()
+        if found.shape[1] > G:
+            known = models.counts[at, G] > 0.0
+            total = total + lesson.caution(found[:, G].masked_fill(~known, -torch.inf))
+        return total
+
+    batch = min(training.batch_size, len(models.row))
+    lesson.fit_to(
+        name,
+        lesson.policy,
+        loss,
+        torch.arange(len(models.row)),
+        FitSettings(
+            epochs=max(1, round(times * training.refine_steps / (len(models.row) // batch))),
+            batch_size=batch,
+            learning_rate=LEARNING_RATE,
+            weight_decay=training.weight_decay,
+        ),
+    )
+
+
+def _simulated(
+    lesson: Lesson, task: Task, world: World, rows: Array, name: str, shown: bool
+) -> dict[str, Tensor]:
+    """Fields of `Models` of what the policy does now for some demonstrations' goals and objects."""
+    with torch.no_grad():
+        asked = lesson.act(torch.as_tensor(rows)).double().numpy()
+    items = [
+        with_dimensionless(task.item, {n: float(lesson.data[n][row, 0]) for n in PARAMETERS})
+        for row in rows
+    ]
+
+    def allowed(points: Array) -> Array:
+        return np.array([
+            [task.nearest(item, a * u) / u for a in of_one]
+            for item, of_one in zip(items, points, strict=True)
+            for u in [task.action_units(item)]
+        ])  # fmt: skip
+
+    action = allowed(asked[:, None])[:, 0]
+    points = allowed(around(action, STEP))
+    values = []
+    with bar(f"{name}, acting", len(rows), "case", shown=shown) as show:
+        show(0)
+        for part in np.array_split(np.arange(len(rows)), -(-points.size // (BATCH * len(asked.T)))):
+            values.append(_values(task, world, [items[i] for i in part], points[part]))
+            show(int(part[-1]) + 1)
+    found = np.concatenate(values)
+    G = len(task.goals)
+    steady = np.isfinite(found[:, 0])
+    second = found[:, 1::2] + found[:, 2::2] - 2.0 * found[:, :1]
+    smooth = np.nan_to_num(np.abs(second), nan=np.inf).max(axis=1) <= JUMP
+    counts = steady.copy()
+    counts[:, :G] &= smooth[:, :G]
+    if found.shape[2] > G:  # what is reached at risk is noise
+        counts[:, :G] &= (found[:, 0, G] <= lesson.highest)[:, None]
+    left = asked - action
+    length = np.linalg.norm(left, axis=1, keepdims=True)
+    arrays = {
+        "action": action,
+        "beyond": np.where(length > 1e-6, left / np.maximum(length, 1e-6), 0.0),
+        "reached": np.nan_to_num(found[:, 0]),
+        "slope": slopes(points, found),
+        "counts": counts,
+    }
+    made = {n: torch.tensor(values, dtype=torch.float32) for n, values in arrays.items()}
+    return {"row": torch.tensor(rows), **made}
+
+
+def _values(task: Task, world: World, items: Sequence[Item], points: Array) -> Array:
+    """[M, K, G, and 1 for the logarithm of the risk] of K actions [M, K, A] with M objects, in
+    units of similarity; NaN where a simulation failed."""
+    M, K, _ = points.shape
+    units = np.array([task.action_units(item) for item in items])
+    outcomes = world.carry_out(
+        task,
+        [item for item in items for _ in range(K)],
+        (points * units[:, None]).reshape(M * K, -1),
+    )
+    quantities = [*task.goals, *([task.risk] if task.risk is not None else [])]
+    found = np.array([[o.values.get(q.name, np.nan) for q in quantities] for o in outcomes])
+    found = found.reshape(M, K, -1)
+    found /= np.array([[unit_of(q.unit, item) for q in quantities] for item in items])[:, None]
+    if task.risk is not None:
+        found[..., -1] = np.log(np.maximum(found[..., -1], RISK_FLOOR))
+    return found
