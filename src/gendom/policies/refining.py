@@ -156,7 +156,7 @@ def _fit(lesson: Lesson, models: Models, name: str, times: int) -> None:
 
 
 def _simulated(
-    lesson: Lesson, task: Task, world: World, rows: Array, name: str, shown: bool
+    lesson: Lesson, task: Task, world: World, rows: NDArray[np.intp], name: str, shown: bool
 ) -> dict[str, Tensor]:
     """Fields of `Models` of what the policy does now for some demonstrations' goals and objects."""
     with torch.no_grad():
@@ -183,11 +183,8 @@ def _simulated(
             show(int(part[-1]) + 1)
     found = np.concatenate(values)
     G = len(task.goals)
-    steady = np.isfinite(found[:, 0])
-    second = found[:, 1::2] + found[:, 2::2] - 2.0 * found[:, :1]
-    smooth = np.nan_to_num(np.abs(second), nan=np.inf).max(axis=1) <= JUMP
-    counts = steady.copy()
-    counts[:, :G] &= smooth[:, :G]
+    counts = np.isfinite(found[:, 0])
+    counts[:, :G] &= _smooth(found)[:, :G]
     if found.shape[2] > G:  # what is reached at risk is noise
         counts[:, :G] &= (found[:, 0, G] <= lesson.highest)[:, None]
     left = asked - action
@@ -201,6 +198,12 @@ def _simulated(
     }
     made = {n: torch.tensor(values, dtype=torch.float32) for n, values in arrays.items()}
     return {"row": torch.tensor(rows), **made}
+
+
+def _smooth(values: Array) -> NDArray[np.bool_]:
+    """[M, R] whether values [M, 2 A + 1, R] at points `around` others follow a slope."""
+    second = values[:, 1::2] + values[:, 2::2] - 2.0 * values[:, :1]
+    return np.nan_to_num(np.abs(second), nan=np.inf).max(axis=1) <= JUMP
 
 
 def _values(task: Task, world: World, items: Sequence[Item], points: Array) -> Array:

@@ -1,0 +1,164 @@
+"""Policies refined in a world solved in closed form."""
+
+import numpy as np
+import pytest
+
+from gendom.errors import PolicyError
+from gendom.materials import PARAMETERS, dimensionless_parameters, size_of
+from gendom.policies.demonstrations import Demonstrations
+from gendom.tasks import ClothSpreading
+from policies.ballistic import TASK, Throws, reach_of
+
+torch = pytest.importorskip("torch", reason="needs the extra `train`")
+pytest.importorskip("onnx", reason="needs the extra `train`")
+
+from gendom import learning  # noqa: E402
+from gendom.policies import refining  # noqa: E402
+from gendom.policies.training import Training, train  # noqa: E402
+
+BRIEF = Training(epochs=4, refine=2, refine_cases=150, refine_steps=150, seed=1)
+"""Too short for its method to learn the task."""
+
+
+def thrown(count: int, seed: int = 0, world=None) -> Demonstrations:
+    """Demonstrations of `Throws`."""
+    rng = np.random.default_rng(seed)
+    items = [TASK.draw_item(rng) for _ in range(count)]
+    action = np.array([TASK.sample_actions(item, rng, 1)[0] for item in items])
+    outcomes = (world or Throws()).carry_out(TASK, items, action)
+    L = np.array([size_of(item) for item in items])
+    alike = [dimensionless_parameters(item) for item in items]
+    return Demonstrations(
+        task={"name": TASK.name, **TASK.settings()},
+        action_names=("release_x", "release_z"),
+        goal_names=("x",),
+        goal=np.array([o.values["x"] for o in outcomes])[:, None] / L[:, None],
+        action=action / L[:, None],
+        parameters={n: np.array([a[n] for a in alike]) for n in PARAMETERS},
+        risk=np.array([o.values["sideways"] for o in outcomes]) / L,
+    )
+
+
+def misses(policy, seed: int = 9) -> np.ndarray:
+    """Of 200 new cases [lengths]."""
+    new = thrown(200, seed)
+    action = policy.actions(new.goal, new.parameters)
+    p = new.parameters
+    return np.abs(reach_of(action[:, 0], action[:, 1], p["E"], p["damping"]) - new.goal[:, 0])
+
+
+def test_refined_policies_reach_their_goals(tmp_path):
+    plain = train(thrown(400), tmp_path / "plain.onnx", Training(epochs=4, seed=1))
+    policy = train(thrown(400), tmp_path / "refined.onnx", BRIEF, world=Throws())
+    assert misses(policy).mean() < 0.004 < 0.2 * misses(plain).mean()
+    about = policy.description.training
+    assert about["refine"] == 2 and about["refined_in"] == Throws().settings()
+    first, last = (about["errors"][f"goal_rms_before_{n}"] for n in ("refining", "last_round"))
+    assert last < 0.5 * first
+
+
+def test_what_the_simulator_reaches_counts_not_what_was_demonstrated(tmp_path):
+    """The simulator throws farther than the demonstrations by 0.05 lengths."""
+    policy = train(thrown(400), tmp_path / "far.onnx", BRIEF, world=Throws(off=0.05))
+    new = thrown(200, 9)
+    action, p = policy.actions(new.goal, new.parameters), new.parameters
+    reached = reach_of(action[:, 0], action[:, 1], p["E"], p["damping"])
+    assert np.median(reached - new.goal[:, 0]) == pytest.approx(-0.05, abs=0.004)
+
+
+class Swaying(Throws):
+    """Ropes sway the more, the higher they are let go: beyond the limit from 0.5 lengths on."""
+
+    def carry_out(self, task, items, actions, **_):
+        found = super().carry_out(task, items, actions)
+        for outcome, item, (_, z) in zip(found, items, np.asarray(actions), strict=True):
+            L = size_of(item)
+            outcome.values["sideways"] = L * TASK.risk.limit * np.exp((z / L - 0.5) / 0.05)
+        return found
+
+
+def test_risk_is_avoided(tmp_path, monkeypatch):
+    def share_at_risk(training: Training) -> float:
+        world = Swaying()
+        policy = train(thrown(400, world=world), tmp_path / "p.onnx", training, world=world)
+        new = thrown(200, 9, world)
+        assert new.risk is not None and TASK.risk is not None
+        new = new.chosen(new.risk < TASK.risk.limit)
+        action = policy.actions(new.goal, new.parameters)
+        return float((action[:, 1] > 0.5).mean())
+
+    assert share_at_risk(BRIEF) < 0.02
+    # the risk itself does that
+    monkeypatch.setattr(refining.Lesson, "caution", lambda _, log_risk: 0.0 * log_risk.sum())
+    assert share_at_risk(BRIEF) > 0.1
+
+
+def test_interrupted_rounds_go_on_to_the_same_policy(tmp_path, monkeypatch):
+    """What was simulated before is not simulated again."""
+    whole = train(thrown(100), tmp_path / "whole.onnx", BRIEF, world=Throws())
+    asked = []
+
+    class Counting(Throws):
+        def carry_out(self, task, items, actions, **_):
+            asked.append(len(items))
+            return super().carry_out(task, items, actions)
+
+    step, done = learning.nn.utils.clip_grad_norm_, []
+
+    def interrupted(*given):
+        done.append(1)
+        if len(done) == 400:
+            raise KeyboardInterrupt
+        return step(*given)
+
+    with monkeypatch.context() as m:
+        m.setattr(learning.nn.utils, "clip_grad_norm_", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            train(thrown(100), tmp_path / "parts.onnx", BRIEF, world=Counting())
+    before = len(asked)
+    parts = train(thrown(100), tmp_path / "parts.onnx", BRIEF, world=Counting())
+    assert (before, len(asked)) == (2, 2)
+    goal = np.linspace(1.3, 1.6, 7)
+    given = {n: np.full(7, v[0]) for n, v in thrown(100).parameters.items()}
+    assert (parts.actions(goal, given) == whole.actions(goal, given)).all()
+
+
+def test_jumps_and_failures_do_not_count():
+    """A jump between a point and its neighbours leaves no slope to follow."""
+
+    class Jumping(Throws):
+        def carry_out(self, task, items, actions, **_):
+            found = super().carry_out(task, items, actions)
+            for outcome, item, (x, _) in zip(found, items, np.asarray(actions), strict=True):
+                outcome.values["x"] += 0.1 * size_of(item) * (x > 0.5 * size_of(item))
+            return found
+
+    items = [TASK.draw_item(np.random.default_rng(k)) for k in range(3)]
+    at = np.array([[0.4, 0.5], [0.499, 0.5], [0.6, 0.5]])
+    points = refining.around(at, refining.STEP)
+    values = refining._values(TASK, Jumping(), items, points)
+    assert refining._smooth(values)[:, 0].tolist() == [True, False, True]
+    failed = refining._values(TASK, Throws(fails=True), items, points)
+    assert np.isnan(failed).all() and not refining._smooth(failed).any()
+
+
+@pytest.mark.parametrize("given", [{"refine": -1}, {"refine": 1, "refine_cases": 0}])
+def test_settings_are_checked(given):
+    with pytest.raises(PolicyError, match="give 0 rounds or more"):
+        Training(**given)
+
+
+def test_what_cannot_be_refined_is_refused(tmp_path):
+    with pytest.raises(PolicyError, match="would undo the fine-tuning"):
+        train(thrown(60), tmp_path / "a.onnx", BRIEF, finetune=thrown(60))
+    with pytest.raises(PolicyError, match="can be simulated"):
+        train(thrown(60), tmp_path / "b.onnx", BRIEF, world=Throws(fails=True))
+    sheets = thrown(60)
+    task = {"name": "cloth-spreading", **ClothSpreading().settings()}
+    goalless = Demonstrations(
+        task=task, action_names=("A",), goal_names=(), goal=np.empty((60, 0)),
+        action=sheets.action[:, :1], parameters=sheets.parameters, risk=None,
+    )  # fmt: skip
+    with pytest.raises(PolicyError, match="has no goals"):
+        train(goalless, tmp_path / "c.onnx", Training(method="inverse", epochs=1, refine=1))
+    assert not list(tmp_path.glob("*.onnx"))
