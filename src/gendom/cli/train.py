@@ -67,10 +67,12 @@ class Command:
     def run(self) -> int:
         from gendom.evaluation import draw_cases, score
         from gendom.policies.training import Training, annotate, train
+        from gendom.sim.device import open_device
         from gendom.tasks.world import Simulation
 
         sees = _conditions(self.condition)
         check_file(self.out, ".onnx")
+        open_device(self.device)
         demonstrations = self._read(self.data)
         finetune = None if self.finetune is None else self._read(self.finetune)
         training = Training(

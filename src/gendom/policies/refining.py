@@ -95,14 +95,15 @@ def refine(lesson: Lesson, task: Task, world: World, *, shown: bool = False) -> 
         at the start of the first and of the last round.
 
     Raises:
-        PolicyError: Nothing could be simulated.
+        PolicyError: No outcome can be relied on.
     """
     training, G = lesson.training, len(lesson.goals)
     rng = np.random.default_rng([training.seed, training.refine])
-    steady = lesson.taught[lesson.within[lesson.taught]].numpy()
+    steady = lesson.taught[lesson.within[lesson.taught]]
+    cases = (steady if len(steady) else lesson.taught).numpy()
     models, misses = None, []
     for k in range(1, training.refine + 1):
-        rows = rng.permutation(steady)[: training.refine_cases]
+        rows = rng.permutation(cases)[: training.refine_cases]
         name = f"round {k} of {training.refine}"
         found = lesson.remembered(
             name, lambda rows=rows, name=name: _simulated(lesson, task, world, rows, name, shown)
@@ -111,7 +112,9 @@ def refine(lesson: Lesson, task: Task, world: World, *, shown: bool = False) -> 
         usable = new.counts[:, :G] > 0.0
         if not usable.any():
             raise PolicyError(
-                "nothing that the policy does can be simulated", where="refine", fix="train longer"
+                "no outcome of what the policy does in the simulator can be relied on",
+                where="refine",
+                fix="train it for more epochs, or check the task's risk",
             )
         miss = (new.reached[:, :G] - lesson.goal[new.row])[usable]
         misses.append(float((miss**2).mean().sqrt()))
