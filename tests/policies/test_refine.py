@@ -12,8 +12,9 @@ from policies.ballistic import TASK, Throws, reach_of
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
-from gendom import learning  # noqa: E402
 from gendom.policies import refining  # noqa: E402
+from gendom.policies.lesson import Lesson  # noqa: E402
+from gendom.policies.rollouts import around  # noqa: E402
 from gendom.policies.training import Training, train  # noqa: E402
 
 BRIEF = Training(epochs=4, refine=2, refine_cases=150, refine_steps=150, seed=1)
@@ -89,7 +90,7 @@ def test_risk_is_avoided(tmp_path, monkeypatch):
 
     assert share_at_risk(BRIEF) < 0.02
     # the risk itself does that
-    monkeypatch.setattr(refining.Lesson, "caution", lambda _, log_risk: 0.0 * log_risk.sum())
+    monkeypatch.setattr(Lesson, "caution", lambda _, log_risk: 0.0 * log_risk.sum())
     assert share_at_risk(BRIEF) > 0.1
 
 
@@ -103,7 +104,7 @@ def test_interrupted_rounds_go_on_to_the_same_policy(tmp_path, monkeypatch):
             asked.append(len(items))
             return super().carry_out(task, items, actions)
 
-    step, done = learning.nn.utils.clip_grad_norm_, []
+    step, done = torch.nn.utils.clip_grad_norm_, []
 
     def interrupted(*given):
         done.append(1)
@@ -112,7 +113,7 @@ def test_interrupted_rounds_go_on_to_the_same_policy(tmp_path, monkeypatch):
         return step(*given)
 
     with monkeypatch.context() as m:
-        m.setattr(learning.nn.utils, "clip_grad_norm_", interrupted)
+        m.setattr(torch.nn.utils, "clip_grad_norm_", interrupted)
         with pytest.raises(KeyboardInterrupt):
             train(thrown(100), tmp_path / "parts.onnx", BRIEF, world=Counting())
     before = len(asked)
@@ -135,7 +136,7 @@ def test_jumps_and_failures_do_not_count():
 
     items = [TASK.draw_item(np.random.default_rng(k)) for k in range(3)]
     at = np.array([[0.4, 0.5], [0.499, 0.5], [0.6, 0.5]])
-    points = refining.around(at, refining.STEP)
+    points = around(at, refining.STEP)
     values = refining._values(TASK, Jumping(), items, points)
     assert refining._smooth(values)[:, 0].tolist() == [True, False, True]
     failed = refining._values(TASK, Throws(fails=True), items, points)
