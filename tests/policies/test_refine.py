@@ -71,6 +71,7 @@ class Swaying(Throws):
     """Ropes sway the more, the higher they are let go: beyond the limit from 0.5 lengths on."""
 
     def carry_out(self, task, items, actions, **_):
+        assert TASK.risk is not None
         found = super().carry_out(task, items, actions)
         for outcome, item, (_, z) in zip(found, items, np.asarray(actions), strict=True):
             L = size_of(item)
