@@ -50,7 +50,7 @@ class Command:
     """Passes over the demonstrations, for each network."""
     refine: int = 0
     """Rounds in which the policy then acts in the simulator and is corrected by what it reaches; 4
-    halve its errors or better. Needs a task with goals."""
+    halve the error of one that sees the parameters. Needs a task with goals."""
     refine_cases: int = 2000
     """Goals and objects of each round, at most."""
     device: str = "cpu"
