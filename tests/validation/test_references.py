@@ -32,12 +32,21 @@ from gendom.validation.elastica import (
 )
 from gendom.validation.energy import growth
 from gendom.validation.layers import share_when_stuck, stacked
+from gendom.validation.plates import corner_sags
 from gendom.validation.specimens import block, end, energies, momenta, sections, stations, swing
 
 
 def test_light_elastica_is_a_beam():
     """At a tenth of a bending length the tip sags by ratio^3 / 8."""
     assert heavy_elastica(0.1)([1.0])[0, 1] == pytest.approx(-(0.1**3) / 8.0, rel=1e-5)
+
+
+def test_plates_on_corners():
+    """The middle sags by 0.0255 q a^4 / D, nu 0.3, in the tables; degrees agree."""
+    found = corner_sags(0.3)
+    assert found[0] == pytest.approx(0.0255, abs=5e-5)
+    assert corner_sags(0.3, 8) == pytest.approx(found, rel=1e-4)
+    assert corner_sags(0.3, 12) == pytest.approx(found, rel=1e-5)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 3.0])

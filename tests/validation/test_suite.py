@@ -104,6 +104,14 @@ def slippery(_, materials, options):
     return materials, options | {"table": replace(table, friction=0.8 * np.asarray(table.friction))}
 
 
+def rubbing_more(_, materials, options):
+    return materials, options | {"self_friction": 1.2 * np.asarray(options["self_friction"])}
+
+
+def rubbing_less(_, materials, options):
+    return materials, options | {"self_friction": 0.8 * np.asarray(options["self_friction"])}
+
+
 def damped(_, materials, options):
     return materials, options | {"velocity_damping": 0.5}
 
@@ -228,6 +236,37 @@ def stiffer_in_single(settings, materials, options):
         ("rod-bend-twist", softer_in_torsion, "weight at which a curl of 5 rad"),
         ("rod-stick-slip", rougher, "H / V where tips slip over mu"),
         ("rod-ring", softer_in_torsion, "critical twist of a ring"),
+        ("rod-order", stiffer, "order of a rope's sag, from 16"),
+        ("rod-order", stiffer, "order of a rope's sag, from 32"),
+        ("rod-batch", crowded, "largest difference of a batch of 5 ropes"),
+        ("rod-falls", heavier, "a level rope's terminal speed"),
+        ("rod-swing", lifted, "growth of the mean energy in 40 s, a swinging rope"),
+        ("rod-graded", stiffer, "sag over theory of a rope ten times as stiff"),
+        ("rod-graded", stiffer, "sag over theory of a rope ten times as soft"),
+        ("rod-layers", rubbing_more, "deceleration of a rope's layer"),
+        ("rod-layers", rubbing_more, "stopping distance of a rope's layer"),
+        ("rod-layers", rubbing_less, "acceleration of a rope's layer on another at 0.95"),
+        ("rod-layers", rubbing_less, "acceleration of a rope's layer on another at 1.25"),
+        ("shell-precision", stiffer_in_single, "root mean square difference of float32"),
+        ("shell-precision", stiffer_in_single, "largest difference of float32"),
+        ("shell-order", stiffer, "order of a strip's sag, from 16"),
+        ("shell-order", stiffer, "order of a strip's sag, from 32"),
+        ("shell-batch", crowded, "largest difference of a batch of 5 cloths"),
+        ("shell-swing", lifted, "growth of the mean energy in 20 s, a swinging sheet, a quarter"),
+        ("shell-swing", lifted, "growth of the mean energy in 20 s, a swinging sheet, the def"),
+        ("shell-layers", rubbing_more, "deceleration of a cloth's layer"),
+        ("shell-layers", rubbing_more, "stopping distance of a cloth's layer"),
+        ("shell-layers", rubbing_less, "acceleration of a cloth's layer on another at 0.95"),
+        ("shell-layers", rubbing_less, "acceleration of a cloth's layer on another at 1.25"),
+        ("shell-plates", more_lateral, "curvature across over that along a bent strip"),
+        ("shell-plates", heavier, "sag over theory of a square held at its corners, in the"),
+        ("shell-plates", heavier, "sag over theory of a square held at its corners, halfway"),
+        ("shell-weave", heavier, "stretch over theory of a hanging strip along the warp"),
+        ("shell-weave", heavier, "stretch over theory of a hanging strip along the weft"),
+        ("shell-weave", more_lateral, "stretch over theory of a hanging strip at 45 degrees"),
+        ("shell-weave", heavier, "sag over theory of a level strip along the weft"),
+        ("shell-curl", always_down, "radius of a curled strip along the first axis"),
+        ("shell-curl", always_down, "largest distance of a strip along the second axis from"),
     ],
 )
 def test_a_wrong_simulator_fails(name, change, quantity):

@@ -77,7 +77,8 @@ class Setting:
             fix=fix,
             world=w,
             time=time,
-            parameters={"E": m.E, "nu": m.nu, "density": m.density},
+            parameters={"E": m.E, "nu": m.nu, "density": m.density}
+            | ({"damping": m.damping} if m.damping > 0.0 else {}),
             particle=particle,
         )
 

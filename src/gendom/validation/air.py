@@ -41,6 +41,23 @@ def terminal_speed(settings: Settings) -> list[Check]:
     ]
 
 
+def rope_falls(settings: Settings) -> list[Check]:
+    """A level rope that falls through air until it is as fast as it gets."""
+    d = 0.005
+    speed = math.sqrt(math.pi * MATERIAL.density * -GRAVITY[2] * d / (2.0 * AIR_DENSITY * 1.1))
+    s = settings.simulator(
+        rope(diameter=d, length=0.2), [MATERIAL], engine="thin", air_density=AIR_DENSITY
+    )
+    s.run([4.0 * speed / -GRAVITY[2]])
+    return [
+        Check.within_share(
+            "a level rope's terminal speed", "m/s", speed,
+            -float(s.velocities()[0, :, 2].mean()), 0.03,
+            "sqrt(pi density d g / (2 rho c)) " + HOERNER,
+        )
+    ]  # fmt: skip
+
+
 def _speed(settings: Settings, body: Body, time: float) -> float:
     """Mean speed of fall after ``time`` [m/s]."""
     s = settings.simulator(body, [MATERIAL], air_density=AIR_DENSITY)

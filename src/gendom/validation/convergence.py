@@ -1,4 +1,4 @@
-"""Orders of convergence in the substep and in the size of a cell."""
+"""Orders of convergence in the substep, in the size of a cell, and in the distance of points."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from gendom.materials import Material
 from gendom.sim import GRAVITY
 from gendom.validation.check import Check, Settings
+from gendom.validation.master_curves import LENGTH as SPAN
+from gendom.validation.master_curves import clamped_rope, clamped_strip
 from gendom.validation.specimens import block, sections, stations
 
 LENGTH = 0.1
@@ -25,6 +27,11 @@ SPLINE = (
 SMOOTHING = (
     "APIC smooths once a substep, whatever its length (Jiang et al. 2015): a loss that grows as "
     "1 / dt"
+)
+
+TIMOSHENKO = (
+    "w L^4 / (8 E I), of rods + w L^2 / (2 kappa G A) (Timoshenko; kappa = 6 (1 + nu) / "
+    "(7 + 6 nu), Cowper 1966); of a lattice order 2: differences are central"
 )
 
 
@@ -67,6 +74,50 @@ def order(settings: Settings) -> list[Check]:
             SMOOTHING,
         ),
     ]
+
+
+def rods_sag(settings: Settings) -> list[Check]:
+    """Level ropes that sag by a little, of 16, 32 and 64 edges."""
+    return _sag_orders(settings, "rope")
+
+
+def strips_sag(settings: Settings) -> list[Check]:
+    """Level strips of cloth that sag by a little, of 16, 32 and 64 cells."""
+    return _sag_orders(settings, "strip")
+
+
+def _sag_orders(settings: Settings, of: str) -> list[Check]:
+    """The error of n edges is c / n^2 (1 - 3 / n) or so: the order grows from below to 2."""
+    counts = (16, 32, 64)
+    errors = [abs(_sag(settings, of, n) - 1.0) for n in counts]
+    return [
+        Check.within(
+            f"order of a {of}'s sag, from {n} to {2 * n} edges", "-", 2.0,
+            math.log2(coarse / fine), allowed, TIMOSHENKO,
+        )
+        for n, (coarse, fine), allowed in zip(counts, pairwise(errors), (0.25, 0.15), strict=False)
+    ]  # fmt: skip
+
+
+def _sag(settings: Settings, of: str, edges: int) -> float:
+    """Sag of 0.01 % of the length, so that it is linear, over theory."""
+    k, nu = SPAN / 400.0, 0.3 if of == "rope" else 0.0
+    material = Material(E=2.0e7, nu=nu, density=1000.0)
+    if of == "rope":
+        body, hand = clamped_rope(4.0 * k, edges + 2)
+        shear = 8.0 * (7.0 + 6.0 * nu) / 6.0 * (k / SPAN) ** 2
+    else:
+        body, hand = clamped_strip(math.sqrt(12.0) * k, SPAN / 20.0, (edges + 2, 2))
+        shear = 0.0
+    omega = 3.516 * math.sqrt(material.specific_modulus) * k / SPAN**2
+    sag = 1e-4 * SPAN
+    g = 8.0 * material.specific_modulus * k**2 * sag / SPAN**4
+    s = settings.simulator(
+        body, [material], engine="thin", grippers=[hand], gravity=(0, 0, -g), air_density=0.0,
+        velocity_damping=2.0 * omega,
+    )  # fmt: skip
+    tip = s.run([20.0 / omega], particles=[edges + 1])[0, 0, 0]
+    return -float(tip[2]) / (sag * (1.0 + shear))
 
 
 def _fall_error(settings: Settings, h: float) -> float:

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gendom.materials import Material
-from gendom.sim import CFL, GRAVITY, Simulator, rope
+from gendom.sim import CFL, GRAVITY, Gripper, Simulator, cloth, rope
+from gendom.sim.thin.engine import CFL as THIN_CFL
+from gendom.sim.thin.rods import Rods
+from gendom.sim.thin.shells import Shells
 from gendom.validation.check import Check, Settings
+from gendom.validation.rods import momenta_and_energy
+from gendom.validation.shells import bending_energy, membrane_energy
 from gendom.validation.specimens import across, block, clamp_beyond, energies, spring_energy
 
 SOURCE = (
     "first law: a clamp that stands still does no work; kinetic (with C, Jiang et al. 2015) + "
     "elastic (neo-Hookean, Bonet and Wood 2008) + gravitational energy cannot grow"
+)
+
+LEAPFROG = (
+    "a hand that stands still does no work; a leapfrog keeps energy but for an oscillation "
+    "(Hairer, Lubich, Wanner 2006), of which means over many steps are free"
 )
 
 
@@ -52,6 +64,66 @@ def energy(settings: Settings) -> list[Check]:
         )
         checks.append(_never_grows(f"swinging rope, {across(cells)}", s, 1.0, bound))
     return checks
+
+
+def rod_swings(settings: Settings) -> list[Check]:
+    """A rope without damping that swings in space from a gripper, 45 times to and fro."""
+    body = rope(diameter=0.01, length=0.3, direction=(1, 0, -3), points=33)
+    s = settings.simulator(
+        body, [Material(E=1.0e6)], engine="thin", grippers=[Gripper.still((0, 0, 0), radius=0.02)],
+        air_density=0.0,
+    )  # fmt: skip
+    return [_mean_grows("a swinging rope", s, GRAVITY, 40.0, 0.0, settings.round_off(1e-3, 1e-2))]
+
+
+def sheet_swings(settings: Settings) -> list[Check]:
+    """A sheet without damping that swings in space from a row of held points, by 30 degrees to both
+    sides, 25 times to and fro; in a quarter of the default substep and in that itself."""
+    body = cloth(width=0.2, height=0.1, thickness=0.002, dx=0.02, points=(15, 8))
+    tilt = math.radians(60.0)
+    pull = -GRAVITY[2] * np.array([math.sin(tilt), 0.0, -math.cos(tilt)])
+    checks = []
+    for share, grows, allowed, name in (
+        (0.25, 0.0, settings.round_off(1e-3, 1e-2), "a swinging sheet, a quarter of the substep"),
+        (1.0, 0.012, 0.012, "a swinging sheet, the default substep (for information)"),
+    ):
+        s = settings.simulator(
+            body, [Material(E=1.0e5, density=500.0)], engine="thin", gravity=pull, air_density=0.0,
+            grippers=[Gripper.still((-100, 0, 0), radius=100.01)], cfl=share * THIN_CFL,
+        )  # fmt: skip
+        checks.append(_mean_grows(name, s, pull, 20.0, grows, allowed))
+    return checks
+
+
+def _mean_grows(
+    name: str, s: Simulator, gravity: ArrayLike, time: float, expected: float, allowed: float
+) -> Check:
+    """How much the mean energy of an eighth of the time is above that of the first at most, over
+    the largest change of gravitational energy."""
+    e = s.engine
+    assert isinstance(e, Rods | Shells)
+    mass = e.model.mass[0] if isinstance(e, Rods) else e.mass[0]
+    pull = np.asarray(gravity, dtype=float)
+    readings = []
+    for t in np.linspace(0.0, time, 401)[1:]:
+        s.run([t])
+        readings.append(
+            (_own_energy(s, mass), -float(mass @ s.positions()[0].astype(float) @ pull))
+        )
+    parts = np.array(readings)
+    means = parts.sum(axis=1).reshape(8, -1).mean(axis=1)
+    return Check.within(
+        f"growth of the mean energy in {time:g} s, {name}", "-", expected,
+        float((means - means[0]).max() / np.ptp(parts[:, 1])), allowed, LEAPFROG,
+    )  # fmt: skip
+
+
+def _own_energy(s: Simulator, mass: NDArray[np.floating]) -> float:
+    """Kinetic and elastic energy of a rod or shell, world 0 [J]."""
+    if isinstance(s.engine, Rods):
+        return sum(momenta_and_energy(s)[2])
+    v = s.velocities()[0].astype(float)
+    return 0.5 * float(mass @ np.sum(v**2, axis=1)) + membrane_energy(s) + bending_energy(s)
 
 
 def bent_rope(settings: Settings, cells: float) -> Simulator:

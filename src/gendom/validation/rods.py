@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
@@ -40,6 +41,10 @@ MATERIAL = Material(E=1.0e6, nu=0.3, density=1000.0)
 
 EULER = "P = 4 pi^2 E I / L^2 of a column clamped at both ends (Euler 1744)"
 GREENHILL = "M = 8.987 E I / L, tan(u) = u, of a rod clamped at both ends (Greenhill 1883)"
+GRADED = (
+    "integral of w (L - s)^3 / (2 E(s) I) by quadrature (Gere and Timoshenko, Mechanics of "
+    "Materials), E(s) = E0 exp(a s)"
+)
 CATENARY = "z = a cosh(x / a) (J. Bernoulli, Huygens, Leibniz 1691)"
 
 
@@ -93,6 +98,34 @@ def elastica(settings: Settings) -> list[Check]:
             "-", 0.0, float(errors[-1][w]), 0.003, ELASTICA,
         )
         for w, ratio in enumerate(ratios)
+    ]  # fmt: skip
+
+
+def graded(settings: Settings) -> list[Check]:
+    """Level ropes that get ten times as stiff, or as soft, from the clamp to the tip."""
+    material, rates = replace(MATERIAL, E=2.0e7), np.array([1.0, -1.0]) * math.log(10.0)
+    d, points, back = LENGTH / 100.0, 41, LENGTH / 39.0
+    k = d / 4.0
+    body = rope(diameter=d, length=LENGTH + back, start=(-back, 0, 0), points=points)
+    hand = Gripper.still((-0.5 * back, 0, 0), radius=0.5 * back)
+    # sags over w L^4 / (E0 I), and loads under which they are 0.5 % of the length
+    theory = [quad(lambda s, a=a: 0.5 * (1 - s) ** 3 * math.exp(-a * s), 0, 1)[0] for a in rates]
+    sag = 5e-3 * LENGTH
+    g = sag / np.array(theory) * material.specific_modulus * k**2 / LENGTH**4
+    along = np.clip(body.points[:, 0] / LENGTH, 0.0, None)
+    omega = 1.24 * np.sqrt(g / sag)
+    s = settings.simulator(
+        body, [material] * 2, engine="thin", grippers=[hand], air_density=0.0,
+        gravity=np.outer(g, (0.0, 0.0, -1.0)), stiffness=np.exp(np.outer(rates, along)),
+        velocity_damping=2.0 * omega,
+    )  # fmt: skip
+    found = -s.run([24.0 / omega.min()], particles=[points - 1])[0, :, 0, 2] / sag
+    return [
+        Check.within_share(
+            f"sag over theory of a rope ten times as {name} at its tip", "-", 1.0, float(value),
+            0.01, GRADED,
+        )
+        for name, value in zip(("stiff", "soft"), found, strict=True)
     ]  # fmt: skip
 
 
@@ -332,8 +365,9 @@ def momenta_and_energy(
     k, rest = e.model.stiffness[0], e.model.rest
     strain = turned(conjugate(q), np.diff(x, axis=0)) * rest[0, :-1, None] - rest[1:4, :-1].T
     bend = joint_strains(q) - rest[4:, 1:-1].T
+    at_grips = e.stiffer[0, :, 0].prod(axis=0)[1:-1]
     elastic = 0.5 * np.sum(k[:3, :-1].T * strain**2 / rest[0, :-1, None])
-    elastic += 0.5 * np.sum(k[3:, 1:-1].T * bend**2)
+    elastic += 0.5 * np.sum(k[3:, 1:-1].T * at_grips[:, None] * bend**2)
     kinetic = 0.5 * np.sum(m[:, None] * v**2) + 0.5 * np.sum(J[:, None] * spin**2)
     return P, turn, (float(kinetic), float(elastic))
 

@@ -247,7 +247,8 @@ def bending_energy(s: Simulator) -> float:
     xx, yy = np.zeros_like(x), np.zeros_like(x)
     xx[:, 1:-1], yy[1:-1] = np.diff(x, 2, axis=1), np.diff(x, 2, axis=0)
     xy = np.diff(np.diff(x, axis=0), axis=1)
-    total = np.sum(k[4] * np.sum(xx**2, 2) + k[5] * np.sum(yy**2, 2))
+    at_grips = e.model.on_lattice(e.stiffer[0].prod(axis=0))
+    total = np.sum(at_grips[0] * k[4] * np.sum(xx**2, 2) + at_grips[1] * k[5] * np.sum(yy**2, 2))
     total += np.sum(2 * k[6] * np.sum(xx * yy, 2)) + np.sum(k[7, :-1, :-1] * np.sum(xy**2, 2))
     return 0.5 * float(total)
 

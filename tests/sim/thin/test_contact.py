@@ -218,12 +218,21 @@ def test_a_body_that_begins_in_itself_is_an_error():
     with pytest.raises(ParameterError, match="the rope begins in itself"):
         Simulator(line, [Material()], self_contact=True, positions=ring)
     Simulator(line, [Material()], positions=ring)
+    turns = np.linspace(0.0, 4.0 * np.pi, 600)
+    coil = np.stack([0.03 * np.cos(turns), 0.03 * np.sin(turns), 0.007 * turns / 2 / np.pi], axis=1)
+    coiled = rope(diameter=0.01, centre_line=coil, points=61)
+    with pytest.raises(ParameterError, match="two parts of it are 7"):
+        Simulator(coiled, [Material()], self_contact=True)
     sheet = cloth(width=0.1, height=0.1, thickness=0.001, dx=0.02, points=(11, 11))
     folded = sheet.points.copy()
     over = folded[:, 0] > 0.05
     folded[over, 0] = 0.1 - folded[over, 0] + 0.001
     folded[over, 2] = 0.004
     Simulator(sheet, [Material()], self_contact=True, positions=folded)
+    nearer = folded.copy()
+    nearer[over, 2] = 0.0003
+    with pytest.raises(ParameterError, match="the cloth begins in itself: two layers"):
+        Simulator(sheet, [Material()], self_contact=True, positions=nearer)
     folded[over, 2] -= 0.08 * (folded[over, 1] - 0.024)
     with pytest.raises(ParameterError, match="the cloth begins crossing itself"):
         Simulator(sheet, [Material()], self_contact=True, positions=folded)

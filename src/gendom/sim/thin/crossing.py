@@ -7,8 +7,15 @@ from scipy.spatial import KDTree
 from gendom.errors import ParameterError
 from gendom.sim.thin.shell_model import ShellModel
 
-LEAST = 0.5
-"""Smallest initial distance between centre lines of a rope's parts, in diameters."""
+LEAST = 0.8
+"""Smallest initial distance between centre lines of a rope's parts, in diameters: contact keeps
+0.9."""
+
+LEAST_OF_CLOTH = 0.5
+"""The same between a cloth's layers, in thicknesses: what a hand presses comes nearer."""
+
+NEIGHBOURS = 2
+"""Columns and rows between a point and a cell of a cloth that are not layers."""
 
 
 def check_rope(x: NDArray[np.floating], diameter: float, apart: int) -> None:
@@ -29,7 +36,7 @@ def check_rope(x: NDArray[np.floating], diameter: float, apart: int) -> None:
 
 
 def check_cloth(x: NDArray[np.floating], model: ShellModel) -> None:
-    """Check that a cloth of points [n, 3] [m] does not cross itself.
+    """Check that a cloth of points [n, 3] [m] does not cross itself, nor lie in itself.
 
     Raises:
         ParameterError: If it does; the error names the place.
@@ -75,10 +82,29 @@ def check_cloth(x: NDArray[np.floating], model: ShellModel) -> None:
             where=f"at its points (row, column) {p} and {q}",
             fix="give other positions, or no self_contact",
         )
+    layers = KDTree(x).sparse_distance_matrix(
+        KDTree(centres), reach + model.thickness, output_type="ndarray"
+    )
+    p, t = layers["i"], layers["j"]
+    places = np.stack(np.unravel_index(model.at, model.shape), axis=1)
+    along = np.abs(places[p][:, None] - places[triangles[t]]).min(axis=1).max(axis=1)
+    p, t = p[along > NEIGHBOURS], t[along > NEIGHBOURS]
+    far = triangle_distance(x[p], x[triangles[t]])
+    if len(far) and far.min() < LEAST_OF_CLOTH * model.thickness:
+        k = int(far.argmin())
+        here, there = (places[of].tolist() for of in (p[k], triangles[t[k], 0]))
+        raise ParameterError(
+            f"the cloth begins in itself: two layers of it are {1e3 * far[k]:.3g} mm apart",
+            where=f"at its points (row, column) {tuple(here)} and {tuple(there)}, "
+            f"{1e3 * model.thickness:.3g} mm thick",
+            fix="give other positions, or no self_contact",
+        )
 
 
-def triangle_distance(x: NDArray[np.floating], corners: NDArray[np.floating]) -> float:
-    """Smallest distance between a point [3] and triangles [F, 3, 3] [m]."""
+def triangle_distance(
+    x: NDArray[np.floating], corners: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """[F] smallest distances between points [3] or [F, 3] and triangles [F, 3, 3] [m]."""
     a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal, at = np.cross(u, v), x - a
     square = np.maximum(np.sum(normal**2, axis=1), 1e-300)
@@ -86,13 +112,12 @@ def triangle_distance(x: NDArray[np.floating], corners: NDArray[np.floating]) ->
     across = np.sum(np.cross(u, at) * normal, axis=1) / square
     above = (along >= 0.0) & (across >= 0.0) & (along + across <= 1.0)
     level = np.abs(np.sum(at * normal, axis=1)) / np.sqrt(square)
-    first = corners.reshape(-1, 3)
-    step = np.roll(corners, -1, axis=1).reshape(-1, 3) - first
-    share = np.sum((x - first) * step, axis=1) / np.maximum(np.sum(step**2, axis=1), 1e-300)
-    foot = first + np.clip(share, 0.0, 1.0)[:, None] * step
-    return min(
-        float(level[above].min(initial=np.inf)), float(np.linalg.norm(x - foot, axis=1).min())
-    )
+    step = np.roll(corners, -1, axis=1) - corners
+    from_corner = np.broadcast_to(x, a.shape)[:, None] - corners
+    share = np.sum(from_corner * step, axis=2) / np.maximum(np.sum(step**2, axis=2), 1e-300)
+    foot = np.clip(share, 0.0, 1.0)[..., None] * step
+    sides = np.linalg.norm(from_corner - foot, axis=2).min(axis=1)
+    return np.where(above, np.minimum(level, sides), sides)
 
 
 def edge_distance(

@@ -15,7 +15,7 @@ from gendom.sim.device import making
 from gendom.sim.paths import make_path_type
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, fill_contact, loose
-from gendom.sim.thin.grips import Grip, Paths, Pose, released
+from gendom.sim.thin.grips import Grip, Paths, Pose, Tear, released, tear
 from gendom.sim.thin.schedule import Schedule, make_schedule
 from gendom.sim.thin.stepping import make_stepping
 from gendom.sim.thin.types import V, X, make_types
@@ -24,7 +24,8 @@ CFL = 0.8
 """Default share of the longest stable step of small vibrations."""
 
 STRETCH = 0.2
-"""Largest mean stretch or compression of a body."""
+"""Largest mean stretch or compression of a body, and stretch of what two grippers have between
+them."""
 
 LOCAL_STRETCH = 1.0
 """Largest momentary stretch of one edge: a soft rope that cracks like a whip stretches by 25 %."""
@@ -98,6 +99,8 @@ class ThinEngine(ABC):
         self.paths = self._paths()
         self.closed = np.zeros((W, G), dtype=int)
         """[W, G] 0: not yet closed, 1: closed, 2: opened."""
+        self.torn: dict[int, Tear] = {}
+        """How grippers will pull worlds apart."""
         self.holds = np.zeros((W, G, n), dtype=np.int32)
         self.stiffer = np.ones((W, G, len(self.stiffened), n))
         self.body = self._body()
@@ -143,6 +146,11 @@ class ThinEngine(ABC):
     @abstractmethod
     def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
         """State [W, ., P] at rest, with points [W, n, 3]."""
+
+    @abstractmethod
+    def between(self, g: NDArray[np.int64], h: NDArray[np.int64]) -> tuple[int, int, float]:
+        """The points i of g [k] and j of h [l] that have least of the body at rest between them,
+        and how much [m]; infinite where that is not known."""
 
     spacing: float
     """Largest distance between neighbouring points [m]."""
@@ -337,8 +345,41 @@ class ThinEngine(ABC):
         self.holds[worlds, g] = grip.holds
         self.stiffer[worlds, g] = grip.stiffer
         put_worlds(self.body.place, worlds * self.closed.shape[1] + g, self.rows(grip.place))
+        self._find_tears(g, worlds, now)
         self.hold(worlds)
         return Event(g, True, worlds, now, pose, grip, self.pick(X, state))
+
+    def _find_tears(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> None:
+        """Find when gripper g, which closes, and others will have pulled worlds [k] apart."""
+        paths, G = Paths(self.stacked), self.closed.shape[1]
+        if G == 1:
+            return
+        places = self.body.place.numpy()[:, :3]
+        for k, w in enumerate(worlds.tolist()):
+            mine = np.flatnonzero(self.holds[w, g] & 1)
+            for h in range(G):
+                theirs = np.flatnonzero(self.holds[w, h] & 1)
+                if h == g or self.closed[w, h] != 1 or not (len(mine) and len(theirs)):
+                    continue
+                i, j, rest = self.between(mine, theirs)
+                if np.isinf(rest):
+                    continue
+                ends = (places[w * G + h, :, self.slots[j]], places[w * G + g, :, self.slots[i]])
+                found = tear(paths, w, (h, g), ends, float(now[k]), (1.0 + STRETCH) * rest)
+                if found is not None and (w not in self.torn or found.time < self.torn[w].time):
+                    self.torn[w] = found
+
+    def tear_error(self, w: int) -> SimulationError:
+        """What to say of a world that grippers pull apart."""
+        of = self.torn[w]
+        return self.setting.error(
+            w,
+            of.time,
+            f"grippers {of.grippers[0]} and {of.grippers[1]} pull the body apart: what they hold "
+            f"is {of.far:.4g} m apart, {100 * STRETCH:.0f} % more than the body between it is long",
+            where="grippers",
+            fix="paths that stay closer together, or a gripper that opens before",
+        )
 
     def _open(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
         rows = self.state.numpy()[worlds]
@@ -363,6 +404,8 @@ class ThinEngine(ABC):
     def hold(self, worlds: NDArray[np.int64]) -> None:
         """Copy the held points of worlds [k] to the kernels' body."""
         put_worlds(self.body.holds, worlds, self.holds[worlds])
+        torn = [self.torn[w].time if w in self.torn else np.inf for w in worlds.tolist()]
+        put_worlds(self.body.torn_from, worlds, np.array(torn))
         self.stiffen(self.body, worlds)
         if self.setting.self_contact:
             put_worlds(self.body.loose, worlds, loose(self, worlds))
@@ -431,6 +474,7 @@ class ThinEngine(ABC):
             body.box_upper = self.types.vec3(*(s.box.upper - self.origin))
         body.holds = self.array(self.holds, wp.int32)
         body.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
+        body.torn_from = self.array(np.full(W, np.inf), wp.float64)
         self.air_density = spread(s.air_density, (W,), "air_density")
         self.fill(body)
         fill_contact(self, body)
@@ -446,6 +490,7 @@ class _Job:
         self.on_device = device_plan(e, plan)
         self.pieces = e.zeros((e.num_worlds, 2), wp.int32)
         self.stopped = wp.full(e.num_worlds, -1, dtype=wp.int32, device=e.setting.device)
+        self.stopped_at = e.zeros(e.num_worlds, wp.float64)
         self.points = e.array(frames.particles, wp.int32)
         shape = (len(frames.times), e.num_worlds, len(frames.particles))
         self.x = wp.full(
@@ -465,10 +510,10 @@ class _Job:
             group,
             [
                 e.body, e.paths, self.on_device, self.pieces, 0, 0, e.state, self.kept, self.every,
-                LOCAL_STRETCH**2, STRETCH, self.stopped, self.x, self.points,
+                LOCAL_STRETCH**2, STRETCH, self.stopped, self.stopped_at, self.x, self.points,
             ],
         )  # fmt: skip
-        stopped = self.stopped.numpy()
+        stopped, stopped_at = self.stopped.numpy(), self.stopped_at.numpy()
         for w in (int(k) for k in np.flatnonzero(stopped >= 0) if group.start <= k < group.stop):
             if w in e.failures:
                 continue
@@ -484,13 +529,16 @@ class _Job:
                     fix="fewer points, or a thinner body",
                 )
                 continue
+            if w in e.torn and stopped_at[w] > e.torn[w].time:
+                e.failures[w] = e.tear_error(w)
+                continue
             e.failures[w] = e.setting.error(
                 w,
-                float(begin + plan.steps[w, s] * plan.dt[w, s]),
+                float(stopped_at[w]),
                 f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "
                 f"mean, or somewhere by more than {100 * LOCAL_STRETCH:.0f} %",
                 where=f"substep {plan.dt[w, s]:.3g} s",
-                fix="grippers that pull it apart go slower or less far; or a smaller substep",
+                fix="slower grippers or velocities, or a smaller substep",
             )
 
     def finish(self) -> None:

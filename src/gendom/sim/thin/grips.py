@@ -110,6 +110,55 @@ class Paths:
         self.turn_bar[w, g, k + 1] += np.where(turns, after, 0.0)
 
 
+@dataclass(frozen=True)
+class Tear:
+    """How two grippers will pull a body apart."""
+
+    time: float
+    """From when on [s]."""
+    grippers: tuple[int, int]
+    far: float
+    """How far what they hold is apart then [m]."""
+
+
+def tear(
+    paths: Paths, w: int, grippers: tuple[int, int], ends: tuple[Array, Array], now: float,
+    most: float,
+) -> Tear | None:  # fmt: skip
+    """When two grippers of a world have a point each farther apart than ``most`` [m], or None.
+
+    Between knots both move straight on, so that without turns their distance is largest at a knot.
+
+    Args:
+        paths: Of all grippers.
+        w: The world.
+        grippers: The two, both closed.
+        ends: The points [3] in the grippers' frames [m].
+        now: When the second one closes [s].
+        most: [m].
+    """
+    of = paths.stacked
+    until = min(of["hold_until"][w, g] for g in grippers)
+    knots = np.unique(np.concatenate([of["time"][w, g] for g in grippers]))
+    times = np.concatenate([[now], knots[(knots > now) & (knots < until)]])
+    if np.isfinite(until):
+        times = np.append(times, until)
+    worlds = np.full(len(times), w)
+    places = []
+    for g, end in zip(grippers, ends, strict=True):
+        pose = paths.pose(g, worlds, times)
+        places.append(pose.centre + rotation.turned(pose.q, np.tile(end, (len(times), 1))))
+    far = np.linalg.norm(places[1] - places[0], axis=1)
+    beyond = np.flatnonzero(far > most)
+    if not len(beyond):
+        return None
+    k = int(beyond[0])
+    if k == 0:
+        return Tear(now, grippers, float(far[0]))
+    share = (most - far[k - 1]) / (far[k] - far[k - 1])
+    return Tear(float(times[k - 1] + share * (times[k] - times[k - 1])), grippers, most)
+
+
 @dataclass
 class Cut:
     """Intersections of spheres with lines of points between held and free edges."""
@@ -225,7 +274,7 @@ def close_shell(
     if model.cut is not None:
         for w in np.flatnonzero(touched):
             sheet = skin[w][model.cut.triangles]
-            touched[w] = triangle_distance(pose.centre[w], sheet) < radius[w]
+            touched[w] = triangle_distance(pose.centre[w], sheet).min() < radius[w]
     held[np.flatnonzero(touched), flat.argmin(axis=1)[touched]] = True
     held &= ~taken
     place = np.zeros((W, 7, n))

@@ -27,4 +27,5 @@ def take_state(engine: ThinEngine, other: ThinEngine) -> None:
     for name in ("closed", "holds", "stiffer", "kept_time", "last_dt"):
         setattr(engine, name, getattr(other, name).copy())
     engine.failures |= other.failures
+    engine.torn = dict(other.torn)
     engine.hold(np.arange(engine.num_worlds))

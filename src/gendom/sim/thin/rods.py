@@ -87,6 +87,12 @@ class Rods(ThinEngine):
         self.state.assign(rows)
         self.last_dt[:] = 0.0
 
+    def between(self, g: NDArray[np.int64], h: NDArray[np.int64]) -> tuple[int, int, float]:
+        along = np.concatenate([[0.0], np.cumsum(self.model.length)])
+        far = np.abs(along[g][:, None] - along[h])
+        i, j = np.unravel_index(far.argmin(), far.shape)
+        return int(g[i]), int(h[j]), float(far[i, j])
+
     def check_apart(self, x: NDArray[np.floating]) -> None:
         check_rope(x, self.setting.body.thickness, self.apart)
 

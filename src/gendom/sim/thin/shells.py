@@ -96,6 +96,15 @@ class Shells(ThinEngine):
         self.state.assign(rows)
         self.last_dt[:] = 0.0
 
+    def between(self, g: NDArray[np.int64], h: NDArray[np.int64]) -> tuple[int, int, float]:
+        m = self.model
+        if m.cut is not None:  # around notches and holes
+            return int(g[0]), int(h[0]), np.inf
+        at = np.stack(np.unravel_index(m.at, m.shape)[::-1], axis=1) * m.spacing
+        far = np.linalg.norm(at[g][:, None] - at[h], axis=2)
+        i, j = np.unravel_index(far.argmin(), far.shape)
+        return int(g[i]), int(h[j]), float(far[i, j])
+
     def check_apart(self, x: NDArray[np.floating]) -> None:
         check_cloth(x, self.model)
 

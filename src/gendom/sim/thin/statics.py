@@ -173,6 +173,9 @@ class Search:
             worlds, now = np.array(list(begun)), np.array(list(begun.values()))
             self.sensitivity.switch(e.switch(worlds, now))
             self._check_held(worlds, now)
+            for w in begun:
+                if w in e.torn and plans[w][k][0] > e.torn[w].time:
+                    e.failures[w] = e.tear_error(w)
             stations = {w: (t, *plans[w][k]) for w, t in begun.items() if w not in e.failures}
             if stations:
                 self._station(group, stations)

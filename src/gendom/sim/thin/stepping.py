@@ -23,6 +23,9 @@ from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.native import MODULE_OPTIONS
 from gendom.sim.thin.types import make_types
 
+CHECKED = 256
+"""Steps between two checks of a body's mean stretch."""
+
 
 @functools.cache
 def make_stepping(real: Any, kind: str) -> SimpleNamespace:
@@ -263,8 +266,9 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
         kept: wp.array3d(dtype=real),
         every: int,  # -1: none are kept
         limit: real,  # of the squared stretch of an edge
-        mean_limit: real,  # of the mean stretch, where pieces end
+        mean_limit: real,  # of the mean stretch, every CHECKED steps and where pieces end
         stopped: wp.array(dtype=wp.int32),  # [W] the piece in which a world exceeded a limit, or -1
+        stopped_at: wp.array(dtype=wp.float64),  # [W] when [s]
         frames: wp.array3d(dtype=vec3),  # [T, W, K]
         points: wp.array(dtype=wp.int32),  # [K] recorded
     ):
@@ -285,6 +289,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                 dt = plan.dt[w, p]
                 h = real(dt)
                 bad = int(0)
+                t = t0 + wp.float64(plan.done[w, p]) * dt
                 for k in range(plan.steps[w, p]):
                     if not forces(body, w, state, row, row + stride, h) <= limit:
                         bad = 1
@@ -298,6 +303,14 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                         meet_itself(body, w, state, row, h)
                         if stride > 0:
                             keep_list(body, w, state, row, state.shape[1] - LISTED)
+                    if (k + 1) % CHECKED == 0:
+                        if not mean_stretch(body, state, row) <= mean_limit:
+                            bad = 1
+                        if any_of(bad) != 0:
+                            break
+                    if t > body.torn_from[w]:
+                        bad = 1
+                        break
                 if not mean_stretch(body, state, row) <= mean_limit:
                     bad = 1
                 if body.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
@@ -305,6 +318,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                         bad = 1
                 if any_of(bad) != 0:
                     stopped[w] = p
+                    stopped_at[w] = t
                 else:
                     f = plan.frame[w, p]
                     if f >= 0:

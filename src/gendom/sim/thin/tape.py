@@ -156,12 +156,13 @@ class ThinTape(ABC):
             every = np.full(W, -1, dtype=np.int32)
             every[group] = s
             none = wp.full(W, -1, dtype=wp.int32, device=e.setting.device)
+            never = e.zeros(W, wp.float64)
             dummy = wp.zeros((0, 0, 0), dtype=e.types.vec3, device=e.setting.device)
             nobody = wp.zeros(0, dtype=wp.int32, device=e.setting.device)
             e.launch(
                 e.kernels.advance, group,
                 [e.body, e.paths, self.silent, e.array(whole, wp.int32), group.start, count, rows,
-                 rows, -1, 1e30, 1e30, none, dummy, nobody],
+                 rows, -1, 1e30, 1e30, none, never, dummy, nobody],
             )  # fmt: skip
             e.launch(
                 e.kernels.reverse, group,

@@ -75,6 +75,7 @@ def make_types(real: Any) -> Types:
         box_upper: vec3
         holds: wp.array3d(dtype=wp.int32)  # [W, G, n] 1: a point is held, 2: an edge's direction is
         place: wp.array3d(dtype=real)  # [W G, 7, P] of those, in the gripper's frame
+        torn_from: wp.array(dtype=wp.float64)  # [W] when grippers are too far apart for it [s]
         # contact with itself
         contact: int
         contact_distance: real  # between centre lines or middle surfaces [m]

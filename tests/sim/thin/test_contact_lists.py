@@ -1,0 +1,146 @@
+"""The list of pairs that may come into contact is that of a search over all pairs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+
+from gendom.materials import Material
+from gendom.sim import Gripper, Simulator, Table, cloth, rope
+from gendom.sim.thin.crossing import edge_distance, triangle_distance
+from gendom.sim.thin.types import MARGIN
+
+SOFT = Material(E=1e5, density=400.0, damping=0.01)
+TABLE = Table(height=0.0, friction=0.4)
+
+
+def coil(device):
+    """A rope that has fallen on itself."""
+    body = rope(
+        diameter=0.01, length=0.8, start=(0, 0, 0.82), direction=(0.02, 0.01, -1), points=81
+    )
+    limp = replace(SOFT, E=2e4)
+    s = Simulator(body, [limp], table=TABLE, self_contact=True, device=device)
+    s.run([0.45])
+    return s
+
+
+def heap(device, **outline):
+    """A cloth that has been let down on a table."""
+    size = 0.165
+    body = cloth(
+        width=size, height=size, thickness=0.001, dx=0.02, points=(16, 16),
+        corner=(-size / 2, -size / 2, 0.8 * size), **outline,
+    )  # fmt: skip
+    top = np.array([-0.06, 0.002, 0.8 * size])
+    hand = Gripper(time=[0, 0.4, 0.9], position=[top, top, top * [1, 1, 0.1]], radius=0.012)
+    s = Simulator(body, [SOFT], grippers=[hand], table=TABLE, self_contact=True, device=device)
+    s.run([1.0])
+    return s
+
+
+def heap_with_hole(device):
+    size = 0.165
+    square = [(0, 0), (size, 0), (size, size), (0, size)]
+    hole = [(0.055, 0.055), (0.11, 0.055), (0.11, 0.11), (0.055, 0.11)]
+    return heap(device, outline=[square, hole])
+
+
+def listed(s):
+    """Pairs that the engine has listed: of edges, and of a point and a triangle, as sets of the
+    lattice's places; and the points [slots, 3] that it had listed them for."""
+    b = s.engine.body
+    front, back = b.near_count.numpy()[0]
+    every = b.near.numpy()[0]
+    codes = np.concatenate([every[:front], every[len(every) - back :]])
+    p, pitch = codes // 4, b.pitch
+    pairs = set()
+    for (one, other), (a, c) in zip(codes % 4, p, strict=True):
+        if one == 3:
+            corner = c if other == 0 else c + pitch + 1
+            pairs.add((a, frozenset({corner, c + 1, c + pitch})))
+        else:
+            pairs.add(frozenset({edge(a, one, pitch), edge(c, other, pitch)}))
+    assert len(pairs) == len(codes)  # none twice
+    return pairs, b.listed.numpy()[0].T[MARGIN:]
+
+
+def edge(p, kind, pitch):
+    if pitch == 0 or kind == 0:
+        return frozenset({p, p + 1})
+    return frozenset({p, p + pitch} if kind == 1 else {p + 1, p + pitch})
+
+
+def features(s):
+    """Points, edges and triangles by their slots, counted from the first."""
+    e = s.engine
+    at, pitch = e.slots - MARGIN, e.body.pitch
+    there = set(at.tolist())
+    if pitch == 0:
+        return [], [(p, p + 1) for p in at[:-1].tolist()], []
+    cells = [p for p, has in zip(at.tolist(), e.model.exists[2], strict=True) if has > 0]
+    edges = [(p, p + 1) for p, has in zip(at.tolist(), e.model.exists[0], strict=True) if has > 0]
+    edges += [
+        (p, p + pitch) for p, has in zip(at.tolist(), e.model.exists[1], strict=True) if has > 0
+    ]
+    edges += [(p + 1, p + pitch) for p in cells]
+    triangles = [
+        t for p in cells for t in ((p, p + 1, p + pitch), (p + pitch + 1, p + 1, p + pitch))
+    ]
+    return sorted(there), edges, triangles
+
+
+def by_search(s, x):
+    """All pairs nearer than the list reaches that share no point."""
+    b = s.engine.body
+    far = b.contact_distance + b.contact_margin
+    points, edges, triangles = features(s)
+    E, pairs = np.array(edges), set()
+    for k, (p, q) in enumerate(edges):
+        rest = E[k + 1 :]
+        rest = rest[~np.isin(rest, (p, q)).any(axis=1)]
+        if not len(rest):
+            continue
+        start, way = np.tile(x[p], (len(rest), 1)), np.tile(x[q] - x[p], (len(rest), 1))
+        near = edge_distance(start, way, x[rest[:, 0]], x[rest[:, 1]] - x[rest[:, 0]]) < far
+        pairs |= {frozenset({frozenset({p, q}), frozenset(o)}) for o in rest[near].tolist()}
+    T = np.array(triangles).reshape(-1, 3)
+    reach = far + 2.0 * s.engine.spacing
+    for p in points:
+        close = (np.linalg.norm(x[T] - x[p], axis=2).min(axis=1) < reach) & ~(T == p).any(axis=1)
+        close[close] = triangle_distance(x[p], x[T[close]]) < far
+        pairs |= {(p, frozenset(t)) for t in T[close].tolist()}
+    return pairs
+
+
+def apart(pair, s):
+    """How far its points are from each other along the body, in columns or rows."""
+    pitch = s.engine.body.pitch
+    parts = list(pair) if isinstance(pair, frozenset) else [{pair[0]}, pair[1]]
+    if pitch == 0:
+        first, second = sorted(min(part) for part in parts)
+        return second - first
+    rows, columns = (
+        [[f(p) for p in part] for part in parts]
+        for f in (lambda p: p // pitch, lambda p: p % pitch)
+    )
+    return max(max(min(b) - max(a), min(a) - max(b)) for a, b in (tuple(rows), tuple(columns)))
+
+
+@pytest.mark.parametrize(
+    "device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)], ids=["cpu", "cuda"]
+)
+@pytest.mark.parametrize("scene", [coil, heap, heap_with_hole])
+def test_listed_are_all_pairs_that_are_near(scene, device):
+    if device == "cuda" and not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    s = scene(device)
+    pairs, x = listed(s)
+    expected = by_search(s, x)
+    rod = s.engine.body.pitch == 0
+    # neighbours along the body are left out unless they fold; other tests are for those
+    sure = {p for p in expected if apart(p, s) >= (s.engine.apart if rod else 3)}
+    assert len(sure) > 20
+    assert sure <= pairs
+    assert pairs <= expected
