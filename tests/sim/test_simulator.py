@@ -779,6 +779,14 @@ def test_yielding_body_stays_flat():
     assert heights[1] < 0.9 * heights[0]
 
 
+def test_substeps_that_are_too_short_are_refused():
+    body = rope(diameter=0.02, length=0.1)
+    with pytest.raises(ParameterError, match=r"world 1 .*substeps of .* s would be needed"):
+        Simulator(body, [Material(), Material(E=1e14)], engine="mpm")
+    with pytest.raises(ParameterError, match="substeps of 1e-09 s"):
+        Simulator(body, [Material()], engine="mpm", substep=1e-9)
+
+
 @pytest.mark.parametrize(
     "make",
     [

@@ -30,8 +30,8 @@ ENGINES = ("mpm", "thin")
 """``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
 
 START_INSIDE = 0.1
-"""Greatest initial depth of a body in a table or wall [cells, or diameters of a rod]; such a body
-is moved onto the surface."""
+"""Greatest initial depth of a body in a table or wall [cells, or diameters of a rod]; contact
+pushes it out."""
 
 
 class Simulator(Shown):

@@ -18,6 +18,7 @@ from gendom.errors import ParameterError
 from gendom.materials import AIR_DENSITY, Cloth, Item, Rope
 from gendom.robot.path import TcpPath, TcpPaths
 from gendom.sim import Body, Gripper, Grippers, Simulator, Table, claimed, cloth, rope
+from gendom.sim.bodies import CELLS_ACROSS
 from gendom.tasks.task import Array, Observed, Scene, Task
 
 _log = logging.getLogger(__name__)
@@ -98,6 +99,13 @@ class Simulation:
     """[kg/m^3]."""
     everything: bool = False
     """Whether to look at all points from when the tool moves, not only at what a task watches."""
+
+    def __post_init__(self) -> None:
+        low, high = CELLS_ACROSS
+        if not low <= self.cells_across <= high:
+            raise ParameterError(
+                f"cells_across must lie between {low:g} and {high:g}, got {self.cells_across:g}"
+            )
 
     def carry_out(
         self,

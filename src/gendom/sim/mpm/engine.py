@@ -19,6 +19,10 @@ CFL = 0.6
 """Default share of the time in which a pressure wave crosses one cell."""
 
 
+SHORTEST_SUBSTEP = 1e-6
+"""Below, a second takes hours, and float32 does not resolve motion [s]."""
+
+
 class MpmEngine:
     """W worlds of material points.
 
@@ -35,6 +39,15 @@ class MpmEngine:
         share = np.sqrt(spread(setting.stiffness, (W, N), "stiffness").max(axis=1))
         limits = [stable_substep(m, setting.body.dx, cfl=cfl or CFL) for m in setting.materials]
         limits = np.full(W, substep) if substep else np.array(limits) / share
+        if limits.min() < SHORTEST_SUBSTEP:
+            w = int(limits.argmin())
+            m = setting.materials[w]
+            raise ParameterError(
+                f"substeps of {limits[w]:.2g} s would be needed, the shortest are 1e-06 s",
+                where=f"world {w} (E {m.E:.6g} Pa, nu {m.nu:.4g}, density {m.density:.6g} kg/m^3, "
+                f"damping {m.damping:.4g} s, cells of {setting.body.dx:.4g} m)",
+                fix="a softer or denser material, larger cells, or engine='thin'",
+            )
         self.setting = setting = replace(setting, substep=limits)
         self.worlds = Worlds(setting)
         self.threads, self.dtype, self.device = setting.threads, setting.dtype, setting.device
