@@ -15,7 +15,7 @@ import numpy as np
 
 from gendom.datasets import demonstrations
 from gendom.datasets.demonstrations import SHARD_SIZE, generate
-from gendom.sim.thin import engine
+from gendom.sim.thin import engine, run
 from gendom.tasks import find_task
 from gendom.tasks.demonstrator import Demonstrator
 
@@ -41,7 +41,7 @@ def main():
     parser.add_argument("--task", default="rope-reaching")
     parser.add_argument("--size", type=int, default=40000)
     given = parser.parse_args()
-    setattr(engine._Job, "advance", made_up)  # noqa: B010 - a method of other arguments
+    setattr(run.Job, "advance", made_up)  # noqa: B010 - a method of other arguments
     # in batches as large as on a GPU
     demonstrations._count_together = lambda kind, shard_size, left, devices: shard_size
     engine.ThinEngine.groups = lambda self: iter([slice(0, self.num_worlds)])

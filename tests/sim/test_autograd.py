@@ -127,13 +127,18 @@ def test_initial_positions_of_rods_are_differentiated():
         ({"nu": torch.zeros(2, 2)}, "axes"),
         ({"E": torch.ones(2) * 1e5, "nu": torch.ones(3) * 0.3}, "different numbers"),
         ({"positions": torch.zeros(5, 3)}, "positions has shape"),
+        ({"E": "soft"}, "E must be numbers, got 'soft'"),
+        ({"gravity": [[0.0], [0.0, 1.0]]}, "gravity must be numbers"),
+        ({"grippers": [3]}, r"grippers\[0\] must be a Gripper"),
+        ({"body": 3}, "body must be a Body"),
+        ({"times": "soon"}, "times must be"),
     ],
 )
 def test_arguments_that_do_not_fit_are_named(change, message):
     body, scene = setup()
-    given = {"E": 1e5, "nu": 0.3, "density": 1000.0, **change}
+    given = {"body": body, "times": [0.01], **scene, "E": 1e5, "nu": 0.3, "density": 1e3, **change}
     with pytest.raises(ParameterError, match=message):
-        simulate(body, [0.01], **scene, **given)
+        simulate(**given)
 
 
 def test_friction_needs_a_table():

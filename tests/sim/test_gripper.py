@@ -67,12 +67,12 @@ def test_still():
         ({"position": [[0.0, 0.0]] * 3}, r"position \[K, 3\]"),
         ({"time": [0.0, 1.0, 1.0]}, "times must increase"),
         ({"time": [0.0, 2.0, 1.0]}, "times must increase"),
-        ({"time": [0.0, 1.0, math.nan]}, "not finite"),
-        ({"position": [[0.0, 0.0, math.inf]] * 3}, "not finite"),
+        ({"time": [0.0, 1.0, math.nan]}, r"time must be finite, got nan at \[2\]"),
+        ({"position": [[0.0, 0.0, math.inf]] * 3}, "position must be finite"),
         ({"radius": 0.0}, "radius must be positive"),
         ({"radius": math.nan}, "radius must be positive"),
         ({"quat_xyzw": [[0.0, 0.0, 0.0, 1.0]] * 2}, r"\[3, 4\]"),
-        ({"quat_xyzw": [[0.0, 0.0, 0.0, 0.0]] * 3}, "not zero"),
+        ({"quat_xyzw": [[0.0, 0.0, 0.0, 0.0]] * 3}, "not be zero"),
     ],
 )
 def test_bad_paths_are_refused(changes, words):

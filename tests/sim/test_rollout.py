@@ -268,7 +268,7 @@ def test_misuse_is_refused():
         rollout.forward([0.002])
     with pytest.raises(ParameterError, match="must be"):
         rollout.backward(x[..., :2])
-    with pytest.raises(ParameterError, match="not finite"):
+    with pytest.raises(ParameterError, match="positions_bar must be finite"):
         rollout.backward(x * np.nan)
     used = scene()
     used.run([0.001])

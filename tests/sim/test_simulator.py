@@ -712,7 +712,7 @@ def test_state_now(tmp_path):
         ({"velocity_damping": [1.0, 2.0]}, "velocity_damping"),
         ({"table": Table(height=0.0, friction=[0.1, 0.2])}, "friction"),
         ({"positions": np.zeros((5, 3))}, "positions"),
-        ({"positions": np.full((512, 3), np.nan)}, "not finite"),
+        ({"positions": np.full((512, 3), np.nan)}, "positions must be finite"),
         ({"materials": [SOFT] * 2, "grippers": [[Gripper.still((0, 0, 0), radius=1)], []]}, "same"),
         ({"materials": [SOFT] * 2, "grippers": [[Gripper.still((0, 0, 0), radius=1)]]}, "world 1"),
     ],

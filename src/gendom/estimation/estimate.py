@@ -18,6 +18,7 @@ from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_ne
 from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.posterior import Calibration, Posterior
+from gendom.estimation.priors import assumed_thickness, thickness_stated
 from gendom.estimation.problem import (
     EstimateSettings,
     Found,
@@ -91,7 +92,9 @@ def estimate(
         calibration = calibration or Calibration.of(problem.scene.kind)
         posterior = _posterior(problem, found, calibration)
         alone = _alone(problem, found, posterior, calibration)
-        verdict = judge(problem, found, alone)
+        verdict = judge(problem, found, posterior, alone)
+        if not verdict.usable:
+            posterior = posterior.of_prior()
         return result_of(problem, found, posterior, alone, verdict, clock.perf_counter() - began)
 
 
@@ -128,9 +131,13 @@ def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Post
     # what moves otherwise than any simulated object gets no intervals
     if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
         added = discrepancy(problem, found, covariance, calibration)
-    return Posterior.calibrated(
+    posterior = Posterior.calibrated(
         problem.prior, found.best.vector, covariance, problem.bases, calibration, added
     )
+    stated = thickness_stated(problem.scene.recording.object)
+    if stated or "thickness" in posterior.names:
+        return posterior
+    return posterior.with_assumed(assumed_thickness())
 
 
 def _alone(

@@ -197,7 +197,7 @@ def _line_from(
     behind: float,
 ) -> Array:
     """Centre line of a rope at rest, from somewhat behind the gripper on."""
-    early = _early_points(recording, frames, diameter)
+    early = early_points(recording, frames, diameter)
     flat = early[:, :2] - grip[:2]
     far = flat[np.linalg.norm(flat, axis=1) > 0.25 * length]
     if len(far) < 5:
@@ -241,7 +241,7 @@ def _place_cloth(
     low = recording.table_height
     longer = max(width, height)
     if low is None:
-        low = float(np.percentile(_early_points(recording, frames, 0.05 * longer)[:, 2], 5))
+        low = float(np.percentile(early_points(recording, frames, 0.05 * longer)[:, 2], 5))
     mid = low + thickness / 2.0
     corner = described.grasp == "corner"
     diagonal = np.array([width, height]) / math.hypot(width, height)
@@ -282,7 +282,7 @@ def _cloth_yaw(recording: Recording, frames: tuple[int, ...], width: float, heig
     first = -0.5 * sides
     if corner:
         first = -(described.grasp_inset or 0.0) * sides / math.hypot(width, height)
-    lying = _early_points(recording, frames, 0.01 * longer)[:, :2] - grip[:2]
+    lying = early_points(recording, frames, 0.01 * longer)[:, :2] - grip[:2]
     yaw, off = _outline_yaw(lying, first, sides, filled=True)
     if off < FLAT * longer:
         return _along_edges(lying, yaw)
@@ -348,7 +348,7 @@ def _along_edges(points: Array, yaw: float) -> float:
     return yaw
 
 
-def _early_points(recording: Recording, frames: tuple[int, ...], size: float) -> Array:
+def early_points(recording: Recording, frames: tuple[int, ...], size: float) -> Array:
     """[n, 3] points of the frames before the gripper has moved by ``size`` [m]."""
     path = recording.gripper_position[:, 0]
     moved = np.linalg.norm(path - path[frames[0]], axis=1)

@@ -12,7 +12,7 @@ import functools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from typing import Any
 
@@ -91,6 +91,30 @@ class Posterior:
             bases=tuple(bases),
         )
 
+    def of_prior(self) -> Posterior:
+        """With the deviations of the prior: recordings that are not usable tell nothing."""
+        return replace(self, covariance=np.diag(self.prior.sd**2))
+
+    def with_assumed(self, assumed: Prior) -> Posterior:
+        """With an unknown of the object that was assumed, not estimated, and is as uncertain as its
+        prior. What the recordings determine is the combination that `Unknown.steps_with` keeps:
+        others vary with it.
+
+        Args:
+            assumed: Its prior.
+        """
+        (u,), sd = assumed.unknowns, float(assumed.sd[0])
+        along = np.append(np.zeros(len(self.names)), 1.0)
+        for other, share in u.steps_with:
+            if other in self.names:
+                along[self.prior.index(other)] = share
+        return replace(
+            self,
+            prior=self.prior.followed_by(assumed),
+            mean=np.append(self.mean, u.transformed(getattr(self.theta, u.name))),
+            covariance=np.pad(self.covariance, (0, 1)) + sd**2 * np.outer(along, along),
+        )
+
     @property
     def names(self) -> tuple[str, ...]:
         return self.prior.names
@@ -126,9 +150,17 @@ class Posterior:
         )
         return u.value(low), u.value(high)
 
-    def product(self, powers: Mapping[str, float], level: float) -> tuple[float, float]:
+    def product(
+        self, powers: Mapping[str, float], level: float, other_sd: float = 0.0
+    ) -> tuple[float, float]:
         """Ends of the interval of a product of powers of positive unknowns of the object, with
-        their joint uncertainty; unknowns that were not estimated are taken as exact."""
+        their joint uncertainty; unknowns that were not estimated are taken as exact.
+
+        Args:
+            powers: By name.
+            level: Probability of the interval.
+            other_sd: Standard deviation of the logarithm of a factor that is none of them.
+        """
         centre, low, high = 0.0, 0.0, 0.0
         slope = np.zeros(len(self.names))
         for name, power in powers.items():
@@ -139,8 +171,9 @@ class Posterior:
             slope[k] = power
             ends = sorted((power * self.prior.low[k], power * self.prior.high[k]))
             low, high = low + ends[0], high + ends[1]
-        half = float(norm.ppf(0.5 + level / 2.0)) * math.sqrt(slope @ self.covariance @ slope)
-        at = float(slope @ self.mean)
+        z = float(norm.ppf(0.5 + level / 2.0))
+        half = z * math.sqrt(max(float(slope @ self.covariance @ slope), 0.0) + other_sd**2)
+        at, low, high = float(slope @ self.mean), low - z * other_sd, high + z * other_sd
         return (
             math.exp(centre + float(np.clip(at - half, low, high))),
             math.exp(centre + float(np.clip(at + half, low, high))),

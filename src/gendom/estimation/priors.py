@@ -3,18 +3,52 @@
 from __future__ import annotations
 
 import math
-from statistics import NormalDist
+from dataclasses import dataclass
 
 import numpy as np
 
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import ParameterError
 from gendom.estimation.theta import UNKNOWNS, Prior, Theta, prior_of
-from gendom.materials.catalogue import Listed
+from gendom.materials.catalogue import NINE_OF_TEN, Listed
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "cloth": (0.01, 0.2)}
 """Range of bending lengths that is searched, in lengths of a rope or diagonals of a cloth: below it
 the object hangs like a chain, above it it does not bend."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedErrors:
+    """Standard deviations of what a recording states, or does not, about how an object is held and
+    what it is. Of measured grippers they are those of calibrated arms and rulers; of commanded
+    ones those of arms that follow late and of fingertips whose point is not the tool's."""
+
+    height: float = 0.002
+    """Of a measured gripper [m]."""
+    commanded_height: float = 0.01
+    """Of a rope's commanded one [m]."""
+    commanded_height_cloth: float = 0.02
+    delay: float = 0.02
+    """Between clouds and a measured gripper [s]."""
+    commanded_delay: tuple[float, float] = (0.05, 0.1)
+    """Mean and deviation for a commanded one [s]."""
+    frame_share: float = 12.0**-0.5
+    """Of a quasi-static recording's delay, in intervals between frames: its times are often those
+    of the nearest frame, or its numbers."""
+    inset: float = 0.002
+    """Of a stated distance from a rope's end [m]."""
+    unknown_inset: float = 0.008
+    """Where half the diameter is assumed [m]."""
+    corner: tuple[float, float] = (0.002, 0.01)
+    """Of a stated distance from a cloth's corner, measured and commanded [m]."""
+    unknown_corner: tuple[float, float] = (0.01, 0.02)
+    axis_tilt: float = 0.1
+    """Of a cloth's corner against a recorded axis [rad]."""
+    thickness: float = 0.5
+    """Of the logarithm of a diameter or thickness that is assumed: about a factor of two."""
+    density: float = 0.5
+    """Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3.
+    """
 
 
 def recording_prior(
@@ -44,7 +78,7 @@ def recording_prior(
     for name in wanted:
         if name in UNKNOWNS and kind not in UNKNOWNS[name].kinds:
             raise ParameterError(f"a {kind} has no {name}", where="unknowns")
-    logs = np.log(moduli)
+    logs, e = np.log(moduli), StatedErrors()
     changes: dict[str, dict[str, float]] = {
         # searched over its range without preference: a wide Gaussian
         "specific_modulus": {
@@ -52,18 +86,19 @@ def recording_prior(
             "mean": math.exp(logs.mean()), "sd": float(np.ptp(logs)) / 2,
         },
         # an arm follows its commands with a delay, and commands are for a point of the hand
-        "grip_height": {"sd": 0.002 if measured else (0.02 if kind == "cloth" else 0.01)},
-        "delay": {"sd": 0.02 if measured else 0.1, "mean": 0.0 if measured else 0.05},
-        "grip_along": {"sd": 0.002 if described.grasp_inset is not None else 0.008},
-        # an assumed value is uncertain by about a factor of two
-        "thickness": {} if _thickness_stated(described) else {"sd": 0.5},
+        "grip_height": {"sd": e.height if measured else e.commanded_height},
+        "delay": _delay(recording, e),
+        "grip_along": {"sd": e.unknown_inset if described.grasp_inset is None else e.inset},
+        "thickness": {} if thickness_stated(described) else {"sd": e.thickness},
     }  # fmt: skip
     if kind == "cloth":
-        inset = (0.002, 0.01) if described.grasp_inset is not None else (0.01, 0.02)
+        inset = e.unknown_corner if described.grasp_inset is None else e.corner
         changes["grip_along"] = {"sd": inset[0 if measured else 1], "low": -0.02, "step": 3e-3}
+        if not measured:
+            changes["grip_height"] = {"sd": e.commanded_height_cloth}
         if recording.gripper_axis is not None:
             # the corner turns as its axis does
-            changes["grip_tilt"] = {"mean": 0.0, "sd": 0.1}
+            changes["grip_tilt"] = {"mean": 0.0, "sd": e.axis_tilt}
         changes["specific_modulus"]["step"] = 0.06
         changes["grip_height"] |= {"step": 2e-3}
     base = Theta(specific_modulus=math.exp(logs.mean()))
@@ -76,13 +111,31 @@ def recording_prior(
     return prior, prior.theta(prior.mean, base)
 
 
-def _thickness_stated(described: ObjectDescription) -> bool:
+def _delay(recording: Recording, e: StatedErrors) -> dict[str, float]:
+    """How late clouds are."""
+    mean, sd = (0.0, e.delay) if recording.gripper_source == "measured" else e.commanded_delay
+    frames = 0.0
+    if recording.quasi_static and recording.num_frames > 1:
+        frames = e.frame_share * float(np.median(np.diff(recording.time)))
+    if frames <= sd:
+        return {"mean": mean, "sd": sd}
+    u, times = UNKNOWNS["delay"], frames / sd
+    return {
+        "mean": mean, "sd": frames,
+        "low": times * u.low, "high": times * u.high,
+        "step": times * u.step, "widest": times * u.widest,
+    }  # fmt: skip
+
+
+def thickness_stated(described: ObjectDescription) -> bool:
+    """Whether a recording says how thick its object is."""
     stated = described.diameter if described.kind == "rope" else described.thickness
     return stated is not None
 
 
-_NINE_OF_TEN = NormalDist().inv_cdf(0.95)
-"""Half width of a Gaussian's central 90 % interval, in deviations."""
+def assumed_thickness() -> Prior:
+    """Prior of a thickness that is not stated, of ropes and cloths."""
+    return prior_of(["thickness"], {"thickness": {"sd": StatedErrors.thickness}})
 
 
 def material_prior(
@@ -114,14 +167,13 @@ def material_prior(
             where="material",
             fix="check the recording's sizes with gendom check, or leave the material out",
         )
-    width = math.hypot(math.log(E.high / E.low), math.log(density.high / density.low))
-    found = {"specific_modulus": {"mean": modulus, "sd": width / 2.0 / _NINE_OF_TEN}}
+    found = {"specific_modulus": {"mean": modulus, "sd": math.hypot(E.log_sd, density.log_sd)}}
     for name in ("nu", "damping", "friction"):
         unknown, known = UNKNOWNS[name], getattr(material, name)
         ends = unknown.transformed(known.low), unknown.transformed(known.high)
         found[name] = {
             "mean": min(max(known.typical, unknown.low), unknown.high),
-            "sd": (ends[1] - ends[0]) / 2.0 / _NINE_OF_TEN,
+            "sd": (ends[1] - ends[0]) / 2.0 / NINE_OF_TEN,
         }
     return found
 
@@ -130,7 +182,9 @@ def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:
     """Unknowns that a recording may determine."""
     names = ["specific_modulus", "nu", "friction", "grip_height", "grip_along"]
     if not quasi_static:
-        names += ["damping", "delay"]
+        names.append("damping")
+    if not recording.extra.get("static", False):
+        names.append("delay")
     if recording.table_height is None:
         names.remove("friction")
     if recording.num_grippers > 1:

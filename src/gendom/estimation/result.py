@@ -303,7 +303,7 @@ def result_of(
         **own[0],
         "theta": asdict(theta),
         "recordings": [
-            {"name": fit.name, **r, "alone": _by_itself(alone[k : k + 1], settings.level)}
+            {"name": fit.name, **r, "alone": _by_itself(alone[k : k + 1], settings.level, verdict)}
             for k, (fit, r) in enumerate(zip(fits, own, strict=True))
         ],
         "notes": list(dict.fromkeys(note for fit in fits for note in fit.scene.notes)),
@@ -373,10 +373,10 @@ def result_of(
     )
 
 
-def _by_itself(alone: Sequence[Posterior], level: float) -> dict[str, Any] | None:
-    """E / density from one recording alone, None where that was not computed."""
+def _by_itself(alone: Sequence[Posterior], level: float, verdict: Verdict) -> dict[str, Any] | None:
+    """E / density from one recording alone, None where that was not computed or is not usable."""
     name = "specific_modulus"
-    if not alone or name not in alone[0].names:
+    if not alone or name not in alone[0].names or not verdict.usable:
         return None
     return {name: alone[0].theta.specific_modulus, "interval": list(alone[0].interval(name, level))}
 
@@ -389,7 +389,8 @@ def _ranges(
     intervals: dict[str, list[float]] = {}
     bounds: dict[str, list[float]] = {}
     known: dict[str, bool] = {}
-    mass = scene.mass_power if scene.recording.object.mass is not None else 0
+    weighed = scene.recording.object.mass is not None
+    mass, heavy = (scene.mass_power, 0.0) if weighed else (0, scene.density_sd)
     # with a known mass, bending stiffness is proportional to the square; else the mass grows, too
     weight = 2 if mass else 2 + scene.mass_power
     for k, name in enumerate(posterior.names):
@@ -407,15 +408,15 @@ def _ranges(
         if name != "specific_modulus":
             continue
         theta = posterior.theta
-        for of, value, thicker, power in (
-            # exponents of E / density and thickness in each value
-            ("youngs_modulus", theta.specific_modulus * scene.density_of(theta), -mass, 1.0),
-            ("bending_length", _bending_length(scene, theta), 2.0, 1.0 / 3.0),
-            ("bending_stiffness", bending_stiffness(scene, theta), weight, 1.0),
+        for of, value, thicker, power, other in (
+            # exponents of E / density and thickness in each value, and deviations of the density
+            ("youngs_modulus", theta.specific_modulus * scene.density_of(theta), -mass, 1.0, heavy),
+            ("bending_length", _bending_length(scene, theta), 2.0, 1.0 / 3.0, 0.0),
+            ("bending_stiffness", bending_stiffness(scene, theta), weight, 1.0, heavy),
         ):
             powers = {name: power, "thickness": power * thicker}
             here = math.prod(getattr(theta, n) ** p for n, p in powers.items())
-            intervals[of] = [value / here * end for end in posterior.product(powers, level)]
+            intervals[of] = [value / here * end for end in posterior.product(powers, level, other)]
             bounds[of] = [value * (end / theta.specific_modulus) ** power for end in bounds[key]]
         known["youngs_modulus"] = known[key]
     for name in ("specific_modulus", "nu", "friction", "damping"):

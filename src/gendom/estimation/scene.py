@@ -15,9 +15,14 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
-from gendom.errors import RecordingError
+from gendom.errors import ParameterError, RecordingError
 from gendom.estimation.placing import place
-from gendom.estimation.priors import BENDING_RANGE, first_guesses, recording_prior
+from gendom.estimation.priors import (
+    BENDING_RANGE,
+    StatedErrors,
+    first_guesses,
+    recording_prior,
+)
 from gendom.estimation.scene_settings import (
     MOST_SHELL_POINTS,
     SHELL_POINTS,
@@ -109,6 +114,13 @@ class Scene:
         body = placed.body
         clock = _choose_clock(recording, settings)
         lasts = float(recording.time[frames[-1]] - recording.time[frames[0]]) / clock
+        if lasts > settings.longest and settings.clock is not None:
+            raise ParameterError(
+                f"is {settings.clock:g}, with which the recording lasts {lasts:.4g} s, longer than "
+                f"the {settings.longest:g} s that are simulated",
+                where="clock",
+                fix="give a larger one, or leave it out",
+            )
         if lasts > settings.longest:
             raise RecordingError(
                 f"lasts {lasts:.4g} s, longer than the {settings.longest:g} s that are simulated",
@@ -205,6 +217,14 @@ class Scene:
     def mass_power(self) -> int:
         """Exponent of the thickness in the object's volume."""
         return 2 if self.kind == "rope" else 1
+
+    @property
+    def density_sd(self) -> float:
+        """Standard deviation of the logarithm of a density that is assumed: of the stated material,
+        or of any."""
+        if self.settings.material is None:
+            return StatedErrors.density
+        return catalogue.get(self.settings.material).density.log_sd
 
     def density_of(self, theta: Theta) -> float:
         """Of an object that is as thick as estimated; of a stated mass, where there is one
@@ -357,16 +377,35 @@ def _density(recording: Recording, body: Body, settings: SceneSettings, notes: l
 
 
 def _choose_clock(recording: Recording, settings: SceneSettings) -> float:
-    if settings.clock is not None:
-        return settings.clock
+    """Recorded seconds for one simulated second.
+
+    Raises:
+        ParameterError: The stated one makes a motion of which inertia is a part another one.
+    """
+    stated = settings.clock
     if not recording.quasi_static or recording.extra.get("static", False):
+        if stated not in (None, 1.0):
+            raise ParameterError(
+                f"is {stated:g}, but the recording is not of a quasi-static motion",
+                where="clock",
+                fix="leave it out; a recording states quasi_static where inertia does not count",
+            )
         return 1.0
     if recording.num_frames < 2:
-        return 1.0
+        return stated or 1.0
     path, time = recording.gripper_position, recording.time
     steps = np.linalg.norm(np.diff(path, axis=0), axis=-1).max(axis=1)
     moving = steps > 0.1 * steps.max()
     speed = float(steps[moving].sum() / max(float(np.diff(time)[moving].sum()), 1e-9))
+    if stated is not None:
+        if speed * stated > max(settings.slow, speed):
+            raise ParameterError(
+                f"is {stated:g}, with which the gripper moves at {speed * stated:.3g} m/s: "
+                "the object would swing",
+                where="clock",
+                fix=f"give {settings.slow / speed:.2g} or less, or leave it out",
+            )
+        return stated
     # motion near that speed keeps its clock: a faster one would make the object swing
     clock = settings.quasi_static_speed / max(speed, 1e-9)
     return clock if clock > 1.5 else 1.0

@@ -201,6 +201,11 @@ class Prior:
         names = tuple(self.names[k] for k in which)
         return Prior(names=names, owners=owners_of(names), **numbers)
 
+    def followed_by(self, other: Prior) -> Prior:
+        """Prior of these unknowns and then those, none of them twice."""
+        numbers = {n: np.append(getattr(self, n), getattr(other, n)) for n in NUMBERS}
+        return Prior(names=self.names + other.names, owners=self.owners + other.owners, **numbers)
+
     def index(self, name: str, recording: int = 0) -> int:
         """Of an unknown, of this recording if each has its own.
 
@@ -235,8 +240,13 @@ def prior_of(names: Iterable[str], changes: Mapping[str, Mapping[str, float]]) -
         changes: By name, other values of low, high, mean, sd, step or widest.
 
     Raises:
-        ParameterError: There is no such unknown.
+        ParameterError: There is no such unknown, or one is named twice.
     """
+    names = tuple(names)
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise ParameterError(
+            f"{min(twice)} is named twice", where="unknowns", fix="name each unknown once"
+        )
     chosen = []
     for name in names:
         if name not in UNKNOWNS:

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
+from numpy.linalg import norm
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from gendom.datasets import Recording
 from gendom.estimation.likelihood import Comparison, NoiseModel
+from gendom.estimation.placing import early_points
 from gendom.estimation.posterior import Posterior
+from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem
-from gendom.estimation.theta import UNKNOWNS
+from gendom.estimation.theta import UNKNOWNS, Theta
 
 Array = NDArray[np.floating]
+
+CERTAIN = 0.9
+"""Probability of the interval of a value that is impossible."""
+
+END, TOP = 0.99, 0.9
+"""Share of a cloud at rest that ends, and lies, lower than the object's own end and top."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,12 +37,32 @@ class VerdictSettings:
     """Fewest frames with points."""
     moved: float = 0.15
     """Shortest path of a gripper: less shows almost nothing of the stiffness."""
-    speed: tuple[float, float] = (5e-4, 4.0)
+    numbered: int = 10
+    """From so many frames on, times that are successive whole seconds are frame numbers."""
+    line: tuple[float, float] = (0.85, 1.05)
+    """Length of the line through ordered markers, in lengths of the object."""
+    speed: tuple[float, float] = (5e-4, 2.0)
     """Slowest and fastest mean speed of a gripper on its path [m/s]; other values mean a wrong unit
-    of time."""
-    density: tuple[float, float] = (15.0, 25000.0)
-    """Densities of solids, from cork to gold [kg/m^3]; other values mean a wrong unit of mass or
-    length."""
+    of time. Arms move at 1 m/s at most, hands that shake a cable at 0.6 to 1 m/s."""
+    damping: float = 0.05
+    """Damping that a recording must not show to be exceeded [s]: ropes and cloths have 1 to 20 ms,
+    and what moves too fast for its stiffness looks damped."""
+    at_rest: float = 0.02
+    """A gripper has not lifted an object before it has moved by more, in the object's size."""
+    thicker: float = 0.25
+    """Smallest difference that counts between that and the next, in diameters."""
+    height: float = 3.0
+    """Difference between the height of a rope at rest and its diameter, in deviations of the
+    cameras' place. Over ten lifts it is 2.5 mm at most."""
+    lightest: Mapping[str, float] = field(default_factory=lambda: {"rope": 120.0, "cloth": 30.0})
+    """Least density of a rope or cloth [kg/m^3], a quarter and a half of that of the lightest in
+    `gendom.materials.catalogue`; smaller ones mean a wrong unit of mass or length."""
+    heaviest: float = 12000.0
+    """Likewise the largest, of lead [kg/m^3]."""
+    metal: tuple[float, float] = (4000.0, 2e4)
+    """What is denser than the first [kg/m^3] is of metal, and bends with an E / density of more
+    than the second [m^2/s^2]: fibres and rubbers have 300 to 2,500 kg/m^3, cables with copper up to
+    4,000, and strands of metal an E above 0.1 GPa."""
     off: float = 0.035
     """Farthest mean distance of points from the fitted skin. Over 60 good lifts of ropes 0.25 to
     0.36 m long the root mean square is 4.3 mm at most."""
@@ -49,8 +79,10 @@ class VerdictSettings:
     of 0.42 m): a larger displacement hides the effect of E."""
     bare: float = 0.3
     """Largest share of the object that clouds do not show, in the median frame."""
+    gap: float = 0.004
+    """A place counts as not shown where clouds end so far from it, beyond their own gaps [m]."""
     stray: float = 0.25
-    """Largest share of points farther away than `straying` times `far`."""
+    """Largest share of points farther away than `far` times `NoiseModel.straying`."""
     far: float = 4.0
     below: float = 0.2
     """Largest share of points that lie under the stated table: by 1 cm and more, of a rope by a
@@ -58,6 +90,9 @@ class VerdictSettings:
     nuisance: float = 5.0
     """Largest difference, in deviations, of a camera, gripper or clock from its stated value, and
     of recordings of one object from each other."""
+    skin: tuple[float, float] = (0.0025, 0.3)
+    """Largest distance of points from the skin of an object as thick as stated: the larger of the
+    first [m] and the second times the thickness."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,13 +118,16 @@ def recording_faults(
         density: Mass over volume where both are stated [kg/m^3].
         settings: Bounds.
     """
-    s, found = settings or VerdictSettings(), []
+    s = settings or VerdictSettings()
+    found = _impossible_density(recording.object.kind, density, s) + _impossible_markers(
+        recording, s
+    )
     frames = np.flatnonzero(recording.frame_valid)
     if recording.extra.get("static", False):
         return found
     if len(frames) < s.frames:
-        found.append(f"{len(frames)} of the {s.frames} frames that a lift takes show points")
-        return found
+        said = f"{len(frames)} of the {s.frames} frames that a lift takes show points"
+        return [*found, said]
     path, time = recording.gripper_position[frames], recording.time[frames]
     steps = np.linalg.norm(np.diff(path, axis=0), axis=2)
     way = float(steps.sum(axis=0).max())
@@ -100,7 +138,7 @@ def recording_faults(
             f"the gripper moves by {reach:.3g} m, {reach / max(size, 1e-9):.0%} of the object's "
             f"size: too little to tell a stiffness"
         )
-    elif not recording.quasi_static:
+    else:
         moving = float(np.diff(time)[steps.max(axis=1) > 1e-3 * size].sum())
         speed = way / max(moving, 1e-9)
         if not s.speed[0] <= speed <= s.speed[1]:
@@ -108,23 +146,49 @@ def recording_faults(
                 f"the gripper's mean speed is {speed:.3g} m/s: are times in seconds and positions "
                 "in metres?"
             )
+    counted = recording.num_frames >= s.numbered and (np.diff(recording.time) == 1.0).all()
+    if counted and not recording.quasi_static:
+        found.append("frames are exactly 1 s apart: are times frame numbers?")
     if recording.table_height is not None:
         thick = recording.object.diameter
         depth = 0.01 if thick is None else min(0.01, max(0.004, 0.25 * thick))
         under = float((recording.points[:, 2] < recording.table_height - depth).mean())
         if under > s.below:
             found.append(f"{under:.0%} of all points lie under the table: does z point up?")
-    if density is not None and not s.density[0] <= density <= s.density[1]:
-        found.append(
-            f"mass and sizes give a density of {density:.3g} kg/m^3: is the mass in kilograms, are "
-            "sizes in metres?"
-        )
     return found
+
+
+def _impossible_density(kind: str, density: float | None, s: VerdictSettings) -> list[str]:
+    if density is None or s.lightest.get(kind, 0.0) <= density <= s.heaviest:
+        return []
+    return [
+        f"mass and sizes give a density of {density:.3g} kg/m^3: is the mass in kilograms, are "
+        "sizes in metres?"
+    ]
+
+
+def _impossible_markers(recording: Recording, s: VerdictSettings) -> list[str]:
+    """Ordered markers along a line of another length than the object's."""
+    length = recording.object.length
+    if length is None or not recording.extra.get("ordered_markers", False):
+        return []
+    lines = [
+        float(np.linalg.norm(np.diff(recording.frame(t).astype(float), axis=0), axis=1).sum())
+        for t in range(recording.num_frames)
+        if recording.frame_valid[t]
+    ]
+    line = float(np.median(lines)) if lines else length
+    if s.line[0] * length <= line <= s.line[1] * length:
+        return []
+    return [
+        f"markers lie along a line of {line:.3g} m, the object is stated to be {length:.3g} m long"
+    ]
 
 
 def judge(
     problem: Problem,
     found: Found,
+    posterior: Posterior,
     alone: Sequence[Posterior],
     settings: VerdictSettings | None = None,
 ) -> Verdict:
@@ -133,6 +197,7 @@ def judge(
     Args:
         problem: The problem.
         found: The result of the search.
+        posterior: Of all recordings.
         alone: Posteriors of each recording alone; empty where they are not compared.
         settings: Bounds.
     """
@@ -140,19 +205,22 @@ def judge(
     assert compared is not None
     reasons = []
     for k, (part, comparison) in enumerate(zip(problem.parts, compared.parts, strict=True)):
-        faults = _faults(part, comparison, found.noise[k], s)
+        theta = problem.theta(found.best.vector, k)
+        faults = _faults(part, comparison, found.noise[k], theta, s)
         faults += _pressed(problem, found.best.vector, k, s)
         reasons += [part.named(reason) for reason in faults]
-    reasons += _at_end(problem, found.best.vector)
+    reasons += _at_end(problem, found.best.vector, s) + _damped(posterior, s)
     reasons += _disagreeing(problem, alone, s)
     return Verdict(usable=not reasons, reasons=tuple(reasons))
 
 
-def _faults(part: Part, comparison: Comparison, noise: NoiseModel, s: VerdictSettings) -> list[str]:
+def _faults(
+    part: Part, comparison: Comparison, noise: NoiseModel, theta: Theta, s: VerdictSettings
+) -> list[str]:
     """Why a recording, or its fit, is not usable."""
     scene, observation = part.scene, part.observation
     density = None if scene.recording.object.mass is None else scene.density
-    reasons = recording_faults(scene.recording, density, s)
+    reasons = recording_faults(scene.recording, density, s) + _misplaced(part, comparison, noise, s)
     rows = comparison.rows
     own = observation.counts.shape[1]
     real = observation.counts > 0.0
@@ -167,16 +235,74 @@ def _faults(part: Part, comparison: Comparison, noise: NoiseModel, s: VerdictSet
     if stray > s.stray:
         reasons.append(f"{stray:.0%} of all points do not belong to the object")
     if observation.markers is None:
-        bare = (rows.counts[:, own:] > 0.0) & (rows.rho[:, own:] > s.far * 0.001)
+        bare = (rows.counts[:, own:] > 0.0) & (rows.rho[:, own:] > s.gap)
         share = float(np.median(bare.mean(axis=1)))
         if share > s.bare:
             reasons.append(
                 f"clouds show nothing where {share:.0%} of the object should be: is its size right?"
             )
+    reasons += _at_rest(part, theta, s)
     if displaced(part, noise, s):
         reasons.append(
             f"the object moves {1e3 * noise.model:.0f} mm otherwise than any simulated one"
         )
+    return reasons
+
+
+def _misplaced(
+    part: Part, comparison: Comparison, noise: NoiseModel, s: VerdictSettings
+) -> list[str]:
+    """Cameras, or an object's thickness, that are far from what is stated."""
+    shift, turn, skin = np.split(comparison.fit(noise).a[-7:], [3, 6])
+    reasons, skin = [], float(skin[0])
+    off = max(np.abs(shift).max() / noise.shift, np.abs(turn).max() / noise.turn)
+    if off > s.nuisance:
+        reasons.append(
+            f"clouds would have to be moved by {1e3 * np.linalg.norm(shift):.0f} mm and turned by "
+            f"{math.degrees(np.linalg.norm(turn)):.1f} degrees: cameras or gripper are elsewhere "
+            "than stated, or the object has another size"
+        )
+    thick = part.scene.body.thickness
+    most = max(s.skin[0], s.skin[1] * thick)
+    if thickness_stated(part.scene.recording.object) and abs(skin) > most:
+        side = "outside" if skin > 0.0 else "inside"
+        reasons.append(
+            f"points lie {1e3 * abs(skin):.1f} mm {side} an object {1e3 * thick:.3g} mm thick: is "
+            "its thickness right?"
+        )
+    return reasons
+
+
+def _at_rest(part: Part, theta: Theta, s: VerdictSettings) -> list[str]:
+    """A rope at rest that ends or lies elsewhere than one of its sizes would."""
+    scene, recording = part.scene, part.scene.recording
+    if scene.kind != "rope" or scene.ordered or len(scene.held) > 1 or scene.floor is not None:
+        return []
+    thick = theta.thickness * scene.body.thickness
+    prior, _ = scene.prior(("grip_along", "grip_height"))
+    cloud = early_points(recording, scene.frames, s.at_rest * scene.size)
+    line, reasons = scene.body.points, []
+    # beyond its last point, straight on
+    ahead = line[-1] - line[-2]
+    tail = line[-1] + np.linspace(0.0, 0.5 * scene.size, 100)[1:, None] * ahead / norm(ahead)
+    places = np.concatenate([line, tail])[:, :2]
+    s_of = np.concatenate([[0.0], np.cumsum(norm(np.diff(places, axis=0), axis=1))])
+    nearest = KDTree(places).query(cloud[:, :2])[1]
+    beyond = float(np.quantile(s_of[nearest], END)) - float(s_of[len(line) - 1])
+    place = math.hypot(part.noise.shift, *map(float, prior.sd))
+    if abs(beyond) > s.nuisance * place:
+        ends = "beyond" if beyond > 0.0 else "before"
+        reasons.append(
+            f"at rest the cloud ends {1e3 * abs(beyond):.0f} mm {ends} the end of an object "
+            f"{scene.size:.3g} m long: are its length and the gripper's place right?"
+        )
+    if recording.table_height is not None and thickness_stated(recording.object):
+        top = float(np.quantile(cloud[:, 2], TOP)) - recording.table_height
+        if abs(top - thick) > max(s.height * part.noise.shift, s.thicker * thick):
+            reasons.append(
+                f"at rest the object reaches {1e3 * top:.0f} mm above the table, its diameter is "
+                f"{1e3 * thick:.3g} mm: are diameter and table_height right, does z point up?"
+            )
     return reasons
 
 
@@ -192,15 +318,32 @@ def displaced(
     return noise.model > times * most * scene.size
 
 
-def _at_end(problem: Problem, vector: Array) -> list[str]:
-    """Whether the modulus lies at a bound of the search."""
-    prior = problem.prior
+def _at_end(problem: Problem, vector: Array, s: VerdictSettings) -> list[str]:
+    """A modulus at a bound of the search, or one that an object of its density cannot have."""
+    prior, scene = problem.prior, problem.scene
     if "specific_modulus" not in prior.names:
         return []
-    k = prior.index("specific_modulus")
+    k, found = prior.index("specific_modulus"), []
     if min(vector[k] - prior.low[k], prior.high[k] - vector[k]) < 1e-3:
-        return ["E / density lies at the end of the range that was searched"]
-    return []
+        found.append("E / density lies at the end of the range that was searched")
+    own, density = math.exp(vector[k]), scene.density
+    if scene.recording.object.mass is not None and density > s.metal[0] and own < s.metal[1]:
+        found.append(
+            f"mass and sizes give a density of {density:.3g} kg/m^3, which only metals have, but "
+            f"it bends like no metal (E / density {own:.3g} m^2/s^2): is the mass in kilograms, "
+            "are sizes in metres?"
+        )
+    return found
+
+
+def _damped(posterior: Posterior, s: VerdictSettings) -> list[str]:
+    """More damping than objects have."""
+    if "damping" not in posterior.names:
+        return []
+    low, _ = posterior.interval("damping", CERTAIN)
+    if low < s.damping:
+        return []
+    return [f"a damping of {low:.2g} s or more is more than objects have: are times in seconds?"]
 
 
 def _pressed(problem: Problem, vector: Array, recording: int, s: VerdictSettings) -> list[str]:

@@ -17,6 +17,7 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from statistics import NormalDist
 from typing import Any
 
 from gendom.errors import ParameterError, did_you_mean
@@ -42,6 +43,10 @@ class Source:
     """The numbers in it that ranges rest on; empty where they have not been checked."""
 
 
+NINE_OF_TEN = NormalDist().inv_cdf(0.95)
+"""Half width of a Gaussian's central 90 % interval, in deviations."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Range:
     """What things of one material have of a quantity, in its SI unit.
@@ -61,6 +66,11 @@ class Range:
     """How the numbers come about, in a few words."""
     source: str = ""
     """A key of `sources`; empty where there is none."""
+
+    @property
+    def log_sd(self) -> float:
+        """Standard deviation of the logarithm of a log-normal quantity with these ends."""
+        return math.log(self.high / self.low) / 2.0 / NINE_OF_TEN
 
     def __post_init__(self) -> None:
         numbers = (self.low, self.typical, self.high)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, fields
 
+from gendom.arguments import check_number
 from gendom.errors import ParameterError
 from gendom.shown import Shown
 
@@ -41,25 +42,24 @@ class Material(Shown):
         return "Material", [(name, value.strip()) for name, value in rows]
 
     def __post_init__(self) -> None:
-        for name in ("E", "nu", "density"):
-            value = getattr(self, name)
-            if not math.isfinite(value):
-                raise ParameterError(f"{name} must be a finite number, got {value}")
+        for name in ("E", "nu", "density", "damping"):
+            check_number(name, getattr(self, name))
+        check_number("yield_stress", self.yield_stress, finite=False)
+        if self.membrane is not None:
+            check_number("membrane", self.membrane, above=0.0)
         if self.E <= 0.0:
             raise ParameterError(f"Young's modulus E must be positive [Pa], got {self.E}")
         if not -1.0 < self.nu < 0.5:
             raise ParameterError(f"Poisson's ratio nu must lie in (-1, 0.5), got {self.nu}")
         if self.density <= 0.0:
             raise ParameterError(f"density must be positive [kg/m^3], got {self.density}")
-        if not (math.isfinite(self.damping) and self.damping >= 0.0):
+        if self.damping < 0.0:
             raise ParameterError(
-                f"damping must be finite and at least 0 [s], got {self.damping}",
+                f"damping must be at least 0 [s], got {self.damping}",
                 fix="ropes and cloths have 0.001 to 0.02 s; 0 means none",
             )
         if not self.yield_stress > 0.0:
             raise ParameterError(f"yield_stress must be positive [Pa], got {self.yield_stress}")
-        if self.membrane is not None and not 0.0 < self.membrane < math.inf:
-            raise ParameterError(f"membrane must be positive and finite [Pa], got {self.membrane}")
 
     @property
     def in_plane(self) -> float:

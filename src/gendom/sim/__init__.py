@@ -1,5 +1,6 @@
 """Batched simulation of ropes and cloths, as rods and shells or by the material point method."""
 
+from gendom.arguments import check_numbers
 from gendom.materials import AIR_DENSITY
 from gendom.sim.bodies import Body, Weave, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device
@@ -10,7 +11,7 @@ from gendom.sim.mpm.engine import CFL, stable_substep
 from gendom.sim.outlines import outline_of_mesh
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
-from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
+from gendom.sim.scene import GRAVITY, Box, Table
 from gendom.sim.simulator import ENGINES, Simulator
 
 __all__ = [

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from gendom.arguments import check_list, check_numbers, check_type
 from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim.bodies import Body
@@ -66,7 +67,8 @@ def simulate(
         [T, W, N, 3] positions [m], in the dtype of the simulation.
 
     Raises:
-        ParameterError: If a name is unknown, E, nu or density is missing, or shapes do not fit.
+        ParameterError: If a name is unknown, E, nu or density is missing, or an argument is of
+            another type, shape or range.
         SimulationError: If a world diverges, or a derivative does in the backward pass.
     """
     unknown = sorted(set(given) - set(_NAMES))
@@ -75,11 +77,18 @@ def simulate(
         raise ParameterError(
             f"simulate takes {', '.join(_NAMES)}; unknown: {unknown}, missing: {missing}"
         )
-    tensors = [torch.as_tensor(given[n], dtype=torch.float64) for n in _NAMES if n in given]
+    check_type("body", body, Body)
+    check_list("grippers", grippers, Gripper)
     names = [n for n in _NAMES if n in given]
-    scene = (body, np.asarray(times, dtype=float), tuple(grippers), table, memory, options or {})
+    tensors = [_tensor(n, given[n]) for n in names]
+    scene = (body, times, tuple(grippers), table, memory, options or {})
     N = len(body.points) if (options or {}).get("engine") == "thin" else body.num_particles
     return _Simulation.apply(scene, names, *_spread(names, tensors, N, grippers))  # pyright: ignore[reportReturnType]
+
+
+def _tensor(name: str, value: Any) -> Tensor:
+    given = value if isinstance(value, Tensor) else check_numbers(name, value, finite=False)
+    return torch.as_tensor(given, dtype=torch.float64)
 
 
 def _spread(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gendom.arguments import check_integers, check_number, check_numbers, check_type
 from gendom.errors import ParameterError
 from gendom.sim.cut import Cut, cut
 from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
@@ -20,6 +21,9 @@ EDGES = (24, 48)
 
 POINTS = 28
 """Points along a cloth's longer side by default."""
+
+MOST = 10_000_000
+"""Maximum number of particles, and of points; ten million particles take 2 GB."""
 
 BULGE = 0.75
 """Share of the map from a square to a disc that is applied to sections (see ``round_section``);
@@ -181,8 +185,12 @@ class Body:
         return radius > 0.6 * radius.max()
 
     def moved(self, offset: ArrayLike) -> "Body":
-        """Return the same body shifted by ``offset`` [3] [m]."""
-        by = np.asarray(offset, dtype=float)
+        """Return the same body shifted by ``offset`` [3] [m].
+
+        Raises:
+            ParameterError: If that is not three finite numbers.
+        """
+        by = check_numbers("offset", offset, (3,))
         return replace(self, x=self.x + by, points=self.points + by)
 
 
@@ -217,8 +225,9 @@ def rope(
             ``diameter``. For rods.
 
     Raises:
-        ParameterError: If sizes are not positive, the centre line is degenerate, ``cells_across``
-            lies outside its range, or there are fewer than three points.
+        ParameterError: If an argument is of another type or shape or not finite, sizes are not
+            positive, the centre line is degenerate, ``cells_across`` lies outside its range, or
+            there are fewer than three points or more than ``MOST``.
     """
     _check_positive(diameter=diameter, cells_across=cells_across)
     if not CELLS_ACROSS[0] <= cells_across <= CELLS_ACROSS[1]:
@@ -231,16 +240,18 @@ def rope(
         if length is None:
             raise ParameterError("a straight rope needs its length [m]")
         _check_positive(length=length)
-        unit = np.asarray(direction, dtype=float)
+        unit = check_numbers("direction", direction, (3,))
         norm = np.linalg.norm(unit)
         if norm == 0.0:
             raise ParameterError("direction of a rope must not be the zero vector")
-        first = np.asarray(start, dtype=float)
+        first = check_numbers("start", start, (3,))
         line = np.stack([first, first + unit / norm * length])
     else:
-        line = np.asarray(centre_line, dtype=float)
-        if line.ndim != 2 or line.shape[1] != 3 or len(line) < 2:
-            raise ParameterError(f"centre_line must be [K >= 2, 3], got {line.shape}")
+        line = check_numbers("centre_line", centre_line, ("K", 3))
+        if len(line) < 2:
+            raise ParameterError(f"centre_line must have at least two points, got {len(line)}")
+        if length is not None:
+            _check_positive(length=length)
     dx = diameter / cells_across
     spacing = dx / 2.0
     total = length if length is not None else float(arc_length(line)[-1])
@@ -248,8 +259,8 @@ def rope(
         _check_positive(width=width)
     if points is None:
         points = 1 + min(max(round(total / diameter), EDGES[0]), EDGES[1])
-    if points < 3:
-        raise ParameterError(f"a rope needs at least three points, got {points}")
+    check_integers("points", points, (), least=3, most=MOST)
+    _check_many(total / spacing * (diameter / spacing) ** 2, "a larger diameter")
     count = max(2, round(total / spacing))
     along = (np.arange(count) + 0.5) * (total / count)
     centre, tangent = along_line(line, along)
@@ -334,7 +345,8 @@ def cloth(
             the outline that it reaches into (``Body.cut``).
 
     Raises:
-        ParameterError: If a size is not positive, there are fewer than two points along a side, the
+        ParameterError: If an argument is of another type or shape or not finite, a size is not
+            positive, there are fewer than two points along a side or more than ``MOST``, the
             outline crosses itself, has no area or other sizes, or parts of it are too narrow for
             the points.
     """
@@ -346,12 +358,18 @@ def cloth(
     if width is None or height is None:
         raise ParameterError("a cloth needs its width and height [m], or an outline")
     _check_positive(width=width, height=height, thickness=thickness, dx=dx)
+    check_number("yaw", yaw)
+    origin = check_numbers("corner", corner, (3,))
+    check_type("weave", weave, Weave, optional=True)
     if points is None:
         spacing = max(width, height) / (POINTS - 1)
         points = (max(2, 1 + round(width / spacing)), max(2, 1 + round(height / spacing)))
-    if min(points) < 2:
-        raise ParameterError(f"a cloth needs at least two points along each side, got {points}")
-    shape = [max(2, round(size / (dx / 2.0))) for size in (width, height, thickness)]
+    nx, ny = check_integers("points", points, (2,), least=2).tolist()
+    points = (nx, ny)
+    _check_many(nx * ny, "fewer points")
+    counts = [max(2.0, size / (dx / 2.0)) for size in (width, height, thickness)]
+    _check_many(math.prod(counts), "a larger dx")
+    shape = [round(count) for count in counts]
     ticks = [
         (np.arange(n) + 0.5) * (size / n)
         for n, size in zip(shape, (width, height, thickness), strict=True)
@@ -375,7 +393,7 @@ def cloth(
     thick = thickness > dx
     c, s = math.cos(yaw), math.sin(yaw)
     to_world = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
-    x = np.asarray(corner, dtype=float) + local @ to_world
+    x = origin + local @ to_world
     return Body(
         kind="cloth",
         x=x,
@@ -386,7 +404,7 @@ def cloth(
         thickness=thickness,
         section=1 if thick else shape[2],
         contact_radius=thickness / shape[2] / 2.0 if thick else thickness / 2.0,
-        points=np.asarray(corner, dtype=float) + middle @ to_world,
+        points=origin + middle @ to_world,
         shape=points[::-1],
         cut=part,
         weave=weave or Weave(),
@@ -440,18 +458,22 @@ def _curvature(values: ArrayLike) -> NDArray[np.floating]:
     Raises:
         ParameterError: If it is not [2, 2], finite and symmetric.
     """
-    a = np.asarray(values, dtype=float)
-    if a.shape != (2, 2) or not np.isfinite(a).all() or a[0, 1] != a[1, 0]:
-        raise ParameterError(
-            f"natural_curvature must be [2, 2], finite and symmetric, got {values}"
-        )
+    a = check_numbers("natural_curvature", values, (2, 2))
+    if a[0, 1] != a[1, 0]:
+        raise ParameterError(f"natural_curvature must be symmetric, got {a.tolist()}")
     return a
 
 
 def _check_positive(**values: float) -> None:
     for name, value in values.items():
-        if not (math.isfinite(value) and value > 0.0):
-            raise ParameterError(f"{name} must be positive and finite, got {value}")
+        check_number(name, value, above=0.0)
+
+
+def _check_many(count: float, fix: str) -> None:
+    if count > MOST:
+        raise ParameterError(
+            f"the body would have {count:.3g} particles or points, at most {MOST:.0e} fit", fix=fix
+        )
 
 
 def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:

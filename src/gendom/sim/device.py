@@ -11,6 +11,7 @@ from typing import Any
 
 import warp as wp
 
+from gendom.arguments import check_type
 from gendom.errors import DeviceError
 
 making = threading.RLock()
@@ -23,8 +24,10 @@ def open_device(name: str) -> Any:
     """Return the Warp device with this name.
 
     Raises:
+        ParameterError: If the name is no text.
         DeviceError: If it does not exist; the error names an alternative.
     """
+    check_type("device", name, str)
     _start_warp()
     try:
         if name.startswith("cuda") and not wp.is_cuda_available():

@@ -49,5 +49,6 @@ class Gradients:
     gripper_radius: NDArray[np.float64]
     """[W, G] by the radius of the grippers [1/m]."""
     rest_strains: NDArray[np.float64] | None = None
-    """[W, n, 6] by the stress-free strains, for rods: two shears and the stretch of each edge, two
-    bending angles and the twist angle of each joint [rad]."""
+    """By the stress-free strains. Rods, [W, n, 6]: two shears and the stretch of each edge, two
+    bending angles and the twist of each joint [1/rad]. Shells, [W, n, 3]: second differences along
+    the normal, along rows, along columns and mixed [1/m]. MPM: None."""

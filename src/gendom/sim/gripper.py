@@ -9,7 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from gendom.arguments import check_number, check_numbers, check_type
 from gendom.errors import ParameterError
+
+NEEDED = ("time", "position", "hold_from", "hold_until", "radius")
+"""Arrays that ``Grippers`` is not without."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +27,9 @@ class Gripper:
     constant rate; before the first and after the last knot it stands still.
 
     Raises:
-        ParameterError: If shapes do not agree, times do not increase or a number is not finite.
+        ParameterError: If shapes do not agree, times do not increase, a number is not finite (times
+            of closing and opening may be infinite), the radius is not positive, or it opens before
+            it closes.
     """
 
     time: ArrayLike
@@ -42,30 +48,29 @@ class Gripper:
     """Whether the gripper may close on nothing; otherwise that raises an error."""
 
     def __post_init__(self) -> None:
-        t = np.atleast_1d(np.asarray(self.time, dtype=float))
-        p = np.atleast_2d(np.asarray(self.position, dtype=float))
-        if t.ndim != 1 or p.shape != (len(t), 3):
+        t = np.atleast_1d(check_numbers("gripper time", self.time))
+        p = np.atleast_2d(check_numbers("gripper position", self.position))
+        if t.ndim != 1 or len(t) == 0 or p.shape != (len(t), 3):
             raise ParameterError(
-                f"gripper path needs time [K] and position [K, 3], got {t.shape} and {p.shape}"
+                f"gripper path needs time [K > 0] and position [K, 3], got {t.shape} and {p.shape}"
             )
-        if not (np.isfinite(t).all() and np.isfinite(p).all()):
-            raise ParameterError("gripper path holds a number that is not finite")
         if np.any(np.diff(t) <= 0.0):
             raise ParameterError("gripper path: times must increase from knot to knot")
-        if not self.radius > 0.0:
-            raise ParameterError(f"gripper radius must be positive [m], got {self.radius}")
+        check_number("gripper radius", self.radius, above=0.0)
+        _check_hold(self.hold_from, self.hold_until, ())
+        check_type("may_miss", self.may_miss, bool)
         object.__setattr__(self, "time", t)
         object.__setattr__(self, "position", p)
         if self.quat_xyzw is not None:
-            q = np.asarray(self.quat_xyzw, dtype=float)
-            if q.shape != (len(t), 4) or np.any(np.linalg.norm(q, axis=1) < 1e-6):
-                raise ParameterError(f"gripper quat_xyzw must be [{len(t)}, 4] and not zero")
+            q = check_numbers("gripper quat_xyzw", self.quat_xyzw, (len(t), 4))
+            if np.any(np.linalg.norm(q, axis=1) < 1e-6):
+                raise ParameterError("gripper quat_xyzw must not be zero")
             object.__setattr__(self, "quat_xyzw", q)
 
     @classmethod
     def still(cls, position: ArrayLike, *, radius: float, **hold: Any) -> "Gripper":
-        """Return a gripper that stays at ``position`` [3] [m]."""
-        return cls(time=[0.0], position=np.atleast_2d(position), radius=radius, **hold)
+        """Return a gripper that stays at ``position`` [3] [m]; errors as of ``Gripper``."""
+        return cls(time=[0.0], position=position, radius=radius, **hold)
 
     @property
     def turn(self) -> NDArray[np.floating]:
@@ -77,9 +82,24 @@ class Gripper:
 
     def position_at(self, time: ArrayLike) -> NDArray[np.floating]:
         """Centre at given times [s], [..., 3] [m]."""
-        t, knots = np.asarray(time, dtype=float), np.asarray(self.time, dtype=float)
+        t, knots = check_numbers("time", time), np.asarray(self.time, dtype=float)
         p = np.asarray(self.position, dtype=float)
         return np.stack([np.interp(t, knots, p[:, a]) for a in range(3)], axis=-1)
+
+
+def _check_hold(hold_from: Any, hold_until: Any, shape: tuple[int, ...]) -> None:
+    """Check times of closing and opening, which may be infinite.
+
+    Raises:
+        ParameterError: If one is not a number, or a gripper opens before it closes.
+    """
+    begin = check_numbers("hold_from", hold_from, shape, finite=False)
+    end = check_numbers("hold_until", hold_until, shape, finite=False)
+    if np.any(end < begin):
+        raise ParameterError(
+            f"hold_until must not lie before hold_from, got {end[end < begin][0]} before "
+            f"{begin[end < begin][0]} s"
+        )
 
 
 def _turns(q: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -98,11 +118,14 @@ class Grippers(Sequence[Sequence[Gripper]]):
             [s], `radius` [m] and `may_miss`. `orientation`, `turns` and `may_miss` may be left out.
 
     Raises:
-        ParameterError: If times decrease, a number is not finite or a radius is not positive.
+        ParameterError: If an array is missing or of another shape, times decrease, a number is not
+            finite, a radius is not positive or a gripper opens before it closes.
     """
 
     def __init__(self, arrays: Mapping[str, NDArray[np.floating]]):
-        shape = arrays["time"].shape
+        if lacking := [name for name in NEEDED if name not in arrays]:
+            raise ParameterError(f"arrays of grippers lack {', '.join(lacking)}")
+        shape = check_numbers("gripper time", arrays["time"], ("W", "G", "K")).shape
         self.arrays: dict[str, NDArray[np.floating]] = {
             "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (*shape, 1)),
             "turn": np.zeros((*shape, 3)),
@@ -110,12 +133,12 @@ class Grippers(Sequence[Sequence[Gripper]]):
             "may_miss": np.zeros(shape[:2]),
             **arrays,
         }
-        if not all(np.isfinite(arrays[name]).all() for name in ("time", "position")):
-            raise ParameterError("gripper path holds a number that is not finite")
+        check_numbers("gripper position", arrays["position"], (*shape, 3))
+        check_numbers("gripper orientation", self.arrays["orientation"], (*shape, 4))
         if np.any(np.diff(arrays["time"]) < 0.0):
             raise ParameterError("gripper path: times must increase from knot to knot")
-        if not np.all(arrays["radius"] > 0.0):
-            raise ParameterError("gripper radius must be positive [m]")
+        check_numbers("gripper radius", arrays["radius"], shape[:2], above=0.0)
+        _check_hold(arrays["hold_from"], arrays["hold_until"], shape[:2])
         turning = self.arrays["turns"] == 1.0
         if turning.any():
             self.arrays["turn"][turning, :-1] = _turns(self.arrays["orientation"][turning])

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from gendom.arguments import check_integers, check_numbers
 from gendom.errors import ParameterError
 
 Array = NDArray[np.float64]
@@ -187,22 +188,28 @@ def outline_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> list[Array]:
         The outside [K, 2], then holes [m].
 
     Raises:
-        ParameterError: If an index is out of range, a triangle has no area, the mesh is not flat,
-            or triangles share no edge with the others, overlap, or meet only in a point.
+        ParameterError: If vertices or faces are of another type or shape or not finite, there are
+            fewer than three vertices or no triangles, an index is out of range, a triangle has no
+            area, the mesh is not flat, or triangles share no edge with the others, overlap, meet
+            only in a point or are given twice.
     """
-    x, triangles = np.asarray(vertices, dtype=float), np.asarray(faces)
-    if x.ndim != 2 or x.shape[1] not in (2, 3) or not np.isfinite(x).all():
-        raise ParameterError(f"vertices must be [V, 2] or [V, 3] and finite, got {x.shape}")
-    shaped = triangles.ndim == 2 and triangles.shape[1] == 3 and len(triangles) > 0
-    if not shaped or triangles.dtype.kind not in "iu":
-        raise ParameterError(f"faces must be integers [F > 0, 3], got {triangles.shape}")
-    out = np.any((triangles < 0) | (triangles >= len(x)), axis=1)
+    x = check_numbers("vertices", vertices, ("V", 2), ("V", 3))
+    triangles = check_integers("faces", faces, ("F", 3))
+    if len(x) < 3 or not len(triangles):
+        raise ParameterError(
+            f"vertices must be at least three and faces at least one, got {len(x)} and "
+            f"{len(triangles)}"
+        )
+    out = np.any(triangles >= len(x), axis=1)
     if out.any():
         raise ParameterError(
             f"triangle {int(out.argmax())} has vertices {triangles[out][0].tolist()}, there are "
             f"{len(x)}",
             where="faces",
         )
+    twice = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
+    if twice.any():
+        raise ParameterError(f"triangle {int(twice.argmax())} has no area", where="faces")
     used = x[np.unique(triangles)]
     size = float(np.ptp(used, axis=0).max())
     if x.shape[1] == 3:
@@ -259,6 +266,12 @@ def _borders(triangles: NDArray[np.int64]) -> list[NDArray[np.int64]]:
             fix="weld vertices that coincide, or make one cloth of each part",
         )
     border = edges[count[edge] == 1]
+    if not len(border):
+        raise ParameterError(
+            "the mesh has no border: each of its triangles lies on others",
+            where="faces",
+            fix="remove triangles that are given twice",
+        )
     begins, times = np.unique(border[:, 0], return_counts=True)
     if times.max(initial=0) > 1:
         raise ParameterError(

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gendom.arguments import check_number, check_numbers, check_type
 from gendom.errors import ParameterError
 from gendom.sim.gradients import Gradients
 from gendom.sim.simulator import Simulator
@@ -15,20 +16,24 @@ class Rollout:
     """A recorded simulation that can be differentiated.
 
     ``forward`` runs it; ``backward`` takes the derivative of any loss with respect to the recorded
-    positions and returns its derivatives with respect to all inputs. Where recording every
-    substep would need more than ``memory``, states are stored every few substeps and the substeps
-    between them are recomputed (checkpointing). Rods and shells always use checkpoints, and store
-    about twice the square root of their number of steps.
+    positions and returns its derivatives with respect to all inputs. Where recording every substep
+    of the MPM would need more than ``memory``, states are stored every few substeps and the
+    substeps between them are recomputed (checkpointing). Rods and shells always do so, whatever
+    ``memory`` is, and store about twice the square root of their number of steps.
 
     Args:
         simulator: A simulator that has not been run.
-        memory: Limit on the memory used [bytes] (default: ``MEMORY`` of the device).
+        memory: Limit on the memory used by the MPM [bytes] (default: ``MEMORY`` of the device);
+            without effect on rods and shells.
 
     Raises:
-        ParameterError: If the simulator has been run.
+        ParameterError: If the simulator is none or has been run, or ``memory`` is negative.
     """
 
     def __init__(self, simulator: Simulator, *, memory: float | None = None):
+        check_type("simulator", simulator, Simulator)
+        if memory is not None:
+            check_number("memory", memory, least=0.0, finite=False)
         if simulator.engine.used:
             raise ParameterError("a rollout starts from a simulator that has not been run")
         self.simulator = simulator
@@ -63,7 +68,8 @@ class Rollout:
                 position [1/m].
 
         Raises:
-            ParameterError: If shapes do not fit or ``forward`` was not called.
+            ParameterError: If shapes do not fit, a number is not finite or ``forward`` was not
+                called.
             SimulationError: If a derivative is not finite; the error names particle, time and
                 cause.
         """
@@ -71,11 +77,5 @@ class Rollout:
             raise ParameterError("call forward before backward")
         s = self.simulator
         W, N = s.num_worlds, s.num_points
-        bar = np.asarray(positions_bar, dtype=float)
-        if bar.shape != (len(self._times), W, N, 3):
-            raise ParameterError(
-                f"positions_bar must be {(len(self._times), W, N, 3)}, got {bar.shape}"
-            )
-        if not np.isfinite(bar).all():
-            raise ParameterError("positions_bar holds numbers that are not finite")
+        bar = check_numbers("positions_bar", positions_bar, (len(self._times), W, N, 3))
         return self._tape.backward(bar)

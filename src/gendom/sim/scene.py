@@ -1,11 +1,11 @@
 """Surroundings of a body: a table and walls."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gendom.arguments import check_number, check_numbers
 from gendom.errors import ParameterError
 from gendom.materials import STANDARD_GRAVITY
 
@@ -15,7 +15,11 @@ GRAVITY = (0.0, 0.0, -STANDARD_GRAVITY)
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """An impenetrable horizontal plane with Coulomb friction, which may differ between worlds."""
+    """An impenetrable horizontal plane with Coulomb friction, which may differ between worlds.
+
+    Raises:
+        ParameterError: If a number is not finite, or friction is negative.
+    """
 
     height: float
     """Height of the plane [m]."""
@@ -23,33 +27,23 @@ class Table:
     """Coefficient of friction, one number or [W]."""
 
     def __post_init__(self) -> None:
-        check_numbers("table height", self.height)
-        check_numbers("friction", self.friction, least=0.0)
+        check_number("table height", self.height)
+        check_numbers("friction", self.friction, (), ("W",), least=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """Walls: an axis-aligned box [m] that particles cannot leave."""
+    """Walls: an axis-aligned box [m] that particles cannot leave.
+
+    Raises:
+        ParameterError: If a number is not finite, or ``lower`` is not below ``upper``.
+    """
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        check_numbers("box", (self.lower, self.upper))
-        if np.any(np.asarray(self.lower) >= np.asarray(self.upper)):
+        lower = check_numbers("box lower", self.lower, (3,))
+        upper = check_numbers("box upper", self.upper, (3,))
+        if np.any(lower >= upper):
             raise ParameterError(f"box must have lower < upper, got {self.lower}, {self.upper}")
-
-
-def check_numbers(
-    name: str, values: ArrayLike, *, least: float = -math.inf, above: float = -math.inf
-) -> None:
-    """Check that numbers are finite, at least ``least`` and greater than ``above``.
-
-    Raises:
-        ParameterError: If they are not; the error names the parameter and the values.
-    """
-    a = np.asarray(values, dtype=float)
-    if not np.isfinite(a).all() or (a < least).any() or (a <= above).any():
-        limit = f" and above {above:g}" if above > -math.inf else ""
-        limit = f" and at least {least:g}" if least > -math.inf else limit
-        raise ParameterError(f"{name} must be finite{limit}, got {values}")

@@ -72,8 +72,7 @@ class Setting:
         m = self.materials[w]
         return SimulationError(
             what,
-            where=f"world {w} at {time:.4f} s (E {m.E:.6g} Pa, nu {m.nu:.4g}, density "
-            f"{m.density:.6g} kg/m^3, {where})",
+            where=f"world {w} at {time:.4f} s ({self._material(w)}, {where})",
             fix=fix,
             world=w,
             time=time,
@@ -81,6 +80,24 @@ class Setting:
             | ({"damping": m.damping} if m.damping > 0.0 else {}),
             particle=particle,
         )
+
+    def check_substep(self, shortest: float, *, fix: str) -> None:
+        """Check that no world's substep is too short.
+
+        Raises:
+            ParameterError: If one is below ``shortest`` [s]; the error names the world.
+        """
+        w = int(self.substep.argmin())
+        if self.substep[w] < shortest:
+            raise ParameterError(
+                f"substep would be {self.substep[w]:.2g} s, the shortest is {shortest:g} s",
+                where=f"world {w} ({self._material(w)})",
+                fix=fix,
+            )
+
+    def _material(self, w: int) -> str:
+        m = self.materials[w]
+        return f"E {m.E:.6g} Pa, nu {m.nu:.4g}, density {m.density:.6g} kg/m^3"
 
 
 def spread(values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.floating]:

@@ -9,6 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gendom.arguments import (
+    check_integers,
+    check_list,
+    check_number,
+    check_numbers,
+    check_type,
+)
 from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
 from gendom.materials import AIR_DENSITY, Material
@@ -20,7 +27,7 @@ from gendom.sim.equilibria import Equilibria
 from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.scene import GRAVITY, Box, Table, check_numbers
+from gendom.sim.scene import GRAVITY, Box, Table
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin import thin_engine
 from gendom.sim.thin.engine import ThinEngine
@@ -71,7 +78,8 @@ class Simulator(Shown):
             process).
 
     Raises:
-        ParameterError: If arguments do not fit together.
+        ParameterError: If an argument is of another type or shape, out of its range or not finite,
+            arguments do not fit together, or the material needs substeps that are too short.
         DeviceError: If the device does not exist.
     """
 
@@ -99,6 +107,11 @@ class Simulator(Shown):
         device: str = "cpu",
         threads: int | None = None,
     ):
+        check_type("body", body, Body)
+        check_list("materials", materials, Material)
+        check_type("table", table, Table, optional=True)
+        check_type("box", box, Box, optional=True)
+        check_type("self_contact", self_contact, bool)
         if not materials:
             raise ParameterError("a simulation needs at least one material (one a world)")
         if engine is None:
@@ -118,17 +131,16 @@ class Simulator(Shown):
         dtype = dtype or ("float64" if thin else "float32")
         if dtype not in ("float32", "float64"):
             raise ParameterError(f"dtype must be float32 or float64, got {dtype!r}")
-        check_numbers("velocity_damping", velocity_damping, least=0.0)
-        check_numbers("air_density", air_density, least=0.0)
-        check_numbers("gravity", gravity)
-        check_numbers("self_friction", self_friction, least=0.0)
-        check_numbers("start_time", start_time)
-        check_numbers("stiffness", stiffness, above=0.0)
+        check_numbers("velocity_damping", velocity_damping, (), ("W",), least=0.0)
+        check_numbers("air_density", air_density, (), ("W",), least=0.0)
+        check_numbers("gravity", gravity, (3,), ("W", 3))
+        check_numbers("self_friction", self_friction, (), ("W",), least=0.0)
+        check_number("start_time", start_time)
         for name, value in (("substep", substep), ("cfl", cfl)):
             if value is not None:
-                check_numbers(name, value, above=0.0)
-        if threads is not None and threads < 1:
-            raise ParameterError(f"threads must be at least 1, got {threads}")
+                check_number(name, value, above=0.0)
+        if threads is not None:
+            check_integers("threads", threads, (), least=1)
         W = len(materials)
         if law not in LAWS:
             raise ParameterError(
@@ -139,9 +151,10 @@ class Simulator(Shown):
             raise ParameterError(
                 "the outline is narrower than the particles", fix="a smaller dx, or engine='thin'"
             )
-        x = np.asarray(rest if positions is None else positions, dtype=float)
-        if not np.isfinite(x).all():
-            raise ParameterError("positions hold numbers that are not finite")
+        N = len(rest)
+        check_numbers("stiffness", stiffness, (), (N,), ("W", N), above=0.0)
+        x = rest if positions is None else positions
+        x = check_numbers("positions", x, (N, 3), ("W", N, 3))
         unit = body.thickness if thin else body.dx
         _check_clear(body, x, 1 if thin else body.section, START_INSIDE * unit, table, box)
         self.body = body
@@ -256,8 +269,11 @@ class Simulator(Shown):
                 needs them; otherwise it loses some of its spin at once.
 
         Raises:
-            ParameterError: If shapes do not fit.
+            ParameterError: If shapes do not fit or a number is not finite.
         """
+        N = self.num_points
+        v = check_numbers("velocities v", v, (3,), (N, 3), ("W", N, 3))
+        affine = check_numbers("affine", affine, (), (3, 3), (N, 3, 3), ("W", N, 3, 3))
         self.engine.set_velocities(v, affine)
 
     def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
@@ -303,17 +319,16 @@ class Simulator(Shown):
             [T, W, P, 3] positions [m].
 
         Raises:
-            ParameterError: If the times decrease.
+            ParameterError: If the times decrease, or an argument is of another type or range.
             SimulationError: If a world diverges or a particle inverts, unless ``keep_going`` is
                 set. The error names world, time and parameters; ``save_state(path,
                 last_good=True)`` then writes the last frame before it.
         """
         t = self.checked(times)
-        chosen = slice(None) if particles is None else np.asarray(particles, dtype=int)
-        try:
-            picked = np.arange(self.num_points)[chosen]
-        except IndexError:
-            raise ParameterError(f"particles must be indices below {self.num_points}") from None
+        check_type("on_frame", on_frame, Callable, optional=True)
+        check_type("keep_going", keep_going, bool)
+        every = np.arange(self.num_points) if particles is None else particles
+        picked = check_integers("particles", every, ("P",), most=self.num_points - 1)
         x = np.empty((len(t), self.num_worlds, len(picked), 3), dtype=self.dtype)
         self.engine.run(Frames(self.time, t, picked, x, on_frame, keep_going))
         self.time = float(t[-1])
@@ -354,8 +369,8 @@ class Simulator(Shown):
                 the body) [m].
 
         Raises:
-            ParameterError: If the times decrease, the engine is the MPM, or a derivative is
-                unknown or not available with self-contact.
+            ParameterError: If the times decrease, the engine is the MPM, an argument is of another
+                type or range, or a derivative is unknown or not available with self-contact.
             SimulationError: If nothing holds a body, a world is stretched beyond its limits, a
                 frame does not converge, or derivatives are not determined, unless ``keep_going``
                 is set. The error names world, time, residual and parameters.
@@ -363,9 +378,11 @@ class Simulator(Shown):
         if not isinstance(self.engine, ThinEngine):
             raise ParameterError("only rods and shells come to rest so", fix="engine='thin'")
         if tolerance is not None:
-            check_numbers("tolerance", tolerance, above=0.0)
-        if most_steps < 1 or increments < 1:
-            raise ParameterError("most_steps and increments must be at least 1")
+            check_number("tolerance", tolerance, above=0.0)
+        check_integers("most_steps", most_steps, (), least=1)
+        check_integers("increments", increments, (), least=1)
+        check_type("keep_going", keep_going, bool)
+        check_list("derivatives", derivatives, str)
         t = self.checked(times)
         search = Search(
             self.engine,
@@ -385,11 +402,12 @@ class Simulator(Shown):
         """Return ``times`` as an array [T], after checking that the simulator can be run to them.
 
         Raises:
-            ParameterError: If they decrease, are not finite or lie before the simulator's time.
+            ParameterError: If they are not numbers, decrease, are not finite or lie before the
+                simulator's time.
         """
-        t = np.atleast_1d(np.asarray(times, dtype=float))
-        if t.ndim != 1 or len(t) == 0 or not np.isfinite(t).all():
-            raise ParameterError("times must be a non-empty list of finite numbers [s]")
+        t = np.atleast_1d(check_numbers("times", times, (), ("T",)))
+        if not len(t):
+            raise ParameterError("times must not be empty")
         if np.any(np.diff(np.concatenate([[self.time], t])) < 0.0):
             raise ParameterError("times must not decrease nor lie before the simulator's time")
         return t
@@ -408,20 +426,23 @@ def _check_clear(
     Each ``section`` consecutive positions form one cross-section.
 
     Raises:
-        ParameterError: If they do; the error names the depth.
+        ParameterError: If they do; the error names the depth, and the world if they differ.
     """
-    centres = x.reshape(*x.shape[:-2], -1, section, 3).mean(axis=-2).reshape(-1, 3)
-    lowest, highest = centres.min(axis=0), centres.max(axis=0)
-    planes = [] if table is None else [("the table", table.height - lowest[2])]
+    n = x.shape[-2] // section
+    centres = x.reshape(*x.shape[:-2], n, section, 3).mean(axis=-2).reshape(-1, n, 3)
+    lowest, highest = centres.min(axis=1), centres.max(axis=1)
+    planes = [] if table is None else [("the table", table.height - lowest[:, 2])]
     if box is not None:
-        planes += [("a wall", d) for d in (*(box.lower - lowest), *(highest - box.upper))]
+        planes += [("a wall", d) for d in (*(box.lower - lowest).T, *(highest - box.upper).T)]
     for name, beyond in planes:
-        depth = beyond + body.contact_radius
+        w = int(beyond.argmax())
+        depth = beyond[w] + body.contact_radius
         if depth > least:
             raise ParameterError(
                 f"the object begins {1e3 * depth:.3g} mm inside {name}",
-                where=f"centres of its cross-sections lie between {lowest.round(4).tolist()} and "
-                f"{highest.round(4).tolist()} m, half its thickness is {body.contact_radius:.4g} m",
+                where=f"{f'world {w}, ' if len(beyond) > 1 else ''}centres of its cross-sections "
+                f"lie between {lowest[w].round(4).tolist()} and {highest[w].round(4).tolist()} m, "
+                f"half its thickness is {body.contact_radius:.4g} m",
                 fix="move the object, or the table or wall",
             )
 
@@ -436,13 +457,20 @@ def _grippers_of_worlds(
     """Return the grippers of each world.
 
     Raises:
-        ParameterError: If a world has no grippers, or fewer than others.
+        ParameterError: If they are no grippers, or a world has none, or fewer than others.
     """
-    every: Any = [grippers] * worlds
-    if len(grippers) and not isinstance(grippers[0], Gripper):
-        if len(grippers) < worlds:
-            raise ParameterError(f"no grippers given for world {len(grippers)} of the batch")
-        every = grippers[:worlds]
+    every: Any = grippers
+    if not isinstance(grippers, Grippers):
+        own = isinstance(grippers, Sequence) and not any(isinstance(g, Gripper) for g in grippers)
+        if own and grippers:
+            for w, some in enumerate(grippers):
+                check_list(f"grippers[{w}]", some, Gripper)
+        else:
+            check_list("grippers", grippers, Gripper)
+            every = [grippers] * worlds
+    if len(every) < worlds:
+        raise ParameterError(f"no grippers given for world {len(every)} of the batch")
+    every = every[:worlds]
     if isinstance(every, Grippers):
         return every
     count = {len(g) for g in every}

@@ -374,7 +374,7 @@ def test_bad_input_is_named():
         s.equilibria([1.0, 0.5])
     with pytest.raises(ParameterError, match="not differentiated by damping, weight; choose of E"):
         s.equilibria([1.0], derivatives=["weight", "E", "damping"])
-    with pytest.raises(ParameterError, match="tolerance must be finite and above 0"):
+    with pytest.raises(ParameterError, match="tolerance must be positive"):
         s.equilibria([1.0], tolerance=0.0)
     with pytest.raises(ParameterError, match="at least 1"):
         s.equilibria([1.0], increments=0)

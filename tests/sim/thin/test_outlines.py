@@ -384,8 +384,8 @@ def test_bad_meshes_are_named():
         (np.concatenate([faces, [[0, 1, 169]]]), r"triangle 288 has vertices \[0, 1, 169\]"),
         (np.concatenate([faces, [[0, 1, 2]]]), "triangle 288 has no area"),
         (np.concatenate([faces, faces[:1]]), "more than two triangles share the edge"),
-        (faces[:0], "faces must be integers"),
-        (faces.astype(float), "faces must be integers"),
+        (faces[:0], "faces at least one, got 169 and 0"),
+        (faces.astype(float), r"faces must be \[F, 3\] integers"),
         (faces[[0, 1, 100, 101]], "the mesh has 2 parts that share no edge"),
         (np.concatenate([faces, [[0, 1, 27]]]), "triangles overlap, or meet only in a point"),
     ):

@@ -125,5 +125,5 @@ def test_bad_input_is_named():
         Weave(warp=0.0)
     with pytest.raises(ParameterError, match="natural_curvature must be"):
         cloth(**SIZES, natural_curvature=[[1.0, 2.0], [0.0, 1.0]])
-    with pytest.raises(ParameterError, match="at least two points"):
+    with pytest.raises(ParameterError, match="points must be at least 2"):
         cloth(**SIZES, points=(1, 5))

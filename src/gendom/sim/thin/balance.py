@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 
 from gendom.materials import STANDARD_GRAVITY
 from gendom.sim.thin import rotation
-from gendom.sim.thin.engine import put
+from gendom.sim.thin.run import put
 from gendom.sim.thin.tangent import Tangent
 from gendom.sim.thin.types import X
 

@@ -45,7 +45,6 @@ def fill_contact(engine: Any, body: Any) -> None:
     body.contact = on
     body.contact_distance = thickness
     body.contact_margin = MARGIN_OF_LISTS * spacing
-    body.contact_apart = e.apart
     body.contact_turns = TURNS
     body.contact_most_turns = MOST_TURNS
     body.contact_enough = ENOUGH * thickness

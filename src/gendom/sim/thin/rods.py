@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError
+from gendom.sim.lines import arc_length
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
 from gendom.sim.thin.crossing import check_rope
-from gendom.sim.thin.engine import STRETCH, ThinEngine, put_worlds
+from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import Grip, Pose, close_rod
 from gendom.sim.thin.rod_model import RodModel
+from gendom.sim.thin.run import STRETCH, put_worlds
 from gendom.sim.thin.types import MARGIN, V, X
 
 Q, SPIN = slice(6, 10), slice(10, 13)
@@ -25,11 +27,19 @@ class Rods(ThinEngine):
     state_rows, state_bars, scratch_rows, scratch_bars = 19, 18, 12, 18
     lanes_on_cuda = 32
     stiffened = (slice(3, 6),)
+    apart: int
+    """Smallest number of points along the rod between parts that can be in self-contact."""
 
     @staticmethod
     def check_suits(setting: Setting) -> None:
         if any(np.isfinite(m.yield_stress) for m in setting.materials):
             raise ParameterError("rods do not yield", fix="engine='mpm', or no yield_stress")
+        length, diameter = arc_length(setting.body.points)[-1], setting.body.thickness
+        if diameter > length:
+            raise ParameterError(
+                f"a diameter of {diameter:g} m and a length of {length:g} m are not those of a rod",
+                fix="give metres, or engine='mpm'",
+            )
 
     def prepare(self, setting: Setting) -> NDArray[np.float64]:
         self.model = RodModel.of(setting.body, setting.materials, self.share)
@@ -48,6 +58,7 @@ class Rods(ThinEngine):
         self.per_mass = 1.0 / m.mass
         self.spacing = float(m.length.max())
         self.apart = 2 + int(np.ceil(self.setting.body.thickness / m.length.min()))
+        body.contact_apart = self.apart
         body.pitch, body.first, body.end = 0, 0, self.num_points
         inertia = np.stack([self.per_mass, self.per_turn, drag, np.ones_like(drag)], axis=1)
         body.rest = self.array(self.rows(m.rest)[None])

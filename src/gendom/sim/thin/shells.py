@@ -8,8 +8,9 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.errors import ParameterError
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.crossing import check_cloth
-from gendom.sim.thin.engine import STRETCH, ThinEngine, put_worlds
+from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import Grip, Pose, close_shell
+from gendom.sim.thin.run import STRETCH, put_worlds
 from gendom.sim.thin.shell_model import MOST_COUPLED, ShellModel
 from gendom.sim.thin.types import MARGIN, V, X
 
@@ -29,7 +30,15 @@ class Shells(ThinEngine):
         least = -1.0 if setting.body.cut is None else -1.0 / MOST_COUPLED
         if any(m.nu < least for m in setting.materials):
             raise ParameterError(f"cloths with an outline have a nu of at least {least:.2f}")
-        spacing = min(ShellModel.of(setting.body).spacing)
+        model = ShellModel.of(setting.body)
+        spacing = min(model.spacing)
+        side = min((np.array(model.shape[::-1]) - 1) * model.spacing)
+        if setting.body.thickness > side:
+            raise ParameterError(
+                f"a thickness of {setting.body.thickness:g} m and a side of {side:g} m are not "
+                "those of a shell",
+                fix="give metres, or engine='mpm'",
+            )
         if setting.self_contact and setting.body.thickness > 0.5 * spacing:
             raise ParameterError(
                 f"a cloth {1e3 * setting.body.thickness:.3g} mm thick whose points are "
@@ -58,7 +67,7 @@ class Shells(ThinEngine):
         stiffness = self.modulus * self.share[:, None]
         drag = self.air_density[:, None] * self.drag_by_air
         self.per_mass = 1.0 / self.mass
-        self.spacing, self.apart = max(m.spacing), 2
+        self.spacing = max(m.spacing)
         inertia = np.stack([self.per_mass, drag, np.ones((W, n)), np.ones((W, n))], axis=1)
         rest = np.concatenate([m.exists, m.rest_bend])
         ny, nx = m.shape

@@ -13,7 +13,6 @@ from gendom.sim.gradients import Gradients
 from gendom.sim.setting import Frames
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import LISTED, kept_turns
-from gendom.sim.thin.engine import Event, Round, device_plan, put
 from gendom.sim.thin.grips import (
     Grip,
     Paths,
@@ -24,6 +23,7 @@ from gendom.sim.thin.grips import (
 )
 from gendom.sim.thin.rod_model import material_gradients
 from gendom.sim.thin.rods import Rods, slower
+from gendom.sim.thin.run import Event, Round, device_plan, put
 from gendom.sim.thin.shells import Shells
 from gendom.sim.thin.types import (
     DAMPING,

@@ -80,7 +80,7 @@ def make_types(real: Any) -> Types:
         contact: int
         contact_distance: real  # between centre lines or middle surfaces [m]
         contact_margin: real  # of the list of pairs [m]
-        contact_apart: int  # smallest number of points along the body between parts in self-contact
+        contact_apart: int  # of rods: smallest number of points between parts in self-contact
         # turns over the contacts of a step, if there are any, and at most, while a turn still finds
         # one nearer than enough [m]
         contact_turns: int

@@ -1,0 +1,155 @@
+"""Checks of arguments where they enter; one line names the argument, what is wanted and given.
+
+Shapes are those of docstrings, ``("K", 3)`` for [K, 3]: a word stands for any length, and ``()``
+for a single number.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.errors import ParameterError
+
+Shape = tuple[int | str, ...]
+
+LONGEST = 60
+"""Most characters of a value in a message."""
+
+
+def check_number(
+    name: str,
+    value: Any,
+    *,
+    least: float = -math.inf,
+    above: float | None = None,
+    finite: bool = True,
+) -> float:
+    """Check a single number; arguments and errors as of ``check_numbers``."""
+    within = isinstance(value, float) and value >= least and (above is None or value > above)
+    if within and (math.isfinite(value) or not finite):  # most are, and NumPy would take longer
+        return value
+    return float(check_numbers(name, value, (), least=least, above=above, finite=finite))
+
+
+def check_numbers(
+    name: str,
+    values: Any,
+    *shapes: Shape,
+    least: float = -math.inf,
+    above: float | None = None,
+    finite: bool = True,
+) -> NDArray[np.float64]:
+    """Check that values are numbers of one of the shapes, and in their range; NaN is in none.
+
+    Args:
+        name: The argument's name.
+        values: What was given.
+        shapes: Shapes that it may have (default: any).
+        least: Least number that is allowed.
+        above: Number that all must exceed, or None.
+        finite: Whether all must be finite.
+
+    Returns:
+        The numbers.
+
+    Raises:
+        ParameterError: If they are not; the error names the argument and the first bad number.
+    """
+    a = _array(name, values, shapes, "iuf", "number").astype(float, copy=False)
+    bad = ~np.isfinite(a) if finite else np.isnan(a)
+    bad |= a < least
+    if above is not None:
+        bad |= a <= above
+    if bad.any():
+        wanted = {
+            "positive": above == 0.0,
+            "finite": finite,
+            f"above {above}": bool(above),
+            f"at least {least:g}": least > -math.inf,
+        }
+        asked = [words for words, is_asked in wanted.items() if is_asked]
+        raise _refused(name, " and ".join(asked) or "a number", a, bad)
+    return a
+
+
+def check_integers(
+    name: str, values: Any, *shapes: Shape, least: int = 0, most: int | None = None
+) -> NDArray[np.int64]:
+    """Check that values are integers of one of the shapes, ``least`` to ``most`` (None: no end).
+
+    Raises:
+        ParameterError: If they are not; the error names the argument and the first bad integer.
+    """
+    a = _array(name, values, shapes, "iu", "integer").astype(np.int64, copy=False)
+    bad = a < least
+    if most is not None:
+        bad |= a > most
+    if bad.any():
+        wanted = f"at least {least}" if most is None else f"{least} to {most}"
+        raise _refused(name, wanted, a, bad)
+    return a
+
+
+def check_type(name: str, value: Any, kind: Any, *, optional: bool = False) -> None:
+    """Check that a value is of a class, or with ``optional`` None.
+
+    Raises:
+        ParameterError: If it is not; the error names the argument.
+    """
+    kinds = (bool, np.bool_) if kind is bool else kind
+    if not (isinstance(value, kinds) or (optional and value is None)):
+        wanted = "True or False" if kind is bool else f"a {kind.__name__}"
+        wanted += " or None" if optional else ""
+        raise ParameterError(f"{name} must be {wanted}, got {_shown(value)}")
+
+
+def check_list(name: str, values: Any, kind: type) -> None:
+    """Check that values are a sequence of elements of a class.
+
+    Raises:
+        ParameterError: If they are not; the error names the argument, and the first bad element.
+    """
+    if not isinstance(values, Sequence) or isinstance(values, str):
+        raise ParameterError(f"{name} must be a list of {kind.__name__}, got {_shown(values)}")
+    for k, value in enumerate(values):
+        check_type(f"{name}[{k}]", value, kind)
+
+
+def _array(
+    name: str, values: Any, shapes: tuple[Shape, ...], kinds: str, noun: str
+) -> NDArray[Any]:
+    """Values as an array of a kind (``dtype.kind``) and shape."""
+    try:
+        a = np.asarray(values)
+    except (TypeError, ValueError, RuntimeError):  # ragged, or a tensor that requires a gradient
+        a = np.asarray(None)
+    right = a.dtype.kind in kinds or a.size == 0
+    if right and (not shapes or any(_fits(a.shape, shape) for shape in shapes)):
+        return a
+    single = f"an {noun}" if noun == "integer" else f"a {noun}"
+    arrays = " or ".join(f"[{', '.join(map(str, shape))}]" for shape in shapes if shape)
+    wanted = [single] * (() in shapes) + [f"{arrays} {noun}s".strip()] * (shapes != ((),))
+    given = f"shape {list(a.shape)}" if right and a.ndim else _shown(values)
+    raise ParameterError(f"{name} must be {' or '.join(wanted)}, got {given}")
+
+
+def _fits(have: tuple[int, ...], wanted: Shape) -> bool:
+    return len(have) == len(wanted) and all(
+        isinstance(length, str) or n == length for n, length in zip(have, wanted, strict=True)
+    )
+
+
+def _refused(name: str, wanted: str, a: NDArray[Any], bad: NDArray[np.bool_]) -> ParameterError:
+    """The error for an array whose first bad element is named."""
+    k = tuple(int(i) for i in np.argwhere(bad)[0])
+    place = f" at {list(k)}" if k else ""
+    return ParameterError(f"{name} must be {wanted}, got {a[k]}{place}")
+
+
+def _shown(value: Any) -> str:
+    """A value in one short line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."

@@ -1,0 +1,217 @@
+"""Good recordings, spoiled: wrong units, sizes, frames, objects. An estimate must refuse them, or
+be right all the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.datasets import Recording
+
+Array = NDArray[np.floating]
+
+Spoil = Callable[[Recording], Recording]
+
+
+def clouds_of(recording: Recording, clouds: list[Array]) -> Recording:
+    """The recording with these clouds."""
+    return replace(
+        recording,
+        points=np.concatenate([np.zeros((0, 3)), *clouds]),
+        offsets=np.cumsum([0, *map(len, clouds)]),
+    )
+
+
+def _time(factor: float) -> Spoil:
+    return lambda r: replace(r, time=r.time[0] + factor * (r.time - r.time[0]))
+
+
+def _described(**factors: float) -> Spoil:
+    """Sizes or mass times these factors, where they are stated."""
+
+    def spoil(r: Recording) -> Recording:
+        own = {n: getattr(r.object, n) for n in factors}
+        changed = {n: f * own[n] for n, f in factors.items() if own[n] is not None}
+        return replace(r, object=replace(r.object, **changed))
+
+    return spoil
+
+
+def _size(factor: float) -> Spoil:
+    return _described(length=factor, width=factor, height=factor)
+
+
+def _thick(factor: float) -> Spoil:
+    return _described(diameter=factor, thickness=factor)
+
+
+def _away(r: Recording) -> tuple[Array, Array]:
+    """Level unit vectors from the gripper along the object at rest, and to the left of that."""
+    lying = r.frame(int(np.argmax(r.frame_valid)))[:, :2].mean(axis=0)
+    along = lying - r.gripper_position[0, 0, :2]
+    along = along / np.linalg.norm(along)
+    return np.array([*along, 0.0]), np.array([-along[1], along[0], 0.0])
+
+
+def _gripper_moved(along: float = 0.0, aside: float = 0.0, up: float = 0.0) -> Spoil:
+    """Stated so far from where it is [m]."""
+
+    def spoil(r: Recording) -> Recording:
+        a, b = _away(r)
+        by = along * a + aside * b + np.array([0.0, 0.0, up])
+        return replace(r, gripper_position=r.gripper_position + by)
+
+    return spoil
+
+
+def _swapped(*axes: int) -> Spoil:
+    return lambda r: replace(
+        r,
+        points=r.points[:, axes],
+        gripper_position=r.gripper_position[..., axes],
+        gripper_axis=None if r.gripper_axis is None else r.gripper_axis[..., axes],
+    )
+
+
+def _points(change: Callable[[Array, Recording], Array]) -> Spoil:
+    return lambda r: replace(r, points=change(r.points.astype(float), r))
+
+
+def _about_first(path: Array, factor: float) -> Array:
+    return path[:1] + factor * (path - path[:1])
+
+
+def _grown(points: Array, r: Recording) -> Array:
+    centre = points.mean(axis=0)
+    return centre + 1.1 * (points - centre)
+
+
+def _mirrored(points: Array, r: Recording) -> Array:
+    """Left and right swapped about the line from the gripper along the object... as by cameras of
+    which one axis is wrong."""
+    return points * [1.0, -1.0, 1.0]
+
+
+def _through_lens(factor: float) -> Spoil:
+    """Clouds of a camera whose focal length is stated wrongly, seen from its place or, where that
+    is unknown, from a metre away."""
+
+    def change(points: Array, r: Recording) -> Array:
+        centre = points.mean(axis=0)
+        if r.camera_positions is not None:
+            eye = r.camera_positions[0].astype(float)
+        else:
+            eye = centre + np.array([0.7, 0.0, 0.7])
+        axis = (centre - eye) / np.linalg.norm(centre - eye)
+        ray = points - eye
+        depth = ray @ axis
+        return eye + depth[:, None] * axis + factor * (ray - depth[:, None] * axis)
+
+    return _points(change)
+
+
+def _uniform(points: Array, r: Recording) -> Array:
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.random.default_rng(0).uniform(low, high, size=points.shape)
+
+
+def _table(points: Array, r: Recording) -> Array:
+    """The table's points in place of the object's."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    drawn = np.random.default_rng(0).uniform(low, high, size=points.shape)
+    height = points[:, 2].min() if r.table_height is None else r.table_height
+    drawn[:, 2] = height + 0.002 * np.random.default_rng(1).standard_normal(len(drawn))
+    return drawn
+
+
+def _strays(share: float) -> Spoil:
+    def change(points: Array, r: Recording) -> Array:
+        rng = np.random.default_rng(0)
+        return np.where(rng.random(len(points))[:, None] < share, _uniform(points, r), points)
+
+    return _points(change)
+
+
+def _cut(r: Recording) -> Recording:
+    """Only what lies on one side of the object's middle at rest is seen."""
+    along, _ = _away(r)
+    middle = float(np.median(r.frame(0) @ along))
+    kept = [c[c @ along < middle] for c in r.frames()]
+    return clouds_of(r, kept)
+
+
+def _still(r: Recording) -> Recording:
+    first = r.frame(int(np.argmax(r.frame_valid)))
+    held = np.repeat(r.gripper_position[:1], r.num_frames, axis=0)
+    return replace(clouds_of(r, [first] * r.num_frames), gripper_position=held)
+
+
+def _still_cloud(r: Recording) -> Recording:
+    """A camera that froze."""
+    return clouds_of(r, [r.frame(int(np.argmax(r.frame_valid)))] * r.num_frames)
+
+
+def _late(frames: float) -> Spoil:
+    def spoil(r: Recording) -> Recording:
+        by = round(frames * r.num_frames)
+        return clouds_of(r, [r.frame(max(0, t - by)) for t in range(r.num_frames)])
+
+    return spoil
+
+
+SPOILED: dict[str, Spoil] = {
+    "time in milliseconds": _time(1e3),
+    "frame numbers as time": lambda r: replace(r, time=np.arange(r.num_frames, dtype=float)),
+    "time x 10": _time(10.0),
+    "time x 3": _time(3.0),
+    "time / 3": _time(1 / 3.0),
+    "time / 10": _time(0.1),
+    "time in minutes": _time(1 / 60.0),
+    "mass in grams": _described(mass=1e3),
+    "mass x 10": _described(mass=10.0),
+    "mass / 10": _described(mass=0.1),
+    "mass / 1000": _described(mass=1e-3),
+    "size x 10": _size(10.0),
+    "size x 2": _size(2.0),
+    "size x 1.25": _size(1.25),
+    "size x 1.1": _size(1.1),
+    "size / 1.1": _size(1 / 1.1),
+    "size / 1.25": _size(0.8),
+    "size / 2": _size(0.5),
+    "thickness x 10": _thick(10.0),
+    "thickness x 2": _thick(2.0),
+    "thickness / 2": _thick(0.5),
+    "thickness / 10": _thick(0.1),
+    "gripper 2 cm aside": _gripper_moved(aside=0.02),
+    "gripper 5 cm aside": _gripper_moved(aside=0.05),
+    "gripper 2 cm along": _gripper_moved(along=0.02),
+    "gripper 5 cm along": _gripper_moved(along=0.05),
+    "gripper 2 cm back": _gripper_moved(along=-0.02),
+    "gripper 5 cm back": _gripper_moved(along=-0.05),
+    "gripper 5 cm up": _gripper_moved(up=0.05),
+    "gripper's path reversed": lambda r: replace(r, gripper_position=r.gripper_position[::-1]),
+    "gripper's path x 0.7": lambda r: replace(
+        r, gripper_position=_about_first(r.gripper_position, 0.7)
+    ),
+    "y up": _swapped(0, 2, 1),
+    "x up": _swapped(2, 1, 0),
+    "z down": _points(lambda p, r: p * [1.0, 1.0, -1.0]),
+    "clouds mirrored": _points(_mirrored),
+    "clouds x 1.43": _points(lambda p, r: 1.43 * p),
+    "clouds x 1.1 about their middle": _points(_grown),
+    "focal length / 1.2": _through_lens(1.2),
+    "focal length x 1.2": _through_lens(1 / 1.2),
+    "uniform noise": _points(_uniform),
+    "the table's points": _points(_table),
+    "30 % strays": _strays(0.3),
+    "half of the object": _cut,
+    "one frame": lambda r: r.head(1),
+    "nothing moves": _still,
+    "clouds stand still": _still_cloud,
+    "clouds a tenth late": _late(0.1),
+    "clouds a third late": _late(0.34),
+}
+"""By name."""

@@ -1,0 +1,347 @@
+"""Arguments of another type, shape or range end in one line that names them."""
+
+import math
+import re
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Material
+from gendom.sim import (
+    Box,
+    Gripper,
+    Grippers,
+    Rollout,
+    Simulator,
+    Table,
+    Weave,
+    cloth,
+    open_device,
+    outline_of_mesh,
+    rope,
+)
+
+nan, inf = math.nan, math.inf
+RAGGED = [[0.0, 1.0], [2.0]]
+
+ROPE = rope(diameter=0.01, length=0.3)
+MATERIAL = Material()
+HAND = Gripper.still((0.0, 0.0, 0.0), radius=0.02)
+
+
+def refused(make, **given):
+    """The one line with which an argument is refused."""
+    with pytest.raises(ParameterError) as found:
+        make(**given)
+    message = str(found.value)
+    assert "\n" not in message and len(message) < 300
+    return message
+
+
+def named(name, message):
+    return re.search(rf"\b{name}\b", message) is not None
+
+
+def cases(table):
+    """(name, value) of a dictionary from names to values, as parameters of a test."""
+    pairs = [(name, value) for name, values in table.items() for value in values]
+    names = [f"{name}-{' '.join(repr(value).split())[:30]}" for name, value in pairs]
+    return pytest.mark.parametrize(("name", "value"), pairs, ids=names)
+
+
+# ---- bodies and materials ------------------------------------------------------------------------
+
+
+@cases(
+    {
+        "diameter": ["thick", [0.01, 0.02], None],
+        "length": ["long", RAGGED],
+        "cells_across": ["two", [2.0]],
+        "points": ["many", 25.5, nan, [25, 25], 10**9],
+        "width": ["wide", [0.1, 0.2]],
+        "start": [
+            "here",
+            RAGGED,
+            (0.0, 1.0),
+            (nan, 0.0, 0.0),
+            (0.0, inf, 0.0),
+            None,
+            ("0", "0", "0"),
+        ],
+        "direction": ["up", RAGGED, (0.0, 1.0), (nan, 0.0, 0.0), (0.0, inf, 0.0), None],
+        "centre_line": [
+            "curved",
+            RAGGED,
+            [0.0, 1.0],
+            [[0, 0, 0], [nan, 0, 0]],
+            [[0, 0, 0], [1, 0]],
+        ],
+    }
+)
+def test_ropes(name, value):
+    assert named(name, refused(rope, **{"diameter": 0.01, "length": 0.3, name: value}))
+
+
+@cases(
+    {
+        "width": ["wide", RAGGED],
+        "height": ["high", RAGGED],
+        "thickness": ["thick", RAGGED],
+        "dx": ["fine", [0.01]],
+        "points": ["many", 8, (8, 8, 8), (8.5, 8), ("8", "8"), (8, 1)],
+        "weave": ["twill", 3],
+        "natural_curvature": ["curved", RAGGED, 3.0, [[1.0, nan], [nan, 1.0]]],
+        "corner": ["here", RAGGED, 3.0, (0.0, nan, 0.0)],
+        "yaw": ["left", inf, nan, [0.0]],
+    }
+)
+def test_cloths(name, value):
+    sizes = {"width": 0.2, "height": 0.2, "thickness": 0.002, "dx": 0.02}
+    assert named(name, refused(cloth, **{**sizes, name: value}))
+
+
+@cases({name: ["stiff", RAGGED] for name in ("warp", "weft", "shear", "bending")})
+def test_weaves(name, value):
+    assert named(name, refused(Weave, **{name: value}))
+
+
+@cases(
+    {
+        name: ["much", [1.0, 2.0]]
+        for name in ("E", "nu", "density", "damping", "yield_stress", "membrane")
+    }
+)
+def test_materials(name, value):
+    assert named(name, refused(Material, **{name: value}))
+
+
+def test_bodies_that_no_memory_holds():
+    """They are refused before arrays are made."""
+    message = refused(rope, diameter=1e-6, length=1.0)
+    assert re.search(r"6\.4e\+07 particles .* at most 1e\+07 .*; a larger diameter", message)
+    message = refused(cloth, width=0.2, height=0.2, thickness=0.002, dx=1e-5)
+    assert message.endswith("a larger dx")
+    sheet = partial(cloth, width=0.2, height=0.2, thickness=0.002, dx=0.02)
+    assert refused(sheet, points=(10**4, 10**4)).endswith("fewer points")
+
+
+@cases({"offset": ["left", (0.0, 1.0), (nan, 0.0, 0.0)]})
+def test_moves(name, value):
+    assert named(name, refused(ROPE.moved, **{name: value}))
+
+
+# ---- grippers and surroundings -------------------------------------------------------------------
+
+
+@cases(
+    {
+        "time": ["now", RAGGED, [0.0, nan]],
+        "position": ["here", RAGGED, [[0.0, 0.0, nan]] * 2],
+        "quat_xyzw": ["turned", RAGGED, [[0.0, 0.0, 0.0, nan]] * 2],
+        "radius": ["wide", [0.01, 0.02], inf],
+        "hold_from": ["soon", [0.0, 1.0], nan],
+        "hold_until": ["late", [0.0, 1.0], nan],
+        "may_miss": ["yes", 3],
+    }
+)
+def test_grippers(name, value):
+    path = {"time": [0.0, 1.0], "position": [[0, 0, 0], [0, 0, 1]], "radius": 0.01}
+    assert named(name, refused(Gripper, **{**path, name: value}))
+
+
+def test_grippers_without_a_knot_or_that_open_first():
+    assert "time [K > 0]" in refused(Gripper, time=[], position=np.zeros((0, 3)), radius=0.01)
+    still = partial(Gripper.still, (0, 0, 0), radius=0.01)
+    assert "hold_until must not lie before hold_from, got 0.5 before 1.0 s" in refused(
+        still, hold_from=1.0, hold_until=0.5
+    )
+    still(hold_from=1.0, hold_until=1.0)  # never closes
+
+
+@cases({"position": ["here", RAGGED]})
+def test_still_grippers(name, value):
+    assert named(name, refused(Gripper.still, radius=0.01, **{name: value}))
+
+
+@cases(
+    {
+        "time": [np.zeros(2)],
+        "position": [np.zeros((1, 1, 3, 3))],
+        "orientation": [np.full((1, 1, 2, 4), nan)],
+        "radius": [np.full((1, 1), inf), np.ones((2, 1)), None],
+        "hold_from": [np.full((1, 1), nan)],
+        "hold_until": [np.full((1, 1), -1.0)],
+    }
+)
+def test_grippers_as_arrays(name, value):
+    arrays = {**Grippers.of([[HAND]]).arrays, "hold_from": np.zeros((1, 1)), name: value}
+    assert named(name, refused(Grippers, arrays=arrays))
+    del arrays[name]
+    if name != "orientation":
+        assert named(name, refused(Grippers, arrays=arrays))
+
+
+@cases({"height": ["low", RAGGED, [0.0, 1.0]], "friction": ["rough", RAGGED, np.ones((2, 2))]})
+def test_tables(name, value):
+    assert named(name, refused(Table, **{"height": 0.0, name: value}))
+
+
+@cases({name: ["far", (0.0, 1.0), (0.0, [1.0], 2.0), (nan, 0, 0)] for name in ("lower", "upper")})
+def test_boxes(name, value):
+    assert named(name, refused(Box, **{"lower": (-1, -1, -1), "upper": (1, 1, 1), name: value}))
+
+
+# ---- simulators ----------------------------------------------------------------------------------
+
+
+@cases(
+    {
+        "body": [3, None],
+        "materials": [MATERIAL, 3, [3], "soft"],
+        "grippers": [HAND, 3, [3], [[3]], [HAND, 3], "two"],
+        "table": [3, 0.0],
+        "box": [3],
+        "self_contact": ["yes", 1],
+        "self_friction": ["rough", RAGGED, np.ones((2, 2))],
+        "gravity": ["down", RAGGED, np.ones((3, 7))],
+        "velocity_damping": ["some", RAGGED],
+        "air_density": ["thin", RAGGED],
+        "stiffness": ["stiff", RAGGED],
+        "positions": ["there", RAGGED, np.zeros((5, 3)), np.zeros((31, 2)), np.full((31, 3), nan)],
+        "start_time": ["now", [0.0, 1.0]],
+        "substep": ["short", [1e-4]],
+        "cfl": ["half", [0.5]],
+        "threads": ["all", 1.5, nan],
+        "device": [3],
+    }
+)
+@pytest.mark.parametrize("engine", ["thin", "mpm"])
+def test_simulators(engine, name, value):
+    given: dict[str, Any] = {"body": ROPE, "materials": [MATERIAL], "engine": engine, name: value}
+    assert named(name, refused(Simulator, **given))
+
+
+@pytest.mark.parametrize(
+    "body", [ROPE, cloth(width=0.2, height=0.2, thickness=0.002, dx=0.02)], ids=["rope", "cloth"]
+)
+def test_materials_without_a_time_step(body):
+    message = refused(Simulator, body=body, materials=[MATERIAL, Material(E=1e30)])
+    assert re.search(r"world 1 \(E 1e\+30 Pa.*substep would be .*e-16 s, the shortest is", message)
+    assert named("substep", refused(Simulator, body=body, materials=[MATERIAL], substep=1e-30))
+
+
+def test_bodies_that_are_not_thin():
+    """They are blocks for the MPM."""
+    short = rope(diameter=0.3, length=0.2)
+    assert "a diameter of 0.3 m and a length of 0.2 m are not those of a rod" in refused(
+        Simulator, body=short, materials=[MATERIAL]
+    )
+    block = cloth(width=0.3, height=0.2, thickness=0.25, dx=0.05)
+    assert "a thickness of 0.25 m and a side of 0.2 m are not those of a shell" in refused(
+        Simulator, body=block, materials=[MATERIAL]
+    )
+    Simulator(block, [Material(E=1e4)], engine="mpm")
+
+
+def test_devices():
+    assert named("device", refused(open_device, name=3))
+
+
+@cases(
+    {
+        "times": ["soon", RAGGED, None, np.zeros((1, 1))],
+        "particles": ["tip", [0.5, 1.5], [-1], 3, [True, False]],
+        "on_frame": [3],
+        "keep_going": ["yes"],
+    }
+)
+def test_runs(name, value):
+    s = Simulator(ROPE, [MATERIAL], grippers=[HAND])
+    assert named(name, refused(s.run, **{"times": [1e-4], name: value}))
+    assert s.time == 0.0
+
+
+@cases({"v": ["fast", RAGGED, (nan, 0.0, 0.0)], "affine": ["spin", RAGGED, nan]})
+@pytest.mark.parametrize("engine", ["thin", "mpm"])
+def test_velocities(engine, name, value):
+    s = Simulator(ROPE, [MATERIAL], engine=engine)
+    assert named(name, refused(s.set_velocities, **{"v": (0.0, 0.0, 0.0), name: value}))
+    assert np.isfinite(s.velocities()).all()
+
+
+@cases(
+    {
+        "times": ["soon", RAGGED],
+        "tolerance": ["small", [1e-3, 1e-3]],
+        "most_steps": ["many", 1.5, nan, [1, 2]],
+        "increments": ["few", 1.5, nan],
+        "keep_going": ["yes"],
+        "derivatives": ["friction", [3]],
+    }
+)
+def test_equilibria(name, value):
+    s = Simulator(ROPE, [MATERIAL], grippers=[HAND])
+    assert named(name, refused(s.equilibria, **{"times": [0.1], name: value}))
+
+
+@cases({"simulator": [3], "memory": ["all", -1.0, nan]})
+def test_rollouts(name, value):
+    given: dict[str, Any] = {"simulator": Simulator(ROPE, [MATERIAL]), name: value}
+    assert named(name, refused(Rollout, **given))
+
+
+def test_passes_of_rollouts():
+    rollout = Rollout(Simulator(ROPE, [MATERIAL]))
+    assert named("times", refused(rollout.forward, times="soon"))
+    rollout.forward([1e-4])
+    assert named("positions_bar", refused(rollout.backward, positions_bar="steep"))
+    bar = np.full((1, 1, len(ROPE.points), 3), nan)
+    assert "positions_bar must be finite" in refused(rollout.backward, positions_bar=bar)
+
+
+# ---- meshes --------------------------------------------------------------------------------------
+
+CORNERS = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+
+
+@cases(
+    {
+        "vertices": ["corners", RAGGED, CORNERS[:2], [[0.0, 0.0], [1.0, nan], [0.0, 1.0]]],
+        "faces": ["sides", [[0, 1, 2], [0, 1]], [[0, 1, -1]], [], [[0, 1, 2], [0, 1, 2]],
+                  [[0, 1, 2], [2, 1, 0]]],
+    }
+)  # fmt: skip
+def test_meshes(name, value):
+    given: dict[str, Any] = {"vertices": CORNERS, "faces": [[0, 1, 2]], name: value}
+    assert named(name, refused(outline_of_mesh, **given))
+
+
+def test_a_triangle_in_space_of_two_vertices():
+    x = np.column_stack([CORNERS, np.zeros(3)])
+    assert refused(outline_of_mesh, vertices=x, faces=[[0, 1, 1]]).startswith("faces: triangle 0")
+
+
+# ---- where things are ----------------------------------------------------------------------------
+
+
+def test_grippers_that_miss_say_by_how_much():
+    hands = [[Gripper.still((0.0, 0.0, height), radius=0.02)] for height in (0.0, 0.5)]
+    table = Table(height=-0.005)  # heights are counted from it inside
+    s = Simulator(ROPE, [MATERIAL] * 2, grippers=hands, table=table)
+    at = r"world 1 .*it is at \[0.0, 0.0, 0.5\] m, its radius 0.02 m, the nearest point 0.5 m away"
+    with pytest.raises(SimulationError, match=at):
+        s.run([1e-3])
+
+
+def test_objects_in_the_table_name_the_world():
+    x = np.repeat(ROPE.moved((0.0, 0.0, 0.1)).points[None], 3, axis=0)
+    x[1, :, 2] = -0.2
+    s = partial(Simulator, ROPE, [MATERIAL] * 3, table=Table(height=0.0))
+    message = refused(s, positions=x)
+    assert message.startswith("world 1, centres of its cross-sections lie between [0.0, 0.0, -0.2]")
+    assert "205 mm inside the table" in message
+    assert "world" not in refused(s, positions=x[1])
+    s(positions=x[:1])
