@@ -207,6 +207,7 @@ def test_check_prints_a_summary(recording, capsys):
         "  table     at z = -0.01 m\n"
         "  motion    dynamic\n"
         "  warning   points: 1 of 4 frames are empty (3); nothing need be done: they are skipped\n"
+        "  warning   frames: 3 with points; record a whole lift: 4 frames at least\n"
     )
 
 
@@ -216,7 +217,7 @@ def test_check_as_json(recording, capsys):
     assert summary["valid"] and summary["kind"] == "rope"
     assert summary["sizes"] == {"length": 0.4, "diameter": 0.01}
     assert summary["points_per_frame"] == {"min": 10, "median": 11.0, "max": 12}
-    assert [w["where"] for w in summary["warnings"]] == ["points"]
+    assert [w["where"] for w in summary["warnings"]] == ["points", "frames"]
 
 
 def test_check_says_for_how_long_a_gripper_was_closed(recording, tmp_path, capsys):

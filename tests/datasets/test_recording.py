@@ -425,7 +425,7 @@ META_FAULTS = {
     ),
     "mass in grams": (
         lambda m: m["object"].update(mass=31.0, diameter=0.01),
-        "object.mass: is 31 kg, a density of 9.9e+05 kg/m^3 or more; "
+        "object.mass: is 31 kg, a density of 9.9e+05 kg/m^3; "
         "it looks like grams; divide by 1000",
     ),
     "table in millimetres": (

@@ -102,4 +102,10 @@ def read_params(path: Path, *, force: bool) -> dict[str, Any]:
             where=str(path),
             fix="record the object again, or add --force",
         )
+    if verdict.get("usable") is False and params.keys() <= {"format", "verdict"}:
+        raise ParameterError(
+            f"holds no numbers, since nothing was estimated: {', '.join(verdict['reasons'])}",
+            where=str(path),
+            fix="record the object again, or describe it by flags such as --E",
+        )
     return params

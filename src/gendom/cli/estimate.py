@@ -73,6 +73,8 @@ class Command:
     """Print the estimate as JSON."""
     method: MethodName = "gauss-newton"
     """Method of the search (docs/estimation.md)."""
+    network: Path | None = None
+    """With pointnet: an ONNX file for another kind of lift, which benchmarks/pointnet.py trains."""
     frames: Literal["all", "last"] = "all"
     """Frames that are compared."""
     starts: int = 3
@@ -137,6 +139,7 @@ class Command:
 
         return EstimateSettings(
             method=self.method,
+            network=self.network,
             starts=self.starts,
             unknowns=self.unknowns,
             frames=self.frames,
@@ -207,7 +210,7 @@ class Command:
                     note=note,
                 ),
                 estimate=summary_of(found),
-                provenance=self._provenance({"estimate": record["seconds"]}, record["notes"]),
+                provenance=self._provenance(record["stage_seconds"], record["notes"]),
                 next_steps=self._next_steps(found),
             ),
         )
@@ -286,6 +289,7 @@ class Command:
         if self.unknowns:
             words += ["--unknowns", *self.unknowns]
         optional = {
+            "--network": self.network,
             "--camera-pose": self.camera_pose,
             "--material": self.material,
             "--points": self.points,

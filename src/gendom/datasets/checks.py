@@ -63,7 +63,7 @@ def check(recording: Recording) -> list[Fault]:
     faults += number_faults
     if not number_faults:
         faults += _check_frames(recording)
-        for look in (_check_units, _check_other_units, _check_grippers):
+        for look in (_check_units, _check_other_units, _check_motion, _check_grippers):
             found = look(recording)
             faults += found
             if any(fault.severity == "error" for fault in found):
@@ -71,9 +71,19 @@ def check(recording: Recording) -> list[Fault]:
     return sorted(faults, key=lambda fault: fault.severity)
 
 
-MAX_DENSITY = 25e3
-"""Upper bound on the density of matter [kg/m^3]."""
+MAX_DENSITY = 12e3
+"""Upper bound on the density of ropes and cloths, that of lead [kg/m^3]."""
+MIN_DENSITY = {"rope": 120.0, "cloth": 30.0}
+"""Lower bounds [kg/m^3]: a quarter and a half of the lightest of the materials' catalogue."""
+USUAL_SPEED = (5e-4, 2.0)
+"""Slowest and fastest usual speed of a gripper [m/s]: arms move at 1 m/s at most, hands
+that shake a cable at 0.6 to 1 m/s."""
+NUMBERED = 10
+"""From so many frames on, times that are whole seconds one after another are frame numbers."""
+FEWEST_FRAMES = 4
+"""With points, of a motion that tells something."""
 _THICKEST = {"rope": 0.1, "cloth": 0.02}  # of the size, where the thickness is unknown
+_USUAL_DENSITY = (200.0, 3000.0)  # [kg/m^3]
 _MAX_STEP = 10.0  # [s] between frames
 _TIMES = (  # frames less far apart than so many seconds, their unit, and what brings seconds
     (5e3, "milliseconds", "1000"),
@@ -316,6 +326,16 @@ def _check_units(recording: Recording) -> list[Fault]:
                 f"it looks like {_nearest_unit(_gripper_distance, recording)}",
             )
         ]
+    longest = float(max(np.linalg.norm(np.ptp(c, axis=0)) for c in recording.frames() if len(c)))
+    if size is not None and recording.num_grippers == 1 and size > 1.6 * longest:
+        return [
+            Fault(
+                f"the object spans {size:.3g} m, no frame more than {longest:.3g} m",
+                "object.length" if recording.object.kind == "rope" else "object.width",
+                f"check its unit (is it {longest:.2g} m?), and that all of it is in view",
+                "warning",
+            )
+        ]
     if size is not None and extent > 1.5 * size:
         return [
             Fault(
@@ -342,12 +362,8 @@ def _check_other_units(recording: Recording) -> list[Fault]:
                 thin = (2e-4 * size, 0.2 * size)
                 what = f"is {value:.4g} m, the object spans {size:.4g} m"
                 wrong(what, f"object.{name}", _meant(value, thin))
-        if (density := _least_density(held, size)) > MAX_DENSITY and not faults:
-            wrong(
-                f"is {held.mass:.4g} kg, a density of {density:.2g} kg/m^3 or more",
-                "object.mass",
-                "grams; divide by 1000",
-            )
+        if not faults:
+            faults += _check_density(held, size)
     step = float(np.median(np.diff(recording.time))) if recording.num_frames > 1 else 0.0
     if step > _MAX_STEP:
         unit, factor = next((u, f) for most, u, f in _TIMES if step < most)
@@ -367,21 +383,104 @@ def _check_other_units(recording: Recording) -> list[Fault]:
     return faults
 
 
-def _least_density(held: ObjectDescription, size: float) -> float:
-    """Lower bound on the density of an object of known mass, else 0 [kg/m^3]."""
-    if held.mass is None or not math.isfinite(held.mass):
-        return 0.0
-    if held.kind == "rope":
-        across = held.diameter or _THICKEST["rope"] * size
-        return held.mass / (math.pi / 4.0 * across**2 * size)
-    across = held.thickness or _THICKEST["cloth"] * size
-    return held.mass / ((held.width or size) * (held.height or size) * across)
+def _check_density(held: ObjectDescription, size: float) -> list[Fault]:
+    """Check mass and sizes against each other. Sizes that are not stated count as the thickest that
+    there are: only a density that is too large then is a fault."""
+    if held.mass is None or not (math.isfinite(held.mass) and held.mass > 0.0):
+        return []
+    name = "diameter" if held.kind == "rope" else "thickness"
+    stated = getattr(held, name)
+    across = stated or _THICKEST.get(held.kind, 0.1) * size
+    power = 2 if held.kind == "rope" else 1
+    volume = math.pi / 4.0 * across**2 * size
+    if held.kind == "cloth":
+        volume = (held.width or size) * (held.height or size) * across
+    density = held.mass / volume
+    stated_low = MIN_DENSITY.get(held.kind, 0.0) if stated else 0.0
+    if stated_low <= density <= MAX_DENSITY:
+        return []
+    heavy = density > MAX_DENSITY
+    tenfold = 10.0**power if heavy else 10.0**-power
+    fix = "give the mass in kilograms, and sizes in metres"
+    if _USUAL_DENSITY[0] <= density / 1000.0 <= _USUAL_DENSITY[1]:
+        fix = "it looks like grams; divide by 1000"
+    elif stated and _USUAL_DENSITY[0] <= density / tenfold <= _USUAL_DENSITY[1]:
+        fix = f"object.{name} looks ten times too {'small' if heavy else 'large'}"
+    what = f"is {held.mass:.4g} kg, a density of {density:.2g} kg/m^3"
+    what += "" if stated else " or more"
+    return [Fault(what, "object.mass", fix, "error" if heavy else "warning")]
+
+
+def _check_motion(recording: Recording) -> list[Fault]:
+    """Check that there are frames enough, as far apart as seconds are, and markers as many."""
+    if recording.extra.get("static", False):
+        return _check_markers(recording)
+    faults, frames = _check_markers(recording), np.flatnonzero(recording.frame_valid)
+    if len(frames) < FEWEST_FRAMES:
+        what = f"{len(frames)} with points"
+        fix = f"record a whole lift: {FEWEST_FRAMES} frames at least"
+        return [*faults, Fault(what, "frames", fix, "warning")]
+    if numbered(recording):
+        what = "frames are exactly 1 s apart"
+        fix = "give seconds, if times are frame numbers"
+        faults.append(Fault(what, "time", fix, "warning"))
+    speed = usual_speed(recording)
+    if speed is None or USUAL_SPEED[0] <= speed <= USUAL_SPEED[1]:
+        return faults
+    fix = "give seconds, and positions in metres"
+    for unit, factor, words in (
+        ("milliseconds", 1e3, "divide by 1000"),
+        ("minutes", 1 / 60.0, "multiply by 60"),
+        ("microseconds", 1e6, "divide by 1e6"),
+    ):
+        if USUAL_SPEED[0] <= speed * factor <= USUAL_SPEED[1]:
+            fix = f"times look like {unit}; {words}"
+            break
+    what = f"the gripper moves at {speed:.2g} m/s"
+    return [*faults, Fault(what, "time", fix, "warning")]
+
+
+def numbered(recording: Recording) -> bool:
+    """Whether the times of a motion in which they matter look like numbers of frames."""
+    if recording.quasi_static or recording.num_frames < NUMBERED:
+        return False
+    return bool((np.diff(recording.time) == 1.0).all())
+
+
+def usual_speed(recording: Recording) -> float | None:
+    """Median speed of the fastest gripper while it moves and holds the object [m/s]; None: none
+    does."""
+    frames = np.flatnonzero(recording.frame_valid)
+    holds = recording.holds[frames]
+    steps = np.linalg.norm(np.diff(recording.gripper_position[frames], axis=0), axis=2)
+    steps = np.where(holds[1:] & holds[:-1], steps, 0.0).max(axis=1, initial=0.0)
+    moving = steps > 1e-3 * (recording.object.size or 1.0)
+    if not moving.any():
+        return None
+    return float(np.median(steps[moving] / np.diff(recording.time[frames])[moving]))
+
+
+def _check_markers(recording: Recording) -> list[Fault]:
+    """Ordered markers are the same ones in each frame."""
+    if not recording.extra.get("ordered_markers", False):
+        return []
+    counts = np.diff(recording.offsets)[recording.frame_valid]
+    if len(counts) == 0 or (counts == counts[0]).all():
+        return []
+    t = int(np.flatnonzero(recording.frame_valid)[np.argmax(counts != counts[0])])
+    return [
+        Fault(
+            f"has {len(recording.frame(t))} ordered markers, the first frame {counts[0]}",
+            f"points, frame {t}",
+            "give all markers in each frame, or none where one is missing",
+        )
+    ]
 
 
 def _check_grippers(recording: Recording) -> list[Fault]:
     """Check that each gripper holds the object and is close to it, and that one moves."""
     faults = _check_holds(recording)
-    if not recording.frame_valid.any():
+    if not (recording.frame_valid.any() and recording.cameras_calibrated):
         return faults
     frames = np.flatnonzero(recording.frame_valid)
     distance = np.array(
@@ -413,7 +512,7 @@ def _check_grippers(recording: Recording) -> list[Fault]:
                 )
             )
     travel = np.linalg.norm(np.ptp(recording.gripper_position, axis=0), axis=1)
-    if travel.max() < _MIN_TRAVEL:
+    if travel.max() < _MIN_TRAVEL and not recording.extra.get("static", False):
         faults.append(
             Fault(
                 f"moves by {travel.max():.2g} m in all",

@@ -32,6 +32,9 @@ from gendom.estimation.scene import Scene
 from gendom.estimation.theta import Theta
 from gendom.estimation.verdict import displaced, judge, recording_faults
 
+STAGES: tuple[str, ...] = ("scene", "search", "intervals")
+"""That take time; the verdict and replays for the result take the time of a few simulations."""
+
 ASTRAY = 5.0
 """Displacement of a cloth's model, over what is usable at most, from which on the search has gone
 astray: then it is as large as the deviation of how a corner is held."""
@@ -74,7 +77,7 @@ def estimate(
         raise ParameterError(
             f"there is no method {settings.method!r}", fix=f"choose one of {', '.join(METHODS)}"
         )
-    began = clock.perf_counter()
+    times = [clock.perf_counter()]
     if isinstance(recordings, Recording):
         recordings = [recordings]
     names = names or recording_names(len(recordings))
@@ -83,19 +86,23 @@ def estimate(
     with threadpool_limits(limits=1, user_api="blas"):
         scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
         problem = Problem(scenes, settings, on_progress, known, names)
+        times.append(clock.perf_counter())
         found = METHODS[settings.method](problem)
         finer = problem.finer(found.best.vector)
         if finer is not problem and settings.method == "gauss-newton" and not found.interrupted:
             problem, found = finer, refined(finer, found)
         if settings.method == "gauss-newton" and not found.interrupted:
             found = _nearer(problem, found)
-        calibration = calibration or Calibration.of(problem.scene.kind)
+        times.append(clock.perf_counter())
+        calibration = calibration or Calibration.of(problem.scene.kind, settings.frames)
         posterior = _posterior(problem, found, calibration)
         alone = _alone(problem, found, posterior, calibration)
+        times.append(clock.perf_counter())
         verdict = judge(problem, found, posterior, alone)
         if not verdict.usable:
             posterior = posterior.of_prior()
-        return result_of(problem, found, posterior, alone, verdict, clock.perf_counter() - began)
+        seconds = dict(zip(STAGES, map(float, np.diff(times)), strict=True))
+        return result_of(problem, found, posterior, alone, verdict, seconds)
 
 
 def _nearer(problem: Problem, found: Found) -> Found:
@@ -128,9 +135,12 @@ def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Post
     if covariance is None:
         covariance = np.linalg.inv(problem.slopes(found.best, found.noise)[1])
     added: float | NDArray[np.floating] = 0.0
+    elsewhere = problem.settings.method != "gauss-newton" or found.interrupted
+    if elsewhere and found.covariance is None:
+        added = _short_of(problem, found)
     # what moves otherwise than any simulated object gets no intervals
     if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
-        added = discrepancy(problem, found, covariance, calibration)
+        added = np.hypot(added, discrepancy(problem, found, covariance, calibration))
     posterior = Posterior.calibrated(
         problem.prior, found.best.vector, covariance, problem.bases, calibration, added
     )
@@ -138,6 +148,13 @@ def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Post
     if stated or "thickness" in posterior.names:
         return posterior
     return posterior.with_assumed(assumed_thickness())
+
+
+def _short_of(problem: Problem, found: Found) -> NDArray[np.floating]:
+    """[P] how far a result is from where the likelihood is greatest, as a Newton step says: other
+    searches minimise something else, or end before."""
+    gradient, hessian = problem.slopes(found.best, found.noise)
+    return np.abs(np.linalg.solve(hessian, gradient))
 
 
 def _alone(

@@ -31,8 +31,16 @@ where points of the centre line alone are compared. A thicker rod that bends ali
 its own weight, a thinner one takes longer: a wire of 1.5 m that bends over 88 mm by 41 mm with 50,
 by 2 mm with 200."""
 
+LINE = (0.93, 1.04)
+"""Length of the line through points of a rope between two grippers, in lengths of the rope: chords
+are shorter than arcs, noise makes them longer. Of six real cables and a wire 0.997 to 1.003."""
+
 EDGE_BINS = 16
 """Along an edge of a cloth."""
+
+EDGE, FILLED = 0.003, 0.95
+"""Share of a flat cloth's points beyond each edge, and least share of a rectangle's 256 cells that
+such a cloth fills."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +171,11 @@ def _line_between(
     recording: Recording, grip: Array, frames: tuple[int, ...], length: float
 ) -> tuple[Array, Array, Array | None]:
     """Places along a rope [K] [m] from one end to the other, where the first frame shows them
-    [K, 3] [m], and how fast markers are there [K, 3] [m/s]."""
+    [K, 3] [m], and how fast markers are there [K, 3] [m/s].
+
+    Raises:
+        RecordingError: They lie along a line of another length than the rope's.
+    """
     cloud = recording.frame(frames[0]).astype(float)
     speeds = None
     if recording.extra.get("ordered_markers", False):
@@ -185,6 +197,13 @@ def _line_between(
         cloud, gaps = cloud[::-1], gaps[::-1]
         speeds = None if speeds is None else speeds[::-1]
     s = np.concatenate([[0.0], np.cumsum(gaps)])
+    if not LINE[0] * length <= s[-1] <= LINE[1] * length:
+        raise RecordingError(
+            f"in the first frame points lie along a line of {s[-1]:.3g} m from one gripper to the "
+            f"other, the object is stated to be {length:.3g} m long",
+            where="meta.object.length",
+            fix="give the length between the grippers, and points in metres",
+        )
     return s * (length / s[-1]), cloud, speeds
 
 
@@ -346,6 +365,33 @@ def _along_edges(points: Array, yaw: float) -> float:
                 slopes.append((1 - 2 * axis) * np.polyfit(middle, edge, 1)[0])
         yaw += math.atan(float(np.median(slopes)))
     return yaw
+
+
+def lying_rectangle(points: Array) -> tuple[float, float] | None:
+    """Longer and shorter side [m] of the rectangle that points [n, 2] fill, None: they fill none.
+
+    Of all rectangles with nearly all points inside, the smallest.
+    """
+
+    def ends(angle: float) -> tuple[Array, Array, Array]:
+        c, s = math.cos(angle), math.sin(angle)
+        local = points @ np.array([[c, -s], [s, c]])
+        low, high = np.quantile(local, [EDGE, 1.0 - EDGE], axis=0)
+        return local, low, high - low
+
+    local, low, sides = min(
+        (ends(a) for a in np.radians(np.arange(0.0, 90.0, 0.5))), key=lambda e: float(e[2].prod())
+    )
+    cells = np.floor((local - low) / np.maximum(sides, 1e-9) * EDGE_BINS).astype(int)
+    inside = cells[((cells >= 0) & (cells < EDGE_BINS)).all(axis=1)]
+    if len(np.unique(inside, axis=0)) < FILLED * EDGE_BINS**2:
+        return None
+    return float(sides.max()), float(sides.min())
+
+
+def with_points(recording: Recording) -> tuple[int, ...]:
+    """Frames that hold points."""
+    return tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
 
 
 def early_points(recording: Recording, frames: tuple[int, ...], size: float) -> Array:

@@ -2,8 +2,8 @@
 
 The likelihood's own deviations are wrong, because the simulator is not exact. The calibration comes
 from lifts whose true parameters are known: `gendom reproduce coverage` records random objects in
-the second reality, estimates them and writes, for each unknown, the factor of its deviations and
-the variance to add (`assets/calibration.json`).
+the second reality, estimates them and writes, for each unknown, the factor of its deviations or
+the deviation to add in squares, in the form of `assets/calibration.json`.
 """
 
 from __future__ import annotations
@@ -41,10 +41,11 @@ class Calibration:
 
     @classmethod
     @functools.cache
-    def of(cls, kind: str) -> Calibration:
-        """The shipped one of ropes or cloths."""
+    def of(cls, kind: str, frames: str = "all") -> Calibration:
+        """The shipped one of ropes or cloths, of all frames or, of ropes, of the last one alone."""
         place = resources.files("gendom") / "assets" / "calibration.json"
-        read = json.loads(place.read_text(encoding="utf-8"))[kind]
+        every = json.loads(place.read_text(encoding="utf-8"))
+        read = every.get(f"{kind}-{frames}", every[kind])
         return cls(factor=read["factor"], added=read["added"], displaced=read["displaced"])
 
     @classmethod

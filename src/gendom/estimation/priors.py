@@ -44,11 +44,22 @@ class StatedErrors:
     unknown_corner: tuple[float, float] = (0.01, 0.02)
     axis_tilt: float = 0.1
     """Of a cloth's corner against a recorded axis [rad]."""
-    thickness: float = 0.5
-    """Of the logarithm of a diameter or thickness that is assumed: about a factor of two."""
+    thickness: float = 0.8
+    """Of the logarithm of a diameter or thickness that is assumed: ropes are a hundredth to a
+    sixteenth of their length thick."""
+    thickness_range: tuple[float, float] = (0.2, 5.0)
+    """Of such a one, over what is assumed."""
     density: float = 0.5
     """Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3.
     """
+
+
+ASSUMED_THICKNESS = {
+    "sd": StatedErrors.thickness,
+    "low": StatedErrors.thickness_range[0],
+    "high": StatedErrors.thickness_range[1],
+}
+"""What makes the prior of a stated thickness that of an assumed one."""
 
 
 def recording_prior(
@@ -89,7 +100,7 @@ def recording_prior(
         "grip_height": {"sd": e.height if measured else e.commanded_height},
         "delay": _delay(recording, e),
         "grip_along": {"sd": e.unknown_inset if described.grasp_inset is None else e.inset},
-        "thickness": {} if thickness_stated(described) else {"sd": e.thickness},
+        "thickness": {} if thickness_stated(described) else ASSUMED_THICKNESS,
     }  # fmt: skip
     if kind == "cloth":
         inset = e.unknown_corner if described.grasp_inset is None else e.corner
@@ -135,7 +146,7 @@ def thickness_stated(described: ObjectDescription) -> bool:
 
 def assumed_thickness() -> Prior:
     """Prior of a thickness that is not stated, of ropes and cloths."""
-    return prior_of(["thickness"], {"thickness": {"sd": StatedErrors.thickness}})
+    return prior_of(["thickness"], {"thickness": ASSUMED_THICKNESS})
 
 
 def material_prior(

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,8 @@ class EstimateSettings:
     """Names of the `UNKNOWNS` to estimate; by default those that the recording may determine."""
     frames: str = "all"
     """``all`` or ``last``: the frames that are compared."""
+    network: Path | None = None
+    """Of `pointnet`: an ONNX file for another kind of lift than the shipped one's."""
     camera_pose: str | None = None
     """``stated``: the cameras' errors are those of a calibration; ``unknown``: their poses are
     estimated, too. None: as each recording says."""
@@ -52,6 +55,10 @@ class EstimateSettings:
     noise: NoiseModel = field(default_factory=NoiseModel)
 
     def __post_init__(self) -> None:
+        if self.network is not None and self.method != "pointnet":
+            raise ParameterError(
+                f"is not used by {self.method}", where="network", fix="give method pointnet"
+            )
         if self.starts < 1:
             raise ParameterError(f"starts must be at least 1, got {self.starts}")
         if self.frames not in ("all", "last"):
@@ -127,6 +134,8 @@ class Found:
     """[P, P] transformed, of methods that state their own; None: that of the likelihood."""
     extra: dict[str, Any] = field(default_factory=dict)
     """More of it, for the result's record."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Durations of parts of the search [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,6 +16,7 @@ from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.likelihood import Comparison, NoiseModel
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
+from gendom.estimation.placing import with_points
 from gendom.estimation.problem import EstimateSettings, Problem
 from gendom.estimation.scene import Scene
 from gendom.estimation.theta import Theta
@@ -81,7 +82,7 @@ def first_shift(recording: Recording) -> Array:
         RecordingError: The gripper never lifts the object.
     """
     T, size = np.eye(4), recording.object.size or 0.0
-    frames = [t for t in range(recording.num_frames) if recording.frame_valid[t]]
+    frames = with_points(recording)
     rise = recording.gripper_position[:, :, 2].min(axis=1)
     lifted = [t for t in frames if rise[t] - rise[frames[0]] > LIFTED * size]
     if not lifted or recording.num_grippers > 1:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -155,10 +155,17 @@ class Estimate(Shown):
         """Read what `save` or ``gendom estimate --out`` wrote.
 
         Raises:
-            ParameterError: It is no estimate.
+            ParameterError: It is no estimate, or that of a recording that gave none.
             GendomError: It cannot be read.
         """
         read = read_json(path)
+        if read.get("format") == FORMAT and read.keys() == {"format", "verdict"}:
+            reasons = read["verdict"].get("reasons", ())
+            raise ParameterError(
+                f"holds no numbers, since nothing was estimated: {', '.join(reasons)}",
+                where=str(path),
+                fix="record the object again",
+            )
         if read.get("format") != FORMAT or "posterior" not in read:
             raise ParameterError(
                 f"format is {read.get('format')!r}, not {FORMAT!r} with a posterior",
@@ -273,7 +280,7 @@ def result_of(
     posterior: Posterior,
     alone: Sequence[Posterior],
     verdict: Verdict,
-    seconds: float,
+    seconds: Mapping[str, float],
 ) -> Estimate:
     """Everything about a finished search.
 
@@ -283,7 +290,7 @@ def result_of(
         posterior: Of all recordings.
         alone: Of each recording alone; empty where that was not computed.
         verdict: Whether it is usable.
-        seconds: Duration of the search [s].
+        seconds: Duration of each stage before [s].
     """
     scene, settings, theta = problem.scene, problem.settings, posterior.theta
     comparison = found.best.comparison
@@ -325,7 +332,8 @@ def result_of(
         "identifiable": known,
         "posterior": posterior.to_dict(),
         "iterations": sum(s.iterations for s in found.starts),
-        "seconds": seconds,
+        "seconds": sum(seconds.values()),
+        "stage_seconds": {**seconds, **found.seconds},
         "method": settings.method,
         "frames": settings.frames,
         "seed": settings.seed,

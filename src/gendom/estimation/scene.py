@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
-from gendom.estimation.placing import place
+from gendom.estimation.placing import place, with_points
 from gendom.estimation.priors import (
     BENDING_RANGE,
     StatedErrors,
@@ -107,7 +107,7 @@ class Scene:
             notes.append(
                 f"camera poses unknown: clouds moved by {1e3 * shift:.0f} mm and {turn:.1f} degrees"
             )
-        frames = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
+        frames = with_points(recording)
         if not frames:
             raise RecordingError("no frame holds a point", where="points", fix="record again")
         placed = place(recording, settings, frames, notes)

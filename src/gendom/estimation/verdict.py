@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gendom.datasets import Recording
+from gendom.datasets.checks import (
+    FEWEST_FRAMES,
+    MAX_DENSITY,
+    MIN_DENSITY,
+    USUAL_SPEED,
+    numbered,
+    usual_speed,
+)
 from gendom.estimation.likelihood import Comparison, NoiseModel
-from gendom.estimation.placing import early_points
+from gendom.estimation.placing import early_points, lying_rectangle, with_points
 from gendom.estimation.posterior import Posterior
 from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem
@@ -33,17 +41,13 @@ END, TOP = 0.99, 0.9
 class VerdictSettings:
     """Bounds beyond which a fit is not usable; shares are of the object's size."""
 
-    frames: int = 4
+    frames: int = FEWEST_FRAMES
     """Fewest frames with points."""
     moved: float = 0.15
     """Shortest path of a gripper: less shows almost nothing of the stiffness."""
-    numbered: int = 10
-    """From so many frames on, times that are successive whole seconds are frame numbers."""
-    line: tuple[float, float] = (0.85, 1.05)
-    """Length of the line through ordered markers, in lengths of the object."""
-    speed: tuple[float, float] = (5e-4, 2.0)
-    """Slowest and fastest mean speed of a gripper on its path [m/s]; other values mean a wrong unit
-    of time. Arms move at 1 m/s at most, hands that shake a cable at 0.6 to 1 m/s."""
+    speed: tuple[float, float] = USUAL_SPEED
+    """Slowest and fastest usual speed of a gripper [m/s]; other values mean a wrong unit
+    of time."""
     damping: float = 0.05
     """Damping that a recording must not show to be exceeded [s]: ropes and cloths have 1 to 20 ms,
     and what moves too fast for its stiffness looks damped."""
@@ -54,11 +58,10 @@ class VerdictSettings:
     height: float = 3.0
     """Difference between the height of a rope at rest and its diameter, in deviations of the
     cameras' place. Over ten lifts it is 2.5 mm at most."""
-    lightest: Mapping[str, float] = field(default_factory=lambda: {"rope": 120.0, "cloth": 30.0})
-    """Least density of a rope or cloth [kg/m^3], a quarter and a half of that of the lightest in
-    `gendom.materials.catalogue`; smaller ones mean a wrong unit of mass or length."""
-    heaviest: float = 12000.0
-    """Likewise the largest, of lead [kg/m^3]."""
+    lightest: Mapping[str, float] = field(default_factory=lambda: MIN_DENSITY)
+    """Least density by kind [kg/m^3]; smaller ones mean a wrong unit of mass or length."""
+    heaviest: float = MAX_DENSITY
+    """Likewise the largest [kg/m^3]."""
     metal: tuple[float, float] = (4000.0, 2e4)
     """What is denser than the first [kg/m^3] is of metal, and bends with an E / density of more
     than the second [m^2/s^2]: fibres and rubbers have 300 to 2,500 kg/m^3, cables with copper up to
@@ -119,35 +122,28 @@ def recording_faults(
         settings: Bounds.
     """
     s = settings or VerdictSettings()
-    found = _impossible_density(recording.object.kind, density, s) + _impossible_markers(
-        recording, s
-    )
+    found = _impossible_density(recording.object.kind, density, s)
     frames = np.flatnonzero(recording.frame_valid)
     if recording.extra.get("static", False):
         return found
     if len(frames) < s.frames:
         said = f"{len(frames)} of the {s.frames} frames that a lift takes show points"
         return [*found, said]
-    path, time = recording.gripper_position[frames], recording.time[frames]
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=2)
-    way = float(steps.sum(axis=0).max())
-    size = recording.object.size or 0.0
-    reach = float(np.linalg.norm(path - path[0], axis=2).max())
+    path, size = recording.gripper_position[frames], recording.object.size or 0.0
+    reach = float(norm(path - path[0], axis=2).max())
     if reach < s.moved * size:
         found.append(
             f"the gripper moves by {reach:.3g} m, {reach / max(size, 1e-9):.0%} of the object's "
             f"size: too little to tell a stiffness"
         )
     else:
-        moving = float(np.diff(time)[steps.max(axis=1) > 1e-3 * size].sum())
-        speed = way / max(moving, 1e-9)
-        if not s.speed[0] <= speed <= s.speed[1]:
+        speed = usual_speed(recording)
+        if speed is not None and not s.speed[0] <= speed <= s.speed[1]:
             found.append(
-                f"the gripper's mean speed is {speed:.3g} m/s: are times in seconds and positions "
+                f"the gripper's speed is {speed:.3g} m/s: are times in seconds and positions "
                 "in metres?"
             )
-    counted = recording.num_frames >= s.numbered and (np.diff(recording.time) == 1.0).all()
-    if counted and not recording.quasi_static:
+    if numbered(recording):
         found.append("frames are exactly 1 s apart: are times frame numbers?")
     if recording.table_height is not None:
         thick = recording.object.diameter
@@ -164,24 +160,6 @@ def _impossible_density(kind: str, density: float | None, s: VerdictSettings) ->
     return [
         f"mass and sizes give a density of {density:.3g} kg/m^3: is the mass in kilograms, are "
         "sizes in metres?"
-    ]
-
-
-def _impossible_markers(recording: Recording, s: VerdictSettings) -> list[str]:
-    """Ordered markers along a line of another length than the object's."""
-    length = recording.object.length
-    if length is None or not recording.extra.get("ordered_markers", False):
-        return []
-    lines = [
-        float(np.linalg.norm(np.diff(recording.frame(t).astype(float), axis=0), axis=1).sum())
-        for t in range(recording.num_frames)
-        if recording.frame_valid[t]
-    ]
-    line = float(np.median(lines)) if lines else length
-    if s.line[0] * length <= line <= s.line[1] * length:
-        return []
-    return [
-        f"markers lie along a line of {line:.3g} m, the object is stated to be {length:.3g} m long"
     ]
 
 
@@ -255,11 +233,14 @@ def _misplaced(
     """Cameras, or an object's thickness, that are far from what is stated."""
     shift, turn, skin = np.split(comparison.fit(noise).a[-7:], [3, 6])
     reasons, skin = [], float(skin[0])
-    off = max(np.abs(shift).max() / noise.shift, np.abs(turn).max() / noise.turn)
-    if off > s.nuisance:
+    most = s.nuisance * noise.shift
+    if len(part.scene.held) > 1:
+        # clouds cannot follow grippers that hold both ends: it is the object that moves otherwise
+        most = max(most, s.displaced_by_two * part.scene.size)
+    if np.abs(shift).max() > most or np.abs(turn).max() > s.nuisance * noise.turn:
         reasons.append(
-            f"clouds would have to be moved by {1e3 * np.linalg.norm(shift):.0f} mm and turned by "
-            f"{math.degrees(np.linalg.norm(turn)):.1f} degrees: cameras or gripper are elsewhere "
+            f"clouds would have to be moved by {1e3 * norm(shift):.0f} mm and turned by "
+            f"{math.degrees(norm(turn)):.1f} degrees: cameras or gripper are elsewhere "
             "than stated, or the object has another size"
         )
     thick = part.scene.body.thickness
@@ -274,13 +255,15 @@ def _misplaced(
 
 
 def _at_rest(part: Part, theta: Theta, s: VerdictSettings) -> list[str]:
-    """A rope at rest that ends or lies elsewhere than one of its sizes would."""
+    """An object at rest that is larger or smaller than stated, or lies elsewhere."""
     scene, recording = part.scene, part.scene.recording
-    if scene.kind != "rope" or scene.ordered or len(scene.held) > 1 or scene.floor is not None:
+    if scene.ordered or len(scene.held) > 1 or scene.floor is not None:
         return []
+    if scene.kind == "cloth":
+        return _lying(part, s)
     thick = theta.thickness * scene.body.thickness
     prior, _ = scene.prior(("grip_along", "grip_height"))
-    cloud = early_points(recording, scene.frames, s.at_rest * scene.size)
+    cloud = early_points(recording, with_points(recording), s.at_rest * scene.size)
     line, reasons = scene.body.points, []
     # beyond its last point, straight on
     ahead = line[-1] - line[-2]
@@ -304,6 +287,24 @@ def _at_rest(part: Part, theta: Theta, s: VerdictSettings) -> list[str]:
                 f"{1e3 * thick:.3g} mm: are diameter and table_height right, does z point up?"
             )
     return reasons
+
+
+def _lying(part: Part, s: VerdictSettings) -> list[str]:
+    """A cloth that lies flat, with other sides than stated."""
+    scene, described = part.scene, part.scene.recording.object
+    every = with_points(scene.recording)
+    cloud = early_points(scene.recording, every, s.at_rest * scene.size)
+    seen = lying_rectangle(cloud[:, :2])
+    if seen is None:
+        return []
+    assert described.width is not None and described.height is not None
+    stated = sorted((described.width, described.height), reverse=True)
+    if max(abs(a - b) for a, b in zip(seen, stated, strict=True)) <= s.nuisance * part.noise.shift:
+        return []
+    return [
+        f"at rest the cloud fills a rectangle of {seen[0]:.3g} x {seen[1]:.3g} m, the cloth is "
+        f"stated to be {stated[0]:.3g} x {stated[1]:.3g} m"
+    ]
 
 
 def displaced(

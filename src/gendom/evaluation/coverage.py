@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing import get_context
@@ -133,23 +134,33 @@ def coverage(
         DeviceError: The second reality cannot be simulated or rendered here.
         GendomError: The folder cannot be written.
     """
-    folder = Path(folder)
+    return of_each_lift(partial(_row, Path(folder), settings), settings, on_done)
+
+
+def of_each_lift(
+    work: Callable[[int], Any],
+    settings: CoverageSettings,
+    on_done: Callable[[int], None] | None = None,
+) -> list[Any]:
+    """What a function gives for the seed of each lift, by processes side by side.
+
+    Args:
+        work: The function; it can be pickled.
+        settings: Which lifts, and the number of processes.
+        on_done: Called with the number of lifts done.
+    """
     seeds = range(settings.seed, settings.seed + settings.lifts)
-    work = partial(_row, folder, settings)
-    rows = []
-    if settings.jobs == 1:
+    done = []
+    with ExitStack() as stack:
         made = map(work, seeds)
-        for row in made:
-            rows.append(row)
+        if settings.jobs > 1:
+            pool = stack.enter_context(get_context("spawn").Pool(settings.jobs))
+            made = pool.imap(work, seeds)
+        for one in made:
+            done.append(one)
             if on_done is not None:
-                on_done(len(rows))
-        return rows
-    with get_context("spawn").Pool(settings.jobs) as pool:
-        for row in pool.imap(work, seeds):
-            rows.append(row)
-            if on_done is not None:
-                on_done(len(rows))
-    return rows
+                on_done(len(done))
+    return done
 
 
 def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
@@ -158,18 +169,10 @@ def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
     if kept.exists():
         return json.loads(kept.read_text(encoding="utf-8"))
     item = draw_object(settings.kind, seed)
-    path = folder / f"{name}.npz"
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(dir=folder) as pictures:
-            recording, _ = record_and_perceive(
-                item, pictures, frame_rate=FRAME_RATE[settings.end], seed=seed, end=settings.end
-            )
-        _thinned(recording, CLOUD_POINTS[settings.kind], seed).write(path)
     row: dict[str, Any] = {"seed": seed, "truth": truth_of(item)}
     try:
         found = estimate(
-            Recording.read(path, on_warning=lambda _: None),
+            recorded(folder, settings, seed),
             EstimateSettings(
                 starts=1, seed=seed, level=settings.level, scene=SceneSettings(threads=1)
             ),
@@ -181,8 +184,24 @@ def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
         row["verdict"] = asdict(found.verdict)
         row["posterior"] = found.posterior.to_dict()
         row["rms"], row["seconds"] = found.record["rms"], found.record["seconds"]
+        assert found.scene is not None
+        row["displaced"] = found.record["noise"]["model"] / found.scene.size
     write_json(kept, row)
     return row
+
+
+def recorded(folder: Path, settings: CoverageSettings, seed: int) -> Recording:
+    """The lift of a random object, from the folder where it is kept there."""
+    path = folder / f"{settings.kind}-{settings.end}-{seed:04d}.npz"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        item = draw_object(settings.kind, seed)
+        with TemporaryDirectory(dir=folder) as pictures:
+            made, _ = record_and_perceive(
+                item, pictures, frame_rate=FRAME_RATE[settings.end], seed=seed, end=settings.end
+            )
+        _thinned(made, CLOUD_POINTS[settings.kind], seed).write(path)
+    return Recording.read(path, on_warning=lambda _: None)
 
 
 def _thinned(recording: Recording, most: int, seed: int) -> Recording:
@@ -233,7 +252,7 @@ class Covered:
     """Factor of deviations with which `level` of the intervals hold the truth; below 1: they are
     too wide."""
     added: float
-    """Variance that has the same effect if it is added."""
+    """Standard deviation that has the same effect if it is added in squares."""
     ranks: tuple[float, ...]
     """[N] posterior probability below the truth: uniform where posteriors are correct."""
     counts: tuple[int, ...]
@@ -304,9 +323,27 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
 
 
 def _added(wanted: np.ndarray, deviation: np.ndarray, level: float) -> float:
-    """Variance that, added to squared deviations, makes `level` of the intervals hold the truth."""
+    """Standard deviation that, added in squares, makes `level` of the intervals hold the truth."""
     missing = np.sqrt(np.maximum(wanted**2 - deviation**2, 0.0))
     return float(np.quantile(missing, level))
+
+
+def calibration_of(
+    rows: Sequence[dict[str, Any]], table: Sequence[Covered]
+) -> dict[str, float | dict[str, float]]:
+    """What `gendom.estimation.Calibration` takes for objects of this kind, as its file has it.
+
+    Intervals that are too wide get a factor; to those that are too narrow a deviation is added,
+    since what is missing there does not shrink with the noise.
+    """
+    usable = [r for r in rows if r.get("verdict", {}).get("usable")]
+    known = [r["displaced"] for r in usable if "displaced" in r]
+    return {
+        "lifts": len(usable),
+        "displaced": max(known, default=0.0),
+        "factor": {c.name: c.factor for c in table if c.factor < 1.0},
+        "added": {c.name: c.added for c in table if c.factor >= 1.0},
+    }
 
 
 def coverage_sheets(

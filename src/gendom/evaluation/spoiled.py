@@ -1,15 +1,34 @@
-"""Good recordings, spoiled: wrong units, sizes, frames, objects. An estimate must refuse them, or
-be right all the same."""
+"""The verdict's confusion table: lifts of random objects, good ones and spoiled ones.
+
+What is spoiled are units, sizes, frames, the gripper and the clouds. An estimate must refuse such a
+recording, or be right all the same: some faults do no harm to what is estimated.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.datasets import Recording
+from gendom.errors import GendomError
+from gendom.estimation import EstimateSettings, SceneSettings, estimate
+from gendom.evaluation.coverage import (
+    CoverageSettings,
+    draw_object,
+    of_each_lift,
+    recorded,
+    truth_of,
+)
+from gendom.evaluation.sheet import Sheet
+from gendom.files import write_json
 
 Array = NDArray[np.floating]
 
@@ -90,8 +109,7 @@ def _grown(points: Array, r: Recording) -> Array:
 
 
 def _mirrored(points: Array, r: Recording) -> Array:
-    """Left and right swapped about the line from the gripper along the object... as by cameras of
-    which one axis is wrong."""
+    """As by cameras of which one axis is wrong."""
     return points * [1.0, -1.0, 1.0]
 
 
@@ -215,3 +233,104 @@ SPOILED: dict[str, Spoil] = {
     "clouds a third late": _late(0.34),
 }
 """By name."""
+
+GOOD = "as recorded"
+
+NEAR = 0.1
+"""Largest relative error of E, and of E / density, of an estimate that is right although its
+intervals miss the truth."""
+
+
+def verdicts(
+    folder: str | Path,
+    settings: CoverageSettings,
+    *,
+    on_done: Callable[[int], None] | None = None,
+) -> list[dict[str, dict[str, Any]]]:
+    """Of each lift, by `GOOD` and names of `SPOILED`, what an estimate said.
+
+    Args:
+        folder: Keeps recordings and results, recordings as `gendom.evaluation.coverage` does;
+            existing ones are kept.
+        settings: Which lifts.
+        on_done: Called with the number of lifts done.
+
+    Raises:
+        DeviceError: The second reality cannot be simulated or rendered here.
+        GendomError: The folder cannot be written.
+    """
+    return of_each_lift(partial(_judged, Path(folder), settings), settings, on_done)
+
+
+def _judged(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, dict[str, Any]]:
+    kept = folder / f"verdict-{settings.kind}-{settings.end}-{seed:04d}.json"
+    done = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
+    for case in (GOOD, *SPOILED):
+        if case not in done:
+            done[case] = _case(recorded(folder, settings, seed), case, settings, seed)
+            write_json(kept, done)
+    return done
+
+
+def _case(recording: Recording, case: str, settings: CoverageSettings, seed: int) -> dict[str, Any]:
+    item = draw_object(settings.kind, seed)
+    modulus = truth_of(item)["specific_modulus"]
+    truth = {
+        "specific_modulus": modulus,
+        "youngs_modulus": modulus * item.material.density,
+    }
+    try:
+        if case != GOOD:
+            recording = SPOILED[case](recording)
+        found = estimate(
+            recording,
+            EstimateSettings(
+                starts=1, seed=seed, level=settings.level, scene=SceneSettings(threads=1)
+            ),
+        )
+    except GendomError as error:
+        return {"usable": False, "reasons": [str(error)]}
+    if not found.usable:
+        return {"usable": False, "reasons": list(found.verdict.reasons)}
+    ratios = {name: found.record[name] / value for name, value in truth.items()}
+    inside = [
+        low <= value <= high
+        for name, value in truth.items()
+        if (ends := found.interval(name)) is not None
+        for low, high in [ends]
+    ]
+    near = max(abs(ratio - 1.0) for ratio in ratios.values()) < NEAR
+    return {"usable": True, "right": near or all(inside), "ratios": ratios}
+
+
+def confusion(rows: Sequence[dict[str, dict[str, Any]]]) -> dict[str, dict[str, int]]:
+    """By case how many lifts were refused, are usable and right, and usable and wrong."""
+    table = {}
+    for case in (GOOD, *SPOILED):
+        of_case = [row[case] for row in rows]
+        usable = [r for r in of_case if r["usable"]]
+        right = sum(r["right"] for r in usable)
+        table[case] = {
+            "refused": len(of_case) - len(usable),
+            "right": right,
+            "wrong": len(usable) - right,
+        }
+    return table
+
+
+def confusion_sheet(rows: Sequence[dict[str, dict[str, Any]]]) -> Sheet:
+    """The table of `confusion`, with the worst ratio of E to the truth of those that are wrong."""
+    found = {}
+    for case, counts in confusion(rows).items():
+        off = [
+            row[case]["ratios"]["youngs_modulus"]
+            for row in rows
+            if row[case]["usable"] and not row[case]["right"]
+        ]
+        worst = max(off, key=lambda ratio: abs(math.log(ratio)), default=None)
+        found[case] = (*map(str, counts.values()), "" if worst is None else f"{worst:.2g}")
+    return Sheet(
+        title=f"{len(rows)} lifts",
+        head=("refused", "usable, right", "usable, wrong", "E / true E at worst"),
+        rows=found,
+    )

@@ -32,6 +32,17 @@ OF_POSTERIOR = {"specific_modulus": "E", "nu": "nu", "damping": "damping", "fric
 """Names in the posterior of an estimate's file."""
 
 
+def _of_these_sizes(posterior: Mapping[str, Any]) -> Array:
+    """[P, P] covariance where the thickness is the estimated one, as that of the item is. Of an
+    uncertain thickness and E / density, what bends alike is known better than either."""
+    covariance = np.array(posterior["covariance"], dtype=float)
+    if "thickness" not in posterior["names"]:
+        return covariance
+    k = list(posterior["names"]).index("thickness")
+    shared = covariance[:, k]
+    return covariance - np.outer(shared, shared) / covariance[k, k]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Belief:
     """A Gaussian over P parameters of an object.
@@ -87,12 +98,13 @@ class Belief:
         if posterior is not None:
             try:
                 found = [OF_POSTERIOR.get(n) for n in posterior["names"]]
+                covariance = _of_these_sizes(posterior)
                 for i, name in enumerate(found):
                     if name is None or name in known:
                         continue
                     mean[name] = float(posterior["mean"][i])
                     blocks[name] = {
-                        other: float(posterior["covariance"][i][j])
+                        other: float(covariance[i][j])
                         for j, other in enumerate(found)
                         if other is not None and other not in known
                     }

@@ -12,6 +12,7 @@ displacement is registered, and noise and displacement are estimated in turns wi
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -86,7 +87,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         SimulationError: No start can be simulated.
         KeyboardInterrupt: If interrupted before anything was found.
     """
-    settings = settings or GaussNewtonSettings.of(problem.scene.kind)
+    began, settings = time.perf_counter(), settings or GaussNewtonSettings.of(problem.scene.kind)
     stated = problem.first_noise()
     afar = problem.easier.first_noise(
         sensor=settings.afar, model=problem.settings.noise.least_model, rounds=1
@@ -95,6 +96,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
     names = problem.prior.names
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
     starts = first_starts(problem.easier, settings.scanned, settings.initial)
+    times = [began, time.perf_counter()]
     interrupted, iteration, late = False, 0, 0
     try:
         while iteration < max(1, round(settings.share_afar * most)):
@@ -109,6 +111,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         best = best_of(starts)
         if best is None:
             raise problem.nothing_runs()
+        times.append(time.perf_counter())
         noise, best.damping = stated, settings.damping[0]
         for start in starts:
             start.coarse = start.iterations
@@ -124,7 +127,15 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
             _compare_all(problem, best, settings)
         assert best.comparison is not None
         noise = estimated_noise(best.comparison, noise, settings.expectations)
-    return Found(best=best, starts=starts, noise=noise, interrupted=interrupted)
+    times.append(time.perf_counter())
+    parts = zip(("scan", "coarse", "fine"), np.diff(times), strict=False)
+    return Found(
+        best=best,
+        starts=starts,
+        noise=noise,
+        interrupted=interrupted,
+        seconds={name: float(t) for name, t in parts},
+    )
 
 
 def refined(problem: Problem, found: Found, settings: GaussNewtonSettings | None = None) -> Found:

@@ -59,7 +59,7 @@ def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Foun
         ParameterError: The network was trained on another kind of lift, or the file is none.
         SimulationError: Its prediction cannot be simulated.
     """
-    settings = settings or PointNetSettings()
+    settings = settings or PointNetSettings(path=problem.settings.network)
     scene, prior = problem.only().scene, problem.prior
     session, description = read_network(settings.path)
     lift = lift_of(scene)
@@ -68,7 +68,8 @@ def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Foun
             raise ParameterError(
                 f"the network knows lifts with {name} {value:.3g}, this one's is {lift[name]:.3g}",
                 where="method pointnet",
-                fix="use gauss-newton, or train a network with benchmarks/pointnet.py --recording",
+                fix="use gauss-newton, or give a network for such lifts (--network), which "
+                "benchmarks/pointnet.py --recording trains",
             )
     cloud = scene.recording.frame(scene.frames[-1]).astype(float)
     (mean,), (log_variance,) = session.run(
