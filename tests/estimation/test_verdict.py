@@ -9,7 +9,9 @@ import pytest
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation import EstimateSettings, estimate
+from gendom.estimation.placing import lying_rectangle
 from gendom.estimation.verdict import recording_faults
+from gendom.evaluation.spoiled import SPOILED
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +121,14 @@ def one_frame(recording):
 @pytest.mark.parametrize(
     ("spoiled", "reason"),
     [
+        ("mass / 10", "is the mass in kilograms"),
+        ("mass x 10", "is the mass in kilograms"),
+        ("time in minutes", "are times in seconds"),
+        ("frame numbers as time", "are times frame numbers"),
+        ("size / 1.25", "beyond the end of an object"),
+        ("size x 1.25", "before the end of an object"),
+        ("thickness x 2", "its diameter is 24 mm"),
+        ("gripper 5 cm along", "before the end of an object"),
         (lambda recording: recording.head(1), "1 of the 4 frames"),
         (one_frame, "1 of the 4 frames"),
         (still, "the gripper moves by 0 m"),
@@ -131,7 +141,8 @@ def one_frame(recording):
 )
 def test_what_cannot_be_used_is_said(lifted, settings, spoiled, reason):
     """With the reason in words, and without intervals."""
-    found = estimate(spoiled(lifted), settings)
+    spoil = SPOILED[spoiled] if isinstance(spoiled, str) else spoiled
+    found = estimate(spoil(lifted), settings)
     assert not found.usable
     assert any(reason in said for said in found.verdict.reasons), found.verdict.reasons
     assert found.record["verdict"] == {"usable": False, "reasons": list(found.verdict.reasons)}
@@ -143,6 +154,52 @@ def test_times_in_milliseconds_are_told_from_the_speed(lifted):
     slow = replace(lifted, time=1e3 * lifted.time)
     assert any("are times in seconds" in said for said in recording_faults(slow, 1000.0))
     assert recording_faults(lifted, 1000.0) == []
+
+
+def test_a_refused_recording_tells_nothing(lifted, settings):
+    """No interval is left in the file or the posterior, by itself or together."""
+    found = estimate(in_grams(lifted), settings)
+    assert np.array_equal(found.posterior.covariance, np.diag(found.posterior.prior.sd**2))
+    assert found.record["recordings"][0]["alone"] is None
+    assert not any(found.record["identifiable"].values())
+
+
+def test_what_is_assumed_counts_in_intervals(lifted, settings):
+    """Without diameter and mass E may be anything, and the bending length is known as before."""
+    described = replace(lifted.object, diameter=None, mass=None)
+    without = estimate(replace(lifted, object=described), settings)
+    found = estimate(lifted, settings)
+
+    def width(one, key):
+        low, high = one.interval(key)
+        return np.log(high / low)
+
+    assert width(without, "youngs_modulus") > 2.0 > 10.0 * width(found, "youngs_modulus")
+    assert width(without, "bending_length") < 1.5 * width(found, "bending_length")
+    low, high = without.interval("specific_modulus")
+    assert low < found.theta.specific_modulus < high
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, 1.2])
+def test_sides_of_a_cloth_that_lies_flat(yaw):
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0.0, 1.0, (4000, 2)) * [0.3, 0.2]
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    seen = lying_rectangle((points + 0.001 * rng.standard_normal(points.shape)) @ turn.T)
+    assert seen == pytest.approx((0.3, 0.2), abs=0.004)
+    folded = points[points.sum(axis=1) < 0.3]
+    assert lying_rectangle(folded @ turn.T) is None
+
+
+def test_a_cloth_of_another_size_is_refused(cloth_lift):
+    """It lies flat before it is lifted, so that its sides are seen."""
+    seen = cloth_lift.seen(points=1500)
+    described = replace(
+        seen.object, width=1.15 * seen.object.width, height=1.15 * seen.object.height
+    )
+    settings = EstimateSettings(starts=1, max_iterations=2, scene=cloth_lift.settings)
+    found = estimate(replace(seen, object=described), settings)
+    assert any("fills a rectangle" in reason for reason in found.verdict.reasons)
 
 
 def test_a_rope_ten_times_as_long_as_seen_is_refused(lifted, settings):
