@@ -425,8 +425,7 @@ META_FAULTS = {
     ),
     "mass in grams": (
         lambda m: m["object"].update(mass=31.0, diameter=0.01),
-        "object.mass: is 31 kg, a density of 9.9e+05 kg/m^3; "
-        "it looks like grams; divide by 1000",
+        "object.mass: is 31 kg, a density of 9.9e+05 kg/m^3; it looks like grams; divide by 1000",
     ),
     "table in millimetres": (
         lambda m: m.update(table_height=-10.0),
@@ -481,6 +480,61 @@ def test_warnings_do_not_prevent_reading(lift, tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         Recording.read(path)
     assert len(caplog.records) == 3
+
+
+def slow_camera(lift):
+    """In milliseconds, of frames 9 ms apart."""
+    lower = lift.gripper_position * [1.0, 1.0, 0.3]
+    return replace(lift, time=90.0 * lift.time, gripper_position=lower)
+
+
+def sized(lift, **sizes):
+    return replace(lift, object=replace(lift.object, **sizes))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "where", "said"),
+    [
+        (lambda r: r.head(1), "frames", "1 with points; record a whole lift"),
+        (lambda r: sized(r, length=4.0), "object.length", "is it 0.4 m?"),
+        (slow_camera, "time", "times look like milliseconds"),
+        (lambda r: replace(r, time=r.time / 60.0), "time", "times look like minutes"),
+        (lambda r: sized(r, mass=20.0, diameter=0.01), "object.mass", "looks like grams"),
+        (lambda r: sized(r, diameter=0.08), "object.mass", "looks ten times too large"),
+        (lambda r: sized(r, diameter=0.001), "object.mass", "looks ten times too small"),
+    ],
+)
+def test_the_likely_unit_is_named(lift, spoil, where, said):
+    faults = [f for f in spoil(lift).validate() if f.where == where]
+    assert len(faults) == 1 and said in str(faults[0])
+
+
+def test_times_that_count_frames_are_told(lift):
+    """Of a motion in which time matters."""
+    frames = 12
+    slow = replace(
+        lift,
+        points=np.tile(lift.frame(0), (frames, 1)),
+        offsets=np.arange(frames + 1) * len(lift.frame(0)),
+        time=np.arange(frames),
+        gripper_position=np.linspace([[0.4, 0.0, 0.0]], [[0.4, 0.0, 0.1]], frames),
+        gripper_axis=None,
+    )
+    assert "frame numbers" in str(slow.validate()[0])
+    assert replace(slow, quasi_static=True).validate() == []
+    assert replace(slow, time=0.9 * slow.time).validate() == []
+
+
+def test_markers_are_the_same_in_each_frame(lift):
+    (fault,) = replace(lift, extra={"ordered_markers": True}).validate()
+    assert fault.severity == "error" and fault.where == "points, frame 1"
+    assert "has 21 ordered markers, the first frame 20" in str(fault)
+
+
+def test_clouds_of_unknown_cameras_may_be_anywhere(lift):
+    far = replace(lift, points=lift.points + np.array([2.0, 0.0, 0.0]))
+    assert [f.severity for f in far.validate()] == ["error"]
+    assert replace(far, cameras_calibrated=False).validate() == []
 
 
 def test_an_open_gripper_may_be_anywhere(lift):

@@ -31,7 +31,7 @@ KEYS = {
     "density", "density_assumed", "device", "digest", "format", "frames", "friction", "history",
     "identifiable", "interrupted", "intervals", "iterations", "method", "noise", "notes", "object",
     "poissons_ratio", "posterior", "recordings", "rms", "rms_by_frame", "rms_registered", "seconds",
-    "seed", "simulation", "specific_modulus", "starts", "stiffness_slope", "theta", "thickness",
+    "seed", "simulation", "stage_seconds", "specific_modulus", "starts", "stiffness_slope", "theta", "thickness",
     "verdict", "youngs_modulus",
 }  # fmt: skip
 
@@ -360,6 +360,34 @@ def test_a_dynamic_recording_keeps_its_clock(rope_lift):
         seen = type(seen)(**vars(seen) | {"time": slow})
         assert (Scene.of(seen).clock == 1.0) == (not quasi_static)
     assert Scene.of(seen, SceneSettings(clock=2.0)).clock == 2.0
+
+
+@pytest.mark.parametrize(
+    ("clock", "quasi_static", "words"),
+    [
+        (500.0, True, "the object would swing; give .* or less"),
+        (1e-6, True, "longer than the 300 s"),
+        (2.0, False, "is not of a quasi-static motion"),
+    ],
+)
+def test_a_clock_that_makes_another_motion_is_refused(rope_lift, clock, quasi_static, words):
+    with pytest.raises(ParameterError, match=words):
+        Scene.of(rope_lift.at_rest(quasi_static=quasi_static), SceneSettings(clock=clock))
+
+
+def test_an_unknown_is_named_once(rope_lift, settings):
+    twice = replace(settings, unknowns=("nu", "nu"))
+    with pytest.raises(ParameterError, match="nu is named twice"):
+        estimate(rope_lift.seen(), twice)
+
+
+def test_the_delay_of_slow_frames_is_less_sure(rope_lift):
+    """Of a quasi-static recording the times may be those of the nearest frame."""
+    seen = rope_lift.at_rest(quasi_static=True)
+    slow = replace(seen, time=100.0 * seen.time)
+    sd = [float(Scene.of(r).prior(("delay",))[0].sd[0]) for r in (seen, slow)]
+    assert sd[1] == pytest.approx(np.median(np.diff(slow.time)) / np.sqrt(12.0))
+    assert sd[0] < 0.02 * sd[1]
 
 
 def test_a_cloth_is_held_as_far_inside_its_corner_as_stated(cloth_lift):

@@ -109,6 +109,14 @@ def test_other_files_are_refused(found, tmp_path, changes, words):
         Estimate.load(path)
 
 
+def test_a_refused_recording_s_file_says_why(tmp_path):
+    path = tmp_path / "estimate.json"
+    verdict = {"usable": False, "reasons": ["no frame holds a point"]}
+    write_json(path, {"format": "gendom-estimate/1", "verdict": verdict})
+    with pytest.raises(ParameterError, match="nothing was estimated: no frame holds a point"):
+        Estimate.load(path)
+
+
 def test_an_estimate_shows_itself_briefly(found):
     """A screen of it at most, with units and intervals."""
     text = repr(found)

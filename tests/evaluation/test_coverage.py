@@ -112,6 +112,9 @@ def test_the_command_writes_ranks_and_a_page(tmp_path, monkeypatch, capsys):
     result = json.loads((tmp_path / "table-rope-swing.json").read_text())
     (unknown,) = result["unknowns"]
     assert len(unknown["ranks"]) == 40 and unknown["band"] == list(rank_band(40, 8))
+    made = json.loads((tmp_path / "calibration-rope-swing.json").read_text())["rope"]
+    assert made["lifts"] == 40 and made["factor"] == {}
+    assert made["added"]["specific_modulus"] == unknown["added"] > 0.0
     page = (tmp_path / "table-rope-swing.html").read_text()
     assert "95 % band of uniform ranks" in page and '<svg class="plot"' in page
     assert "--end swing --lifts 40" in page

@@ -190,3 +190,16 @@ def test_what_recordings_have_each_is_kept():
     assert found["names"] == old["names"] and found["recordings"] == old["recordings"]
     assert found["mean"][1:] == [0.001, 0.002]
     assert np.diag(found["covariance"]) == pytest.approx([1e-2, 1e-6, 4e-6])
+
+
+def test_a_belief_is_about_an_object_of_the_item_s_thickness():
+    """What bends alike is known, a thickness that was assumed is not: the item has the latter."""
+    slope = np.array([-2.0, 1.0])
+    covariance = np.diag([0.03**2, 0.0]) + 0.8**2 * np.outer(slope, slope)
+    posterior = {
+        "names": ["specific_modulus", "thickness"],
+        "mean": [math.log(8e5 / 900), 0.0],
+        "covariance": covariance.tolist(),
+    }
+    belief = Belief.of(ROPE, posterior, known=("nu", "friction", "damping"))
+    assert belief.names == ("E",) and belief.sd == pytest.approx([0.03])

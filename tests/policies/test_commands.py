@@ -9,6 +9,7 @@ import pytest
 
 from gendom import cli
 from gendom.cli.act import predicted_text, units_of
+from gendom.cli.policies import made_by
 from gendom.datasets.demonstrations import generate
 from gendom.files import read_json, write_json
 from gendom.materials import size_of
@@ -406,6 +407,31 @@ def test_train_then_evaluate(quick, tmp_path, capsys):
     assert cli.main([*words, "--seed", "7"]) == 0
     out = capsys.readouterr().out
     assert "distal, conditioned on E, nu, damping, density" in out and "error   [m]\n" in out
+
+
+def test_the_engine_can_be_chosen(act, quick, make_policy, monkeypatch, capsys):
+    """By `evaluate`, by `act` with its prediction, and by `train`, whose policies say so."""
+    quickly, engines = Simulation.carry_out, []
+
+    def carry_out(self, *given, **more):
+        engines.append(self.engine)
+        return quickly(self, *given, **more)
+
+    monkeypatch.setattr(Simulation, "carry_out", carry_out)
+    words = ["evaluate", "rope-reaching", "--cases", "2", "--json"]
+    for flags, engine in (((), "thin"), (("--engine", "mpm"), "mpm")):
+        assert cli.main([*words, *flags]) == 0
+        assert json.loads(capsys.readouterr().out)["engine"] == engine
+        assert act(*flags)[0] == 0
+        assert set(engines) == {engine}
+        engines.clear()
+    training = {"seed": 3, "demonstrations": 9, "architecture": "smooth", "epochs": 3}
+    training |= {"refine": 2, "refine_cases": 5}
+    for engine in ("thin", "mpm"):
+        refined = {"refined_in": Simulation(engine=engine).settings()}
+        (_, command) = made_by(make_policy(training=training | refined)[0])
+        assert ("--engine mpm" in command) == (engine == "mpm")
+    assert cli.main([*command.split()[1:], "--help"]) == 0
 
 
 def test_train_refuses_a_missing_set_and_unknown_parameters(tmp_path, capsys):

@@ -1,0 +1,43 @@
+"""Recordings that are spoiled, and the table of what was said of them."""
+
+import json
+
+import pytest
+
+from gendom.cli import main
+from gendom.datasets import Recording
+from gendom.evaluation.spoiled import GOOD, SPOILED, confusion
+
+
+@pytest.fixture(scope="module")
+def lifted(rope_lift):
+    return rope_lift.seen()
+
+
+@pytest.mark.parametrize("case", SPOILED)
+def test_each_spoils_a_recording(lifted, case):
+    spoiled = SPOILED[case](lifted)
+    assert isinstance(spoiled, Recording) and spoiled.digest != lifted.digest
+
+
+def answers(usable, *, right=False, ratio=1.0):
+    if not usable:
+        return {"usable": False, "reasons": ["so"]}
+    ratios = {"specific_modulus": 1.0, "youngs_modulus": ratio}
+    return {"usable": True, "right": right, "ratios": ratios}
+
+
+def test_the_table_counts_and_resumes(tmp_path, capsys):
+    """Cases that are kept are not estimated again."""
+    for seed in range(3):
+        row = {case: answers(False) for case in SPOILED}
+        row[GOOD] = answers(True, right=True)
+        row["mass x 10"] = answers(seed > 0, right=seed > 1, ratio=10.0)
+        (tmp_path / f"verdict-rope-hold-{seed:04d}.json").write_text(json.dumps(row))
+    words = ["reproduce", "verdict", "--lifts", "3", "--jobs", "1", "--out", str(tmp_path)]
+    assert main(words) == 0
+    assert "E / true E at worst" in capsys.readouterr().out
+    result = json.loads((tmp_path / "table-verdict-rope-hold.json").read_text())
+    assert result["cases"] == confusion(result["rows"])
+    assert result["cases"][GOOD] == {"refused": 0, "right": 3, "wrong": 0}
+    assert result["cases"]["mass x 10"] == {"refused": 1, "right": 1, "wrong": 1}
