@@ -31,8 +31,8 @@ KEYS = {
     "density", "density_assumed", "device", "digest", "format", "frames", "friction", "history",
     "identifiable", "interrupted", "intervals", "iterations", "method", "noise", "notes", "object",
     "poissons_ratio", "posterior", "recordings", "rms", "rms_by_frame", "rms_registered", "seconds",
-    "seed", "simulation", "stage_seconds", "specific_modulus", "starts", "stiffness_slope", "theta", "thickness",
-    "verdict", "youngs_modulus",
+    "seed", "simulation", "stage_seconds", "specific_modulus", "starts", "stiffness_slope",
+    "theta", "thickness", "verdict", "youngs_modulus",
 }  # fmt: skip
 
 
