@@ -1,5 +1,5 @@
 """Films of thin bodies that meet themselves: a cloth let down, dropped and pulled apart, and a rope
-that falls into a coil.
+that falls into a loop.
 
     python benchmarks/films.py docs/images       # thin-cloth.gif, thin-rope.gif
 """
@@ -91,7 +91,7 @@ def film(path: Path, frames: NDArray[np.floating], draw: Callable[[Any, Any], No
         axes.set_xlim(middle[0] - half, middle[0] + half)
         axes.set_ylim(middle[1] - half, middle[1] + half)
         axes.set_zlim(0.0, 2.0 * half)
-        axes.set_box_aspect((1, 1, 1), zoom=1.5)
+        axes.set_box_aspect((1, 1, 1), zoom=1.3)
         axes.set_axis_off()
         axes.view_init(elev=20, azim=-60)
 

@@ -7,7 +7,7 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.materials import Cloth, Material
-from gendom.tasks import ClothSpreading
+from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.cloth_spreading import (
     CLOTH,
     SEARCHED,
@@ -142,6 +142,22 @@ def test_a_hand_that_presses_a_limp_heap_on_the_table_keeps_it_whole():
     limp = replace(limp, friction=0.6)
     outcomes = Simulation().carry_out(TASK, [limp, limp], [[0.3], [0.6]])
     assert [o.fault for o in outcomes] == [None, None]
+
+
+def test_layers_that_stick_in_the_mpm_are_told_once(monkeypatch, caplog):
+    def side_by_side(self, task, items, *rest):
+        return [Outcome(values={"share": 0.5}) for _ in items]
+
+    monkeypatch.setattr(Simulation, "_side_by_side", side_by_side)
+    items = [CLOTH, replace(CLOTH, side=0.3)]
+    Simulation(engine="mpm").carry_out(TASK, items, [[0.3], [0.3]])
+    assert [(r.levelname, "stick" in r.message) for r in caplog.records] == [("WARNING", True)]
+    caplog.clear()
+    Simulation().carry_out(TASK, items, [[0.3], [0.3]])
+    rope = RopeReaching()
+    actions = rope.sample_actions(rope.item, np.random.default_rng(0), 1)
+    Simulation(engine="mpm").carry_out(rope, [rope.item], actions)
+    assert caplog.text == ""
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import tyro
@@ -20,6 +20,9 @@ from gendom.files import check_file, to_json, write_json
 from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, thickness_of, to_columns
 from gendom.robot import XARM7, TcpPath, follow
 from gendom.tasks import Task
+
+if TYPE_CHECKING:
+    from gendom.tasks.world import World
 
 _ACTION = "gendom-action/3"
 
@@ -59,6 +62,9 @@ class Command(KnownObject):
     earlier executions have shown (gendom adapt)."""
     seconds: float = 10.0
     """Time limit of --polish [s]."""
+    engine: Literal["thin", "mpm"] = "thin"
+    """Of the simulator that polishes and predicts: ropes as rods and cloths as shells, or particles
+    on a grid."""
     no_prediction: bool = False
     """Do not simulate the predicted result."""
     seed: int = 0
@@ -70,6 +76,7 @@ class Command(KnownObject):
 
     def run(self) -> int:
         from gendom.policies import Policy
+        from gendom.tasks.world import Simulation
 
         if self.out is not None:
             check_file(self.out, ".json")
@@ -100,8 +107,9 @@ class Command(KnownObject):
             )
         action = policy.act(self.goal, item, force=self.force)
         values, polished = np.array(action.values), None
+        world = Simulation(engine=self.engine)
         if self.polish:
-            values, polished = self._polished(task, held, values)
+            values, polished = self._polished(task, held, values, world)
         names = [q.name for q in task.actions]
         result = {
             "format": _ACTION,
@@ -138,7 +146,7 @@ class Command(KnownObject):
             result["polished"] = polished
         if not self.no_prediction and "specific_modulus" in held.columns:
             others = [] if held.posterior is None else held.belief(task).draws(DRAWS, self.seed)
-            result["predicted"] = predicted(task, item, values, others, self.seed)
+            result["predicted"] = predicted(task, item, values, others, self.seed, world)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         if self.out is not None:
             write_json(self.out, result)
@@ -146,7 +154,7 @@ class Command(KnownObject):
         return 0
 
     def _polished(
-        self, task: Task, held: ObjectInfo, start: np.ndarray
+        self, task: Task, held: ObjectInfo, start: np.ndarray, world: World
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """A better action, and what is expected of it, ready for JSON."""
         from gendom.policies.adaptation import adapt
@@ -155,7 +163,7 @@ class Command(KnownObject):
         belief = held.belief(task)
         discrepancy = None
         if executed := held.executed(task):
-            discrepancy = adapt(task, belief, executed, refine=False).discrepancy
+            discrepancy = adapt(task, belief, executed, refine=False, world=world).discrepancy
         items = belief.draws(POLISHED_FOR, self.seed) if belief.names else [belief.item]
         found = polish(
             task,
@@ -164,6 +172,7 @@ class Command(KnownObject):
             start,
             settings=PolishSettings(seconds=self.seconds, seed=self.seed),
             discrepancy=discrepancy,
+            world=world,
         )
         about = {"expected": found.expected, "before": found.before,
                  "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip
@@ -198,7 +207,12 @@ def accepted(path: TcpPath, item: Item) -> dict[str, Any]:
 
 
 def predicted(
-    task: Task, item: Item, action: np.ndarray, others: Sequence[Item], seed: int
+    task: Task,
+    item: Item,
+    action: np.ndarray,
+    others: Sequence[Item],
+    seed: int,
+    world: World,
 ) -> dict[str, Any]:
     """What the action will reach, simulated: with the object as it is, and the 90 % interval over
     others that are plausible and over the simulator's error.
@@ -209,12 +223,12 @@ def predicted(
         action: [A].
         others: Plausible ones; none: the object is taken as known.
         seed: Of the simulator's error, as `gendom.policies.adaptation` expects it.
+        world: Where it is simulated.
     """
     from gendom.policies.adaptation import AdaptSettings
-    from gendom.tasks.world import Simulation
 
     items = [item, *others]
-    outcomes = Simulation().carry_out(task, items, np.tile(action, (len(items), 1)))
+    outcomes = world.carry_out(task, items, np.tile(action, (len(items), 1)))
     if outcomes[0].fault is not None:
         return {"fault": outcomes[0].fault}
     found: dict[str, Any] = {"reached": outcomes[0].values}

@@ -43,6 +43,8 @@ class Command:
     """Number of objects and goals."""
     seed: int = 0
     """Seed of the cases."""
+    engine: Literal["thin", "mpm"] = "thin"
+    """Of GenDOM's simulator: ropes as rods and cloths as shells, or particles on a grid."""
     device: str = "cpu"
     """Device of GenDOM's simulator: cpu, cuda or cuda:0 and so on."""
     json: bool = False
@@ -62,7 +64,7 @@ class Command:
                 for sees in (True, False)
                 if sees or Policy.ships(self.task, parameters=sees)
             ]
-        simulation = Simulation(device=self.device)
+        simulation = Simulation(engine=self.engine, device=self.device)
         world, items = simulation, None
         if self.world == "reality" or self.objects:
             from gendom.reality import RealWorld, find_object
@@ -93,6 +95,7 @@ class Command:
             "world": self.world,
             "cases": self.cases,
             "seed": self.seed,
+            "engine": self.engine,
             "device": self.device,
             "unit": next((goal.unit for goal in policies[0].task().goals), "1"),
             "policies": entries,

@@ -68,6 +68,8 @@ def made_by(policy: Policy) -> list[str]:
     flags = ["architecture", "epochs", "seed"]
     if training.get("refine"):
         flags += ["refine", "refine_cases"]
+        if (engine := (training.get("refined_in") or {}).get("engine", "thin")) != "thin":
+            train += ["--engine", engine]
     for flag in flags:
         train += [f"--{flag.replace('_', '-')}", str(training[flag])]
     size = str(training["demonstrations"])

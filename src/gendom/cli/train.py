@@ -53,6 +53,9 @@ class Command:
     halve the error of one that sees the parameters. Needs a task with goals."""
     refine_cases: int = 2000
     """Goals and objects of each round, at most."""
+    engine: Literal["thin", "mpm"] = "thin"
+    """Of the simulator, of --refine and the new cases: ropes as rods and cloths as shells, or
+    particles on a grid."""
     device: str = "cpu"
     """Of the simulator: cpu, cuda or cuda:0 and so on. Networks are trained on the CPU."""
     cases: int = 200
@@ -84,7 +87,7 @@ class Command:
             refine_cases=self.refine_cases,
             seed=self.seed,
         )
-        simulation = Simulation(device=self.device)
+        simulation = Simulation(engine=self.engine, device=self.device)
         policy = train(
             demonstrations,
             self.out,

@@ -123,7 +123,14 @@ class Simulation:
         """
         wanted = check_actions(task, items, actions)
         found: list[Outcome] = [Outcome(values={}, fault="not simulated")] * len(items)
-        for group in _alike(items):
+        groups = _alike(items)
+        if self.engine == "mpm" and any(task.scene(items[g[0]]).self_contact for g in groups):
+            _log.warning(
+                "%s: layers of cloth that touch stick to each other in the MPM; engine 'thin' "
+                "keeps them apart",
+                task.name,
+            )
+        for group in groups:
             for some in np.split(group, range(BATCH, len(group), BATCH)):
                 made = self._as_memory_allows(
                     task, [items[w] for w in some], wanted[some], keep, on_frame

@@ -15,7 +15,8 @@ from gendom.sim.device import making
 from gendom.sim.paths import make_path_type
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import fill_contact, loose
-from gendom.sim.thin.grips import Grip, Paths, Pose, Tear, released, tear
+from gendom.sim.thin.grips import Grip, Tear, released, tear
+from gendom.sim.thin.poses import Paths, Pose
 from gendom.sim.thin.run import STRETCH, Event, Job, Round, put_worlds
 from gendom.sim.thin.schedule import Schedule, make_schedule
 from gendom.sim.thin.stepping import make_stepping

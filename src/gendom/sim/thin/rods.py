@@ -11,7 +11,8 @@ from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
 from gendom.sim.thin.crossing import check_rope
 from gendom.sim.thin.engine import ThinEngine
-from gendom.sim.thin.grips import Grip, Pose, close_rod
+from gendom.sim.thin.grips import Grip, close_rod
+from gendom.sim.thin.poses import Pose
 from gendom.sim.thin.rod_model import RodModel
 from gendom.sim.thin.run import STRETCH, put_worlds
 from gendom.sim.thin.types import MARGIN, V, X

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from gendom.sim.setting import Frames
 from gendom.sim.thin.contact import PAIRS
-from gendom.sim.thin.grips import Grip, Pose
+from gendom.sim.thin.grips import Grip
+from gendom.sim.thin.poses import Pose
 from gendom.sim.thin.schedule import Schedule
 
 STRETCH = 0.2

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from gendom.errors import ParameterError
 from gendom.sim.thin import rotation
 from gendom.sim.thin.balance import Balance, copied, factor
-from gendom.sim.thin.grips import Paths, border_of_rod_adjoint, border_of_shell_adjoint
+from gendom.sim.thin.grips import border_of_rod_adjoint, border_of_shell_adjoint
+from gendom.sim.thin.poses import Paths
 from gendom.sim.thin.run import Event, put
 
 Array = NDArray[np.float64]

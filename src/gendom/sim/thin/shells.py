@@ -9,7 +9,8 @@ from gendom.errors import ParameterError
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.crossing import check_cloth
 from gendom.sim.thin.engine import ThinEngine
-from gendom.sim.thin.grips import Grip, Pose, close_shell
+from gendom.sim.thin.grips import Grip, close_shell
+from gendom.sim.thin.poses import Pose
 from gendom.sim.thin.run import STRETCH, put_worlds
 from gendom.sim.thin.shell_model import MOST_COUPLED, ShellModel
 from gendom.sim.thin.types import MARGIN, V, X

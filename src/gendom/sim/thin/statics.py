@@ -20,7 +20,7 @@ from gendom.sim.equilibria import Equilibria
 from gendom.sim.thin import rotation
 from gendom.sim.thin.balance import Balance, copied
 from gendom.sim.thin.engine import CFL
-from gendom.sim.thin.grips import Paths
+from gendom.sim.thin.poses import Paths
 from gendom.sim.thin.precision import doubled, take_state
 from gendom.sim.thin.run import LOCAL_STRETCH, STRETCH, put
 from gendom.sim.thin.sensitivity import Sensitivity

@@ -15,12 +15,12 @@ from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import LISTED, kept_turns
 from gendom.sim.thin.grips import (
     Grip,
-    Paths,
     border_of_rod_adjoint,
     border_of_shell_adjoint,
     close_adjoint,
     released_adjoint,
 )
+from gendom.sim.thin.poses import Paths
 from gendom.sim.thin.rod_model import material_gradients
 from gendom.sim.thin.rods import Rods, slower
 from gendom.sim.thin.run import Event, Round, device_plan, put
