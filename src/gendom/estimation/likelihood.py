@@ -67,6 +67,10 @@ class NoiseModel:
     """Points of a frame that are compared, at most; four times as many of a cloth."""
     rounds: int = 3
     """Most iterations of a registration; each pairs points and places again."""
+    least_mode: tuple[float, float, float] = (0.01, 0.05, 0.02)
+    """Modes of displacements that count have at least this share of the largest one's variance, of
+    ropes and in time, and of cloths along each side; and of cloths this mean square for a variance
+    of 1: smaller ones are a tenth of the displacement and cost time."""
     registered: float = 0.1
     """A registration ends where a step lowers -2 log likelihood by no more than this."""
 
@@ -138,7 +142,8 @@ class Observation:
             return np.zeros((len(self.scene.frames), 1))
         # frames are denser where more happens
         at = np.linspace(0.0, 1.0, len(self.scene.frames))
-        return _roots(np.exp(-0.5 * ((at[:, None] - at) / self.noise.time_scale) ** 2), 0.01)
+        K = np.exp(-0.5 * ((at[:, None] - at) / self.noise.time_scale) ** 2)
+        return _roots(K, self.noise.least_mode[0])
 
     def _in_place(self) -> Array:
         """[n, Q] functions of the middle's points, likewise."""
@@ -146,11 +151,11 @@ class Observation:
         scale = self.noise.place_scale * self.scene.size
         Ka, Kb = (np.exp(-0.5 * ((x[:, None] - x) / scale) ** 2) for x in (a, b))
         if len(b) == 1:
-            return _roots(Ka, 0.01)
-        Ra, Rb = _roots(Ka, 0.05), _roots(Kb, 0.05)
+            return _roots(Ka, self.noise.least_mode[0])
+        Ra, Rb = (_roots(K, self.noise.least_mode[1]) for K in (Ka, Kb))
         both = np.einsum("ai,bj->baij", Ra, Rb).reshape(len(a) * len(b), -1)
         strong = (both**2).mean(axis=0)
-        return both[:, strong > 0.02]
+        return both[:, strong > self.noise.least_mode[2]]
 
     def compare(
         self,

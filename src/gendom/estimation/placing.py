@@ -19,28 +19,48 @@ from gendom.sim import Body, cloth, rope
 
 Array = NDArray[np.floating]
 
-FLAT = 0.03
-"""How far a cloth at rest and its flat outline may differ for it to lie flat [longer sides]."""
 
-OUTLINE_POINTS = 2000
-"""Of a cloud that are compared with an outline, about."""
+@dataclass(frozen=True, kw_only=True)
+class PlacingSettings:
+    """Constants of how objects lie and are held. Lengths are shares of the object's size unless a
+    unit is given."""
 
-THICK, THIN = 50.0, 200.0
-"""Length over the assumed diameter of a rope whose diameter is not stated: in motion, and at rest,
-where points of the centre line alone are compared. A thicker rod that bends alike is stretched by
-its own weight, a thinner one takes longer: a wire of 1.5 m that bends over 88 mm by 41 mm with 50,
-by 2 mm with 200."""
-
-LINE = (0.93, 1.04)
-"""Length of the line through points of a rope between two grippers, in lengths of the rope: chords
-are shorter than arcs, noise makes them longer. Of six real cables and a wire 0.997 to 1.003."""
-
-EDGE_BINS = 16
-"""Along an edge of a cloth."""
-
-EDGE, FILLED = 0.003, 0.95
-"""Share of a flat cloth's points beyond each edge, and least share of a rectangle's 256 cells that
-such a cloth fills."""
+    fattest: float = 0.2
+    """Diameter beyond which a rope is none."""
+    thick: float = 50.0
+    """Length over the diameter that is assumed of a rope in motion."""
+    thin: float = 200.0
+    """The same at rest, where points of the centre line alone are compared. A thicker rod that
+    bends alike is stretched by its own weight, a thinner one takes longer: a wire of 1.5 m that
+    bends over 88 mm by 41 mm with 50, by 2 mm with 200."""
+    cloth_thickness: float = 0.002
+    """That is assumed [m]: of two sheets of equal bending stiffness the thicker one is softer in
+    its plane, as woven cloth is."""
+    tells: float = 0.25
+    """Points farther from the gripper tell which way a rope lies."""
+    strays: float = 2.0
+    """Points farther from a rope's line, in deviations, are left out of it."""
+    line: tuple[float, float] = (0.93, 1.04)
+    """Length of the line through points of a rope between two grippers: chords are shorter than
+    arcs, noise makes them longer. Of six real cables and a wire 0.997 to 1.003."""
+    flat: float = 0.03
+    """How far a cloth at rest and its flat outline may differ for it to lie flat [longer sides].
+    Cloths of the second reality have 0.012, real ones that lie in folds 0.11 and more."""
+    lies: float = 0.01
+    """Motion of the gripper up to which a cloth lies [longer sides]."""
+    low: tuple[float, float] = (0.05, 0.15)
+    """Where a table's height is not stated: motion up to which the lowest points are on it, and
+    height up to which points show a cloth's outline [longer sides]."""
+    outline_points: int = 2000
+    """Of a cloud that are compared with an outline, about."""
+    edge_bins: int = 16
+    """Along an edge of a cloth."""
+    corners: float = 0.1
+    """Share of an edge at each end that is round."""
+    edge: float = 0.003
+    """Share of a flat cloth's points beyond each edge."""
+    filled: float = 0.95
+    """Least share of a rectangle's 256 cells that a flat cloth fills."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,10 +120,11 @@ def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float
     length, diameter = recording.object.length, recording.object.diameter
     assert length is not None  # the recording's own check
     if diameter is None:
-        share = THIN if recording.extra.get("static", False) else THICK
+        rests = recording.extra.get("static", False)
+        share = PlacingSettings.thin if rests else PlacingSettings.thick
         diameter = length / share
         notes.append(f"diameter not stated: {diameter:.4g} m assumed (length / {share:g})")
-    if diameter > 0.2 * length:
+    if diameter > PlacingSettings.fattest * length:
         raise RecordingError(
             f"a rope {diameter:g} m thick and {length:g} m long is no rope",
             where="meta.object",
@@ -197,7 +218,7 @@ def _line_between(
         cloud, gaps = cloud[::-1], gaps[::-1]
         speeds = None if speeds is None else speeds[::-1]
     s = np.concatenate([[0.0], np.cumsum(gaps)])
-    if not LINE[0] * length <= s[-1] <= LINE[1] * length:
+    if not PlacingSettings.line[0] * length <= s[-1] <= PlacingSettings.line[1] * length:
         raise RecordingError(
             f"in the first frame points lie along a line of {s[-1]:.3g} m from one gripper to the "
             f"other, the object is stated to be {length:.3g} m long",
@@ -218,7 +239,7 @@ def _line_from(
     """Centre line of a rope at rest, from somewhat behind the gripper on."""
     early = early_points(recording, frames, diameter)
     flat = early[:, :2] - grip[:2]
-    far = flat[np.linalg.norm(flat, axis=1) > 0.25 * length]
+    far = flat[np.linalg.norm(flat, axis=1) > PlacingSettings.tells * length]
     if len(far) < 5:
         raise RecordingError(
             "the first frames show too little of the rope to tell which way it lies",
@@ -230,7 +251,7 @@ def _line_from(
     along, across = flat @ axis, flat @ side
     # curvature of the visible line; straight across holes in the cloud
     fit = np.polynomial.Polynomial.fit(along, across, 2, domain=[0.0, length])
-    keep = np.abs(across - fit(along)) < 2.0 * np.std(across - fit(along)) + 1e-6
+    keep = np.abs(across - fit(along)) < PlacingSettings.strays * np.std(across - fit(along)) + 1e-6
     fit = np.polynomial.Polynomial.fit(along[keep], across[keep], 2, domain=[0.0, length])
     s = np.linspace(-behind, length, 60)
     inside = np.clip(s, along.min(), along.max())
@@ -251,16 +272,16 @@ def _place_cloth(
     assert width is not None and height is not None  # the recording's own check
     thickness = described.thickness
     if thickness is None:
-        # of two sheets of equal bending stiffness the thicker one is softer in its plane, as woven
-        # cloth is
-        thickness = 0.002
+        thickness = PlacingSettings.cloth_thickness
         notes.append(f"thickness not stated: {thickness * 1e3:.3g} mm assumed")
     grip = recording.gripper_position[frames[0], 0].astype(float)
     yaw = _cloth_yaw(recording, frames, width, height)
     low = recording.table_height
     longer = max(width, height)
     if low is None:
-        low = float(np.percentile(early_points(recording, frames, 0.05 * longer)[:, 2], 5))
+        low = float(
+            np.percentile(early_points(recording, frames, PlacingSettings.low[0] * longer)[:, 2], 5)
+        )
     mid = low + thickness / 2.0
     corner = described.grasp == "corner"
     diagonal = np.array([width, height]) / math.hypot(width, height)
@@ -301,9 +322,9 @@ def _cloth_yaw(recording: Recording, frames: tuple[int, ...], width: float, heig
     first = -0.5 * sides
     if corner:
         first = -(described.grasp_inset or 0.0) * sides / math.hypot(width, height)
-    lying = early_points(recording, frames, 0.01 * longer)[:, :2] - grip[:2]
+    lying = early_points(recording, frames, PlacingSettings.lies * longer)[:, :2] - grip[:2]
     yaw, off = _outline_yaw(lying, first, sides, filled=True)
-    if off < FLAT * longer:
+    if off < PlacingSettings.flat * longer:
         return _along_edges(lying, yaw)
     if corner:
         later = frames[len(frames) // 2 :]
@@ -312,7 +333,7 @@ def _cloth_yaw(recording: Recording, frames: tuple[int, ...], width: float, heig
         return math.atan2(y, x) - math.atan2(height, width)
     points = np.concatenate([recording.frame(t) for t in frames]).astype(float)
     base = recording.table_height if recording.table_height is not None else points[:, 2].min()
-    low = points[points[:, 2] < base + 0.15 * longer]
+    low = points[points[:, 2] < base + PlacingSettings.low[1] * longer]
     flat = (low if len(low) > 50 else points)[:, :2] - grip[:2]
     return _outline_yaw(flat, first, sides, filled=False)[0]
 
@@ -327,7 +348,7 @@ def _outline_yaw(points: Array, first: Array, sides: Array, *, filled: bool) -> 
         filled: Whether points should fill it, too: the residual is then the mean of the distances
             from points to it and from it to points, else of the former only.
     """
-    every = math.ceil(len(points) / OUTLINE_POINTS)
+    every = math.ceil(len(points) / PlacingSettings.outline_points)
     points, grid = points[::every], (np.indices((12, 12)).reshape(2, -1).T + 0.5) / 12.0
     tree, inside = KDTree(points), first + grid * sides
 
@@ -353,11 +374,11 @@ def _along_edges(points: Array, yaw: float) -> float:
         for axis in (0, 1):
             along, across = local[:, axis], local[:, 1 - axis]
             # corners are round
-            low, high = np.quantile(along, [0.1, 0.9])
-            ends = np.linspace(float(low), float(high), EDGE_BINS + 1)
+            low, high = np.quantile(along, [PlacingSettings.corners, 1.0 - PlacingSettings.corners])
+            ends = np.linspace(float(low), float(high), PlacingSettings.edge_bins + 1)
             bins = [across[(along >= a) & (along < b)] for a, b in pairwise(ends)]
             kept = [k for k, one in enumerate(bins) if len(one) > 10]
-            if len(kept) < EDGE_BINS / 2:
+            if len(kept) < PlacingSettings.edge_bins / 2:
                 return yaw
             middle = 0.5 * (ends[:-1] + ends[1:])[kept]
             for share in (0.01, 0.99):
@@ -376,15 +397,17 @@ def lying_rectangle(points: Array) -> tuple[float, float] | None:
     def ends(angle: float) -> tuple[Array, Array, Array]:
         c, s = math.cos(angle), math.sin(angle)
         local = points @ np.array([[c, -s], [s, c]])
-        low, high = np.quantile(local, [EDGE, 1.0 - EDGE], axis=0)
+        low, high = np.quantile(local, [PlacingSettings.edge, 1.0 - PlacingSettings.edge], axis=0)
         return local, low, high - low
 
     local, low, sides = min(
         (ends(a) for a in np.radians(np.arange(0.0, 90.0, 0.5))), key=lambda e: float(e[2].prod())
     )
-    cells = np.floor((local - low) / np.maximum(sides, 1e-9) * EDGE_BINS).astype(int)
-    inside = cells[((cells >= 0) & (cells < EDGE_BINS)).all(axis=1)]
-    if len(np.unique(inside, axis=0)) < FILLED * EDGE_BINS**2:
+    cells = np.floor((local - low) / np.maximum(sides, 1e-9) * PlacingSettings.edge_bins).astype(
+        int
+    )
+    inside = cells[((cells >= 0) & (cells < PlacingSettings.edge_bins)).all(axis=1)]
+    if len(np.unique(inside, axis=0)) < PlacingSettings.filled * PlacingSettings.edge_bins**2:
         return None
     return float(sides.max()), float(sides.min())
 

@@ -202,8 +202,7 @@ def _closed(scene: Scene, g: int, delay: float) -> dict[str, Any]:
 
 def held_reach(scene: Scene, theta: Theta | None = None) -> float:
     """How far from its point a gripper holds the object fast [m]."""
-    described = scene.recording.object
-    stated = described.grasp_radius
+    settings, stated = scene.settings, scene.recording.object.grasp_radius
     if scene.kind == "rope" and len(scene.held) > 1:
         # a gripper holds the part from its point to the end, and as much on the other side
         ends = scene.initial[[0, -1]]
@@ -211,12 +210,14 @@ def held_reach(scene: Scene, theta: Theta | None = None) -> float:
             float(np.linalg.norm(ends - scene.held, axis=1).max()), 0.5 * scene.body.thickness
         )
     if scene.kind == "rope":
-        return stated or 0.75 * scene.body.thickness
-    least = 0.4 * scene.body.dx
+        return stated or settings.rope_reach * scene.body.thickness
+    least = settings.least_reach_cells * scene.body.dx
     if scene.thin:
         side = scene.size / math.sqrt(2.0)
-        least = 0.6 * side / (scene.settings.coarse_points - 1)
-    return max((stated or 0.02) + (0.0 if theta is None else theta.grip_reach), least)
+        least = settings.least_reach_points * side / (settings.coarse_points - 1)
+    return max(
+        (stated or settings.cloth_reach) + (0.0 if theta is None else theta.grip_reach), least
+    )
 
 
 def _turns(scene: Scene, g: int, theta: Theta, knots: Array, at: Array) -> Array | None:

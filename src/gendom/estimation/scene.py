@@ -283,9 +283,12 @@ class Scene:
             return None
         cloud = self.recording.frame(self.begins).astype(float)
         gaps = KDTree(cloud).query(self.body.points)[0]
-        if float(np.mean(gaps < 0.05 * self.size)) >= 0.5:
+        settings = self.settings
+        if float(np.mean(gaps < settings.cut_near * self.size)) >= settings.cut_share:
             return None
-        return 0.003 + min(float(self.recording.frame(t)[:, 2].min()) for t in self.frames)
+        return settings.cut_above + min(
+            float(self.recording.frame(t)[:, 2].min()) for t in self.frames
+        )
 
     def sim_time(self, recorded: Array | float) -> Array:
         """Simulated time of recorded ones; 0 in the first frame [s]."""

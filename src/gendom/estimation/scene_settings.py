@@ -57,6 +57,22 @@ class SceneSettings:
     """Speed of a gripper below which frames are alike [m/s]."""
     after_fast: float = 1.5
     """Time for which an object goes on moving after its gripper was fast or let go [s]."""
+    rope_reach: float = 0.75
+    """How far from its point a gripper holds a rope where `grasp_radius` is not stated [diameters]:
+    fingertips 1.5 diameters wide."""
+    cloth_reach: float = 0.02
+    """The same of a cloth [m]: two fingertips."""
+    least_reach_points: float = 0.6
+    """Least reach on a cloth as a shell, in its coarse points' spacings, so that it holds points
+    wherever it is."""
+    least_reach_cells: float = 0.4
+    """The same with the MPM, in grid cells."""
+    cut_share: float = 0.5
+    """Clouds are cut off above the table where less of an object at rest has points near it."""
+    cut_near: float = 0.05
+    """How near, in the object's size."""
+    cut_above: float = 0.003
+    """Height of the cut over the lowest point [m]."""
     longest: float = 300.0
     """Longest motion that is simulated [s]; a lift takes 10 s."""
     slow_frames: int = 36

@@ -339,7 +339,7 @@ def _at_end(problem: Problem, vector: Array, s: VerdictSettings) -> list[str]:
 
 def _damped(posterior: Posterior, s: VerdictSettings) -> list[str]:
     """More damping than objects have."""
-    if "damping" not in posterior.names:
+    if not posterior.determined("damping"):
         return []
     low, _ = posterior.interval("damping", CERTAIN)
     if low < s.damping:
