@@ -170,13 +170,18 @@ def test_what_is_assumed_counts_in_intervals(lifted, settings):
     without = estimate(replace(lifted, object=described), settings)
     found = estimate(lifted, settings)
 
+    def ends(one, key):
+        found = one.interval(key)
+        assert found is not None
+        return found
+
     def width(one, key):
-        low, high = one.interval(key)
+        low, high = ends(one, key)
         return np.log(high / low)
 
     assert width(without, "youngs_modulus") > 2.0 > 10.0 * width(found, "youngs_modulus")
     assert width(without, "bending_length") < 1.5 * width(found, "bending_length")
-    low, high = without.interval("specific_modulus")
+    low, high = ends(without, "specific_modulus")
     assert low < found.theta.specific_modulus < high
 
 

@@ -64,6 +64,8 @@ def settings(sheet, table_height):
         (True, {"damping": 1e-4}, "neo-hookean"),
         (True, {"damping": 3e-3}, "fixed-corotated"),
         (False, {"damping": 3e-3, "yield_stress": 1.0e3}, "neo-hookean"),
+        (False, {"damping": 3e-3, "yield_stress": 1.0e3}, "fixed-corotated"),
+        (True, {"yield_stress": 1.0e3}, "fixed-corotated"),
     ],
 )
 @pytest.mark.parametrize("runner", [None, Batch, Blocks])

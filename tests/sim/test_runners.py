@@ -6,7 +6,7 @@ import warp as wp
 
 from gendom.materials import Material
 from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
-from gendom.sim.mpm.runners import paced
+from gendom.sim.mpm.runners import block_per_world
 from gendom.sim.mpm.runners.block_per_world import Blocks
 from gendom.sim.mpm.runners.graph import Batch
 
@@ -100,8 +100,8 @@ def test_launches_and_recordings_may_end_anywhere(monkeypatch):
     alone = scene()
     assert np.abs(whole - alone.run(times)).max() < 1e-12
     monkeypatch.setattr(Blocks, "substeps_a_slice", 5)
-    monkeypatch.setattr(paced, "SLICES", 2)
-    monkeypatch.setattr(paced, "RECORDED", 5 * whole[0].nbytes)
+    monkeypatch.setattr(block_per_world, "SLICES", 2)
+    monkeypatch.setattr(block_per_world, "RECORDED", 5 * whole[0].nbytes)
     s, counts = scene(), []
     parts = run_together(s, Blocks, times, on_frame=counts.append)
     assert np.abs(parts - whole).max() < 1e-12
@@ -164,3 +164,28 @@ def test_a_world_that_diverges_leaves_the_others_alone(together):
     stopped = s.positions()[1]
     s.run([0.08], keep_going=True)
     assert np.array_equal(s.positions()[1], stopped)
+
+
+@TOGETHER
+@pytest.mark.parametrize("what", ["closed on nothing", "turned inside out"])
+def test_the_failed_substep_is_not_counted(together, what):
+    """Time and positions are those at which the substep began that could not be done."""
+    body = rope(diameter=0.02, length=0.06, start=(0.0, 0.0, 0.0), cells_across=1.5)
+    pushes = Gripper(time=[0.0, 0.1], position=[(0.06, 0, 0), (-0.44, 0, 0)], radius=0.015)
+    misses = Gripper.still((0.5, 0.0, 0.0), radius=0.01, hold_from=0.0051)
+
+    def failed(together):
+        gripper = misses if what == "closed on nothing" else pushes
+        jelly = Material(E=1.0, nu=0.3, density=1000.0)
+        s = simulator(body, [jelly], grippers=[gripper], substep=1e-3, gravity=(0, 0, 0))
+        if together is not None:
+            setattr(s.engine, "_runner", together(s.worlds))  # noqa: B010
+        s.run([0.002, 0.03], keep_going=True)
+        assert what in str(s.failures[0])
+        return s.failures[0].time, s.positions()
+
+    (time, x), (expected_time, expected) = failed(together), failed(None)
+    assert time == pytest.approx(expected_time, abs=1e-9)
+    assert np.abs(x - expected).max() < 1e-12
+    if what == "closed on nothing":
+        assert time == pytest.approx(0.006)

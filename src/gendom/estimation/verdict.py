@@ -87,7 +87,7 @@ class VerdictSettings:
     stray: float = 0.25
     """Largest share of points farther away than `far` times `NoiseModel.straying`."""
     far: float = 4.0
-    below: float = 0.2
+    below: float = 0.08
     """Largest share of points that lie under the stated table: by 1 cm and more, of a rope by a
     quarter of its diameter (and 4 mm) and more."""
     nuisance: float = 5.0

@@ -4,16 +4,12 @@ A kernel that gives each world a block reads the same on both devices: its loops
 ``lanes``-th particle or node from ``lane`` on, and the threads meet between them.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false
-
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 
 Near = wp.types.vector(6, wp.int32)
 """Where a particle's neighbours are, before and behind along each axis of the lattice."""
@@ -35,7 +31,7 @@ def bounds(lanes: int) -> tuple[int, int]:
 
 
 @functools.cache
-def make_block(real: Any) -> SimpleNamespace:
+def make_block(real: Any) -> Namespace:
     """Build the functions for one scalar type; all threads of a block must call them.
 
     Returns:
@@ -64,18 +60,11 @@ def make_block(real: Any) -> SimpleNamespace:
     @wp.func_native("return gendom::sum_before(value);")
     def before(value: int) -> int: ...
 
-    return SimpleNamespace(
-        resident_at=resident_at,
-        meet=meet,
-        any=any_of,
-        largest=largest,
-        before=before,
-        add_by_warp=add_by_warp,
-    )
+    return Namespace(resident_at, meet, largest, before, add_by_warp, any=any_of)
 
 
 @functools.cache
-def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
+def make_store(real: Any, *, resident: bool) -> Namespace:
     """Build the access to particles by component, for one scalar type.
 
     Args:
@@ -160,22 +149,26 @@ def make_store(real: Any, *, resident: bool) -> SimpleNamespace:
                 total[n] -= back * get(of, row, c + 3 * n + axis, a)
         return total
 
-    return SimpleNamespace(
-        get=get, put=put, vector=vector, put_vector=put_vector, matrix=matrix,
-        put_matrix=put_matrix, symmetric=symmetric, put_symmetric=put_symmetric,
-        differences=differences, pulled=pulled,
+    return Namespace(
+        vector, put_vector, matrix, put_matrix, symmetric, put_symmetric, differences, pulled,
+        get=get, put=put,
     )  # fmt: skip
 
 
 @wp.func
 def put_near(
-    near: wp.array3d(dtype=wp.int32),  # [rows, 3, N], two indices in a number
-    row: int,
+    near: wp.array3d(dtype=wp.int32),  # [W, 3, N], two indices in a number
+    w: int,
     i: int,
-    of: Near,
+    p: int,
+    lattice: wp.array3d(dtype=wp.int32),
+    place: wp.array2d(dtype=wp.int32),  # [rows, N] where each particle is
+    row: int,
 ):
+    """Keep where the neighbours of particle p are, which is the i-th."""
     for axis in range(3):
-        near[row, axis, i] = of[2 * axis] | (of[2 * axis + 1] << 16)
+        before = place[row, lattice[p, axis, 0]]
+        near[w, axis, i] = before | (place[row, lattice[p, axis, 1]] << 16)
 
 
 @wp.func

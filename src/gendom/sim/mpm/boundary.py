@@ -28,19 +28,13 @@ when grippers open and close, is not differentiated.
 Shapes: W worlds, N particles, G grippers, K path knots.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from gendom.sim.mpm.particles import Particles
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
 
 SPRING = 0.1
@@ -63,7 +57,7 @@ DASHPOT = 0.85
 
 
 @functools.cache
-def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
+def make_boundary(real: Any, particles: Particles) -> Namespace:
     """Build what acts on particles, for one scalar type and one way to store them.
 
     Returns:
@@ -77,8 +71,6 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
     Stored = particles.Struct
     x_of = particles.x
     paths_of = make_paths(real)
-    is_closed, pose = paths_of.is_closed, paths_of.pose
-    narrow, narrow_matrix = paths_of.narrow, paths_of.narrow_matrix
 
     @wp.func
     def push(gap: real, outwards: real, dt: real):
@@ -179,9 +171,9 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
 
         A particle that another gripper holds is left to it.
         """
-        centre, orientation, _knot = pose(w, g, t, paths)
-        c = narrow(centre)
-        R = narrow_matrix(orientation)
+        centre, orientation, _knot = paths_of.pose(w, g, t, paths)
+        c = paths_of.narrow(centre)
+        R = paths_of.narrow_matrix(orientation)
         spacing = real(0.5) * scene.dx
         count = int(0)
         f = real(0.0)
@@ -234,7 +226,7 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
         for g in range(paths.radius.shape[1]):
             since = grips.since[w, g]
             until = grips.until[w, g]
-            if is_closed(w, g, t, paths):
+            if paths_of.is_closed(w, g, t, paths):
                 if since < 0 or since == age:
                     count = attach(w, g, t, age, row, N, matter, scene, paths, grips, particles)
                     if count == 0 and paths.may_miss[w, g] == 0:
@@ -244,17 +236,7 @@ def make_boundary(real: Any, particles: Particles) -> SimpleNamespace:
                 hold_on(w, g, real(0.0), grips)
         return empty
 
-    return SimpleNamespace(
-        push=push,
-        contact=contact,
-        near_table=near_table,
-        modulus_of=modulus_of,
-        spring=spring,
-        carried=carried,
-        follow=follow,
-        guided=guided,
-        section_centre=section_centre,
-        hold_on=hold_on,
-        hold_as_at=hold_as_at,
-        grasp=grasp,
-    )
+    return Namespace(
+        push, contact, near_table, modulus_of, spring, carried, follow, guided, section_centre,
+        hold_on, hold_as_at, grasp,
+    )  # fmt: skip

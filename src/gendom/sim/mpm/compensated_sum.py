@@ -1,8 +1,5 @@
 """Positions in float32 that lose nothing: what rounding leaves out comes with the next step."""
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false
-
 import functools
 from typing import Any
 

@@ -28,26 +28,20 @@ lattice axis back and the one before it forth. Each function has its transpose b
 ``internal_forces`` calls them for the particles of a body.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from gendom.materials.laws import make_law
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 
 FILLS = 1.0e-30
 """Share of the branch with which Z is filled and nothing else happens."""
 
 
 @functools.cache
-def make_maxwell_branch(real: Any) -> SimpleNamespace:
+def make_maxwell_branch(real: Any) -> Namespace:
     """Build ``branch`` (a and g of a substep) and its transpose, for one scalar type."""
 
     @wp.func
@@ -80,13 +74,11 @@ def make_maxwell_branch(real: Any) -> SimpleNamespace:
                 bar = share_bar * real(0.5) * (real(1.0) + wp.exp(real(-1.0))) / dt
         return bar
 
-    return SimpleNamespace(branch=branch, branch_adjoint=branch_adjoint)
+    return Namespace(branch, branch_adjoint)
 
 
 @functools.cache
-def make_elasticity(
-    real: Any, law_name: str, *, yields: bool, damped: bool = True
-) -> SimpleNamespace:
+def make_elasticity(real: Any, law_name: str, *, yields: bool, damped: bool = True) -> Namespace:
     """Build the forces of one particle, for one scalar type and one material.
 
     Args:
@@ -101,8 +93,6 @@ def make_elasticity(
     types = make_types(real)
     vec3, mat33 = types.vec3, types.mat33
     law = make_law(law_name, real, plastic=yields)
-    stress, stress_adjoint = law.stress, law.stress_back
-    return_map, return_map_adjoint = law.return_map, law.return_map_back
     plastic = wp.constant(int(yields))
     maxwell = wp.constant(int(damped))
 
@@ -112,7 +102,7 @@ def make_elasticity(
         elastic = F
         if plastic == 1:
             tried = F * G
-            elastic = return_map(tried, mu, yield_stress)
+            elastic = law.return_map(tried, mu, yield_stress)
             if wp.ddot(elastic - tried, elastic - tried) > real(0.0):
                 G = wp.inverse(F) * elastic
         return elastic, G
@@ -131,7 +121,7 @@ def make_elasticity(
         """
         F = D * B
         elastic, G_after = elastic_part(F, G, mu, yield_stress)
-        P = stress(elastic, mu, lam)
+        P = law.stress(elastic, mu, lam)
         Z_after = Z
         if maxwell == 1 and share > real(0.0):
             S = wp.inverse(elastic) * P
@@ -167,7 +157,7 @@ def make_elasticity(
         P = mat33()
         damps = maxwell == 1 and share > real(0.0)
         if damps or plastic == 1:
-            P = stress(elastic, mu, lam)
+            P = law.stress(elastic, mu, lam)
         total = P
         if damps:
             inverse = wp.inverse(elastic)
@@ -182,7 +172,7 @@ def make_elasticity(
             elastic_bar = -share * (P_bar * Z) - through * wp.transpose(S)
             twice = wp.transpose(elastic) * P_bar
             Z_bar = keep * Z_bar - share * doubled(twice)
-        by_F, mu_bar, lam_bar = stress_adjoint(elastic, mu, lam, law_bar)
+        by_F, mu_bar, lam_bar = law.stress_back(elastic, mu, lam, law_bar)
         elastic_bar += by_F
         F_bar = elastic_bar
         yield_bar = real(0.0)
@@ -195,7 +185,7 @@ def make_elasticity(
                 through = wp.transpose(wp.inverse(F)) * G_bar
                 F_bar = -through * wp.transpose(G_after)
                 G_bar = mat33()
-                by_tried, mu_more, yield_bar = return_map_adjoint(
+                by_tried, mu_more, yield_bar = law.return_map_back(
                     tried, mu, yield_stress, elastic_bar + through
                 )
                 mu_bar += mu_more
@@ -293,9 +283,4 @@ def make_elasticity(
             D_bar[n, 0] = first_bar[n] * per(spans[0])
         return D_bar, v_bar, drag_bar
 
-    return SimpleNamespace(
-        pull=pull,
-        pull_adjoint=pull_adjoint,
-        air=air,
-        air_adjoint=air_adjoint,
-    )
+    return Namespace(pull, pull_adjoint, air, air_adjoint)

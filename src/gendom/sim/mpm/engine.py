@@ -1,5 +1,7 @@
 """Engine of ``Simulator`` for the material point method."""
 
+# pyright: basic
+
 import math
 from dataclasses import replace
 from typing import Any

@@ -8,14 +8,8 @@ particle may have left it.
 Shapes: L layouts, X x Y grid columns, M grid nodes.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,7 +17,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.mpm.block import make_block
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 
 MARGIN = 0.5
 """Largest distance [cells] that a particle may travel before the grid is rebuilt."""
@@ -127,7 +121,7 @@ def make_grid(
 
 
 @functools.cache
-def make_rebuild(real: Any) -> SimpleNamespace:
+def make_rebuild(real: Any) -> Namespace:
     """Build the functions that number the nodes, for one scalar type.
 
     Returns:
@@ -197,14 +191,7 @@ def make_rebuild(real: Any) -> SimpleNamespace:
         first = wp.atomic_add(grid.count, layout, wp.max(0, k1 - k0 + 1))
         grid.start[layout, i, j] = first - k0
 
-    return SimpleNamespace(
-        reset=reset,
-        reach=reach,
-        widen=widen,
-        mark=mark,
-        clear_column=clear_column,
-        number_column=number_column,
-    )
+    return Namespace(reset, reach, widen, mark, clear_column, number_column)
 
 
 @functools.cache
@@ -216,8 +203,6 @@ def make_rebuild_world(real: Any, particles: Any) -> Any:
         particles: How particles are stored, see ``particles``.
     """
     one = make_rebuild(real)
-    reset, reach, widen, mark = one.reset, one.reach, one.widen, one.mark
-    clear_column, number_column = one.clear_column, one.number_column
     position, Particles = particles.position, particles.Struct
     meet = make_block(real).meet
 
@@ -228,37 +213,37 @@ def make_rebuild_world(real: Any, particles: Any) -> Any:
     ):  # fmt: skip
         """Return whether the layout has room for the particles of a row."""
         if lane == 0:
-            reset(layout, grid)
+            one.reset(layout, grid)
         meet()
-        lower, upper = reach(position(particles, row, lane % N), inv_dx)
+        lower, upper = one.reach(position(particles, row, lane % N), inv_dx)
         for i in range(lane, N, lanes):
-            low, high = reach(position(particles, row, i), inv_dx)
+            low, high = one.reach(position(particles, row, i), inv_dx)
             lower = wp.min(lower, low)
             upper = wp.max(upper, high)
-        widen(layout, lower, upper, grid)
+        one.widen(layout, lower, upper, grid)
         meet()
         X = grid.bounds[layout, 2] - grid.bounds[layout, 0] + 1
         Y = grid.bounds[layout, 3] - grid.bounds[layout, 1] + 1
         fits = X <= grid.low.shape[1] and Y <= grid.low.shape[2]
         if fits:
             for n in range(lane, X * Y, lanes):
-                clear_column(layout, n // Y, n % Y, grid)
+                one.clear_column(layout, n // Y, n % Y, grid)
             meet()
             # particles that follow each other mostly stand in one column
             begin = lane * N // lanes
-            lower, upper = reach(position(particles, row, begin % N), inv_dx)
+            lower, upper = one.reach(position(particles, row, begin % N), inv_dx)
             for i in range(begin, (lane + 1) * N // lanes):
-                low, high = reach(position(particles, row, i), inv_dx)
+                low, high = one.reach(position(particles, row, i), inv_dx)
                 if wp.abs(low[0] - lower[0]) + wp.abs(low[1] - lower[1]) > 1:
-                    mark(layout, lower, upper, grid)
+                    one.mark(layout, lower, upper, grid)
                     lower = low
                     upper = high
                 lower = wp.min(lower, low)
                 upper = wp.max(upper, high)
-            mark(layout, lower, upper, grid)
+            one.mark(layout, lower, upper, grid)
             meet()
             for n in range(lane, X * Y, lanes):
-                number_column(layout, n // Y, n % Y, grid)
+                one.number_column(layout, n // Y, n % Y, grid)
             meet()
             fits = grid.count[layout] <= room
         return fits

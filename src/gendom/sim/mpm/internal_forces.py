@@ -6,24 +6,18 @@ write the same number. On the CPU several neo-Hookean particles are processed in
 Shapes: W worlds, N particles.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.block import Near, spans_of
+from gendom.sim.mpm.block import Near, make_store, spans_of
 from gendom.sim.mpm.elasticity import make_elasticity
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 
 
 @functools.cache
-def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
+def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> Namespace:
     """Build the forces on rows of particles, see ``types.State``.
 
     Returns:
@@ -34,77 +28,42 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         (``native/simd_elasticity.h``, CPU).
     """
     types = make_types(real)
+    Pulls, Vectors = types.Pulls, types.Vectors
     vec3, mat33, pull_type = types.vec3, types.mat33, types.pull
     Matter, State = types.Matter, types.State
     MatterBars, SceneBars = types.MatterBars, types.SceneBars
     elasticity = make_elasticity(real, law_name, yields=yields)
-    pull, pull_adjoint = elasticity.pull, elasticity.pull_adjoint
-    air, air_adjoint = elasticity.air, elasticity.air_adjoint
+    store = make_store(real, resident=False)
     plastic = wp.constant(int(yields))
     vec2 = wp.types.vector(2, real)
     width = wp.constant(8 if real == wp.float32 else 4)
     cpu = "\n#if !defined(__CUDA_ARCH__)\n{}\n#else\nreturn {{}};\n#endif\n"
 
+    # first: of the particles side by side; fresh: the first of them whose forces are asked for
     @wp.func_native(
         cpu.format(
-            "return gendom::internal_forces(w, first, fresh, x, v, row, row_out, lattice, per_span,"
-            " sheet, strength, frame, mu, lam, impulse, keep, share, Z, Z_out, pulls);"
+            "return gendom::internal_forces(w, first, fresh, row, row_out, dt, keep, share, matter,"
+            " state, state_out, pulls);"
         )
     )
     def side_by_side(
-        w: int,
-        first: int,
-        fresh: int,  # the first whose forces are asked for
-        x: wp.array2d(dtype=vec3),
-        v: wp.array2d(dtype=vec3),
-        row: int,
-        row_out: int,
-        lattice: wp.array3d(dtype=wp.int32),
-        per_span: wp.array2d(dtype=real),
-        sheet: int,
-        strength: real,  # of the air: its drag times -dt
-        frame: wp.array2d(dtype=real),
-        mu: wp.array2d(dtype=real),
-        lam: wp.array2d(dtype=real),
-        impulse: real,
-        keep: real,
-        share: real,
-        Z: wp.array3d(dtype=real),
-        Z_out: wp.array3d(dtype=real),
-        pulls: wp.array2d(dtype=pull_type),
-    ) -> int: ...
+        w: int, first: int, fresh: int, row: int, row_out: int, dt: real, keep: real, share: real,
+        matter: Matter, state: State, state_out: State, pulls: Pulls,
+    ) -> int: ...  # fmt: skip
 
     @wp.func_native(
         cpu.format(
-            "return gendom::internal_forces_adjoint(w, first, fresh, x, row, lattice, frame, mu,"
-            " lam, by_difference, keep, share, Z, v_bar, mu_bar, lam_bar, Z_bar, stretches);"
+            "return gendom::internal_forces_adjoint(w, first, fresh, row, dt, keep, share, matter,"
+            " state, bars, stretches);"
         )
     )
     def side_by_side_adjoint(
-        w: int,
-        first: int,
-        fresh: int,
-        x: wp.array2d(dtype=vec3),
-        row: int,
-        lattice: wp.array3d(dtype=wp.int32),
-        frame: wp.array2d(dtype=real),
-        mu: wp.array2d(dtype=real),
-        lam: wp.array2d(dtype=real),
-        by_difference: real,  # -(substep times volume over mass of a particle)
-        keep: real,
-        share: real,
-        Z: wp.array3d(dtype=real),
-        v_bar: wp.array2d(dtype=vec3),
-        mu_bar: wp.array2d(dtype=real),
-        lam_bar: wp.array2d(dtype=real),
-        Z_bar: wp.array3d(dtype=real),
-        stretches: wp.array2d(dtype=pull_type),
-    ) -> vec2: ...
+        w: int, first: int, fresh: int, row: int, dt: real, keep: real, share: real,
+        matter: Matter, state: State, bars: MatterBars, stretches: Pulls,
+    ) -> vec2: ...  # fmt: skip
 
     @wp.func_native("return gendom::pulled(p, lattice, pulls, w);")
-    def pulled(
-        p: int, lattice: wp.array3d(dtype=wp.int32), pulls: wp.array2d(dtype=pull_type), w: int
-    ) -> vec3: ...
+    def pulled(p: int, lattice: wp.array3d(dtype=wp.int32), pulls: Pulls, w: int) -> vec3: ...
 
     @wp.func
     def near_of(p: int, matter: Matter):
@@ -115,7 +74,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         )  # fmt: skip
 
     @wp.func
-    def differences(p: int, row: int, matter: Matter, of: wp.array2d(dtype=vec3)):
+    def differences(p: int, row: int, matter: Matter, of: Vectors):
         """Differences [3, axis] of ``of`` between a particle's neighbours along the lattice."""
         near = matter.lattice
         return wp.matrix_from_cols(
@@ -134,59 +93,42 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         )  # fmt: skip
 
     @wp.func
-    def padding_of(pulls: wp.array2d(dtype=pull_type), w: int, p: int):
+    def padding_of(pulls: Pulls, w: int, p: int):
         own = pulls[w, p]
         return vec3(own[0, 3], own[1, 3], own[2, 3])
 
     @wp.func
-    def Z_of(Z: wp.array3d(dtype=real), row: int, p: int):
-        """Z from its numbers xx, yy, zz, xy, xz, yz."""
-        return mat33(
-            Z[row, 0, p], Z[row, 3, p], Z[row, 4, p],
-            Z[row, 3, p], Z[row, 1, p], Z[row, 5, p],
-            Z[row, 4, p], Z[row, 5, p], Z[row, 2, p],
-        )  # fmt: skip
-
-    @wp.func
-    def put_Z(Z: wp.array3d(dtype=real), row: int, p: int, A: mat33):
-        for n in range(3):
-            Z[row, n, p] = A[n, n]
-        Z[row, 3, p] = A[0, 1]
-        Z[row, 4, p] = A[0, 2]
-        Z[row, 5, p] = A[1, 2]
-
-    @wp.func
     def particle_forces(
         w: int, p: int, row: int, row_out: int, dt: real, keep: real, share: real, matter: Matter,
-        state: State, state_out: State, pulls: wp.array2d(dtype=pull_type),
+        state: State, state_out: State, pulls: Pulls,
     ):  # fmt: skip
         """Set a particle's pulls on its neighbours; return whether it is not inverted."""
         D = differences(p, row, matter, state.x)
         Z = mat33()
         G = mat33()
         if share > real(0.0):
-            Z = Z_of(state.Z, row, p)
+            Z = store.symmetric(state.Z, row, 0, p)
         if plastic == 1:
             G = state.G[row, p]
-        H, Z_after, G_after, upright = pull(
+        H, Z_after, G_after, upright = elasticity.pull(
             D, matter.rest_frame[p], matter.mu[w, p], matter.lam[w, p], matter.yield_stress[w],
             keep, share, Z, G, dt * matter.volume,
         )  # fmt: skip
         if share > real(0.0):
-            put_Z(state_out.Z, row_out, p, Z_after)
+            store.put_symmetric(state_out.Z, row_out, 0, p, Z_after)
         if plastic == 1:
             state_out.G[row_out, p] = G_after
         wind = vec3()
         if matter.drag[w] > real(0.0):
             spans = spans_of(near_of(p, matter), p)
-            wind = air(D, state.v[row, p], spans, matter.sheet, matter.drag[w], dt)
+            wind = elasticity.air(D, state.v[row, p], spans, matter.sheet, matter.drag[w], dt)
         pulls[w, p] = stored(H, wind)
         return upright
 
     @wp.func
     def forces_one_by_one(
         w: int, row: int, row_out: int, dt: real, keep: real, share: real, matter: Matter,
-        state: State, state_out: State, pulls: wp.array2d(dtype=pull_type),
+        state: State, state_out: State, pulls: Pulls,
     ):  # fmt: skip
         """Set all pulls of a body; return an inverted particle, or -1."""
         failed = int(-1)
@@ -202,7 +144,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     @wp.func
     def forces_side_by_side(
         w: int, row: int, row_out: int, dt: real, keep: real, share: real, matter: Matter,
-        state: State, state_out: State, pulls: wp.array2d(dtype=pull_type),
+        state: State, state_out: State, pulls: Pulls,
     ):  # fmt: skip
         """The same as ``forces_one_by_one`` with SIMD, on the CPU."""
         N = state.x.shape[1]
@@ -215,16 +157,15 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         while p < N:
             # the last group overlaps with particles that are already done
             found = side_by_side(
-                w, wp.min(p, N - width), p, state.x, state.v, row, row_out, matter.lattice,
-                matter.per_span, matter.sheet, -dt * matter.drag[w], matter.frame, matter.mu,
-                matter.lam, dt * matter.volume, keep, share, state.Z, state_out.Z, pulls,
+                w, wp.min(p, N - width), p, row, row_out, dt, keep, share, matter, state, state_out,
+                pulls,
             )  # fmt: skip
             failed = wp.max(failed, found)
             p += width
         return failed
 
     @wp.func
-    def impulse_on(p: int, matter: Matter, pulls: wp.array2d(dtype=pull_type), w: int):
+    def impulse_on(p: int, matter: Matter, pulls: Pulls, w: int):
         """Impulse of a substep on a particle by its neighbours and by the air."""
         return pulled(p, matter.lattice, pulls, w) + padding_of(pulls, w, p)
 
@@ -234,7 +175,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     ):
         """Derivatives by the differences and by v of what the air does to a particle."""
         spans = spans_of(near_of(p, matter), p)
-        D_bar, v_bar, drag_bar = air_adjoint(
+        D_bar, v_bar, drag_bar = elasticity.air_adjoint(
             differences(p, row, matter, state.x), state.v[row, p], spans, matter.sheet,
             matter.drag[w], dt, bars.v[w, p] / matter.mass[w],
         )  # fmt: skip
@@ -244,7 +185,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     @wp.func
     def particle_forces_adjoint(
         w: int, p: int, row: int, dt: real, keep: real, share: real, matter: Matter, state: State,
-        bars: MatterBars, stretches: wp.array2d(dtype=pull_type),
+        bars: MatterBars, stretches: Pulls,
     ):  # fmt: skip
         """Transpose of ``particle_forces`` and ``impulse_on`` but for its last step,
         ``impulse_on_adjoint``; returns the derivatives by ``keep`` and ``share``.
@@ -258,13 +199,13 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         Z_bar = mat33()
         G_bar = mat33()
         if share > real(0.0):
-            Z = Z_of(state.Z, row, p)
-            Z_bar = Z_of(bars.Z, w, p)
+            Z = store.symmetric(state.Z, row, 0, p)
+            Z_bar = store.symmetric(bars.Z, w, 0, p)
         if plastic == 1:
             G = state.G[row, p]
             G_bar = bars.G[w, p]
         D_bar, mu_bar, lam_bar, yield_bar, keep_bar, share_bar, Z_bar_before, G_bar_before = (
-            pull_adjoint(
+            elasticity.pull_adjoint(
                 differences(p, row, matter, state.x), matter.rest_frame[p], matter.mu[w, p],
                 matter.lam[w, p], matter.yield_stress[w], keep, share, Z, G, dt * matter.volume,
                 pull_bar, Z_bar, G_bar,
@@ -279,7 +220,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         bars.mu[w, p] = bars.mu[w, p] + mu_bar
         bars.lam[w, p] = bars.lam[w, p] + lam_bar
         if share > real(0.0):
-            put_Z(bars.Z, w, p, Z_bar_before)
+            store.put_symmetric(bars.Z, w, 0, p, Z_bar_before)
         if plastic == 1:
             bars.G[w, p] = G_bar_before
             bars.yield_stress[w, p] = bars.yield_stress[w, p] + yield_bar
@@ -288,7 +229,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     @wp.func
     def one_by_one_adjoint(
         w: int, row: int, dt: real, keep: real, share: real, matter: Matter, state: State,
-        bars: MatterBars, scene_bars: SceneBars, stretches: wp.array2d(dtype=pull_type),
+        bars: MatterBars, scene_bars: SceneBars, stretches: Pulls,
     ):  # fmt: skip
         p = int(0)
         while p < state.x.shape[1]:
@@ -303,7 +244,7 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
     @wp.func
     def side_by_side_all_adjoint(
         w: int, row: int, dt: real, keep: real, share: real, matter: Matter, state: State,
-        bars: MatterBars, scene_bars: SceneBars, stretches: wp.array2d(dtype=pull_type),
+        bars: MatterBars, scene_bars: SceneBars, stretches: Pulls,
     ):  # fmt: skip
         N = state.x.shape[1]
         if N < width:
@@ -312,10 +253,8 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
             p = int(0)
             while p < N:
                 sums = side_by_side_adjoint(
-                    w, wp.min(p, N - width), p, state.x, row, matter.lattice, matter.frame,
-                    matter.mu, matter.lam, -(dt * matter.volume) / matter.mass[w], keep, share,
-                    state.Z, bars.v, bars.mu, bars.lam, bars.Z, stretches,
-                )  # fmt: skip
+                    w, wp.min(p, N - width), p, row, dt, keep, share, matter, state, bars, stretches
+                )
                 if share > real(0.0):
                     scene_bars.branch_share[w] = scene_bars.branch_share[w] + wp.float64(sums[0])
                     scene_bars.branch_factor[w] = scene_bars.branch_factor[w] + wp.float64(sums[1])
@@ -328,19 +267,14 @@ def make_internal_forces(real: Any, law_name: str, *, yields: bool) -> SimpleNam
                     p += 1
 
     @wp.func
-    def impulse_on_adjoint(
-        w: int, p: int, matter: Matter, bars: MatterBars, stretches: wp.array2d(dtype=pull_type)
-    ):
+    def impulse_on_adjoint(w: int, p: int, matter: Matter, bars: MatterBars, stretches: Pulls):
         """Add to the derivatives by a particle's position those by all differences."""
         bars.x[w, p] = bars.x[w, p] - pulled(p, matter.lattice, stretches, w)
         bars.v[w, p] = bars.v[w, p] + padding_of(stretches, w, p)
 
     together = law_name == "neo-hookean" and not yields
-    return SimpleNamespace(
-        particle_forces=particle_forces,
-        particle_forces_adjoint=particle_forces_adjoint,
+    return Namespace(
+        particle_forces, particle_forces_adjoint, impulse_on, impulse_on_adjoint,
         body_forces=forces_side_by_side if together else forces_one_by_one,
         body_forces_adjoint=side_by_side_all_adjoint if together else one_by_one_adjoint,
-        impulse_on=impulse_on,
-        impulse_on_adjoint=impulse_on_adjoint,
-    )
+    )  # fmt: skip

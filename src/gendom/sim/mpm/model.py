@@ -1,5 +1,7 @@
 """W worlds on a device: their parameters, state and clocks."""
 
+# pyright: basic
+
 import math
 from typing import Any
 
@@ -17,6 +19,9 @@ CLOCK = (
     "dt", "steps", "step", "age", "travel", "near_table", "status", "failed_particle", "frame"
 )  # fmt: skip
 """The arrays of a clock."""
+
+POSE = ("closed", "centre", "orientation", "velocity", "spin")
+"""The arrays of grippers' poses."""
 
 REBUILD = 1e30
 """Distance travelled [m] after which every world rebuilds its grid."""
@@ -51,14 +56,9 @@ class Worlds:
         self.scene = self._scene()
         self.paths = self._paths()
         self.grips = self._grips()
-        self.clock = self._clock()
-        self.carried = (
-            "x",
-            "v",
-            "C",
-            *(("Z",) if self.damped else ()),
-            *(("G",) if self.yields.any() else ()),
-        )
+        self.clock = self.allocate(self.types.Clock, **dict.fromkeys(CLOCK, W))
+        self.carried: tuple[str, ...] = ("x", "v", "C")
+        self.carried += ("Z",) * self.damped + ("G",) * bool(self.yields.any())
         self.low = self.zeros((W, N) if s.dtype == "float32" else (0, 0), self.types.vec3)
         self.state = self.make_state(W, wp.zeros)
         wp.copy(self.state.x, self.array(x, self.types.vec3))
@@ -78,95 +78,73 @@ class Worlds:
         share = _distinct(self.stiffness)
         air = spread(s.air_density, (self.num_worlds,), "air_density")
         across = s.body.thickness if s.body.kind == "rope" else 1.0
-        matter = self.types.Matter()
-        matter.mu = self.array(np.broadcast_to(lame[:, :1] * share, self.stiffness.shape))
-        matter.lam = self.array(np.broadcast_to(lame[:, 1:] * share, self.stiffness.shape))
-        matter.yield_stress = self.array(np.minimum([m.yield_stress for m in s.materials], 1e30))
-        matter.mass = self.array(np.array([m.density for m in s.materials]) * s.body.volume)
-        matter.damping = self.array(np.array([m.damping for m in s.materials]))
         self.drag_by_air = 0.5 * DRAG.get(s.body.kind, 0.0) * across / s.body.section
-        matter.drag = self.array(self.drag_by_air * air)
-        matter.volume = s.body.volume
-        matter.sheet = int(s.body.kind == "cloth")
-        matter.section = s.body.section
-        matter.contact_radius = s.body.contact_radius
-        matter.lattice = self.array(s.body.lattice, wp.int32)
-        matter.rest_frame = self.array(s.body.rest_frames, self.types.mat33)
-        matter.frame = self.array(_triangles(s.body.rest_frames))
         alone = (s.body.lattice == np.arange(len(s.body.x))[:, None, None]).any(axis=2)
-        matter.per_span = self.array(np.where(alone, 1.0, 0.5).T[:2])
-        return matter
+        return self.filled(
+            self.types.Matter,
+            mu=np.broadcast_to(lame[:, :1] * share, self.stiffness.shape),
+            lam=np.broadcast_to(lame[:, 1:] * share, self.stiffness.shape),
+            yield_stress=np.minimum([m.yield_stress for m in s.materials], 1e30),
+            mass=np.array([m.density for m in s.materials]) * s.body.volume,
+            damping=np.array([m.damping for m in s.materials]),
+            drag=self.drag_by_air * air,
+            volume=s.body.volume,
+            sheet=int(s.body.kind == "cloth"),
+            section=s.body.section,
+            contact_radius=s.body.contact_radius,
+            lattice=s.body.lattice,
+            rest_frame=s.body.rest_frames,
+            frame=_triangles(s.body.rest_frames),
+            per_span=np.where(alone, 1.0, 0.5).T[:2],
+        )
 
     def _scene(self) -> Any:
-        s, k, W = self.setting, self.types, self.num_worlds
+        s, W = self.setting, self.num_worlds
         friction = s.table.friction if s.table is not None else 0.0
-        scene = k.Scene()
-        scene.dx = s.body.dx
-        scene.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), k.vec3)
-        scene.velocity_damping = self.array(spread(s.velocity_damping, (W,), "velocity_damping"))
-        scene.friction = self.array(spread(friction, (W,), "friction"))
-        scene.table = int(s.table is not None)
-        scene.walls = int(s.box is not None)
+        walls = {}
         if s.box is not None:
-            scene.box_lower = k.vec3(*(s.box.lower - self.origin))
-            scene.box_upper = k.vec3(*(s.box.upper - self.origin))
-        return scene
+            walls["box_lower"] = self.types.vec3(*(s.box.lower - self.origin))
+            walls["box_upper"] = self.types.vec3(*(s.box.upper - self.origin))
+        return self.filled(
+            self.types.Scene,
+            dx=s.body.dx,
+            gravity=spread(s.gravity, (W, 3), "gravity"),
+            velocity_damping=spread(s.velocity_damping, (W,), "velocity_damping"),
+            friction=spread(friction, (W,), "friction"),
+            table=int(s.table is not None),
+            walls=int(s.box is not None),
+            **walls,
+        )
 
     def _paths(self) -> Any:
         stacked = self.setting.grippers.arrays
-        paths = self.types.Paths()
-        paths.time = self.array(stacked["time"], wp.float64)
-        paths.position = self.array(stacked["position"] - self.origin, wp.vec3d)
-        paths.orientation = self.array(stacked["orientation"], wp.quatd)
-        paths.turn = self.array(stacked["turn"], wp.vec3d)
-        paths.turns = self.array(stacked["turns"], wp.int32)
-        paths.hold_from = self.array(stacked["hold_from"], wp.float64)
-        paths.hold_until = self.array(stacked["hold_until"], wp.float64)
-        paths.radius = self.array(stacked["radius"])
-        paths.may_miss = self.array(stacked["may_miss"], wp.int32)
-        return paths
+        position = stacked["position"] - self.origin
+        return self.filled(self.types.Paths, **{**stacked, "position": position})
 
     def _grips(self) -> Any:
         W, G, N = self.num_worlds, len(self.setting.grippers[0]), self.num_particles
-        grips = self.types.Grips()
+        lists = dict.fromkeys(("particle", "weight", "place"), (W, G, N))
+        grips = self.allocate(self.types.Grips, count=(W, G), held_by=(W, N), **lists)
         self.place_grippers(grips, W)
         grips.since = wp.full((W, G), -1, dtype=wp.int32, device=self.device)
         grips.until = wp.full((W, G), -1, dtype=wp.int32, device=self.device)
-        grips.count = self.zeros((W, G), wp.int32)
-        grips.particle = self.zeros((W, G, N), wp.int32)
-        grips.weight = self.zeros((W, G, N), self.real)
-        grips.place = self.zeros((W, G, N), self.types.vec3)
         grips.free = wp.full((W, N), 1.0, dtype=self.real, device=self.device)
-        grips.held_by = self.zeros((W, N), wp.int32)
         return grips
 
     def place_grippers(self, grips: Any, rows: int) -> None:
         """Allocate the poses of all grippers for ``rows`` times."""
-        shape = (rows, len(self.setting.grippers[0]))
-        grips.closed = self.zeros(shape, wp.int32)
-        for name in ("centre", "velocity", "spin"):
-            setattr(grips, name, self.zeros(shape, self.types.vec3))
-        grips.orientation = self.zeros(shape, self.types.mat33)
-
-    def _clock(self) -> Any:
-        W = self.num_worlds
-        clock = self.types.Clock()
-        clock.dt = self.zeros(W, wp.float64)
-        clock.travel = self.zeros(W, self.real)
-        for name in set(CLOCK) - {"dt", "travel"}:
-            setattr(clock, name, self.zeros(W, wp.int32))
-        return clock
+        shapes = dict.fromkeys(POSE, (rows, len(self.setting.grippers[0])))
+        made = self.allocate(self.types.Grips, **shapes)
+        for name in POSE:
+            setattr(grips, name, getattr(made, name))
 
     def make_state(self, rows: int, make: Any = wp.empty) -> Any:
         """Room for states, as ``carried`` names them; all have the worlds' own ``low``."""
-        N, k = self.num_particles, self.types
-        kinds = {"x": k.vec3, "v": k.vec3, "C": k.mat33, "G": k.mat33, "Z": k.real}
-        state = k.State()
+        N, State = self.num_particles, self.types.State
+        have = {name: rows if name in self.carried else 0 for name in ("x", "v", "C", "Z", "G")}
+        shapes = {name: (n, 6, N) if name == "Z" else (n, N) for name, n in have.items()}
+        state = self.allocate(State, make, **shapes)
         state.low = self.low
-        for name, dtype in kinds.items():
-            have = rows if name in self.carried else 0
-            shape = (have, 6, N) if name == "Z" else (have, N)
-            setattr(state, name, make(shape, dtype=dtype, device=self.device))
         return state
 
     @property
@@ -256,6 +234,23 @@ class Worlds:
         full = wp.empty(shape, dtype=dtype, device=self.device)
         wp.copy(full, repeated)
         return full
+
+    def filled(self, struct: Any, **values: Any) -> Any:
+        """A struct of these numbers and arrays."""
+        made = struct()
+        for name, value in values.items():
+            kind = struct.vars[name].type
+            is_array = isinstance(kind, wp.array)
+            setattr(made, name, self.array(value, kind.dtype) if is_array else value)
+        return made
+
+    def allocate(self, struct: Any, make: Any = wp.zeros, **shapes: Any) -> Any:
+        """A struct of arrays of these shapes; ``make`` fills them."""
+        made = struct()
+        for name, shape in shapes.items():
+            dtype = struct.vars[name].type.dtype
+            setattr(made, name, make(shape, dtype=dtype, device=self.device))
+        return made
 
     def zeros(self, shape: Any, dtype: Any) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device=self.device)

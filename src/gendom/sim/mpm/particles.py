@@ -5,9 +5,6 @@ has records by components, in the order of their nodes (``runners.records``). Bo
 same functions on a particle p in a row.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportAttributeAccessIssue=false
-
 import functools
 from dataclasses import dataclass
 from typing import Any

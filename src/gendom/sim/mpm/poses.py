@@ -1,17 +1,11 @@
 """Gripper poses and velocities at the end of a substep, and their transposes."""
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
 
 AHEAD = 32
@@ -19,33 +13,30 @@ AHEAD = 32
 
 
 @functools.cache
-def make_poses(real: Any) -> SimpleNamespace:
+def make_poses(real: Any) -> Namespace:
     """Build ``pose_gripper``, ``pose_ahead`` (many substeps, by the threads of a block) and their
     transposes ``pose_gripper_adjoint`` and ``close_poses``, for one scalar type."""
     types = make_types(real)
     Paths, Grips, SceneBars = types.Paths, types.Grips, types.SceneBars
     paths_of = make_paths(real)
-    is_closed, pose, pose_adjoint = paths_of.is_closed, paths_of.pose, paths_of.pose_adjoint
-    share_of, turn_adjoint = paths_of.share_of, paths_of.turn_adjoint
-    narrow, narrow_matrix = paths_of.narrow, paths_of.narrow_matrix
 
     @wp.func
     def pose_gripper(
         row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, grips: Grips
     ):
         """Gripper g of world w in the substep from t to t + dt [s]."""
-        grips.closed[row, g] = int(is_closed(w, g, t, paths))
-        here, _R, knot = pose(w, g, t, paths)
-        there, R, end = pose(w, g, t + dt, paths)
-        grips.centre[row, g] = narrow(there)
-        grips.orientation[row, g] = narrow_matrix(R)
-        grips.velocity[row, g] = narrow((there - here) / dt)
+        grips.closed[row, g] = int(paths_of.is_closed(w, g, t, paths))
+        here, _R, knot = paths_of.pose(w, g, t, paths)
+        there, R, end = paths_of.pose(w, g, t + dt, paths)
+        grips.centre[row, g] = paths_of.narrow(there)
+        grips.orientation[row, g] = paths_of.narrow_matrix(R)
+        grips.velocity[row, g] = paths_of.narrow((there - here) / dt)
         # each segment contributes a rotation for its part of the substep
         turned = wp.vec3d()
         if paths.turns[w, g] == 1:
             for k in range(knot, end + 1):
-                turned += share_of(w, g, k, t, dt, paths) * paths.turn[w, g, k]
-        grips.spin[row, g] = narrow(turned / dt)
+                turned += paths_of.share_of(w, g, k, t, dt, paths) * paths.turn[w, g, k]
+        grips.spin[row, g] = paths_of.narrow(turned / dt)
 
     @wp.func
     def pose_gripper_adjoint(
@@ -53,17 +44,19 @@ def make_poses(real: Any) -> SimpleNamespace:
     ):
         """Transpose of ``pose_gripper``; resets the row's sums."""
         moved = bars.velocity[row, g] / dt
-        _here, _R, knot = pose(w, g, t, paths)
-        _there, _R_end, end = pose(w, g, t + dt, paths)
-        pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, bars.position, bars.turn)
-        pose_adjoint(
+        _here, _R, knot = paths_of.pose(w, g, t, paths)
+        _there, _R_end, end = paths_of.pose(w, g, t + dt, paths)
+        paths_of.pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, bars.position, bars.turn)
+        paths_of.pose_adjoint(
             w, g, t + dt, bars.centre[row, g] + moved, bars.rotation[row, g], paths,
             bars.position, bars.turn,
         )  # fmt: skip
         if paths.turns[w, g] == 1:
             for k in range(knot, end + 1):
-                by_turn = (share_of(w, g, k, t, dt, paths) / dt) * bars.spin[row, g]
-                turn_adjoint(w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, bars.turn)
+                by_turn = (paths_of.share_of(w, g, k, t, dt, paths) / dt) * bars.spin[row, g]
+                paths_of.turn_adjoint(
+                    w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, bars.turn
+                )
         bars.centre[row, g] = wp.vec3d()
         bars.rotation[row, g] = wp.vec3d()
         bars.velocity[row, g] = wp.vec3d()
@@ -94,9 +87,4 @@ def make_poses(real: Any) -> SimpleNamespace:
                 at = t + wp.float64(first + n // grippers) * dt
                 pose_gripper_adjoint(row, w, n % grippers, at, dt, paths, bars)
 
-    return SimpleNamespace(
-        pose_gripper=pose_gripper,
-        pose_gripper_adjoint=pose_gripper_adjoint,
-        pose_ahead=pose_ahead,
-        close_poses=close_poses,
-    )
+    return Namespace(pose_gripper, pose_gripper_adjoint, pose_ahead, close_poses)

@@ -15,13 +15,7 @@ on particles in the memory of a block (``runners.block_kernels``). Symplectic Eu
 Shapes: W worlds, N particles, G grippers, L layouts of the grid, M nodes.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -35,7 +29,7 @@ from gendom.sim.mpm.internal_forces import make_internal_forces
 from gendom.sim.mpm.particles import make_rows
 from gendom.sim.mpm.poses import make_poses
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 
 OK = 0
 GRID_FULL = 1
@@ -48,7 +42,7 @@ NOTHING_HELD = 5
 
 
 @functools.cache
-def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
+def make_stages(real: Any, law_name: str, *, yields: bool) -> Namespace:
     """Build the stages of a substep on rows of particles.
 
     Args:
@@ -62,40 +56,31 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         ``boundary_adjoint``.
     """
     types = make_types(real)
-    vec3, vec4 = types.vec3, types.vec4
+    Nodes, Pulls, Vectors = types.Nodes, types.Pulls, types.Vectors
+    vec3 = types.vec3
     Matter, Scene, State, Grips = types.Matter, types.Scene, types.State, types.Grips
     MatterBars, SceneBars = types.MatterBars, types.SceneBars
     forces = make_internal_forces(real, law_name, yields=yields)
-    impulse_on, impulse_on_adjoint = forces.impulse_on, forces.impulse_on_adjoint
     bspline, transfer = make_bspline(real), make_transfer(real)
-    add_to_nodes = bspline.scatter
-    given_by, p2g_adjoint = transfer.given_by, transfer.p2g_adjoint
-    g2p, taken_by, g2p_adjoint = transfer.g2p, transfer.taken_by, transfer.g2p_adjoint
     rows, row_bars = make_rows(real), make_row_bars(real)
     boundary = make_boundary(real, rows)
     boundary_adjoint = make_boundary_adjoint(real, rows, row_bars)
-    contact, near_table = boundary.contact, boundary.near_table
-    contact_adjoint = boundary_adjoint.contact_adjoint
-    guided, carried = boundary.guided, boundary.carried
-    guided_adjoint = boundary_adjoint.guided_adjoint
-    carried_adjoint = boundary_adjoint.carried_adjoint
-    turned_adjoint = boundary_adjoint.turned_adjoint
     compensates = wp.constant(int(types.compensates))
     compensated_sum = make_compensated_sum(real)
 
     @wp.func
     def momentum_of(
         w: int, p: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
-        pulls: wp.array2d(dtype=types.pull),
+        pulls: Pulls,
     ):  # fmt: skip
         """Momentum of a particle with the impulses of the substep, but for the table's."""
         v = state.v[row, p] + dt * scene.gravity[w]
-        return matter.mass[w] * v + impulse_on(p, matter, pulls, w)
+        return matter.mass[w] * v + forces.impulse_on(p, matter, pulls, w)
 
     @wp.func
     def section_motion(
         w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
-        pulls: wp.array2d(dtype=types.pull),
+        pulls: Pulls,
     ):  # fmt: skip
         """Mean position of section s, and its mean velocity without contact."""
         size = matter.section
@@ -110,20 +95,19 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     @wp.func
     def touch(
         w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
-        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3),
+        pulls: Pulls, touched: Vectors,
     ):  # fmt: skip
         """Set the change of a section's velocity by table and walls."""
         change = vec3()
-        if near_table(state.x[row, s * matter.section], matter, scene):
+        if boundary.near_table(state.x[row, s * matter.section], matter, scene):
             x, u = section_motion(w, s, row, dt, matter, scene, state, pulls)
-            change = contact(w, x, u, dt, matter.contact_radius, scene)
+            change = boundary.contact(w, x, u, dt, matter.contact_radius, scene)
         touched[w, s] = change
 
     @wp.func
     def touch_adjoint(
         w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
-        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), bars: MatterBars,
-        scene_bars: SceneBars,
+        pulls: Pulls, touched: Vectors, bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
         """Transpose of ``touch``: adds to the derivatives by x and by momenta, which are found in
         those by v."""
@@ -133,7 +117,7 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             for p in range(s * size, (s + 1) * size):
                 change_bar += bars.v[w, p]
             x, u = section_motion(w, s, row, dt, matter, scene, state, pulls)
-            x_bar, u_bar = contact_adjoint(
+            x_bar, u_bar = boundary_adjoint.contact_adjoint(
                 w, x, u, dt, matter.contact_radius, scene, change_bar, scene_bars
             )
             for p in range(s * size, (s + 1) * size):
@@ -146,9 +130,8 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     @wp.func
     def scatter(
         w: int, p: int, row: int, grip_row: int, layout: int, slot: int, dt: real, near: int,
-        matter: Matter, scene: Scene, grips: Grips, state: State,
-        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), grid: SparseGrid,
-        momentum: wp.array2d(dtype=vec4),
+        matter: Matter, scene: Scene, grips: Grips, state: State, pulls: Pulls, touched: Vectors,
+        grid: SparseGrid, momentum: Nodes,
     ):  # fmt: skip
         """Add a particle's mass and momentum to its 27 nodes, unless a gripper carries it."""
         free = grips.free[w, p]
@@ -159,17 +142,16 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
             if near == 1:
                 q += mass * touched[w, p // matter.section]
             if free < real(1.0):
-                q = mass * guided(w, p, grip_row, x, q / mass, dt, scene.dx, matter, grips)
+                q = mass * boundary.guided(w, p, grip_row, x, q / mass, dt, scene.dx, matter, grips)
             inv_dx = real(1.0) / scene.dx
-            node, f, c = given_by(x, q, state.C[row, p], mass, layout, inv_dx, grid)
-            add_to_nodes(momentum, slot, grid.start, layout, node, f, c)
+            node, f, c = transfer.given_by(x, q, state.C[row, p], mass, layout, inv_dx, grid)
+            bspline.scatter(momentum, slot, grid.start, layout, node, f, c)
 
     @wp.func
     def scatter_adjoint(
         w: int, p: int, row: int, grip_row: int, layout: int, slot: int, dt: real, near: int,
-        matter: Matter, scene: Scene, grips: Grips, state: State,
-        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), grid: SparseGrid,
-        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars, scene_bars: SceneBars,
+        matter: Matter, scene: Scene, grips: Grips, state: State, pulls: Pulls, touched: Vectors,
+        grid: SparseGrid, nodes_bar: Nodes, bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
         """Transpose of ``scatter``: sets the derivatives by v (as found in those by momentum)
         and C, adds to those by x and mass. Returns the square of what it found."""
@@ -187,15 +169,15 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
                 u += touched[w, p // matter.section]
             v = u
             if free < real(1.0):
-                v = guided(w, p, grip_row, x, u, dt, scene.dx, matter, grips)
-            x_bar, q_bar, C_bar, mass_bar = p2g_adjoint(
+                v = boundary.guided(w, p, grip_row, x, u, dt, scene.dx, matter, grips)
+            x_bar, q_bar, C_bar, mass_bar = transfer.p2g_adjoint(
                 x, mass * v, state.C[row, p], mass, layout, slot, real(1.0) / scene.dx, grid,
                 nodes_bar,
             )  # fmt: skip
             u_bar = mass * q_bar
             mass_bar += wp.dot(q_bar, v)
             if free < real(1.0):
-                by_x, u_bar_own, lam_bar, by_mass = guided_adjoint(
+                by_x, u_bar_own, lam_bar, by_mass = boundary_adjoint.guided_adjoint(
                     w, p, grip_row, x, u, dt, scene.dx, matter, u_bar, grips, scene_bars
                 )
                 x_bar += by_x
@@ -214,29 +196,29 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     @wp.func
     def momentum_adjoint(
         w: int, p: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
-        bars: MatterBars, stretches: wp.array2d(dtype=types.pull),
+        bars: MatterBars, stretches: Pulls,
     ):  # fmt: skip
         """Transpose of ``momentum_of``; returns the derivative by gravity."""
         v_bar = bars.v[w, p]
         speed = state.v[row, p] + dt * scene.gravity[w]
         bars.mass[w, p] = bars.mass[w, p] + wp.dot(v_bar, speed) / matter.mass[w]
-        impulse_on_adjoint(w, p, matter, bars, stretches)
+        forces.impulse_on_adjoint(w, p, matter, bars, stretches)
         return dt * v_bar
 
     @wp.func
     def move(
         w: int, p: int, row: int, row_out: int, grip_row: int, layout: int, slot: int, dt: real,
-        scene: Scene, grips: Grips, grid: SparseGrid, velocity: wp.array2d(dtype=vec4),
-        state: State, state_out: State,
+        scene: Scene, grips: Grips, grid: SparseGrid, velocity: Nodes, state: State,
+        state_out: State,
     ):  # fmt: skip
         """Advance a particle to the next state; return its squared speed."""
         x = state.x[row, p]
         v = vec3()
         C = types.mat33()
         if grips.free[w, p] > real(0.0):
-            v, C = g2p(layout, slot, x, real(1.0) / scene.dx, grid, velocity)
+            v, C = transfer.g2p(layout, slot, x, real(1.0) / scene.dx, grid, velocity)
         else:
-            v, spin, _by_b = carried(w, p, grip_row, x, real(FOLLOWS), dt, grips)
+            v, spin, _by_b = boundary.carried(w, p, grip_row, x, real(FOLLOWS), dt, grips)
             C = wp.skew(spin)
         if compensates == 1:
             there, low = compensated_sum(x, dt * v, state.low[w, p])
@@ -251,8 +233,8 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     @wp.func
     def move_adjoint(
         w: int, p: int, row: int, grip_row: int, layout: int, slot: int, dt: real, scene: Scene,
-        grips: Grips, grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
-        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars, scene_bars: SceneBars,
+        grips: Grips, grid: SparseGrid, velocity: Nodes, state: State, nodes_bar: Nodes,
+        bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
         """Transpose of ``move``; derivatives by v and C are not needed afterwards."""
         x = state.x[row, p]
@@ -261,60 +243,36 @@ def make_stages(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         C_bar = bars.C[w, p]
         if grips.free[w, p] > real(0.0):
             inv_dx = real(1.0) / scene.dx
-            node, f, c = taken_by(x, v_bar, C_bar, layout, inv_dx, grid)
-            add_to_nodes(nodes_bar, slot, grid.start, layout, node, f, c)
-            x_bar += g2p_adjoint(x, v_bar, C_bar, layout, slot, inv_dx, grid, velocity)
+            node, f, c = transfer.taken_by(x, v_bar, C_bar, layout, inv_dx, grid)
+            bspline.scatter(nodes_bar, slot, grid.start, layout, node, f, c)
+            x_bar += transfer.g2p_adjoint(x, v_bar, C_bar, layout, slot, inv_dx, grid, velocity)
         else:
-            x_bar += carried_adjoint(
-                w, p, grip_row, real(FOLLOWS), dt, v_bar, turned_adjoint(C_bar), grips, scene_bars
+            spin_bar = boundary_adjoint.turned_adjoint(C_bar)
+            x_bar += boundary_adjoint.carried_adjoint(
+                w, p, grip_row, real(FOLLOWS), dt, v_bar, spin_bar, grips, scene_bars
             )
         bars.x[w, p] = x_bar
 
-    return SimpleNamespace(
-        types=types,
-        bspline=bspline,
-        transfer=transfer,
-        branch=make_maxwell_branch(real).branch,
-        forces=forces,
-        boundary=boundary,
-        boundary_adjoint=boundary_adjoint,
-        paths=make_poses(real),
-        touch=touch,
-        touch_adjoint=touch_adjoint,
-        scatter=scatter,
-        scatter_adjoint=scatter_adjoint,
-        momentum_adjoint=momentum_adjoint,
-        move=move,
-        move_adjoint=move_adjoint,
+    return Namespace(
+        touch, touch_adjoint, scatter, scatter_adjoint, momentum_adjoint, move, move_adjoint,
+        types=types, bspline=bspline, transfer=transfer, branch=make_maxwell_branch(real).branch,
+        forces=forces, boundary=boundary, boundary_adjoint=boundary_adjoint, paths=make_poses(real),
         largest=1.0e37 if real == wp.float32 else 1.0e300,
-    )
+    )  # fmt: skip
 
 
 @functools.cache
-def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
+def make_step(real: Any, law_name: str, *, yields: bool) -> Namespace:
     """Build ``substep`` and ``substep_adjoint`` of one world by one thread (CPU); see above."""
     k = make_stages(real, law_name, yields=yields)
     types = k.types
-    vec3, vec4 = types.vec3, types.vec4
+    Nodes, Pulls, Vectors = types.Nodes, types.Pulls, types.Vectors
+    vec3 = types.vec3
     Matter, Scene, State = types.Matter, types.Scene, types.State
     Paths, Grips, Clock = types.Paths, types.Grips, types.Clock
     MatterBars, SceneBars = types.MatterBars, types.SceneBars
     forces, boundary, boundary_adjoint = k.forces, k.boundary, k.boundary_adjoint
-    branch, body_forces = k.branch, forces.body_forces
-    body_forces_adjoint = forces.body_forces_adjoint
-    touch, scatter, move = k.touch, k.scatter, k.move
-    touch_adjoint, scatter_adjoint, move_adjoint = (
-        k.touch_adjoint,
-        k.scatter_adjoint,
-        k.move_adjoint,
-    )
-    momentum_adjoint = k.momentum_adjoint
-    clear, normalise = k.bspline.clear, k.bspline.normalise
-    node_velocity_adjoint = k.transfer.node_velocity_adjoint
-    grasp, grasp_adjoint = boundary.grasp, boundary_adjoint.grasp_adjoint
-    pose_gripper = k.paths.pose_gripper
-    close_substep = make_closing(real).close_substep
-    largest = k.largest
+    close_substep, largest = make_closing(real).close_substep, k.largest
 
     # while, not range: with range the compiler cannot tell that indices are not negative, and
     # checks every array index (a fifth slower)
@@ -323,63 +281,64 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
     def substep(
         w: int, t: wp.float64, dt: wp.float64, age: int, row: int, row_out: int, layout: int,
         slot: int, clock: Clock, matter: Matter, scene: Scene, paths: Paths, grips: Grips,
-        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), state: State,
-        grid: SparseGrid, momentum: wp.array2d(dtype=vec4), velocity: wp.array2d(dtype=vec4),
+        pulls: Pulls, touched: Vectors, state: State, grid: SparseGrid, momentum: Nodes,
+        velocity: Nodes,
     ):  # fmt: skip
         """Advance a row of particles from t to the next row; return the largest squared speed and
-        the status. The grid's momentum is left in ``slot``."""
+        the status. The grid's momentum is left in ``slot``. Nothing moves in a substep in which a
+        gripper closes on nothing or a particle turns inside out."""
         N = state.x.shape[1]
         G = grips.closed.shape[1]
         h = real(dt)
-        status = int(OK)
         if G > 0:
-            empty = grasp(w, t, age, row, N, matter, scene, paths, grips, state)
+            empty = boundary.grasp(w, t, age, row, N, matter, scene, paths, grips, state)
             if empty >= 0:
                 clock.failed_particle[w] = empty
-                status = NOTHING_HELD
+                return real(0.0), NOTHING_HELD
         for g in range(G):
-            pose_gripper(w, w, g, t, dt, paths, grips)
-        keep, share = branch(matter.damping[w], h, age)
-        inverted = body_forces(w, row, row_out, h, keep, share, matter, state, state, pulls)
+            k.paths.pose_gripper(w, w, g, t, dt, paths, grips)
+        keep, share = k.branch(matter.damping[w], h, age)
+        inverted = forces.body_forces(w, row, row_out, h, keep, share, matter, state, state, pulls)
         if inverted >= 0:
             clock.failed_particle[w] = inverted
-            status = INVERTED
+            return real(0.0), INVERTED
         near = clock.near_table[w]
         if near == 1:
             for s in range(N // matter.section):
-                touch(w, s, row, h, matter, scene, state, pulls, touched)
+                k.touch(w, s, row, h, matter, scene, state, pulls, touched)
         nodes = grid.count[layout]
-        clear(momentum, slot, nodes)
+        k.bspline.clear(momentum, slot, nodes)
         p = int(0)
         while p < N:
-            scatter(
+            k.scatter(
                 w, p, row, w, layout, slot, h, near, matter, scene, grips, state, pulls, touched,
                 grid, momentum,
             )  # fmt: skip
             p += 1
-        normalise(momentum, slot, velocity, 0, nodes, wp.exp(-scene.velocity_damping[w] * h))
+        k.bspline.normalise(
+            momentum, slot, velocity, 0, nodes, wp.exp(-scene.velocity_damping[w] * h)
+        )
         fastest = real(0.0)
         total = real(0.0)
         p = int(0)
         while p < N:
-            speed = move(
+            speed = k.move(
                 w, p, row, row_out, w, layout, 0, h, scene, grips, grid, velocity, state, state
             )
             fastest = wp.max(fastest, speed)
             total += speed
             p += 1
         # a sum keeps a NaN, a maximum may drop it
-        if status == OK and (not (total < real(1.0e30)) or h * wp.sqrt(fastest) > scene.dx):
-            status = DIVERGED
-        return fastest, status
+        if not (total < real(1.0e30)) or h * wp.sqrt(fastest) > scene.dx:
+            return fastest, DIVERGED
+        return fastest, OK
 
     @wp.func
     def substep_adjoint(
         w: int, t: wp.float64, dt: wp.float64, age: int, row: int, layout: int, slot: int,
-        matter: Matter, scene: Scene, paths: Paths, grips: Grips,
-        pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=vec3), state: State,
-        grid: SparseGrid, momentum: wp.array2d(dtype=vec4), velocity: wp.array2d(dtype=vec4),
-        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars, scene_bars: SceneBars,
+        matter: Matter, scene: Scene, paths: Paths, grips: Grips, pulls: Pulls, touched: Vectors,
+        state: State, grid: SparseGrid, momentum: Nodes, velocity: Nodes, nodes_bar: Nodes,
+        bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
         """Propagate derivatives by the state after a recorded substep to the state before it.
 
@@ -390,22 +349,22 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         h = real(dt)
         nodes = grid.count[layout]
         damping_factor = wp.exp(-scene.velocity_damping[w] * h)
-        keep, share = branch(matter.damping[w], h, age)
+        keep, share = k.branch(matter.damping[w], h, age)
         # what the substep had besides the recorded momentum; Z and G after it are not asked for
         for g in range(G):
-            pose_gripper(w, w, g, t, dt, paths, grips)
-        body_forces(w, row, row + 1, h, keep, share, matter, state, state, pulls)
+            k.paths.pose_gripper(w, w, g, t, dt, paths, grips)
+        forces.body_forces(w, row, row + 1, h, keep, share, matter, state, state, pulls)
         near = int(0)
         if scene.table == 1 or scene.walls == 1:
             near = 1
             for s in range(N // matter.section):
-                touch(w, s, row, h, matter, scene, state, pulls, touched)
-        normalise(momentum, slot, velocity, 0, nodes, damping_factor)
-        clear(nodes_bar, 0, nodes)
+                k.touch(w, s, row, h, matter, scene, state, pulls, touched)
+        k.bspline.normalise(momentum, slot, velocity, 0, nodes, damping_factor)
+        k.bspline.clear(nodes_bar, 0, nodes)
         # 6
         p = int(0)
         while p < N:
-            move_adjoint(
+            k.move_adjoint(
                 w, p, row, w, layout, 0, h, scene, grips, grid, velocity, state, nodes_bar, bars,
                 scene_bars,
             )  # fmt: skip
@@ -414,7 +373,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         by_factor = wp.float64(0.0)
         n = int(0)
         while n < nodes:
-            q_bar, factor_bar = node_velocity_adjoint(
+            q_bar, factor_bar = k.transfer.node_velocity_adjoint(
                 momentum[slot, n], nodes_bar[0, n], damping_factor
             )
             nodes_bar[0, n] = q_bar
@@ -425,7 +384,7 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
         failed = int(-1)
         p = int(0)
         while p < N:
-            size = scatter_adjoint(
+            size = k.scatter_adjoint(
                 w, p, row, w, layout, 0, h, near, matter, scene, grips, state, pulls, touched, grid,
                 nodes_bar, bars, scene_bars,
             )  # fmt: skip
@@ -435,27 +394,29 @@ def make_step(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
 
         if near == 1:
             for s in range(N // matter.section):
-                touch_adjoint(w, s, row, h, matter, scene, state, pulls, touched, bars, scene_bars)
-        body_forces_adjoint(w, row, h, keep, share, matter, state, bars, scene_bars, pulls)
+                k.touch_adjoint(
+                    w, s, row, h, matter, scene, state, pulls, touched, bars, scene_bars
+                )
+        forces.body_forces_adjoint(w, row, h, keep, share, matter, state, bars, scene_bars, pulls)
         by_gravity = vec3()
         p = int(0)
         while p < N:
-            by_gravity += momentum_adjoint(w, p, row, h, matter, scene, state, bars, pulls)
+            by_gravity += k.momentum_adjoint(w, p, row, h, matter, scene, state, bars, pulls)
             p += 1
-        scene_bars.gravity[w] = scene_bars.gravity[w] + wp.vec3d(
-            wp.float64(by_gravity[0]), wp.float64(by_gravity[1]), wp.float64(by_gravity[2])
-        )
+        scene_bars.gravity[w] = scene_bars.gravity[w] + boundary_adjoint.wide(by_gravity)
         # 1
         close_substep(w, w, t, dt, age, matter, scene, paths, grips, scene_bars)
         if G > 0:
-            grasp_adjoint(w, t, age, row, matter, scene, paths, grips, state, bars, scene_bars)
+            boundary_adjoint.grasp_adjoint(
+                w, t, age, row, matter, scene, paths, grips, state, bars, scene_bars
+            )
         return failed
 
-    return SimpleNamespace(substep=substep, substep_adjoint=substep_adjoint)
+    return Namespace(substep, substep_adjoint)
 
 
 @functools.cache
-def make_closing(real: Any) -> SimpleNamespace:
+def make_closing(real: Any) -> Namespace:
     """Build what adds the sums of substeps to derivatives by paths and rates.
 
     Returns:
@@ -495,4 +456,4 @@ def make_closing(real: Any) -> SimpleNamespace:
                 pose_gripper_adjoint(grip_row, w, g, t, dt, paths, bars)
         close_rates(w, dt, age, matter, scene, bars)
 
-    return SimpleNamespace(close_substep=close_substep, close_rates=close_rates)
+    return Namespace(close_substep, close_rates)

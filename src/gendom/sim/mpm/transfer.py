@@ -13,23 +13,17 @@ which carries derivatives of a loss from results to arguments.
 Shapes: W worlds, N particles, L layouts of the grid (see ``grid``), M grid nodes.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from gendom.sim.mpm.grid import SparseGrid
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 
 
 @functools.cache
-def make_bspline(real: Any) -> SimpleNamespace:
+def make_bspline(real: Any) -> Namespace:
     """The sums over 27 nodes of ``native/bspline.h`` for one scalar type.
 
     All take a grid's array, its row and its layout (see ``grid``), the particle's lowest node
@@ -55,12 +49,12 @@ def make_bspline(real: Any) -> SimpleNamespace:
         grid: nodes, row: int, start: columns, layout: int, node: wp.vec3i, f: vec3, c: sums
     ): ...
 
-    @wp.func_native("return gendom::gather(grid, row, start, layout, node, f);")
+    @wp.func_native("return gendom::gather<4>(grid, row, start, layout, node, f);")
     def gather(
         grid: nodes, row: int, start: columns, layout: int, node: wp.vec3i, f: vec3
     ) -> sums: ...
 
-    @wp.func_native("return gendom::gather_with_slope(grid, row, start, layout, node, f, c);")
+    @wp.func_native("return gendom::gather<5>(grid, row, start, layout, node, f, c);")
     def gather_with_slope(
         grid: nodes, row: int, start: columns, layout: int, node: wp.vec3i, f: vec3, c: sums
     ) -> sums_and_slope: ...
@@ -100,24 +94,14 @@ def make_bspline(real: Any) -> SimpleNamespace:
         momentum: nodes, row: int, velocity: nodes, row_out: int, count: int, keep: real
     ): ...
 
-    return SimpleNamespace(
-        sums=sums,
-        window=window_type,
-        scatter=scatter,
-        gather=gather,
-        gather_with_slope=gather_with_slope,
-        collect=collect,
-        hand_over=hand_over,
-        get_node=get_node,
-        put_node=put_node,
-        row_at=row_at,
-        clear=clear,
-        normalise=normalise,
-    )
+    return Namespace(
+        scatter, gather, gather_with_slope, collect, hand_over, get_node, put_node, row_at, clear,
+        normalise, sums=sums, window=window_type,
+    )  # fmt: skip
 
 
 @functools.cache
-def make_transfer(real: Any) -> SimpleNamespace:
+def make_transfer(real: Any) -> Namespace:
     """Build the transfers for one scalar type.
 
     Returns:
@@ -126,9 +110,9 @@ def make_transfer(real: Any) -> SimpleNamespace:
         ``g2p_adjoint``, and for nodes ``node_velocity`` and its transpose.
     """
     types = make_types(real)
+    Nodes = types.Nodes
     vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
     bspline = make_bspline(real)
-    sums, gather, gather_with_slope = bspline.sums, bspline.gather, bspline.gather_with_slope
 
     @wp.func
     def locate(layout: int, x: vec3, inv_dx: real, grid: SparseGrid):
@@ -144,7 +128,7 @@ def make_transfer(real: Any) -> SimpleNamespace:
     def coefficients(f: vec3, q: vec3, mass: real, A: mat33):
         """Of momentum q and ``mass`` at the particle, and A times the distance from it in cells."""
         q0 = q - A * f
-        return sums(
+        return bspline.sums(
             q0[0], q0[1], q0[2], mass,
             A[0, 0], A[1, 0], A[2, 0], real(0.0),
             A[0, 1], A[1, 1], A[2, 1], real(0.0),
@@ -167,8 +151,7 @@ def make_transfer(real: Any) -> SimpleNamespace:
 
     @wp.func
     def given_by(
-        x: vec3, q: vec3, C: mat33, mass: real, layout: int, inv_dx: real,
-        grid: SparseGrid,
+        x: vec3, q: vec3, C: mat33, mass: real, layout: int, inv_dx: real, grid: SparseGrid,
     ):  # fmt: skip
         """What a particle gives to the grid: its lowest node, its place above, its coefficients."""
         node, f = locate(layout, x, inv_dx, grid)
@@ -177,11 +160,11 @@ def make_transfer(real: Any) -> SimpleNamespace:
     @wp.func
     def p2g_adjoint(
         x: vec3, q: vec3, C: mat33, mass: real, layout: int, slot: int, inv_dx: real,
-        grid: SparseGrid, nodes_bar: wp.array2d(dtype=vec4),
+        grid: SparseGrid, nodes_bar: Nodes,
     ):  # fmt: skip
         """Derivatives by x, q, C and mass from those by the nodes."""
         node, f, c = given_by(x, q, C, mass, layout, inv_dx, grid)
-        R = gather_with_slope(nodes_bar, slot, grid.start, layout, node, f, c)
+        R = bspline.gather_with_slope(nodes_bar, slot, grid.start, layout, node, f, c)
         u = vec3(R[0, 0], R[0, 1], R[0, 2])
         A_bar = affine_of(f, R)
         share = mass / inv_dx
@@ -191,12 +174,11 @@ def make_transfer(real: Any) -> SimpleNamespace:
 
     @wp.func
     def g2p(
-        layout: int, slot: int, x: vec3, inv_dx: real, grid: SparseGrid,
-        nodes: wp.array2d(dtype=vec4),
+        layout: int, slot: int, x: vec3, inv_dx: real, grid: SparseGrid, nodes: Nodes,
     ):  # fmt: skip
         """Velocity v [m/s] and affine velocity C [1/s] of a particle from those of the nodes."""
         node, f = locate(layout, x, inv_dx, grid)
-        R = gather(nodes, slot, grid.start, layout, node, f)
+        R = bspline.gather(nodes, slot, grid.start, layout, node, f)
         return vec3(R[0, 0], R[0, 1], R[0, 2]), (real(4.0) * inv_dx) * affine_of(f, R)
 
     @wp.func
@@ -207,12 +189,12 @@ def make_transfer(real: Any) -> SimpleNamespace:
 
     @wp.func
     def g2p_adjoint(
-        x: vec3, v_bar: vec3, C_bar: mat33, layout: int, slot: int, inv_dx: real,
-        grid: SparseGrid, nodes: wp.array2d(dtype=vec4),
+        x: vec3, v_bar: vec3, C_bar: mat33, layout: int, slot: int, inv_dx: real, grid: SparseGrid,
+        nodes: Nodes,
     ):  # fmt: skip
         """Derivative by the x at which the grid was read; that by the nodes is ``taken_by``."""
         node, f, c = taken_by(x, v_bar, C_bar, layout, inv_dx, grid)
-        R = gather_with_slope(nodes, slot, grid.start, layout, node, f, c)
+        R = bspline.gather_with_slope(nodes, slot, grid.start, layout, node, f, c)
         v = vec3(R[0, 0], R[0, 1], R[0, 2])
         return inv_dx * (place_of(R) - (real(4.0) * inv_dx) * (wp.transpose(C_bar) * v))
 
@@ -237,13 +219,7 @@ def make_transfer(real: Any) -> SimpleNamespace:
             q_bar = vec4(share * u_bar[0], share * u_bar[1], share * u_bar[2], -share * along)
         return q_bar, factor_bar
 
-    return SimpleNamespace(
-        locate=locate,
-        given_by=given_by,
-        p2g_adjoint=p2g_adjoint,
-        g2p=g2p,
-        taken_by=taken_by,
-        g2p_adjoint=g2p_adjoint,
-        node_velocity=node_velocity,
-        node_velocity_adjoint=node_velocity_adjoint,
-    )
+    return Namespace(
+        locate, given_by, p2g_adjoint, g2p, taken_by, g2p_adjoint, node_velocity,
+        node_velocity_adjoint,
+    )  # fmt: skip

@@ -4,16 +4,21 @@ Shapes: W worlds, N particles, G grippers, K path knots, rows: one a world or on
 substep. A name with ``_bar`` is the derivative of a loss by that quantity.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false
-
 import functools
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from gendom.sim.paths import make_path_type
+
+
+class Namespace(SimpleNamespace):
+    """Warp functions and kernels under their own names, and others by keyword."""
+
+    def __init__(self, *functions: Any, **others: Any):
+        super().__init__(**{one.func.__name__: one for one in functions}, **others)
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,12 @@ class Types:
     mat33: Any
     pull: Any
     """A particle's pulls: a row for each lattice axis, padded with the air's impulse."""
+    Vectors: Any
+    """Array [W, N] or [W, sections]."""
+    Pulls: Any
+    """Array [W, N]."""
+    Nodes: Any
+    """Array [rows, M] of the grid's nodes: vectors and mass."""
     compensates: bool
     """Whether positions keep what rounding leaves out (float32)."""
     Matter: Any
@@ -45,6 +56,7 @@ def make_types(real: Any) -> Types:
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
     mat33 = wp.types.matrix((3, 3), real)
+    pull = wp.types.matrix((3, 4), real)
 
     @wp.struct
     class Matter:
@@ -171,19 +183,8 @@ def make_types(real: Any) -> Types:
         branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``elasticity``
 
     return Types(
-        real=real,
-        vec3=vec3,
-        vec4=vec4,
-        mat33=mat33,
-        pull=wp.types.matrix((3, 4), real),
-        compensates=real == wp.float32,
-        Matter=Matter,
-        Scene=Scene,
-        Paths=make_path_type(real),
-        Grips=Grips,
-        State=State,
-        Clock=Clock,
-        Plan=Plan,
-        MatterBars=MatterBars,
-        SceneBars=SceneBars,
-    )
+        real=real, vec3=vec3, vec4=vec4, mat33=mat33, pull=pull, Vectors=wp.array2d(dtype=vec3),
+        Pulls=wp.array2d(dtype=pull), Nodes=wp.array2d(dtype=vec4), compensates=real == wp.float32,
+        Matter=Matter, Scene=Scene, Paths=make_path_type(real), Grips=Grips, State=State,
+        Clock=Clock, Plan=Plan, MatterBars=MatterBars, SceneBars=SceneBars,
+    )  # fmt: skip

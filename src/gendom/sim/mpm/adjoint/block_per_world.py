@@ -1,5 +1,7 @@
 """What a GPU keeps to reverse simulations of small bodies: a block of threads for each world."""
 
+# pyright: basic
+
 from typing import Any
 
 import numpy as np
@@ -7,7 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.mpm.adjoint.block_kernels import make_block_reverse
-from gendom.sim.mpm.adjoint.graph import BatchTape, Segment, raise_trouble
+from gendom.sim.mpm.adjoint.graph import BatchTape, Segment
 from gendom.sim.mpm.adjoint.records import SUMS
 from gendom.sim.mpm.adjoint.sums import Sums
 from gendom.sim.mpm.runners.block_per_world import Blocks
@@ -27,20 +29,18 @@ class _Recording:
     def __init__(self, blocks: Blocks, substeps: int, layouts: int):
         worlds = blocks.worlds
         W, N = worlds.num_worlds, worlds.num_particles
-        components = _taped(blocks)
         # nothing is read before it was written
         self.room = worlds.room
         self.substeps = substeps
         self.grid = worlds.make_grid(layouts * W, rows=substeps * W, make=wp.empty)
-
-        def array(shape: Any, dtype: Any) -> wp.array:
-            return wp.empty(shape, dtype=dtype, device=worlds.device)
-
-        self.tape = make_tape(worlds.real)()
-        self.tape.of = array((substeps * W, components, N), worlds.real)
-        self.tape.order = array((layouts * W, N), wp.int32)
-        self.tape.place = array((layouts * W, N), wp.int32)
-        self.tape.layout_of = array(substeps * W, wp.int32)
+        self.tape = worlds.allocate(
+            make_tape(worlds.real),
+            wp.empty,
+            of=(substeps * W, _taped(blocks), N),
+            order=(layouts * W, N),
+            place=(layouts * W, N),
+            layout_of=substeps * W,
+        )
 
 
 def _taped(blocks: Blocks) -> int:
@@ -61,15 +61,14 @@ class BlockTape(BatchTape):
         self._keeps = False
         W, N = worlds.num_worlds, worlds.num_particles
         components = max(variant.components for variant, _ in blocks.variants)
-        self._bars = make_block_reverse(blocks.variants[0][0]).BarRecords()
-        for name, rows, count in (
-            ("of", 1 if blocks.room else W, components),
-            ("sums", W, SUMS),
-            ("spare", W, components + SUMS),
-        ):
-            setattr(self._bars, name, worlds.zeros((rows, count, N), worlds.real))
-        self._bars.near = worlds.zeros((W, 3, N), wp.int32)
-        self._bars.place = worlds.zeros((W, N), wp.int32)
+        self._bars = worlds.allocate(
+            make_block_reverse(blocks.variants[0][0]).BarRecords,
+            of=(1 if blocks.room else W, components, N),
+            sums=(W, SUMS, N),
+            spare=(W, components + SUMS, N),
+            near=(W, 3, N),
+            place=(W, N),
+        )
         return blocks
 
     def forward(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
@@ -126,15 +125,13 @@ class BlockTape(BatchTape):
             ])  # fmt: skip
         segment.recording = None
 
-        def F(slot: int, w: int, particle: int) -> NDArray[np.floating]:
+        def x(slot: int, w: int) -> NDArray[np.floating]:
             row = slot * s.num_worlds + w
-            layout = int(recording.tape.layout_of.numpy()[row])
-            place = recording.tape.place.numpy()[layout]
+            place = recording.tape.place.numpy()[recording.tape.layout_of.numpy()[row]]
             record: Any = recording.tape.of[row]
-            records = record.numpy()[:, place].T
-            return s.deformation_at(records[:, :3])[particle]
+            return record.numpy()[:3, place].T
 
-        raise_trouble(self.simulator, segment.time, segment.clock, sums, F)
+        self._check(sums, segment.time, segment.clock, x)
 
     def _record_segment(
         self, segment: Segment, substeps: int, substeps_a_layout: int

@@ -1,20 +1,14 @@
 """Transposes of what acts on particles besides each other; see ``gendom.sim.mpm.boundary``."""
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from gendom.sim.mpm.boundary import DASHPOT, SPRING, make_boundary
 from gendom.sim.mpm.particles import Particles
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
 
 
@@ -49,7 +43,7 @@ def make_row_bars(real: Any) -> ParticleBars:
 @functools.cache
 def make_boundary_adjoint(
     real: Any, particles: Particles, particle_bars: ParticleBars
-) -> SimpleNamespace:
+) -> Namespace:
     """Build the transposes for one scalar type.
 
     Args:
@@ -67,14 +61,8 @@ def make_boundary_adjoint(
     Matter, Scene, Paths, Grips = types.Matter, types.Scene, types.Paths, types.Grips
     SceneBars = types.SceneBars
     Recorded, Bars = particles.Struct, particle_bars.Struct
-    x_of = particles.x
-    x_bar_of, put_x_bar = particle_bars.x, particle_bars.put_x
     boundary = make_boundary(real, particles)
-    push, section_centre, hold_on = boundary.push, boundary.section_centre, boundary.hold_on
-    follow, spring, modulus_of = boundary.follow, boundary.spring, boundary.modulus_of
     paths_of = make_paths(real)
-    pose, pose_adjoint = paths_of.pose, paths_of.pose_adjoint
-    narrow, narrow_matrix = paths_of.narrow, paths_of.narrow_matrix
 
     @wp.func
     def wide(a: vec3):
@@ -93,14 +81,14 @@ def make_boundary_adjoint(
         if scene.walls == 1:
             for a in range(3):
                 b = change_bar[a]
-                if push(x[a] - scene.box_lower[a] - radius, u[a], dt) > real(0.0):
+                if boundary.push(x[a] - scene.box_lower[a] - radius, u[a], dt) > real(0.0):
                     x_bar[a] = x_bar[a] + stiff * b
                     u_bar[a] = u_bar[a] + loss * b
-                if push(scene.box_upper[a] - x[a] - radius, -u[a], dt) > real(0.0):
+                if boundary.push(scene.box_upper[a] - x[a] - radius, -u[a], dt) > real(0.0):
                     x_bar[a] = x_bar[a] + stiff * b
                     u_bar[a] = u_bar[a] + loss * b
         if scene.table == 1:
-            given = push(x[2] - radius, u[2], dt)
+            given = boundary.push(x[2] - radius, u[2], dt)
             if given > real(0.0):
                 given_bar = change_bar[2]
                 slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])
@@ -150,8 +138,8 @@ def make_boundary_adjoint(
 
     @wp.func
     def carried_adjoint(
-        w: int, p: int, grip_row: int, b: real, dt: real, v_bar: vec3, spin_bar: vec3,
-        grips: Grips, scene_bars: SceneBars,
+        w: int, p: int, grip_row: int, b: real, dt: real, v_bar: vec3, spin_bar: vec3, grips: Grips,
+        scene_bars: SceneBars,
     ):  # fmt: skip
         """Transpose of ``carried``; returns the derivative by x."""
         N = grips.held_by.shape[1]
@@ -177,8 +165,8 @@ def make_boundary_adjoint(
 
         Returns derivatives by lam and mass, and those of ``follow_adjoint``.
         """
-        b, slope = spring(w, modulus, dt, matter, dx)
-        v, _spin, by_b = follow(g, grips.place[w, g, n], grip_row, x, b, dt, grips)
+        b, slope = boundary.spring(w, modulus, dt, matter, dx)
+        v, _spin, by_b = boundary.follow(g, grips.place[w, g, n], grip_row, x, b, dt, grips)
         b_bar = f * wp.dot(w_bar, by_b)
         mass_bar = real(0.0)
         if slope > real(0.0):
@@ -200,8 +188,8 @@ def make_boundary_adjoint(
         g = grips.held_by[w, p] // N
         f = real(1.0) - grips.free[w, p]
         by_lam, by_mass, centre_bar, V_bar, spin_bar, R_bar = led_adjoint(
-            w, g, grips.held_by[w, p] % N, modulus_of(w, p, matter), f, grip_row, x, u, dt, dx,
-            matter, w_bar, grips, scene_bars,
+            w, g, grips.held_by[w, p] % N, boundary.modulus_of(w, p, matter), f, grip_row, x, u,
+            dt, dx, matter, w_bar, grips, scene_bars,
         )  # fmt: skip
         add_to_pose(grip_row, g, centre_bar, V_bar, spin_bar, R_bar, scene_bars)
         return -centre_bar, (real(1.0) - f) * w_bar, by_lam, by_mass
@@ -212,31 +200,35 @@ def make_boundary_adjoint(
         grips: Grips, recorded: Recorded, bars: Bars, scene_bars: SceneBars,
     ):  # fmt: skip
         """Transpose of ``attach``: to the positions at that moment, and to the gripper's pose."""
-        centre, orientation, _knot = pose(w, g, t, paths)
-        c = narrow(centre)
-        R = narrow_matrix(orientation)
+        centre, orientation, _knot = paths_of.pose(w, g, t, paths)
+        c = paths_of.narrow(centre)
+        R = paths_of.narrow_matrix(orientation)
         spacing = real(0.5) * scene.dx
         centre_bar = wp.vec3d()
         R_bar = wp.vec3d()
         for n in range(grips.count[w, g]):
             p = grips.particle[w, g, n]
             back = R * scene_bars.place[w, g, n]
-            put_x_bar(bars, w, p, x_bar_of(bars, w, p) + back)
+            particle_bars.put_x(bars, w, p, particle_bars.x(bars, w, p) + back)
             centre_bar -= wide(back)
-            R_bar -= wide(wp.cross(x_of(recorded, row, p) - c, back))
+            R_bar -= wide(wp.cross(particles.x(recorded, row, p) - c, back))
             f = grips.weight[w, g, n]
             if f < real(1.0):
                 f_bar = scene_bars.weight[w, g, n] / spacing
                 scene_bars.radius[w, g] = scene_bars.radius[w, g] + wp.float64(f_bar)
-                outwards = -f_bar * wp.normalize(section_centre(row, p, matter, recorded) - c)
+                outwards = -f_bar * wp.normalize(
+                    boundary.section_centre(row, p, matter, recorded) - c
+                )
                 centre_bar -= wide(outwards)
                 first = p - p % matter.section
                 for q in range(first, first + matter.section):
                     share = outwards / real(matter.section)
-                    put_x_bar(bars, w, q, x_bar_of(bars, w, q) + share)
+                    particle_bars.put_x(bars, w, q, particle_bars.x(bars, w, q) + share)
             scene_bars.weight[w, g, n] = real(0.0)
             scene_bars.place[w, g, n] = vec3()
-        pose_adjoint(w, g, t, centre_bar, R_bar, paths, scene_bars.position, scene_bars.turn)
+        paths_of.pose_adjoint(
+            w, g, t, centre_bar, R_bar, paths, scene_bars.position, scene_bars.turn
+        )
 
     @wp.func
     def grasp_adjoint(
@@ -246,20 +238,14 @@ def make_boundary_adjoint(
         """Go back over grippers that opened or closed before substep ``age``; by one thread."""
         for g in range(paths.radius.shape[1]):
             if grips.until[w, g] == age:
-                hold_on(w, g, real(1.0), grips)
+                boundary.hold_on(w, g, real(1.0), grips)
             if grips.since[w, g] == age:
                 attach_adjoint(
                     w, g, t, row, matter, scene, paths, grips, recorded, bars, scene_bars
                 )
-                hold_on(w, g, real(0.0), grips)
+                boundary.hold_on(w, g, real(0.0), grips)
 
-    return SimpleNamespace(
-        contact_adjoint=contact_adjoint,
-        wide=wide,
-        follow_adjoint=follow_adjoint,
-        led_adjoint=led_adjoint,
-        carried_adjoint=carried_adjoint,
-        turned_adjoint=turned_adjoint,
-        guided_adjoint=guided_adjoint,
-        grasp_adjoint=grasp_adjoint,
-    )
+    return Namespace(
+        contact_adjoint, wide, follow_adjoint, led_adjoint, carried_adjoint, turned_adjoint,
+        guided_adjoint, grasp_adjoint,
+    )  # fmt: skip

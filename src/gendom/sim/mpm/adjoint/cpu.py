@@ -1,10 +1,5 @@
 """What the CPU keeps of a simulation to reverse it: each world by itself, on its own thread."""
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
 import itertools
 import math
@@ -15,7 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.sim.mpm.adjoint.sums import Sums, Trouble, overflow
+from gendom.sim.mpm.adjoint.sums import Sums, Trouble
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.model import REBUILD, Worlds
@@ -32,7 +27,7 @@ STRETCH = 64
 def make_reverse(real: Any, law_name: str, *, yields: bool) -> Any:
     """Build the kernel that reverses a recorded stretch of one world, see ``step.make_stages``."""
     types = make_types(real)
-    vec4 = types.vec4
+    Nodes, Pulls, Vectors = types.Nodes, types.Pulls, types.Vectors
     substep_adjoint = make_step(real, law_name, yields=yields).substep_adjoint
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
@@ -47,16 +42,16 @@ def make_reverse(real: Any, law_name: str, *, yields: bool) -> Any:
         scene: types.Scene,
         paths: types.Paths,
         grips: types.Grips,  # [W]
-        pulls: wp.array2d(dtype=types.pull),  # [W, N] scratch
-        touched: wp.array2d(dtype=types.vec3),  # [W, sections] scratch
+        pulls: Pulls,  # [W, N] scratch
+        touched: Vectors,  # [W, sections] scratch
         # the recording
         state: types.State,  # [S + 1, N]
         grid: SparseGrid,  # S layouts
         layout_of: wp.array(dtype=wp.int32),  # [S]
-        momentum: wp.array2d(dtype=vec4),  # [S, M]
+        momentum: Nodes,  # [S, M]
         # scratch
-        velocity: wp.array2d(dtype=vec4),  # [1, M]
-        nodes_bar: wp.array2d(dtype=vec4),  # [1, M]
+        velocity: Nodes,  # [1, M]
+        nodes_bar: Nodes,  # [1, M]
         # by the state: of the last row on entry, of the first on return
         bars: types.MatterBars,
         scene_bars: types.SceneBars,
@@ -210,16 +205,9 @@ class WorldTape:
             device=s.device,
         )  # fmt: skip
         if sums.trouble.status.numpy()[w] == NOT_FINITE:
-            slot = int(sums.trouble.slot.numpy()[w])
-            particle = int(sums.trouble.failed_particle.numpy()[w])
-            raise overflow(
-                self.simulator,
-                w,
-                substep=stretch.age + slot,
-                time=stretch.time + (stretch.begun + slot) * stretch.dt,
-                particle=particle,
-                F=s.deformation_at(recording.rows.x.numpy()[slot])[particle],
-            )
+            start = stretch.time, stretch.begun, stretch.age, stretch.dt
+            x = recording.rows.x.numpy()
+            raise sums.overflow(self.simulator, w, start, lambda slot, _w: x[slot])
 
 
 @dataclass

@@ -1,155 +1,99 @@
 """What a GPU keeps of a simulation to reverse it: all worlds together, graph by graph."""
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.sim.mpm.adjoint.sums import Sums, Trouble, overflow
+from gendom.sim.mpm.adjoint.sums import Sums, Trouble
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.grid import SparseGrid
-from gendom.sim.mpm.model import CLOCK
+from gendom.sim.mpm.model import CLOCK, POSE
 from gendom.sim.mpm.native import MODULE_OPTIONS
-from gendom.sim.mpm.runners.graph import SUBSTEPS_A_GRAPH, Batch
-from gendom.sim.mpm.runners.graph_kernels import YIELDS
+from gendom.sim.mpm.runners.graph import LAP, SUBSTEPS_A_GRAPH, Batch
+from gendom.sim.mpm.runners.graph_kernels import YIELDS, make_graph_kernels
 from gendom.sim.mpm.step import NOT_FINITE, OK, make_closing, make_stages
+from gendom.sim.mpm.types import Namespace
 
 _LAYOUT = ("bounds", "low", "high", "start", "count")
-_POSES = ("closed", "centre", "orientation", "velocity", "spin")
 
 wp.set_module_options(MODULE_OPTIONS)
 
 
 @functools.cache
-def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNamespace:
+def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> Namespace:
     """Build the stages of one substep backwards as kernels over all worlds.
 
     Returns:
-        Namespace with ``forces``, ``touch``, ``nodes``, which make again what the recording lacks,
-        and with ``g2p_back``, ``nodes_back``, ``p2g_back``, ``touch_back``,
-        ``forces_back``, ``momenta_back`` and ``world_back``, to be called in this order. Substep r
-        of a graph is reversed in the worlds that have done it (``r < done[w]``).
+        Namespace with ``g2p_back``, ``nodes_back``, ``p2g_back``, ``touch_back``, ``forces_back``,
+        ``momenta_back`` and ``world_back``, to be called in this order after the forward stages
+        that make again what the recording lacks. Substep r of a graph is reversed in the worlds
+        that have done it (``r < lap.done[w]``).
     """
     k = make_stages(real, law_name, yields=yields)
     types = k.types
-    vec4 = types.vec4
+    Nodes, Pulls, Vectors = types.Nodes, types.Pulls, types.Vectors
     Clock, Matter, Scene, State = types.Clock, types.Matter, types.Scene, types.State
     Paths, Grips = types.Paths, types.Grips
     MatterBars, SceneBars = types.MatterBars, types.SceneBars
-    branch, particle_forces = k.branch, k.forces.particle_forces
-    particle_forces_adjoint = k.forces.particle_forces_adjoint
-    node_velocity, node_velocity_adjoint = (
-        k.transfer.node_velocity,
-        k.transfer.node_velocity_adjoint,
-    )
-    scatter_adjoint, move_adjoint = k.scatter_adjoint, k.move_adjoint
-    touch_section, touch_adjoint, momentum_adjoint = k.touch, k.touch_adjoint, k.momentum_adjoint
-    grasp_adjoint = k.boundary_adjoint.grasp_adjoint
-    close_substep = make_closing(real).close_substep
-    largest = k.largest
+    close_substep, largest = make_closing(real).close_substep, k.largest
+    Lap = make_graph_kernels(real, law_name, yields=yields).Lap
     plastic = wp.constant(int(yields))
 
     @wp.kernel
-    def forces(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, state: State,
-        state_out: State, pulls: wp.array2d(dtype=types.pull),
-    ):  # fmt: skip
-        """The substep's pulls once more."""
-        w, p = wp.tid()
-        if (matter.yield_stress[w] < real(YIELDS)) != (plastic == 1):
-            return
-        if r < done[w]:
-            h = real(clock.dt[w])
-            keep, share = branch(matter.damping[w], h, clock.age[w] + r)
-            particle_forces(w, p, w, w, h, keep, share, matter, state, state_out, pulls)
-
-    @wp.kernel
-    def touch(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
-        state: State, pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=types.vec3),
-    ):  # fmt: skip
-        """What the table does once more."""
-        w, s = wp.tid()
-        if r < done[w]:
-            touch_section(w, s, w, real(clock.dt[w]), matter, scene, state, pulls, touched)
-
-    @wp.kernel
-    def nodes(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, scene: Scene, grid: SparseGrid,
-        momentum: wp.array2d(dtype=vec4), velocity: wp.array2d(dtype=vec4),
-        nodes_bar: wp.array2d(dtype=vec4),
-    ):  # fmt: skip
-        """Velocities of the substep's grid once more, and an empty grid of derivatives."""
-        w, n = wp.tid()
-        if n >= grid.count[w] or r >= done[w]:
-            return
-        factor = wp.exp(-scene.velocity_damping[w] * real(clock.dt[w]))
-        velocity[w, n] = node_velocity(momentum[w, n], factor)
-        nodes_bar[w, n] = vec4()
-
-    @wp.kernel
     def touch_back(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
-        state: State, pulls: wp.array2d(dtype=types.pull), touched: wp.array2d(dtype=types.vec3),
-        bars: MatterBars, scene_bars: SceneBars,
+        r: int, clock: Clock, lap: Lap, matter: Matter, scene: Scene, state: State, pulls: Pulls,
+        touched: Vectors, bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
         w, s = wp.tid()
-        if r < done[w]:
-            touch_adjoint(
+        if clock.near_table[w] == 1 and r < lap.done[w]:
+            k.touch_adjoint(
                 w, s, w, real(clock.dt[w]), matter, scene, state, pulls, touched, bars, scene_bars
             )
 
     @wp.kernel
     def g2p_back(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, scene: Scene, grips: Grips,
-        grid: SparseGrid, velocity: wp.array2d(dtype=vec4), state: State,
-        nodes_bar: wp.array2d(dtype=vec4), bars: MatterBars, scene_bars: SceneBars,
+        r: int, clock: Clock, lap: Lap, scene: Scene, grips: Grips, grid: SparseGrid,
+        velocity: Nodes, state: State, nodes_bar: Nodes, bars: MatterBars, scene_bars: SceneBars,
     ):  # fmt: skip
         w, p = wp.tid()
-        if r < done[w]:
-            move_adjoint(
-                w, p, w, r * done.shape[0] + w, w, w, real(clock.dt[w]), scene, grips, grid,
+        if r < lap.done[w]:
+            k.move_adjoint(
+                w, p, w, r * clock.dt.shape[0] + w, w, w, real(clock.dt[w]), scene, grips, grid,
                 velocity, state, nodes_bar, bars, scene_bars,
             )  # fmt: skip
 
     @wp.kernel
     def nodes_back(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, scene: Scene, grid: SparseGrid,
-        momentum: wp.array2d(dtype=vec4), nodes_bar: wp.array2d(dtype=vec4), scene_bars: SceneBars,
+        r: int, clock: Clock, lap: Lap, scene: Scene, grid: SparseGrid, momentum: Nodes,
+        nodes_bar: Nodes, scene_bars: SceneBars,
     ):  # fmt: skip
         w, n = wp.tid()
-        if n >= grid.count[w] or r >= done[w]:
+        if n >= grid.count[w] or r >= lap.done[w]:
             return
         factor = wp.exp(-scene.velocity_damping[w] * real(clock.dt[w]))
-        q_bar, factor_bar = node_velocity_adjoint(momentum[w, n], nodes_bar[w, n], factor)
+        q_bar, factor_bar = k.transfer.node_velocity_adjoint(
+            momentum[w, n], nodes_bar[w, n], factor
+        )
         nodes_bar[w, n] = q_bar
         if scene.velocity_damping[w] > real(0.0):
             wp.atomic_add(scene_bars.damping_factor, w, wp.float64(factor_bar))
 
     @wp.kernel
     def p2g_back(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
-        grips: Grips, grid: SparseGrid, state: State, pulls: wp.array2d(dtype=types.pull),
-        touched: wp.array2d(dtype=types.vec3), nodes_bar: wp.array2d(dtype=vec4),
+        r: int, clock: Clock, lap: Lap, matter: Matter, scene: Scene, grips: Grips,
+        grid: SparseGrid, state: State, pulls: Pulls, touched: Vectors, nodes_bar: Nodes,
         bars: MatterBars, scene_bars: SceneBars, trouble: Trouble,
     ):  # fmt: skip
         w, p = wp.tid()
-        if r >= done[w]:
+        if r >= lap.done[w]:
             return
-        near = wp.max(scene.table, scene.walls)
-        size = scatter_adjoint(
-            w, p, w, r * done.shape[0] + w, w, w, real(clock.dt[w]), near, matter, scene, grips,
-            state, pulls, touched, grid, nodes_bar, bars, scene_bars,
+        size = k.scatter_adjoint(
+            w, p, w, r * clock.dt.shape[0] + w, w, w, real(clock.dt[w]), clock.near_table[w],
+            matter, scene, grips, state, pulls, touched, grid, nodes_bar, bars, scene_bars,
         )  # fmt: skip
         # the first one found is named; a NaN is not below anything
         if not (size < real(largest)) and wp.atomic_max(trouble.status, w, NOT_FINITE) == OK:
@@ -158,16 +102,16 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
 
     @wp.kernel
     def forces_back(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, state: State,
-        bars: MatterBars, scene_bars: SceneBars, stretches: wp.array2d(dtype=types.pull),
+        r: int, clock: Clock, lap: Lap, matter: Matter, state: State, bars: MatterBars,
+        scene_bars: SceneBars, stretches: Pulls,
     ):  # fmt: skip
         w, p = wp.tid()
         if (matter.yield_stress[w] < real(YIELDS)) != (plastic == 1):
             return
-        if r < done[w]:
+        if r < lap.done[w]:
             h = real(clock.dt[w])
-            keep, share = branch(matter.damping[w], h, clock.age[w] + r)
-            keep_bar, share_bar = particle_forces_adjoint(
+            keep, share = k.branch(matter.damping[w], h, clock.age[w] + r)
+            keep_bar, share_bar = k.forces.particle_forces_adjoint(
                 w, p, w, h, keep, share, matter, state, bars, stretches
             )
             if share > real(0.0):
@@ -176,24 +120,21 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
 
     @wp.kernel
     def momenta_back(
-        r: int, done: wp.array(dtype=wp.int32), clock: Clock, matter: Matter, scene: Scene,
-        state: State, bars: MatterBars, scene_bars: SceneBars,
-        stretches: wp.array2d(dtype=types.pull),
+        r: int, clock: Clock, lap: Lap, matter: Matter, scene: Scene, state: State,
+        bars: MatterBars, scene_bars: SceneBars, stretches: Pulls,
     ):  # fmt: skip
         w, p = wp.tid()
-        if r < done[w]:
-            g = momentum_adjoint(w, p, w, real(clock.dt[w]), matter, scene, state, bars, stretches)
-            wp.atomic_add(
-                scene_bars.gravity, w,
-                wp.vec3d(wp.float64(g[0]), wp.float64(g[1]), wp.float64(g[2])),
-            )  # fmt: skip
+        if r < lap.done[w]:
+            g = k.momentum_adjoint(
+                w, p, w, real(clock.dt[w]), matter, scene, state, bars, stretches
+            )
+            wp.atomic_add(scene_bars.gravity, w, k.boundary_adjoint.wide(g))
 
     @wp.kernel
     def world_back(
         r: int,
-        done: wp.array(dtype=wp.int32),
         clock: Clock,  # where the graph began
-        time: wp.float64,
+        lap: Lap,
         matter: Matter,
         scene: Scene,
         paths: Paths,
@@ -203,26 +144,19 @@ def make_reverse_kernels(real: Any, law_name: str, *, yields: bool) -> SimpleNam
         scene_bars: SceneBars,
     ):
         w = wp.tid()
-        if r < done[w]:
+        if r < lap.done[w]:
             dt = clock.dt[w]
-            t = time + wp.float64(clock.step[w] + r) * dt
-            row = r * done.shape[0] + w
+            t = lap.time[0] + wp.float64(clock.step[w] + r) * dt
+            row = r * clock.dt.shape[0] + w
             age = clock.age[w] + r
             close_substep(w, row, t, dt, age, matter, scene, paths, grips, scene_bars)
-            grasp_adjoint(w, t, age, w, matter, scene, paths, grips, state, bars, scene_bars)
+            k.boundary_adjoint.grasp_adjoint(
+                w, t, age, w, matter, scene, paths, grips, state, bars, scene_bars
+            )
 
-    return SimpleNamespace(
-        forces=forces,
-        touch=touch,
-        nodes=nodes,
-        touch_back=touch_back,
-        g2p_back=g2p_back,
-        nodes_back=nodes_back,
-        p2g_back=p2g_back,
-        forces_back=forces_back,
-        momenta_back=momenta_back,
-        world_back=world_back,
-    )
+    return Namespace(
+        touch_back, g2p_back, nodes_back, p2g_back, forces_back, momenta_back, world_back,
+    )  # fmt: skip
 
 
 @dataclass
@@ -242,11 +176,11 @@ class _Graph:
     """The substeps of one graph: states, grids, layout, grippers."""
 
     clock: Any
+    lap: Any  # after it
     layouts: Any
     grips: Any
     rows: Any  # a state of [(GRAPH + 1) * W, N]
     momentum: wp.array  # [GRAPH, W, M]
-    done: wp.array | None = None  # [W] substeps done in it
 
 
 class BatchTape:
@@ -357,15 +291,16 @@ class BatchTape:
     def _record_graph(self) -> _Graph:
         worlds, batch = self.simulator.worlds, self._batch
         types, state, grid = worlds.types, worlds.state, batch.grid
-        W, N = worlds.num_worlds, worlds.num_particles
+        W = worlds.num_worlds
         rows = worlds.make_state((SUBSTEPS_A_GRAPH + 1) * W)
         for name in worlds.carried:
             wp.copy(getattr(rows, name)[:W], getattr(state, name))
-        grips = _copy(types.Grips(), batch.grips, _POSES)
+        grips = _copy(types.Grips(), batch.grips, POSE)
         for name in ("since", "until", "count", "particle", "weight", "place", "free", "held_by"):
             setattr(grips, name, getattr(batch.grips, name))
         graph = _Graph(
             clock=_copy(types.Clock(), worlds.clock, CLOCK),
+            lap=None,
             layouts=_copy(SparseGrid(), grid.layouts, _LAYOUT),
             grips=grips,
             rows=rows,
@@ -374,8 +309,11 @@ class BatchTape:
         for r in range(SUBSTEPS_A_GRAPH):
             momentum: Any = graph.momentum[r]
             batch.launch_substep(r, self._row(rows, r), self._row(rows, r + 1), momentum)
-        graph.done = wp.clone(batch.lap.done)
-        batch.launch(batch.stages.take, (W, N), [graph.done, rows, state])
+        graph.lap = _copy(batch.stages.Lap(), batch.lap, LAP)
+        # the state in which each world has left the graph
+        last = worlds.array(W * batch.lap.done.numpy() + np.arange(W), wp.int32)
+        for name in worlds.carried:
+            wp.copy(getattr(state, name), getattr(rows, name)[last])
         return graph
 
     def _row(self, rows: Any, r: int) -> Any:
@@ -391,8 +329,8 @@ class BatchTape:
 
     def _reverse(self, segment: Segment, graph: _Graph, sums: Sums) -> None:
         """Carry derivatives from the end of a recorded graph to its beginning."""
-        s, launch = self.simulator.worlds, self._batch.launch
-        law, clock, layouts, grips = s.setting.law, graph.clock, graph.layouts, graph.grips
+        s, batch, launch = self.simulator.worlds, self._batch, self._batch.launch
+        law, layouts, grips = s.setting.law, graph.layouts, graph.grips
         every = [
             make_reverse_kernels(s.real, law, yields=yields)
             for yields in sorted({bool(one) for one in s.yields})
@@ -406,74 +344,46 @@ class BatchTape:
         for r in reversed(range(SUBSTEPS_A_GRAPH)):
             row: Any = self._row(graph.rows, r)
             momentum = graph.momentum[r]
-            going: list[Any] = [r, graph.done, clock]
-            for kind in every:
-                after = self._row(graph.rows, r + 1)
-                launch(kind.forces, (W, N), [*going, s.matter, row, after, s.pulls])
-            touches = s.scene.table or s.scene.walls
-            pushed = [*going, s.matter, s.scene, row, s.pulls, s.touched]
-            if touches:
-                launch(k.touch, s.touched.shape, pushed)
-            launch(k.nodes, nodes, [*going, s.scene, layouts, momentum, velocity, nodes_bar])
+            now: list[Any] = [r, graph.clock, graph.lap]
+            batch.launch_forces(now, row, self._row(graph.rows, r + 1))
+            batch.launch(batch.stages.nodes, nodes, [
+                *now, s.matter, s.scene, layouts, 1, momentum, velocity,
+            ])  # fmt: skip
+            nodes_bar.zero_()
             launch(k.g2p_back, (W, N), [
-                *going, s.scene, grips, layouts, velocity, row, nodes_bar, bars, scene_bars,
+                *now, s.scene, grips, layouts, velocity, row, nodes_bar, bars, scene_bars,
             ])  # fmt: skip
             launch(k.nodes_back, nodes, [
-                *going, s.scene, layouts, momentum, nodes_bar, scene_bars,
+                *now, s.scene, layouts, momentum, nodes_bar, scene_bars,
             ])  # fmt: skip
             launch(k.p2g_back, (W, N), [
-                *going, s.matter, s.scene, grips, layouts, row, s.pulls, s.touched, nodes_bar,
+                *now, s.matter, s.scene, grips, layouts, row, s.pulls, s.touched, nodes_bar,
                 bars, scene_bars, sums.trouble,
             ])  # fmt: skip
-            if touches:
-                launch(k.touch_back, s.touched.shape, [*pushed, bars, scene_bars])
+            launch(k.touch_back, s.touched.shape, [
+                *now, s.matter, s.scene, row, s.pulls, s.touched, bars, scene_bars,
+            ])  # fmt: skip
             for kind in every:
                 launch(kind.forces_back, (W, N), [
-                    *going, s.matter, row, bars, scene_bars, s.pulls,
+                    *now, s.matter, row, bars, scene_bars, s.pulls,
                 ])  # fmt: skip
             launch(k.momenta_back, (W, N), [
-                *going, s.matter, s.scene, row, bars, scene_bars, s.pulls,
+                *now, s.matter, s.scene, row, bars, scene_bars, s.pulls,
             ])  # fmt: skip
             launch(k.world_back, W, [
-                *going, segment.time, s.matter, s.scene, s.paths, grips, row, bars, scene_bars,
+                *now, s.matter, s.scene, s.paths, grips, row, bars, scene_bars,
             ])  # fmt: skip
 
-        def F(slot: int, w: int, particle: int) -> NDArray[np.floating]:
-            return s.deformation_at(graph.rows.x.numpy()[slot * W + w])[particle]
+        def x(slot: int, w: int) -> NDArray[np.floating]:
+            return graph.rows.x.numpy()[slot * W + w]
 
-        raise_trouble(self.simulator, segment.time, graph.clock, sums, F)
+        self._check(sums, segment.time, graph.clock, x)
 
-
-def raise_trouble(
-    s: MpmEngine,
-    time: float,
-    clock: Any,
-    sums: Sums,
-    F: Callable[[int, int, int], NDArray[np.floating]],
-) -> None:
-    """Raise what a derivative that is not finite calls for, if there is one.
-
-    Args:
-        s: Whose derivatives.
-        time: Of the frame's substep 0 [s].
-        clock: Where the substeps begin that were reversed.
-        sums: Derivatives.
-        F: The recorded F of (substep, world, particle).
-    """
-    failed = np.flatnonzero(sums.trouble.status.numpy() == NOT_FINITE)
-    if len(failed):
-        w = int(failed[0])
-        slot = int(sums.trouble.slot.numpy()[w])
-        particle = int(sums.trouble.failed_particle.numpy()[w])
-        step = int(clock.step.numpy()[w]) + slot
-        raise overflow(
-            s,
-            w,
-            substep=int(clock.age.numpy()[w]) + slot,
-            time=time + step * float(clock.dt.numpy()[w]),
-            particle=particle,
-            F=F(slot, w, particle),
-        )
+    def _check(self, sums: Sums, frame_start: float, clock: Any, x: Any) -> None:
+        """Raise the error of a derivative that is not finite, see ``Sums.overflow``."""
+        for w in np.flatnonzero(sums.trouble.status.numpy() == NOT_FINITE):
+            begin = (getattr(clock, name).numpy()[w] for name in ("step", "age", "dt"))
+            raise sums.overflow(self.simulator, int(w), (frame_start, *begin), x)
 
 
 def _copy(copy: Any, of: Any, names: tuple[str, ...]) -> Any:

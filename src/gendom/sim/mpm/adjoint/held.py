@@ -6,13 +6,7 @@ gripper are summed before they are added to it.
 Shapes: W worlds, N particles, M nodes.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -23,24 +17,22 @@ from gendom.sim.mpm.block import make_block, make_store
 from gendom.sim.mpm.boundary import FOLLOWS
 from gendom.sim.mpm.runners.held import make_held
 from gendom.sim.mpm.runners.records import C, V, X
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 
 
 @functools.cache
-def make_held_adjoint(real: Any, *, resident: bool) -> SimpleNamespace:
+def make_held_adjoint(real: Any, *, resident: bool) -> Namespace:
     """Build ``carry_adjoint`` and ``lead_adjoint`` for one scalar type and kind of records."""
     types = make_types(real)
+    Vectors = types.Vectors
     vec3 = types.vec3
     Matter, Scene, Grips, SceneBars = types.Matter, types.Scene, types.Grips, types.SceneBars
     recorded = make_recorded(real)
     bar_records = make_bar_records(real, resident=resident)
     Tape, BarRecords, Held = recorded.Struct, bar_records.Struct, make_held(real).Held
     boundary = make_boundary_adjoint(real, recorded, bar_records)
-    follow_adjoint, led_adjoint = boundary.follow_adjoint, boundary.led_adjoint
-    turned_adjoint, wide = boundary.turned_adjoint, boundary.wide
     bar = make_store(real, resident=resident)
-    bar_vector, bar_matrix, put_vector = bar.vector, bar.matrix, bar.put_vector
-    vector = make_store(real, resident=False).vector
+    wide, vector = boundary.wide, make_store(real, resident=False).vector
     add_by_warp = make_block(real).add_by_warp
     pose_type = wp.types.matrix((4, 3), wp.float64)
 
@@ -68,21 +60,21 @@ def make_held_adjoint(real: Any, *, resident: bool) -> SimpleNamespace:
             for n in range(lane, holding, lanes):
                 if held.gripper[w, n] == g and held.share[w, n] == real(0.0):
                     i = held.record[w, n]
-                    x_bar = bar_vector(records.of, w, X, i)
-                    centre_bar, V_bar, spin_bar, R_bar = follow_adjoint(
+                    x_bar = bar.vector(records.of, w, X, i)
+                    centre_bar, V_bar, spin_bar, R_bar = boundary.follow_adjoint(
                         w, g, held.number[w, n], grip_row, real(FOLLOWS), h,
-                        bar_vector(records.of, w, V, i) + h * x_bar,
-                        turned_adjoint(bar_matrix(records.of, w, C, i)), grips, bars,
+                        bar.vector(records.of, w, V, i) + h * x_bar,
+                        boundary.turned_adjoint(bar.matrix(records.of, w, C, i)), grips, bars,
                     )  # fmt: skip
-                    put_vector(records.of, w, X, i, x_bar - centre_bar)
+                    bar.put_vector(records.of, w, X, i, x_bar - centre_bar)
                     total += rows_of(centre_bar, V_bar, spin_bar, R_bar)
             add_to_pose(grip_row, g, total, bars)
 
     @wp.func
     def lead_adjoint(
-        w: int, lane: int, lanes: int, holding: int, grip_row: int, slot: int, layout: int,
-        h: real, matter: Matter, scene: Scene, grips: Grips, tape: Tape, touches: int,
-        touched: wp.array2d(dtype=vec3), records: BarRecords, held: Held, bars: SceneBars,
+        w: int, lane: int, lanes: int, holding: int, grip_row: int, slot: int, layout: int, h: real,
+        matter: Matter, scene: Scene, grips: Grips, tape: Tape, touches: int, touched: Vectors,
+        records: BarRecords, held: Held, bars: SceneBars,
     ):  # fmt: skip
         """The same of what they hold in part, and by mass and moduli.
 
@@ -97,17 +89,17 @@ def make_held_adjoint(real: Any, *, resident: bool) -> SimpleNamespace:
                     u = vector(tape.of, slot, 15, i) / matter.mass[w]
                     if touches == 1:
                         u += touched[w, tape.order[layout, i] // matter.section]
-                    by_lam, by_mass, centre_bar, V_bar, spin_bar, R_bar = led_adjoint(
+                    by_lam, by_mass, centre_bar, V_bar, spin_bar, R_bar = boundary.led_adjoint(
                         w, g, held.number[w, n], held.modulus[w, n], real(1.0) - share, grip_row,
                         vector(tape.of, slot, 0, i), u, h, scene.dx, matter,
-                        bar_vector(records.of, w, V, i) / share, grips, bars,
+                        bar.vector(records.of, w, V, i) / share, grips, bars,
                     )  # fmt: skip
-                    x_bar = bar_vector(records.of, w, X, i)
-                    put_vector(records.of, w, X, i, x_bar - centre_bar)
+                    x_bar = bar.vector(records.of, w, X, i)
+                    bar.put_vector(records.of, w, X, i, x_bar - centre_bar)
                     records.sums[w, LAM, i] = records.sums[w, LAM, i] + by_lam
                     records.sums[w, MU, i] = records.sums[w, MU, i] + real(2.0) * by_lam
                     records.sums[w, MASS, i] = records.sums[w, MASS, i] + by_mass
                     total += rows_of(centre_bar, V_bar, spin_bar, R_bar)
             add_to_pose(grip_row, g, total, bars)
 
-    return SimpleNamespace(carry_adjoint=carry_adjoint, lead_adjoint=lead_adjoint)
+    return Namespace(carry_adjoint, lead_adjoint)

@@ -3,11 +3,6 @@
 Shapes: W worlds, N particles.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
 from typing import Any
 
@@ -48,7 +43,6 @@ def make_bar_records(real: Any, *, resident: bool) -> ParticleBars:
     types = make_types(real)
     vec3 = types.vec3
     store = make_store(real, resident=resident)
-    vector, put_vector = store.vector, store.put_vector
 
     @wp.struct
     class BarRecords:
@@ -62,10 +56,10 @@ def make_bar_records(real: Any, *, resident: bool) -> ParticleBars:
 
     @wp.func
     def x_of(bars: BarRecords, w: int, p: int):
-        return vector(bars.of, w, X, bars.place[w, p])
+        return store.vector(bars.of, w, X, bars.place[w, p])
 
     @wp.func
     def put_x(bars: BarRecords, w: int, p: int, value: vec3):
-        put_vector(bars.of, w, X, bars.place[w, p], value)
+        store.put_vector(bars.of, w, X, bars.place[w, p], value)
 
     return ParticleBars(BarRecords, x_of, put_x)

@@ -1,5 +1,9 @@
 """Derivatives by state and parameters while they are summed up."""
 
+# pyright: basic
+
+from collections.abc import Callable
+
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -7,26 +11,6 @@ from numpy.typing import NDArray
 from gendom.errors import SimulationError
 from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.engine import MpmEngine
-
-
-def overflow(
-    s: MpmEngine, w: int, *, substep: int, time: float, particle: int, F: NDArray[np.floating]
-) -> SimulationError:
-    """The error of a derivative by a particle's state [its F: 3, 3] that is not finite."""
-    J = float(np.linalg.det(np.asarray(F, dtype=float)))
-    cause = (
-        f"its volume is {J:.2g} of that at rest, where the stress law is singular"
-        if J < 0.1
-        else f"derivatives grew beyond {s.dtype} over the substeps after it"
-    )
-    return s.worlds.setting.error(
-        w,
-        time,
-        f"the derivative by the state of particle {particle} is not finite: {cause}",
-        where=f"substep {substep}",
-        fix="use float64, a shorter rollout, or more damping",
-        particle=particle,
-    )
 
 
 @wp.struct
@@ -46,29 +30,24 @@ class Sums:
         self.device_is_cuda = s.device.is_cuda
         W, N = worlds.num_worlds, worlds.num_particles
         G, K = worlds.paths.time.shape[1:]
-        self.matter = types.MatterBars()
+        by_particle = dict.fromkeys(("mu", "lam", "mass", "yield_stress", "drag"), (W, N))
+        self.matter = worlds.allocate(types.MatterBars, **by_particle)
         state = worlds.make_state(W, wp.zeros)
         for name in ("x", "v", "C", "Z", "G"):
             setattr(self.matter, name, getattr(state, name))
-        for name in ("mu", "lam", "mass", "yield_stress", "drag"):
-            setattr(self.matter, name, worlds.zeros((W, N), types.real))
-        self.scene = types.SceneBars()
-        for name in (
-            "friction", "velocity_damping", "damping", "damping_factor", "branch_factor",
-            "branch_share",
-        ):  # fmt: skip
-            setattr(self.scene, name, worlds.zeros(W, wp.float64))
-        self.scene.gravity = worlds.zeros(W, wp.vec3d)
-        for name in ("position", "turn"):
-            setattr(self.scene, name, worlds.zeros((W, G, K), wp.vec3d))
-        self.scene.radius = worlds.zeros((W, G), wp.float64)
-        self.scene.weight = worlds.zeros((W, G, N), types.real)
-        self.scene.place = worlds.zeros((W, G, N), types.vec3)
-        for name in ("centre", "rotation", "velocity", "spin"):
-            setattr(self.scene, name, worlds.zeros(worlds.grips.closed.shape, wp.vec3d))
-        self.trouble = Trouble()
-        for name in ("status", "slot", "failed_particle"):
-            setattr(self.trouble, name, worlds.zeros(W, wp.int32))
+        by_world = (
+            "friction", "velocity_damping", "damping", "gravity", "damping_factor",
+            "branch_factor", "branch_share",
+        )  # fmt: skip
+        self.scene = worlds.allocate(
+            types.SceneBars,
+            **dict.fromkeys(by_world, W),
+            **dict.fromkeys(("position", "turn"), (W, G, K)),
+            radius=(W, G),
+            **dict.fromkeys(("weight", "place"), (W, G, N)),
+            **dict.fromkeys(("centre", "rotation", "velocity", "spin"), worlds.grips.closed.shape),
+        )
+        self.trouble = worlds.allocate(Trouble, status=W, slot=W, failed_particle=W)
 
     def add_positions(self, w: int | slice, bar: NDArray[np.floating]) -> None:
         """Add a loss's own derivative by world w's positions now, [N, 3] or [W, N, 3] [1/m]."""
@@ -117,4 +96,38 @@ class Sums:
             gripper_positions=by_knots["position"],
             gripper_rotations=by_knots["turn"],
             gripper_radius=np.array(scene.radius.numpy()),
+        )
+
+    def overflow(
+        self,
+        s: MpmEngine,
+        w: int,
+        start: tuple[float, int, int, float],
+        x: Callable[[int, int], NDArray[np.floating]],
+    ) -> SimulationError:
+        """The error of a derivative by world w's state that is not finite.
+
+        Args:
+            s: Whose derivatives.
+            w: World.
+            start: Of the frame that was reversed [s]; where the recorded substeps begin, in it and
+                in all; their length [s].
+            x: [N, 3] the recorded positions of (substep, world).
+        """
+        frame_start, step, age, dt = start
+        slot = int(self.trouble.slot.numpy()[w])
+        particle = int(self.trouble.failed_particle.numpy()[w])
+        J = float(np.linalg.det(s.worlds.deformation_at(x(slot, w))[particle].astype(float)))
+        cause = (
+            f"its volume is {J:.2g} of that at rest, where the stress law is singular"
+            if J < 0.1
+            else f"derivatives grew beyond {s.dtype} over the substeps after it"
+        )
+        return s.worlds.setting.error(
+            w,
+            frame_start + (step + slot) * dt,
+            f"the derivative by the state of particle {particle} is not finite: {cause}",
+            where=f"substep {age + slot}",
+            fix="use float64, a shorter rollout, or more damping",
+            particle=particle,
         )

@@ -1,4 +1,4 @@
-// ``scatter``, ``gather`` and ``gather_with_slope`` of bspline.h on the CPU: two nodes of a column fill a
+// ``scatter`` and ``gather`` of bspline.h on the CPU: two nodes of a column fill a
 // register; what all nodes of a plane share is multiplied once.
 #pragma once
 
@@ -55,12 +55,14 @@ template <typename real> struct stencil {
         }
     }
 
-    template <typename part> struct sums_of_planes { part v, cx, cy; };
+    template <typename part> struct sums_of_planes { part v, cx, cy, dx, dy, all; };
 
-    // Sums over nine columns of h, i h and j h.
-    template <typename part> sums_of_planes<part> collect(const real* h) const {
+    // Sums over nine columns of h, i h and j h; with slopes also the derivatives by the place of sums
+    // with q, x, y.
+    template <bool sloped, typename part>
+    sums_of_planes<part> collect(part q, part x, part y, const real* h) const {
         typedef part loose __attribute__((aligned(sizeof(real))));
-        part v, cx, cy;
+        sums_of_planes<part> sum;
         #pragma unroll
         for (int i = 0; i < 3; ++i) {
             const int* column = first + i * pitch;
@@ -68,42 +70,22 @@ template <typename real> struct stencil {
             const part h1 = *(const loose*)(h + 4 * column[1]);
             const part h2 = *(const loose*)(h + 4 * column[2]);
             const part u1 = h1 * w[1].y, u2 = h2 * w[2].y;
-            const part j = u1 + u2 + u2, u = h0 * w[0].y + u1 + u2;
-            const part uw = u * w[i].x;
-            v = i == 0 ? uw : v + uw;
-            cx = i == 0 ? uw - uw : i == 1 ? uw : cx + uw + uw;
-            cy = i == 0 ? j * w[0].x : cy + j * w[i].x;
-        }
-        return {v, cx, cy};
-    }
-
-    template <typename part> struct slopes_of_planes { part v, cx, cy, dx, dy, all; };
-
-    // The same with the derivatives by the place of sums with q, x, y.
-    template <typename part>
-    slopes_of_planes<part> collect_with_slope(part q, part x, part y, const real* h) const {
-        typedef part loose __attribute__((aligned(sizeof(real))));
-        part v, cx, cy, dx, dy, all;
-        #pragma unroll
-        for (int i = 0; i < 3; ++i) {
-            const int* column = first + i * pitch;
-            const part h0 = *(const loose*)(h + 4 * column[0]);
-            const part h1 = *(const loose*)(h + 4 * column[1]);
-            const part h2 = *(const loose*)(h + 4 * column[2]);
-            const part u1 = h1 * w[1].y, u2 = h2 * w[2].y, t1 = h1 * s[1].y, t2 = h2 * s[2].y;
             const part u = h0 * w[0].y + u1 + u2, j = u1 + u2 + u2;
-            const part t = h0 * s[0].y + t1 + t2, tj = t1 + t2 + t2;
-            const part here = i == 0 ? q : i == 1 ? q + x : q + x + x;
-            const part e = u * here + j * y, f = t * here + tj * y;
             const part uw = u * w[i].x;
-            v = i == 0 ? uw : v + uw;
-            cx = i == 0 ? uw - uw : i == 1 ? uw : cx + uw + uw;
-            cy = i == 0 ? j * w[0].x : cy + j * w[i].x;
-            dx = i == 0 ? e * s[0].x : dx + e * s[i].x;
-            dy = i == 0 ? f * w[0].x : dy + f * w[i].x;
-            all = i == 0 ? e * w[0].x : all + e * w[i].x;
+            sum.v = i == 0 ? uw : sum.v + uw;
+            sum.cx = i == 0 ? uw - uw : i == 1 ? uw : sum.cx + uw + uw;
+            sum.cy = i == 0 ? j * w[0].x : sum.cy + j * w[i].x;
+            if constexpr (sloped) {
+                const part t1 = h1 * s[1].y, t2 = h2 * s[2].y;
+                const part t = h0 * s[0].y + t1 + t2, tj = t1 + t2 + t2;
+                const part here = i == 0 ? q : i == 1 ? q + x : q + x + x;
+                const part e = u * here + j * y, f = t * here + tj * y;
+                sum.dx = i == 0 ? e * s[0].x : sum.dx + e * s[i].x;
+                sum.dy = i == 0 ? f * w[0].x : sum.dy + f * w[i].x;
+                sum.all = i == 0 ? e * w[0].x : sum.all + e * w[i].x;
+            }
         }
-        return {v, cx, cy, dx, dy, all};
+        return sum;
     }
 };
 
@@ -122,55 +104,36 @@ inline void scatter(const nodes_of<real>& grid, int row, const wp::array_t<int>&
     at.spread((Q + A2 + A2) * wz2, A0 * wz2, A1 * wz2, nodes + 8);
 }
 
-template <typename real>
-inline sums<4, real> gather(const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
-                            int layout, const lowest_node& node, const vec3<real>& f) {
+template <int rows, typename real>
+inline sums<rows, real> gather(const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
+                               int layout, const lowest_node& node, const vec3<real>& f,
+                               const sums<4, real>& c = {}) {
     typedef stencil<real> S;
     typedef typename S::four four;
     typedef typename S::pair pair;
-    const S at(start, layout, node, f);
-    const real* nodes = (const real*)(&wp::index(grid, row, 0) + node[2]);
-    sums<4, real> out;
-    four* rows = (four*)out.data;
-    const auto two = at.template collect<pair>(nodes);
-    const auto one = at.template collect<four>(nodes + 8);
-    const pair wz01 = at.wz01(), vw = two.v * wz01;
-    const four wz2 = at.w[2].zzzz, uw = one.v * wz2;
-    rows[0] = S::fold(vw) + uw;
-    rows[1] = S::fold(two.cx * wz01) + one.cx * wz2;
-    rows[2] = S::fold(two.cy * wz01) + one.cy * wz2;
-    rows[3] = vw.hi + uw + uw;
-    return out;
-}
-
-template <typename real>
-inline sums<5, real> gather_with_slope(const nodes_of<real>& grid, int row,
-                                       const wp::array_t<int>& start, int layout,
-                                       const lowest_node& node, const vec3<real>& f,
-                                       const sums<4, real>& c) {
-    typedef stencil<real> S;
-    typedef typename S::four four;
-    typedef typename S::pair pair;
+    constexpr bool sloped = rows == 5;
     const S at(start, layout, node, f);
     const real* nodes = (const real*)(&wp::index(grid, row, 0) + node[2]);
     const four Q = S::load(c.data[0]), A0 = S::load(c.data[1]), A1 = S::load(c.data[2]);
     const four A2 = S::load(c.data[3]);
-    const auto two =
-        at.template collect_with_slope<pair>(S::join(Q, Q + A2), S::join(A0, A0), S::join(A1, A1), nodes);
-    const auto one = at.template collect_with_slope<four>(Q + A2 + A2, A0, A1, nodes + 8);
-    sums<5, real> out;
-    four* rows = (four*)out.data;
+    const auto two = at.template collect<sloped, pair>(
+        S::join(Q, Q + A2), S::join(A0, A0), S::join(A1, A1), nodes);
+    const auto one = at.template collect<sloped, four>(Q + A2 + A2, A0, A1, nodes + 8);
+    sums<rows, real> out;
+    four* into = (four*)out.data;
     const pair wz01 = at.wz01(), vw = two.v * wz01;
     const four wz2 = at.w[2].zzzz, uw = one.v * wz2;
-    rows[0] = S::fold(vw) + uw;
-    rows[1] = S::fold(two.cx * wz01) + one.cx * wz2;
-    rows[2] = S::fold(two.cy * wz01) + one.cy * wz2;
-    rows[3] = vw.hi + uw + uw;
-    const four X = S::fold(two.dx * wz01) + one.dx * wz2;
-    const four Y = S::fold(two.dy * wz01) + one.dy * wz2;
-    const four Z = S::fold(two.all * at.sz01()) + one.all * at.s[2].zzzz;
-    const auto sum = [](four a) { return a.x + a.y + a.z + a.w; };
-    rows[4] = four{sum(X), sum(Y), sum(Z), real(0)};
+    into[0] = S::fold(vw) + uw;
+    into[1] = S::fold(two.cx * wz01) + one.cx * wz2;
+    into[2] = S::fold(two.cy * wz01) + one.cy * wz2;
+    into[3] = vw.hi + uw + uw;
+    if constexpr (sloped) {
+        const four X = S::fold(two.dx * wz01) + one.dx * wz2;
+        const four Y = S::fold(two.dy * wz01) + one.dy * wz2;
+        const four Z = S::fold(two.all * at.sz01()) + one.all * at.s[2].zzzz;
+        const auto sum = [](four a) { return a.x + a.y + a.z + a.w; };
+        into[4] = four{sum(X), sum(Y), sum(Z), real(0)};
+    }
     return out;
 }
 

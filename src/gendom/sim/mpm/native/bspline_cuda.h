@@ -1,33 +1,8 @@
-// ``scatter``, ``gather`` and ``gather_with_slope`` of bspline.h on CUDA: node by node.
+// ``scatter`` and ``gather`` of bspline.h on CUDA: node by node.
 #pragma once
 
 #if defined(__CUDA_ARCH__)
 namespace gendom {
-
-// whole values, whose alignment the compiler does not see
-GENDOM_INLINE vec4<float> load(const vec4<float>* node) {
-    const float4 h = *(const float4*)node;
-    return vec4<float>(h.x, h.y, h.z, h.w);
-}
-GENDOM_INLINE vec4<double> load(const vec4<double>* node) {
-    const double2 a = *(const double2*)node, b = *((const double2*)node + 1);
-    return vec4<double>(a.x, a.y, b.x, b.y);
-}
-GENDOM_INLINE void store(vec4<float>* node, const vec4<float>& h) {
-    *(float4*)node = make_float4(h[0], h[1], h[2], h[3]);
-}
-GENDOM_INLINE void store(vec4<double>* node, const vec4<double>& h) {
-    *(double2*)node = make_double2(h[0], h[1]);
-    *((double2*)node + 1) = make_double2(h[2], h[3]);
-}
-GENDOM_INLINE void add(vec4<float>* node, const vec4<float>& h) {
-#if __CUDA_ARCH__ >= 900
-    atomicAdd((float4*)node, make_float4(h[0], h[1], h[2], h[3]));
-#else
-    wp::atomic_add(node, h);
-#endif
-}
-GENDOM_INLINE void add(vec4<double>* node, const vec4<double>& h) { wp::atomic_add(node, h); }
 
 template <typename real> GENDOM_INLINE vec4<real> row_of(const real* a) {
     return vec4<real>(a[0], a[1], a[2], a[3]);
@@ -72,17 +47,6 @@ template <typename real> struct stencil {
     }
 };
 
-// The node numbers of nine columns at the level of `node`. They are read before anything is added
-// to the grid, which would keep the compiler from reading them together.
-struct nine_columns {
-    int n[9];
-    GENDOM_INLINE nine_columns(const wp::array_t<int>& start, int layout, const lowest_node& node) {
-        #pragma unroll
-        for (int c = 0; c < 9; ++c)
-            n[c] = wp::index(start, layout, node[0] + c / 3, node[1] + c % 3) + node[2];
-    }
-};
-
 template <typename real>
 GENDOM_INLINE void scatter(const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
                                int layout, const lowest_node& node, const vec3<real>& f,
@@ -95,10 +59,10 @@ GENDOM_INLINE void scatter(const nodes_of<real>& grid, int row, const wp::array_
 
 // Sums over all nodes; with the coefficients c also the derivative of P by the place, as last row.
 template <int rows, typename real>
-GENDOM_INLINE sums<rows, real> gathered(const nodes_of<real>& grid, int row,
-                                            const wp::array_t<int>& start, int layout,
-                                            const lowest_node& node, const vec3<real>& f,
-                                            const sums<4, real>& c) {
+GENDOM_INLINE sums<rows, real> gather(const nodes_of<real>& grid, int row,
+                                      const wp::array_t<int>& start, int layout,
+                                      const lowest_node& node, const vec3<real>& f,
+                                      const sums<4, real>& c = {}) {
     constexpr bool sloped = rows == 5;
     const stencil<real> at(f);
     const vec4<real>* nodes = &wp::index(grid, row, 0);
@@ -182,21 +146,6 @@ GENDOM_INLINE sums<rows, real> gathered(const nodes_of<real>& grid, int row,
         out.data[4][3] = real(0);
     }
     return out;
-}
-
-template <typename real>
-GENDOM_INLINE sums<4, real> gather(const nodes_of<real>& grid, int row,
-                                       const wp::array_t<int>& start, int layout,
-                                       const lowest_node& node, const vec3<real>& f) {
-    return gathered<4>(grid, row, start, layout, node, f, sums<4, real>());
-}
-
-template <typename real>
-GENDOM_INLINE sums<5, real> gather_with_slope(const nodes_of<real>& grid, int row,
-                                                  const wp::array_t<int>& start, int layout,
-                                                  const lowest_node& node, const vec3<real>& f,
-                                                  const sums<4, real>& c) {
-    return gathered<5>(grid, row, start, layout, node, f, c);
 }
 
 }  // namespace gendom

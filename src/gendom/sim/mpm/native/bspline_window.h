@@ -41,24 +41,11 @@ GENDOM_INLINE window_of<real> hand_over(window_of<real> window, const lowest_nod
     const int leaving = along ? up : 3;
     if (leaving == 0 || held[0] < 0) return window;
     vec4<real>* nodes = &wp::index(grid, row, 0);
-    const auto give = [&](int n, const real* h) {
-        const vec4<real> value(h[0], h[1], h[2], h[3]);
-#if defined(__CUDA_ARCH__)
-        add(nodes + n, value);
-#else
-        nodes[n] = nodes[n] + value;
-#endif
-    };
-#if defined(__CUDA_ARCH__)
+    const auto give = [&](int n, const real* h) { add(nodes + n, vec4<real>(h[0], h[1], h[2], h[3])); };
     const nine_columns columns(start, layout, held);
-#endif
     #pragma unroll
     for (int c = 0; c < 9; ++c) {
-#if defined(__CUDA_ARCH__)
         const int n = columns.n[c];
-#else
-        const int n = wp::index(start, layout, held[0] + c / 3, held[1] + c % 3) + held[2];
-#endif
         real* h = window.data[3 * c];
         give(n, h);
         if (leaving > 1) give(n + 1, h + 4);
@@ -75,20 +62,12 @@ GENDOM_INLINE window_of<real> hand_over(window_of<real> window, const lowest_nod
 
 template <typename real>
 GENDOM_INLINE vec4<real> get_node(const nodes_of<real>& grid, int row, int n) {
-#if defined(__CUDA_ARCH__)
     return load(&wp::index(grid, row, 0) + n);
-#else
-    return wp::index(grid, row, n);
-#endif
 }
 
 template <typename real>
 GENDOM_INLINE void put_node(const nodes_of<real>& grid, int row, int n, const vec4<real>& h) {
-#if defined(__CUDA_ARCH__)
     store(&wp::index(grid, row, 0) + n, h);
-#else
-    wp::index(grid, row, n) = h;
-#endif
 }
 
 }  // namespace gendom

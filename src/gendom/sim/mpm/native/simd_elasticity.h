@@ -40,7 +40,26 @@ template <typename real> struct side_by_side {
     static constexpr int width = lanes<real>::width;
     typedef typename lanes<real>::wide wide;
     typedef typename simd<real>::four four;
-    struct columns { wide of[3][3]; };
+    struct columns {
+        wide of[3][3];
+        template <typename Number> static columns each(Number number) {
+            columns out;
+            #pragma unroll
+            for (int j = 0; j < 3; ++j)
+                #pragma unroll
+                for (int n = 0; n < 3; ++n) out.of[j][n] = number(j, n);
+            return out;
+        }
+        columns operator+(const columns& b) const {
+            return each([&](int j, int n) { return of[j][n] + b.of[j][n]; });
+        }
+        columns operator-(const columns& b) const {
+            return each([&](int j, int n) { return of[j][n] - b.of[j][n]; });
+        }
+        template <typename S> columns operator*(S s) const {
+            return each([&](int j, int n) { return of[j][n] * s; });
+        }
+    };
     struct symmetric { wide xx, yy, zz, xy, xz, yz; };
 
     int w, first;
@@ -196,56 +215,42 @@ template <typename real> struct side_by_side {
 
 // Set the pulls of several particles on their neighbours, the impulses of the air on them, and the
 // filtered stress after the substep; returns one whose J <= 0, or -1. `keep` is what Z keeps in a
-// substep and `share` is g; both 0 without damping. `strength` is the air's; 0 without.
-template <typename real>
-inline int internal_forces(int w, int first, int fresh, const wp::array_t<vec3<real>>& x,
-                           const wp::array_t<vec3<real>>& v, int row, int row_out,
-                           const wp::array_t<int>& lattice, const wp::array_t<real>& per_span,
-                           int sheet, real strength,
-                           const wp::array_t<real>& frame, const wp::array_t<real>& mu,
-                           const wp::array_t<real>& lam, real impulse, real keep, real share,
-                           const wp::array_t<real>& Z, const wp::array_t<real>& Z_out,
-                           const wp::array_t<pull_of<real>>& pulls) {
+// substep and `share` is g; both 0 without damping. Structs are those of gendom.sim.mpm.types.
+template <typename real, typename Matter, typename State>
+inline int internal_forces(int w, int first, int fresh, int row, int row_out, real dt, real keep,
+                           real share, const Matter& matter, const State& state,
+                           const State& state_out, const wp::array_t<pull_of<real>>& pulls) {
     typedef side_by_side<real> S;
     typedef typename S::wide wide;
-    const S at(w, first, frame);
-    const auto D = at.differences(x, row, lattice);
+    const S at(w, first, matter.frame);
+    const auto D = at.differences(state.x, row, matter.lattice);
+    const real impulse = dt * matter.volume, strength = -dt * wp::index(matter.drag, w);
     const auto F = at.framed(D);
     wide wind[3] = {wide(real(0)), wide(real(0)), wide(real(0))};
-    if (strength != real(0)) at.air(D, v, row, per_span, sheet, strength, wind);
+    if (strength != real(0))
+        at.air(D, state.v, row, matter.per_span, matter.sheet, strength, wind);
     auto C = S::cofactors(F);
     const wide J = S::dot(F.of[0], C.of[0]);
-    const wide mus = S::numbers(wp::index(mu, w, first)), lams = S::numbers(wp::index(lam, w, first));
+    const wide mus = S::numbers(wp::index(matter.mu, w, first));
+    const wide lams = S::numbers(wp::index(matter.lam, w, first));
     const wide pressure = lams * S::log_volumes(J) - mus;
     typename S::columns P;
     if (share == real(0)) {
         const wide by_F = mus * impulse, by_C = impulse * pressure / J;
-        #pragma unroll
-        for (int j = 0; j < 3; ++j)
-            #pragma unroll
-            for (int n = 0; n < 3; ++n) P.of[j][n] = F.of[j][n] * by_F + C.of[j][n] * by_C;
+        P = F * by_F + C * by_C;
     } else {
-        const wide inverse_J = real(1) / J;
-        #pragma unroll
-        for (int j = 0; j < 3; ++j)
-            #pragma unroll
-            for (int n = 0; n < 3; ++n) C.of[j][n] *= inverse_J;
-        auto filtered = at.load(Z, row);
+        C = C * (real(1) / J);
+        auto filtered = at.load(state.Z, row);
         const auto FZ = S::times(F, filtered);
         const auto stress = S::second_piola(C, mus, pressure);
         const wide by_F = mus * (impulse * (real(1) + share));
         const wide by_C = pressure * (impulse * (real(1) + share));
-        const real by_Z = impulse * share;
-        #pragma unroll
-        for (int j = 0; j < 3; ++j)
-            #pragma unroll
-            for (int n = 0; n < 3; ++n)
-                P.of[j][n] = F.of[j][n] * by_F + C.of[j][n] * by_C - FZ.of[j][n] * by_Z;
+        P = F * by_F + C * by_C - FZ * (impulse * share);
         wide* old = &filtered.xx;
         const wide* now = &stress.xx;
         #pragma unroll
         for (int c = 0; c < 6; ++c) old[c] += (real(1) - keep) * (now[c] - old[c]);
-        at.put(filtered, Z_out, row_out, fresh);
+        at.put(filtered, state_out.Z, row_out, fresh);
     }
     at.put_unframed(P, wind, pulls, fresh);
     int inverted = -1;
@@ -256,30 +261,22 @@ inline int internal_forces(int w, int first, int fresh, const wp::array_t<vec3<r
 
 // Transpose of internal_forces. Sums up only what particles from `fresh` on add; returns their
 // derivative by the share g and by `keep`.
-template <typename real>
+template <typename real, typename Matter, typename State, typename Bars>
 inline wp::vec_t<2, real> internal_forces_adjoint(
-    int w, int first, int fresh, const wp::array_t<vec3<real>>& x, int row,
-    const wp::array_t<int>& lattice, const wp::array_t<real>& frame, const wp::array_t<real>& mu,
-    const wp::array_t<real>& lam, real by_difference, real keep, real share,
-    const wp::array_t<real>& Z, const wp::array_t<vec3<real>>& v_bar,
-    const wp::array_t<real>& mu_bar, const wp::array_t<real>& lam_bar,
-    const wp::array_t<real>& Z_bar, const wp::array_t<pull_of<real>>& stretches) {
+    int w, int first, int fresh, int row, real dt, real keep, real share, const Matter& matter,
+    const State& state, const Bars& bars, const wp::array_t<pull_of<real>>& stretches) {
     typedef side_by_side<real> S;
     typedef typename S::wide wide;
-    const S at(w, first, frame);
-    const auto F = at.framed(at.differences(x, row, lattice));
+    const S at(w, first, matter.frame);
+    const real by_difference = -(dt * matter.volume) / wp::index(matter.mass, w);
+    const auto F = at.framed(at.differences(state.x, row, matter.lattice));
     auto B = S::cofactors(F);
     const wide J = S::dot(F.of[0], B.of[0]);
-    const wide mus = S::numbers(wp::index(mu, w, first)), lams = S::numbers(wp::index(lam, w, first));
+    const wide mus = S::numbers(wp::index(matter.mu, w, first));
+    const wide lams = S::numbers(wp::index(matter.lam, w, first));
     const wide log_J = S::log_volumes(J), pressure = lams * log_J - mus;
-    auto P = at.framed(at.differences(v_bar, w, lattice));
-    #pragma unroll
-    for (int j = 0; j < 3; ++j)
-        #pragma unroll
-        for (int n = 0; n < 3; ++n) {
-            P.of[j][n] *= by_difference;
-            B.of[j][n] /= J;
-        }
+    const auto P = at.framed(at.differences(bars.v, w, matter.lattice)) * by_difference;
+    B = S::columns::each([&](int j, int n) { return B.of[j][n] / J; });
     typename S::columns back;
     wide by_mu, by_lam;
     wp::vec_t<2, real> sums;
@@ -301,8 +298,8 @@ inline wp::vec_t<2, real> internal_forces_adjoint(
     if (share == real(0)) {
         elastic(P);
     } else {
-        const auto filtered = at.load(Z, row);
-        auto after = at.load(Z_bar, w);
+        const auto filtered = at.load(state.Z, row);
+        auto after = at.load(bars.Z, w);
         const auto S_now = S::second_piola(B, mus, pressure);
         const auto FZ = S::times(F, filtered);
         const auto PZ = S::times(P, filtered);
@@ -316,19 +313,8 @@ inline wp::vec_t<2, real> internal_forces_adjoint(
         S_bar.xz *= real(0.5);
         S_bar.yz *= real(0.5);
         const auto BS = S::times(B, S_bar);
-        typename S::columns whole;
-        #pragma unroll
-        for (int j = 0; j < 3; ++j)
-            #pragma unroll
-            for (int n = 0; n < 3; ++n)
-                whole.of[j][n] = P.of[j][n] * (real(1) + share) + BS.of[j][n];
-        elastic(whole);
-        const auto BSS = S::times(BS, S_now);
-        #pragma unroll
-        for (int j = 0; j < 3; ++j)
-            #pragma unroll
-            for (int n = 0; n < 3; ++n)
-                back.of[j][n] -= PZ.of[j][n] * share + BSS.of[j][n];
+        elastic(P * (real(1) + share) + BS);
+        back = back - (PZ * share + S::times(BS, S_now));
         const wide* now = &S_now.xx;
         const wide* old = &filtered.xx;
         wide* bar = &after.xx;
@@ -351,7 +337,7 @@ inline wp::vec_t<2, real> internal_forces_adjoint(
         const wide* fp = &FP.xx;
         #pragma unroll
         for (int c = 0; c < 6; ++c) bar[c] = bar[c] * keep - fp[c] * share;
-        at.put(after, Z_bar, w, fresh);
+        at.put(after, bars.Z, w, fresh);
         for (int l = fresh > first ? fresh - first : 0; l < S::width; ++l) {
             sums[0] += by_share[l];
             sums[1] += by_keep[l];
@@ -360,8 +346,8 @@ inline wp::vec_t<2, real> internal_forces_adjoint(
     const wide none[3] = {wide(real(0)), wide(real(0)), wide(real(0))};
     at.put_unframed(back, none, stretches, fresh);
     for (int l = fresh > first ? fresh - first : 0; l < S::width; ++l) {
-        wp::index(mu_bar, w, first + l) += by_mu[l];
-        wp::index(lam_bar, w, first + l) += by_lam[l];
+        wp::index(bars.mu, w, first + l) += by_mu[l];
+        wp::index(bars.lam, w, first + l) += by_lam[l];
     }
     return sums;
 }

@@ -9,23 +9,11 @@ grid.
 Shapes: W worlds, N particles, L layouts of the grid, M nodes.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
-from types import SimpleNamespace
 
 import warp as wp
 
-from gendom.sim.mpm.block import (
-    bounds,
-    get_near,
-    make_block,
-    make_store,
-    spans_of,
-)
+from gendom.sim.mpm.block import bounds, get_near, make_block, make_store, spans_of
 from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
 from gendom.sim.mpm.compensated_sum import make_compensated_sum
 from gendom.sim.mpm.elasticity import make_elasticity, make_maxwell_branch
@@ -47,11 +35,11 @@ from gendom.sim.mpm.runners.records import (
 )
 from gendom.sim.mpm.step import DIVERGED, GRID_FULL, INVERTED, NOTHING_HELD, OK
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 
 
 @functools.cache
-def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamespace:
+def make_block_kernels(variant: Variant, *, taped: bool = False) -> Namespace:
     """Build the kernel of a variant; ``taped``: every substep is kept for the reverse.
 
     Returns:
@@ -59,43 +47,26 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     """
     real = variant.real
     types = make_types(real)
+    Nodes = types.Nodes
     vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
     Clock, Plan, Matter, State = types.Clock, types.Plan, types.Matter, types.State
     Scene, Paths, Grips = types.Scene, types.Paths, types.Grips
     elasticity = make_elasticity(real, variant.law, yields=variant.yields, damped=variant.damped)
-    pull_of, air = elasticity.pull, elasticity.air
     branch = make_maxwell_branch(real).branch
     bspline, transfer = make_bspline(real), make_transfer(real)
-    window_type, collect, hand_over = bspline.window, bspline.collect, bspline.hand_over
-    get_node, put_node, row_at = bspline.get_node, bspline.put_node, bspline.row_at
-    given_by, g2p = transfer.given_by, transfer.g2p
-    node_velocity = transfer.node_velocity
+    window_type, hand_over = bspline.window, bspline.hand_over
     records_of = make_records(real, resident=variant.room > 0)
     Records, Tape = records_of.Struct, make_tape(real)
     access = make_record_access(variant)
-    load, unload, put_in_order = access.load, access.unload, access.put_in_order
     rebuild = make_rebuild_world(real, records_of)
     boundary, pose_ahead = make_boundary(real, records_of), make_poses(real).pose_ahead
-    grasp, follow = boundary.grasp, boundary.follow
     of_held = make_held(real)
-    Held, list_held, lead = of_held.Held, of_held.list_held, of_held.lead
-    contact, near_table = boundary.contact, boundary.near_table
+    Held = of_held.Held
     store = make_store(real, resident=variant.room > 0)
-    vector, put_vector = store.vector, store.put_vector
-    matrix, put_matrix = store.matrix, store.put_matrix
-    symmetric, put_symmetric = store.symmetric, store.put_symmetric
-    differences, pulled = store.differences, store.pulled
     kept = make_store(real, resident=False)
-    tape_vector, tape_matrix, tape_symmetric = (
-        kept.put_vector,
-        kept.put_matrix,
-        kept.put_symmetric,
-    )
     compensates = wp.constant(int(types.compensates))
     compensated_sum = make_compensated_sum(real)
     block = make_block(real)
-    meet, any_of, largest = block.meet, block.any, block.largest
-    resident_at = block.resident_at
     number = wp.constant(4 if real == wp.float32 else 8)
     before_nodes = wp.constant(variant.components)
     Z, G = map(wp.constant, (variant.Z, variant.G))
@@ -126,42 +97,45 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     @wp.func
     def momentum_of(w: int, i: int, h: real, mass: real, gravity: vec3, records: Records):
         """Momentum of a particle with the impulses of the substep, but for the table's."""
-        q = mass * (vector(records.of, w, V, i) + h * gravity)
-        return q + pulled(records.of, w, PULLS, get_near(records.near, w, i), i)
+        q = mass * (store.vector(records.of, w, V, i) + h * gravity)
+        return q + store.pulled(records.of, w, PULLS, get_near(records.near, w, i), i)
 
     @wp.func
     def touch(
-        w: int, s: int, h: real, mass: real, matter: Matter, scene: Scene, records: Records
+        w: int, s: int, h: real, mass: real, matter: Matter, scene: Scene, records: Records,
     ):  # fmt: skip
         """As that of ``step``, but what table and walls change is added to the velocities."""
         size = matter.section
         x = vec3()
         q = vec3()
-        first = vector(records.of, w, X, records.place[w, s * size])
-        if near_table(first, matter, scene):
+        first = store.vector(records.of, w, X, records.place[w, s * size])
+        if boundary.near_table(first, matter, scene):
             for p in range(s * size, (s + 1) * size):
                 i = records.place[w, p]
-                x += vector(records.of, w, X, i)
+                x += store.vector(records.of, w, X, i)
                 q += momentum_of(w, i, h, mass, scene.gravity[w], records)
             share = real(1.0) / real(size)
-            change = contact(w, share * x, (share / mass) * q, h, matter.contact_radius, scene)
+            change = boundary.contact(
+                w, share * x, (share / mass) * q, h, matter.contact_radius, scene
+            )
             if wp.length_sq(change) > real(0.0):
                 for p in range(s * size, (s + 1) * size):
                     i = records.place[w, p]
-                    put_vector(records.of, w, V, i, vector(records.of, w, V, i) + change)
+                    v = store.vector(records.of, w, V, i)
+                    store.put_vector(records.of, w, V, i, v + change)
 
     @wp.func
     def carry(
-        w: int, lane: int, lanes: int, holding: int, grip_row: int, h: real, dx: real,
-        grips: Grips, records: Records, held: Held,
+        w: int, lane: int, lanes: int, holding: int, grip_row: int, h: real, dx: real, grips: Grips,
+        records: Records, held: Held,
     ):  # fmt: skip
         """Move what grippers hold firmly; return the square of a lane's longest way."""
         far = real(0.0)
         for n in range(lane, holding, lanes):
             if held.share[w, n] == real(0.0):
                 i = held.record[w, n]
-                x = vector(records.of, w, X, i)
-                v, spin, _by_b = follow(
+                x = store.vector(records.of, w, X, i)
+                v, spin, _by_b = boundary.follow(
                     held.gripper[w, n], held.place[w, n], grip_row, x, real(FOLLOWS), h, grips
                 )
                 far = wp.max(far, move(w, i, x, v, wp.skew(spin), h, dx, records))
@@ -171,13 +145,13 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
     def move(w: int, i: int, x: vec3, v: vec3, affine: mat33, h: real, dx: real, records: Records):
         """Advance record i from x; return the square of its way [m^2], too long a one for a NaN."""
         if compensates == 1:
-            there, low = compensated_sum(x, h * v, vector(records.of, w, LOW, i))
-            put_vector(records.of, w, X, i, there)
-            put_vector(records.of, w, LOW, i, low)
+            there, low = compensated_sum(x, h * v, store.vector(records.of, w, LOW, i))
+            store.put_vector(records.of, w, X, i, there)
+            store.put_vector(records.of, w, LOW, i, low)
         else:
-            put_vector(records.of, w, X, i, x + h * v)
-        put_vector(records.of, w, V, i, v)
-        put_matrix(records.of, w, C, i, affine)
+            store.put_vector(records.of, w, X, i, x + h * v)
+        store.put_vector(records.of, w, V, i, v)
+        store.put_matrix(records.of, w, C, i, affine)
         far = wp.length_sq(v) * h * h
         if not (far <= dx * dx):
             far = real(4.0) * dx * dx
@@ -199,16 +173,16 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         last_good: State,  # [W, N] where the last frame began
         grid: SparseGrid,  # a layout a world; L for the tape
         # empty before and after each substep; kept with the tape
-        momentum: wp.array2d(dtype=vec4),  # [W, M] and mass; [S * W, M] for the tape
-        velocity: wp.array2d(dtype=vec4),  # [W, M] and mass
+        momentum: Nodes,  # [W, M] and mass; [S * W, M] for the tape
+        velocity: Nodes,  # [W, M] and mass
         records: Records,
         held: Held,
         tape: Tape,
     ):
-        block, lane = wp.tid()
+        turn, lane = wp.tid()
         if stays == 1:
             wp.tile_empty(shape=numbers, dtype=real, storage="shared")
-        w = order[block]
+        w = order[turn]
         of = records.of
         moduli = records.moduli
         W = state.x.shape[0]
@@ -253,11 +227,11 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
         if lost:
             strayed = real(ORDERLY) * dx
         # the nodes' velocities stand behind the particles where they fit
-        velocity_at = row_at(velocity, w)
+        velocity_at = bspline.row_at(velocity, w)
         room = momentum.shape[1]
         offset = (before_nodes * N + 3) // 4 * 4
         if stays == 1 and offset + 4 * room <= numbers:
-            velocity_at = resident_at(number * offset)
+            velocity_at = block.resident_at(number * offset)
         nodal = wp.array(ptr=velocity_at, shape=(1, room), dtype=vec4)
         for i in range(lane, N, lanes):
             p = int(i)
@@ -266,11 +240,15 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                 records.place[w, i] = i
             else:
                 p = records.order[w, i]
-            load(w, i, p, matter, state, records)
-        meet()
+            access.load(of, w, i, p, state)
+            if compensates == 1:
+                store.put_vector(of, w, LOW, i, state.low[w, p])
+            moduli[w, 0, i] = matter.mu[w, p]
+            moduli[w, 1, i] = matter.lam[w, p]
+        block.meet()
         if step == 0:
             for i in range(lane, N, lanes):
-                unload(w, i, records.order[w, i], records, last_good)
+                access.unload(of, w, i, records.order[w, i], last_good)
         while frame < frames and left > 0 and status == OK and t < pause:
             if step < steps and travel >= real(MARGIN) * dx:
                 if keeps == 1:
@@ -290,13 +268,15 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                         travel = real(0.0)
                         mine = int(0)
                         for i in range(lane, N, lanes):
-                            if near_table(vector(of, w, X, i), matter, scene):
+                            if boundary.near_table(store.vector(of, w, X, i), matter, scene):
                                 mine = 1
-                        near_by = any_of(mine)
+                        near_by = block.any(mine)
                         if strayed >= real(ORDERLY) * dx:
                             strayed = real(0.0)
-                            put_in_order(w, lane, lanes, layout, inv_dx, matter, grid, records)
-                            holding = list_held(
+                            access.put_in_order(
+                                w, lane, lanes, layout, inv_dx, matter, grid, records
+                            )
+                            holding = of_held.list_held(
                                 w, lane, lanes, records.order, w, matter, grips, held
                             )
                         if keeps == 1:
@@ -311,26 +291,26 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
             if substep and t >= event:
                 empty = int(-1)
                 if lane == 0:
-                    empty = grasp(w, t, age, w, N, matter, scene, paths, grips, records)
+                    empty = boundary.grasp(w, t, age, w, N, matter, scene, paths, grips, records)
                     if empty >= 0:
                         clock.failed_particle[w] = empty
                 event = next_event(w, t, paths)
-                if any_of(int(empty >= 0)) == 1:
+                if block.any(int(empty >= 0)) == 1:
                     status = NOTHING_HELD
                     substep = False
-                holding = list_held(w, lane, lanes, records.order, w, matter, grips, held)
+                holding = of_held.list_held(w, lane, lanes, records.order, w, matter, grips, held)
             if substep:
                 # poses of many substeps at once
                 if grippers > 0 and (step < posed or step >= posed + AHEAD):
                     posed = step
                     began = plan.time[frame]
                     pose_ahead(w, lane, lanes, step, AHEAD, began, dt, paths, grips)
-                    meet()
+                    block.meet()
                 grip_row = w * AHEAD + step - posed
                 for n in range(lane, holding, lanes):
                     if held.share[w, n] > real(0.0):
-                        x = vector(of, w, X, held.record[w, n])
-                        lead(w, n, x, grip_row, h, matter, scene, grips, held)
+                        x = store.vector(of, w, X, held.record[w, n])
+                        of_held.lead(w, n, x, grip_row, h, matter, scene, grips, held)
                 if keeps == 1:
                     tape.layout_of[slot] = layout
                     for n in range(lane, grid.count[layout], lanes):
@@ -340,51 +320,51 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                 for i in range(lane, N, lanes):
                     p = records.order[w, i]
                     near = get_near(records.near, w, i)
-                    D = differences(of, w, X, near)
+                    D = store.differences(of, w, X, near)
                     filtered = mat33()
                     inverse_plastic = mat33()
                     if damped == 1:
-                        filtered = symmetric(of, w, Z, i)
+                        filtered = store.symmetric(of, w, Z, i)
                     if plastic == 1:
-                        inverse_plastic = matrix(of, w, G, i)
-                    pull, filtered_after, inverse_after, upright = pull_of(
+                        inverse_plastic = store.matrix(of, w, G, i)
+                    pull, filtered_after, inverse_after, upright = elasticity.pull(
                         D, matter.rest_frame[p], moduli[w, 0, i], moduli[w, 1, i],
                         matter.yield_stress[w], keep, share, filtered, inverse_plastic,
                         h * matter.volume,
                     )  # fmt: skip
-                    v = vector(of, w, V, i)
+                    v = store.vector(of, w, V, i)
                     if keeps == 1:
-                        tape_vector(tape.of, slot, 0, i, vector(of, w, X, i))
-                        tape_vector(tape.of, slot, 3, i, v)
-                        tape_matrix(tape.of, slot, 6, i, matrix(of, w, C, i))
+                        kept.put_vector(tape.of, slot, 0, i, store.vector(of, w, X, i))
+                        kept.put_vector(tape.of, slot, 3, i, v)
+                        kept.put_matrix(tape.of, slot, 6, i, store.matrix(of, w, C, i))
                         if damped == 1:
-                            tape_symmetric(tape.of, slot, TAPED_Z, i, filtered)
+                            kept.put_symmetric(tape.of, slot, TAPED_Z, i, filtered)
                         if plastic == 1:
-                            tape_matrix(tape.of, slot, TAPED_G, i, inverse_plastic)
+                            kept.put_matrix(tape.of, slot, TAPED_G, i, inverse_plastic)
                     if drag > real(0.0):
-                        wind = air(D, v, spans_of(near, i), matter.sheet, drag, h)
-                        put_vector(of, w, V, i, v + per_mass * wind)
-                    put_matrix(of, w, PULLS, i, pull)
+                        wind = elasticity.air(D, v, spans_of(near, i), matter.sheet, drag, h)
+                        store.put_vector(of, w, V, i, v + per_mass * wind)
+                    store.put_matrix(of, w, PULLS, i, pull)
                     if damped == 1:
-                        put_symmetric(of, w, Z, i, filtered_after)
+                        store.put_symmetric(of, w, Z, i, filtered_after)
                     if plastic == 1:
-                        put_matrix(of, w, G, i, inverse_after)
+                        store.put_matrix(of, w, G, i, inverse_after)
                     if not upright:
                         inverted = 1
                         clock.failed_particle[w] = p
-                if any_of(inverted) == 1:
+                if block.any(inverted) == 1:
                     status = INVERTED
                     substep = False
             if substep:
                 if keeps == 1:
                     for i in range(lane, N, lanes):
                         q = momentum_of(w, i, h, mass, gravity, records)
-                        tape_vector(tape.of, slot, 15, i, q)
-                    meet()
+                        kept.put_vector(tape.of, slot, 15, i, q)
+                    block.meet()
                 if near_by == 1:
                     for s in range(lane, sections, lanes):
                         touch(w, s, h, mass, matter, scene, records)
-                    meet()
+                    block.meet()
                 nodes = grid.count[layout]
                 window = window_type()
                 window_at = wp.vec3i(-1, -1, -1)
@@ -395,38 +375,37 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     q = momentum_of(w, i, h, mass, gravity, records)
                     if free < real(1.0):
                         q += (real(1.0) - free) * (mass * held.led[w, i] - q)
-                    node, f, given = given_by(
-                        vector(of, w, X, i), q, matrix(of, w, C, i), mass, layout, inv_dx, grid
-                    )
+                    x, affine = store.vector(of, w, X, i), store.matrix(of, w, C, i)
+                    node, f, given = transfer.given_by(x, q, affine, mass, layout, inv_dx, grid)
                     window = hand_over(window, window_at, node, momentum, slot, grid.start, layout)
-                    window = collect(window, f, given)
+                    window = bspline.collect(window, f, given)
                     window_at = node
                 hand_over(
                     window, window_at, wp.vec3i(-1, -1, -1), momentum, slot, grid.start, layout
                 )
-                meet()
+                block.meet()
                 # the square of the longest way [m^2]
                 longest = carry(w, lane, lanes, holding, grip_row, h, dx, grips, records, held)
                 following = vec4()
                 if lane < nodes:
-                    following = get_node(momentum, slot, lane)
+                    following = bspline.get_node(momentum, slot, lane)
                 for n in range(lane, nodes, lanes):
                     m = following
                     # on its way while this one is updated
                     if n + lanes < nodes:
-                        following = get_node(momentum, slot, n + lanes)
+                        following = bspline.get_node(momentum, slot, n + lanes)
                     if m[3] > real(0.0):
                         if keeps == 0:
-                            put_node(momentum, slot, n, vec4())
-                        put_node(nodal, 0, n, node_velocity(m, factor))
-                meet()
+                            bspline.put_node(momentum, slot, n, vec4())
+                        bspline.put_node(nodal, 0, n, transfer.node_velocity(m, factor))
+                block.meet()
                 for i in range(lane, N, lanes):
                     if held.free[w, i] == real(0.0):
                         continue
-                    x = vector(of, w, X, i)
-                    v, affine = g2p(layout, 0, x, inv_dx, grid, nodal)
+                    x = store.vector(of, w, X, i)
+                    v, affine = transfer.g2p(layout, 0, x, inv_dx, grid, nodal)
                     longest = wp.max(longest, move(w, i, x, v, affine, h, dx, records))
-                longest = largest(longest)
+                longest = block.largest(longest)
                 if longest > real(1.5) * dx * dx:
                     status = int(DIVERGED)
                 else:
@@ -436,15 +415,15 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                 step += 1
                 age += 1
                 left -= 1
-                meet()
+                block.meet()
             if step == steps and status == OK:
                 for c in range(lane, plan.particles.shape[0], lanes):
                     i = records.place[w, plan.particles[c]]
-                    plan.x[frame, w, c] = vector(of, w, X, i)
+                    plan.x[frame, w, c] = store.vector(of, w, X, i)
                 frame += 1
                 if frame < frames:
                     for i in range(lane, N, lanes):
-                        unload(w, i, records.order[w, i], records, last_good)
+                        access.unload(of, w, i, records.order[w, i], last_good)
                     steps = plan.steps[frame, w]
                     dt = frame_substep(frame, w, plan)
                     h = real(dt)
@@ -452,12 +431,12 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
                     step = 0
                     posed = -AHEAD
             t = plan.time[frame] + wp.float64(step) * dt
-        meet()
+        block.meet()
         for i in range(lane, N, lanes):
             p = records.order[w, i]
-            unload(w, i, p, records, state)
+            access.unload(of, w, i, p, state)
             if compensates == 1:
-                state.low[w, p] = vector(of, w, LOW, i)
+                state.low[w, p] = store.vector(of, w, LOW, i)
         if lane == 0:
             records.strayed[w] = strayed
             clock.frame[w] = frame
@@ -469,4 +448,4 @@ def make_block_kernels(variant: Variant, *, taped: bool = False) -> SimpleNamesp
             clock.near_table[w] = near_by
             clock.status[w] = status
 
-    return SimpleNamespace(Records=Records, Tape=Tape, advance=advance)
+    return Namespace(advance, Records=Records, Tape=Tape)

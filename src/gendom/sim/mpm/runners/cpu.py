@@ -1,14 +1,8 @@
 """Running on the CPU: each thread simulates one world from the first frame to the last."""
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false
-
-import contextlib
 import functools
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
@@ -21,7 +15,15 @@ from gendom.sim.mpm.grid import MARGIN, Grid, GridExhausted, SparseGrid, make_re
 from gendom.sim.mpm.model import CLOCK, REBUILD, Worlds
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import make_rows
-from gendom.sim.mpm.step import DIVERGED, GRID_FULL, OK, make_stages, make_step
+from gendom.sim.mpm.step import (
+    DIVERGED,
+    GRID_FULL,
+    INVERTED,
+    NOTHING_HELD,
+    OK,
+    make_stages,
+    make_step,
+)
 from gendom.sim.mpm.types import make_types
 from gendom.sim.setting import Frames
 
@@ -31,10 +33,9 @@ def make_advance(real: Any, law_name: str, *, yields: bool) -> Any:
     """Build the kernel that takes one world through many substeps, see ``step.make_stages``."""
     k = make_stages(real, law_name, yields=yields)
     types = k.types
-    vec4 = types.vec4
+    Nodes, Pulls, Vectors = types.Nodes, types.Pulls, types.Vectors
     substep = make_step(real, law_name, yields=yields).substep
     rebuild = make_rebuild_world(real, make_rows(real))
-    near_table = k.boundary.near_table
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def advance(
@@ -45,8 +46,8 @@ def make_advance(real: Any, law_name: str, *, yields: bool) -> Any:
         scene: types.Scene,
         paths: types.Paths,
         grips: types.Grips,  # [W]
-        pulls: wp.array2d(dtype=types.pull),  # [W, N] scratch
-        touched: wp.array2d(dtype=types.vec3),  # [W, sections] scratch
+        pulls: Pulls,  # [W, N] scratch
+        touched: Vectors,  # [W, sections] scratch
         # in rows: substep n of this call goes from row first + n * stride to the next; stride 0
         # works in place, 1 keeps every state, its grid and its layout for the reverse
         first: int,
@@ -55,8 +56,8 @@ def make_advance(real: Any, law_name: str, *, yields: bool) -> Any:
         # grid of this world alone
         grid: SparseGrid,
         layout_of: wp.array(dtype=wp.int32),  # [L] the layout of each substep of this call
-        momentum: wp.array2d(dtype=vec4),  # [L, M] and mass
-        velocity: wp.array2d(dtype=vec4),  # [1, M] and mass; may be ``momentum`` where stride is 0
+        momentum: Nodes,  # [L, M] and mass
+        velocity: Nodes,  # [1, M] and mass; may be ``momentum`` where stride is 0
     ):
         N = state.x.shape[1]
         dx = scene.dx
@@ -75,7 +76,7 @@ def make_advance(real: Any, law_name: str, *, yields: bool) -> Any:
                 fits = rebuild(row, 0, 1, N, layout, momentum.shape[1], real(1.0) / dx, state, grid)
                 near = int(0)
                 for p in range(N):
-                    if near_table(state.x[row, p], matter, scene):
+                    if k.boundary.near_table(state.x[row, p], matter, scene):
                         near = 1
                 clock.near_table[w] = near
                 if fits:
@@ -92,9 +93,10 @@ def make_advance(real: Any, law_name: str, *, yields: bool) -> Any:
                     clock, matter, scene, paths, grips, pulls, touched, state, grid, momentum,
                     velocity,
                 )  # fmt: skip
-                travel += real(dt) * wp.sqrt(fastest)
-                step += 1
-                age += 1
+                if status != INVERTED and status != NOTHING_HELD:  # it could be done
+                    travel += real(dt) * wp.sqrt(fastest)
+                    step += 1
+                    age += 1
         clock.step[w] = step
         clock.age[w] = age
         clock.travel[w] = travel
@@ -175,23 +177,22 @@ class Threads:
                 frames.x[f, w] = self.state["x"][w, frames.particles]
                 done[w] = f + 1
 
+        def report() -> None:
+            nonlocal reported
+            if frames.on_frame is not None and done.min() > reported:
+                reported = int(done.min())
+                frames.on_frame(reported)
+
+        reported = 0
         with ThreadPoolExecutor(max_workers=self.count) as pool:
             jobs = self._submit(pool, one_world)
             try:
-                reported = 0
-                while not all(job.done() for job in jobs):
-                    for job in jobs:
-                        if not job.done():
-                            _wait(job)
-                            break
-                    if frames.on_frame is not None and done.min() > reported:
-                        reported = int(done.min())
-                        frames.on_frame(reported)
+                while wait(jobs, timeout=0.05).not_done:
+                    report()
             except BaseException:
                 stop = True
                 raise
-        if frames.on_frame is not None and done.min() > reported:
-            frames.on_frame(int(done.min()))
+        report()
         for job in jobs:
             job.result()
         if worlds.failures and not frames.keep_going:
@@ -261,8 +262,3 @@ def load(kernel: Any, device: Any) -> None:
     """Compile a kernel, or load it from Warp's cache, before threads call it."""
     with making:
         wp.load_module(kernel.module, device=device)
-
-
-def _wait(job: Future[None]) -> None:
-    with contextlib.suppress(TimeoutError):
-        job.exception(timeout=0.05)

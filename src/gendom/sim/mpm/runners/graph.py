@@ -1,10 +1,5 @@
 """Running on CUDA: all worlds in lockstep, stage by stage, substeps replayed from a graph."""
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import math
 from typing import Any
 
@@ -15,14 +10,14 @@ from numpy.typing import NDArray
 from gendom.sim.mpm.grid import Grid
 from gendom.sim.mpm.model import REBUILD, Worlds
 from gendom.sim.mpm.runners.graph_kernels import make_graph_kernels
-from gendom.sim.mpm.step import (
-    GRID_FULL,
-    OK,
-)
+from gendom.sim.mpm.step import GRID_FULL, OK
 from gendom.sim.setting import Frames
 
 SUBSTEPS_A_GRAPH = 8
 """Substeps recorded in one CUDA graph."""
+
+LAP = ("time", "fastest", "done", "trouble", "stale")
+"""The arrays of a lap."""
 
 BLOCK = 128
 """Threads of a block."""
@@ -46,11 +41,9 @@ class Batch:
         W = worlds.num_worlds
         self.grips = worlds.grips
         worlds.place_grippers(self.grips, self.grip_rows)
-        self.lap = self.stages.Lap()
-        self.lap.time = worlds.zeros(1, wp.float64)
-        self.lap.fastest = worlds.zeros((W, SUBSTEPS_A_GRAPH), worlds.real)
-        for name in ("done", "trouble", "stale"):
-            setattr(self.lap, name, worlds.zeros(W, wp.int32))
+        self.lap = worlds.allocate(
+            self.stages.Lap, time=1, fastest=(W, SUBSTEPS_A_GRAPH), done=W, trouble=W, stale=W
+        )
         self.make_grid()
         self.begin()
 
@@ -207,12 +200,7 @@ class Batch:
         W, N = s.num_worlds, s.num_particles
         now = [r, s.clock, lap]
         self.launch(k.grasp, W, [*now, s.matter, s.scene, s.paths, self.grips, before])
-        for kind in self._all:
-            self.launch(kind.forces, (W, N), [*now, s.matter, s.scene, before, after, s.pulls])
-        if s.scene.table or s.scene.walls:
-            self.launch(k.touch, s.touched.shape, [
-                *now, s.matter, s.scene, before, s.pulls, s.touched,
-            ])  # fmt: skip
+        self.launch_forces(now, before, after)
         self.launch(k.p2g, (W, N), [
             *now, s.matter, s.scene, self.grips, before, s.pulls, s.touched, layouts, momentum,
         ])  # fmt: skip
@@ -222,6 +210,18 @@ class Batch:
         self.launch(k.g2p, (W, N), [
             *now, s.matter, s.scene, self.grips, layouts, self.velocity, before, after,
         ])  # fmt: skip
+
+    def launch_forces(self, now: list[Any], before: Any, after: Any) -> None:
+        """Pulls between particles, and what table and walls do."""
+        s = self.worlds
+        for kind in self._all:
+            self.launch(kind.forces, s.pulls.shape, [
+                *now, s.matter, s.scene, before, after, s.pulls,
+            ])  # fmt: skip
+        if s.scene.table or s.scene.walls:
+            self.launch(self.stages.touch, s.touched.shape, [
+                *now, s.matter, s.scene, before, s.pulls, s.touched,
+            ])  # fmt: skip
 
     def hold_as_at(self, age: wp.array) -> None:
         """Hold in each world what was held before substep ``age`` [W] of all."""

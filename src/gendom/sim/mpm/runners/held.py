@@ -6,26 +6,22 @@ for in turn; a list is read at once.
 Shapes: W worlds, N particles.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportGeneralTypeIssues=false
-
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.boundary import make_boundary
-from gendom.sim.mpm.model import Worlds
 from gendom.sim.mpm.particles import make_rows
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
+
+LIST = ("free", "led", "record", "gripper", "number", "share", "place", "modulus")
+"""Arrays of ``Held`` with a number for each particle."""
 
 
 @functools.cache
-def make_held(real: Any) -> SimpleNamespace:
+def make_held(real: Any) -> Namespace:
     """Build the list for one scalar type.
 
     Returns:
@@ -36,7 +32,6 @@ def make_held(real: Any) -> SimpleNamespace:
     vec3 = types.vec3
     meet = make_block(real).meet
     boundary = make_boundary(real, make_rows(real))
-    follow, modulus_of, spring = boundary.follow, boundary.modulus_of, boundary.spring
 
     @wp.struct
     class Held:
@@ -54,8 +49,8 @@ def make_held(real: Any) -> SimpleNamespace:
 
     @wp.func
     def list_held(
-        w: int, lane: int, lanes: int, order: wp.array2d(dtype=wp.int32), row: int,
-        matter: Matter, grips: Grips, held: Held,
+        w: int, lane: int, lanes: int, order: wp.array2d(dtype=wp.int32), row: int, matter: Matter,
+        grips: Grips, held: Held,
     ):  # fmt: skip
         """List what is held of the records of particles ``order[row]``; return how many."""
         N = held.free.shape[1]
@@ -75,32 +70,20 @@ def make_held(real: Any) -> SimpleNamespace:
                 held.number[w, n] = grips.held_by[w, p] % N
                 held.share[w, n] = free
                 held.place[w, n] = grips.place[w, g, grips.held_by[w, p] % N]
-                held.modulus[w, n] = modulus_of(w, p, matter)
+                held.modulus[w, n] = boundary.modulus_of(w, p, matter)
         meet()
         return held.count[w]
 
     @wp.func
     def lead(
-        w: int, n: int, x: vec3, grip_row: int, h: real, matter: Matter, scene: Scene,
-        grips: Grips, held: Held,
+        w: int, n: int, x: vec3, grip_row: int, h: real, matter: Matter, scene: Scene, grips: Grips,
+        held: Held,
     ):  # fmt: skip
         """Set the velocity that its gripper would give to the n-th of the list, which is at x."""
-        b, _slope = spring(w, held.modulus[w, n], h, matter, scene.dx)
-        v, _spin, _by_b = follow(held.gripper[w, n], held.place[w, n], grip_row, x, b, h, grips)
+        b, _slope = boundary.spring(w, held.modulus[w, n], h, matter, scene.dx)
+        v, _spin, _by_b = boundary.follow(
+            held.gripper[w, n], held.place[w, n], grip_row, x, b, h, grips
+        )
         held.led[w, held.record[w, n]] = v
 
-    return SimpleNamespace(Held=Held, list_held=list_held, lead=lead)
-
-
-def empty_list(worlds: Worlds) -> Any:
-    """A ``Held`` for all worlds."""
-    held = make_held(worlds.real).Held()
-    shape = (worlds.num_worlds, worlds.num_particles)
-    held.count = worlds.zeros(shape[0], wp.int32)
-    for name in ("record", "gripper", "number"):
-        setattr(held, name, worlds.zeros(shape, wp.int32))
-    for name in ("free", "share", "modulus"):
-        setattr(held, name, worlds.zeros(shape, worlds.real))
-    for name in ("led", "place"):
-        setattr(held, name, worlds.zeros(shape, worlds.types.vec3))
-    return held
+    return Namespace(list_held, lead, Held=Held)

@@ -3,23 +3,17 @@
 Shapes: W worlds, N particles, L layouts of the grid, M nodes.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
-
 import functools
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.block import Near, make_block, make_store, put_near
+from gendom.sim.mpm.block import make_block, make_store, put_near
 from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.particles import Particles
 from gendom.sim.mpm.transfer import make_transfer
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.types import Namespace, make_types
 
 ORDERLY = 1.0
 """Largest distance [cells] that a particle may travel before the records are sorted again."""
@@ -119,31 +113,26 @@ def make_tape(real: Any) -> Any:
 
 
 @functools.cache
-def make_record_access(variant: Variant) -> SimpleNamespace:
+def make_record_access(variant: Variant) -> Namespace:
     """Build what fills, orders and empties the records of a variant.
 
     Returns:
-        Namespace with ``load`` and ``unload`` (from and to ``State``) and ``put_in_order``.
+        Namespace with ``load`` and ``unload`` (from and to rows) and ``put_in_order``.
     """
     real = variant.real
     types = make_types(real)
-    Matter, State = types.Matter, types.State
+    Matter = types.Matter
     Records = make_records(real, resident=variant.room > 0).Struct
     locate = make_transfer(real).locate
     store = make_store(real, resident=variant.room > 0)
-    get, put = store.get, store.put
-    vector, put_vector = store.vector, store.put_vector
-    matrix, put_matrix = store.matrix, store.put_matrix
     block = make_block(real)
-    meet, before = block.meet, block.before
-    compensates = wp.constant(int(types.compensates))
     COMPONENTS, Z, G = map(wp.constant, (variant.components, variant.Z, variant.G))
     damped, plastic = wp.constant(int(variant.damped)), wp.constant(int(variant.yields))
 
     @wp.func
     def put_in_order(
-        w: int, lane: int, lanes: int, layout: int, inv_dx: real, matter: Matter,
-        grid: SparseGrid, records: Records,
+        w: int, lane: int, lanes: int, layout: int, inv_dx: real, matter: Matter, grid: SparseGrid,
+        records: Records,
     ):  # fmt: skip
         """Order a world's records by their lowest nodes."""
         of = records.of
@@ -153,75 +142,65 @@ def make_record_access(variant: Variant) -> SimpleNamespace:
         end = (lane + 1) * nodes // lanes
         for n in range(begin, end):
             records.tally[w, n] = 0
-        meet()
+        block.meet()
         for i in range(lane, N, lanes):
-            node, _f = locate(layout, vector(of, w, X, i), inv_dx, grid)
+            node, _f = locate(layout, store.vector(of, w, X, i), inv_dx, grid)
             n = grid.start[layout, node[0], node[1]] + node[2]
             wp.atomic_add(records.tally, w, n, 1)
-        meet()
+        block.meet()
         total = int(0)
         for n in range(begin, end):
             total += records.tally[w, n]
-        first = before(total)
+        first = block.before(total)
         for n in range(begin, end):
             here = records.tally[w, n]
             records.tally[w, n] = first
             first += here
-        meet()
+        block.meet()
         for i in range(lane, N, lanes):
-            node, _f = locate(layout, vector(of, w, X, i), inv_dx, grid)
+            node, _f = locate(layout, store.vector(of, w, X, i), inv_dx, grid)
             n = grid.start[layout, node[0], node[1]] + node[2]
             j = wp.atomic_add(records.tally, w, n, 1)
             p = records.order[w, i]
             records.spare_order[w, j] = p
             records.place[w, p] = j
             for c in range(COMPONENTS):
-                records.spare[w, c, j] = get(of, w, c, i)
+                records.spare[w, c, j] = store.get(of, w, c, i)
             for c in range(2):
                 records.spare[w, COMPONENTS + c, j] = records.moduli[w, c, i]
-        meet()
+        block.meet()
         for i in range(lane, N, lanes):
             p = records.spare_order[w, i]
             records.order[w, i] = p
             for c in range(COMPONENTS):
-                put(of, w, c, i, records.spare[w, c, i])
+                store.put(of, w, c, i, records.spare[w, c, i])
             for c in range(2):
                 records.moduli[w, c, i] = records.spare[w, COMPONENTS + c, i]
-            near = Near()
-            for axis in range(3):
-                for side in range(2):
-                    near[2 * axis + side] = records.place[w, matter.lattice[p, axis, side]]
-            put_near(records.near, w, i, near)
-        meet()
+            put_near(records.near, w, i, p, matter.lattice, records.place, w)
+        block.meet()
 
     @wp.func
-    def load(w: int, i: int, p: int, matter: Matter, state: State, records: Records):
-        """Make record i of particle p."""
-        of = records.of
-        put_vector(of, w, X, i, state.x[w, p])
-        put_vector(of, w, V, i, state.v[w, p])
-        put_matrix(of, w, C, i, state.C[w, p])
-        if compensates == 1:
-            put_vector(of, w, LOW, i, state.low[w, p])
+    def load(of: wp.array3d(dtype=real), w: int, i: int, p: int, state: Any):
+        """Make record i of particle p of a ``State``, or of its derivatives."""
+        store.put_vector(of, w, X, i, state.x[w, p])
+        store.put_vector(of, w, V, i, state.v[w, p])
+        store.put_matrix(of, w, C, i, state.C[w, p])
         if damped == 1:
             for c in range(6):
-                put(of, w, Z + c, i, state.Z[w, c, p])
+                store.put(of, w, Z + c, i, state.Z[w, c, p])
         if plastic == 1:
-            put_matrix(of, w, G, i, state.G[w, p])
-        records.moduli[w, 0, i] = matter.mu[w, p]
-        records.moduli[w, 1, i] = matter.lam[w, p]
+            store.put_matrix(of, w, G, i, state.G[w, p])
 
     @wp.func
-    def unload(w: int, i: int, p: int, records: Records, state: State):
+    def unload(of: wp.array3d(dtype=real), w: int, i: int, p: int, state: Any):
         """Write record i to particle p."""
-        of = records.of
-        state.x[w, p] = vector(of, w, X, i)
-        state.v[w, p] = vector(of, w, V, i)
-        state.C[w, p] = matrix(of, w, C, i)
+        state.x[w, p] = store.vector(of, w, X, i)
+        state.v[w, p] = store.vector(of, w, V, i)
+        state.C[w, p] = store.matrix(of, w, C, i)
         if damped == 1:
             for c in range(6):
-                state.Z[w, c, p] = get(of, w, Z + c, i)
+                state.Z[w, c, p] = store.get(of, w, Z + c, i)
         if plastic == 1:
-            state.G[w, p] = matrix(of, w, G, i)
+            state.G[w, p] = store.matrix(of, w, G, i)
 
-    return SimpleNamespace(load=load, unload=unload, put_in_order=put_in_order)
+    return Namespace(load, unload, put_in_order)
