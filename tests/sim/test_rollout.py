@@ -372,9 +372,13 @@ def test_float32_points_where_float64_does_after_a_whole_lift():
         rollout = Rollout(lift(dtype))
         x = rollout.forward(times)
         found[dtype] = rollout.backward(2.0 * (x - seen))
-    for name in ("stiffness", "gripper_positions", "positions", "velocities", "gravity"):
+    for name in ("stiffness", "gripper_positions", "positions", "gravity"):
         a, b = (np.ravel(getattr(found[d], name)).astype(float) for d in ("float32", "float64"))
         assert a @ b / np.linalg.norm(a) / np.linalg.norm(b) > 0.999, name
+    # friction stops the lying rope at once: what a first velocity [m/s] does is rounding beside
+    # what a first position [m] does
+    off = found["float32"].velocities - found["float64"].velocities
+    assert np.linalg.norm(off) < 1e-6 * np.linalg.norm(found["float64"].positions)
 
     def loss(E):
         return float(((lift("float64", E).run(times) - seen) ** 2).sum())

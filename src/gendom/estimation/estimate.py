@@ -30,10 +30,13 @@ from gendom.estimation.registration import register
 from gendom.estimation.result import Estimate, result_of
 from gendom.estimation.scene import Scene
 from gendom.estimation.theta import Theta
-from gendom.estimation.verdict import displaced, judge, recording_faults
+from gendom.estimation.verdict import displaced, judge, refused_before
 
 STAGES: tuple[str, ...] = ("scene", "search", "intervals")
 """That take time; the verdict and replays for the result take the time of a few simulations."""
+
+GLANCE = 2
+"""`EstimateSettings.max_iterations` where a recording is refused whatever is found."""
 
 ASTRAY = 5.0
 """Displacement of a cloth's model, over what is usable at most, from which on the search has gone
@@ -86,12 +89,16 @@ def estimate(
     with threadpool_limits(limits=1, user_api="blas"):
         scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
         problem = Problem(scenes, settings, on_progress, known, names)
+        refused = refused_before(problem)
+        if refused:
+            # a glance shows where it differs
+            problem.settings = replace(settings, starts=1, max_iterations=GLANCE)
         times.append(clock.perf_counter())
         found = METHODS[settings.method](problem)
         finer = problem.finer(found.best.vector)
-        if finer is not problem and settings.method == "gauss-newton" and not found.interrupted:
-            problem, found = finer, refined(finer, found)
-        if settings.method == "gauss-newton" and not found.interrupted:
+        if settings.method == "gauss-newton" and not found.interrupted and not refused:
+            if finer is not problem:
+                problem, found = finer, refined(finer, found)
             found = _nearer(problem, found)
         times.append(clock.perf_counter())
         calibration = calibration or Calibration.of(problem.scene.kind, settings.frames)
@@ -109,11 +116,10 @@ def _nearer(problem: Problem, found: Found) -> Found:
     """The result, or that of a search over the whole prior where a cloth moves otherwise than the
     best fit does: with a large displacement of the model every place fits, and steps end anywhere.
     """
-    parts = list(zip(problem.parts, found.noise, strict=True))
-    faulty = any(recording_faults(part.scene.recording, None) for part, _ in parts)
+    parts = zip(problem.parts, found.noise, strict=True)
     cloth = problem.scene.kind == "cloth" and problem.scene.thin
     astray = any(displaced(part, noise, times=ASTRAY) for part, noise in parts)
-    if faulty or not cloth or not astray:
+    if not cloth or not astray:
         return found
     try:
         best = nearest(problem)

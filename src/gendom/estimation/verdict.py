@@ -163,6 +163,19 @@ def _impossible_density(kind: str, density: float | None, s: VerdictSettings) ->
     ]
 
 
+def refused_before(problem: Problem, settings: VerdictSettings | None = None) -> bool:
+    """Whether a recording is not usable whatever a search finds."""
+    s = settings or VerdictSettings()
+    for part in problem.parts:
+        scene, known = part.scene, "thickness" not in problem.prior.names
+        density = None if scene.recording.object.mass is None else scene.density
+        if recording_faults(scene.recording, density, s):
+            return True
+        if known and _at_rest(part, part.base, s):
+            return True
+    return False
+
+
 def judge(
     problem: Problem,
     found: Found,
