@@ -228,6 +228,11 @@ class Prior:
         values = ((UNKNOWNS[self.names[k]], float(vector[k])) for k in own)
         return base.with_values({u.name: u.value(x) for u, x in values})
 
+    def within(self, reach: float) -> tuple[Array, Array]:
+        """[P] and [P] ends of the ranges, no farther than so many deviations from the means."""
+        low, high = self.mean - reach * self.sd, self.mean + reach * self.sd
+        return np.maximum(self.low, low), np.minimum(self.high, high)
+
     def clipped(self, vector: Array) -> Array:
         return np.clip(vector, self.low, self.high)
 

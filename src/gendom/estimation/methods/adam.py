@@ -75,11 +75,7 @@ def adam(problem: Problem, settings: AdamSettings | None = None) -> Found:
     interrupted = False
     try:
         loss = DensityLoss(problem, settings)
-        reach = settings.reach * prior.sd
-        low, high = (
-            np.maximum(prior.low, prior.mean - reach),
-            np.minimum(prior.high, prior.mean + reach),
-        )
+        low, high = prior.within(settings.reach)
         descents = [_Descent(s, np.clip(s.vector, low, high)) for s in starts]
         for iteration in range(1, most + 1):
             if (iteration - 1) % settings.look == 0:

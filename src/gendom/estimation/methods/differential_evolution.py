@@ -55,9 +55,7 @@ def differential_evolution(
         sensor=settings.noise, model=problem.settings.noise.least_model, rounds=1
     )
     most = problem.settings.max_iterations
-    reach = settings.reach * prior.sd
-    low = np.maximum(prior.low, prior.mean - reach)
-    high = np.minimum(prior.high, prior.mean + reach)
+    low, high = prior.within(settings.reach)
     middle = prior.vector(*problem.bases)
     best = Start(initial=middle, vector=middle)
 

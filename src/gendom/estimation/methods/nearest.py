@@ -44,8 +44,7 @@ def nearest(problem: Problem, settings: NearestSettings | None = None) -> Start:
         SimulationError: Nothing could be simulated.
     """
     settings, prior = settings or NearestSettings(), problem.prior
-    low = np.maximum(prior.low, prior.mean - settings.reach * prior.sd)
-    high = np.minimum(prior.high, prior.mean + settings.reach * prior.sd)
+    low, high = prior.within(settings.reach)
     best = Start(initial=prior.mean, vector=prior.mean)
     tried: list[tuple[float, Array]] = []
 
