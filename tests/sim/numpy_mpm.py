@@ -34,10 +34,11 @@ DRAG = {"rope": 1.1, "cloth": 1.2}
 """Drag coefficients: of a cylinder, of a plate, across the flow [-]."""
 SPRING, DASHPOT = 0.1, 0.85
 """Of table and walls: what they make good of depth and of velocity inwards in a substep [-]."""
-BEYOND = 1.22
-"""Where a gripper's weights fall to 0, in spacings beyond its surface [-]."""
-STIFFNESS = 1.4
-"""Of the spring on what is held in part, for the material's own [-]."""
+BEYOND, STIFFNESS = 1.22, 1.4
+"""Where a gripper's weights fall to 0, in spacings beyond its surface; stiffness of the spring on
+what is held in part, for the material's own [-]."""
+COARSE = (1.25, 3.0)
+"""The two of ropes with two by two particles a section."""
 FOLLOWS = 0.5
 """Share of its distance from where it belongs that held material makes good at most [-]."""
 
@@ -170,6 +171,12 @@ class NumpyMPM:
             change -= push(np.asarray(self.box.upper) - x - radius, -u)
         return change
 
+    @property
+    def grip_constants(self) -> tuple[float, float]:
+        """``BEYOND`` and ``STIFFNESS`` of the body."""
+        coarse = self.body.kind == "rope" and self.body.section == 4
+        return COARSE if coarse else (BEYOND, STIFFNESS)
+
     def grasp(self, t: float) -> None:
         """Let grippers open and close; what one holds is left to it."""
         x = self.state.x
@@ -179,7 +186,8 @@ class NumpyMPM:
             elif self.grips[i] is None:
                 centre, R = pose(gripper, t)
                 rho = np.linalg.norm(self.sections(x) - centre, axis=1)
-                f = np.clip((gripper.radius - rho) / (self.body.dx / 2.0) + BEYOND, 0.0, 1.0)
+                beyond, _ = self.grip_constants
+                f = np.clip((gripper.radius - rho) / (self.body.dx / 2.0) + beyond, 0.0, 1.0)
                 taken = sum((g.weight for g in self.grips if g is not None), np.zeros(len(x)))
                 self.grips[i] = Grip(np.where(taken > 0.0, 0.0, self.spread(f)), (x - centre) @ R)
 
@@ -198,7 +206,7 @@ class NumpyMPM:
             mine = grip.weight > 0.0
             held = held + grip.weight
             modulus = (self.lam + 2.0 * self.mu)[:, :, 0] / self.material.density
-            b = np.minimum(STIFFNESS * dt**2 * modulus / self.body.dx**2, FOLLOWS)
+            b = np.minimum(self.grip_constants[1] * dt**2 * modulus / self.body.dx**2, FOLLOWS)
             b = np.where(grip.weight[:, None] < 1.0, b, FOLLOWS)
             v[mine] = (V + b / dt * behind)[mine]
             C[mine] = np.cross(np.eye(3), omega)  # C r = omega x r

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from gendom.errors import ParameterError
 from gendom.materials import catalogue
 from gendom.sim import ENGINES, check_numbers
+from gendom.sim.bodies import CELLS_ACROSS
 
 SHELL_POINTS = 33
 """Along the longer side of a cloth. In lifts by a corner, cloths of which the bending length is
@@ -94,9 +95,10 @@ class SceneSettings:
         if self.material is not None:
             catalogue.get(self.material)
         check_numbers("cells_across", self.cells_across, above=0.0)
-        if not 0.5 <= self.cells_across <= 6.0:
+        low, high = CELLS_ACROSS
+        if not low <= self.cells_across <= high:
             raise ParameterError(
-                f"is {self.cells_across:g}", where="cells_across", fix="give 0.5 to 6"
+                f"is {self.cells_across:g}", where="cells_across", fix=f"give {low:g} to {high:g}"
             )
         if self.engine not in ENGINES:
             raise ParameterError(

@@ -13,7 +13,7 @@ from gendom.sim.cut import Cut, cut
 from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
 from gendom.sim.outlines import Outline
 
-CELLS_ACROSS = (0.5, 6.0)
+CELLS_ACROSS = (0.6, 6.0)
 """Fewest and most grid cells across a rope for which its bending and twisting are validated."""
 
 EDGES = (24, 48)
@@ -217,7 +217,7 @@ def rope(
         centre_line: [K, 3] points from one end to the other [m].
         start: [3] first end of a straight rope [m].
         direction: [3] direction of a straight rope; need not be a unit vector.
-        cells_across: Grid cells across the diameter, 0.5 to 6; particles are twice as dense. For
+        cells_across: Grid cells across the diameter, 0.6 to 6; particles are twice as dense. For
             the MPM.
         points: Number of points of the centre line, for rods; by default they are one diameter
             apart, but at least 25 and at most 49.

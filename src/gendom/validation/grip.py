@@ -27,14 +27,15 @@ BEAM = (
 )
 STAYS = "equilibrium: what hangs still stays"
 
-ALLOWED = {1.0: 0.04, 1.5: 0.02}
+ALLOWED = {1.0: 0.02, 1.5: 0.02}
 """By cells across."""
 
 KNOWN = {
-    0.3: {0.5: 0.08, 0.75: 0.05, 1.2: 0.03, 2.0: 0.02},
-    0.45: {0.5: 0.07, 1.0: 0.04, 1.5: 0.06, 2.0: 0.05},
+    0.3: {0.6: 0.02, 0.75: 0.02, 1.2: 0.02, 2.0: 0.02},
+    0.45: {0.6: 0.05, 1.0: 0.02, 1.5: 0.06, 2.0: 0.05},
 }
-"""Errors that are known, by nu and by cells across."""
+"""Errors of the sag that are allowed where a plane holds, by nu and by cells across; those at nu
+0.45 are known, not wanted."""
 
 
 def grip(settings: Settings) -> list[Check]:
@@ -93,7 +94,7 @@ def grip(settings: Settings) -> list[Check]:
             sags = _sags(s, phases, [16.0 / omega])[0]
             checks.append(
                 Check.within_share(
-                    f"sag where a plane holds, nu {nu}, {across(cells)} (for information)",
+                    f"sag where a plane holds, nu {nu}, {across(cells)}",
                     "m",
                     SAG,
                     float(sags[np.abs(sags - SAG).argmax()]),

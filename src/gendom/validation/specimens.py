@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from gendom.errors import SimulationError
 from gendom.sim import Body, Gripper, Simulator
-from gendom.sim.mpm.boundary import FOLLOWS, STIFFNESS
+from gendom.sim.mpm.boundary import FOLLOWS, grip_constants
 
 
 def block(size: ArrayLike, dx: float, *, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
@@ -133,7 +133,8 @@ def spring_energy(simulator: Simulator) -> float:
     grips, material = simulator.worlds.grips, simulator.materials[0]
     mu, lam = material.lame_of(simulator.body.lateral_constraint)
     dt = float(simulator.worlds.clock.dt.numpy()[0])
-    b = min(STIFFNESS * dt**2 * (lam + 2.0 * mu) / material.density / simulator.body.dx**2, FOLLOWS)
+    _, stiff = grip_constants(simulator.body)
+    b = min(stiff * dt**2 * (lam + 2.0 * mu) / material.density / simulator.body.dx**2, FOLLOWS)
     x = simulator.worlds.state.x.numpy()[0].astype(float)
     total = 0.0
     for g, gripper in enumerate(simulator.worlds.setting.grippers[0]):

@@ -35,7 +35,7 @@ def torsion(settings: Settings) -> list[Check]:
     J = math.pi * DIAMETER**4 / 32.0
     omega = math.pi * math.sqrt(G / material.density) / L
     checks = []
-    for cells in (1.0, 2.0) if settings.quick else (1.0, 1.5, 2.0, 3.0):
+    for cells in (1.0, 2.0) if settings.quick else (0.6, 1.0, 1.5, 2.0, 3.0):
         back = 3.0 * DIAMETER / cells
         body = rope(
             diameter=DIAMETER,

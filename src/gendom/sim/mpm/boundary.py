@@ -33,6 +33,7 @@ from typing import Any
 
 import warp as wp
 
+from gendom.sim.bodies import Body
 from gendom.sim.mpm.particles import Particles
 from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
@@ -48,12 +49,21 @@ that what is held bends a little. Free lengths then are those of beams, see ``ge
 STIFFNESS = 1.4
 """Of the spring on what is held in part, for the material's own."""
 
+COARSE = (1.25, 3.0)
+"""The two of ropes with two by two particles a section, which bend more where they are held. With
+1.33 and 1.4 sags are theory's, too, but the energy of a swinging rope grows."""
+
 FOLLOWS = 0.5
 """Share of its distance from where it belongs that held material makes good in a substep, at
 most."""
 
 DASHPOT = 0.85
 """Share of the velocity into table or walls that they take in a substep."""
+
+
+def grip_constants(body: Body) -> tuple[float, float]:
+    """``BEYOND`` and ``STIFFNESS`` of a body."""
+    return COARSE if body.kind == "rope" and body.section == 4 else (BEYOND, STIFFNESS)
 
 
 @functools.cache
@@ -116,7 +126,7 @@ def make_boundary(real: Any, particles: Particles) -> Namespace:
     def spring(w: int, modulus: real, dt: real, matter: Matter, dx: real):
         """b of a particle that is held in part, and its logarithm's slope by mu + lam / 2
         [1/Pa]."""
-        b = real(STIFFNESS) * dt * dt * modulus * matter.volume / (matter.mass[w] * dx * dx)
+        b = matter.grip_stiffness * dt * dt * modulus * matter.volume / (matter.mass[w] * dx * dx)
         slope = real(1.0) / modulus
         if b > real(FOLLOWS):
             b = real(FOLLOWS)
@@ -181,7 +191,7 @@ def make_boundary(real: Any, particles: Particles) -> Namespace:
             if p % matter.section == 0:
                 far = wp.length(section_centre(row, p, matter, particles) - c)
                 f = wp.clamp(
-                    (paths.radius[w, g] - far) / spacing + real(BEYOND), real(0.0), real(1.0)
+                    (paths.radius[w, g] - far) / spacing + matter.beyond, real(0.0), real(1.0)
                 )
             if f > real(0.0) and grips.free[w, p] == real(1.0):
                 grips.particle[w, g, count] = p

@@ -10,6 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
+from gendom.sim.mpm.boundary import grip_constants
 from gendom.sim.mpm.grid import Grid, grown_room, make_grid, room_for
 from gendom.sim.mpm.step import INVERTED, NOTHING_HELD
 from gendom.sim.mpm.types import make_types
@@ -79,6 +80,7 @@ class Worlds:
         air = spread(s.air_density, (self.num_worlds,), "air_density")
         across = s.body.thickness if s.body.kind == "rope" else 1.0
         self.drag_by_air = 0.5 * DRAG.get(s.body.kind, 0.0) * across / s.body.section
+        beyond, grip_stiffness = grip_constants(s.body)
         alone = (s.body.lattice == np.arange(len(s.body.x))[:, None, None]).any(axis=2)
         return self.filled(
             self.types.Matter,
@@ -91,6 +93,8 @@ class Worlds:
             volume=s.body.volume,
             sheet=int(s.body.kind == "cloth"),
             section=s.body.section,
+            beyond=beyond,
+            grip_stiffness=grip_stiffness,
             contact_radius=s.body.contact_radius,
             lattice=s.body.lattice,
             rest_frame=s.body.rest_frames,

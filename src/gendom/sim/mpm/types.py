@@ -71,6 +71,8 @@ def make_types(real: Any) -> Types:
         volume: real  # of a particle [m^3]
         sheet: int  # 1: a cloth, 0: a rope
         section: int  # particles that share a cross-section; they follow each other
+        beyond: real  # see ``boundary.BEYOND``
+        grip_stiffness: real  # see ``boundary.STIFFNESS``
         contact_radius: real  # height of a section's centre above the table at rest [m]
         lattice: wp.array3d(dtype=wp.int32)  # [N, 3, 2]
         rest_frame: wp.array(dtype=mat33)  # [N] [1/m]
