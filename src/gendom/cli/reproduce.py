@@ -17,6 +17,7 @@ from gendom.installation import version
 from gendom.progress import bar
 
 if TYPE_CHECKING:
+    from gendom.evaluation.coverage import CoverageSettings
     from gendom.evaluation.sheet import Curves, Ranks, Sheet
     from gendom.evaluation.tables import Workbench
 
@@ -337,7 +338,6 @@ class Command:
 
     def _coverage(self) -> int:
         from gendom.evaluation.coverage import (
-            CoverageSettings,
             calibration_of,
             coverage,
             coverage_sheets,
@@ -347,9 +347,7 @@ class Command:
 
         check_folder(self._folder)
         began = time.monotonic()
-        settings = CoverageSettings(
-            kind=self.kind, end=self.end, lifts=self.lifts, seed=self.seed, jobs=self.jobs
-        )
+        settings = self._lifts()
         with bar("lifting", self.lifts, "lift") as show:
             rows = coverage(self._folder, settings, on_done=show)
         table = covered(rows, settings.level)
@@ -366,20 +364,29 @@ class Command:
             coverage_sheets(rows, table),
             title=f"coverage, {self.kind}, {self.end}",
             about=RANKS,
-            flags=f"--kind {self.kind} --end {self.end} --lifts {self.lifts} --seed {self.seed}",
+            flags=self._lift_flags,
             seconds=time.monotonic() - began,
         )
         return 0
 
-    def _verdict(self) -> int:
+    def _lifts(self) -> CoverageSettings:
+        """Of coverage and verdict."""
         from gendom.evaluation.coverage import CoverageSettings
+
+        return CoverageSettings(
+            kind=self.kind, end=self.end, lifts=self.lifts, seed=self.seed, jobs=self.jobs
+        )
+
+    @property
+    def _lift_flags(self) -> str:
+        return f"--kind {self.kind} --end {self.end} --lifts {self.lifts} --seed {self.seed}"
+
+    def _verdict(self) -> int:
         from gendom.evaluation.spoiled import confusion, confusion_sheet, verdicts
 
         check_folder(self._folder)
         began = time.monotonic()
-        settings = CoverageSettings(
-            kind=self.kind, end=self.end, lifts=self.lifts, seed=self.seed, jobs=self.jobs
-        )
+        settings = self._lifts()
         with bar("judging", self.lifts, "lift") as show:
             rows = verdicts(self._folder, settings, on_done=show)
         result = {"table": self.table, **asdict(settings), "cases": confusion(rows)}
@@ -392,7 +399,7 @@ class Command:
             [sheet],
             title=f"verdict, {self.kind}, {self.end}",
             about=VERDICT,
-            flags=f"--kind {self.kind} --end {self.end} --lifts {self.lifts} --seed {self.seed}",
+            flags=self._lift_flags,
             seconds=time.monotonic() - began,
         )
         return 0

@@ -95,8 +95,8 @@ def estimate(
             problem.settings = replace(settings, starts=1, max_iterations=GLANCE)
         times.append(clock.perf_counter())
         found = METHODS[settings.method](problem)
-        finer = problem.finer(found.best.vector)
         if settings.method == "gauss-newton" and not found.interrupted and not refused:
+            finer = problem.finer(found.best.vector)
             if finer is not problem:
                 problem, found = finer, refined(finer, found)
             found = _nearer(problem, found)

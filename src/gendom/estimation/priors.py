@@ -123,7 +123,7 @@ def recording_prior(
 
 
 def _delay(recording: Recording, e: StatedErrors) -> dict[str, float]:
-    """How late clouds are."""
+    """The prior of how late clouds are, as changes to that of `UNKNOWNS`."""
     mean, sd = (0.0, e.delay) if recording.gripper_source == "measured" else e.commanded_delay
     frames = 0.0
     if recording.quasi_static and recording.num_frames > 1:

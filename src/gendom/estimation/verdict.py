@@ -30,12 +30,6 @@ from gendom.estimation.theta import UNKNOWNS, Theta
 
 Array = NDArray[np.floating]
 
-CERTAIN = 0.9
-"""Probability of the interval of a value that is impossible."""
-
-END, TOP = 0.99, 0.9
-"""Share of a cloud at rest that ends, and lies, lower than the object's own end and top."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictSettings:
@@ -48,16 +42,22 @@ class VerdictSettings:
     speed: tuple[float, float] = USUAL_SPEED
     """Slowest and fastest usual speed of a gripper [m/s]; other values mean a wrong unit
     of time."""
+    certain: float = 0.9
+    """Probability of an interval that holds impossible values only."""
     damping: float = 0.05
     """Damping that a recording must not show to be exceeded [s]: ropes and cloths have 1 to 20 ms,
     and what moves too fast for its stiffness looks damped."""
     at_rest: float = 0.02
     """A gripper has not lifted an object before it has moved by more, in the object's size."""
-    thicker: float = 0.25
-    """Smallest difference that counts between that and the next, in diameters."""
+    end: float = 0.99
+    """Share of a cloud of a rope at rest that ends before the rope does."""
+    top: float = 0.9
+    """Share of such a cloud that lies lower than the rope's top."""
     height: float = 3.0
-    """Difference between the height of a rope at rest and its diameter, in deviations of the
-    cameras' place. Over ten lifts it is 2.5 mm at most."""
+    """Largest difference between the top of a rope at rest and its diameter, in deviations of the
+    cameras' place. Over ten lifts it is 1.5 mm at most, of a real rope 7 mm."""
+    height_in_diameters: float = 0.25
+    """The same in diameters, of thick ropes; the larger one counts."""
     lightest: Mapping[str, float] = field(default_factory=lambda: MIN_DENSITY)
     """Least density by kind [kg/m^3]; smaller ones mean a wrong unit of mass or length."""
     heaviest: float = MAX_DENSITY
@@ -200,7 +200,7 @@ def judge(
         faults = _faults(part, comparison, found.noise[k], theta, s)
         faults += _pressed(problem, found.best.vector, k, s)
         reasons += [part.named(reason) for reason in faults]
-    reasons += _at_end(problem, found.best.vector, s) + _damped(posterior, s)
+    reasons += _impossible_modulus(problem, found.best.vector, s) + _damped(posterior, s)
     reasons += _disagreeing(problem, alone, s)
     return Verdict(usable=not reasons, reasons=tuple(reasons))
 
@@ -282,9 +282,9 @@ def _at_rest(part: Part, theta: Theta, s: VerdictSettings) -> list[str]:
     ahead = line[-1] - line[-2]
     tail = line[-1] + np.linspace(0.0, 0.5 * scene.size, 100)[1:, None] * ahead / norm(ahead)
     places = np.concatenate([line, tail])[:, :2]
-    s_of = np.concatenate([[0.0], np.cumsum(norm(np.diff(places, axis=0), axis=1))])
+    along = np.concatenate([[0.0], np.cumsum(norm(np.diff(places, axis=0), axis=1))])
     nearest = KDTree(places).query(cloud[:, :2])[1]
-    beyond = float(np.quantile(s_of[nearest], END)) - float(s_of[len(line) - 1])
+    beyond = float(np.quantile(along[nearest], s.end)) - float(along[len(line) - 1])
     place = math.hypot(part.noise.shift, *map(float, prior.sd))
     if abs(beyond) > s.nuisance * place:
         ends = "beyond" if beyond > 0.0 else "before"
@@ -293,8 +293,8 @@ def _at_rest(part: Part, theta: Theta, s: VerdictSettings) -> list[str]:
             f"{scene.size:.3g} m long: are its length and the gripper's place right?"
         )
     if recording.table_height is not None and thickness_stated(recording.object):
-        top = float(np.quantile(cloud[:, 2], TOP)) - recording.table_height
-        if abs(top - thick) > max(s.height * part.noise.shift, s.thicker * thick):
+        top = float(np.quantile(cloud[:, 2], s.top)) - recording.table_height
+        if abs(top - thick) > max(s.height * part.noise.shift, s.height_in_diameters * thick):
             reasons.append(
                 f"at rest the object reaches {1e3 * top:.0f} mm above the table, its diameter is "
                 f"{1e3 * thick:.3g} mm: are diameter and table_height right, does z point up?"
@@ -332,7 +332,7 @@ def displaced(
     return noise.model > times * most * scene.size
 
 
-def _at_end(problem: Problem, vector: Array, s: VerdictSettings) -> list[str]:
+def _impossible_modulus(problem: Problem, vector: Array, s: VerdictSettings) -> list[str]:
     """A modulus at a bound of the search, or one that an object of its density cannot have."""
     prior, scene = problem.prior, problem.scene
     if "specific_modulus" not in prior.names:
@@ -354,7 +354,7 @@ def _damped(posterior: Posterior, s: VerdictSettings) -> list[str]:
     """More damping than objects have."""
     if not posterior.determined("damping"):
         return []
-    low, _ = posterior.interval("damping", CERTAIN)
+    low, _ = posterior.interval("damping", s.certain)
     if low < s.damping:
         return []
     return [f"a damping of {low:.2g} s or more is more than objects have: are times in seconds?"]

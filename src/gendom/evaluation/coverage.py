@@ -68,6 +68,12 @@ class CoverageSettings:
         if self.lifts < 1 or self.jobs < 1 or self.seed < 0:
             raise ParameterError("lifts and jobs must be at least 1, the seed at least 0")
 
+    def estimate_settings(self, seed: int) -> EstimateSettings:
+        """Of the lift with this seed: one start on one thread, as processes work side by side."""
+        return EstimateSettings(
+            starts=1, seed=seed, level=self.level, scene=SceneSettings(threads=1)
+        )
+
 
 def draw_object(kind: str, seed: int) -> RealObject:
     """A random rope or square cloth of the second reality.
@@ -173,9 +179,7 @@ def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
     try:
         found = estimate(
             recorded(folder, settings, seed),
-            EstimateSettings(
-                starts=1, seed=seed, level=settings.level, scene=SceneSettings(threads=1)
-            ),
+            settings.estimate_settings(seed),
             calibration=Calibration.none(),
         )
     except GendomError as error:

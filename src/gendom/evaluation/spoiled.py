@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gendom.datasets import Recording
 from gendom.errors import GendomError
-from gendom.estimation import EstimateSettings, SceneSettings, estimate
+from gendom.estimation import estimate
 from gendom.evaluation.coverage import (
     CoverageSettings,
     draw_object,
@@ -282,12 +282,7 @@ def _case(recording: Recording, case: str, settings: CoverageSettings, seed: int
     try:
         if case != GOOD:
             recording = SPOILED[case](recording)
-        found = estimate(
-            recording,
-            EstimateSettings(
-                starts=1, seed=seed, level=settings.level, scene=SceneSettings(threads=1)
-            ),
-        )
+        found = estimate(recording, settings.estimate_settings(seed))
     except GendomError as error:
         return {"usable": False, "reasons": [str(error)]}
     if not found.usable:
