@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.sim import Gripper, Table, rope
+from gendom.sim import Gripper, Table, cloth, rope
 
 torch = pytest.importorskip("torch", reason="needs the extra train")
 
@@ -120,10 +120,52 @@ def test_initial_positions_of_rods_are_differentiated():
     assert start.grad is not None and float(start.grad[-1, 0]) != 0.0
 
 
+@pytest.mark.parametrize("kind", ["rope", "cloth"])
+def test_every_input_of_rods_and_shells_gets_its_derivative(kind):
+    sheet = kind == "cloth"
+    if sheet:
+        body = cloth(width=0.1, height=0.08, thickness=0.002, dx=0.02, points=(6, 5))
+    else:
+        body = rope(diameter=0.004, length=0.1, width=0.008, points=11)
+    ends = torch.tensor(body.points[[0, -1]])
+    turn = torch.tensor([[[0.1, 0.2, -0.1], [0.3, -0.1, 0.2]], [[0.0, 0.0, 0.0], [0.2, 0.4, 0.1]]])
+    given = {
+        "E": torch.tensor(3e5), "nu": torch.tensor(0.3), "density": torch.tensor(900.0),
+        "damping": torch.tensor(0.002), "air_density": torch.tensor(30.0),
+        "thickness": torch.tensor(body.thickness), "gravity": torch.tensor([0.5, 0.2, -20.0]),
+        "gripper_positions": torch.stack([ends, ends + torch.tensor([0.0, 0.004, 0.008])], dim=1),
+        "gripper_rotations": turn, "gripper_radius": torch.tensor([0.0231, 0.0213]),
+    }  # fmt: skip
+    more = {"membrane": torch.tensor(2e5), "weave": torch.tensor([1.2, 0.9, 0.7, 1.1])}
+    given |= more if sheet else {"width": torch.tensor(0.008)}
+    given = {name: a.to(torch.float64).requires_grad_() for name, a in given.items()}
+    hands = [Gripper(time=[0.0, 0.03], position=[(0, 0, 0)] * 2, radius=0.01)] * 2
+    n = len(body.points)
+
+    def loss(values):
+        x = simulate(
+            body, [0.015, 0.03], grippers=hands, options={"engine": "thin", "substep": 1e-4},
+            **values,
+        )  # fmt: skip
+        return (x[:, 0] * torch.arange(6 * n, dtype=torch.float64).reshape(2, n, 3).sin()).sum()
+
+    loss(given).backward()
+    with torch.no_grad():
+        for name, value in given.items():
+            way = torch.cos(1.7 * torch.arange(value.numel()) + 0.5).reshape(value.shape)
+            scale = 3e-7 if "gripper_" in name or "thick" in name or "width" in name else 1e-4
+            h = scale * (1.0 if "rotations" in name else max(float(value.abs().max()), 1e-3))
+            up, down = (loss(given | {name: value + k * h * way}) for k in (1, -1))
+            expected = float(up - down) / (2.0 * h)
+            assert value.grad is not None, name
+            assert float((value.grad * way).sum()) == pytest.approx(expected, rel=3e-5), name
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"youngs": 1.0}, "unknown"),
+        ({"thickness": 0.01}, "the MPM has no derivative by thickness"),
         ({"nu": torch.zeros(2, 2)}, "axes"),
         ({"E": torch.ones(2) * 1e5, "nu": torch.ones(3) * 0.3}, "different numbers"),
         ({"positions": torch.zeros(5, 3)}, "positions has shape"),

@@ -6,34 +6,36 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from gendom.arguments import check_list, check_numbers, check_type
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim.bodies import Body
+from gendom.sim.bodies import Body, Weave
 from gendom.sim.gripper import Gripper
 from gendom.sim.rollout import Rollout
 from gendom.sim.scene import Table
 from gendom.sim.simulator import Simulator
+from gendom.sim.thin.rotation import left_jacobian_inverse
+from gendom.sim.thin.slopes import WEAVE
 
-_NAMES = (
-    "E",
-    "nu",
-    "density",
-    "yield_stress",
-    "stiffness",
-    "damping",
-    "velocity_damping",
-    "friction",
-    "self_friction",
-    "gravity",
-    "positions",
-    "velocities",
-    "gripper_positions",
-)
-_OF_MATERIAL = ("E", "nu", "density", "yield_stress", "damping")
+_AXES = {
+    **dict.fromkeys(("E", "nu", "density", "yield_stress", "damping", "membrane"), 0),
+    **dict.fromkeys(("velocity_damping", "air_density", "friction", "self_friction"), 0),
+    **dict.fromkeys(("thickness", "width"), 0),
+    **dict.fromkeys(("weave", "gravity", "stiffness", "gripper_radius"), 1),
+    **dict.fromkeys(("positions", "velocities"), 2),
+    **dict.fromkeys(("gripper_positions", "gripper_rotations"), 3),
+}
+"""Inputs that may be tensors, and their number of axes in one world."""
+
+_OF_MATERIAL = ("E", "nu", "density", "yield_stress", "damping", "membrane")
+_OF_BODY = ("thickness", "width", "weave")
+_OF_SIMULATOR = (
+    "stiffness", "velocity_damping", "air_density", "self_friction", "gravity", "positions",
+)  # fmt: skip
 
 
 def simulate(
@@ -51,17 +53,22 @@ def simulate(
     Args:
         body: The body to simulate.
         times: [T] not decreasing [s].
-        grippers: Shared by all worlds; ``gripper_positions`` moves their knots.
+        grippers: Shared by all worlds; ``gripper_positions``, ``gripper_rotations`` and
+            ``gripper_radius`` change them.
         table: Table; ``friction``, if given, replaces its coefficient.
         memory: Limit on memory for the backward pass [bytes] (default: as ``Rollout``).
         options: Further arguments of ``Simulator`` (``engine``, by default ``mpm``; ``law``,
             ``self_contact``, ``substep``, ``dtype``, ``threads``).
         given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and optionally ``yield_stress`` [Pa],
-            ``damping`` [s] (``Material.damping``), ``velocity_damping`` [1/s], ``friction``,
-            ``self_friction``: numbers or [W]; ``gravity`` [3] or [W, 3]; ``stiffness`` [N] or
-            [W, N]; ``positions`` and ``velocities`` [N, 3] or [W, N, 3]; ``gripper_positions``
-            [G, K, 3] or [W, G, K, 3], K the knots of each gripper's own path. Tensors that require
-            a gradient get one.
+            ``damping`` [s] (``Material.damping``), ``membrane`` [Pa], ``velocity_damping`` [1/s],
+            ``air_density`` [kg/m^3], ``friction``, ``self_friction``: numbers or [W]; ``gravity``
+            [3] or [W, 3]; ``stiffness`` [N] or [W, N]; ``positions`` and ``velocities`` [N, 3] or
+            [W, N, 3]; of grippers, with K the knots of each one's own path, ``gripper_positions``
+            [G, K, 3] or [W, G, K, 3], ``gripper_rotations`` of the same shape, rotation vectors
+            that turn them further, in world axes [rad], and ``gripper_radius`` [G] or [W, G]. For
+            rods and shells also what all worlds share of the body: ``thickness`` (or diameter) and
+            ``width`` [m], and ``weave`` [4] (warp, weft, shear, bending). Tensors that require a
+            gradient get one.
 
     Returns:
         [T, W, N, 3] positions [m], in the dtype of the simulation.
@@ -71,18 +78,25 @@ def simulate(
             another type, shape or range.
         SimulationError: If a world diverges, or a derivative does in the backward pass.
     """
-    unknown = sorted(set(given) - set(_NAMES))
+    unknown = sorted(set(given) - set(_AXES))
     missing = sorted({"E", "nu", "density"} - set(given))
     if unknown or missing:
         raise ParameterError(
-            f"simulate takes {', '.join(_NAMES)}; unknown: {unknown}, missing: {missing}"
+            f"simulate takes {', '.join(_AXES)}; unknown: {unknown}, missing: {missing}"
         )
     check_type("body", body, Body)
     check_list("grippers", grippers, Gripper)
-    names = [n for n in _NAMES if n in given]
+    thin = (options or {}).get("engine") == "thin"
+    only_thin = sorted({*_OF_BODY, "membrane"} & set(given))
+    if only_thin and not thin:
+        raise ParameterError(
+            f"the MPM has no derivative by {', '.join(only_thin)}",
+            fix='options={"engine": "thin"}',
+        )
+    names = [n for n in _AXES if n in given]
     tensors = [_tensor(n, given[n]) for n in names]
     scene = (body, times, tuple(grippers), table, memory, options or {})
-    N = len(body.points) if (options or {}).get("engine") == "thin" else body.num_particles
+    N = len(body.points) if thin else body.num_particles
     return _Simulation.apply(scene, names, *_spread(names, tensors, N, grippers))  # pyright: ignore[reportReturnType]
 
 
@@ -95,9 +109,8 @@ def _spread(
     names: list[str], tensors: list[Tensor], N: int, grippers: Sequence[Gripper]
 ) -> list[Tensor]:
     """Expand the tensors to one leading axis of worlds; torch sums the derivatives over it."""
-    own = {"gravity": 1, "stiffness": 1, "positions": 2, "velocities": 2, "gripper_positions": 3}
-    extra = {n: t.dim() - own.get(n, 0) for n, t in zip(names, tensors, strict=True)}
-    wrong = [n for n, e in extra.items() if e not in (0, 1)]
+    extra = {n: t.dim() - _AXES[n] for n, t in zip(names, tensors, strict=True)}
+    wrong = [n for n, e in extra.items() if e not in ((0,) if n in _OF_BODY else (0, 1))]
     if wrong:
         raise ParameterError(f"too many or too few axes: {', '.join(wrong)}")
     counts = {t.shape[0] for n, t in zip(names, tensors, strict=True) if extra[n] == 1}
@@ -110,6 +123,9 @@ def _spread(
         "positions": (N, 3),
         "velocities": (N, 3),
         "gripper_positions": (len(grippers), *_knots(grippers), 3),
+        "gripper_rotations": (len(grippers), *_knots(grippers), 3),
+        "gripper_radius": (len(grippers),),
+        "weave": (4,),
     }
     spread = []
     for n, t in zip(names, tensors, strict=True):
@@ -134,23 +150,19 @@ class _Simulation(torch.autograd.Function):
         W = len(v["E"])
         given = [n for n in _OF_MATERIAL if n in v]
         materials = [Material(**{n: float(v[n][w]) for n in given}) for w in range(W)]
-        every: Any = grippers
-        if "gripper_positions" in v:
-            every = [
-                [
-                    replace(g, position=v["gripper_positions"][w, i, : len(np.asarray(g.time))])
-                    for i, g in enumerate(grippers)
-                ]
-                for w in range(W)
-            ]
+        own: dict[str, Any] = {n: float(v[n][0]) for n in ("thickness", "width") if n in v}
+        if "thickness" in own:
+            own["contact_radius"] = body.contact_radius * own["thickness"] / body.thickness
+        if "weave" in v:
+            own["weave"] = Weave(**dict(zip(WEAVE, v["weave"][0].tolist(), strict=True)))
+        every: Any = [[_changed(g, i, w, v) for i, g in enumerate(grippers)] for w in range(W)]
         if "friction" in v:
             if table is None:
                 raise ParameterError("friction without a table: pass table=Table(height=...)")
             table = replace(table, friction=v["friction"])
-        direct = ("stiffness", "velocity_damping", "self_friction", "gravity", "positions")
-        more = {n: v[n] for n in direct if n in v}
+        more = {n: v[n] for n in _OF_SIMULATOR if n in v}
         simulator = Simulator(
-            body,
+            replace(body, **own),
             materials,
             grippers=every,
             table=table,
@@ -159,11 +171,30 @@ class _Simulation(torch.autograd.Function):
         if "velocities" in v:
             simulator.set_velocities(v["velocities"])
         ctx.rollout = Rollout(simulator, memory=memory)
-        ctx.names = names
+        ctx.names, ctx.turned = names, v.get("gripper_rotations")
         return torch.from_numpy(ctx.rollout.forward(times))
 
     @staticmethod
     def backward(ctx: Any, *bars: Tensor) -> tuple[Tensor | None, ...]:
         gradients = ctx.rollout.backward(bars[0].detach().cpu().numpy())
-        found = [torch.as_tensor(getattr(gradients, n), dtype=torch.float64) for n in ctx.names]
-        return None, None, *found
+        found = {n: getattr(gradients, n) for n in ctx.names}
+        if ctx.turned is not None:  # by rotation vectors, not by a further rotation
+            J = np.linalg.inv(left_jacobian_inverse(ctx.turned))
+            found["gripper_rotations"] = np.einsum(
+                "...ab,...a->...b", J, found["gripper_rotations"]
+            )
+        return None, None, *(torch.as_tensor(a, dtype=torch.float64) for a in found.values())
+
+
+def _changed(gripper: Gripper, i: int, w: int, v: dict[str, NDArray[np.float64]]) -> Gripper:
+    """Gripper i as it is in world w."""
+    K, change = len(np.atleast_1d(np.asarray(gripper.time))), {}
+    if "gripper_positions" in v:
+        change["position"] = v["gripper_positions"][w, i, :K]
+    if "gripper_rotations" in v:
+        quat = [[0.0, 0.0, 0.0, 1.0]] * K if gripper.quat_xyzw is None else gripper.quat_xyzw
+        by = Rotation.from_rotvec(v["gripper_rotations"][w, i, :K])
+        change["quat_xyzw"] = (by * Rotation.from_quat(quat)).as_quat()
+    if "gripper_radius" in v:
+        change["radius"] = float(v["gripper_radius"][w, i])
+    return replace(gripper, **change) if change else gripper

@@ -15,7 +15,8 @@ class Equilibria:
     positions: NDArray[np.floating]
     """[T, W, N, 3] points [m]; NaN where a world failed."""
     residual: NDArray[np.float64]
-    """[T, W] largest unbalanced force on a point over the point's weight at standard gravity, or,
+    """[T, W] largest unbalanced force on a point over the point's weight (at standard gravity
+    where there is none), or,
     for rods, unbalanced torque over that weight times an edge's length [-]."""
     converged: NDArray[np.bool_]
     """[T, W] whether the residual is at most the tolerance."""

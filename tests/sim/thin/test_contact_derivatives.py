@@ -6,6 +6,7 @@ changes small. How small depends on what is changed, see ``differences``.
 """
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -63,6 +64,7 @@ def given(body, self_friction, seed=0, points=None, noise=2e-4):
     velocities = 250.0 * noise * rng.normal(size=(n, 3))
     velocities[:, 2] -= 0.6 * (x[:, 2] > x[:, 2].mean())
     return {
+        "thickness": body.thickness,
         "E": 1e5 if sheet else 1e6,
         "nu": 0.3,
         "density": 900.0,
@@ -86,7 +88,7 @@ def simulator(body, p, worlds=1, **options):
     lowest = (FOLDED if body.kind == "cloth" else body.points)[:, 2].min()
     knots = [0, 0.025, 0.05]
     s = Simulator(
-        body,
+        replace(body, thickness=p["thickness"]),
         [Material(**{name: float(p[name]) for name in ("E", "nu", "density", "damping")})] * worlds,
         engine="thin",
         grippers=[
@@ -114,7 +116,7 @@ def loss_of(body, p, times, weights, x0, **options):
     return float(np.sum((simulator(body, p, **options).run(times) - x0) * weights))
 
 
-STEPS = {"positions": 2e-8, "gripper_positions": 2e-8, "self_friction": 2e-5}
+STEPS = {"thickness": 2e-8, "positions": 2e-8, "gripper_positions": 2e-8, "self_friction": 2e-5}
 """Relative steps where they are not 2e-6: shorter where they move points at once."""
 
 
@@ -283,6 +285,8 @@ def test_worlds_do_not_see_each_others_contacts():
         x, found = run([p])
         np.testing.assert_array_equal(together[0][:, k], x[:, 0])
         for name, values in vars(found).items():
+            if values is None:
+                continue
             np.testing.assert_allclose(
                 getattr(together[1], name)[k], values[0], rtol=1e-12, atol=1e-20, err_msg=name
             )

@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.sim import Box, Gripper, Rollout, Simulator, Table, Weave, cloth, rope
 from sim.thin.differences import check_derivative
 
 TIMES = [0.01, 0.03, 0.05, 0.06]
 
 ROPE = rope(diameter=0.012, length=0.2, start=(0, 0, 0.1), direction=(1, 0.1, 0), points=12)
-RIBBON = rope(diameter=0.004, length=0.2, start=(0, 0, 0.1), points=12, width=0.012)
+BENT = np.array([[0.2 * t, 0.03 * t * (1 - t), 0.1 + 0.01 * t**2] for t in np.linspace(0, 1, 50)])
+RIBBON = rope(diameter=0.004, centre_line=BENT, points=12, width=0.012)
 CLOTH = cloth(
     width=0.12, height=0.1, thickness=0.004, dx=0.02, corner=(0, 0, 0.1), points=(7, 6), yaw=0.1
 )
@@ -27,6 +28,7 @@ CUT = cloth(
         [(0.02, 0.02), (0.05, 0.02), (0.03, 0.045)],
     ],
     thickness=0.004, dx=0.02, corner=(0, 0, 0.1), points=(8, 6), yaw=0.1,
+    natural_curvature=[[6.0, 1.0], [1.0, -4.0]],
 )  # fmt: skip
 BODIES = pytest.mark.parametrize(
     "body", [ROPE, RIBBON, CLOTH, CUT], ids=["rope", "ribbon", "cloth", "cut"]
@@ -40,7 +42,14 @@ def given(body, seed=0):
     wave = np.linspace(0, 6, n) if not sheet else 40 * body.points[:, 0] + 20 * body.points[:, 1]
     bump = np.outer(0.006 * np.sin(wave), (0.0, 0.3, 1.0))
     first, last, up = body.points[0], body.points[-1], np.array([0.003, 0.01, 0.015])
-    return {
+    own: dict[str, Any] = {"thickness": body.thickness}
+    if body.width is not None:
+        own["width"] = body.width
+    if sheet:
+        own["weave"] = np.array([1.1, 0.9, 0.8, 1.3])
+    if body.cut is not None:
+        own["membrane"] = 1.5e5
+    return own | {
         "E": 2e5 if sheet else 1e6,
         "nu": 0.3,
         "density": 900.0,
@@ -68,6 +77,15 @@ def table_height(body):
     return given(body)["positions"][:, 2].min() - body.thickness / 2.0 - 0.0005
 
 
+def sized(body, p):
+    own = {name: p[name] for name in ("thickness", "width") if name in p}
+    if "weave" in p:
+        own["weave"] = Weave(
+            **dict(zip(("warp", "weft", "shear", "bending"), p["weave"].tolist(), strict=True))
+        )
+    return replace(body, **own)
+
+
 def simulator(body, p, **options):
     turns = Rotation.from_rotvec([[0, 0, 0], [0.3, 0.5, 0.1], [0.5, 0.6, -0.3]])
     turned = Rotation.from_rotvec(p["gripper_rotations"]) * turns
@@ -75,7 +93,7 @@ def simulator(body, p, **options):
     radius = p["gripper_radius"]
     knots = [0, 0.02, 0.05]
     s = Simulator(
-        body,
+        sized(body, p),
         [
             Material(
                 **{name: float(p[name]) for name in ("E", "nu", "density", "damping")},
@@ -106,6 +124,11 @@ def simulator(body, p, **options):
     return s
 
 
+def given_gradients(found):
+    """Those that the body has."""
+    return {name: values for name, values in vars(found).items() if values is not None}
+
+
 def gradients(body, p, weights, **options):
     rollout = Rollout(simulator(body, p), **options)
     x = rollout.forward(TIMES)
@@ -131,7 +154,9 @@ def test_every_derivative_is_that_of_central_differences(body):
         if name == "density":  # a table begins to be touched at another step otherwise
             direction = np.array(1.0)
         # lengths by 20 nm: nothing may begin to touch or to slide in another step
-        length = name in ("positions", "gripper_positions", "gripper_radius")
+        length = name in (
+            "positions", "gripper_positions", "gripper_radius", "thickness", "width"
+        )  # fmt: skip
         h = 2e-8 if length else 2e-6 * max(np.abs(p[name]).max(), 1e-2)
         by = getattr(found, name)[0]
         by = by[1] if name == "gripper_rotations" else by
@@ -148,6 +173,37 @@ def test_a_membrane_of_its_own_does_not_change_with_E():
         for k in (1, -1)
     )
     assert found.E[0] == pytest.approx((up - down) / (2.0 * h), rel=2e-5)
+
+
+@pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])
+@pytest.mark.parametrize("contact", [False, True])
+def test_walls_are_where_half_the_thickness_ends(body, contact):
+    """Points that both walls and the table stop move with the thickness."""
+    lower, upper = body.points.min(axis=0), body.points.max(axis=0)
+    r = body.thickness / 2.0
+
+    def moved(thickness):
+        walls = Box(lower=lower - r - [0.001, 0.002, 5e-4], upper=upper + r + [0.002, 0.003, 0.1])
+        s = Simulator(
+            replace(body, thickness=thickness), [Material(E=3e5, damping=0.003)], box=walls,
+            self_contact=contact, substep=1e-4, gravity=(0.0, 0.0, -10.0),
+            table=Table(height=walls.lower[2], friction=0.3),
+        )  # fmt: skip
+        s.set_velocities((1.53, -0.97, -0.1))
+        return Rollout(s)
+
+    weights = np.random.default_rng(1).normal(size=(2, 1, len(body.points), 3))
+    rollout, times = moved(body.thickness), [0.01, 0.02]
+    x = rollout.forward(times)
+    for axis, side in ((0, upper[0] + 0.002), (1, lower[1] - 0.002), (2, lower[2] - 5e-4)):
+        assert np.abs(x[..., axis] - side).min() < 1e-9
+
+    def loss(step):
+        return float(np.sum(moved(body.thickness + step).forward(times) * weights))
+
+    found = rollout.backward(weights).thickness
+    assert found is not None
+    check_derivative(found[0], loss, 2e-8, 2e-6, "thickness")
 
 
 @BODIES
@@ -209,7 +265,7 @@ def test_worlds_of_a_batch_do_not_see_each_other(body):
     for k in range(3):
         x, found = run([k])
         np.testing.assert_array_equal(together[0][:, k], x[:, 0])
-        for name, values in vars(found).items():
+        for name, values in given_gradients(found).items():
             np.testing.assert_allclose(
                 getattr(together[1], name)[k], values[0], rtol=1e-12, atol=1e-20, err_msg=name
             )
@@ -334,7 +390,7 @@ def test_cuda_runs_and_differentiates_as_the_cpu_does(body):
         rollout = Rollout(simulator(body, p, device=device))
         found.append((rollout.forward(TIMES), rollout.backward(weights)))
     np.testing.assert_allclose(found[1][0], found[0][0], rtol=0.0, atol=1e-12)
-    for name, values in vars(found[0][1]).items():
+    for name, values in given_gradients(found[0][1]).items():
         scale = np.abs(values).max()
         np.testing.assert_allclose(
             getattr(found[1][1], name), values, rtol=1e-8, atol=1e-10 * scale, err_msg=name
@@ -344,6 +400,7 @@ def test_cuda_runs_and_differentiates_as_the_cpu_does(body):
 @BODIES
 def test_free_fall_is_exact(body):
     """A leapfrog has no error in a parabola, whatever its steps and however a run is cut."""
+    body = replace(body, natural_curvature=None)  # at rest
     s = Simulator(body, [Material()], engine="thin", air_density=0.0, gravity=(0.0, 0.0, -10.0))
     s.set_velocities((0.5, 0.0, 1.0))
     for t in (0.0501, 0.2):

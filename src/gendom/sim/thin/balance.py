@@ -72,7 +72,10 @@ class Balance:
         W, n = e.num_worlds, e.num_points
         self.gravity, self.mu = body.gravity.numpy().astype(float), body.friction.numpy()
         self.mass = np.broadcast_to(1.0 / e.per_mass, (W, n))
-        self.scale = np.repeat((self.mass * STANDARD_GRAVITY)[:, :, None], C, axis=2)
+        pull = np.linalg.norm(self.gravity, axis=1)
+        self.unit = np.where(pull > 0.0, pull, STANDARD_GRAVITY)
+        """[W] acceleration that is the unit of residuals, gravity if there is any [m/s^2]."""
+        self.scale = np.repeat((self.mass * self.unit[:, None])[:, :, None], C, axis=2)
         """[W, n, C] unit of force or torque for residuals."""
         self.missing = np.zeros((n, C), dtype=bool)
         """[n, C] mask of components that do not exist."""

@@ -19,6 +19,7 @@ from gendom.sim.thin.grips import Grip, Tear, released, tear
 from gendom.sim.thin.poses import Paths, Pose
 from gendom.sim.thin.run import STRETCH, Event, Job, Round, put_worlds
 from gendom.sim.thin.schedule import Schedule, make_schedule
+from gendom.sim.thin.slopes import Slopes
 from gendom.sim.thin.stepping import make_stepping
 from gendom.sim.thin.types import V, X, make_types
 
@@ -49,6 +50,8 @@ class ThinEngine(ABC):
     lanes_on_cuda: ClassVar[int]
     stiffened: ClassVar[tuple[slice, ...]]
     """Components of the stiffness that change at a gripper's border, see ``Grip.stiffer``."""
+    natural: ClassVar[slice]
+    """Components of the kernels' ``rest`` that are stress-free strains."""
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         self.check_suits(setting)
@@ -152,12 +155,16 @@ class ThinEngine(ABC):
         """Copy the stiffness at the borders of grippers to the kernels' body."""
 
     @abstractmethod
-    def stiffness_slopes(self, w: int, name: str) -> NDArray[np.float64]:
-        """Derivative [., n] of world w's stiffness by E, nu or thickness, without borders."""
+    def parameters(self) -> tuple[str, ...]:
+        """Parameters of this body's model beside E, nu and density."""
 
     @abstractmethod
-    def mass_slope(self, w: int, name: str) -> float:
-        """Derivative of world w's mass by density or thickness, over the mass."""
+    def slopes(self, name: str) -> Slopes:
+        """Derivatives of the model by ``E``, ``nu``, ``density`` or one of ``parameters``."""
+
+    @abstractmethod
+    def stiffness_by_share(self, w: int, i: int) -> NDArray[np.float64]:
+        """Derivative [R, n] of world w's stiffness by the share of E at point i."""
 
     @abstractmethod
     def tape(self, memory: float) -> Any:

@@ -82,7 +82,7 @@ def make_relaxing(real: Any, kind: str) -> SimpleNamespace:
         moves: wp.array(dtype=wp.int32),  # [W] number of steps of that movement
         steps: wp.array(dtype=wp.int32),  # [W] at most, moves included; 0: nothing is done
         dt: wp.array(dtype=real),  # [W] [s]
-        least: real,  # tolerance for the unbalanced acceleration [m/s^2]
+        least: wp.array(dtype=real),  # [W] tolerance for the unbalanced acceleration [m/s^2]
         limit: real,  # of the squared stretch of an edge
         mean_limit: real,  # of the mean stretch
         state: wp.array3d(dtype=real),
@@ -125,7 +125,7 @@ def make_relaxing(real: Any, kind: str) -> SimpleNamespace:
             if rested == 1 and k >= moves[w]:
                 residual = unbalanced(body, w, state, marks, h, kick)
                 left[w] = residual
-                if residual <= least:
+                if residual <= least[w]:
                     small = 1
             rested = 0
             if k < moves[w]:

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from gendom.materials import Material
 from gendom.sim.bodies import Body
 from gendom.sim.thin import rotation
+from gendom.sim.thin.slopes import Slopes
 
 
 @dataclass(frozen=True)
 class Section:
-    """Geometry of a rod's cross-section; axes 1 and 2 lie in it, 3 along the rod.
+    """Geometry of a rod's cross-section, a disc or a rectangle, or its derivatives by a size; axes
+    1 and 2 lie in it, 3 along the rod. A rectangle's width is along axis 1.
 
     Source: Gere and Timoshenko, Mechanics of Materials (torsion of rectangles); Cowper (1966), "The
     shear coefficient in Timoshenko's beam theory".
@@ -33,20 +35,39 @@ class Section:
     breadth: float
     """Width exposed to the air [m]."""
     flat: bool
+    wider: int
+    """The axis about which the second moment is larger."""
 
     @classmethod
     def of(cls, body: Body) -> "Section":
-        """Section of a body: a disc with its thickness as the diameter, or a rectangle of its
-        thickness and its width (along axis 1)."""
+        """Section of a body, whose thickness is the diameter of a round one."""
         h, b = body.thickness, body.width
         if b is None:
             A = math.pi / 4.0 * h**2
             inertia = A * h**2 / 16.0
-            return cls(A, (inertia, inertia), 2.0 * inertia, h, False)
-        long, short = max(b, h), min(b, h)
+            return cls(A, (inertia, inertia), 2.0 * inertia, h, False, 0)
+        short, long = sorted((h, b))
+        torsion = long * short**3 * (1.0 / 3.0 - 0.21 * _of_ratio(short / long)[0])
+        bending = (b * h**3 / 12.0, h * b**3 / 12.0)
+        return cls(b * h, bending, torsion, b, True, int(b > h))
+
+    @classmethod
+    def slopes(cls, body: Body, name: str) -> "Section":
+        """Derivatives of the section by the body's ``thickness`` or ``width``."""
+        h, b = body.thickness, body.width
+        if b is None:
+            inertia = math.pi / 16.0 * h**3
+            return cls(math.pi / 2.0 * h, (inertia, inertia), 2.0 * inertia, 1.0, False, 0)
+        by_h = name == "thickness"
+        short, long = sorted((h, b))
         ratio = short / long
-        torsion = long * short**3 * (1.0 / 3.0 - 0.21 * ratio * (1.0 - ratio**4 / 12.0))
-        return cls(b * h, (b * h**3 / 12.0, h * b**3 / 12.0), torsion, b, True)
+        of, of_slope = (0.21 * value for value in _of_ratio(ratio))
+        if by_h == (h < b):  # the shorter side
+            torsion = long * short**2 * (1.0 - 3.0 * of) - short**3 * of_slope
+        else:
+            torsion = short**3 * (1.0 / 3.0 - of + ratio * of_slope)
+        bending = (b * h**2 / 4.0, b**3 / 12.0) if by_h else (h**3 / 12.0, h * b**2 / 4.0)
+        return cls(b if by_h else h, bending, torsion, float(not by_h), True, int(b > h))
 
     def shear_coefficient(self, nu: float) -> float:
         """Shear coefficient kappa in the shear stiffness kappa G A."""
@@ -60,10 +81,14 @@ class Section:
         """Derivative d kappa / d nu."""
         return 10.0 / (12.0 + 11.0 * nu) ** 2 if self.flat else 6.0 / (7.0 + 6.0 * nu) ** 2
 
-    @property
-    def gyration(self) -> float:
-        """Largest radius of gyration [m]."""
-        return math.sqrt(max(self.bending) / self.area)
+    def turning(self, length: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Moment of inertia of stiff edges over density and length, [m^4]."""
+        return self.bending[self.wider] + self.area * length**2 / 12.0
+
+
+def _of_ratio(ratio: float) -> tuple[float, float]:
+    """What the ratio of a rectangle's sides takes of its torsion constant, and its derivative."""
+    return ratio * (1.0 - ratio**4 / 12.0), 1.0 - 5.0 * ratio**4 / 12.0
 
 
 @dataclass(frozen=True)
@@ -105,9 +130,8 @@ class RodModel:
         tributary[:-1] += 0.5 * length
         tributary[1:] += 0.5 * length
         density = np.array([m.density for m in materials])[:, None]
-        r2 = section.gyration**2 + length**2 / 12.0
         inertia = np.zeros((len(materials), n))
-        inertia[:, :-1] = density * section.area * length * r2
+        inertia[:, :-1] = density * length * section.turning(length)
         moduli, _ = _moduli(section, materials)
         return cls(
             section=section,
@@ -120,12 +144,50 @@ class RodModel:
             tributary=tributary,
         )
 
-    def stiffness_by_nu(
-        self, materials: Sequence[Material], share: NDArray[np.floating]
+    def slopes(
+        self, name: str, body: Body, materials: Sequence[Material], share: NDArray[np.floating]
+    ) -> Slopes:
+        """Derivatives by ``E``, ``nu``, ``density``, ``thickness`` (or diameter) or ``width``."""
+        if name == "E":
+            E = np.array([m.E for m in materials])
+            return Slopes(stiffness=self.stiffness / E[:, None, None])
+        shares = _shares(share, self.length)
+        if name == "nu":
+            return Slopes(stiffness=_moduli(self.section, materials)[1][:, :, None] * shares)
+        if name == "density":
+            per_density = 1.0 / np.array([[m.density] for m in materials])
+            return Slopes(mass=per_density, inertia=per_density)
+        by = Section.slopes(body, name)
+        inertia = np.zeros((1, len(self.tributary)))
+        inertia[:, :-1] = by.turning(self.length) / self.section.turning(self.length)
+        return Slopes(
+            stiffness=_moduli(by, materials)[0][:, :, None] * shares,
+            mass=np.full((len(materials), 1), by.area / self.section.area),
+            inertia=inertia,
+            drag=by.breadth / self.section.breadth,
+            thickness=float(name == "thickness"),
+        )
+
+    def stiffness_by_share(
+        self, materials: Sequence[Material], w: int, i: int
     ) -> NDArray[np.float64]:
-        """Derivative [W, 6, n] of ``stiffness`` with respect to nu."""
-        _, slopes = _moduli(self.section, materials)
-        return slopes[:, :, None] * _shares(share, self.length)
+        """Derivative [6, n] of world w's stiffness by the share of E at point i."""
+        moduli, _ = _moduli(self.section, materials[w : w + 1])
+        one = np.eye(len(self.tributary))[i : i + 1]
+        return moduli[0][:, None] * _shares(one, self.length)[0]
+
+    def share_bar(
+        self, materials: Sequence[Material], stiffness_bar: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """Derivatives by shares [W, n], given those by ``stiffness`` [W, 6, n]."""
+        moduli, _ = _moduli(self.section, materials)
+        bar, length = stiffness_bar * moduli[:, :, None], self.length
+        edges, joints = bar[:, :3, :-1].sum(axis=1), bar[:, 3:, 1:-1].sum(axis=1)
+        found = np.zeros((len(bar), bar.shape[2]))
+        found[:, :-1] += 0.5 * edges
+        found[:, 1:] += 0.5 * edges
+        found[:, 1:-1] += joints / (0.5 * (length[:-1] + length[1:]))
+        return found
 
     def longest_step(self, damped: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Longest stable step [W] [s] for small vibrations, 2 / omega of the fastest one.
@@ -181,23 +243,3 @@ def _moduli(
     shear = (kappa_slope * G + kappa * G_slope) * A
     slopes = [shear, shear, none, none, none, G_slope * J]
     return np.stack(values, axis=1), np.stack(slopes, axis=1)
-
-
-def material_gradients(
-    section: Section,
-    materials: Sequence[Material],
-    share: NDArray[np.floating],
-    length: NDArray[np.floating],
-    stiffness_bar: NDArray[np.floating],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Derivatives by E [W], nu [W] and share [W, n], given those by stiffness [W, 6, n]."""
-    moduli, slopes = _moduli(section, materials)
-    E = np.array([m.E for m in materials])
-    by_modulus = np.sum(stiffness_bar * _shares(share, length), axis=2)
-    bar = stiffness_bar * moduli[:, :, None]
-    edges, joints = bar[:, :3, :-1].sum(axis=1), bar[:, 3:, 1:-1].sum(axis=1)
-    share_bar = np.zeros_like(share, dtype=float)
-    share_bar[:, :-1] += 0.5 * edges
-    share_bar[:, 1:] += 0.5 * edges
-    share_bar[:, 1:-1] += joints / (0.5 * (length[:-1] + length[1:]))
-    return (by_modulus * moduli).sum(axis=1) / E, (by_modulus * slopes).sum(axis=1), share_bar

@@ -15,6 +15,7 @@ from gendom.sim.thin.grips import Grip, close_rod
 from gendom.sim.thin.poses import Pose
 from gendom.sim.thin.rod_model import RodModel
 from gendom.sim.thin.run import STRETCH, put_worlds
+from gendom.sim.thin.slopes import Slopes
 from gendom.sim.thin.types import MARGIN, V, X
 
 Q, SPIN = slice(6, 10), slice(10, 13)
@@ -28,6 +29,7 @@ class Rods(ThinEngine):
     state_rows, state_bars, scratch_rows, scratch_bars = 19, 18, 12, 18
     lanes_on_cuda = 32
     stiffened = (slice(3, 6),)
+    natural = slice(1, 7)
     apart: int
     """Smallest number of points along the rod between parts that can be in self-contact."""
 
@@ -125,18 +127,15 @@ class Rods(ThinEngine):
         inertia[:, 3, self.slots] = stiffer
         put_worlds(body.inertia, worlds, inertia)
 
-    def stiffness_slopes(self, w: int, name: str) -> NDArray[np.float64]:
-        k = self.model.stiffness[w]
-        if name == "E":
-            return k / self.setting.materials[w].E
-        if name == "nu":
-            return self.model.stiffness_by_nu(self.setting.materials, self.share)[w]
-        powers = np.array([2.0, 2.0, 2.0, 4.0, 4.0, 4.0])  # of areas and second moments
-        return powers[:, None] * k / self.setting.body.thickness
+    def parameters(self) -> tuple[str, ...]:
+        return ("thickness",) if self.setting.body.width is None else ("thickness", "width")
 
-    def mass_slope(self, w: int, name: str) -> float:
-        m = self.setting.materials[w]
-        return 1.0 / m.density if name == "density" else 2.0 / self.setting.body.thickness
+    def slopes(self, name: str) -> Slopes:
+        s = self.setting
+        return self.model.slopes(name, s.body, s.materials, self.share)
+
+    def stiffness_by_share(self, w: int, i: int) -> NDArray[np.float64]:
+        return self.model.stiffness_by_share(self.setting.materials, w, i)
 
     def tape(self, memory: float) -> Any:
         from gendom.sim.thin.tape import RodTape

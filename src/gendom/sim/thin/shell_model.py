@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.materials import Material
-from gendom.sim.bodies import Body
+from gendom.sim.bodies import Body, Weave
 from gendom.sim.cut import Cut
+from gendom.sim.thin.slopes import WEAVE, Slopes
 
 MOST_COUPLED = 1.5
 """Largest area that couples both curvatures of a point, over the geometric mean of the areas that
@@ -34,10 +35,7 @@ class ShellModel:
     """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
     rest_bend: NDArray[np.float64]
     """[3, n] stress-free second differences along the normal [m]."""
-    stiffest: float
-    """Largest factor of the weave on the membrane's stiffness."""
-    bending: float
-    """Largest factor of the weave on the bending stiffness."""
+    weave: Weave
     shares: NDArray[np.float64]
     """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
     alone: NDArray[np.floating]
@@ -105,8 +103,7 @@ class ShellModel:
             area=area.reshape(-1)[at],
             exists=np.stack([after, below, there]).reshape(3, -1)[:, at],
             rest_bend=np.array(rest)[:, None] * np.ones((1, len(at))),
-            stiffest=max(weave.warp, weave.weft, weave.shear),
-            bending=weave.bending,
+            weave=weave,
             shares=shares.reshape(8, -1)[:, at],
             alone=np.stack(alone).reshape(2, -1)[:, at],
             faster=faster,
@@ -142,6 +139,32 @@ class ShellModel:
         free[4:6] = self.alone > 0.0
         return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, slopes[:, :, None])
 
+    def slopes(
+        self, name: str, materials: Sequence[Material], share: NDArray[np.floating]
+    ) -> Slopes:
+        """Derivatives by ``E``, ``nu``, ``density``, ``thickness``, ``membrane`` or a parameter of
+        the weave; ``share`` [W, n] is E at each point over its material's E."""
+        if name == "density":
+            return Slopes(mass=1.0 / np.array([[m.density] for m in materials]))
+        values, by_nu = self.factors(np.array([m.nu for m in materials]))
+        scale = self.scales(materials) * self.shares * share[:, None]
+        if name == "nu":
+            return Slopes(stiffness=by_nu * scale)
+        stiffness = values * scale
+        if name == "thickness":
+            per = np.repeat([1.0, 3.0], 4)[:, None] / self.thickness
+            mass = np.full((len(materials), 1), 1.0 / self.thickness)
+            return Slopes(stiffness=stiffness * per, mass=mass, thickness=1.0)
+        if name in WEAVE:
+            per = np.array(_powers(name)) / getattr(self.weave, name)
+            return Slopes(stiffness=stiffness * per[:, None])
+        # a separate modulus of the membrane does not depend on E
+        own = [m.membrane for m in materials]
+        per = np.array([[0.0 if k is None else 1.0 / k, 0.0] for k in own])
+        if name == "E":
+            per = np.array([[k is None, True] for k in own]) / np.array([[m.E] for m in materials])
+        return Slopes(stiffness=stiffness * np.repeat(per, 4, axis=1)[:, :, None])
+
     def scales(self, materials: Sequence[Material]) -> NDArray[np.float64]:
         """Scales [W, 8, 1] of the stiffness: E h with the in-plane modulus, and E h^3 / 12."""
         h = self.thickness
@@ -160,13 +183,21 @@ class ShellModel:
         E, in_plane = np.array([[m.E, m.in_plane] for m in materials]).T * share.max(axis=1)
         nu = np.array([m.nu for m in materials])
         density = np.array([m.density for m in materials])
+        weave = self.weave
+        stiffest = max(weave.warp, weave.weft, weave.shear)
         # joints at a gripper's border can be eight times as stiff
         across = 8.0 * self.faster[1] * self.thickness**2 / 12.0 * k2**2
         along = self.faster[0] * k2
-        fastest = np.maximum(in_plane * self.stiffest * along, E * self.bending * across)
+        fastest = np.maximum(in_plane * stiffest * along, E * weave.bending * across)
         fastest = fastest / (1.0 - nu**2) / density
         damped = np.array([m.damping > 0.0 for m in materials])
         return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
+
+
+def _powers(name: str) -> list[float]:
+    """Powers of a weave's parameter in the stiffness, [8]."""
+    membrane = {"warp": [1.0, 0.0, 0.5, 0.0], "weft": [0.0, 1.0, 0.5, 0.0], "shear": [0, 0, 0, 1.0]}
+    return membrane.get(name, [0.0] * 4) + [float(name == "bending")] * 4
 
 
 def _to_corners(cells: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from gendom.sim.thin.grips import Grip, close_shell
 from gendom.sim.thin.poses import Pose
 from gendom.sim.thin.run import STRETCH, put_worlds
 from gendom.sim.thin.shell_model import MOST_COUPLED, ShellModel
+from gendom.sim.thin.slopes import WEAVE, Slopes
 from gendom.sim.thin.types import MARGIN, V, X
 
 
@@ -23,6 +24,7 @@ class Shells(ThinEngine):
     state_rows, state_bars, scratch_rows, scratch_bars = 14, 14, 24, 33
     lanes_on_cuda = 256
     stiffened = (slice(4, 5), slice(5, 6))
+    natural = slice(3, 6)
 
     @staticmethod
     def check_suits(setting: Setting) -> None:
@@ -129,20 +131,17 @@ class Shells(ThinEngine):
         inertia[:, 2:4, self.slots] = self.stiffer[worlds].prod(axis=1)
         put_worlds(body.inertia, worlds, inertia)
 
-    def stiffness_slopes(self, w: int, name: str) -> NDArray[np.float64]:
-        m = self.setting.materials[w]
-        k = self.modulus[w] * self.share[w]
-        if name == "E":
-            own = m.membrane is not None  # a separate membrane modulus does not depend on E
-            return k / m.E * np.repeat([0.0 if own else 1.0, 1.0], 4)[:, None]
-        if name == "nu":
-            _, slopes = self.model.factors(np.array([m.nu]))
-            return slopes[0] * self.model.scales([m])[0] * self.model.shares * self.share[w]
-        return k / self.setting.body.thickness * np.repeat([1.0, 3.0], 4)[:, None]
+    def parameters(self) -> tuple[str, ...]:
+        own = any(m.membrane is not None for m in self.setting.materials)
+        return ("thickness", *(("membrane",) if own else ()), *WEAVE)
 
-    def mass_slope(self, w: int, name: str) -> float:
-        m = self.setting.materials[w]
-        return 1.0 / m.density if name == "density" else 1.0 / self.setting.body.thickness
+    def slopes(self, name: str) -> Slopes:
+        return self.model.slopes(name, self.setting.materials, self.share)
+
+    def stiffness_by_share(self, w: int, i: int) -> NDArray[np.float64]:
+        found = np.zeros(self.modulus[w].shape)
+        found[:, i] = self.modulus[w, :, i]
+        return found
 
     def tape(self, memory: float) -> Any:
         from gendom.sim.thin.tape import ShellTape

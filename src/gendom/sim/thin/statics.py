@@ -14,7 +14,6 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
-from gendom.materials import STANDARD_GRAVITY
 from gendom.sim.device import making
 from gendom.sim.equilibria import Equilibria
 from gendom.sim.thin import rotation
@@ -79,7 +78,7 @@ class Search:
         e, T, W = self.engine, len(times), engine.num_worlds
         self.body = self._body()
         self.balance = Balance(e, self.body)
-        self.sensitivity = Sensitivity(self.balance, derivatives)
+        self.sensitivity = Sensitivity(self.balance, derivatives, began=engine.used)
         engine.used = True
         default = CONTACT_TOLERANCE if e.setting.self_contact else TOLERANCE
         self.tolerance = max(tolerance or default, self.balance.rounding)
@@ -302,7 +301,7 @@ class Search:
         e = self.engine
         put(self.moves, group, moves[group].astype(np.int32))
         put(self.steps, group, steps[group].astype(np.int32))
-        least = self.tolerance * STANDARD_GRAVITY
+        least = e.array(self.tolerance * self.balance.unit)
         e.launch(
             self.kernels.relax,
             group,
@@ -314,7 +313,7 @@ class Search:
         return self._left()
 
     def _left(self) -> NDArray[np.float64]:
-        return self.left.numpy().astype(float) / STANDARD_GRAVITY
+        return self.left.numpy().astype(float) / self.balance.unit
 
     def _left_of(self, group: slice, w: int) -> float:
         """Residual of one world, computed by a step from rest."""

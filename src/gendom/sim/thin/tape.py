@@ -21,17 +21,19 @@ from gendom.sim.thin.grips import (
     released_adjoint,
 )
 from gendom.sim.thin.poses import Paths
-from gendom.sim.thin.rod_model import material_gradients
 from gendom.sim.thin.rods import Rods, slower
 from gendom.sim.thin.run import Event, Round, device_plan, put
 from gendom.sim.thin.shells import Shells
+from gendom.sim.thin.slopes import WEAVE, Slopes
 from gendom.sim.thin.types import (
     DAMPING,
+    DISTANCE,
     DRAG,
     FRICTION,
     GRAVITY,
     MODEL_BARS,
     PER_MASS,
+    RADIUS,
     SELF_FRICTION,
     VELOCITY_DAMPING,
     V,
@@ -229,14 +231,15 @@ class ThinTape(ABC):
         e, s, m = self.engine, self.engine.setting, self.model_bar
         bars = self.bars.state.numpy()
         state = np.swapaxes(bars[..., e.slots].astype(float), 1, 2)
-        E, nu, stiffness, density = self.by_materials()
         x_bar, v_bar = self.by_start(state)
+        own = {name: self.by_parameter(name) for name in e.parameters()}
+        weave = [own.pop(name) for name in WEAVE if name in own]
         found = Gradients(
-            E=E,
-            nu=nu,
-            density=density,
+            E=self.by_parameter("E"),
+            nu=self.by_parameter("nu"),
+            density=self.by_parameter("density"),
             yield_stress=np.zeros(e.num_worlds),
-            stiffness=stiffness,
+            stiffness=self.by_shares(),
             damping=m[:, DAMPING].sum(axis=1),
             velocity_damping=m[:, VELOCITY_DAMPING].sum(axis=1),
             air_density=m[:, DRAG] @ e.drag_by_air,
@@ -249,6 +252,8 @@ class ThinTape(ABC):
             gripper_rotations=self.bars.path_turn.numpy() + self.host.turn_bar,
             gripper_radius=self.radius_bar,
             rest_strains=np.swapaxes(m[:, self.rest_rows], 1, 2),
+            weave=np.stack(weave, axis=1) if weave else None,
+            **own,
         )
         for name, values in vars(found).items():
             if values is not None and not np.isfinite(values).all():
@@ -261,6 +266,16 @@ class ThinTape(ABC):
                     fix="use float64, a shorter rollout, or more damping",
                 )
         return found
+
+    def by_parameter(self, name: str) -> NDArray[np.float64]:
+        """Derivatives by a parameter of each world's model, [W]."""
+        e, m = self.engine, self.model_bar
+        by, R = e.slopes(name), e.body.stiffness.shape[1]
+        drag = e.air_density[:, None] * e.drag_by_air
+        touching = 0.5 * m[:, RADIUS] + m[:, DISTANCE]
+        found = np.sum(m[:, :R] * by.stiffness, axis=1) - m[:, PER_MASS] * e.per_mass * by.mass
+        found += m[:, DRAG] * drag * by.drag + touching * by.thickness
+        return np.sum(found + self.by_turning(by), axis=1)
 
     # ---- defined by each kind of body ------------------------------------------------------------
 
@@ -281,8 +296,13 @@ class ThinTape(ABC):
         """See ``border_of_rod_adjoint``."""
 
     @abstractmethod
-    def by_materials(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Derivatives by E, nu [W], stiffness [W, n] and density [W]."""
+    def by_shares(self) -> NDArray[np.float64]:
+        """Derivatives by the share of E at each point, [W, n]."""
+
+    def by_turning(self, by: Slopes) -> NDArray[np.floating]:
+        """Derivatives by a parameter through the inertia of edges, [W, n]."""
+        del by  # shells have none
+        return np.zeros(())
 
     def by_start(self, state: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
         """Derivatives by initial positions and velocities [W, n, 3], given those by the state."""
@@ -329,14 +349,12 @@ class RodTape(ThinTape):
         length = self.engine.model.length
         return border_of_rod_adjoint(event.grip, event.x, event.pose, length, stiffer_bar)
 
-    def by_materials(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        e, s, m = self.engine, self.engine.setting, self.model_bar
-        E, nu, stiffness = material_gradients(
-            e.model.section, s.materials, e.share, e.model.length, m[:, :6]
-        )
-        density = np.array([material.density for material in s.materials])
-        by_inertia = m[:, PER_MASS] / e.model.mass + m[:, PER_TURN] * e.per_turn
-        return E, nu, stiffness, -by_inertia.sum(axis=1) / density
+    def by_shares(self) -> NDArray[np.float64]:
+        e = self.engine
+        return e.model.share_bar(e.setting.materials, self.model_bar[:, :6])
+
+    def by_turning(self, by: Slopes) -> NDArray[np.floating]:
+        return -self.model_bar[:, PER_TURN] * self.engine.per_turn * by.inertia
 
     def by_start(self, state: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
         x_bar, v_bar = super().by_start(state)
@@ -383,26 +401,8 @@ class ShellTape(ThinTape):
         model = self.engine.model
         return border_of_shell_adjoint(event.grip, event.x, event.pose, model, stiffer_bar)
 
-    def by_materials(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        e, s, m = self.engine, self.engine.setting, self.model_bar
-        E = np.array([material.E for material in s.materials])
-        nu = np.array([material.nu for material in s.materials])
-        density = np.array([material.density for material in s.materials])
-        by_stiffness = m[:, :8] * e.share[:, None]
-        _, slopes = e.model.factors(nu)
-        by_nu = by_stiffness * slopes * e.model.scales(s.materials) * e.model.shares
-        by_modulus = m[:, :8] * e.modulus
-        share_bar = np.sum(by_modulus, axis=1)
-        # a separate membrane modulus does not depend on E
-        own = np.array([material.membrane is not None for material in s.materials])
-        by_modulus[own, :4] = 0.0
-        by_mass = m[:, PER_MASS] / e.mass
-        return (
-            np.sum(np.sum(by_modulus, axis=1) * e.share, axis=1) / E,
-            by_nu.sum(axis=(1, 2)),
-            share_bar,
-            -by_mass.sum(axis=1) / density,
-        )
+    def by_shares(self) -> NDArray[np.float64]:
+        return np.sum(self.model_bar[:, :8] * self.engine.modulus, axis=1)
 
 
 def _to_ends(points: NDArray[np.floating], edges: NDArray[np.floating]) -> None:

@@ -21,10 +21,10 @@ X, V = slice(0, 3), slice(3, 6)
 """Components of states and of derivatives by states: positions [m] and velocities [m/s]."""
 
 PER_MASS, DRAG, GRAVITY, DAMPING, FRICTION, VELOCITY_DAMPING = 12, 13, slice(15, 18), 18, 19, 20
-SELF_FRICTION = 21
+SELF_FRICTION, RADIUS, DISTANCE = 21, 22, 23
 """Components of derivatives by the model that are common to rods and shells."""
 
-MODEL_BARS = 22
+MODEL_BARS = 24
 """Components of derivatives by the model."""
 
 
@@ -106,7 +106,7 @@ def make_types(real: Any) -> Types:
         """Derivatives of a loss; those by the model are for each point's contribution."""
 
         state: wp.array3d(dtype=real)  # [W, ., P]
-        model: wp.array3d(dtype=real)  # [W, 22, P]
+        model: wp.array3d(dtype=real)  # [W, MODEL_BARS, P]
         scratch: wp.array3d(dtype=real)  # [W, ., P]
         place: wp.array3d(dtype=real)  # [W G, 6, P]
         position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by grippers' knots

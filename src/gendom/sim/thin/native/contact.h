@@ -173,18 +173,4 @@ CUDA_CALLABLE inline void end_turn(const Body& body, int w, const wp::array_t<re
     }
 }
 
-// Its transpose but for `take_push`; the row is as the turn left it.
-template <typename Body, typename Bars, typename real>
-CUDA_CALLABLE inline void end_turn_adjoint(const Body& body, const Bars& bars, int w,
-                                           const wp::array_t<real>& state, int row) {
-    typedef typename several<real>::lanes T;
-    const ground<T> around(body, w, real(1));
-    const rows_of<real> s(state, row), b(bars.state, w), loose(body.loose, w);
-    for (EACH_IN(p, body.first, body.end)) {
-        const T held = T(real(1)) - is_above(loose.template get<T>(0, p), T(real(0)));
-        const vec<T> free = around.is_free(s.template get3<T>(0, p)), x_bar = b.template get3<T>(0, p);
-        b.put3(0, p, free * x_bar + held * (x_bar - free * x_bar));
-    }
-}
-
 }  // namespace gendom

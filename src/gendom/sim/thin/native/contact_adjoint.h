@@ -11,7 +11,7 @@
 
 namespace gendom {
 
-enum { CONTACT_X_BAR = 0, CONTACT_V_BAR = 3, CONTACT_PER_MASS_BAR = 12, SELF_FRICTION_BAR = 21 };
+enum { CONTACT_X_BAR = 0, CONTACT_V_BAR = 3, CONTACT_PER_MASS_BAR = 12, SELF_FRICTION_BAR = 21, CONTACT_RADIUS_BAR = 22, DISTANCE_BAR = 23 };
 
 // A row keeps where points were when pairs were listed.
 template <typename Body, typename real>
@@ -39,6 +39,22 @@ CUDA_CALLABLE inline void put_back(const Body& body, const wp::array_t<real>& ke
     const rows_of<real> s(state, row), from(kept, at);
     for (EACH_IN(p, body.first, body.end))
         for (int c = 0; c < 6; ++c) s.put(c, p, from.template get<T>(6 * turn + c, p));
+}
+
+// Of `end_turn`, but for `take_push`; the row is as the turn left it.
+template <typename Body, typename Bars, typename real>
+CUDA_CALLABLE inline void end_turn_adjoint(const Body& body, const Bars& bars, int w,
+                                           const wp::array_t<real>& state, int row) {
+    typedef typename several<real>::lanes T;
+    const ground<T> around(body, w, real(1));
+    const rows_of<real> s(state, row), b(bars.state, w), by(bars.model, w), loose(body.loose, w);
+    for (EACH_IN(p, body.first, body.end)) {
+        const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
+        const vec<T> x_bar = b.template get3<T>(0, p);
+        vec<T> moved_bar = moves * x_bar;
+        by.add(CONTACT_RADIUS_BAR, p, around.brought_back_adjoint(s.template get3<T>(0, p), moved_bar));
+        b.put3(0, p, moved_bar + (T(real(1)) - moves) * x_bar);
+    }
 }
 
 // Up to two edges, between points of a pair, along which its nearest places slide.
@@ -88,7 +104,7 @@ CUDA_CALLABLE inline void solve_slides(int count, const vec<real> e[2], const re
 // Derivatives by what a push is made of, given those by its impulse and its shift.
 template <typename real> struct contact_bar {
     vec<real> away, v;
-    real per_mass, mu;
+    real per_mass, mu, depth;
 
     CUDA_CALLABLE inline contact_bar(const contact<real>& c, const vec<real>& by_impulse,
                                      const vec<real>& by_shift, real dt, real mu_is) {
@@ -97,7 +113,8 @@ template <typename real> struct contact_bar {
         per_mass = -(dot(I, c.speed * c.n - c.held_back * c.vt) +
                      dot(S, c.over * c.depth * c.n - dt * c.held_back * c.vt)) / c.per_mass;
         vec<real> n = c.speed * I + c.over * c.depth * S, vt = c.held_back * slows;
-        real depth = c.over * dot(S, c.n), needed = real(0), vn = real(0);
+        real needed = real(0), vn = real(0);
+        depth = c.over * dot(S, c.n);
         const real speed = dot(I, c.n);
         if (-c.vn >= c.needed) needed += speed;
         else if (c.vn < real(0)) vn -= speed;
@@ -137,6 +154,7 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real>& all, int k, c
     }
     const contact_bar<real> bar(c, by_impulse, by_shift, all.dt, all.mu);
     add_to(by, SELF_FRICTION_BAR, m.point[0], bar.mu);
+    add_to(by, DISTANCE_BAR, m.point[0], bar.depth);
 
     vec<real> x[4];
     for (int i = 0; i < 4; ++i) {

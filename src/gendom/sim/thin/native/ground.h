@@ -8,6 +8,11 @@ template <typename T, typename Body> CUDA_CALLABLE inline vec<T> gravity_of(cons
     return {T(g[0]), T(g[1]), T(g[2])};
 }
 
+// Derivatives of a loss by the coefficient of friction and by the height of points on the table.
+template <typename T> struct ground_bar {
+    T mu, radius;
+};
+
 // Velocities are changed so that no point ends the step beyond the table or a wall; what the table
 // takes of a fall, times its friction, it takes of sliding at most (Moreau 1988).
 template <typename T> struct ground {
@@ -86,19 +91,23 @@ template <typename T> struct ground {
         return free;
     }
 
-    // Transpose of `stopped`: derivatives by x are added, those by v replaced; returns that by mu.
-    CUDA_CALLABLE inline T stopped_adjoint(const vec<T>& x, const vec<T>& free, vec<T>& x_bar,
-                                           vec<T>& v_bar) const {
+    // Transpose of `stopped`: derivatives by x are added, those by v replaced.
+    CUDA_CALLABLE inline ground_bar<T> stopped_adjoint(const vec<T>& x, const vec<T>& free,
+                                                       vec<T>& x_bar, vec<T>& v_bar) const {
         const T zero = T(real(0)), one = T(real(1));
+        ground_bar<T> found = {zero, zero};
         if (walls) {  // where a wall stops a point, its velocity follows from its place
             const vec<T> turned = stopped(x, free) - on_table(x, free);
             const vec<T> by = {is_above(turned.x * turned.x, zero),
                                is_above(turned.y * turned.y, zero),
                                is_above(turned.z * turned.z, zero)};
+            const vec<T> back = {is_above(turned.x, zero), is_above(turned.y, zero),
+                                 is_above(turned.z, zero)};  // from lower walls
+            found.radius = one / h * dot(back + back - by, v_bar);
             x_bar = x_bar - (one / h) * (by * v_bar);
             v_bar = v_bar - by * v_bar;
         }
-        if (!table) return zero;
+        if (!table) return found;
         const T p = push(x, free), s = speed(free);
         const T slides = larger(zero, one - mu * p / s);
         const T touches = is_above(p, zero), moves = is_above(slides, zero);
@@ -106,9 +115,24 @@ template <typename T> struct ground {
         const T push_bar = touches * (v_bar.z - mu / s * slides_bar);
         const T speed_bar = mu * p / (s * s) * slides_bar;
         x_bar.z -= push_bar / h;
+        found.radius += push_bar / h;
+        found.mu = -p / s * slides_bar;
         v_bar = {slides * v_bar.x + speed_bar * free.x / s,
                  slides * v_bar.y + speed_bar * free.y / s, v_bar.z - push_bar};
-        return -p / s * slides_bar;
+        return found;
+    }
+    // Transpose of `brought_back`: derivatives by x in place; returns that by the radius.
+    CUDA_CALLABLE inline T brought_back_adjoint(const vec<T>& y, vec<T>& y_bar) const {
+        const vec<T> back = y_bar - is_free(y) * y_bar;
+        y_bar = y_bar - back;
+        T by_radius = back.x + back.y + back.z;
+        if (walls) {  // upper ones come nearer
+            const T one = T(real(1));
+            const vec<T> at_upper = {one - is_above(upper.x, y.x), one - is_above(upper.y, y.y),
+                                     one - is_above(upper.z, y.z)};
+            by_radius -= dot(back, at_upper + at_upper);
+        }
+        return by_radius;
     }
 };
 

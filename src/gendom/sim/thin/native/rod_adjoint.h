@@ -9,7 +9,7 @@ enum { X_BAR = 0, V_BAR = 3, Q_BAR = 6, W_BAR = 9, LAG_E_BAR = 12, LAG_U_BAR = 1
 enum {
     SHEAR_BAR = 0, BENDING_BAR = 3, REST_E_BAR = 6, REST_U_BAR = 9, PER_MASS_BAR = 12,
     DRAG_BAR = 13, PER_TURN_BAR = 14, GRAVITY_BAR = 15, DAMPING_BAR = 18,
-    FRICTION_BAR = 19, VELOCITY_DAMPING_BAR = 20
+    FRICTION_BAR = 19, VELOCITY_DAMPING_BAR = 20, RADIUS_BAR = 22
 };
 enum { PULL_BAR = 0, TORQUE_BAR = 3, ALONG_BAR = 6, D_BAR = 9, JOINT_H = 12, JOINT_G = 15 };
 
@@ -38,7 +38,9 @@ CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int
 
         vec<T> x_bar = b.template get3<T>(X_BAR, i);
         vec<T> v_bar = b.template get3<T>(V_BAR, i) + h * x_bar;
-        by.add(FRICTION_BAR, i, ground<T>(rod, w, dt).stopped_adjoint(x, v1, x_bar, v_bar));
+        const ground_bar<T> stopped = ground<T>(rod, w, dt).stopped_adjoint(x, v1, x_bar, v_bar);
+        by.add(FRICTION_BAR, i, stopped.mu);
+        by.add(RADIUS_BAR, i, stopped.radius);
         by.add(VELOCITY_DAMPING_BAR, i, -by_kick * dot(v1, v_bar));
         v_bar = keep * v_bar;
         by.add3(GRAVITY_BAR, i, by_kick * v_bar);

@@ -7,7 +7,7 @@ enum { SHELL_X_BAR = 0, SHELL_V_BAR = 3, LAG_ROW_BAR = 6, LAG_COLUMN_BAR = 8, LA
 enum {
     C11_BAR = 0, C22_BAR = 1, C12_BAR = 2, G12_BAR = 3, BXX_BAR = 4, BYY_BAR = 5, BXY_BAR = 6,
     TWIST_BAR = 7, REST_BEND_BAR = 8, POINT_PER_MASS_BAR = 12, POINT_DRAG_BAR = 13, SHELL_GRAVITY_BAR = 15, SHELL_DAMPING_BAR = 18, SHELL_FRICTION_BAR = 19,
-    SHELL_VELOCITY_DAMPING_BAR = 20
+    SHELL_VELOCITY_DAMPING_BAR = 20, SHELL_RADIUS_BAR = 22
 };
 enum { F_BAR = 0, N_BAR = 3, U_BAR = 6, V_EDGE_BAR = 12, XX_BAR = 18, YY_BAR = 21, XY_BAR = 24, TX_BAR = 27, TY_BAR = 30 };
 
@@ -30,7 +30,9 @@ CUDA_CALLABLE inline void shell_move_adjoint(const Body& body, const Bars& bars,
         const vec<T> v1 = keep * (v0 + by_kick * (per_mass * f + g));
         vec<T> x_bar = b.template get3<T>(SHELL_X_BAR, p);
         vec<T> v_bar = b.template get3<T>(SHELL_V_BAR, p) + h * x_bar;
-        by.add(SHELL_FRICTION_BAR, p, around.stopped_adjoint(x, v1, x_bar, v_bar));
+        const ground_bar<T> stopped = around.stopped_adjoint(x, v1, x_bar, v_bar);
+        by.add(SHELL_FRICTION_BAR, p, stopped.mu);
+        by.add(SHELL_RADIUS_BAR, p, stopped.radius);
         by.add(SHELL_VELOCITY_DAMPING_BAR, p, -by_kick * dot(v1, v_bar));
         v_bar = keep * v_bar;
         by.add3(SHELL_GRAVITY_BAR, p, by_kick * v_bar);
