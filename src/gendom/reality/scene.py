@@ -251,7 +251,7 @@ def _weigh(model: Any, item: RealObject) -> None:
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def _softened(cloth: RealCloth) -> float:
+def softened(cloth: RealCloth) -> float:
     """Factor by which a sheet's in-plane stiffness is reduced."""
     m = cloth.material
     return min(1.0, m.density * STANDARD_GRAVITY * cloth.side / (2.0 * SHEET_STRETCH * m.E))
@@ -262,7 +262,7 @@ def _bend_alike(model: Any, cloth: RealCloth) -> None:
     length = np.linalg.norm(np.diff(cloth.sheet[0][model.flex_edge], axis=1), axis=(1, 2))
     diagonal = length > 1.2 * cloth.spacing
     hinges = model.flex_bending.reshape(len(length), -1)
-    hinges *= np.where(diagonal, DIAGONAL_HINGES, SIDE_HINGES)[:, None] / _softened(cloth)
+    hinges *= np.where(diagonal, DIAGONAL_HINGES, SIDE_HINGES)[:, None] / softened(cloth)
 
 
 def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:
@@ -309,7 +309,7 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
         f'<flexcomp name="object" type="direct" dim="2" point="{_row(points)}"'
         f' element="{" ".join(map(str, item.sheet[1].ravel()))}"'
         f' {place} radius="{item.radius}" rgba="{colour}">'
-        f'<elasticity young="{float(_softened(item) * E)!r}" poisson="{nu}" damping="{damping}"'
+        f'<elasticity young="{float(softened(item) * E)!r}" poisson="{nu}" damping="{damping}"'
         f' thickness="{float(item.thickness)!r}" elastic2d="both"/>'
         f"{contact}</flexcomp>",
         len(points),

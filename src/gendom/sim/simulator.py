@@ -36,6 +36,9 @@ from gendom.sim.thin.statics import Search
 ENGINES = ("mpm", "thin")
 """``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
 
+INTEGRATORS = ("explicit", "implicit")
+"""How steps are taken; see ``docs/thin.md``."""
+
 START_INSIDE = 0.1
 """Greatest initial depth of a body in a table or wall [cells, or diameters of a rod]; contact
 pushes it out."""
@@ -53,6 +56,8 @@ class Simulator(Shown):
         engine: ``thin`` (a rope as a rod, a cloth as a shell), the default for elastic ropes and
             cloths, or ``mpm`` (particles on a grid), the default for all other bodies and for
             materials with a yield stress.
+        integrator: ``explicit``, or ``implicit`` for rods: steps of 2 ms or ``substep``, whatever
+            the stiffness (L-stable, of second order; no self-contact, in float64).
         grippers: Grippers shared by all worlds, or one sequence of them for each world, or all as
             arrays (``Grippers``).
         table: Table, or None for open space.
@@ -89,6 +94,7 @@ class Simulator(Shown):
         materials: Sequence[Material],
         *,
         engine: str | None = None,
+        integrator: str = "explicit",
         grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
         table: Table | None = None,
         gravity: ArrayLike = GRAVITY,
@@ -127,6 +133,11 @@ class Simulator(Shown):
                 f"only shells have a membrane's modulus, not a {body.kind} of the {engine} engine",
                 where="materials",
                 fix="leave membrane out, or take engine='thin' for a cloth",
+            )
+        if integrator not in INTEGRATORS:
+            raise ParameterError(
+                f"unknown integrator {integrator!r}",
+                fix=f"choose one of {', '.join(INTEGRATORS)}",
             )
         dtype = dtype or ("float64" if thin else "float32")
         if dtype not in ("float32", "float64"):
@@ -181,7 +192,10 @@ class Simulator(Shown):
             device=self.device,
             threads=threads or cores(),
         )
-        kind = thin_engine(body) if thin else MpmEngine
+        implicit = integrator == "implicit"
+        if implicit and not thin:
+            raise ParameterError("the MPM has no implicit steps", fix="integrator='explicit'")
+        kind = thin_engine(body, implicit=implicit) if thin else MpmEngine
         with making:
             self.engine = kind(setting, substep=substep, cfl=cfl)
 
@@ -242,7 +256,8 @@ class Simulator(Shown):
         return self.engine.positions()
 
     def velocities(self) -> NDArray[Any]:
-        """Velocities of particles now, or of points half a step ago, [W, N, 3] [m/s]."""
+        """Velocities of particles now, or of points half a step ago (after implicit steps now),
+        [W, N, 3] [m/s]."""
         return self.engine.velocities()
 
     def affine_velocities(self) -> NDArray[Any]:

@@ -117,8 +117,7 @@ def simulator(body, p, **options):
         air_density=p["air_density"],
         stiffness=p["stiffness"],
         positions=p["positions"],
-        substep=2e-4,
-        **options,
+        **({"substep": 2e-4} | options),
     )
     s.set_velocities(p["velocities"])
     return s
@@ -135,18 +134,33 @@ def gradients(body, p, weights, **options):
     return x, rollout.backward(weights)
 
 
-@BODIES
-def test_every_derivative_is_that_of_central_differences(body):
+IMPLICIT = {"integrator": "implicit", "substep": 2e-3}
+
+
+STEPS = pytest.mark.parametrize(
+    ("body", "steps"),
+    [(ROPE, {}), (RIBBON, {}), (CLOTH, {}), (CUT, {}), (ROPE, IMPLICIT), (RIBBON, IMPLICIT)],
+    ids=["rope", "ribbon", "cloth", "cut", "implicit-rope", "implicit-ribbon"],
+)
+
+
+@STEPS
+def test_every_derivative_is_that_of_central_differences(body, steps):
     p, rng = given(body), np.random.default_rng(1)
     weights = rng.normal(size=(len(TIMES), 1, len(body.points), 3))
-    _, found = gradients(body, p, weights)
-    watched = simulator(body, p).run(np.linspace(0.001, 0.06, 60))
+    rollout = Rollout(simulator(body, p, **steps))
+    rollout.forward(TIMES)
+    found = rollout.backward(weights)
+    watched = simulator(body, p, **steps).run(np.linspace(0.001, 0.06, 60))
     lowest = table_height(body) + body.thickness / 2.0
     assert np.abs(watched[..., 2] - lowest).min() < 1e-9  # something touches the table
 
     def loss(name, direction, step):
         return float(
-            np.sum(simulator(body, p | {name: p[name] + step * direction}).run(TIMES) * weights)
+            np.sum(
+                simulator(body, p | {name: p[name] + step * direction}, **steps).run(TIMES)
+                * weights
+            )
         )
 
     for name in p:
@@ -379,15 +393,15 @@ def test_the_mpm_refuses_a_flat_rope():
 
 
 @pytest.mark.gpu
-@BODIES
-def test_cuda_runs_and_differentiates_as_the_cpu_does(body):
+@STEPS
+def test_cuda_runs_and_differentiates_as_the_cpu_does(body, steps):
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
     p = given(body)
     weights = np.random.default_rng(1).normal(size=(len(TIMES), 1, len(body.points), 3))
     found = []
     for device in ("cpu", "cuda"):
-        rollout = Rollout(simulator(body, p, device=device))
+        rollout = Rollout(simulator(body, p, device=device, **steps))
         found.append((rollout.forward(TIMES), rollout.backward(weights)))
     np.testing.assert_allclose(found[1][0], found[0][0], rtol=0.0, atol=1e-12)
     for name, values in given_gradients(found[0][1]).items():

@@ -17,14 +17,14 @@ from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import fill_contact, loose
 from gendom.sim.thin.grips import Grip, Tear, released, tear
 from gendom.sim.thin.poses import Paths, Pose
-from gendom.sim.thin.run import STRETCH, Event, Job, Round, put_worlds
+from gendom.sim.thin.run import LOCAL_STRETCH, STRETCH, Event, Job, Round, put_worlds
 from gendom.sim.thin.schedule import Schedule, make_schedule
 from gendom.sim.thin.slopes import Slopes
 from gendom.sim.thin.stepping import make_stepping
 from gendom.sim.thin.types import V, X, make_types
 
 CFL = 0.8
-"""Default share of the longest stable step of small vibrations."""
+"""Default share of the longest stable step of small vibrations, of damped bodies and rods."""
 
 SHORTEST_SUBSTEP = 1e-9
 """Below, the steps of two seconds outnumber their counter of 32 bits [s]."""
@@ -48,6 +48,8 @@ class ThinEngine(ABC):
     scratch_bars: ClassVar[int]
     """Numbers of components of states, of derivatives by states, and of their scratch arrays."""
     lanes_on_cuda: ClassVar[int]
+    undamped_cfl: ClassVar[float] = CFL
+    """As ``CFL``, of worlds without damping."""
     stiffened: ClassVar[tuple[slice, ...]]
     """Components of the stiffness that change at a gripper's border, see ``Grip.stiffer``."""
     natural: ClassVar[slice]
@@ -56,11 +58,13 @@ class ThinEngine(ABC):
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         self.check_suits(setting)
         s = setting
+        self.setting = s
         W, n, G = len(s.materials), len(s.body.points), len(s.grippers[0])
         self.share = spread(s.stiffness, (W, n), "stiffness")
         self.longest = self.prepare(setting)
-        limits = substep or (cfl or CFL) * self.longest
-        self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
+        self.num_worlds, self.num_points = W, n
+        limits = np.broadcast_to(self.substeps(substep, cfl), W)
+        self.setting = s = replace(setting, substep=limits)
         s.check_substep(
             SHORTEST_SUBSTEP, fix="a softer or denser material, fewer points, or a longer substep"
         )
@@ -68,7 +72,6 @@ class ThinEngine(ABC):
         self.types = make_types(self.real)
         self.kernels = make_stepping(self.real, self.kind)
         self.lanes = self.lanes_on_cuda if s.device.is_cuda else 1
-        self.num_worlds, self.num_points = W, n
         self.slots, self.row_length = self.layout()
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
         self.stacked = dict(s.grippers.arrays)
@@ -96,6 +99,11 @@ class ThinEngine(ABC):
                 self.check_apart(one)
         self.load("begin", "advance")
         self.launch(self.kernels.begin, slice(0, W), [self.body, self.state])
+
+    def substeps(self, substep: float | None, cfl: float | None) -> Any:
+        """Longest steps of each world [s], of a simulator's arguments."""
+        damped = np.array([m.damping > 0.0 for m in self.setting.materials])
+        return substep or (cfl or np.where(damped, CFL, self.undamped_cfl)) * self.longest
 
     # ---- defined by each kind of body ------------------------------------------------------------
 
@@ -250,13 +258,40 @@ class ThinEngine(ABC):
             for done in [pool.submit(one, group) for group in groups]:
                 done.result()
         job.finish()
-        taken = plan.steps[:, -1] > 0
-        self.last_dt = np.where(taken, plan.dt[:, -1], plan.before[:, -1])
+        self.last_dt = self.ended(plan)
         if frames.on_frame is not None:
             frames.on_frame(len(frames.times))
         if self.failures and not frames.keep_going:
             raise self.failures[min(self.failures)]
         return plan
+
+    def advance(self, job: Job, group: slice) -> None:
+        """Take the steps of a group's pieces."""
+        self.launch(
+            self.kernels.advance,
+            group,
+            [
+                self.body, self.paths, job.on_device, job.pieces, 0, 0, self.state, job.kept,
+                job.every, LOCAL_STRETCH**2, STRETCH, job.stopped, job.stopped_at, job.x,
+                job.points,
+            ],
+        )  # fmt: skip
+
+    def end_error(self, w: int, time: float, dt: float) -> SimulationError:
+        """What to say of a world that steps of dt [s] could not go on with."""
+        return self.setting.error(
+            w,
+            time,
+            f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "
+            f"mean, or somewhere by more than {100 * LOCAL_STRETCH:.0f} %",
+            where=f"substep {dt:.3g} s",
+            fix="slower grippers or velocities, or a smaller substep",
+        )
+
+    def ended(self, plan: Schedule) -> NDArray[np.float64]:
+        """Length of each world's last step [W] [s]; 0 if velocities are those at its end."""
+        taken = plan.steps[:, -1] > 0
+        return np.where(taken, plan.dt[:, -1], plan.before[:, -1])
 
     def groups(self) -> Iterator[slice]:
         """Groups of worlds that are launched together."""

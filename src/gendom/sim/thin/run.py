@@ -1,6 +1,6 @@
 """A run of a thin engine: its events, its arrays, what it records, and what ends it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,8 @@ class Round:
     """[W, 2] indices of the first piece and of the one after the last."""
     held: tuple[NDArray[Any], ...] = ()
     """Points held by grippers in this part, for the reverse pass."""
+    steps: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int32))
+    """[W, 2] first and last records of implicit steps."""
 
 
 class Job:
@@ -72,14 +74,7 @@ class Job:
             if group.start <= w < group.stop:
                 pieces[w - group.start, 1] = pieces[w - group.start, 0]
         put(self.pieces, group, pieces)
-        e.launch(
-            e.kernels.advance,
-            group,
-            [
-                e.body, e.paths, self.on_device, self.pieces, 0, 0, e.state, self.kept, self.every,
-                LOCAL_STRETCH**2, STRETCH, self.stopped, self.stopped_at, self.x, self.points,
-            ],
-        )  # fmt: skip
+        e.advance(self, group)
         stopped, stopped_at = self.stopped.numpy(), self.stopped_at.numpy()
         for w in (int(k) for k in np.flatnonzero(stopped >= 0) if group.start <= k < group.stop):
             if w in e.failures:
@@ -99,14 +94,7 @@ class Job:
             if w in e.torn and stopped_at[w] > e.torn[w].time:
                 e.failures[w] = e.tear_error(w)
                 continue
-            e.failures[w] = e.setting.error(
-                w,
-                float(stopped_at[w]),
-                f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "
-                f"mean, or somewhere by more than {100 * LOCAL_STRETCH:.0f} %",
-                where=f"substep {plan.dt[w, s]:.3g} s",
-                fix="slower grippers or velocities, or a smaller substep",
-            )
+            e.failures[w] = e.end_error(w, float(stopped_at[w]), float(plan.dt[w, s]))
 
     def finish(self) -> None:
         e = self.engine

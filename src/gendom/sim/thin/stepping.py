@@ -249,6 +249,23 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                 hold(body, w, g, narrow(centre), quat_of(R), state, row)
                 meet()
 
+    @wp.func
+    def hold_all_adjoint(
+        body: Body, bars: Bars, w: int, lane: int, began: wp.float64, t: wp.float64, paths: Paths
+    ):
+        """Transpose of ``hold_all``."""
+        for before in range(body.holds.shape[1]):
+            g = body.holds.shape[1] - 1 - before
+            if lane == 0 and is_closed(w, g, began, paths):
+                _centre, R, _knot = pose(w, g, t, paths)
+                hold_adjoint(body, bars, w, g, quat_of(R))
+                by_centre = bars.centre[w, g]
+                by_turn = bars.turn[w, g]
+                pose_adjoint(
+                    w, g, t, wide(by_centre), wide(by_turn), paths, bars.position, bars.path_turn
+                )
+        meet()
+
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def advance(
         first: int,  # world
@@ -373,20 +390,7 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
                 meet()
                 hold_all(body, w, t0, t, paths, state, row + stride)
                 meet_itself_adjoint(body, bars, turns_kept, w, w - offset, state, row + stride, h)
-            for before in range(body.holds.shape[1]):
-                g = body.holds.shape[1] - 1 - before
-                if lane == 0 and is_closed(w, g, t0, paths):
-                    _centre, R, _knot = pose(w, g, t, paths)
-                    hold_adjoint(body, bars, w, g, quat_of(R))
-                    by_centre = bars.centre[w, g]
-                    by_turn = bars.turn[w, g]
-                    pose_adjoint(
-                        w, g, t,
-                        wide(by_centre),
-                        wide(by_turn),
-                        paths, bars.position, bars.path_turn,
-                    )  # fmt: skip
-            meet()
+            hold_all_adjoint(body, bars, w, lane, t0, t, paths)
             move_adjoint(body, bars, w, state, row, h, kick_of(plan, w, p, k))
             meet()
             forces_adjoint(body, bars, w, state, row, h)
@@ -407,5 +411,6 @@ def make_stepping(real: Any, kind: str) -> SimpleNamespace:
     return SimpleNamespace(
         begin=begin, advance=advance, reverse=reverse, begin_adjoint=begin_adjoint, meet=meet,
         any_of=any_of, forces=forces, move=move, hold_all=hold_all, mean_stretch=mean_stretch,
-        meet_itself=meet_itself, forces_adjoint=forces_adjoint, gather_adjoint=gather_adjoint,
+        hold_all_adjoint=hold_all_adjoint, meet_itself=meet_itself,
+        forces_adjoint=forces_adjoint, gather_adjoint=gather_adjoint,
     )  # fmt: skip

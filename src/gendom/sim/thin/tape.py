@@ -133,12 +133,21 @@ class ThinTape(ABC):
     def _reverse_round(self, group: slice, round: Round) -> None:
         e = self.engine
         holds, stiffer, places = round.held
-        W, count = e.num_worlds, group.stop - group.start
         e.holds[group], e.stiffer[group] = holds, stiffer
         G = e.closed.shape[1]
         put(e.body.place, slice(group.start * G, group.stop * G), places)
         worlds = np.arange(group.start, group.stop)
         e.hold(worlds)
+        self.reverse_steps(group, round)
+        self._take_model(group)
+        for event in reversed(round.events):
+            self._reverse_event(group, event)
+
+    def reverse_steps(self, group: slice, round: Round) -> None:
+        """Transpose the steps of a group's round."""
+        e = self.engine
+        W, count = e.num_worlds, group.stop - group.start
+        worlds = np.arange(group.start, group.stop)
         length = round.pieces[:, 1] - round.pieces[:, 0]
         P = e.row_length
         rows = e.zeros((count * (self.most + 1), self.rows, P))
@@ -171,9 +180,6 @@ class ThinTape(ABC):
                 [e.body, e.paths, self.plan_on_device, e.array(every, wp.int32), group.start, count,
                  rows, self.frames_bar, self.bars, turns],
             )  # fmt: skip
-        self._take_model(group)
-        for event in reversed(round.events):
-            self._reverse_event(group, event)
 
     def _take_model(self, group: slice) -> None:
         """Add derivatives by the model without grippers, and by the grippers' borders."""

@@ -1,0 +1,65 @@
+"""Reverse mode of rods that move in implicit steps."""
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gendom.sim.device import making
+from gendom.sim.gradients import Gradients
+from gendom.sim.setting import Frames
+from gendom.sim.thin.implicit import ImplicitRods
+from gendom.sim.thin.run import Round
+from gendom.sim.thin.tape import RodTape
+from gendom.sim.thin.types import V, X
+
+HALVED = 2
+"""Steps that are recorded at most, over those of a run without halving."""
+
+
+class ImplicitTape(RodTape):
+    """Tape that records where each step begins and its stages end."""
+
+    engine: ImplicitRods
+
+    def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
+        e = self.engine
+        T, W, n = len(times), e.num_worlds, e.num_points
+        x = np.empty((T, W, n, 3), dtype=e.setting.dtype)
+        frames = Frames(began, times, np.arange(n), x, None, False)
+        self.first_x, self.first_v = e.component(X), e.component(V)
+        self.first = wp.clone(e.state)
+        steps = int(e.schedule(frames, None).steps.sum(axis=1).max())
+        e.record = e.recorded(HALVED * steps + T + 16)
+        with making:
+            wp.load_module(e.implicit.reverse.module, device=e.setting.device, block_dim=e.block)
+        done = np.zeros(W, dtype=np.int32)
+
+        def after(group: slice, round: Round) -> None:
+            now = e.record.count.numpy()[group].copy()
+            round = self._with_held(group, round)
+            round.steps = np.stack([done[group], now], axis=1)
+            done[group] = now
+            self.rounds.append((group, round))
+
+        self.plan = e.run_rounds(frames, after)
+        return x
+
+    def backward(self, bar: NDArray[np.floating]) -> Gradients:
+        e = self.engine
+        W, P = e.num_worlds, e.row_length
+        self.begun = e.zeros((W, e.state_rows, P))
+        self.base_bars, self.start_bars = e.zeros((W, 18, P)), e.zeros((W, 18, P))
+        return super().backward(bar)
+
+    def reverse_steps(self, group: slice, round: Round) -> None:
+        e = self.engine
+        steps = np.zeros((e.num_worlds, 2), dtype=np.int32)
+        steps[group] = round.steps
+        e.launch(
+            e.implicit.reverse,
+            group,
+            [
+                e.body, e.paths, e.record, e.array(steps, wp.int32), self.begun, e.base, e.ahead,
+                e.work, e.touches, self.base_bars, self.start_bars, self.frames_bar, self.bars,
+            ],
+        )  # fmt: skip
