@@ -15,7 +15,7 @@ from gendom.sim.device import making
 from gendom.sim.paths import make_path_type
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import fill_contact, loose
-from gendom.sim.thin.grips import Grip, Tear, released, tear
+from gendom.sim.thin.grips import Grip, Tear, released, tears
 from gendom.sim.thin.poses import Paths, Pose
 from gendom.sim.thin.run import LOCAL_STRETCH, STRETCH, Event, Job, Round, put_worlds
 from gendom.sim.thin.schedule import Schedule, make_schedule
@@ -369,22 +369,39 @@ class ThinEngine(ABC):
     def _find_tears(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> None:
         """Find when gripper g, which closes, and others will have pulled worlds [k] apart."""
         paths, G = Paths(self.stacked), self.closed.shape[1]
-        if G == 1:
-            return
-        places = self.body.place.numpy()[:, :3]
-        for k, w in enumerate(worlds.tolist()):
-            mine = np.flatnonzero(self.holds[w, g] & 1)
-            for h in range(G):
-                theirs = np.flatnonzero(self.holds[w, h] & 1)
-                if h == g or self.closed[w, h] != 1 or not (len(mine) and len(theirs)):
+        for h in range(G):
+            both = (self.closed[worlds, h] == 1) & (h != g)
+            if not both.any():
+                continue
+            w = worlds[both]
+            held = self.holds[w][:, [h, g]] & 1
+            alike, which = np.unique(held, axis=0, return_inverse=True)
+            which = which.reshape(-1)  # of the few ways of holding
+            for k, (theirs, mine) in enumerate(alike):
+                if not (theirs.any() and mine.any()):
                     continue
-                i, j, rest = self.between(mine, theirs)
-                if np.isinf(rest):
-                    continue
-                ends = (places[w * G + h, :, self.slots[j]], places[w * G + g, :, self.slots[i]])
-                found = tear(paths, w, (h, g), ends, float(now[k]), (1.0 + STRETCH) * rest)
-                if found is not None and (w not in self.torn or found.time < self.torn[w].time):
-                    self.torn[w] = found
+                i, j, rest = self.between(np.flatnonzero(mine), np.flatnonzero(theirs))
+                if np.isfinite(rest):
+                    of = which == k
+                    self._keep_tears((h, g), (j, i), w[of], now[both][of], rest, paths)
+
+    def _keep_tears(
+        self, grippers: tuple[int, int], points: tuple[int, int], worlds: NDArray[np.int64],
+        now: NDArray[np.float64], rest: float, paths: Paths,
+    ) -> None:  # fmt: skip
+        """Keep when two grippers will have pulled points apart that are ``rest`` [m] apart in the
+        body at rest, where that is sooner than what is known."""
+        G = self.closed.shape[1]
+        places = self.body.place.numpy()
+        ends = tuple(
+            places[worlds * G + g, :3, self.slots[p]] for g, p in zip(grippers, points, strict=True)
+        )
+        most = np.full(len(worlds), (1.0 + STRETCH) * rest)
+        times, far = tears(paths, worlds, grippers, (ends[0], ends[1]), now, most)
+        for k in np.flatnonzero(np.isfinite(times)).tolist():
+            w, found = int(worlds[k]), Tear(float(times[k]), grippers, float(far[k]))
+            if w not in self.torn or found.time < self.torn[w].time:
+                self.torn[w] = found
 
     def tear_error(self, w: int) -> SimulationError:
         """What to say of a world that grippers pull apart."""

@@ -41,42 +41,47 @@ class Tear:
     """How far what they hold is apart then [m]."""
 
 
-def tear(
-    paths: Paths, w: int, grippers: tuple[int, int], ends: tuple[Array, Array], now: float,
-    most: float,
-) -> Tear | None:  # fmt: skip
-    """When two grippers of a world have a point each farther apart than ``most`` [m], or None.
+def tears(
+    paths: Paths, w: Array, grippers: tuple[int, int], ends: tuple[Array, Array], now: Array,
+    most: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """When two grippers of worlds w [k] have a point each farther apart than ``most`` [k] [m].
 
     Between knots both move straight on, so that without turns their distance is largest at a knot.
 
     Args:
         paths: Of all grippers.
-        w: The world.
+        w: The worlds.
         grippers: The two, both closed.
-        ends: The points [3] in the grippers' frames [m].
-        now: When the second one closes [s].
-        most: [m].
+        ends: The points in the grippers' frames, [k, 3] each [m].
+        now: When the second one closes, [k] [s].
+        most: [k] [m].
+
+    Returns:
+        The times [k] [s], infinite where they never are, and how far apart they are then [k] [m].
     """
     of = paths.stacked
-    until = min(of["hold_until"][w, g] for g in grippers)
-    knots = np.unique(np.concatenate([of["time"][w, g] for g in grippers]))
-    times = np.concatenate([[now], knots[(knots > now) & (knots < until)]])
-    if np.isfinite(until):
-        times = np.append(times, until)
-    worlds = np.full(len(times), w)
+    until = np.minimum(*(of["hold_until"][w, g] for g in grippers))
+    times = np.concatenate([until[:, None], *(of["time"][w, g] for g in grippers)], axis=1)
+    late = np.isfinite(times) & (times > now[:, None]) & (times <= until[:, None])
+    times = np.sort(np.where(late, times, now[:, None]), axis=1)
+    times = np.concatenate([now[:, None], times], axis=1)
+    shape = times.shape
+    worlds = np.repeat(w, shape[1])
     places = []
     for g, end in zip(grippers, ends, strict=True):
-        pose = paths.pose(g, worlds, times)
-        places.append(pose.centre + rotation.turned(pose.q, np.tile(end, (len(times), 1))))
-    far = np.linalg.norm(places[1] - places[0], axis=1)
-    beyond = np.flatnonzero(far > most)
-    if not len(beyond):
-        return None
-    k = int(beyond[0])
-    if k == 0:
-        return Tear(now, grippers, float(far[0]))
-    share = (most - far[k - 1]) / (far[k] - far[k - 1])
-    return Tear(float(times[k - 1] + share * (times[k] - times[k - 1])), grippers, most)
+        pose = paths.pose(g, worlds, times.reshape(-1))
+        place = pose.centre + rotation.turned(pose.q, np.repeat(end, shape[1], axis=0))
+        places.append(place.reshape(*shape, 3))
+    far = np.linalg.norm(places[1] - places[0], axis=2)
+    beyond = far > most[:, None]
+    k, rows = beyond.argmax(axis=1), np.arange(len(w))
+    before = np.maximum(k - 1, 0)
+    step = far[rows, k] - far[rows, before]
+    share = np.where(k > 0, (most - far[rows, before]) / np.where(k > 0, step, 1.0), 1.0)
+    time = times[rows, before] + share * (times[rows, k] - times[rows, before])
+    found = beyond.any(axis=1)
+    return np.where(found, time, np.inf), np.where(k > 0, most, far[:, 0])
 
 
 @dataclass

@@ -1,0 +1,111 @@
+"""Implicit steps of rods: their order, what they take of vibrations, and friction."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gendom.materials import Material
+from gendom.sim import Gripper, Table, rope
+from gendom.validation.check import Check, Settings
+from gendom.validation.damping import elastic_frequency
+
+LENGTH, DIAMETER, HELD = 0.3, 0.01, 0.03
+"""Of the rope, and how much of it a hand holds [m]."""
+
+ORDER = "order 2 (Alexander 1977, two stages); against explicit steps a hundredth as long"
+KEPT = (
+    "a step multiplies a vibration by R(i omega h), R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2, "
+    "g = 1 - sqrt(1/2) (Alexander 1977); omega of a beam's first mode"
+)
+SLIDES = "(g_x - mu g_z) t^2 / 2 down a slope (Coulomb)"
+
+
+def steps(settings: Settings) -> list[Check]:
+    """A rope that a hand leads and turns about; one that rings; one on a slope."""
+    body = rope(diameter=DIAMETER, length=LENGTH, start=(0, 0, 0.2), points=21)
+    t = np.linspace(0.0, 0.5, 11)[:, None]
+    hand = Gripper(
+        time=t[:, 0],
+        position=body.points[0] + np.sin(6.0 * t) * [0.02, 0.05, 0.03],
+        quat_xyzw=Rotation.from_rotvec(np.sin(5.0 * t) * [0.8, 0.5, 0.3]).as_quat(),
+        radius=0.02,
+    )
+
+    def led(**options: object) -> NDArray[np.floating]:
+        s = settings.simulator(
+            body, [Material(E=2e6, damping=0.005)], engine="thin", dtype="float64",
+            grippers=[hand], **options,
+        )  # fmt: skip
+        return s.run([0.1, 0.2, 0.3])
+
+    exact = led(cfl=0.05)
+    lengths = (0.004, 0.002, 0.001)
+    errors = [float(np.abs(led(integrator="implicit", substep=h) - exact).max()) for h in lengths]
+    orders = [
+        Check.within(
+            f"order of implicit steps, {1e3 * h:g} to {500 * h:g} ms", "-", 2.0,
+            math.log2(coarse / fine), 0.25, ORDER,
+        )
+        for h, (coarse, fine) in zip(lengths, pairwise(errors), strict=False)
+    ]  # fmt: skip
+    return [*orders, *_rings(settings), *_slides(settings)]
+
+
+def _rings(settings: Settings) -> list[Check]:
+    """A clamped rope in vacuum that is pushed: what 1.4 s leave of its slowest vibration."""
+    body = rope(diameter=DIAMETER, length=LENGTH, points=31)
+    material = Material(E=2e8)
+    count, frame = 280, 0.01
+    omega = elastic_frequency(material, DIAMETER / 4.0, LENGTH - HELD)
+    along = np.clip((body.points[:, 0] - HELD) / (LENGTH - HELD), 0.0, 1.0)
+
+    def kept(h: float) -> float:
+        s = settings.simulator(
+            body, [material], engine="thin", dtype="float64", air_density=0.0, gravity=(0, 0, 0),
+            grippers=[Gripper.still(body.points[0], radius=HELD)], integrator="implicit",
+            substep=h,
+        )  # fmt: skip
+        s.set_velocities(0.02 * along[:, None] ** 2 * np.array([0.0, 0.0, 1.0]))
+        tip = s.run(frame * np.arange(1, count + 1), particles=[30])[:, 0, 0, 2]
+        first, second = (
+            np.abs(np.fft.rfft(half * np.hanning(count // 2))).max() for half in tip.reshape(2, -1)
+        )
+        return float(second / first)
+
+    checks = []
+    for h in (0.01, 0.005):
+        z = 1j * omega * h
+        g = 1.0 - math.sqrt(0.5)
+        left = abs((1.0 + (1.0 - 2.0 * g) * z) / (1.0 - g * z) ** 2) ** (count * frame / 2.0 / h)
+        checks.append(
+            Check.within_share(
+                f"what implicit steps of {1e3 * h:g} ms leave of 12 swings", "-", left, kept(h),
+                0.003, KEPT,
+            )
+        )  # fmt: skip
+    return checks
+
+
+def _slides(settings: Settings) -> list[Check]:
+    body = rope(diameter=DIAMETER, length=LENGTH, start=(0, 0, DIAMETER / 2.0), points=21)
+    checks = []
+    for mu in (0.2, 0.6):
+        s = settings.simulator(
+            body, [Material(E=2e6, damping=0.005)], engine="thin", dtype="float64",
+            table=Table(height=0.0, friction=mu), gravity=(4.0, 0.0, -9.0), air_density=0.0,
+            integrator="implicit",
+        )  # fmt: skip
+        x = s.run([0.4])[0, 0] - body.points
+        expected = 0.5 * max(0.0, 4.0 - mu * 9.0) * 0.4**2
+        checks.append(
+            Check.within(
+                f"way down a slope by implicit steps, friction {mu:g}", "mm", 1e3 * expected,
+                1e3 * float(x[:, 0].mean()), 0.3, SLIDES,
+            )
+        )  # fmt: skip
+    return checks
