@@ -17,7 +17,7 @@ from gendom.validation.damping import elastic_frequency
 LENGTH, DIAMETER, HELD = 0.3, 0.01, 0.03
 """Of the rope, and how much of it a hand holds [m]."""
 
-ORDER = "order 2 (Alexander 1977, two stages); against explicit steps a fiftieth as long"
+ORDER = "order 2 (Alexander 1977, two stages); against explicit steps a thirtieth as long"
 KEPT = (
     "a step multiplies a vibration by R(i omega h), R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2, "
     "g = 1 - sqrt(1/2) (Alexander 1977); omega of a beam's first mode"
