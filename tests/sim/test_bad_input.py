@@ -21,6 +21,7 @@ from gendom.sim import (
     cloth,
     open_device,
     outline_of_mesh,
+    preset,
     rope,
 )
 
@@ -348,3 +349,11 @@ def test_objects_in_the_table_name_the_world():
     assert "205 mm inside the table" in message
     assert "world" not in refused(s, positions=x[1])
     s(positions=x[:1])
+
+
+def test_paths_surfaces_and_presets():
+    s = Simulator(ROPE, [MATERIAL])
+    assert named("path", refused(s.save_state, path=3))
+    for x in ("here", RAGGED, np.zeros((5, 3)), np.zeros(3)):
+        assert named("x", refused(ROPE.surface, x=x))
+    assert "there is no preset" in refused(preset, name=[])

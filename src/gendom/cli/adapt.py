@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import tyro
@@ -42,6 +42,9 @@ class Command(KnownObject):
     """What it reached, in the form of a goal [SI]."""
     executions: Path | None = None
     """JSON file with a list of executions: {"action": [...], "reached": [...]} each."""
+    engine: Literal["thin", "mpm"] = "thin"
+    """Of the simulator that explains what was reached: ropes as rods and cloths as shells, or
+    particles on a grid."""
     out: Path | None = None
     """JSON file to write: the updated estimate, with all executions."""
     json: bool = False
@@ -51,6 +54,7 @@ class Command(KnownObject):
         from gendom.policies.adaptation import adapt
         from gendom.policies.belief import Belief
         from gendom.policies.estimates import updated
+        from gendom.tasks.world import Simulation
 
         if self.params is None:
             raise ParameterError("is missing", where="--params", fix="give an estimate's file")
@@ -68,7 +72,7 @@ class Command(KnownObject):
         belief = held.belief(task)
         if before is not None:  # all executions are learnt from at once, from where it began
             belief = Belief.from_dict(belief.item, before)
-        adapted = adapt(task, belief, executions)
+        adapted = adapt(task, belief, executions, world=Simulation(engine=self.engine))
         result = updated(record, task.name, belief, adapted, executions)
         print(to_json(result) if self.json else _text(belief, adapted))
         if self.out is not None:

@@ -126,12 +126,21 @@ class Body:
         Args:
             x: [..., N, 3] positions of particles, or of the thin engine's points [m].
 
+        Raises:
+            ParameterError: If that is not the shape of ``x``.
+
         Each particle represents the material around it, so the visible surface of a rope lies
         further out than its particles: its outer particles are moved away from the middle of
         their section, to half a diameter. A cloth is thin, so its particles are its surface; points
         of a cell that an outline cuts are moved onto the outline.
         """
-        x = np.asarray(x, dtype=float)
+        x = check_numbers("x", x, finite=False)
+        known = {self.num_particles, len(self.points)}
+        if x.ndim < 2 or x.shape[-1] != 3 or x.shape[-2] not in known:
+            raise ParameterError(
+                f"x has shape {x.shape}, expected [..., N, 3]",
+                fix=f"give the positions of its {' or '.join(map(str, sorted(known)))} points",
+            )
         if self.kind != "rope":
             return self.cut.on_skin(x) if self.cut is not None and self._has_points(x) else x
         if self._has_points(x):

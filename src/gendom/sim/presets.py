@@ -94,7 +94,7 @@ def preset(name: str) -> Preset:
     Raises:
         ParameterError: If there is no preset with that name.
     """
-    if name not in _PRESETS:
+    if not isinstance(name, str) or name not in _PRESETS:
         raise ParameterError(
             f"there is no preset {name!r}", fix=f"choose one of {', '.join(_PRESETS)}"
         )

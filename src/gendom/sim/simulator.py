@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -302,6 +303,8 @@ class Simulator(Shown):
             last_good: Write each world's state at the start of its last frame (``time`` is then
                 [W]); after a failure this is the last valid state.
         """
+        if not isinstance(path, str | PathLike):
+            raise ParameterError(f"path must be a file's path, got {path!r}")
         state = {"time": self.time} | self.engine.kept(last_good=last_good)
         with atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(

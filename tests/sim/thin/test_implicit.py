@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
+from gendom.sim import Box, Gripper, Rollout, Simulator, Table, cloth, rope
 
 ROPE = rope(diameter=0.01, length=0.3, start=(0, 0, 0.2), points=21)
 SOFT = Material(E=2e6, damping=0.005)
@@ -104,6 +104,12 @@ def test_what_implicit_steps_cannot_do_is_said():
         make(cloth(width=0.1, height=0.1, thickness=0.002, dx=0.02))
     with pytest.raises(ParameterError, match="unknown integrator 'midpoint'"):
         Simulator(ROPE, [SOFT], integrator="midpoint")
+
+
+def test_a_recording_that_is_too_large_is_refused():
+    s = Simulator(ROPE, [SOFT] * 40, integrator="implicit", substep=1e-4)
+    with pytest.raises(ParameterError, match="the steps of 40 worlds would be recorded in"):
+        Rollout(s).forward([10.0])
 
 
 def test_a_rope_pulled_apart_ends_with_an_error():

@@ -4,6 +4,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gendom.errors import ParameterError
 from gendom.sim.device import making
 from gendom.sim.gradients import Gradients
 from gendom.sim.setting import Frames
@@ -14,6 +15,9 @@ from gendom.sim.thin.types import V, X
 
 HALVED = 2
 """Steps that are recorded at most, over those of a run without halving."""
+
+LARGEST = 2**31
+"""Largest of the three arrays of states that are recorded [bytes]."""
 
 
 class ImplicitTape(RodTape):
@@ -29,7 +33,15 @@ class ImplicitTape(RodTape):
         self.first_x, self.first_v = e.component(X), e.component(V)
         self.first = wp.clone(e.state)
         steps = int(e.schedule(frames, None).steps.sum(axis=1).max())
-        e.record = e.recorded(HALVED * steps + T + 16)
+        most = HALVED * steps + T + 16
+        size = most * W * e.state_rows * e.row_length * 8
+        if size > LARGEST:
+            raise ParameterError(
+                f"the steps of {W} worlds would be recorded in {3e-9 * size:.3g} GB, at most "
+                f"{3e-9 * LARGEST:.2g} are",
+                fix="fewer worlds at a time, a longer substep, or integrator='explicit'",
+            )
+        e.record = e.recorded(most)
         with making:
             wp.load_module(e.implicit.reverse.module, device=e.setting.device, block_dim=e.block)
         done = np.zeros(W, dtype=np.int32)
