@@ -252,7 +252,7 @@ def stiffer_in_single(settings, materials, options):
         ("shell-order", stiffer, "order of a strip's sag, from 16"),
         ("shell-order", stiffer, "order of a strip's sag, from 32"),
         ("shell-batch", crowded, "largest difference of a batch of 5 cloths"),
-        ("shell-swing", lifted, "growth of the mean energy in 20 s, a swinging sheet, a quarter"),
+        ("shell-swing", lifted, "growth of the mean energy in 20 s, a swinging sheet, half"),
         ("shell-swing", lifted, "growth of the mean energy in 20 s, a swinging sheet, the def"),
         ("shell-layers", rubbing_more, "deceleration of a cloth's layer"),
         ("shell-layers", rubbing_more, "stopping distance of a cloth's layer"),

@@ -40,7 +40,7 @@ SUBSTEP = 0.002
 SHORTEST = 1.0 / 64.0
 """Share of a step below which it is not halved any more."""
 
-BLOCK_ROW, TOUCHING = 126, 4
+BLOCK_ROW, TOUCHING = 152, 4
 """Numbers of a point in Newton's matrix, and of what it touches."""
 
 

@@ -14,20 +14,54 @@
 
 namespace gendom {
 
-// A point's three blocks of Newton's matrix, and what is not balanced.
+// A point's three blocks of Newton's matrix. Rows are as long as registers are wide; the seventh column of its own
+// block holds what is not balanced, and in the end that of the block after it the step.
 template <typename real> struct block_row {
-    real before[6][6], own[6][6], after[6][6], rhs[6], step[6], last[6];
-};
-enum { BLOCK_ROW = 126 };  // numbers of one
+    real before[6][8], own[6][8], after[6][8], last[8];
 
-template <typename real> CUDA_CALLABLE inline void put_column(real block[6][6], int row, int column, const vec<real>& a) {
-    block[row][column] += a.x, block[row + 1][column] += a.y, block[row + 2][column] += a.z;
+    CUDA_CALLABLE inline real& rhs(int a) { return own[a][6]; }
+    CUDA_CALLABLE inline real& step(int a) { return after[a][6]; }
+};
+enum { BLOCK_ROW = 152 };  // numbers of one
+
+// Unit vectors side by side, from axis j on, and columns of a block that these have made.
+template <typename T> CUDA_CALLABLE inline vec<T> axes(int j) {
+    typedef typename number_of<T>::type real;
+    vec<T> a = {T(real(0)), T(real(0)), T(real(0))};
+    for (unsigned l = 0; l < sizeof(T) / sizeof(real) && j + l < 3; ++l)
+        ((real*)(j + l == 0 ? &a.x : j + l == 1 ? &a.y : &a.z))[l] = real(1);
+    return a;
 }
-template <typename real> CUDA_CALLABLE inline vec<real> axis(int k) {
-    return {real(k == 0), real(k == 1), real(k == 2)};
+template <typename T, typename real> CUDA_CALLABLE inline void put_row(real* row, const T& a) {
+#if defined(__CUDA_ARCH__)
+    *row += a;
+#else
+    T sum;
+    __builtin_memcpy(&sum, row, sizeof(T));
+    sum = sum + a;
+    __builtin_memcpy(row, &sum, sizeof(T));
+#endif
+}
+template <typename T, typename real>
+CUDA_CALLABLE inline void put_columns(real block[6][8], int row, int column, const vec<T>& a) {
+    put_row(block[row] + column, a.x), put_row(block[row + 1] + column, a.y), put_row(block[row + 2] + column, a.z);
+}
+template <typename T, typename real> CUDA_CALLABLE inline vec<T> spread(const vec<real>& a) {
+    return {T(a.x), T(a.y), T(a.z)};
+}
+template <typename T, typename real> CUDA_CALLABLE inline quat<T> spread(const quat<real>& q) {
+    return {spread<T>(q.v), T(q.w)};
+}
+template <typename T> CUDA_CALLABLE inline vec<typename number_of<T>::type> first_of(const vec<T>& a) {
+    typedef typename number_of<T>::type real;
+    return {*(const real*)&a.x, *(const real*)&a.y, *(const real*)&a.z};
 }
 template <typename real> CUDA_CALLABLE inline real part(const vec<real>& a, int k) {
     return k == 0 ? a.x : k == 1 ? a.y : a.z;
+}
+// Eight numbers of a row, less so many of another one.
+template <typename real> CUDA_CALLABLE inline void take(real* from, real by, const real* row) {
+    for (int b = 0; b < 8; ++b) from[b] -= by * row[b];
 }
 
 // How a point touches what surrounds it.
@@ -90,56 +124,62 @@ template <typename Rod, typename real> struct implicit_step {
 
     // ---- forces and their derivatives -----------------------------------------------------------
 
-    CUDA_CALLABLE inline rod_edge<real> edge(int i) const {
-        return {mid.template get3<real>(X, i + 1) - mid.template get3<real>(X, i),
-                mid.template get4<real>(Q, i), rest.template get<real>(PER_LENGTH, i),
-                rest.template get3<real>(REST_E, i)};
+    // A joint or an edge, once in each lane.
+    template <typename T> CUDA_CALLABLE inline rod_edge<T> edge(int i) const {
+        return {spread<T>(mid.template get3<real>(X, i + 1) - mid.template get3<real>(X, i)),
+                spread<T>(mid.template get4<real>(Q, i)), T(rest.template get<real>(PER_LENGTH, i)),
+                spread<T>(rest.template get3<real>(REST_E, i))};
     }
-    CUDA_CALLABLE inline rod_joint<real> joint(int i) const {
-        return {mid.template get4<real>(Q, i - 1), mid.template get4<real>(Q, i),
-                rest.template get3<real>(REST_U, i)};
+    template <typename T> CUDA_CALLABLE inline rod_joint<T> joint(int i) const {
+        return {spread<T>(mid.template get4<real>(Q, i - 1)), spread<T>(mid.template get4<real>(Q, i)),
+                spread<T>(rest.template get3<real>(REST_U, i))};
     }
+    typedef typename several<real>::lanes T;
+    enum { WIDTH = sizeof(T) / sizeof(real) };
 
     CUDA_CALLABLE inline void add_edge(int i) const {
-        const rod_edge<real> e = edge(i);
-        const vec<real> C = k.template get3<real>(SHEAR, i), D = (real(1) + c) * C;
-        const vec<real> N = e.force(C * (e.e + c * (e.e - s.template get3<real>(LAG_E, i))));
-        const vec<real> T = e.turn_gradient(N);
+        const rod_edge<T> e = edge<T>(i);
+        const vec<T> C = spread<T>(k.template get3<real>(SHEAR, i)), D = T(real(1) + c) * C;
+        const vec<T> lag = spread<T>(s.template get3<real>(LAG_E, i));
+        const vec<T> N = e.force(C * (e.e + T(c) * (e.e - lag)));
         block_row<real>&a = rows[i], &b = rows[i + 1];
-        add_rhs(a, 0, N), add_rhs(b, 0, -N), add_rhs(a, 3, -T);
-        for (int j = 0; j < 3; ++j) {
-            const vec<real> one = axis<real>(j);
-            const vec<real> dN = e.R.to_world(D * (e.per_length * e.R.to_body(one)));
-            const vec<real> dT = cross(dN, e.d) + cross(N, one);
-            put_column(a.own, 0, j, -dN), put_column(a.after, 0, j, dN);
-            put_column(b.before, 0, j, dN), put_column(b.own, 0, j, -dN);
-            put_column(a.own, 3, j, dT), put_column(a.after, 3, j, -dT);
-            const vec<real> turned = e.per_length * e.R.to_body(cross(e.d, one));
-            const vec<real> tN = cross(one, N) + e.R.to_world(D * turned);
-            put_column(a.own, 0, 3 + j, tN), put_column(b.before, 0, 3 + j, -tN);
-            put_column(a.own, 3, 3 + j, -cross(tN, e.d));
+        const vec<real> pull = first_of(N);
+        add_rhs(a, 0, pull), add_rhs(b, 0, -pull), add_rhs(a, 3, -first_of(e.turn_gradient(N)));
+        for (int j = 0; j < 3; j += WIDTH) {
+            const vec<T> one = axes<T>(j);
+            const vec<T> dN = e.R.to_world(D * (e.per_length * e.R.to_body(one)));
+            const vec<T> dT = cross(dN, e.d) + cross(N, one);
+            put_columns(a.own, 0, j, -dN), put_columns(a.after, 0, j, dN);
+            put_columns(b.before, 0, j, dN), put_columns(b.own, 0, j, -dN);
+            put_columns(a.own, 3, j, dT), put_columns(a.after, 3, j, -dT);
+            const vec<T> turned = e.per_length * e.R.to_body(cross(e.d, one));
+            const vec<T> tN = cross(one, N) + e.R.to_world(D * turned);
+            put_columns(a.own, 0, 3 + j, tN), put_columns(b.before, 0, 3 + j, -tN);
+            put_columns(a.own, 3, 3 + j, -cross(tN, e.d));
         }
     }
 
     CUDA_CALLABLE inline void add_joint(int i) const {
-        const rod_joint<real> u = joint(i);
-        const directors<real> R(mid.template get4<real>(Q, i - 1));
-        const vec<real> B = m.template get<real>(STIFFER, i) * k.template get3<real>(BENDING, i);
-        const vec<real> moment = B * (u.u + c * (u.u - s.template get3<real>(LAG_U, i)));
-        const vec<real> g = u.turn_gradient(moment), M = R.to_world(g);
+        const rod_joint<T> u = joint<T>(i);
+        const directors<T> R(spread<T>(mid.template get4<real>(Q, i - 1)));
+        const vec<T> B = T(m.template get<real>(STIFFER, i)) * spread<T>(k.template get3<real>(BENDING, i));
+        const vec<T> lag = spread<T>(s.template get3<real>(LAG_U, i));
+        const vec<T> moment = B * (u.u + T(c) * (u.u - lag));
+        const vec<T> g = u.turn_gradient(moment), M = R.to_world(g);
         block_row<real>&a = rows[i - 1], &b = rows[i];
-        add_rhs(a, 3, M), add_rhs(b, 3, -M);
-        for (int j = 0; j < 3; ++j) {
-            const vec<real> one = axis<real>(j), eta = R.to_body(one);
-            const vec<real> dM = R.to_world(u.turn_gradient((real(1) + c) * (B * u.strain_of(eta))) +
-                                            u.curving(moment, eta) - real(0.5) * cross(g, eta));
-            const vec<real> by_before = cross(one, M) - dM;
-            put_column(a.after, 3, 3 + j, dM), put_column(b.own, 3, 3 + j, -dM);
-            put_column(a.own, 3, 3 + j, by_before), put_column(b.before, 3, 3 + j, -by_before);
+        add_rhs(a, 3, first_of(M)), add_rhs(b, 3, -first_of(M));
+        const T half = T(real(0.5)), whole = T(real(1) + c);
+        for (int j = 0; j < 3; j += WIDTH) {
+            const vec<T> one = axes<T>(j), eta = R.to_body(one);
+            const vec<T> dM = R.to_world(u.turn_gradient(whole * (B * u.strain_of(eta))) +
+                                         u.curving(moment, eta) - half * cross(g, eta));
+            const vec<T> by_before = cross(one, M) - dM;
+            put_columns(a.after, 3, 3 + j, dM), put_columns(b.own, 3, 3 + j, -dM);
+            put_columns(a.own, 3, 3 + j, by_before), put_columns(b.before, 3, 3 + j, -by_before);
         }
     }
     CUDA_CALLABLE inline void add_rhs(block_row<real>& row, int at, const vec<real>& f) const {
-        row.rhs[at] += f.x, row.rhs[at + 1] += f.y, row.rhs[at + 2] += f.z;
+        row.rhs(at) += f.x, row.rhs(at + 1) += f.y, row.rhs(at + 2) += f.z;
     }
 
     // 1 / length of the edges before and after a point, 0 where there is none.
@@ -155,10 +195,10 @@ template <typename Rod, typename real> struct implicit_step {
                length_after(i) * (mid.template get3<real>(X, i + 1) - x);
     }
     // Derivative of `across` by how the rod goes.
-    CUDA_CALLABLE inline vec<real> turned_across(const vec<real>& v, const vec<real>& along, const vec<real>& by) const {
-        const real per_square = real(1) / larger(dot(along, along), real(1e-12)), va = dot(v, along);
+    CUDA_CALLABLE inline vec<T> turned_across(const vec<T>& v, const vec<T>& along, const vec<T>& by) const {
+        const T per_square = T(real(1)) / larger(dot(along, along), T(real(1e-12))), va = dot(v, along);
         return (-per_square) * (dot(v, by) * along + va * by) +
-               (real(2) * per_square * per_square * va * dot(along, by)) * along;
+               (T(real(2)) * per_square * per_square * va * dot(along, by)) * along;
     }
 
     CUDA_CALLABLE inline void add_point(int i, const vec<real>& gravity, real decay) const {
@@ -170,28 +210,31 @@ template <typename Rod, typename real> struct implicit_step {
         const real speed = wp::sqrt(dot(vn, vn)), drag = m.template get<real>(DRAG, i);
         add_rhs(row, 0, mass * gravity - drag * speed * vn - (decay * mass) * v -
                             (mass * per) * (v - s.template get3<real>(V, i)));
-        const real inert = per * mass * (per + decay);
-        for (int j = 0; j < 3; ++j) {
-            const vec<real> one = axis<real>(j), to = across(one, along);
-            const vec<real> by = speed * to + (dot(vn, one) / larger(speed, real(1e-12))) * vn;
-            put_column(row.own, 0, j, -inert * one - (per * drag) * by);
+        const T inert = T(per * mass * (per + decay)), least = T(real(1e-12));
+        const T fast = T(speed), dragged = T(per * drag), per_speed = T(real(1)) / larger(fast, least);
+        const real last = length_before(i), next = length_after(i);
+        const vec<T> vs = spread<T>(v), vns = spread<T>(vn), a = spread<T>(along);
+        for (int j = 0; j < 3; j += WIDTH) {
+            const vec<T> one = axes<T>(j);
+            const vec<T> by = fast * across(one, a) + (dot(vns, one) * per_speed) * vns;
+            put_columns(row.own, 0, j, -inert * one - dragged * by);
             // what turns of the rod change of the drag
-            const vec<real> dn = turned_across(v, along, one);
-            const vec<real> turned = -drag * (speed * dn + (dot(vn, dn) / larger(speed, real(1e-12))) * vn);
-            const real last = length_before(i), next = length_after(i);
-            put_column(row.before, 0, j, -last * turned);
-            put_column(row.own, 0, j, (last - next) * turned);
-            put_column(row.after, 0, j, next * turned);
+            const vec<T> dn = turned_across(vs, a, one);
+            const vec<T> turned = T(-drag) * (fast * dn + (dot(vns, dn) * per_speed) * vns);
+            put_columns(row.before, 0, j, T(-last) * turned);
+            put_columns(row.own, 0, j, T(last - next) * turned);
+            put_columns(row.after, 0, j, T(next) * turned);
         }
         if (per_turn <= real(0)) return;
         const real turning = real(1) / per_turn;
         const vec<real> t = half_turn(i), spin = (per + per) * t;
         add_rhs(row, 3, -(decay * turning) * spin -
                             (turning * per) * (spin - s.template get3<real>(W, i)));
-        const real of_turn = per * turning * (per + decay);
-        for (int j = 0; j < 3; ++j) {
-            const vec<real> one = axis<real>(j);
-            put_column(row.own, 3, 3 + j, -of_turn * (one + cross(one, t) + dot(one, t) * t));
+        const T of_turn = T(per * turning * (per + decay));
+        const vec<T> ts = spread<T>(t);
+        for (int j = 0; j < 3; j += WIDTH) {
+            const vec<T> one = axes<T>(j);
+            put_columns(row.own, 3, 3 + j, -of_turn * (one + cross(one, ts) + dot(one, ts) * ts));
         }
     }
 
@@ -246,7 +289,7 @@ template <typename Rod, typename real> struct implicit_step {
             const real least = larger(wp::sqrt((x.x - x0.x) * (x.x - x0.x) + (x.y - x0.y) * (x.y - x0.y)),
                                       real(STILL) * span);
             for (int a = 0; a < 2; ++a) {
-                row.rhs[a] -= mu * t.press * way[a];
+                row.rhs(a) -= mu * t.press * way[a];
                 if (!exact) {
                     row.own[a][a] -= mu * t.press / least;
                     continue;
@@ -265,7 +308,7 @@ template <typename Rod, typename real> struct implicit_step {
     // Component a of a row goes on by so much.
     CUDA_CALLABLE inline void fix(block_row<real>& row, int a, real by) const {
         for (int b = 0; b < 6; ++b) row.before[a][b] = row.own[a][b] = row.after[a][b] = real(0);
-        row.own[a][a] = real(1), row.rhs[a] = -by;
+        row.own[a][a] = real(1), row.rhs(a) = -by;
     }
 
     // ---- Newton's method ------------------------------------------------------------------------
@@ -284,8 +327,8 @@ template <typename Rod, typename real> struct implicit_step {
             if (held(i, 1)) {
                 for (int a = 0; a < 3; ++a) fix(row, a, real(0));
             } else {
-                if (decides) changed = decide(i, vec<real>{row.rhs[0], row.rhs[1], row.rhs[2]}) || changed;
-                else if (touch[i].press > real(0)) touch[i].press = -row.rhs[2];
+                if (decides) changed = decide(i, vec<real>{row.rhs(0), row.rhs(1), row.rhs(2)}) || changed;
+                else if (touch[i].press > real(0)) touch[i].press = -row.rhs(2);
                 support(i, mu, exact);
             }
             if (i + 1 == n || held(i, 2))
@@ -294,32 +337,22 @@ template <typename Rod, typename real> struct implicit_step {
         return changed;
     }
     CUDA_CALLABLE inline void clear(block_row<real>& row) const {
-        for (int a = 0; a < 6; ++a) {
-            row.rhs[a] = real(0);
-            for (int b = 0; b < 6; ++b) row.before[a][b] = row.own[a][b] = row.after[a][b] = real(0);
-        }
+        for (int a = 0; a < 6; ++a)
+            for (int b = 0; b < 8; ++b) row.before[a][b] = row.own[a][b] = row.after[a][b] = real(0);
     }
 
     // Solves for the step: blocks are eliminated from the first on (Thomas's algorithm).
     CUDA_CALLABLE inline bool solve() const {
         for (int i = 0; i < n; ++i) {
             block_row<real>& row = rows[i];
-            for (int a = 0; a < 6; ++a) row.step[a] = -row.rhs[a];
-            if (i > 0) {
-                const block_row<real>& last = rows[i - 1];
-                for (int a = 0; a < 6; ++a)
-                    for (int j = 0; j < 6; ++j) {
-                        const real by = row.before[a][j];
-                        if (by == real(0)) continue;
-                        for (int b = 0; b < 6; ++b) row.own[a][b] -= by * last.after[j][b];
-                        row.step[a] -= by * last.step[j];
-                    }
-            }
+            for (int a = 0; a < 6; ++a) row.rhs(a) = -row.rhs(a);
+            for (int a = 0; a < 6 && i > 0; ++a)
+                for (int j = 0; j < 6; ++j) take(row.own[a], row.before[a][j], rows[i - 1].after[j]);
             if (!eliminate(row)) return false;
         }
         for (int i = n - 2; i >= 0; --i)
             for (int a = 0; a < 6; ++a)
-                for (int j = 0; j < 6; ++j) rows[i].step[a] -= rows[i].after[a][j] * rows[i + 1].step[j];
+                for (int j = 0; j < 6; ++j) rows[i].step(a) -= rows[i].after[a][j] * rows[i + 1].step(j);
         return true;
     }
     // Multiplies a row by the inverse of its own block (Gauss and Jordan, with pivots).
@@ -330,22 +363,17 @@ template <typename Rod, typename real> struct implicit_step {
                 if (wp::abs(row.own[a][p]) > wp::abs(row.own[best][p])) best = a;
             const real pivot = row.own[best][p];
             if (!(wp::abs(pivot) > real(0))) return false;
-            if (best != p) {
-                for (int b = 0; b < 6; ++b) exchange(row.own[best][b], row.own[p][b]), exchange(row.after[best][b], row.after[p][b]);
-                exchange(row.step[best], row.step[p]);
-            }
+            for (int b = 0; b < 8 && best != p; ++b)
+                exchange(row.own[best][b], row.own[p][b]), exchange(row.after[best][b], row.after[p][b]);
             const real per = real(1) / pivot;
-            for (int b = p; b < 6; ++b) row.own[p][b] *= per;
-            for (int b = 0; b < 6; ++b) row.after[p][b] *= per;
-            row.step[p] *= per;
+            for (int b = 0; b < 8; ++b) row.own[p][b] *= per, row.after[p][b] *= per;
             for (int a = 0; a < 6; ++a) {
+                if (a == p) continue;
                 const real by = row.own[a][p];
-                if (a == p || by == real(0)) continue;
-                for (int b = p; b < 6; ++b) row.own[a][b] -= by * row.own[p][b];
-                for (int b = 0; b < 6; ++b) row.after[a][b] -= by * row.after[p][b];
-                row.step[a] -= by * row.step[p];
+                take(row.own[a], by, row.own[p]), take(row.after[a], by, row.after[p]);
             }
         }
+        for (int a = 0; a < 6; ++a) row.step(a) = row.own[a][6];
         return true;
     }
     CUDA_CALLABLE inline void exchange(real& a, real& b) const {
@@ -359,15 +387,15 @@ template <typename Rod, typename real> struct implicit_step {
         for (int i = 0; i < n; ++i) {
             const real per = rest.template get<real>(PER_LENGTH, i + 1 < n ? i : i - 1);
             for (int a = 0; a < 3; ++a) {
-                most = larger(most, per * wp::abs(rows[i].step[a]) / real(0.3));
-                most = larger(most, wp::abs(rows[i].step[3 + a]) / real(0.5));
+                most = larger(most, per * wp::abs(rows[i].step(a)) / real(0.3));
+                most = larger(most, wp::abs(rows[i].step(3 + a)) / real(0.5));
             }
         }
         return most;
     }
-    CUDA_CALLABLE inline void go(real share, const real (block_row<real>::*way)[6]) const {
+    CUDA_CALLABLE inline void go(real share) const {
         for (int i = 0; i < n; ++i) {
-            const real* d = rows[i].*way;
+            const real* d = rows[i].last;
             mid.add3(X, i, vec<real>{share * d[0], share * d[1], share * d[2]});
             const vec<real> turn = {real(0.5) * share * d[3], real(0.5) * share * d[4], real(0.5) * share * d[5]};
             put_unit(i, quat<real>{turn, real(1)} * mid.template get4<real>(Q, i));
@@ -389,13 +417,13 @@ template <typename Rod, typename real> struct implicit_step {
             if (most > real(2) * last && halved < 4) {
                 share *= real(0.5), ++halved;
                 exact = false;
-                go(-share, &block_row<real>::last);
+                go(-share);
                 continue;
             }
             halved = 0, last = changed ? real(1e30) : most, share = most > real(1) ? real(1) / most : real(1);
             for (int i = 0; i < n; ++i)
-                for (int a = 0; a < 6; ++a) rows[i].last[a] = rows[i].step[a];
-            go(share, &block_row<real>::last);
+                for (int a = 0; a < 6; ++a) rows[i].last[a] = rows[i].step(a);
+            go(share);
             if (!changed && most < real(1e-5)) return turn;
         }
         return -1;
@@ -418,8 +446,8 @@ template <typename Rod, typename real> struct implicit_step {
             if (i + 1 == n) break;
             mid.put3(W, i, (per + per) * half_turn(i));
             const vec<real> lag_e = s.template get3<real>(LAG_E, i), lag_u = s.template get3<real>(LAG_U, i);
-            mid.put3(LAG_E, i, lag_e + follows * (edge(i).e - lag_e));
-            if (i > 0) mid.put3(LAG_U, i, lag_u + follows * (joint(i).u - lag_u));
+            mid.put3(LAG_E, i, lag_e + follows * (edge<real>(i).e - lag_e));
+            if (i > 0) mid.put3(LAG_U, i, lag_u + follows * (joint<real>(i).u - lag_u));
         }
         return landed;
     }
@@ -442,7 +470,7 @@ template <typename Rod, typename real> struct implicit_step {
     CUDA_CALLABLE inline real stretched() const {
         real worst = real(0);
         for (int i = 0; i + 1 < n; ++i) {
-            const rod_edge<real> e = edge(i);
+            const rod_edge<real> e = edge<real>(i);
             worst = larger(worst, e.e.z * e.e.z);
         }
         return worst;

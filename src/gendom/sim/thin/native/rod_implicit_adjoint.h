@@ -55,15 +55,16 @@ template <typename Rod, typename Bars, typename real> struct implicit_adjoint {
             transpose(at.rows[i].own);
             if (i + 1 < n) exchange_transposed(at.rows[i].after, at.rows[i + 1].before);
             for (int a = 0; a < 3; ++a) {
-                at.rows[i].rhs[a] = -b.template get<real>(X_BAR + a, i);
-                at.rows[i].rhs[3 + a] = -b.template get<real>(Q_BAR + a, i);
+                at.rows[i].rhs(a) = -b.template get<real>(X_BAR + a, i);
+                at.rows[i].rhs(3 + a) = -b.template get<real>(Q_BAR + a, i);
             }
         }
         at.solve();
         const vec<real> g = gravity_of<real>(at.rod, at.w);
         const real decay = wp::index(at.rod.velocity_damping, at.w), mu = wp::index(at.rod.friction, at.w);
         for (int i = 0; i < n; ++i) {
-            const real* a = at.rows[i].step;
+            real a[6];
+            for (int c = 0; c < 6; ++c) a[c] = at.rows[i].step(c);
             for (int c = 12; c < 18; ++c) base.put(c, i, b.template get<real>(c, i)), b.put(c, i, real(0));
             const bool held = at.held(i, 1), turned = i + 1 == n || at.held(i, 2);
             const vec<real> none = {real(0), real(0), real(0)};
@@ -76,11 +77,11 @@ template <typename Rod, typename Bars, typename real> struct implicit_adjoint {
             add_point(i, x, q, g, decay);
         }
     }
-    CUDA_CALLABLE inline void transpose(real a[6][6]) const {
+    CUDA_CALLABLE inline void transpose(real a[6][8]) const {
         for (int i = 0; i < 6; ++i)
             for (int j = 0; j < i; ++j) at.exchange(a[i][j], a[j][i]);
     }
-    CUDA_CALLABLE inline void exchange_transposed(real a[6][6], real c[6][6]) const {
+    CUDA_CALLABLE inline void exchange_transposed(real a[6][8], real c[6][8]) const {
         for (int i = 0; i < 6; ++i)
             for (int j = 0; j < 6; ++j) at.exchange(a[i][j], c[j][i]);
     }
