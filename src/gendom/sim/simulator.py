@@ -381,10 +381,15 @@ class Simulator(Shown):
                 instead of raising an error.
             derivatives: Names of the parameters with respect to which positions are
                 differentiated: ``E`` [Pa], ``nu``, ``density`` [kg/m^3], ``thickness`` (or
-                diameter, initial positions unchanged) [m], ``friction`` of the table, ``gravity``
-                ([.., 3]) [m/s^2], ``gripper_radius`` ([.., G]) [m], ``gripper_offset``
-                ([.., G, 3]: a shift of a gripper's whole path, which also shifts where it holds
-                the body) [m].
+                diameter, initial positions unchanged) [m], ``width`` of a flat rope [m],
+                ``membrane`` [Pa], ``weave`` ([.., 4]: warp, weft, shear, bending), ``friction`` of
+                the table, ``gravity`` ([.., 3]) [m/s^2], ``gripper_radius`` ([.., G]) [m],
+                ``gripper_offset`` ([.., G, 3]: a shift of a gripper's whole path, which also
+                shifts where it holds the body) [m]; and by many numbers, with as many linear
+                systems' right sides: ``stiffness`` ([.., N]), ``rest_strains`` ([.., N, 6] or
+                [.., N, 3], see ``Gradients``), initial ``positions`` ([.., N, 3]) [m],
+                ``gripper_positions`` and ``gripper_rotations`` ([.., G, K, 3], of each knot,
+                see ``Gradients``) [m] and [rad].
 
         Raises:
             ParameterError: If the times decrease, the engine is the MPM, an argument is of another

@@ -23,6 +23,7 @@ template <typename real> struct block_row {
     CUDA_CALLABLE inline real& step(int a) { return after[a][6]; }
 };
 enum { BLOCK_ROW = 152 };  // numbers of one
+static_assert(sizeof(block_row<double>) == BLOCK_ROW * sizeof(double), "as implicit.py has it");
 
 // Unit vectors side by side, from axis j on, and columns of a block that these have made.
 template <typename T> CUDA_CALLABLE inline vec<T> axes(int j) {
@@ -80,7 +81,7 @@ template <typename Rod, typename real> struct implicit_step {
     const Rod& rod;
     const int w, n;
     const real span, per;  // T and 1 / T
-    const rows_of<real> s, mid, rest, k, m;  // s: the base; mid: the end of the stage, as far as it is known
+    const rows_of<real> s, to, rest, k, m;  // s: the base; to: the end of the stage, as far as it is known
     block_row<real>* rows;
     touching<real>* touch;
     real c, follows;  // viscous stiffness over the elastic, and how far lagged strains go on
@@ -88,7 +89,7 @@ template <typename Rod, typename real> struct implicit_step {
     CUDA_CALLABLE inline implicit_step(const Rod& rod, int w, const wp::array_t<real>& base,
                                        const wp::array_t<real>& ahead, const wp::array_t<real>& work,
                                        const wp::array_t<real>& touches, real span)
-        : rod(rod), w(w), n(rod.points), span(span), per(real(1) / span), s(base, w), mid(ahead, w),
+        : rod(rod), w(w), n(rod.points), span(span), per(real(1) / span), s(base, w), to(ahead, w),
           rest(rod.rest, 0), k(rod.stiffness, w), m(rod.inertia, w),
           rows((block_row<real>*)&wp::index(work, w, 0, 0)),
           touch((touching<real>*)&wp::index(touches, w, 0, 0)) {
@@ -105,19 +106,19 @@ template <typename Rod, typename real> struct implicit_step {
     // Where points and directions come from the base with the velocities that they have ahead.
     CUDA_CALLABLE inline void begin() const {
         for (int i = 0; i < n; ++i) {
-            mid.put3(X, i, s.template get3<real>(X, i) + span * mid.template get3<real>(V, i));
-            put_unit(i, quat<real>{real(0.5) * span * mid.template get3<real>(W, i), real(1)} *
+            to.put3(X, i, s.template get3<real>(X, i) + span * to.template get3<real>(V, i));
+            put_unit(i, quat<real>{real(0.5) * span * to.template get3<real>(W, i), real(1)} *
                             s.template get4<real>(Q, i));
         }
     }
     CUDA_CALLABLE inline void put_unit(int i, const quat<real>& q) const {
         const real per = real(1) / wp::sqrt(dot(q.v, q.v) + q.w * q.w);
-        mid.put4(Q, i, quat<real>{per * q.v, per * q.w});
+        to.put4(Q, i, quat<real>{per * q.v, per * q.w});
     }
 
     // The turn t from the base, see above.
     CUDA_CALLABLE inline vec<real> half_turn(int i) const {
-        const quat<real> q0 = s.template get4<real>(Q, i), q = mid.template get4<real>(Q, i);
+        const quat<real> q0 = s.template get4<real>(Q, i), q = to.template get4<real>(Q, i);
         const quat<real> p = q * quat<real>{-q0.v, q0.w};
         return real(1) / p.w * p.v;
     }
@@ -126,12 +127,12 @@ template <typename Rod, typename real> struct implicit_step {
 
     // A joint or an edge, once in each lane.
     template <typename T> CUDA_CALLABLE inline rod_edge<T> edge(int i) const {
-        return {spread<T>(mid.template get3<real>(X, i + 1) - mid.template get3<real>(X, i)),
-                spread<T>(mid.template get4<real>(Q, i)), T(rest.template get<real>(PER_LENGTH, i)),
+        return {spread<T>(to.template get3<real>(X, i + 1) - to.template get3<real>(X, i)),
+                spread<T>(to.template get4<real>(Q, i)), T(rest.template get<real>(PER_LENGTH, i)),
                 spread<T>(rest.template get3<real>(REST_E, i))};
     }
     template <typename T> CUDA_CALLABLE inline rod_joint<T> joint(int i) const {
-        return {spread<T>(mid.template get4<real>(Q, i - 1)), spread<T>(mid.template get4<real>(Q, i)),
+        return {spread<T>(to.template get4<real>(Q, i - 1)), spread<T>(to.template get4<real>(Q, i)),
                 spread<T>(rest.template get3<real>(REST_U, i))};
     }
     typedef typename several<real>::lanes T;
@@ -161,7 +162,7 @@ template <typename Rod, typename real> struct implicit_step {
 
     CUDA_CALLABLE inline void add_joint(int i) const {
         const rod_joint<T> u = joint<T>(i);
-        const directors<T> R(spread<T>(mid.template get4<real>(Q, i - 1)));
+        const directors<T> R(spread<T>(to.template get4<real>(Q, i - 1)));
         const vec<T> B = T(m.template get<real>(STIFFER, i)) * spread<T>(k.template get3<real>(BENDING, i));
         const vec<T> lag = spread<T>(s.template get3<real>(LAG_U, i));
         const vec<T> moment = B * (u.u + T(c) * (u.u - lag));
@@ -190,9 +191,9 @@ template <typename Rod, typename real> struct implicit_step {
         return i + 1 < n ? rest.template get<real>(PER_LENGTH, i) : real(0);
     }
     CUDA_CALLABLE inline vec<real> along_at(int i) const {
-        const vec<real> x = mid.template get3<real>(X, i);
-        return length_before(i) * (x - mid.template get3<real>(X, i - 1)) +
-               length_after(i) * (mid.template get3<real>(X, i + 1) - x);
+        const vec<real> x = to.template get3<real>(X, i);
+        return length_before(i) * (x - to.template get3<real>(X, i - 1)) +
+               length_after(i) * (to.template get3<real>(X, i + 1) - x);
     }
     // Derivative of `across` by how the rod goes.
     CUDA_CALLABLE inline vec<T> turned_across(const vec<T>& v, const vec<T>& along, const vec<T>& by) const {
@@ -205,7 +206,7 @@ template <typename Rod, typename real> struct implicit_step {
         block_row<real>& row = rows[i];
         const real per_mass = m.template get<real>(PER_MASS, i), per_turn = m.template get<real>(PER_TURN, i);
         const real mass = real(1) / per_mass;
-        const vec<real> v = per * (mid.template get3<real>(X, i) - s.template get3<real>(X, i));
+        const vec<real> v = per * (to.template get3<real>(X, i) - s.template get3<real>(X, i));
         const vec<real> along = along_at(i), vn = across(v, along);
         const real speed = wp::sqrt(dot(vn, vn)), drag = m.template get<real>(DRAG, i);
         add_rhs(row, 0, mass * gravity - drag * speed * vn - (decay * mass) * v -
@@ -252,7 +253,7 @@ template <typename Rod, typename real> struct implicit_step {
     // Decides what a free point touches, from where it is and the force f on it; tells whether that changed.
     CUDA_CALLABLE inline bool decide(int i, const vec<real>& f) const {
         touching<real>& t = touch[i];
-        const vec<real> x = mid.template get3<real>(X, i);
+        const vec<real> x = to.template get3<real>(X, i);
         bool changed = false;
         for (int j = 0; j < 3; ++j) {
             const real was = t.side[j];
@@ -267,7 +268,7 @@ template <typename Rod, typename real> struct implicit_step {
 
     // Friction over mu N, from how far a point has slid, and its derivative by that.
     CUDA_CALLABLE inline void friction(int i, real way[2], real by[2][2]) const {
-        const vec<real> d = mid.template get3<real>(X, i) - s.template get3<real>(X, i);
+        const vec<real> d = to.template get3<real>(X, i) - s.template get3<real>(X, i);
         const real size = wp::sqrt(d.x * d.x + d.y * d.y), still = real(STILL) * span;
         const real least = larger(size, still), turns = size > still ? real(1) : real(0);
         way[0] = d.x / least, way[1] = d.y / least;
@@ -281,7 +282,7 @@ template <typename Rod, typename real> struct implicit_step {
     CUDA_CALLABLE inline void support(int i, real mu, bool exact) const {
         block_row<real>& row = rows[i];
         const touching<real>& t = touch[i];
-        const vec<real> x = mid.template get3<real>(X, i);
+        const vec<real> x = to.template get3<real>(X, i);
         if (t.press > real(0)) {
             real way[2], by[2][2];
             friction(i, way, by);
@@ -396,9 +397,9 @@ template <typename Rod, typename real> struct implicit_step {
     CUDA_CALLABLE inline void go(real share) const {
         for (int i = 0; i < n; ++i) {
             const real* d = rows[i].last;
-            mid.add3(X, i, vec<real>{share * d[0], share * d[1], share * d[2]});
+            to.add3(X, i, vec<real>{share * d[0], share * d[1], share * d[2]});
             const vec<real> turn = {real(0.5) * share * d[3], real(0.5) * share * d[4], real(0.5) * share * d[5]};
-            put_unit(i, quat<real>{turn, real(1)} * mid.template get4<real>(Q, i));
+            put_unit(i, quat<real>{turn, real(1)} * to.template get4<real>(Q, i));
         }
     }
 
@@ -434,7 +435,7 @@ template <typename Rod, typename real> struct implicit_step {
         int landed = 0;
         for (int i = 0; i < n; ++i) {
             const touching<real>& t = touch[i];
-            const vec<real> x0 = s.template get3<real>(X, i), x = mid.template get3<real>(X, i);
+            const vec<real> x0 = s.template get3<real>(X, i), x = to.template get3<real>(X, i);
             vec<real> v = per * (x - x0);
             const bool is_held = held(i, 1);
             for (int j = 0; j < 3 && !is_held; ++j)
@@ -442,12 +443,12 @@ template <typename Rod, typename real> struct implicit_step {
             if (t.side[0] != real(0)) v.x = real(0);
             if (t.side[1] != real(0)) v.y = real(0);
             if (t.side[2] != real(0)) v.z = real(0);
-            mid.put3(V, i, v);
+            to.put3(V, i, v);
             if (i + 1 == n) break;
-            mid.put3(W, i, (per + per) * half_turn(i));
+            to.put3(W, i, (per + per) * half_turn(i));
             const vec<real> lag_e = s.template get3<real>(LAG_E, i), lag_u = s.template get3<real>(LAG_U, i);
-            mid.put3(LAG_E, i, lag_e + follows * (edge<real>(i).e - lag_e));
-            if (i > 0) mid.put3(LAG_U, i, lag_u + follows * (joint<real>(i).u - lag_u));
+            to.put3(LAG_E, i, lag_e + follows * (edge<real>(i).e - lag_e));
+            if (i > 0) to.put3(LAG_U, i, lag_u + follows * (joint<real>(i).u - lag_u));
         }
         return landed;
     }
@@ -457,13 +458,13 @@ template <typename Rod, typename real> struct implicit_step {
         for (int i = 0; i < n; ++i) {
             const auto on = [&](int c) {
                 const vec<real> a = start.template get3<real>(c, i);
-                s.put3(c, i, a + further * (mid.template get3<real>(c, i) - a));
+                s.put3(c, i, a + further * (to.template get3<real>(c, i) - a));
             };
-            const quat<real> q0 = start.template get4<real>(Q, i), q = mid.template get4<real>(Q, i);
+            const quat<real> q0 = start.template get4<real>(Q, i), q = to.template get4<real>(Q, i);
             const quat<real> p = q * quat<real>{-q0.v, q0.w};
-            const quat<real> to = quat<real>{(further / p.w) * p.v, real(1)} * q0;
-            const real unit = real(1) / wp::sqrt(dot(to.v, to.v) + to.w * to.w);
-            s.put4(Q, i, quat<real>{unit * to.v, unit * to.w});
+            const quat<real> far = quat<real>{(further / p.w) * p.v, real(1)} * q0;
+            const real unit = real(1) / wp::sqrt(dot(far.v, far.v) + far.w * far.w);
+            s.put4(Q, i, quat<real>{unit * far.v, unit * far.w});
             on(X), on(V), on(W), on(LAG_E), on(LAG_U);
         }
     }

@@ -34,8 +34,8 @@ template <typename Rod, typename Bars, typename real> struct implicit_adjoint {
                 b.add3(Q_BAR, i, per * back(turn, w_bar)), base.put3(Q_BAR, i, -per * forth(turn, w_bar));
             }
             b.put3(V_BAR, i, vec<real>{real(0), real(0), real(0)}), b.put3(W_BAR, i, vec<real>{real(0), real(0), real(0)});
-            at.mid.put3(LAG_E, i, at.s.template get3<real>(LAG_E, i));
-            at.mid.put3(LAG_U, i, at.s.template get3<real>(LAG_U, i));
+            at.to.put3(LAG_E, i, at.s.template get3<real>(LAG_E, i));
+            at.to.put3(LAG_U, i, at.s.template get3<real>(LAG_U, i));
         }
     }
     // Twice the derivative of the turn t by rotations of the end's direction is J = 1 - t x + t t^T, by those of
@@ -111,7 +111,7 @@ template <typename Rod, typename Bars, typename real> struct implicit_adjoint {
     // Gravity, inertia, drag and decay of a point, of which equations have x and q.
     CUDA_CALLABLE inline void add_point(int i, const vec<real>& x, const vec<real>& q, const vec<real>& g, real decay) const {
         const real per = at.per, mass = real(1) / at.m.template get<real>(PER_MASS, i);
-        const vec<real> v = per * (at.mid.template get3<real>(X, i) - at.s.template get3<real>(X, i));
+        const vec<real> v = per * (at.to.template get3<real>(X, i) - at.s.template get3<real>(X, i));
         const vec<real> faster = v - at.s.template get3<real>(V, i);
         by.add3(GRAVITY_BAR, i, -mass * x);
         by.add(PER_MASS_BAR, i, mass * mass * dot(x, g - decay * v - per * faster));
@@ -151,7 +151,7 @@ template <typename Rod, typename Bars, typename real> struct implicit_adjoint {
                 b.put(c, i, further * a), base.put(c, i, (real(1) - further) * a);
             }
             const vec<real> q_bar = real(1) / further * b.template get3<real>(Q_BAR, i);
-            const quat<real> q0 = start.template get4<real>(Q, i), q = at.mid.template get4<real>(Q, i);
+            const quat<real> q0 = start.template get4<real>(Q, i), q = at.to.template get4<real>(Q, i);
             const quat<real> p = q * quat<real>{-q0.v, q0.w};
             const vec<real> t = real(1) / p.w * p.v, tau = further * t;
             const real squared = real(1) + dot(tau, tau), unit = real(1) / wp::sqrt(squared);
