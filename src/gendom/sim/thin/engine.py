@@ -32,6 +32,9 @@ SHORTEST_SUBSTEP = 1e-9
 GROUP = 16
 """Maximum number of worlds that a CPU thread simulates at a time."""
 
+TOGETHER = 4096
+"""Worlds whose grippers' paths are looked at together, for the memory that takes."""
+
 
 class ThinEngine(ABC):
     """W thin bodies of one shape.
@@ -382,8 +385,9 @@ class ThinEngine(ABC):
                     continue
                 i, j, rest = self.between(np.flatnonzero(mine), np.flatnonzero(theirs))
                 if np.isfinite(rest):
-                    of = which == k
-                    self._keep_tears((h, g), (j, i), w[of], now[both][of], rest, paths)
+                    of = np.flatnonzero(which == k)
+                    for some in np.array_split(of, -(-len(of) // TOGETHER)):
+                        self._keep_tears((h, g), (j, i), w[some], now[both][some], rest, paths)
 
     def _keep_tears(
         self, grippers: tuple[int, int], points: tuple[int, int], worlds: NDArray[np.int64],
@@ -396,7 +400,7 @@ class ThinEngine(ABC):
         ends = tuple(
             places[worlds * G + g, :3, self.slots[p]] for g, p in zip(grippers, points, strict=True)
         )
-        most = np.full(len(worlds), (1.0 + STRETCH) * rest)
+        most = (1.0 + STRETCH) * rest
         times, far = tears(paths, worlds, grippers, (ends[0], ends[1]), now, most)
         for k in np.flatnonzero(np.isfinite(times)).tolist():
             w, found = int(worlds[k]), Tear(float(times[k]), grippers, float(far[k]))

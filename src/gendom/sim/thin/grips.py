@@ -43,9 +43,9 @@ class Tear:
 
 def tears(
     paths: Paths, w: Array, grippers: tuple[int, int], ends: tuple[Array, Array], now: Array,
-    most: Array,
+    most: float,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """When two grippers of worlds w [k] have a point each farther apart than ``most`` [k] [m].
+    """When two grippers of worlds w [k] have a point each farther apart than ``most`` [m].
 
     Between knots both move straight on, so that without turns their distance is largest at a knot.
 
@@ -55,7 +55,7 @@ def tears(
         grippers: The two, both closed.
         ends: The points in the grippers' frames, [k, 3] each [m].
         now: When the second one closes, [k] [s].
-        most: [k] [m].
+        most: [m].
 
     Returns:
         The times [k] [s], infinite where they never are, and how far apart they are then [k] [m].
@@ -74,7 +74,7 @@ def tears(
         place = pose.centre + rotation.turned(pose.q, np.repeat(end, shape[1], axis=0))
         places.append(place.reshape(*shape, 3))
     far = np.linalg.norm(places[1] - places[0], axis=2)
-    beyond = far > most[:, None]
+    beyond = far > most
     k, rows = beyond.argmax(axis=1), np.arange(len(w))
     before = np.maximum(k - 1, 0)
     step = far[rows, k] - far[rows, before]
