@@ -9,6 +9,7 @@ explicit steps. Derivatives: a reverse pass, by everything. Medians of runs in t
 import argparse
 import statistics
 import time
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ STEPS = (0.005, 0.002, 0.001)
 """Implicit ones [s]."""
 
 
-def scene(case: tuple, **options: object) -> Simulator:
+def scene(case: tuple, **options: Any) -> Simulator:
     _, E, density, diameter, damping = case
     body = rope(diameter=diameter, length=0.3, start=(0, 0, diameter / 2.0), points=31)
     low = np.array([0.0, 0.0, diameter / 2.0])
@@ -48,7 +49,10 @@ def main() -> None:
     frames = np.linspace(0.03, 1.5, 50)
     print("rope          steps        run [s]  with derivatives [s]  mean, most apart [mm]")
     for case in CASES:
-        ways = [{}, *({"integrator": "implicit", "substep": h} for h in STEPS)]
+        ways: list[dict[str, Any]] = [
+            {},
+            *({"integrator": "implicit", "substep": h} for h in STEPS),
+        ]
         runs: list[list[float]] = [[] for _ in ways]
         both: list[list[float]] = [[] for _ in ways]
         shapes = []

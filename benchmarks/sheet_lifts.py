@@ -39,9 +39,10 @@ def ours(trial: Trial, times: np.ndarray, points: int, contact: bool) -> np.ndar
     """[T, V, 3] the shell's places of MuJoCo's vertices."""
     item, layout = trial.item, trial.layout
     assert isinstance(item, RealCloth)
+    along_x, along_y, _ = np.asarray(layout.along, dtype=float)
     body = cloth(
         width=item.side, height=item.side, thickness=item.thickness, dx=item.side / 20.0,
-        corner=layout.origin, yaw=float(np.arctan2(layout.along[1], layout.along[0])),
+        corner=layout.origin, yaw=float(np.arctan2(along_y, along_x)),
         points=(points, points),
     )  # fmt: skip
     knots = np.arange(0.0, trial.end + 0.01, 0.01)

@@ -92,6 +92,7 @@ def simulator(body, p, **options):
     first, second = p["gripper_positions"]
     radius = p["gripper_radius"]
     knots = [0, 0.02, 0.05]
+    steps: dict[str, Any] = {"substep": 2e-4} | options
     s = Simulator(
         sized(body, p),
         [
@@ -117,7 +118,7 @@ def simulator(body, p, **options):
         air_density=p["air_density"],
         stiffness=p["stiffness"],
         positions=p["positions"],
-        **({"substep": 2e-4} | options),
+        **steps,
     )
     s.set_velocities(p["velocities"])
     return s

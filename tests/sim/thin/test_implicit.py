@@ -1,6 +1,7 @@
 """Implicit steps of rods: against explicit ones, mechanics on paper, and what they cannot do."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,8 @@ def swing(h=None, material=SOFT, body=ROPE, times=(0.1, 0.2, 0.3), **options):
     )
     if h is not None:
         options |= {"integrator": "implicit", "substep": h}
-    s = Simulator(body, [material], **({"grippers": [hand]} | options))
+    given: dict[str, Any] = {"grippers": [hand]} | options
+    s = Simulator(body, [material], **given)
     return s, s.run(times)
 
 
