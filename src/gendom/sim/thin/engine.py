@@ -15,12 +15,13 @@ from gendom.sim.device import making
 from gendom.sim.paths import make_path_type
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import fill_contact, loose
-from gendom.sim.thin.grips import Grip, Tear, released, tears
+from gendom.sim.thin.grips import Grip, released
 from gendom.sim.thin.poses import Paths, Pose
-from gendom.sim.thin.run import LOCAL_STRETCH, STRETCH, Event, Job, Round, put_worlds
+from gendom.sim.thin.run import Event, Job, Round, put_worlds
 from gendom.sim.thin.schedule import Schedule, make_schedule
 from gendom.sim.thin.slopes import Slopes
 from gendom.sim.thin.stepping import make_stepping
+from gendom.sim.thin.tears import LOCAL_STRETCH, STRETCH, Tear, find_tears
 from gendom.sim.thin.types import V, X, make_types
 
 CFL = 0.8
@@ -31,9 +32,6 @@ SHORTEST_SUBSTEP = 1e-9
 
 GROUP = 16
 """Maximum number of worlds that a CPU thread simulates at a time."""
-
-TOGETHER = 4096
-"""Worlds whose grippers' paths are looked at together, for the memory that takes."""
 
 
 class ThinEngine(ABC):
@@ -365,59 +363,9 @@ class ThinEngine(ABC):
         self.holds[worlds, g] = grip.holds
         self.stiffer[worlds, g] = grip.stiffer
         put_worlds(self.body.place, worlds * self.closed.shape[1] + g, self.rows(grip.place))
-        self._find_tears(g, worlds, now)
+        find_tears(self, g, worlds, now)
         self.hold(worlds)
         return Event(g, True, worlds, now, pose, grip, self.pick(X, state))
-
-    def _find_tears(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> None:
-        """Find when gripper g, which closes, and others will have pulled worlds [k] apart."""
-        paths, G = Paths(self.stacked), self.closed.shape[1]
-        for h in range(G):
-            both = (self.closed[worlds, h] == 1) & (h != g)
-            if not both.any():
-                continue
-            w = worlds[both]
-            held = self.holds[w][:, [h, g]] & 1
-            alike, which = np.unique(held, axis=0, return_inverse=True)
-            which = which.reshape(-1)  # of the few ways of holding
-            for k, (theirs, mine) in enumerate(alike):
-                if not (theirs.any() and mine.any()):
-                    continue
-                i, j, rest = self.between(np.flatnonzero(mine), np.flatnonzero(theirs))
-                if np.isfinite(rest):
-                    of = np.flatnonzero(which == k)
-                    for some in np.array_split(of, -(-len(of) // TOGETHER)):
-                        self._keep_tears((h, g), (j, i), w[some], now[both][some], rest, paths)
-
-    def _keep_tears(
-        self, grippers: tuple[int, int], points: tuple[int, int], worlds: NDArray[np.int64],
-        now: NDArray[np.float64], rest: float, paths: Paths,
-    ) -> None:  # fmt: skip
-        """Keep when two grippers will have pulled points apart that are ``rest`` [m] apart in the
-        body at rest, where that is sooner than what is known."""
-        G = self.closed.shape[1]
-        places = self.body.place.numpy()
-        ends = tuple(
-            places[worlds * G + g, :3, self.slots[p]] for g, p in zip(grippers, points, strict=True)
-        )
-        most = (1.0 + STRETCH) * rest
-        times, far = tears(paths, worlds, grippers, (ends[0], ends[1]), now, most)
-        for k in np.flatnonzero(np.isfinite(times)).tolist():
-            w, found = int(worlds[k]), Tear(float(times[k]), grippers, float(far[k]))
-            if w not in self.torn or found.time < self.torn[w].time:
-                self.torn[w] = found
-
-    def tear_error(self, w: int) -> SimulationError:
-        """What to say of a world that grippers pull apart."""
-        of = self.torn[w]
-        return self.setting.error(
-            w,
-            of.time,
-            f"grippers {of.grippers[0]} and {of.grippers[1]} pull the body apart: what they hold "
-            f"is {of.far:.4g} m apart, {100 * STRETCH:.0f} % more than the body between it is long",
-            where="grippers",
-            fix="paths that stay closer together, or a gripper that opens before",
-        )
 
     def _open(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
         rows = self.state.numpy()[worlds]

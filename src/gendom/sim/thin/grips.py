@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gendom.sim.thin import rotation
 from gendom.sim.thin.crossing import triangle_distance
-from gendom.sim.thin.poses import Paths, Pose, PoseBars
+from gendom.sim.thin.poses import Pose, PoseBars
 from gendom.sim.thin.shell_model import ShellModel
 
 Array = NDArray[Any]
@@ -28,60 +28,6 @@ SHORTEST = 0.02
 
 SHORTEST_OF_SHELL = 0.125
 """The same for shells, where no added inertia compensates for the stiffness."""
-
-
-@dataclass(frozen=True)
-class Tear:
-    """How two grippers will pull a body apart."""
-
-    time: float
-    """From when on [s]."""
-    grippers: tuple[int, int]
-    far: float
-    """How far what they hold is apart then [m]."""
-
-
-def tears(
-    paths: Paths, w: Array, grippers: tuple[int, int], ends: tuple[Array, Array], now: Array,
-    most: float,
-) -> tuple[Array, Array]:  # fmt: skip
-    """When two grippers of worlds w [k] have a point each farther apart than ``most`` [m].
-
-    Between knots both move straight on, so that without turns their distance is largest at a knot.
-
-    Args:
-        paths: Of all grippers.
-        w: The worlds.
-        grippers: The two, both closed.
-        ends: The points in the grippers' frames, [k, 3] each [m].
-        now: When the second one closes, [k] [s].
-        most: [m].
-
-    Returns:
-        The times [k] [s], infinite where they never are, and how far apart they are then [k] [m].
-    """
-    of = paths.stacked
-    until = np.minimum(*(of["hold_until"][w, g] for g in grippers))
-    times = np.concatenate([until[:, None], *(of["time"][w, g] for g in grippers)], axis=1)
-    late = np.isfinite(times) & (times > now[:, None]) & (times <= until[:, None])
-    times = np.sort(np.where(late, times, now[:, None]), axis=1)
-    times = np.concatenate([now[:, None], times], axis=1)
-    shape = times.shape
-    worlds = np.repeat(w, shape[1])
-    places = []
-    for g, end in zip(grippers, ends, strict=True):
-        pose = paths.pose(g, worlds, times.reshape(-1))
-        place = pose.centre + rotation.turned(pose.q, np.repeat(end, shape[1], axis=0))
-        places.append(place.reshape(*shape, 3))
-    far = np.linalg.norm(places[1] - places[0], axis=2)
-    beyond = far > most
-    k, rows = beyond.argmax(axis=1), np.arange(len(w))
-    before = np.maximum(k - 1, 0)
-    step = far[rows, k] - far[rows, before]
-    share = np.where(k > 0, (most - far[rows, before]) / np.where(k > 0, step, 1.0), 1.0)
-    time = times[rows, before] + share * (times[rows, k] - times[rows, before])
-    found = beyond.any(axis=1)
-    return np.where(found, time, np.inf), np.where(k > 0, most, far[:, 0])
 
 
 @dataclass

@@ -23,9 +23,10 @@ from gendom.sim.paths import make_path_type
 from gendom.sim.setting import Setting
 from gendom.sim.thin.native import MODULE_OPTIONS
 from gendom.sim.thin.rods import Rods
-from gendom.sim.thin.run import LOCAL_STRETCH, STRETCH, Job
+from gendom.sim.thin.run import Job
 from gendom.sim.thin.schedule import Schedule
 from gendom.sim.thin.stepping import make_stepping
+from gendom.sim.thin.tears import LOCAL_STRETCH, STRETCH
 from gendom.sim.thin.types import make_types
 
 SHARE = 1.0 - math.sqrt(0.5)

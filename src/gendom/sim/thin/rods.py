@@ -14,8 +14,9 @@ from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import Grip, close_rod
 from gendom.sim.thin.poses import Pose
 from gendom.sim.thin.rod_model import RodModel
-from gendom.sim.thin.run import STRETCH, put_worlds
+from gendom.sim.thin.run import put_worlds
 from gendom.sim.thin.slopes import Slopes
+from gendom.sim.thin.tears import STRETCH
 from gendom.sim.thin.types import MARGIN, V, X
 
 Q, SPIN = slice(6, 10), slice(10, 13)

@@ -12,13 +12,7 @@ from gendom.sim.thin.contact import PAIRS
 from gendom.sim.thin.grips import Grip
 from gendom.sim.thin.poses import Pose
 from gendom.sim.thin.schedule import Schedule
-
-STRETCH = 0.2
-"""Largest mean stretch or compression of a body, and stretch of what two grippers have between
-them."""
-
-LOCAL_STRETCH = 1.0
-"""Largest momentary stretch of one edge: a soft rope that cracks like a whip stretches by 25 %."""
+from gendom.sim.thin.tears import tear_error
 
 
 @dataclass
@@ -92,7 +86,7 @@ class Job:
                 )
                 continue
             if w in e.torn and stopped_at[w] > e.torn[w].time:
-                e.failures[w] = e.tear_error(w)
+                e.failures[w] = tear_error(e, w)
                 continue
             e.failures[w] = e.end_error(w, float(stopped_at[w]), float(plan.dt[w, s]))
 

@@ -11,9 +11,10 @@ from gendom.sim.thin.crossing import check_cloth
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import Grip, close_shell
 from gendom.sim.thin.poses import Pose
-from gendom.sim.thin.run import STRETCH, put_worlds
+from gendom.sim.thin.run import put_worlds
 from gendom.sim.thin.shell_model import MOST_COUPLED, ShellModel
 from gendom.sim.thin.slopes import WEAVE, Slopes
+from gendom.sim.thin.tears import STRETCH
 from gendom.sim.thin.types import MARGIN, V, X
 
 

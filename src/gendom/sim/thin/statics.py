@@ -21,8 +21,9 @@ from gendom.sim.thin.balance import Balance, copied
 from gendom.sim.thin.engine import CFL
 from gendom.sim.thin.poses import Paths
 from gendom.sim.thin.precision import doubled, take_state
-from gendom.sim.thin.run import LOCAL_STRETCH, STRETCH, put
+from gendom.sim.thin.run import put
 from gendom.sim.thin.sensitivity import Sensitivity
+from gendom.sim.thin.tears import LOCAL_STRETCH, STRETCH, tear_error
 from gendom.sim.thin.types import X
 
 WAY = 0.005
@@ -175,7 +176,7 @@ class Search:
             self._check_held(worlds, now)
             for w in begun:
                 if w in e.torn and plans[w][k][0] > e.torn[w].time:
-                    e.failures[w] = e.tear_error(w)
+                    e.failures[w] = tear_error(e, w)
             stations = {w: (t, *plans[w][k]) for w, t in begun.items() if w not in e.failures}
             if stations:
                 self._station(group, stations)
