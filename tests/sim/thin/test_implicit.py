@@ -31,7 +31,7 @@ def swing(h=None, material=SOFT, body=ROPE, times=(0.1, 0.2, 0.3), **options):
     return s, s.run(times)
 
 
-def test_a_steel_wire_moves_as_with_steps_ten_thousand_times_shorter():
+def test_a_steel_wire_moves_as_in_steps_hundreds_of_times_shorter():
     wire = rope(diameter=0.002, length=0.3, start=(0, 0, 0.2), points=21)
     steel = Material(E=2e11, density=7800.0, damping=2e-4)
     explicit, exact = swing(material=steel, body=wire, times=[0.05, 0.1])

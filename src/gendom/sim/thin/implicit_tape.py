@@ -10,8 +10,8 @@ from gendom.sim.gradients import Gradients
 from gendom.sim.setting import Frames
 from gendom.sim.thin.implicit import ImplicitRods
 from gendom.sim.thin.run import Round
+from gendom.sim.thin.schedule import Schedule
 from gendom.sim.thin.tape import RodTape
-from gendom.sim.thin.types import V, X
 
 HALVED = 2
 """Steps that are recorded at most, over those of a run without halving."""
@@ -25,15 +25,10 @@ class ImplicitTape(RodTape):
 
     engine: ImplicitRods
 
-    def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
-        e = self.engine
-        T, W, n = len(times), e.num_worlds, e.num_points
-        x = np.empty((T, W, n, 3), dtype=e.setting.dtype)
-        frames = Frames(began, times, np.arange(n), x, None, False)
-        self.first_x, self.first_v = e.component(X), e.component(V)
-        self.first = wp.clone(e.state)
+    def record(self, frames: Frames) -> Schedule:
+        e, W = self.engine, self.engine.num_worlds
         steps = int(e.schedule(frames, None).steps.sum(axis=1).max())
-        most = HALVED * steps + T + 16
+        most = HALVED * steps + len(frames.times) + 16
         size = most * W * e.state_rows * e.row_length * 8
         if size > LARGEST:
             raise ParameterError(
@@ -53,8 +48,7 @@ class ImplicitTape(RodTape):
             done[group] = now
             self.rounds.append((group, round))
 
-        self.plan = e.run_rounds(frames, after)
-        return x
+        return e.run_rounds(frames, after)
 
     def backward(self, bar: NDArray[np.floating]) -> Gradients:
         e = self.engine

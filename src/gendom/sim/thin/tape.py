@@ -23,6 +23,7 @@ from gendom.sim.thin.grips import (
 from gendom.sim.thin.poses import Paths
 from gendom.sim.thin.rods import Rods, slower
 from gendom.sim.thin.run import Event, Round, device_plan, put
+from gendom.sim.thin.schedule import Schedule
 from gendom.sim.thin.shells import Shells
 from gendom.sim.thin.slopes import WEAVE, Slopes
 from gendom.sim.thin.types import (
@@ -68,20 +69,25 @@ class ThinTape(ABC):
         T, W, n = len(times), e.num_worlds, e.num_points
         x = np.empty((T, W, n, 3), dtype=e.setting.dtype)
         frames = Frames(began, times, np.arange(n), x, None, False)
-        steps = math.ceil((times[-1] - began) / e.setting.substep.min()) + 1
-        self.most = max(2, math.ceil(math.sqrt(steps)))
         self.first_x, self.first_v = e.component(X), e.component(V)
         self.first = wp.clone(e.state)
+        self.plan = self.record(frames)
+        return x
+
+    def record(self, frames: Frames) -> Schedule:
+        """Simulate, and keep what the reverse pass needs."""
+        e, W = self.engine, self.engine.num_worlds
+        steps = math.ceil((frames.times[-1] - frames.began) / e.setting.substep.min()) + 1
+        self.most = max(2, math.ceil(math.sqrt(steps)))
         pieces = e.schedule(frames, self.most).steps.shape[1]
         self.rows = e.state_rows + LISTED * e.body.contact
         self.kept = e.zeros((pieces * W, self.rows, e.row_length))
-        self.plan = e.run_rounds(
+        return e.run_rounds(
             frames,
             lambda group, round: self.rounds.append((group, self._with_held(group, round))),
             most_steps=self.most,
             kept=self.kept,
         )
-        return x
 
     def _with_held(self, group: slice, round: Round) -> Round:
         """Store the held points of a round, which the reverse pass copies to the kernels again."""

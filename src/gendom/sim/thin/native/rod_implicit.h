@@ -22,8 +22,7 @@ template <typename real> struct block_row {
     CUDA_CALLABLE inline real& rhs(int a) { return own[a][6]; }
     CUDA_CALLABLE inline real& step(int a) { return after[a][6]; }
 };
-enum { BLOCK_ROW = 152 };  // numbers of one
-static_assert(sizeof(block_row<double>) == BLOCK_ROW * sizeof(double), "as implicit.py has it");
+static_assert(sizeof(block_row<double>) == 152 * sizeof(double), "BLOCK_ROW of implicit.py");
 
 // Unit vectors side by side, from axis j on, and columns of a block that these have made.
 template <typename T> CUDA_CALLABLE inline vec<T> axes(int j) {
@@ -70,12 +69,22 @@ template <typename real> struct touching {
     real side[3];  // -1: at the table or a lower wall, 1: at an upper wall, 0: free
     real press;   // on the table, as of the last iteration [N]
 };
-enum { TOUCHING = 4 };
+static_assert(sizeof(touching<double>) == 4 * sizeof(double), "TOUCHING of implicit.py");
 
 // Speed below which friction yields in proportion [m/s].
 constexpr double STILL = 1e-5;
 // Length of a step, as `far` tells it, from which on friction's whole derivative is taken.
 constexpr double NEAR = 1e-2;
+
+// The turn t of a direction from q0 to q, see above, and a quaternion of length 1.
+template <typename real> CUDA_CALLABLE inline vec<real> turn_from(const quat<real>& q0, const quat<real>& q) {
+    const quat<real> p = q * quat<real>{-q0.v, q0.w};
+    return real(1) / p.w * p.v;
+}
+template <typename real> CUDA_CALLABLE inline quat<real> unit_of(const quat<real>& q) {
+    const real per = real(1) / wp::sqrt(dot(q.v, q.v) + q.w * q.w);
+    return {per * q.v, per * q.w};
+}
 
 template <typename Rod, typename real> struct implicit_step {
     const Rod& rod;
@@ -107,20 +116,12 @@ template <typename Rod, typename real> struct implicit_step {
     CUDA_CALLABLE inline void begin() const {
         for (int i = 0; i < n; ++i) {
             to.put3(X, i, s.template get3<real>(X, i) + span * to.template get3<real>(V, i));
-            put_unit(i, quat<real>{real(0.5) * span * to.template get3<real>(W, i), real(1)} *
-                            s.template get4<real>(Q, i));
+            const quat<real> turn = {real(0.5) * span * to.template get3<real>(W, i), real(1)};
+            to.put4(Q, i, unit_of(turn * s.template get4<real>(Q, i)));
         }
     }
-    CUDA_CALLABLE inline void put_unit(int i, const quat<real>& q) const {
-        const real per = real(1) / wp::sqrt(dot(q.v, q.v) + q.w * q.w);
-        to.put4(Q, i, quat<real>{per * q.v, per * q.w});
-    }
-
-    // The turn t from the base, see above.
     CUDA_CALLABLE inline vec<real> half_turn(int i) const {
-        const quat<real> q0 = s.template get4<real>(Q, i), q = to.template get4<real>(Q, i);
-        const quat<real> p = q * quat<real>{-q0.v, q0.w};
-        return real(1) / p.w * p.v;
+        return turn_from(s.template get4<real>(Q, i), to.template get4<real>(Q, i));
     }
 
     // ---- forces and their derivatives -----------------------------------------------------------
@@ -266,14 +267,16 @@ template <typename Rod, typename real> struct implicit_step {
         return changed;
     }
 
-    // Friction over mu N, from how far a point has slid, and its derivative by that.
-    CUDA_CALLABLE inline void friction(int i, real way[2], real by[2][2]) const {
+    // Friction over mu N, from how far a point has slid, and its derivative by that; returns how far that is, or
+    // the least that counts.
+    CUDA_CALLABLE inline real friction(int i, real way[2], real by[2][2]) const {
         const vec<real> d = to.template get3<real>(X, i) - s.template get3<real>(X, i);
         const real size = wp::sqrt(d.x * d.x + d.y * d.y), still = real(STILL) * span;
         const real least = larger(size, still), turns = size > still ? real(1) : real(0);
         way[0] = d.x / least, way[1] = d.y / least;
         for (int a = 0; a < 2; ++a)
             for (int b = 0; b < 2; ++b) by[a][b] = (real(a == b) - turns * way[a] * way[b]) / least;
+        return least;
     }
 
     // Puts what holds point i in its equations: friction on the table, and in place of those across what it
@@ -285,10 +288,7 @@ template <typename Rod, typename real> struct implicit_step {
         const vec<real> x = to.template get3<real>(X, i);
         if (t.press > real(0)) {
             real way[2], by[2][2];
-            friction(i, way, by);
-            const vec<real> x0 = s.template get3<real>(X, i);
-            const real least = larger(wp::sqrt((x.x - x0.x) * (x.x - x0.x) + (x.y - x0.y) * (x.y - x0.y)),
-                                      real(STILL) * span);
+            const real least = friction(i, way, by);
             for (int a = 0; a < 2; ++a) {
                 row.rhs(a) -= mu * t.press * way[a];
                 if (!exact) {
@@ -399,7 +399,7 @@ template <typename Rod, typename real> struct implicit_step {
             const real* d = rows[i].last;
             to.add3(X, i, vec<real>{share * d[0], share * d[1], share * d[2]});
             const vec<real> turn = {real(0.5) * share * d[3], real(0.5) * share * d[4], real(0.5) * share * d[5]};
-            put_unit(i, quat<real>{turn, real(1)} * to.template get4<real>(Q, i));
+            to.put4(Q, i, unit_of(quat<real>{turn, real(1)} * to.template get4<real>(Q, i)));
         }
     }
 
@@ -460,11 +460,9 @@ template <typename Rod, typename real> struct implicit_step {
                 const vec<real> a = start.template get3<real>(c, i);
                 s.put3(c, i, a + further * (to.template get3<real>(c, i) - a));
             };
-            const quat<real> q0 = start.template get4<real>(Q, i), q = to.template get4<real>(Q, i);
-            const quat<real> p = q * quat<real>{-q0.v, q0.w};
-            const quat<real> far = quat<real>{(further / p.w) * p.v, real(1)} * q0;
-            const real unit = real(1) / wp::sqrt(dot(far.v, far.v) + far.w * far.w);
-            s.put4(Q, i, quat<real>{unit * far.v, unit * far.w});
+            const quat<real> q0 = start.template get4<real>(Q, i);
+            const vec<real> turn = further * turn_from(q0, to.template get4<real>(Q, i));
+            s.put4(Q, i, unit_of(quat<real>{turn, real(1)} * q0));
             on(X), on(V), on(W), on(LAG_E), on(LAG_U);
         }
     }
@@ -478,8 +476,7 @@ template <typename Rod, typename real> struct implicit_step {
     }
 };
 
-// One stage, from where `ahead` has velocities and what is held; returns how many systems it took, -1 if it is not
-// found, and in `landed` whether a point has come to touch something.
+// For kernels, which have no objects.
 template <typename Rod, typename real>
 CUDA_CALLABLE inline void stage_begin(const Rod& rod, int w, const wp::array_t<real>& base, const wp::array_t<real>& ahead,
                                       const wp::array_t<real>& work, const wp::array_t<real>& touches, real span) {

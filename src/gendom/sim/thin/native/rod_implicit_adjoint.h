@@ -151,9 +151,8 @@ template <typename Rod, typename Bars, typename real> struct implicit_adjoint {
                 b.put(c, i, further * a), base.put(c, i, (real(1) - further) * a);
             }
             const vec<real> q_bar = real(1) / further * b.template get3<real>(Q_BAR, i);
-            const quat<real> q0 = start.template get4<real>(Q, i), q = at.to.template get4<real>(Q, i);
-            const quat<real> p = q * quat<real>{-q0.v, q0.w};
-            const vec<real> t = real(1) / p.w * p.v, tau = further * t;
+            const vec<real> t = turn_from(start.template get4<real>(Q, i), at.to.template get4<real>(Q, i));
+            const vec<real> tau = further * t;
             const real squared = real(1) + dot(tau, tau), unit = real(1) / wp::sqrt(squared);
             const vec<real> t_bar = (real(2) * further / squared) * (q_bar - cross(tau, q_bar));
             b.put3(Q_BAR, i, real(0.5) * back(t, t_bar));
