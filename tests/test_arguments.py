@@ -6,8 +6,16 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from gendom.arguments import check_integers, check_list, check_number, check_numbers, check_type
-from gendom.errors import ParameterError
+from gendom.arguments import (
+    check_choice,
+    check_integers,
+    check_list,
+    check_number,
+    check_numbers,
+    check_type,
+    require,
+)
+from gendom.errors import DatasetError, ParameterError
 
 
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2.0), np.int64(2), np.array(2.0)])
@@ -53,3 +61,14 @@ def test_what_is_refused_is_named(check, message):
     with pytest.raises(ParameterError) as found:
         check()
     assert str(found.value) == message
+
+
+def test_requirements_and_choices_end_in_one_line():
+    require(True, "never said")
+    with pytest.raises(DatasetError, match=r"^a file: is empty; fill it$"):
+        require(False, "is empty", where="a file", fix="fill it", error=DatasetError)
+    check_choice("engine", "thin", ("mpm", "thin"))
+    with pytest.raises(ParameterError, match=r"^unknown engine 'thinn'; did you mean 'thin'\?$"):
+        check_choice("engine", "thinn", ("mpm", "thin"))
+    with pytest.raises(ParameterError, match=r"choose one of mpm, thin$"):
+        check_choice("engine", 7, ("mpm", "thin"))

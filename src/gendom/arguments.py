@@ -5,18 +5,49 @@ for a single number.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.errors import ParameterError
+from gendom.errors import GendomError, ParameterError, did_you_mean
 
 Shape = tuple[int | str, ...]
 
 LONGEST = 60
 """Most characters of a value in a message."""
+
+
+def require(
+    holds: Any,
+    what: str,
+    *,
+    where: str | None = None,
+    fix: str | None = None,
+    error: type[GendomError] = ParameterError,
+) -> None:
+    """Raise an error with this message unless the condition holds.
+
+    Raises:
+        GendomError: Of the given class, as "where: what; fix".
+    """
+    if not holds:
+        raise error(what, where=where, fix=fix)
+
+
+def check_choice(
+    name: str, value: Any, choices: Iterable[str], *, where: str | None = None
+) -> None:
+    """Check that a value is one of some names.
+
+    Raises:
+        ParameterError: If it is not; the error suggests the closest name or lists all.
+    """
+    known = tuple(choices)
+    if value not in known:
+        fix = did_you_mean(str(value), known) or f"choose one of {', '.join(known)}"
+        raise ParameterError(f"unknown {name} {value!r}", where=where, fix=fix)
 
 
 def check_number(
