@@ -328,7 +328,7 @@ def one_elastica(item: Specimen, edges: int, option: str) -> np.ndarray:
     rod = ea.CosseratRod.straight_rod(
         edges, np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]),
         edges * edge, item.thickness / 2.0, item.density,
-        youngs_modulus=item.E, shear_modulus=item.E / 2.0 / (1.0 + NU),
+        E=item.E, shear_modulus=item.E / 2.0 / (1.0 + NU),
     )  # fmt: skip
     scene.append(rod)
     scene.constrain(rod).using(

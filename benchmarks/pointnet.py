@@ -82,7 +82,7 @@ def main() -> None:
     fresh, truth = lifts(given.held_out)
     mean, log_variance = session.run(["mean", "log_variance"], grouped(fresh))
     E, true_E = (
-        np.array([paper_E(scene.specific_modulus(math.exp(b) * scene.size)) for b in each])
+        np.array([paper_E(scene.E_over_rho(math.exp(b) * scene.size)) for b in each])
         for each in (mean[:, 0].astype(float), truth[:, 0])
     )
     z = (mean - truth) / np.exp(0.5 * log_variance)
@@ -115,7 +115,7 @@ def drawn(scene: Scene, rng: np.random.Generator, *, paper: bool) -> Theta:
         prior.clipped(prior.mean + prior.sd * rng.standard_normal(len(prior.names))), base
     )
     bending = math.exp(rng.uniform(math.log(0.1), math.log(1.5))) * scene.size
-    return theta.with_values({"specific_modulus": scene.specific_modulus(bending)})
+    return theta.with_values({"E_over_rho": scene.E_over_rho(bending)})
 
 
 if __name__ == "__main__":

@@ -65,16 +65,16 @@ def measure(
     )
     # of the simulated middle line or sheet from the true one
     off = [float(KDTree(s).query(line)[0].mean()) for line, s in zip(x, shapes, strict=True)]
-    low, high = found.interval("youngs_modulus") or (None, None)
+    low, high = found.interval("E") or (None, None)
     return {
         "object": item.name,
         "E_true": item.material.E,
-        "E": record["youngs_modulus"],
+        "E": record["E"],
         "E_low": low,
         "E_high": high,
         "usable": found.usable,
         "nu_true": item.material.nu,
-        "nu": record["poissons_ratio"],
+        "nu": record["nu"],
         "seconds": record["seconds"],
         "cloud_bias_mm": 1e3 * float(error.mean()),
         "cloud_rms_mm": 1e3 * float(np.sqrt((error**2).mean())),

@@ -29,11 +29,11 @@ ROPE = Material(E=1.0e6, nu=0.3, density=1000.0, damping=0.004)
 CLOTH = Material(E=6.0e5, nu=0.3, density=400.0, damping=0.005)
 
 OF_ROPE = (
-    "specific_modulus", "nu", "damping", "friction", "stiffness_slope", "delay", "grip_height",
+    "E_over_rho", "nu", "damping", "friction", "stiffness_slope", "delay", "grip_height",
     "grip_along",
 )  # fmt: skip
 OF_CLOTH = (
-    "specific_modulus", "nu", "damping", "friction", "thickness", "delay", "grip_height",
+    "E_over_rho", "nu", "damping", "friction", "thickness", "delay", "grip_height",
     "grip_along", "grip_aside", "grip_tilt", "grip_reach", "yaw",
 )  # fmt: skip
 """Unknowns of an estimate, see ``gendom.estimation.theta.UNKNOWNS``."""
@@ -119,7 +119,7 @@ class Lift:
     ) -> Simulator:
         """The object as it is, and beside it one for each unknown, which differs in that."""
         base = dict.fromkeys(UNKNOWNS, 0.0) | {
-            "specific_modulus": self.material.specific_modulus,
+            "E_over_rho": self.material.E_over_rho,
             "nu": self.material.nu,
             "damping": self.material.damping,
             "friction": FRICTION,
@@ -147,7 +147,7 @@ class Lift:
         )
 
     def _material(self, of: dict[str, float]) -> Material:
-        E = of["specific_modulus"] * of["thickness"] ** 2 * self.material.density
+        E = of["E_over_rho"] * of["thickness"] ** 2 * self.material.density
         return replace(self.material, E=E, nu=of["nu"], damping=of["damping"])
 
     def _laid(self, of: dict[str, float]) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ import pytest
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import DeviceError
 from gendom.estimation import Scene, SceneSettings, Theta, replay
-from gendom.materials.parameters import specific_modulus_of
+from gendom.materials.parameters import E_over_rho_of
 from gendom.observation import visible
 from gendom.perception.realsense import realsense_sdk
 
@@ -114,7 +114,7 @@ def rope_lift() -> SimulatedLift:
         ),
         rise=0.12,
         settings=SceneSettings(points=15, threads=1),
-        truth=Theta(specific_modulus=specific_modulus_of(0.35 * length, diameter / 4.0, 9.81)),
+        truth=Theta(E_over_rho=E_over_rho_of(0.35 * length, diameter / 4.0, 9.81)),
         lying=np.stack([x, 0.0 * x, np.full(300, diameter)], axis=1),
         lowest=diameter / 2.0,
     )
@@ -137,7 +137,7 @@ def cloth_lift() -> SimulatedLift:
         rise=0.2,
         settings=SceneSettings(points=9, threads=1),
         truth=Theta(
-            specific_modulus=specific_modulus_of(0.1 * side * 2**0.5, thickness / 12**0.5, 9.81),
+            E_over_rho=E_over_rho_of(0.1 * side * 2**0.5, thickness / 12**0.5, 9.81),
             grip_tilt=0.8,
         ),
         lying=np.stack([u, v, np.full(len(u), thickness)], axis=1),

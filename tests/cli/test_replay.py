@@ -72,13 +72,13 @@ def test_in_another_recording_the_material_is_taken(rope_lift, params):
 def test_files_of_older_versions_are_read(lifted):
     """They know the material alone, and were made by the MPM."""
     older = {
-        "format": "gendom-estimate/1", "specific_modulus": 730.0, "poissons_ratio": 0.33,
+        "format": "gendom-estimate/1", "E_over_rho": 730.0, "nu": 0.33,
         "friction": 0.5, "grip_offset": 0.004, "object": {"kind": "rope"},
         "begins_with": lifted.begins_with, "simulation": {"cells_across": 1.5},
     }  # fmt: skip
     scene, theta = replay_setup(lifted, older, "here", "cpu", "thin")
-    material = (theta.specific_modulus, theta.nu, theta.friction, theta.damping)
-    assert material == (730.0, 0.33, 0.5, Theta(specific_modulus=1.0).damping)
+    material = (theta.E_over_rho, theta.nu, theta.friction, theta.damping)
+    assert material == (730.0, 0.33, 0.5, Theta(E_over_rho=1.0).damping)
     assert scene.thin and theta.grip_height == pytest.approx(0.004, abs=0.0015)
 
 
@@ -105,7 +105,7 @@ def test_what_is_not_usable_is_refused(files, params, tmp_path, capsys):
         ({"object": {"kind": "cloth"}}, "the parameters are of a cloth, the recording shows"),
         ({"object": None}, "cannot be used"),
         ({"theta": {"colour": 1.0}}, "cannot be used"),
-        ({"theta": None, "specific_modulus": None}, "cannot be used"),
+        ({"theta": None, "E_over_rho": None}, "cannot be used"),
     ],
 )
 def test_what_is_no_estimate_is_refused(lifted, params, changes, words):

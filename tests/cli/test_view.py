@@ -82,7 +82,7 @@ def test_the_skin_of_a_rope_is_closed_and_faces_outwards(lift_model):
 
 def test_sliders_change_the_motion(lift_model):
     """A softer rope hangs lower in the last frame, and is farther from the clouds."""
-    true, soft = shown(lift_model)[-1], shown(lift_model, specific_modulus=20.0)[-1]
+    true, soft = shown(lift_model)[-1], shown(lift_model, E_over_rho=20.0)[-1]
     heights = [layers(s)["simulated"].vertices[-1, :, 2].mean() for s in (true, soft)]
     assert heights[1] < heights[0] - 0.005
     assert soft.curves[CHAMFER].mean() > 1.5 * true.curves[CHAMFER].mean()
@@ -90,7 +90,7 @@ def test_sliders_change_the_motion(lift_model):
 
 def test_parameters_are_those_that_a_recording_is_searched_for(lift_model, lifted):
     made = {p.name: p for p in lift_model.parameters(0)}
-    assert made["specific_modulus"].log and made["specific_modulus"].group == MATERIAL
+    assert made["E_over_rho"].log and made["E_over_rho"].group == MATERIAL
     assert not made["nu"].log and (made["nu"].low, made["nu"].high) == (0.05, 0.45)
     assert made["grip_height"].group != MATERIAL and "yaw" not in made
     for p in made.values():
@@ -146,7 +146,7 @@ def test_an_arm_that_cannot_reach_is_not_drawn(lifted):
 def test_an_unknown_object_begins_in_the_middle(lifted):
     model = RecordingModel.of(lifted, "a lift")
     assert len(model.scene.frames) == lifted.num_frames
-    p = next(p for p in model.parameters(0) if p.name == "specific_modulus")
+    p = next(p for p in model.parameters(0) if p.name == "E_over_rho")
     assert p.value == pytest.approx(np.sqrt(p.low * p.high))
 
 
@@ -154,7 +154,7 @@ def test_particles_are_shown_as_a_chain(lifted):
     from gendom.estimation import SceneSettings
 
     scene = Scene.of(lifted.head(2), SceneSettings(engine="mpm"))
-    rope = layers(shown(RecordingModel(scene, Theta(specific_modulus=700.0), ""))[0])["simulated"]
+    rope = layers(shown(RecordingModel(scene, Theta(E_over_rho=700.0), ""))[0])["simulated"]
     assert isinstance(rope, MeshLayer) and rope.vertices.shape[0] == 2
 
 
@@ -277,7 +277,7 @@ def test_the_arm_s_fingers_are_where_the_rope_is_held(casts_model):
 def test_the_arm_stays_while_only_the_material_changes(casts_model):
     """It is planned once for a path, and then shown at once."""
     shown(casts_model)
-    (scene,) = shown(casts_model, poissons_ratio=0.25)
+    (scene,) = shown(casts_model, nu=0.25)
     assert "arm" in layers(scene)
     before, _ = shown(casts_model, way=0.15)
     assert "arm" not in layers(before)
@@ -286,7 +286,7 @@ def test_the_arm_stays_while_only_the_material_changes(casts_model):
 def test_another_action_and_stiffness_go_elsewhere(casts_model):
     own = shown(casts_model)[0]
     values = first_values(casts_model)
-    stiff = shown(casts_model, specific_modulus=3.0 * values["specific_modulus"])[0]
+    stiff = shown(casts_model, E_over_rho=3.0 * values["E_over_rho"])[0]
     farther = shown(casts_model, way=0.22)[0]
     tips = [layers(s)["object"].vertices[-1, -1] for s in (own, stiff, farther)]
     assert all(np.linalg.norm(tips[0] - tip) > 0.01 for tip in tips[1:])
@@ -294,8 +294,8 @@ def test_another_action_and_stiffness_go_elsewhere(casts_model):
 
 def test_sliders_of_demonstrations_stay_within_what_was_drawn(casts_model):
     made = {p.name: p for p in casts_model.parameters(0)}
-    assert (made["poissons_ratio"].low, made["poissons_ratio"].high) == (0.2, 0.4)
-    assert made["way"].group == "Action" and made["specific_modulus"].log
+    assert (made["nu"].low, made["nu"].high) == (0.2, 0.4)
+    assert made["way"].group == "Action" and made["E_over_rho"].log
     for p in made.values():
         assert p.low <= p.value <= p.high
 

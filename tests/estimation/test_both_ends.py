@@ -35,12 +35,12 @@ def test_a_cable_in_fast_motion_comes_back(cable):
     assert scene.velocities is not None and np.abs(scene.velocities).max() > 0.3
     prior, base = scene.prior()
     assert "friction" not in prior.names and "damping" in prior.names
-    truth = base.with_values({"specific_modulus": 6000.0, "damping": 0.02, "nu": 0.3})
+    truth = base.with_values({"E_over_rho": 6000.0, "damping": 0.02, "nu": 0.3})
     seen = markers(scene, replay(scene, [truth])[:, 0]).astype(np.float32)
     made = replace(recording, points=seen.reshape(-1, 3))
     found = estimate(made, EstimateSettings(starts=1))
     assert found.usable
-    assert found.theta.specific_modulus == pytest.approx(6000.0, rel=0.03)
+    assert found.theta.E_over_rho == pytest.approx(6000.0, rel=0.03)
     assert found.theta.damping == pytest.approx(0.02, rel=0.1)
 
 

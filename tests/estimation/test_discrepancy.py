@@ -13,7 +13,7 @@ from gendom.estimation.discrepancy import discrepancy
 from gendom.estimation.likelihood import NoiseModel
 from gendom.estimation.posterior import Calibration
 
-NAMES = ("specific_modulus", "grip_height")
+NAMES = ("E_over_rho", "grip_height")
 SIZE, LEAST = 0.5, 1e-7
 
 
@@ -106,6 +106,6 @@ def test_recordings_of_one_cable_do_not_contradict_each_other(real_data):
             pytest.skip(f"no {path.name} in {real_data}")
         recording = Recording.read(path, on_warning=lambda _: None)
         found.append(estimate(recording, EstimateSettings(starts=1)))
-    ends = [one.interval("specific_modulus") for one in found]
+    ends = [one.interval("E_over_rho") for one in found]
     assert max(low for low, _ in ends) < min(high for _, high in ends)
-    assert not any(one.record["identifiable"]["specific_modulus"] for one in found)
+    assert not any(one.record["identifiable"]["E_over_rho"] for one in found)

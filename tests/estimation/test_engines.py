@@ -11,7 +11,7 @@ from gendom.estimation import EstimateSettings, Scene, SceneSettings, Theta, est
 from gendom.estimation.replay import lattice, middle
 from gendom.sim import rope
 
-THETA = Theta(specific_modulus=960.0, nu=0.35)
+THETA = Theta(E_over_rho=960.0, nu=0.35)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_the_mpm_finds_what_rods_find(recording):
         for engine in ("thin", "mpm")
     ]
     assert found[0].usable and found[1].usable
-    a, b = (f.theta.specific_modulus for f in found)
+    a, b = (f.theta.E_over_rho for f in found)
     assert b == pytest.approx(a, rel=0.2)
 
 

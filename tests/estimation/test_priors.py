@@ -19,7 +19,7 @@ def test_a_material_narrows_what_is_believed(rope_lift):
     assert narrow.names == wide.names
     np.testing.assert_array_equal(narrow.low, wide.low)
     np.testing.assert_array_equal(narrow.high, wide.high)
-    k = narrow.names.index("specific_modulus")
+    k = narrow.names.index("E_over_rho")
     assert narrow.mean[k] == pytest.approx(math.log(known.E.typical / known.density.typical))
     spread = math.hypot(math.log(20.0), math.log(1000.0 / 650.0))
     assert narrow.sd[k] == pytest.approx(spread / 2.0 / 1.645, rel=1e-3)
@@ -77,7 +77,7 @@ def test_the_record_tells_of_it(rope_lift):
     fewer = EstimateSettings(starts=1, max_iterations=2, scene=settings)
     record = estimate(seen, fewer).record
     assert record["simulation"]["material"] == "cotton-rope"
-    k = record["posterior"]["names"].index("specific_modulus")
+    k = record["posterior"]["names"].index("E_over_rho")
     assert record["posterior"]["prior_mean"][k] == pytest.approx(math.log(1e6 / 800.0))
     assert record["notes"][0].startswith("material cotton-rope")
 

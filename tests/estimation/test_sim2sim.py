@@ -11,21 +11,21 @@ from gendom.estimation.scene import Scene
 from gendom.estimation.sim2sim import (
     E_RANGE,
     SUBSTEP,
+    E_over_rho,
     paper_E,
     rows_text,
     scene_settings,
     sim2sim,
     sim2sim_problem,
     sim2sim_recording,
-    specific_modulus,
     truth_of,
 )
 
 
 def test_units_are_those_of_like_motion():
     """E / (density g L) is the same: 12 there, 9.81 here."""
-    assert specific_modulus(1200.0) / 9.81 == pytest.approx(1200.0 / 12.0)
-    assert paper_E(specific_modulus(777.0)) == pytest.approx(777.0)
+    assert E_over_rho(1200.0) / 9.81 == pytest.approx(1200.0 / 12.0)
+    assert paper_E(E_over_rho(777.0)) == pytest.approx(777.0)
 
 
 @pytest.mark.parametrize("shows", ["all", "last"])

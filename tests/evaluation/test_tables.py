@@ -186,8 +186,8 @@ def test_real_ropes_have_all_rows_and_go_on(bench, monkeypatch):
     def lifted(bench, name, task):
         rope = find_object(name)
         m = rope.material
-        posterior = {"names": ["specific_modulus", "damping"],
-                     "mean": np.log([1.03 * m.specific_modulus, m.damping]).tolist(),
+        posterior = {"names": ["E_over_rho", "damping"],
+                     "mean": np.log([1.03 * m.E_over_rho, m.damping]).tolist(),
                      "covariance": [[0.04**2, 0.0], [0.0, 0.1**2]]}  # fmt: skip
         return Belief.for_task(task, rope, posterior)
 

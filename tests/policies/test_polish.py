@@ -34,7 +34,7 @@ def test_known_object_is_reached_exactly():
 
 def test_uncertain_object_gets_an_action_that_hardly_depends_on_it():
     """What is uncertain counts by z: the polished action is low, whatever the start."""
-    belief = Belief.of(ROPE, {"names": ["specific_modulus"], "mean": [math.log(8e5 / 900)],
+    belief = Belief.of(ROPE, {"names": ["E_over_rho"], "mean": [math.log(8e5 / 900)],
                               "covariance": [[0.3**2]]}, known=("nu", "friction"))  # fmt: skip
     items = belief.draws(16, seed=0)
     start = ROPE.length * np.array([0.35, 0.6])

@@ -144,7 +144,7 @@ class Command(KnownObject):
         result["trajectory"] = {"T_base_task": T.tolist(), **path.to_dict()}
         if polished is not None:
             result["polished"] = polished
-        if not self.no_prediction and "specific_modulus" in held.columns:
+        if not self.no_prediction and "E_over_rho" in held.columns:
             others = [] if held.posterior is None else held.belief(task).draws(DRAWS, self.seed)
             result["predicted"] = predicted(task, item, values, others, self.seed, world)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))

@@ -14,7 +14,7 @@ from gendom.cli.known_object import KnownObject
 from gendom.cli.outputs import tell_written
 from gendom.errors import ParameterError
 from gendom.files import check_file, read_json, to_json, write_json
-from gendom.materials import PARAMETERS, to_columns
+from gendom.materials import QUANTITIES, to_columns
 from gendom.tasks import find_task
 
 if TYPE_CHECKING:
@@ -105,8 +105,8 @@ def _text(before: Belief, adapted: Adapted) -> str:
     """For people."""
     rows = []
     for name in adapted.belief.names:
-        column = PARAMETERS[name].column
-        unit = "" if PARAMETERS[name].unit == "1" else f" {PARAMETERS[name].unit}"
+        column = QUANTITIES[name].column
+        unit = "" if QUANTITIES[name].unit == "1" else f" {QUANTITIES[name].unit}"
         said = []
         for b in (before, adapted.belief):
             low, high = b.interval(name)

@@ -133,8 +133,8 @@ class Command:
                 recording = Recording.read(path)
             views = (assets / VIEWS).read_bytes()
         truth = {
-            "youngs_modulus": rope.material.E,
-            "poissons_ratio": rope.material.nu,
+            "E": rope.material.E,
+            "nu": rope.material.nu,
             "density": rope.material.density,
             "damping": rope.material.damping,
             "friction": rope.friction,
@@ -147,8 +147,7 @@ class Command:
             found = estimate(recording, settings, on_progress=show)
         print(estimate_text(found))
         print(
-            f"true values      E {truth['youngs_modulus']:.4g} Pa, nu "
-            f"{truth['poissons_ratio']:.3f}\n",
+            f"true values      E {truth['E']:.4g} Pa, nu {truth['nu']:.3f}\n",
             flush=True,
         )
         # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.

@@ -92,7 +92,7 @@ def report_demo(
             lift=LiftPictures(clouds=clouds),
             estimate=summary_of(
                 found,
-                truth | {"specific_modulus": truth["youngs_modulus"] / truth["density"]},
+                truth | {"E_over_rho": truth["E"] / truth["density"]},
             ),
             action=action,
             provenance=Provenance(

@@ -84,7 +84,7 @@ class Command:
     level: float = 0.9
     """Nominal probability of the intervals."""
     unknowns: tuple[str, ...] = ()
-    """Unknowns to estimate, such as specific_modulus grip_height; by default those that a recording
+    """Unknowns to estimate, such as E_over_rho grip_height; by default those that a recording
     of this kind may determine."""
     material: str | None = None
     """Its material, by a name of gendom materials: narrows the priors."""
@@ -329,7 +329,7 @@ def estimate_text(found: Estimate) -> str:
         if own["name"]:
             rows.append(("recording", own["name"]))
         if own["name"] and own["alone"] is not None:
-            alone, ends = own["alone"]["specific_modulus"], own["alone"]["interval"]
+            alone, ends = own["alone"]["E_over_rho"], own["alone"]["interval"]
             said = f"E / density {alone:.4g} m^2/s^2, in [{ends[0]:.4g}, {ends[1]:.4g}]"
             rows.append(("by itself", said))
         rows += [

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # What is missing -> the flags that give it.
 _FLAGS = {
-    "E": "--E and --density",
+    "bending_ratio": "--E and --density",
     "nu": "--nu",
     "density": "--density",
     "damping": "--damping",
@@ -116,8 +116,8 @@ class KnownObject:
             columns, posterior = read_estimate(params, str(self.params), task.kind)
             executions = params.get("executions") or {}
         flags = {
-            "youngs_modulus": self.E,
-            "poissons_ratio": self.nu,
+            "E": self.E,
+            "nu": self.nu,
             "density": self.density,
             "damping": self.damping,
             "friction": self.friction,
@@ -128,12 +128,12 @@ class KnownObject:
         }
         given = {name: value for name, value in flags.items() if value is not None}
         columns |= given
-        if given.keys() & {"youngs_modulus", "density"}:
-            columns.pop("specific_modulus", None)  # the file's own, of other numbers
+        if given.keys() & {"E", "density"}:
+            columns.pop("E_over_rho", None)  # the file's own, of other numbers
             posterior = None
-        if "specific_modulus" not in columns and {"youngs_modulus", "density"} <= columns.keys():
-            columns["specific_modulus"] = columns["youngs_modulus"] / columns["density"]
-            given["specific_modulus"] = columns["specific_modulus"]
+        if "E_over_rho" not in columns and {"E", "density"} <= columns.keys():
+            columns["E_over_rho"] = columns["E"] / columns["density"]
+            given["E_over_rho"] = columns["E_over_rho"]
         missing = [name for name in KINDS[task.kind].sizes if name not in columns]
         # not every recording determines damping and friction
         missing += [

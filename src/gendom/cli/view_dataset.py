@@ -98,13 +98,13 @@ class DatasetModel:
             value = float(row[p.column])
             if p.log and value == 0.0:
                 continue
-            low, high = self.task.ranges.get(p.name) or (
+            low, high = self.task.ranges.get(p.column) or (
                 (value / _FACTOR, value * _FACTOR) if p.log else _RANGES[p.name]
             )
             made.append(
                 Parameter(
                     name=p.column,
-                    label="E / density" if p.name == "E" else p.name,
+                    label="E / density" if p.column == "E_over_rho" else p.name,
                     unit=p.unit,
                     meaning=p.column.replace("_", " "),
                     group=MATERIAL,
@@ -158,7 +158,7 @@ class DatasetModel:
     def _item(self, case: int, values: Mapping[str, float] | None = None) -> Item:
         """A demonstration's object, with other parameters."""
         columns = {**self._rows[case], **(values or {})}
-        columns["youngs_modulus"] = columns["specific_modulus"] * columns["density"]
+        columns["E"] = columns["E_over_rho"] * columns["density"]
         names = to_columns(self.task.item)
         return from_columns(self.task.kind, {name: float(columns[name]) for name in names})
 
@@ -169,7 +169,7 @@ class DatasetModel:
 
     def _facts(self, case: int, item: Item, values: Mapping[str, float]) -> list[tuple[str, str]]:
         units = {q.name: q.unit for q in self.task.goals}
-        facts = [("E", quantity_text("youngs_modulus", item.material.E))]
+        facts = [("E", quantity_text("E", item.material.E))]
         for name, value in values.items():
             unit = units.get(name, "1")
             facts.append(

@@ -237,9 +237,9 @@ def _parameters(scene: Scene, theta: Theta) -> tuple[Parameter, ...]:
 
 
 def _facts(scene: Scene, theta: Theta) -> tuple[tuple[str, str], ...]:
-    modulus = theta.specific_modulus
+    modulus = theta.E_over_rho
     bending = scene.bending_length(modulus, theta.thickness)
     facts = [("bending length", length_text(bending))]
     if scene.recording.object.mass is not None:
-        facts.insert(0, ("E", quantity_text("youngs_modulus", modulus * scene.density_of(theta))))
+        facts.insert(0, ("E", quantity_text("E", modulus * scene.density_of(theta))))
     return tuple(facts)

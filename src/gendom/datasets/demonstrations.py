@@ -43,6 +43,7 @@ from gendom import __version__
 from gendom.datasets.cluster import on_cluster
 from gendom.errors import DatasetError, GendomError, ParameterError
 from gendom.files import atomic_path, free_room, read_json, write_json
+from gendom.materials.names import current_name
 
 FORMAT = "gendom-demonstrations/2"
 
@@ -390,7 +391,8 @@ def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
             where=str(folder),
             fix="finish it with the gendom dataset command that began it",
         )
-    return pa.concat_tables(parts).replace_schema_metadata(None)
+    table = pa.concat_tables(parts).replace_schema_metadata(None)
+    return table.rename_columns([current_name(name) for name in table.column_names])
 
 
 def succeeded(

@@ -106,8 +106,8 @@ def _scanned(problem: Problem) -> tuple[Array, Comparison, NoiseModel]:
     transformed, and its noise."""
     prior, part = problem.prior, problem.parts[0]
     vectors = [prior.vector(part.base.with_values(guess)) for guess in part.scene.guesses]
-    if "specific_modulus" in prior.names:
-        k = prior.index("specific_modulus")
+    if "E_over_rho" in prior.names:
+        k = prior.index("E_over_rho")
         scan = np.linspace(prior.low[k], prior.high[k], SCANNED + 2)[1:-1]
         vectors = [np.where(np.arange(len(v)) == k, x, v) for v in vectors for x in scan]
     (noise,) = problem.first_noise(**AFAR)

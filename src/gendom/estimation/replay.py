@@ -25,7 +25,7 @@ def material_of(scene: Scene, theta: Theta) -> Material:
     r^2 times the E, so that it bends equally: stiffness over weight goes with the square of the
     radius of gyration, of ropes and of sheets.
     """
-    E, membrane = theta.specific_modulus * theta.thickness**2 * scene.density, None
+    E, membrane = theta.E_over_rho * theta.thickness**2 * scene.density, None
     if scene.kind == "cloth" and scene.thin:
         width, height = (scene.recording.object.width, scene.recording.object.height)
         assert width is not None and height is not None

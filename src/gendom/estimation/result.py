@@ -20,6 +20,7 @@ from gendom.estimation.scene import Scene
 from gendom.estimation.theta import UNKNOWNS, Theta
 from gendom.estimation.verdict import Verdict
 from gendom.files import read_json, write_json
+from gendom.materials.names import with_current_names
 from gendom.observation import chamfer, visible
 from gendom.shown import Shown
 
@@ -28,13 +29,13 @@ Array = NDArray[np.floating]
 FORMAT = "gendom-estimate/1"
 
 KEYS = {
-    "specific_modulus": "specific_modulus",
-    "nu": "poissons_ratio",
+    "E_over_rho": "E_over_rho",
+    "nu": "nu",
     "damping": "damping",
     "friction": "friction",
 }
 """Names of the material's unknowns in the file; `bending_length`,
-`youngs_modulus` and `bending_stiffness` follow from the first."""
+`E` and `bending_stiffness` follow from the first."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,7 +159,7 @@ class Estimate(Shown):
             ParameterError: It is no estimate, or that of a recording that gave none.
             GendomError: It cannot be read.
         """
-        read = read_json(path)
+        read = with_current_names(read_json(path))
         if read.get("format") == FORMAT and read.keys() == {"format", "verdict"}:
             reasons = read["verdict"].get("reasons", ())
             raise ParameterError(
@@ -202,11 +203,11 @@ def table_rows(record: dict[str, Any]) -> list[tuple[str, str, str]]:
     rope = record["object"]["kind"] == "rope"
     stiffness = ("bending EI", "N m^2") if rope else ("bending D", "N m")
     names = (
-        ("youngs_modulus", "Young's modulus", "Pa", ".4g"),
-        ("specific_modulus", "E / density", "m^2/s^2", ".4g"),
+        ("E", "Young's modulus", "Pa", ".4g"),
+        ("E_over_rho", "E / density", "m^2/s^2", ".4g"),
         ("bending_length", "bending length", "m", ".4f"),
         ("bending_stiffness", *stiffness, ".4g"),
-        ("poissons_ratio", "Poisson's ratio", "", ".3f"),
+        ("nu", "Poisson's ratio", "", ".3f"),
         ("damping", "damping", "s", ".2g"),
         ("friction", "friction", "", ".2f"),
         ("stiffness_slope", "d ln(E) / d(s/L)", "", ".2f"),
@@ -263,12 +264,12 @@ def _inside(scene: Scene, points: Array) -> NDArray[np.bool_]:
 
 def _bending_length(scene: Scene, theta: Theta) -> float:
     """[m]."""
-    return scene.bending_length(theta.specific_modulus, theta.thickness)
+    return scene.bending_length(theta.E_over_rho, theta.thickness)
 
 
 def bending_stiffness(scene: Scene, theta: Theta) -> float:
     """E I of a rope's section [N m^2], D of a cloth per width [N m]."""
-    E, h = theta.specific_modulus * scene.density_of(theta), theta.thickness * scene.body.thickness
+    E, h = theta.E_over_rho * scene.density_of(theta), theta.thickness * scene.body.thickness
     if scene.kind == "rope":
         return E * math.pi * h**4 / 64.0
     return E * h**3 / (12.0 * (1.0 - theta.nu**2))
@@ -315,13 +316,13 @@ def result_of(
         ],
         "notes": list(dict.fromkeys(note for fit in fits for note in fit.scene.notes)),
         "format": FORMAT,
-        "youngs_modulus": theta.specific_modulus * scene.density_of(theta),
-        "poissons_ratio": theta.nu,
+        "E": theta.E_over_rho * scene.density_of(theta),
+        "nu": theta.nu,
         "damping": theta.damping if "damping" in posterior.names else None,
         "friction": theta.friction if "friction" in posterior.names else None,
         "density": scene.density_of(theta),
         "density_assumed": described.mass is None,
-        "specific_modulus": theta.specific_modulus,
+        "E_over_rho": theta.E_over_rho,
         "bending_length": _bending_length(scene, theta),
         "bending_stiffness": bending_stiffness(scene, theta),
         "stiffness_slope": theta.stiffness_slope if "stiffness_slope" in posterior.names else None,
@@ -383,10 +384,10 @@ def result_of(
 
 def _by_itself(alone: Sequence[Posterior], level: float, verdict: Verdict) -> dict[str, Any] | None:
     """E / density from one recording alone, None where that was not computed or is not usable."""
-    name = "specific_modulus"
+    name = "E_over_rho"
     if not alone or name not in alone[0].names or not verdict.usable:
         return None
-    return {name: alone[0].theta.specific_modulus, "interval": list(alone[0].interval(name, level))}
+    return {name: alone[0].theta.E_over_rho, "interval": list(alone[0].interval(name, level))}
 
 
 def _ranges(
@@ -413,23 +414,23 @@ def _ranges(
             unit * u.value(float(posterior.prior.high[k])),
         ]
         known[key] = posterior.determined(name)
-        if name != "specific_modulus":
+        if name != "E_over_rho":
             continue
         theta = posterior.theta
         for of, value, thicker, power, other in (
             # exponents of E / density and thickness in each value, and deviations of the density
-            ("youngs_modulus", theta.specific_modulus * scene.density_of(theta), -mass, 1.0, heavy),
+            ("E", theta.E_over_rho * scene.density_of(theta), -mass, 1.0, heavy),
             ("bending_length", _bending_length(scene, theta), 2.0, 1.0 / 3.0, 0.0),
             ("bending_stiffness", bending_stiffness(scene, theta), weight, 1.0, heavy),
         ):
             powers = {name: power, "thickness": power * thicker}
             here = math.prod(getattr(theta, n) ** p for n, p in powers.items())
             intervals[of] = [value / here * end for end in posterior.product(powers, level, other)]
-            bounds[of] = [value * (end / theta.specific_modulus) ** power for end in bounds[key]]
-        known["youngs_modulus"] = known[key]
-    for name in ("specific_modulus", "nu", "friction", "damping"):
+            bounds[of] = [value * (end / theta.E_over_rho) ** power for end in bounds[key]]
+        known["E"] = known[key]
+    for name in ("E_over_rho", "nu", "friction", "damping"):
         known.setdefault(KEYS[name], False)
-    known.setdefault("youngs_modulus", False)
+    known.setdefault("E", False)
     return intervals, bounds, known
 
 
@@ -438,9 +439,9 @@ def _named(problem: Problem, vector: Sequence[float] | Array) -> dict[str, float
     names = {prior.names[k] for k in prior.of(0)}
     found = {f.name: getattr(theta, f.name) for f in fields(theta) if f.name in names}
     return {
-        "youngs_modulus": theta.specific_modulus * problem.scene.density_of(theta),
-        "specific_modulus": theta.specific_modulus,
-        "poissons_ratio": theta.nu,
+        "E": theta.E_over_rho * problem.scene.density_of(theta),
+        "E_over_rho": theta.E_over_rho,
+        "nu": theta.nu,
         "friction": theta.friction,
         **found,
     }

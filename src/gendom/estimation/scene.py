@@ -31,7 +31,7 @@ from gendom.estimation.scene_settings import (
 )
 from gendom.estimation.theta import Prior, Theta
 from gendom.materials import STANDARD_GRAVITY, catalogue
-from gendom.materials.parameters import bending_length, specific_modulus_of
+from gendom.materials.parameters import E_over_rho_of, bending_length
 from gendom.sim import Body
 
 Array = NDArray[np.floating]
@@ -208,10 +208,10 @@ class Scene:
         share = 4.0 if self.kind == "rope" else math.sqrt(12.0)
         return self.body.thickness / share
 
-    def bending_length(self, specific_modulus: float, thickness: float = 1.0) -> float:
+    def bending_length(self, E_over_rho: float, thickness: float = 1.0) -> float:
         """[m], of an object whose thickness is this multiple of the stated one."""
         k = thickness * self.radius_of_gyration
-        return bending_length(specific_modulus, k, STANDARD_GRAVITY)
+        return bending_length(E_over_rho, k, STANDARD_GRAVITY)
 
     @property
     def mass_power(self) -> int:
@@ -246,7 +246,7 @@ class Scene:
         settings, described = self.settings, self.recording.object
         if self.kind != "cloth" or not self.thin or settings.points is not None:
             return self
-        bends = self.bending_length(theta.specific_modulus, theta.thickness)
+        bends = self.bending_length(theta.E_over_rho, theta.thickness)
         longer = max(described.width or 0.0, described.height or 0.0)
         points = min(math.ceil(longer / (SHELL_SPACING * bends)) + 1, MOST_SHELL_POINTS)
         if points <= 1.1 * SHELL_POINTS:
@@ -267,9 +267,9 @@ class Scene:
         thickness."""
         return replace(self.body, thickness=theta.thickness * self.body.thickness)
 
-    def specific_modulus(self, bending: float) -> float:
+    def E_over_rho(self, bending: float) -> float:
         """E / density [m^2/s^2] of an object with this bending length [m]."""
-        return specific_modulus_of(bending, self.radius_of_gyration, STANDARD_GRAVITY)
+        return E_over_rho_of(bending, self.radius_of_gyration, STANDARD_GRAVITY)
 
     @cached_property
     def floor(self) -> float | None:
@@ -343,7 +343,7 @@ class Scene:
             ParameterError: There is no such unknown, or the object has none, or it cannot be of
                 the stated material.
         """
-        low, high = (self.specific_modulus(b * self.size) for b in BENDING_RANGE[self.kind])
+        low, high = (self.E_over_rho(b * self.size) for b in BENDING_RANGE[self.kind])
         material = self.settings.material
         return recording_prior(
             self.recording,

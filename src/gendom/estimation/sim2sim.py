@@ -96,21 +96,21 @@ SEARCHES: dict[str, Callable[[Problem, Array], Found]] = {
 """Methods, each from a start [P]; the last two take none."""
 
 
-def specific_modulus(E: float) -> float:
+def E_over_rho(E: float) -> float:
     """E / density [m^2/s^2] at our gravity of E in the paper's units."""
     return E * GRAVITY_SHARE / PAPER.density
 
 
-def paper_E(specific_modulus: float) -> float:
+def paper_E(E_over_rho: float) -> float:
     """E in the paper's units; inverse of the above."""
-    return specific_modulus * PAPER.density / GRAVITY_SHARE
+    return E_over_rho * PAPER.density / GRAVITY_SHARE
 
 
 def truth_of(E: float, nu: float) -> Theta:
     """All settings of the paper's lift."""
     assert PAPER.table is not None
     friction = float(np.asarray(PAPER.table.friction))
-    return Theta(specific_modulus=specific_modulus(E), nu=nu, damping=DAMPING, friction=friction)
+    return Theta(E_over_rho=E_over_rho(E), nu=nu, damping=DAMPING, friction=friction)
 
 
 def scene_settings(engine: str = "thin", **changes: Any) -> SceneSettings:
@@ -204,13 +204,13 @@ def sim2sim_problem(
     """
     scene = Scene.of(recording, settings or scene_settings())
     chosen = EstimateSettings(
-        unknowns=("specific_modulus", "nu"),
+        unknowns=("E_over_rho", "nu"),
         noise=EXACT,
         scene=scene.settings,
         **{"max_iterations": ITERATIONS, **other},
     )
     problem = Problem([scene], chosen, known=truth_of(float(np.mean(E_RANGE)), 0.3))
-    logs = np.log([specific_modulus(E) for E in E_RANGE])
+    logs = np.log([E_over_rho(E) for E in E_RANGE])
     low, high = np.array([logs, NU_RANGE]).T
     # the paper's prior is these ranges; without noise differences may be small
     problem.prior = replace(
@@ -292,7 +292,7 @@ def sim2sim(
             start = problem.prior.vector(truth_of(rng.uniform(*E_STARTS), rng.uniform(*NU_RANGE)))
             found = problem.theta(SEARCHES[method](problem, start).best.vector)
             x = replay(problem.scene, [truth_of(E, nu), found])[-1]
-            errors.append((paper_E(found.specific_modulus) - E, found.nu - nu, chamfer(x[0], x[1])))
+            errors.append((paper_E(found.E_over_rho) - E, found.nu - nu, chamfer(x[0], x[1])))
             if on_done is not None:
                 on_done(len(errors))
     size = np.abs(errors)

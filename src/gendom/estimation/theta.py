@@ -64,7 +64,7 @@ UNKNOWNS: dict[str, Unknown] = {
     for u in (
         # the range is that of a scene, by bending lengths: see `prior_of`
         _unknown(
-            "specific_modulus", "E / density", "m^2/s^2", "Young's modulus over density",
+            "E_over_rho", "E / density", "m^2/s^2", "Young's modulus over density",
             log=True, low=1e-2, high=1e9, mean=1e3, sd=4.0, step=0.02, widest=1.0, material=True,
         ),
         _unknown(
@@ -92,7 +92,7 @@ UNKNOWNS: dict[str, Unknown] = {
             "thickness", "thickness / stated", "1",
             "diameter of a rope, thickness of a cloth, over the stated one",
             log=True, low=0.5, high=2.0, mean=1.0, sd=0.05, step=0.02, widest=0.1, material=True,
-            steps_with=(("specific_modulus", -2.0),),
+            steps_with=(("E_over_rho", -2.0),),
         ),
         _unknown(
             "delay", "delay", "s", "how late clouds show the stated motion of the gripper",
@@ -135,7 +135,7 @@ UNKNOWNS: dict[str, Unknown] = {
 class Theta:
     """Values of `UNKNOWNS`; see there for units and meanings."""
 
-    specific_modulus: float
+    E_over_rho: float
     nu: float = 0.3
     damping: float = 0.0045
     friction: float = 0.45

@@ -335,9 +335,9 @@ def displaced(
 def _impossible_modulus(problem: Problem, vector: Array, s: VerdictSettings) -> list[str]:
     """A modulus at a bound of the search, or one that an object of its density cannot have."""
     prior, scene = problem.prior, problem.scene
-    if "specific_modulus" not in prior.names:
+    if "E_over_rho" not in prior.names:
         return []
-    k, found = prior.index("specific_modulus"), []
+    k, found = prior.index("E_over_rho"), []
     if min(vector[k] - prior.low[k], prior.high[k] - vector[k]) < 1e-3:
         found.append("E / density lies at the end of the range that was searched")
     own, density = math.exp(vector[k]), scene.density
@@ -375,7 +375,7 @@ def _pressed(problem: Problem, vector: Array, recording: int, s: VerdictSettings
 
 def _disagreeing(problem: Problem, alone: Sequence[Posterior], s: VerdictSettings) -> list[str]:
     """Recordings that disagree in E / density: the two that differ by the most deviations."""
-    name = "specific_modulus"
+    name = "E_over_rho"
     if name not in problem.prior.names:
         return []
     at = [float(p.mean[p.prior.index(name)]) for p in alone]

@@ -26,7 +26,7 @@ from gendom.estimation import Calibration, EstimateSettings, SceneSettings, Thet
 from gendom.evaluation.sheet import Ranks, Sheet
 from gendom.files import write_json
 from gendom.materials import STANDARD_GRAVITY, Material
-from gendom.materials.parameters import specific_modulus_of
+from gendom.materials.parameters import E_over_rho_of
 from gendom.reality import RealCloth, RealObject, RealRope
 from gendom.reality.chain import record_and_perceive
 from gendom.reality.objects import vertices_of
@@ -93,7 +93,7 @@ def draw_object(kind: str, seed: int) -> RealObject:
     if kind == "rope":
         length, density = between(0.25, 0.36), between(500.0, 1100.0)
         diameter, bends = length * between(0.035, 0.06), length * between(0.25, 0.7)
-        E = density * specific_modulus_of(bends, diameter / 4.0, STANDARD_GRAVITY)
+        E = density * E_over_rho_of(bends, diameter / 4.0, STANDARD_GRAVITY)
         return RealRope(
             name=f"rope-{seed}",
             length=length,
@@ -112,7 +112,7 @@ def draw_object(kind: str, seed: int) -> RealObject:
         side=side,
         thickness=thickness,
         material=Material(
-            E=density * specific_modulus_of(bends, k, STANDARD_GRAVITY),
+            E=density * E_over_rho_of(bends, k, STANDARD_GRAVITY),
             nu=nu,
             density=density,
             damping=damping,
@@ -231,7 +231,7 @@ def truth_of(item: RealObject) -> dict[str, float]:
     m = item.material
     wide = 1.0 if isinstance(item, RealRope) else (1.0 - m.nu**2) / (1.0 - Theta.nu**2)
     return {
-        "specific_modulus": m.specific_modulus / wide,
+        "E_over_rho": m.E_over_rho / wide,
         "nu": m.nu,
         "damping": m.damping,
         "friction": item.friction,
@@ -292,7 +292,7 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
     usable = [r for r in rows if r.get("verdict", {}).get("usable")]
     z = float(norm.ppf(0.5 + level / 2.0))
     found = []
-    for name in ("specific_modulus", "nu", "damping", "friction"):
+    for name in ("E_over_rho", "nu", "damping", "friction"):
         off, sd = [], []
         for row in usable:
             posterior = row["posterior"]

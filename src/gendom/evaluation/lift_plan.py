@@ -49,7 +49,7 @@ from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion
 
 Array = NDArray[np.floating]
 
-SHOWN = {"E": "specific_modulus", "damping": "damping", "friction": "friction"}
+SHOWN = {"E": "E_over_rho", "damping": "damping", "friction": "friction"}
 """Parameters whose information is compared: names of `UNKNOWNS`. Density is known, or only E /
 density counts."""
 

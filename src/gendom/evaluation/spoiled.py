@@ -274,10 +274,10 @@ def _judged(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, di
 
 def _case(recording: Recording, case: str, settings: CoverageSettings, seed: int) -> dict[str, Any]:
     item = draw_object(settings.kind, seed)
-    modulus = truth_of(item)["specific_modulus"]
+    modulus = truth_of(item)["E_over_rho"]
     truth = {
-        "specific_modulus": modulus,
-        "youngs_modulus": modulus * item.material.density,
+        "E_over_rho": modulus,
+        "E": modulus * item.material.density,
     }
     try:
         if case != GOOD:
@@ -318,7 +318,7 @@ def confusion_sheet(rows: Sequence[dict[str, dict[str, Any]]]) -> Sheet:
     found = {}
     for case, counts in confusion(rows).items():
         off = [
-            row[case]["ratios"]["youngs_modulus"]
+            row[case]["ratios"]["E"]
             for row in rows
             if row[case]["usable"] and not row[case]["right"]
         ]

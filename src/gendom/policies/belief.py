@@ -1,6 +1,6 @@
 """Uncertain objects: the most likely one, and a Gaussian over plausible ones.
 
-An estimate's posterior, or flags alone, become a Gaussian in the numbers of `PARAMETERS`, in
+An estimate's posterior, or flags alone, become a Gaussian in the numbers of `QUANTITIES`, in
 logarithms where ratios count. Numbers that no recording determines keep the deviation `ASSUMED_SD`.
 """
 
@@ -15,20 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError
-from gendom.materials import ASSUMED_SD, PARAMETERS, Item, from_columns, to_columns
+from gendom.materials import ASSUMED_SD, QUANTITIES, Item, from_columns, to_columns
 from gendom.tasks import Task
 
 Array = NDArray[np.float64]
 
 LIMITS: dict[str, tuple[float, float]] = {
-    "E": (1e-2, 1e9),
+    "E_over_rho": (1e-2, 1e9),
     "nu": (0.05, 0.45),
     "damping": (3e-4, 0.2),
     "friction": (0.02, 1.5),
 }
-"""Lowest and highest value of each uncertain parameter, in SI units (E: E / density)."""
+"""Lowest and highest value of each uncertain parameter, in SI units."""
 
-OF_POSTERIOR = {"specific_modulus": "E", "nu": "nu", "damping": "damping", "friction": "friction"}
+OF_POSTERIOR = {
+    "E_over_rho": "E_over_rho",
+    "nu": "nu",
+    "damping": "damping",
+    "friction": "friction",
+}
 """Names in the posterior of an estimate's file."""
 
 
@@ -56,7 +61,7 @@ class Belief:
     names: tuple[str, ...]
     """Of `LIMITS`, the uncertain parameters."""
     mean: Array
-    """[P] in SI units, logarithms where `PARAMETERS` says so."""
+    """[P] in SI units, logarithms where `QUANTITIES` says so."""
     covariance: Array
     """[P, P]."""
 
@@ -86,14 +91,14 @@ class Belief:
             item: With the most likely values.
             posterior: Names, transformed means and covariance, as `gendom.estimation` writes them;
                 where it holds a parameter it replaces the item's value.
-            known: Parameters that are taken as known, by names of `PARAMETERS`.
+            known: Parameters that are taken as known, by names of `QUANTITIES`.
 
         Raises:
             ParameterError: The posterior cannot be used.
         """
         columns = to_columns(item)
         doubtful = [n for n in ASSUMED_SD if n not in known]
-        mean = {n: _transformed(n, max(columns[PARAMETERS[n].column], 1e-6)) for n in doubtful}
+        mean = {n: _transformed(n, max(columns[QUANTITIES[n].column], 1e-6)) for n in doubtful}
         blocks = {n: {n: ASSUMED_SD[n] ** 2} for n in doubtful}
         if posterior is not None:
             try:
@@ -134,17 +139,17 @@ class Belief:
     ) -> Belief:
         """As `of`, where only what the task's outcome depends on is uncertain."""
         counts = uncertain(task, item)
-        certain = [n for n in PARAMETERS if n in known or n not in counts]
+        certain = [n for n in QUANTITIES if n in known or n not in counts]
         return cls.of(item, posterior, known=certain)
 
-    def doubting(self, name: str, sd: float) -> Belief:
+    def with_uncertain(self, name: str, sd: float) -> Belief:
         """With one more uncertain parameter, independent of the others, around the object's value.
 
         Args:
             name: Of `LIMITS`.
             sd: Standard deviation, of the logarithm where that counts.
         """
-        value = to_columns(self.item)[PARAMETERS[name].column]
+        value = to_columns(self.item)[QUANTITIES[name].column]
         count = len(self.names)
         covariance = np.zeros((count + 1, count + 1))
         covariance[:count, :count] = self.covariance
@@ -184,9 +189,9 @@ class Belief:
         """The object with transformed parameters [P], kept within `LIMITS`."""
         columns = dict(to_columns(self.item))
         for name, value in zip(self.names, vector, strict=True):
-            plain = math.exp(value) if PARAMETERS[name].log else float(value)
-            columns[PARAMETERS[name].column] = float(np.clip(plain, *LIMITS[name]))
-        columns["youngs_modulus"] = columns["specific_modulus"] * columns["density"]
+            plain = math.exp(value) if QUANTITIES[name].log else float(value)
+            columns[QUANTITIES[name].column] = float(np.clip(plain, *LIMITS[name]))
+        columns["E"] = columns["E_over_rho"] * columns["density"]
         return from_columns(self.item.kind, columns)
 
     def draws(self, count: int, seed: int) -> list[Item]:
@@ -203,7 +208,7 @@ class Belief:
         """
         k = self.names.index(name)
         low, high = (self.mean[k] + sign * deviations * self.sd[k] for sign in (-1.0, 1.0))
-        if PARAMETERS[name].log:
+        if QUANTITIES[name].log:
             low, high = math.exp(low), math.exp(high)
         floor, ceiling = LIMITS[name]
         return max(float(low), floor), min(float(high), ceiling)
@@ -211,7 +216,7 @@ class Belief:
 
 def uncertain(task: Task, item: Item) -> tuple[str, ...]:
     """Parameters that the outcome of a task depends on for such an object."""
-    names = ["E", "damping"]
+    names = ["E_over_rho", "damping"]
     if item.kind == "cloth":
         names.insert(1, "nu")
     if task.scene(item).table is not None or task.scene(item).self_contact:
@@ -220,4 +225,4 @@ def uncertain(task: Task, item: Item) -> tuple[str, ...]:
 
 
 def _transformed(name: str, value: float) -> float:
-    return math.log(value) if PARAMETERS[name].log else value
+    return math.log(value) if QUANTITIES[name].log else value

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gendom.errors import GendomError
-from gendom.materials import ASSUMED, KINDS, PARAMETERS, Item, from_columns, to_columns
+from gendom.materials import ASSUMED, KINDS, QUANTITIES, Item, from_columns, to_columns
 from gendom.policies.adaptation import Adapted, Execution
 from gendom.policies.belief import LIMITS, OF_POSTERIOR, Belief
 from gendom.tasks import Task
@@ -37,7 +37,7 @@ def read_estimate(
     Raises:
         GendomError: It is of another kind of object, or a number in it is none.
     """
-    names = ("youngs_modulus", "poissons_ratio", "density", "specific_modulus")
+    names = ("E", "nu", "density", "E_over_rho")
     found = {name: params.get(name) for name in names}
     # what the recording does not tell is its prior's
     told = params.get("identifiable") or {}
@@ -66,7 +66,7 @@ def read_estimate(
             )
     known = {name: float(value) for name, value in found.items() if value is not None}
     intervals = params.get("intervals") or {}
-    ends = intervals.get("youngs_modulus")
+    ends = intervals.get("E")
     if not ends:
         return known, None
     if isinstance(params.get("posterior"), dict):
@@ -76,7 +76,7 @@ def read_estimate(
     half = NormalDist().inv_cdf(0.5 + intervals.get("level", 0.9) / 2.0)
     variance = (0.5 * (high - low) / half) ** 2
     return known, {
-        "names": ["specific_modulus"],
+        "names": ["E_over_rho"],
         "mean": [0.5 * (low + high)],
         "covariance": [[variance]],
     }
@@ -86,8 +86,8 @@ def item_of(columns: Mapping[str, float], task: Task) -> Item:
     """The object of an estimate's numbers, by column name; what is missing is `ASSUMED`, or, of E
     over density, the task's."""
     known = {**ASSUMED, **columns}
-    modulus = known.get("specific_modulus", task.item.material.specific_modulus)
-    known["youngs_modulus"] = modulus * known["density"]
+    modulus = known.get("E_over_rho", task.item.material.E_over_rho)
+    known["E"] = modulus * known["density"]
     return from_columns(task.kind, known)
 
 
@@ -124,22 +124,22 @@ def updated(
     """
     belief = adapted.belief
     columns = to_columns(belief.most_likely)
-    own, density = columns["specific_modulus"], columns["density"]
+    own, density = columns["E_over_rho"], columns["density"]
     level = (record.get("intervals") or {}).get("level", LEVEL)
     deviations = NormalDist().inv_cdf(0.5 + level / 2.0)
     intervals = dict(record.get("intervals") or {"level": level})
-    changed = {key: columns[key] for key in ("youngs_modulus", "specific_modulus")}
+    changed = {key: columns[key] for key in ("E", "E_over_rho")}
     for name in belief.names:
-        column = PARAMETERS[name].column
+        column = QUANTITIES[name].column
         low, high = belief.interval(name, deviations)
         intervals[column], changed[column] = [low, high], columns[column]
-        if name == "E":
-            intervals["youngs_modulus"] = [low * density, high * density]
+        if name == "E_over_rho":
+            intervals["E"] = [low * density, high * density]
     for key, power in BENDING.items():
         if record.get(key) is not None:
-            changed[key] = record[key] * (own / record["specific_modulus"]) ** power
-            if "E" in belief.names:
-                ends = intervals["specific_modulus"]
+            changed[key] = record[key] * (own / record["E_over_rho"]) ** power
+            if "E_over_rho" in belief.names:
+                ends = intervals["E_over_rho"]
                 intervals[key] = [changed[key] * (end / own) ** power for end in ends]
     everything = {**(record.get("executions") or {}), task: [e.to_dict() for e in executions]}
     return {
@@ -171,7 +171,7 @@ def _posterior(old: Mapping[str, Any] | None, belief: Belief) -> dict[str, Any]:
 
     def end(name: str, side: int) -> float:
         value = LIMITS[name][side]
-        return math.log(value) if PARAMETERS[name].log else value
+        return math.log(value) if QUANTITIES[name].log else value
 
     own = {
         "mean": belief.mean.tolist(),
@@ -179,7 +179,7 @@ def _posterior(old: Mapping[str, Any] | None, belief: Belief) -> dict[str, Any]:
         "prior_sd": belief.sd.tolist(),
         "low": [end(n, 0) for n in belief.names],
         "high": [end(n, 1) for n in belief.names],
-        "log": [PARAMETERS[n].log for n in belief.names],
+        "log": [QUANTITIES[n].log for n in belief.names],
     }
     if "recordings" in old:
         own["recordings"] = [None] * count

@@ -29,7 +29,7 @@ class IdentifySettings:
     """Of the search; numbers are scipy's own."""
 
     ranges: Mapping[str, tuple[float, float]] = field(
-        default_factory=lambda: {"E": (0.2, 0.8), "damping": (0.005, 0.15)}
+        default_factory=lambda: {"bending_ratio": (0.2, 0.8), "damping": (0.005, 0.15)}
     )
     """Lowest and highest value of each parameter, as `dimensionless_parameters` has them."""
     population: int = 15

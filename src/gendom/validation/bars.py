@@ -24,7 +24,7 @@ def axial_vibration(settings: Settings) -> list[Check]:
     for cells, slenderness in ((2, 10),) if settings.quick else ((2, 10), (4, 10), (4, 20)):
         L = slenderness * SIDE
         material = Material(E=1.0e6, nu=0.3)
-        c = math.sqrt(material.specific_modulus)
+        c = math.sqrt(material.E_over_rho)
         omega = math.pi * c / (2.0 * L)
         s = clamped_bar(settings, cells, L, material, pull=0.0, damping=0.0)
         body = s.body
@@ -58,7 +58,7 @@ def tension(settings: Settings) -> list[Check]:
     L = 8.0 * SIDE
     strain, g = 2.0e-3, 9.81
     material = Material(E=1000.0 * g * L / strain, nu=0.3, density=1000.0)
-    omega = math.pi * math.sqrt(material.specific_modulus) / (2.0 * L)
+    omega = math.pi * math.sqrt(material.E_over_rho) / (2.0 * L)
 
     def read(damping: float, time: float) -> tuple[float, float, float]:
         """E [Pa], nu [-] and damping times substep [-] of a bar at rest."""

@@ -109,9 +109,9 @@ def _sag(settings: Settings, of: str, edges: int) -> float:
     else:
         body, hand = clamped_strip(math.sqrt(12.0) * k, SPAN / 20.0, (edges + 2, 2))
         shear = 0.0
-    omega = 3.516 * math.sqrt(material.specific_modulus) * k / SPAN**2
+    omega = 3.516 * math.sqrt(material.E_over_rho) * k / SPAN**2
     sag = 1e-4 * SPAN
-    g = 8.0 * material.specific_modulus * k**2 * sag / SPAN**4
+    g = 8.0 * material.E_over_rho * k**2 * sag / SPAN**4
     s = settings.simulator(
         body, [material], engine="thin", grippers=[hand], gravity=(0, 0, -g), air_density=0.0,
         velocity_damping=2.0 * omega,
@@ -133,7 +133,7 @@ def _wave(
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Displacement of each section, simulated and analytic, in units of the amplitude [S]."""
     dx, material = LENGTH / cells, Material(E=1.0e5, nu=0.0, density=1000.0)
-    c = math.sqrt(material.specific_modulus)
+    c = math.sqrt(material.E_over_rho)
     omega = math.pi * c / LENGTH
     body = block((LENGTH, 2.0 * dx, 2.0 * dx), dx, centre=(LENGTH / 2.0, 0.0, 0.0))
     s = settings.simulator(body, [material], gravity=(0.0, 0.0, 0.0), cfl=share)

@@ -166,7 +166,7 @@ def elastic_frequency(material: Material, k: float, L: float) -> float:
         k: Radius of gyration [m].
         L: Length [m].
     """
-    bending = ROOT**2 * math.sqrt(material.specific_modulus) * k / L**2
+    bending = ROOT**2 * math.sqrt(material.E_over_rho) * k / L**2
     shear = math.pi / 2.0 * math.sqrt(shear_modulus(material) / material.density) / L
     return (bending**-2 + shear**-2) ** -0.5
 
@@ -183,7 +183,7 @@ def shear_modulus(material: Material) -> float:
 def gravity_for(sag: float, material: Material, k: float, L: float) -> float:
     """Gravity under which a round cantilever sags so much, w L^4 / (8 E I) + w L^2 / (2 kappa G A)
     [m/s^2]."""
-    bending = L**4 / (8.0 * material.specific_modulus * k**2)
+    bending = L**4 / (8.0 * material.E_over_rho * k**2)
     return sag / (bending + L**2 * material.density / (2.0 * shear_modulus(material)))
 
 

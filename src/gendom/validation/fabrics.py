@@ -48,7 +48,7 @@ def curls(settings: Settings) -> list[Check]:
         kappa[axis, axis] = turn / LENGTH
         body, hand = strip(axis, 41, natural_curvature=kappa)
         material = Material(E=2.0e7, nu=0.3, density=1000.0)
-        omega = 3.516 * math.sqrt(material.specific_modulus / 12.0) * THICKNESS / LENGTH**2
+        omega = 3.516 * math.sqrt(material.E_over_rho / 12.0) * THICKNESS / LENGTH**2
         s = settings.simulator(
             body, [material], engine="thin", grippers=[hand], gravity=(0, 0, 0), air_density=0.0,
             velocity_damping=2.0 * omega,
@@ -160,7 +160,7 @@ def _stretch(
 def _level(settings: Settings) -> list[Check]:
     """Strips along both axes that sag by 2 % of their length."""
     material = Material(E=2.0e7, nu=0.0, density=1000.0)
-    bending = WEAVE.bending * material.specific_modulus * THICKNESS**2 / 12.0
+    bending = WEAVE.bending * material.E_over_rho * THICKNESS**2 / 12.0
     omega = 3.516 * math.sqrt(bending) / LENGTH**2
     checks = []
     for axis, name in ((0, "warp"), (1, "weft")):

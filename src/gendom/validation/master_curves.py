@@ -443,9 +443,9 @@ def _worst(ratios: NDArray[np.floating]) -> float:
 
 def _frequency(k: float, material: Material) -> float:
     """First angular frequency of a cantilever of ``LENGTH`` [rad/s], k its radius of gyration."""
-    return 3.516 * math.sqrt(material.specific_modulus) * k / LENGTH**2
+    return 3.516 * math.sqrt(material.E_over_rho) * k / LENGTH**2
 
 
 def _unit_gravity(k: float, material: Material) -> float:
     """Gravity at which Gamma is 1 [m/s^2]."""
-    return material.specific_modulus * k**2 / LENGTH**3
+    return material.E_over_rho * k**2 / LENGTH**3

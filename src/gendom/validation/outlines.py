@@ -70,7 +70,7 @@ def cut_strips(settings: Settings) -> list[Check]:
     L, back, width = 0.2, 0.025, 0.06
     material = Material(E=2.0e7, nu=0.0, density=1000.0)
     loads = np.array([0.3, 30.0])
-    g = loads * material.specific_modulus * THICKNESS**2 / (12.0 * L**3)
+    g = loads * material.E_over_rho * THICKNESS**2 / (12.0 * L**3)
     strip = np.array([(-back, -0.5), (L, -0.5), (L, 0.5), (-back, 0.5)]) * [1.0, width]
     checks = []
     for degrees in (20.0, 45.0):

@@ -59,7 +59,7 @@ def _bent_strips(settings: Settings) -> list[Check]:
         for side in (-1.0, 1.0)
     ]
     materials = [replace(MATERIAL, nu=nu) for nu in (0.1, 0.4)]
-    omega = 22.4 * math.sqrt(MATERIAL.specific_modulus / 12.0) * THICKNESS / L**2
+    omega = 22.4 * math.sqrt(MATERIAL.E_over_rho / 12.0) * THICKNESS / L**2
     s = settings.simulator(
         body, materials, engine="thin", grippers=hands, gravity=(0, 0, 0), air_density=0.0,
         velocity_damping=2.0 * omega,

@@ -76,8 +76,8 @@ def elastica(settings: Settings) -> list[Check]:
     ratios = np.array([1.0, 2.0, 3.0])
     material, d = Material(E=2.0e7, nu=0.3, density=1000.0), 0.004
     k, back, L = d / 4.0, 0.02, 0.3
-    omega = 3.516 * math.sqrt(material.specific_modulus) * k / L**2
-    g = material.specific_modulus * k**2 * ratios**3 / L**3
+    omega = 3.516 * math.sqrt(material.E_over_rho) * k / L**2
+    g = material.E_over_rho * k**2 * ratios**3 / L**3
     counts = (17, 33) if settings.quick else (17, 33, 65)
     errors = []
     for points in counts:
@@ -111,7 +111,7 @@ def graded(settings: Settings) -> list[Check]:
     # sags over w L^4 / (E0 I), and loads under which they are 0.5 % of the length
     theory = [quad(lambda s, a=a: 0.5 * (1 - s) ** 3 * math.exp(-a * s), 0, 1)[0] for a in rates]
     sag = 5e-3 * LENGTH
-    g = sag / np.array(theory) * material.specific_modulus * k**2 / LENGTH**4
+    g = sag / np.array(theory) * material.E_over_rho * k**2 / LENGTH**4
     along = np.clip(body.points[:, 0] / LENGTH, 0.0, None)
     omega = 1.24 * np.sqrt(g / sag)
     s = settings.simulator(

@@ -30,8 +30,8 @@ def strips(settings: Settings) -> list[Check]:
     """Clamped strips along both axes that sag by 2 % of their length; the clamp ends anywhere."""
     L, width = 0.2, 0.03
     k = THICKNESS / math.sqrt(12.0)
-    omega = 3.516 * math.sqrt(MATERIAL.specific_modulus) * k / L**2
-    g = 8.0 * MATERIAL.specific_modulus * k**2 * 0.02 / L**3
+    omega = 3.516 * math.sqrt(MATERIAL.E_over_rho) * k / L**2
+    g = 8.0 * MATERIAL.E_over_rho * k**2 * 0.02 / L**3
     checks = []
     for axis, name in ((0, "first"), (1, "second")):
         sags = []
@@ -116,7 +116,7 @@ def stretched(settings: Settings) -> list[Check]:
 def ring_down(settings: Settings) -> list[Check]:
     """A clamped strip pushed in its first mode, with damping of 1, 3 and 10 ms and without."""
     times, L = (0.0, 0.001, 0.003, 0.01), 0.15
-    omega = 1.8751040687**2 * math.sqrt(MATERIAL.specific_modulus / 12.0) * THICKNESS / L**2
+    omega = 1.8751040687**2 * math.sqrt(MATERIAL.E_over_rho / 12.0) * THICKNESS / L**2
     body = cloth(
         width=2.0 * L, height=0.02, thickness=THICKNESS, dx=0.02, corner=(-L, 0, 0), points=(49, 3)
     )

@@ -78,8 +78,8 @@ def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Foun
     initial = prior.vector(*problem.bases)
     vector, covariance = initial.copy(), np.diag(prior.sd**2)
     # the modulus goes with the bending length cubed
-    modulus = math.log(scene.specific_modulus(math.exp(float(mean[0])) * scene.size))
-    predicted = {"specific_modulus": (modulus, 3.0), "nu": (float(mean[1]), 1.0)}
+    modulus = math.log(scene.E_over_rho(math.exp(float(mean[0])) * scene.size))
+    predicted = {"E_over_rho": (modulus, 3.0), "nu": (float(mean[1]), 1.0)}
     for n, (name, (value, share)) in enumerate(predicted.items()):
         if name in prior.names:
             k = prior.names.index(name)

@@ -139,7 +139,7 @@ def simulated_lifts(
                 seen = skin[visible(skin, camera_positions=scene.recording.camera_positions)]
                 skin = np.resize(seen, skin.shape)
             clouds.append(normalised(scene, skin, scene.frames[-1]))
-            bending = scene.bending_length(theta.specific_modulus)
+            bending = scene.bending_length(theta.E_over_rho)
             targets.append((math.log(bending / scene.size), theta.nu))
     if not clouds:
         raise SimulationError("no lift could be simulated", fix="draw other parameters")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.evaluation.tables.workbench import Workbench
-from gendom.materials import PARAMETERS, to_columns
+from gendom.materials import QUANTITIES, to_columns
 from gendom.policies.belief import Belief
 from gendom.policies.estimates import believed
 from gendom.tasks import Task
@@ -81,6 +81,6 @@ def stated(belief: Belief) -> dict[str, Any]:
     """Means and 90 % intervals by parameter, for JSON."""
     columns = to_columns(belief.most_likely)
     return {
-        name: {"mean": columns[PARAMETERS[name].column], "interval_90": belief.interval(name)}
+        name: {"mean": columns[QUANTITIES[name].column], "interval_90": belief.interval(name)}
         for name in belief.names
     }

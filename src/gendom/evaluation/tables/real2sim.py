@@ -37,7 +37,7 @@ METHODS = {
 }
 """Rows by kind of object: methods, and the frames that they see."""
 
-KEPT = ("youngs_modulus", "chamfer_last", "chamfer_mean", "chamfer_last_surface",
+KEPT = ("E", "chamfer_last", "chamfer_mean", "chamfer_last_surface",
         "chamfer_mean_surface", "rms", "iterations", "seconds")  # fmt: skip
 """Keys of an estimate's record that a row takes over."""
 
@@ -99,7 +99,7 @@ def _rows(own: dict[str, Any], settings: Real2SimSettings, name: str) -> dict[st
     motion = predefined_lift(item.kind)
     if item.kind == "rope":
         motion = replace(motion, rise=RISE / LENGTH)
-    truth = truth_of(item)["specific_modulus"] * item.material.density
+    truth = truth_of(item)["E_over_rho"] * item.material.density
     rows = {}
     for method, frames in METHODS[item.kind]:
         if settings.methods and method not in settings.methods:
@@ -118,7 +118,7 @@ def _rows(own: dict[str, Any], settings: Real2SimSettings, name: str) -> dict[st
         except ModuleNotFoundError as error:
             row["skipped"] = f"needs {error.name}; install it with: {how_to_install('train')}"
         else:
-            row["error"] = math.log(row["youngs_modulus"] / truth)
+            row["error"] = math.log(row["E"] / truth)
         rows[label] = row
     return rows
 

@@ -334,7 +334,7 @@ def _measured(
     }
     true, _ = measure("ours, true parameters", lambda: choose(policies["ours"], cases))
     assumed = [
-        Belief.for_task(cases.task, _middling(rope)).doubting("E", WITHOUT_LIFT)
+        Belief.for_task(cases.task, _middling(rope)).with_uncertain("E_over_rho", WITHOUT_LIFT)
         for rope in cases.items
     ]
     blind, _ = done["ours, no parameters"]
@@ -416,7 +416,7 @@ def _polished(
 
 def _middling(rope: Item) -> Item:
     """A rope with these sizes and this mass; all else is unknown."""
-    return with_dimensionless(rope, {"E": 0.45, "damping": 0.02, "nu": 0.3})
+    return with_dimensionless(rope, {"bending_ratio": 0.45, "damping": 0.02, "nu": 0.3})
 
 
 def _plain(values: Array) -> list[Any]:

@@ -252,7 +252,7 @@ def _real2sim_texts(name: str, row: Mapping[str, Any]) -> tuple[str, ...]:
     if "skipped" in row:
         return ("", f"{row['truth']:.3g}", "", "", paper, f"skipped: {row['skipped']}")
     return (
-        f"{row['youngs_modulus']:.3g}",
+        f"{row['E']:.3g}",
         f"{row['truth']:.3g}",
         f"{row['error']:+.3f}",
         f"{1e3 * row['chamfer_last']:.1f}",

@@ -36,11 +36,11 @@ LENGTH = 0.5
 METRIC = 9.81 * ROPE.length / (12.0 * LENGTH)
 """E / density of our rope [m^2/s^2] by the paper's E, see `gendom.tasks.rope_reaching`."""
 
-ABLATION_RANGES = {"E": (500.0, 10500.0), "nu": (0.2, 0.4)}
+ABLATION_RANGES = {"E_over_rho": (500.0, 10500.0), "nu": (0.2, 0.4)}
 
-IN_DOMAIN = {"E": (1500.0, 8200.0), "nu": (0.34, 0.36)}
+IN_DOMAIN = {"E_over_rho": (1500.0, 8200.0), "nu": (0.34, 0.36)}
 
-OUTSIDE = {"E": (500.0, 1500.0), "nu": (0.3, 0.33)}
+OUTSIDE = {"E_over_rho": (500.0, 1500.0), "nu": (0.3, 0.33)}
 
 ROPES = ((1779.38, 0.35), (3276.12, 0.346), (8000.31, 0.36))
 """E and nu of the paper's three ropes, the cotton one first."""
@@ -52,7 +52,12 @@ ARCHITECTURES = {"inverse": "paper", "distal": "smooth", "refined": "smooth"}
 """Of networks by row: the paper's for its method, ours for ours. ``refined``: distal, then refined
 in the simulator."""
 
-SEES: dict[str, tuple[str, ...]] = {"both": ("E", "nu"), "E": ("E",), "nu": ("nu",), "none": ()}
+SEES: dict[str, tuple[str, ...]] = {
+    "both": ("bending_ratio", "nu"),
+    "E": ("bending_ratio",),
+    "nu": ("nu",),
+    "none": (),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,9 +145,12 @@ def generalization(bench: Workbench, settings: SimulatedSettings) -> dict[str, A
     task, world = _task(settings, IN_DOMAIN), _world(bench, settings)
     name = f"generalization-{task.name}-{settings.engine}"
     data = bench.demonstrations(name, Demonstrator(task=task, world=world), settings.demonstrations)
+    both = SEES["both"]
     wanted = {
-        "ours, inverse": _wanted(bench, data, settings, "inverse", ("E", "nu"), "smooth"),
-        "ours": _wanted(bench, data, settings, "refined", ("E", "nu")),
+        "ours, inverse": _wanted(
+            bench, data, settings, "inverse", ("bending_ratio", "nu"), "smooth"
+        ),
+        "ours": _wanted(bench, data, settings, "refined", both),
         "ours, no parameters": _wanted(bench, data, settings, "refined", ()),
     }
     found: dict[str, Any] = {}
@@ -189,8 +197,8 @@ def _task(settings: SimulatedSettings, ranges: Mapping[str, tuple[float, float]]
 
 
 def _metric(ranges: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    low, high = ranges["E"]
-    return {**ranges, "E": (METRIC * low, METRIC * high)}
+    low, high = ranges["E_over_rho"]
+    return {**ranges, "E_over_rho": (METRIC * low, METRIC * high)}
 
 
 def _rope(like: Item, E: float, nu: float) -> Rope:
@@ -252,7 +260,9 @@ def _identified(
         for item, a, o in zip(items, actions, world.carry_out(task, items, actions), strict=True)
         if o.fault is None
     ]
-    ranges = IdentifySettings(ranges={"E": (0.2, 0.8), "nu": (0.2, 0.4)}, seed=bench.seed)
+    ranges = IdentifySettings(
+        ranges={"bending_ratio": (0.2, 0.8), "nu": (0.2, 0.4)}, seed=bench.seed
+    )
     found = identify(task, seen, world=world, settings=ranges)
     return {"parameters": found.parameters, "misfit": found.misfit}
 

@@ -15,8 +15,8 @@ from gendom.viz.report.summary import EstimateSummary
 
 # Name in a posterior -> key of its truth, and what people call it. Others are of the recording.
 _MATERIAL = {
-    "specific_modulus": ("youngs_modulus", "Young's modulus"),
-    "nu": ("poissons_ratio", "Poisson's ratio"),
+    "E_over_rho": ("E", "Young's modulus"),
+    "nu": ("nu", "Poisson's ratio"),
     "damping": ("damping", "Damping"),
     "friction": ("friction", "Friction on the table"),
     "stiffness_slope": ("stiffness_slope", "d ln E / d(s / L)"),
@@ -67,10 +67,10 @@ def _chart(summary: EstimateSummary, posterior: Mapping[str, Any], k: int) -> st
     factor, unit = _SHOWN_UNITS.get(unit, (1.0, unit))
     true = summary.true(key)
     density = summary.value("density")
-    if name == "specific_modulus" and density is not None:
-        scale, unit = pascal_unit(summary.values["youngs_modulus"])
+    if name == "E_over_rho" and density is not None:
+        scale, unit = pascal_unit(summary.values["E"])
         factor, true = scale * density, None if true is None else scale * true
-    elif name == "specific_modulus":
+    elif name == "E_over_rho":
         title, true = "Specific modulus E / ρ", summary.true(name)
     elif true is not None:
         true *= factor

@@ -11,14 +11,14 @@ from gendom.viz.report.summary import EstimateSummary
 
 # Key of an estimate, its name, and what to say about it.
 _ROWS = (
-    ("youngs_modulus", "Young's modulus <i>E</i>"),
-    ("poissons_ratio", "Poisson's ratio <i>ν</i>"),
+    ("E", "Young's modulus <i>E</i>"),
+    ("nu", "Poisson's ratio <i>ν</i>"),
     ("friction", "Friction on the table <i>μ</i>"),
     ("damping", "Damping"),
     ("stiffness_slope", "d ln <i>E</i> / d(<i>s</i> / <i>L</i>)"),
     ("thickness", "Diameter or thickness"),
     ("density", "Density <i>ρ</i>"),
-    ("specific_modulus", "Specific modulus <i>E</i> / <i>ρ</i>"),
+    ("E_over_rho", "Specific modulus <i>E</i> / <i>ρ</i>"),
     ("bending_length", "Bending length"),
 )
 
@@ -82,13 +82,13 @@ def _remark(key: str, summary: EstimateSummary) -> str:
     if summary.usable is False:
         return ""
     texts = []
-    known = summary.determined("youngs_modulus" if key == "specific_modulus" else key)
+    known = summary.determined("E" if key == "E_over_rho" else key)
     if known is False:
         said = (
             "a usual value" if summary.interval(key) is None else "the interval is mostly the prior"
         )
         texts.append(f"The lift does not determine this: {said}.")
-    elif key == "specific_modulus":
+    elif key == "E_over_rho":
         texts.append("What a motion under gravity depends on, whatever the density.")
     elif key == "bending_length":
         texts.append("About the length over which the object bends under its own weight.")

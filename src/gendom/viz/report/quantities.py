@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-RATIOS = ("poissons_ratio", "friction", "stiffness_slope")
+RATIOS = ("nu", "friction", "stiffness_slope")
 """Quantities without a unit, on a linear scale."""
 
 
@@ -24,7 +24,7 @@ def finite(value: Any) -> float | None:
 
 def quantity_text(key: str, value: float) -> str:
     """A value with its unit."""
-    if key == "youngs_modulus":
+    if key == "E":
         factor, unit = pascal_unit(value)
         return with_minus(f"{value * factor:.4g} {unit}")
     if key in ("bending_length", "thickness"):
@@ -33,15 +33,15 @@ def quantity_text(key: str, value: float) -> str:
         return with_minus(f"{value:.3f}")
     if key == "damping":
         return with_minus(f"{1e3 * value:.3g} ms")
-    unit = {"density": " kg/m³", "specific_modulus": " m²/s²"}[key]
+    unit = {"density": " kg/m³", "E_over_rho": " m²/s²"}[key]
     return with_minus(f"{value:.4g}{unit}")
 
 
 def interval_text(key: str, interval: tuple[float, float]) -> str:
     """Both ends in one unit."""
     low, high = interval
-    factor, unit = 1.0, {"density": "kg/m³", "specific_modulus": "m²/s²"}.get(key, "")
-    if key == "youngs_modulus":
+    factor, unit = 1.0, {"density": "kg/m³", "E_over_rho": "m²/s²"}.get(key, "")
+    if key == "E":
         factor, unit = pascal_unit(high)
     elif key in ("bending_length", "thickness"):
         factor, unit = 1e3, "mm"

@@ -36,7 +36,7 @@ class EstimateSummary:
             raise GendomError(
                 f"is {found!r}", where="estimate.format", fix=f"give {ESTIMATE_FORMAT!r}"
             )
-        for key in ("youngs_modulus", "poissons_ratio"):
+        for key in ("E", "nu"):
             if finite(self.values.get(key)) is None:
                 raise GendomError("is no number", where=f"estimate.{key}", fix="estimate again")
         for name in ("intervals", "bounds"):

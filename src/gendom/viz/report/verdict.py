@@ -8,8 +8,8 @@ from gendom.viz.report.markup import escaped
 from gendom.viz.report.summary import EstimateSummary
 
 _NAMES = {
-    "youngs_modulus": "Young's modulus",
-    "poissons_ratio": "Poisson's ratio",
+    "E": "Young's modulus",
+    "nu": "Poisson's ratio",
     "damping": "damping",
     "friction": "friction",
     "stiffness_slope": "the change of stiffness along the rope",
