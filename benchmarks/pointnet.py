@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from gendom.datasets import Recording
-from gendom.estimation import Scene, Theta
+from gendom.estimation import LiftScene, Theta
 from gendom.estimation.methods.pointnet import ASSET, grouped, read_network
 from gendom.estimation.methods.pointnet_network import (
     PointNetTraining,
@@ -51,9 +51,9 @@ def main() -> None:
     given = parser.parse_args()
     if given.recording is None:
         settings = scene_settings(threads=given.threads)
-        scene = Scene.of(sim2sim_recording(5000.0, 0.3, settings=settings), settings)
+        scene = LiftScene.of(sim2sim_recording(5000.0, 0.3, settings=settings), settings)
     else:
-        scene = Scene.of(Recording.read(given.recording))
+        scene = LiftScene.of(Recording.read(given.recording))
     began = time.perf_counter()
     rng = np.random.default_rng(given.seed)
     cameras = given.recording is not None
@@ -106,7 +106,7 @@ def main() -> None:
         print(f"{name:<32} {value}")
 
 
-def drawn(scene: Scene, rng: np.random.Generator, *, paper: bool) -> Theta:
+def drawn(scene: LiftScene, rng: np.random.Generator, *, paper: bool) -> Theta:
     """Parameters of a random rope: the paper's, or any for a recorded lift."""
     if paper:
         return truth_of(rng.uniform(*E_RANGE), rng.uniform(*NU_RANGE))

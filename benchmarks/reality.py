@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gendom.datasets import Recording
-from gendom.estimation import Estimate, EstimateSettings, Scene, estimate, replay
+from gendom.estimation import Estimate, EstimateSettings, LiftScene, estimate, replay
 from gendom.estimation.replay import middle
 from gendom.files import write_json
 from gendom.reality import OBJECTS, RealObject, RealRope, find_object
@@ -55,7 +55,7 @@ def measure(
     else:
         found = estimate(recording, EstimateSettings(starts=args.starts, seed=args.seed))
         found.save(folder / "estimate.json")
-    record, scene = found.record, Scene.of(recording)
+    record, scene = found.record, LiftScene.of(recording)
     x = middle(scene, replay(scene, [found.theta])[:, 0])
     truth = np.load(folder / "truth" / "truth.npz")
     times = recording.time[list(scene.frames)]

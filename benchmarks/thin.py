@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gendom.estimation.theta import UNKNOWNS
 from gendom.materials import Material
+from gendom.materials.unknowns import UNKNOWNS
 from gendom.sim import Body, Gripper, Rollout, Simulator, Table, cloth, rope
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation
@@ -36,7 +36,7 @@ OF_CLOTH = (
     "E_over_rho", "nu", "damping", "friction", "thickness", "delay", "grip_height",
     "grip_along", "grip_aside", "grip_tilt", "grip_reach", "yaw",
 )  # fmt: skip
-"""Unknowns of an estimate, see ``gendom.estimation.theta.UNKNOWNS``."""
+"""Unknowns of an estimate, see ``gendom.materials.unknowns.UNKNOWNS``."""
 
 FRICTION, TILT = 0.3, 0.8
 """On the table; how far a held corner turns [rad]."""

@@ -13,7 +13,7 @@ import pytest
 
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import DeviceError
-from gendom.estimation import Scene, SceneSettings, Theta, replay
+from gendom.estimation import LiftScene, SceneSettings, Theta, replay
 from gendom.materials.parameters import E_over_rho_of
 from gendom.observation import visible
 from gendom.perception.realsense import realsense_sdk
@@ -74,7 +74,7 @@ class SimulatedLift:
             truth: Changes to the parameters.
         """
         rng = np.random.default_rng(seed)
-        scene = Scene.of(self.at_rest(frames, swing=swing), self.settings)
+        scene = LiftScene.of(self.at_rest(frames, swing=swing), self.settings)
         scene = replace(scene, frames=tuple(range(frames)))  # not only those worth comparing
         clouds = []
         for x in replay(scene, [self.truth.with_values(truth)])[:, 0]:
@@ -86,7 +86,7 @@ class SimulatedLift:
         return self.recording(clouds, swing=swing)
 
 
-def filled(scene: Scene, x: np.ndarray) -> np.ndarray:
+def filled(scene: LiftScene, x: np.ndarray) -> np.ndarray:
     """[m, 3] points all over the skin of a simulated object [N, 3] of the thin engine [m]."""
     if scene.kind == "rope":
         return scene.body.surface(x)

@@ -54,7 +54,7 @@ def test_a_longer_recording_is_foretold(files, lifted, params, tmp_path, capsys)
 
 def test_in_its_own_recording_all_of_an_estimate_is_taken(lifted, params):
     scene, theta = replay_setup(lifted, params, "here", "cpu")
-    assert asdict(theta) == params["theta"] and theta.grip_height > 0.002
+    assert dict(theta) == params["theta"] and theta.grip_height > 0.002
     assert scene.recording is lifted and len(scene.frames) == 16
     assert scene.settings.points == 15 and scene.clock == params["simulation"]["clock"]
 

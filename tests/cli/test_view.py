@@ -19,7 +19,7 @@ from gendom.cli.view_layers import RING
 from gendom.cli.view_recording import CHAMFER, RecordingModel, find_recording
 from gendom.datasets import Recording
 from gendom.errors import DatasetError, GendomError, SimulationError
-from gendom.estimation import Scene, Theta, chamfers, replay
+from gendom.estimation import LiftScene, Theta, chamfers, replay
 from gendom.files import read_json, write_json
 from gendom.viz.viewer import MATERIAL, MeshLayer
 
@@ -45,7 +45,7 @@ def lifted(rope_lift):
 @pytest.fixture(scope="module")
 def lift_model(rope_lift, lifted):
     """The rope with its true parameters."""
-    scene = of_all_frames(Scene.of(lifted, rope_lift.settings), lifted)
+    scene = of_all_frames(LiftScene.of(lifted, rope_lift.settings), lifted)
     return RecordingModel(scene, rope_lift.truth, "a lift")
 
 
@@ -104,14 +104,14 @@ def test_values_beyond_what_is_searched_have_room(lift_model):
 
 
 def test_without_a_table_there_is_no_friction(rope_lift):
-    scene = Scene.of(rope_lift.at_rest(4, table_height=None), rope_lift.settings)
+    scene = LiftScene.of(rope_lift.at_rest(4, table_height=None), rope_lift.settings)
     model = RecordingModel(scene, rope_lift.truth, "")
     assert "friction" not in {p.name for p in model.parameters(0)}
 
 
 def test_a_cloth_is_a_lattice_and_says_that_it_takes_longer(cloth_lift):
     seen = cloth_lift.at_rest(4)
-    model = RecordingModel(Scene.of(seen, cloth_lift.settings), cloth_lift.truth, "")
+    model = RecordingModel(LiftScene.of(seen, cloth_lift.settings), cloth_lift.truth, "")
     cloth = layers(shown(model)[0])["simulated"]
     assert isinstance(cloth, MeshLayer)
     rows, columns = model.scene.body.shape
@@ -153,7 +153,7 @@ def test_an_unknown_object_begins_in_the_middle(lifted):
 def test_particles_are_shown_as_a_chain(lifted):
     from gendom.estimation import SceneSettings
 
-    scene = Scene.of(lifted.head(2), SceneSettings(engine="mpm"))
+    scene = LiftScene.of(lifted.head(2), SceneSettings(engine="mpm"))
     rope = layers(shown(RecordingModel(scene, Theta(E_over_rho=700.0), ""))[0])["simulated"]
     assert isinstance(rope, MeshLayer) and rope.vertices.shape[0] == 2
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gendom.datasets import Recording
-from gendom.estimation import EstimateSettings, Scene, SceneSettings, estimate, replay
+from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, estimate, replay
 from gendom.estimation.likelihood import Observation
 
 
@@ -31,7 +31,7 @@ def test_a_cable_in_fast_motion_comes_back(cable):
     grippers, is found again."""
     recording = cable.head(120)
     every = SceneSettings(fast_frames=200, slow_frames=200)
-    scene = Scene.of(recording, every)
+    scene = LiftScene.of(recording, every)
     assert scene.velocities is not None and np.abs(scene.velocities).max() > 0.3
     prior, base = scene.prior()
     assert "friction" not in prior.names and "damping" in prior.names
@@ -50,7 +50,7 @@ def test_a_cable_is_predicted_from_one_sequence(cable, real_data):
     theta = estimate(cable, EstimateSettings(starts=1)).theta
     for name in ("eval_004", "eval_010"):
         other = Recording.read(real_data / f"cable_dlo3_{name}.npz", on_warning=lambda _: None)
-        scene = Scene.of(other, SceneSettings(fast_frames=500, slow_frames=500))
+        scene = LiftScene.of(other, SceneSettings(fast_frames=500, slow_frames=500))
         x = markers(scene, replay(scene, [theta])[:, 0])
         assert np.abs(x - other.points.reshape(x.shape)).mean() < 0.0099
 

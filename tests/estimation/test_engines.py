@@ -7,7 +7,7 @@ import pytest
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
-from gendom.estimation import EstimateSettings, Scene, SceneSettings, Theta, estimate, replay
+from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, Theta, estimate, replay
 from gendom.estimation.replay import lattice, middle
 from gendom.sim import rope
 
@@ -22,7 +22,7 @@ def recording():
 def test_both_engines_lift_a_rope_alike(recording):
     x, scenes = [], []
     for engine in ("thin", "mpm"):
-        scene = Scene.of(recording, SceneSettings(engine=engine, slow_frames=3, fast_frames=3))
+        scene = LiftScene.of(recording, SceneSettings(engine=engine, slow_frames=3, fast_frames=3))
         at = replay(scene, [THETA])[:, 0]
         x.append(middle(scene, at))
         scenes.append(scene)

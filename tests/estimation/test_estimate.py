@@ -11,7 +11,7 @@ from gendom.errors import ParameterError, RecordingError
 from gendom.estimation import (
     UNKNOWNS,
     EstimateSettings,
-    Scene,
+    LiftScene,
     SceneSettings,
     Theta,
     chamfers,
@@ -144,7 +144,7 @@ def test_record_is_gendom_estimate_1(rope_lift, result):
     assert record["density"] == pytest.approx(density) and not record["density_assumed"]
     assert record["E"] == pytest.approx(record["E_over_rho"] * density)
     assert record["E_over_rho"] == estimated.theta.E_over_rho
-    assert record["theta"] == asdict(estimated.theta)
+    assert record["theta"] == dict(estimated.theta)
     k = rope_lift.object.diameter / 4.0
     bending = bending_length(record["E_over_rho"], k, 9.81)
     assert record["bending_length"] == pytest.approx(bending, rel=1e-3)
@@ -239,7 +239,7 @@ def test_ctrl_c_on_the_way_from_calm_to_fast_frames(rope_lift, settings):
     """The search begins with the calm frames; what it is left with is compared with all."""
     lifted = rope_lift.seen(frames=24)
     calm = replace(settings, scene=replace(settings.scene, slow=0.1))
-    scene = Scene.of(lifted, calm.scene)
+    scene = LiftScene.of(lifted, calm.scene)
     assert 6 <= len(scene.calm) < len(scene.frames)
 
     def interrupt(progress):
@@ -295,7 +295,7 @@ def test_what_there_is_not_is_refused(lifted, changes, words):
 
 def test_grip_height_raises_the_object(rope_lift):
     """What hangs 5 mm higher than stated is held 5 mm higher, once off the table."""
-    scene = Scene.of(rope_lift.at_rest(5), rope_lift.settings)
+    scene = LiftScene.of(rope_lift.at_rest(5), rope_lift.settings)
     thetas = [rope_lift.truth.with_values({"grip_height": h}) for h in (0.0, 0.005)]
     x = replay(scene, thetas)
     held = int(np.linalg.norm(scene.body.points - scene.held[0], axis=1).argmin())
@@ -305,7 +305,7 @@ def test_grip_height_raises_the_object(rope_lift):
 
 def test_a_delay_shows_the_motion_late(rope_lift):
     """What is seen a frame late is where the gripper was a frame before."""
-    scene = Scene.of(rope_lift.at_rest(21), rope_lift.settings)
+    scene = LiftScene.of(rope_lift.at_rest(21), rope_lift.settings)
     step = float(scene.recording.time[1])
     x = replay(scene, [rope_lift.truth.with_values({"delay": d}) for d in (0.0, step)])
     top = x[..., 2].max(axis=2)
@@ -315,7 +315,7 @@ def test_a_delay_shows_the_motion_late(rope_lift):
 
 def test_worlds_of_one_call_are_as_each_alone(cloth_lift):
     """Of a cloth, whose worlds differ in how they lie and are held."""
-    scene = Scene.of(cloth_lift.at_rest(4), cloth_lift.settings)
+    scene = LiftScene.of(cloth_lift.at_rest(4), cloth_lift.settings)
     changes = [{}, {"yaw": 0.2}, {"grip_along": 0.01, "grip_tilt": 0.3}, {"grip_reach": 0.01}]
     thetas = [cloth_lift.truth.with_values(c) for c in changes]
     both = replay(scene, thetas)
@@ -326,7 +326,7 @@ def test_worlds_of_one_call_are_as_each_alone(cloth_lift):
 
 def test_a_held_corner_hangs_as_steep_as_told(cloth_lift):
     """Lifted level, a corner's surroundings stay level; tilted, they do not."""
-    scene = Scene.of(cloth_lift.at_rest(6), cloth_lift.settings)
+    scene = LiftScene.of(cloth_lift.at_rest(6), cloth_lift.settings)
     changes = [{"grip_tilt": 0.0}, {"grip_tilt": 1.2}]
     x = replay(scene, [cloth_lift.truth.with_values(c) for c in changes])[-1]
     corner, next_to_it = 0, scene.body.shape[1] + 1
@@ -341,7 +341,7 @@ def test_a_held_corner_turns_as_its_axis(cloth_lift):
     for angle in (0.0, 0.5):
         down = np.linspace(0.0, angle, frames)[:, None]
         axes = np.cos(down) * [0.5**0.5, 0.5**0.5, 0.0] - np.sin(down) * [0.0, 0.0, 1.0]
-        scene = Scene.of(
+        scene = LiftScene.of(
             cloth_lift.at_rest(frames, object=held, gripper_axis=axes), cloth_lift.settings
         )
         x = replay(scene, [cloth_lift.truth.with_values({"grip_tilt": 0.0})])[-1, 0]
@@ -356,8 +356,8 @@ def test_a_dynamic_recording_keeps_its_clock(rope_lift):
     for quasi_static in (False, True):
         seen = rope_lift.at_rest(quasi_static=quasi_static)
         seen = type(seen)(**vars(seen) | {"time": slow})
-        assert (Scene.of(seen).clock == 1.0) == (not quasi_static)
-    assert Scene.of(seen, SceneSettings(clock=2.0)).clock == 2.0
+        assert (LiftScene.of(seen).clock == 1.0) == (not quasi_static)
+    assert LiftScene.of(seen, SceneSettings(clock=2.0)).clock == 2.0
 
 
 @pytest.mark.parametrize(
@@ -370,7 +370,7 @@ def test_a_dynamic_recording_keeps_its_clock(rope_lift):
 )
 def test_a_clock_that_makes_another_motion_is_refused(rope_lift, clock, quasi_static, words):
     with pytest.raises(ParameterError, match=words):
-        Scene.of(rope_lift.at_rest(quasi_static=quasi_static), SceneSettings(clock=clock))
+        LiftScene.of(rope_lift.at_rest(quasi_static=quasi_static), SceneSettings(clock=clock))
 
 
 def test_an_unknown_is_named_once(rope_lift, settings):
@@ -383,7 +383,7 @@ def test_the_delay_of_slow_frames_is_less_sure(rope_lift):
     """Of a quasi-static recording the times may be those of the nearest frame."""
     seen = rope_lift.at_rest(quasi_static=True)
     slow = replace(seen, time=100.0 * seen.time)
-    sd = [float(Scene.of(r).prior(("delay",))[0].sd[0]) for r in (seen, slow)]
+    sd = [float(LiftScene.of(r).prior(("delay",))[0].sd[0]) for r in (seen, slow)]
     assert sd[1] == pytest.approx(np.median(np.diff(slow.time)) / np.sqrt(12.0))
     assert sd[0] < 0.02 * sd[1]
 
@@ -391,10 +391,10 @@ def test_the_delay_of_slow_frames_is_less_sure(rope_lift):
 def test_a_cloth_is_held_as_far_inside_its_corner_as_stated(cloth_lift):
     inset = 0.015
     inside = replace(cloth_lift.object, grasp_inset=inset)
-    scene = Scene.of(cloth_lift.at_rest(object=inside), cloth_lift.settings)
+    scene = LiftScene.of(cloth_lift.at_rest(object=inside), cloth_lift.settings)
     to_grip = scene.held[0] - scene.body.points[0]
     np.testing.assert_allclose(to_grip, inset * scene.inwards[0], atol=1e-9)
-    corner = Scene.of(cloth_lift.at_rest(), cloth_lift.settings)
+    corner = LiftScene.of(cloth_lift.at_rest(), cloth_lift.settings)
     np.testing.assert_allclose(corner.held[0], corner.body.points[0], atol=1e-9)
 
 
@@ -403,7 +403,7 @@ def test_rope_is_placed_where_it_is_seen(rope_lift):
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     cloud = rope_lift.lying.copy()
     cloud[:, :2] = cloud[:, :2] @ turn.T
-    scene = Scene.of(rope_lift.recording([cloud] * 3))
+    scene = LiftScene.of(rope_lift.recording([cloud] * 3))
     x, diameter = scene.body.points, rope_lift.object.diameter
     along, across = x[:, :2] @ turn[:, 0], x[:, :2] @ turn[:, 1]
     assert along.min() == pytest.approx(-diameter / 2.0, abs=0.002)
@@ -419,7 +419,7 @@ def test_unknown_mass_assumes_a_density(rope_lift):
     x = []
     for mass, density in ((None, 1000.0), (0.1, 0.1 / (math.pi / 4 * 0.012**2 * 0.25))):
         described = type(rope_lift.object)(**vars(rope_lift.object) | {"mass": mass})
-        scene = Scene.of(rope_lift.at_rest(object=described), rope_lift.settings)
+        scene = LiftScene.of(rope_lift.at_rest(object=described), rope_lift.settings)
         assert scene.density == pytest.approx(density)
         assert any("mass not stated" in note for note in scene.notes) == (mass is None)
         x.append(replay(scene, [rope_lift.truth]))
@@ -437,7 +437,7 @@ def test_the_record_says_that_a_density_is_assumed(rope_lift, lifted, settings):
 def test_a_recording_without_points_cannot_be_lifted(rope_lift):
     """The error is the recording's, not one of array shapes."""
     with pytest.raises(RecordingError, match="no frame holds a point"):
-        Scene.of(rope_lift.recording([np.zeros((0, 3))] * 3))
+        LiftScene.of(rope_lift.recording([np.zeros((0, 3))] * 3))
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gendom.estimation import METHODS, EstimateSettings, Problem, Scene, estimate
+from gendom.estimation import METHODS, EstimateSettings, LiftScene, Problem, estimate
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
 from gendom.estimation.replay import replay
 from gendom.estimation.shape import Shape
@@ -21,7 +21,7 @@ NAMES = ("E_over_rho", "grip_height", "delay")
 @pytest.fixture(scope="module")
 def problem(rope_lift):
     settings = EstimateSettings(starts=2, unknowns=NAMES, scene=rope_lift.settings)
-    return Problem([Scene.of(rope_lift.seen(), rope_lift.settings)], settings)
+    return Problem([LiftScene.of(rope_lift.seen(), rope_lift.settings)], settings)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_it_keeps_what_it_did(rope_lift, problem, found):
 @pytest.fixture
 def plain_cloth(cloth_lift):
     """Its scene with the engine's own points."""
-    return Scene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=None))
+    return LiftScene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=None))
 
 
 @pytest.mark.parametrize(("share", "points"), [(0.16, 33), (0.09, 33), (0.07, 44), (0.01, 49)])
@@ -92,7 +92,7 @@ def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift, plain_cloth, sh
     assert finer.body.shape == (points, points)
     assert finer.frames == plain_cloth.frames and finer.clock == plain_cloth.clock
     assert (finer is plain_cloth) == (points == 33)
-    chosen = Scene.of(cloth_lift.at_rest(8), cloth_lift.settings)
+    chosen = LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)
     assert chosen.finer(cloth_lift.truth.with_values({"E_over_rho": modulus})) is chosen
 
 
@@ -100,7 +100,7 @@ def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, prob
     """From where a coarser one ended to the end that the finer one's own search finds."""
     coarse = replace(rope_lift.settings, points=7)
     settings = replace(problem.settings, scene=coarse)
-    rough = gauss_newton(Problem([Scene.of(rope_lift.seen(), coarse)], settings))
+    rough = gauss_newton(Problem([LiftScene.of(rope_lift.seen(), coarse)], settings))
     before = rough.best.vector.copy()
     again = refined(problem, rough)
     assert problem.compares(again.best.comparison)
@@ -148,7 +148,7 @@ def test_a_cloth_leaps_out_of_a_hollow(cloth_lift):
     settings = EstimateSettings(
         starts=1, unknowns=("E_over_rho", "grip_height"), scene=cloth_lift.settings
     )
-    problem = Problem([Scene.of(cloth_lift.at_rest(8), cloth_lift.settings)], settings)
+    problem = Problem([LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)], settings)
     truth = problem.prior.vector(cloth_lift.truth)
     noise = problem.first_noise()
     start = steps.Start(initial=truth, vector=truth, comparison=problem.compare([truth])[0])
@@ -174,7 +174,7 @@ def test_a_cloth_leaps_out_of_a_hollow(cloth_lift):
 def test_slopes_of_a_coarser_sheet_are_those_between_its_points(cloth_lift):
     """Linear ones exactly."""
     shapes = [
-        Shape(Scene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=n)))
+        Shape(LiftScene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=n)))
         for n in (9, 15)
     ]
     fields = []
@@ -190,7 +190,7 @@ def test_cloths_are_simulated_in_single_precision(cloth_lift):
     recording, truth = cloth_lift.at_rest(8), cloth_lift.truth
     shapes = []
     for dtype in (None, "float64"):
-        scene = Scene.of(recording, replace(cloth_lift.settings, dtype=dtype))
+        scene = LiftScene.of(recording, replace(cloth_lift.settings, dtype=dtype))
         assert scene.dtype == (dtype or "float32")
         shapes.append(replay(scene, [truth]))
     assert 0.0 < np.abs(shapes[0] - shapes[1]).max() < 2e-5

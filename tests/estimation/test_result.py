@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.estimation import Calibration, Estimate, EstimateSettings, Posterior, Theta, estimate
-from gendom.estimation.theta import prior_of
+from gendom.estimation import (
+    Estimate,
+    EstimateSettings,
+    IntervalCalibration,
+    Posterior,
+    Theta,
+    estimate,
+)
 from gendom.files import read_json, write_json
+from gendom.materials.posterior import prior_of
 
 BASE = Theta(E_over_rho=700.0)
 
@@ -18,8 +25,8 @@ def posterior(sd=(0.1, 0.01), calibration=None):
     covariance = np.diag(np.square(sd))
     covariance[0, 1] = covariance[1, 0] = 0.5 * sd[0] * sd[1]
     mean = np.array([math.log(500.0), 0.44])
-    calibration = calibration or Calibration.none()
-    return Posterior.calibrated(prior, mean, covariance, [BASE], calibration)
+    calibration = calibration or IntervalCalibration.none()
+    return calibration.posterior(prior, mean, covariance, [BASE])
 
 
 def test_intervals_are_those_of_a_gaussian():
@@ -49,7 +56,7 @@ def test_draws_spread_as_the_posterior_does():
 
 
 def test_calibration_widens_but_not_beyond_the_prior():
-    calibration = Calibration(factor={"E_over_rho": 3.0, "nu": 100.0}, added={"nu": 0.02})
+    calibration = IntervalCalibration(factor={"E_over_rho": 3.0, "nu": 100.0}, added={"nu": 0.02})
     known = posterior(calibration=calibration)
     assert known.sd("E_over_rho") == pytest.approx(0.3)
     assert known.sd("nu") == pytest.approx(0.06) and not known.determined("nu")
@@ -67,7 +74,7 @@ def test_a_posterior_comes_back_from_its_record():
 
 @pytest.mark.parametrize("kind", ["rope", "cloth"])
 def test_a_calibration_is_shipped(kind):
-    shipped = Calibration.of(kind)
+    shipped = IntervalCalibration.of(kind)
     assert all(value > 0.0 for value in shipped.factor.values())
     assert all(value >= 0.0 for value in shipped.added.values())
 

@@ -7,8 +7,8 @@ import pytest
 
 from gendom.cli.replay import replay_setup
 from gendom.errors import ParameterError, RecordingError
-from gendom.estimation import Estimate, EstimateSettings, Problem, Scene, estimate
-from gendom.estimation.theta import UNKNOWNS
+from gendom.estimation import Estimate, EstimateSettings, LiftScene, Problem, estimate
+from gendom.materials.unknowns import UNKNOWNS
 
 GRIPS = (0.004, -0.003)
 """How much higher than stated the rope is held in each lift [m]."""
@@ -107,7 +107,7 @@ def test_what_one_recording_cannot_show_the_other_may(rope_lift, settings):
     owner."""
     slow = replace(rope_lift.seen(), quasi_static=True)
     slow = replace(slow, time=10.0 * slow.time)
-    scenes = [Scene.of(r, settings.scene) for r in (slow, rope_lift.seen(seed=1))]
+    scenes = [LiftScene.of(r, settings.scene) for r in (slow, rope_lift.seen(seed=1))]
     problem = Problem(scenes, settings)
     shown = [[problem.prior.names[k] for k in part.shown] for part in problem.parts]
     assert "damping" not in shown[0] and "damping" in shown[1]

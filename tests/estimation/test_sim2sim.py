@@ -7,7 +7,7 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.estimation.replay import simulator_of
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 from gendom.estimation.sim2sim import (
     E_RANGE,
     SUBSTEP,
@@ -44,10 +44,10 @@ def test_clouds_are_exact(shows):
 @pytest.mark.parametrize("E", E_RANGE)
 def test_every_rope_moves_in_the_same_substeps(E):
     recording = sim2sim_recording(E, 0.2, frames=3, rise=0.01)
-    simulator, _ = simulator_of(Scene.of(recording, scene_settings()), [truth_of(E, 0.2)])
+    simulator, _ = simulator_of(LiftScene.of(recording, scene_settings()), [truth_of(E, 0.2)])
     assert simulator.substep == pytest.approx([SUBSTEP])
     own = replace(scene_settings(), substep=None)
-    simulator, _ = simulator_of(Scene.of(recording, own), [truth_of(E, 0.2)])
+    simulator, _ = simulator_of(LiftScene.of(recording, own), [truth_of(E, 0.2)])
     assert simulator.substep > SUBSTEP
 
 

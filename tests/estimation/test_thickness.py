@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.estimation import EstimateSettings, NoiseModel, Problem, Scene, estimate, replay
+from gendom.estimation import EstimateSettings, LiftScene, NoiseModel, Problem, estimate, replay
 from gendom.estimation.result import bending_stiffness
 
 RATIO = 1.1
@@ -46,8 +46,8 @@ def test_a_thicker_object_moves_as_one_of_that_thickness(rope_lift, weighed):
     """Bending, height on the table and weight are those of the rope that has it."""
     recording = rope_lift.at_rest(8)
     mass: dict[str, Any] = {} if weighed else {"mass": None}
-    right = Scene.of(stated(recording, **mass), rope_lift.settings)
-    wrong = Scene.of(stated(recording, 1.0 / RATIO, **mass), rope_lift.settings)
+    right = LiftScene.of(stated(recording, **mass), rope_lift.settings)
+    wrong = LiftScene.of(stated(recording, 1.0 / RATIO, **mass), rope_lift.settings)
     theta = rope_lift.truth
     x = replay(right, [theta])[:, 0]
     y = replay(wrong, [theta.with_values({"thickness": RATIO}), theta])
@@ -112,7 +112,7 @@ def test_where_clouds_cannot_tell_the_interval_says_so(rope_lift, thin_stated, s
 
 def test_what_stiffness_makes_up_for_says_nothing_of_thickness(rope_lift):
     """A rope that is thicker, and as much softer, swings alike: what is left is how it lies."""
-    scene = Scene.of(stated(rope_lift.at_rest(30, swing=0.1)), rope_lift.settings)
+    scene = LiftScene.of(stated(rope_lift.at_rest(30, swing=0.1)), rope_lift.settings)
     names = ("E_over_rho", "thickness")
     problem = Problem([scene], EstimateSettings(unknowns=names))
     (compared,) = problem.compare([problem.prior.vector(rope_lift.truth)])
@@ -127,9 +127,9 @@ def test_what_is_not_stated_may_be_anything(rope_lift):
     """A third to three times what is assumed."""
     seen = rope_lift.at_rest()
     unsaid = replace(seen, object=replace(seen.object, diameter=None))
-    sd = [Scene.of(r).prior(("thickness",))[0].sd[0] for r in (seen, unsaid)]
+    sd = [LiftScene.of(r).prior(("thickness",))[0].sd[0] for r in (seen, unsaid)]
     assert sd == [0.05, 0.8]
-    assert "thickness" not in Scene.of(seen).prior()[0].names
+    assert "thickness" not in LiftScene.of(seen).prior()[0].names
 
 
 def test_adam_compares_what_is_as_thick_as_stated(rope_lift, settings):

@@ -17,6 +17,7 @@ from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Progress
+    from gendom.materials.estimate import Estimate
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
 
@@ -76,6 +77,17 @@ def iterations_shown() -> Iterator[Callable[[Progress], None]]:
             show(progress.iteration, progress.most, note)
 
         yield told
+
+
+def read_estimate(path: Path, *, force: bool, kind: str | None = None) -> Estimate:
+    """The estimate of a file.
+
+    Raises:
+        GendomError: As `read_params`, or its numbers cannot be used.
+    """
+    from gendom.materials.estimate import Estimate
+
+    return Estimate.from_dict(read_params(path, force=force), str(path), kind=kind)
 
 
 def read_params(path: Path, *, force: bool) -> dict[str, Any]:

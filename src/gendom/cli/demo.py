@@ -25,8 +25,8 @@ from gendom.materials import Item
 from gendom.progress import each
 
 if TYPE_CHECKING:
+    from gendom.materials.estimate import Estimate
     from gendom.policies import Policy
-    from gendom.policies.belief import Belief
     from gendom.reality import RealRope
     from gendom.tasks import Observed, Task
     from gendom.viz import CloudSequence
@@ -92,7 +92,7 @@ class Command:
         from gendom.estimation import EstimateSettings, SceneSettings, estimate
         from gendom.evaluation import draw_cases
         from gendom.policies import Policy
-        from gendom.policies.estimates import believed
+        from gendom.policies.belief import believed
         from gendom.reality import RealRope, find_object
         from gendom.reality.chain import record_and_perceive
         from gendom.sim import open_device
@@ -165,7 +165,7 @@ class Command:
             print(f"report: {self.out / 'report.html'}")
             return NOT_USABLE
         with _timed(seconds, "act and carry out"):
-            belief = believed(found.record, task)
+            belief = believed(found, task)
             runs, shown = _carry_out(rope, policies, goals, belief, self.seed)
         with _timed(seconds, "predict the motion"):
             motion = _predicted(task, shown, belief.item, self.device)
@@ -217,7 +217,7 @@ def _carry_out(
     rope: RealRope,
     policies: Sequence[Policy],
     goals: np.ndarray,
-    belief: Belief,
+    belief: Estimate,
     seed: int,
 ) -> tuple[list[Run], Executed]:
     """What each of `WAYS` reached for each goal, done by the arm; and the policy's last motion.
@@ -235,7 +235,7 @@ def _carry_out(
 
         def polished(
             start: np.ndarray,
-            belief: Belief,
+            belief: Estimate,
             discrepancy: Discrepancy | None = None,
             goal: np.ndarray = goal,
         ) -> np.ndarray:

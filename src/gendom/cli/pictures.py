@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gendom.materials import thickness_of
 
 if TYPE_CHECKING:
-    from gendom.estimation import Estimate, Scene, Theta
+    from gendom.estimation import Estimate, LiftScene, Theta
     from gendom.reality import RealRope
     from gendom.reality.trials import Performance
     from gendom.tasks import Observed
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def clouds_of(
-    scene: Scene,
+    scene: LiftScene,
     x: NDArray[np.floating],
     theta: Theta,
     chamfer: NDArray[np.floating] | None,
@@ -46,7 +46,7 @@ def clouds_of(
     )
 
 
-def view_of(scene: Scene) -> str:
+def view_of(scene: LiftScene) -> str:
     """From where a lift of this object is looked at: one of `gendom.viz.views.VIEWS`."""
     return "oblique" if scene.kind == "cloth" else "auto"
 

@@ -15,7 +15,7 @@ from gendom.cli.view_layers import arm_layer, gripper_layer, object_layer
 from gendom.datasets import Recording
 from gendom.datasets.recording import is_recording
 from gendom.errors import GendomError, RobotError
-from gendom.estimation import UNKNOWNS, Scene, Theta, chamfers, replay
+from gendom.estimation import UNKNOWNS, LiftScene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
 from gendom.robot import ARMS, DOWN, inverse_kinematics
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
@@ -46,7 +46,7 @@ class RecordingModel:
 
     cases = ("recording", 1)
 
-    def __init__(self, scene: Scene, theta: Theta, title: str):
+    def __init__(self, scene: LiftScene, theta: Theta, title: str):
         self.scene, self.theta, self.title = scene, theta, title
         notes = list(scene.notes)
         if scene.kind == "cloth" or not scene.thin:
@@ -65,7 +65,7 @@ class RecordingModel:
         Raises:
             RecordingError: The recording shows too little to place the object.
         """
-        scene = Scene.of(recording)
+        scene = LiftScene.of(recording)
         theta = scene.prior()[1].with_values(scene.guesses[len(scene.guesses) // 2])
         return cls(of_all_frames(scene, recording), theta, title)
 
@@ -178,7 +178,7 @@ def _recordings_in(folder: Path) -> list[Path]:
     return sorted(path for path in inside if is_recording(path))
 
 
-def arm_of(scene: Scene) -> MeshLayer | None:
+def arm_of(scene: LiftScene) -> MeshLayer | None:
     """The arm that a recording names, its fingers pointing down where the gripper was.
 
     Recordings have the place of the gripper, not how it is turned.
@@ -206,13 +206,13 @@ def arm_of(scene: Scene) -> MeshLayer | None:
     return arm_layer(arm, np.array(q), scene.body.thickness)
 
 
-def _parameters(scene: Scene, theta: Theta) -> tuple[Parameter, ...]:
+def _parameters(scene: LiftScene, theta: Theta) -> tuple[Parameter, ...]:
     """All unknowns that change what is simulated, within the ranges that are searched."""
     searched = scene.prior()[0].names
     names = [
         u.name
         for u in UNKNOWNS.values()
-        if scene.kind in u.kinds and (u.material or u.name in searched)
+        if scene.kind in u.kinds and (u.material or u.name in searched or u.on_replay is not None)
     ]
     if scene.recording.table_height is None:
         names.remove("friction")
@@ -236,7 +236,7 @@ def _parameters(scene: Scene, theta: Theta) -> tuple[Parameter, ...]:
     return tuple(made)
 
 
-def _facts(scene: Scene, theta: Theta) -> tuple[tuple[str, str], ...]:
+def _facts(scene: LiftScene, theta: Theta) -> tuple[tuple[str, str], ...]:
     modulus = theta.E_over_rho
     bending = scene.bending_length(modulus, theta.thickness)
     facts = [("bending length", length_text(bending))]

@@ -9,8 +9,9 @@ import numpy as np
 
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import ParameterError
-from gendom.estimation.theta import UNKNOWNS, Prior, Theta, prior_of
 from gendom.materials.catalogue import NINE_OF_TEN, Listed
+from gendom.materials.posterior import Prior, prior_of
+from gendom.materials.unknowns import UNKNOWNS, Theta
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "cloth": (0.01, 0.2)}
 """Range of bending lengths that is searched, in lengths of a rope or diagonals of a cloth: below it

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from gendom.errors import ParameterError, SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Observation
 from gendom.estimation.replay import replay
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import SceneSettings
-from gendom.estimation.theta import UNKNOWNS, Prior, Theta, joint_prior
+from gendom.materials.posterior import Prior, joint_prior
+from gendom.materials.unknowns import UNKNOWNS, Theta
 
 Array = NDArray[np.floating]
 
@@ -142,7 +143,7 @@ class Found:
 class Part:
     """One recording of a problem."""
 
-    scene: Scene
+    scene: LiftScene
     base: Theta
     """Values of everything that is not estimated."""
     shown: NDArray[np.intp]
@@ -167,7 +168,7 @@ class Part:
         fewer simulated and recorded points."""
         scene, settings = self.scene, self.scene.settings
         if scene.kind == "cloth" and scene.thin and settings.points is None:
-            coarse = Scene.of(scene.recording, replace(settings, points=settings.coarse_points))
+            coarse = LiftScene.of(scene.recording, replace(settings, points=settings.coarse_points))
             coarse = replace(coarse, frames=scene.frames, calm=scene.calm)
             return replace(self, scene=coarse, noise=self.noise.of_thinner_clouds())
         if len(scene.calm) == len(scene.frames) or len(scene.calm) < 6:
@@ -193,7 +194,7 @@ class Problem:
 
     def __init__(
         self,
-        scenes: Sequence[Scene],
+        scenes: Sequence[LiftScene],
         settings: EstimateSettings,
         on_progress: Callable[[Progress], None] | None = None,
         known: Theta | None = None,
@@ -223,7 +224,7 @@ class Problem:
         self._on_progress = on_progress
 
     @property
-    def scene(self) -> Scene:
+    def scene(self) -> LiftScene:
         """The first recording's; the object, the engine and the resolution are those of all."""
         return self.parts[0].scene
 
@@ -244,7 +245,7 @@ class Problem:
         return easier
 
     def finer(self, vector: Array) -> Problem:
-        """The same with the resolution that the found parameters need, see `Scene.finer`."""
+        """The same with the resolution that the found parameters need, see `LiftScene.finer`."""
         scenes = [p.scene.finer(self.theta(vector, k)) for k, p in enumerate(self.parts)]
         if all(s is p.scene for s, p in zip(scenes, self.parts, strict=True)):
             return self
@@ -432,7 +433,7 @@ def recording_names(count: int) -> tuple[str, ...]:
     return ("",) if count == 1 else tuple(f"recording {k + 1}" for k in range(count))
 
 
-def _check_one_object(scenes: Sequence[Scene], names: Sequence[str]) -> None:
+def _check_one_object(scenes: Sequence[LiftScene], names: Sequence[str]) -> None:
     """Refuse recordings whose object descriptions differ.
 
     Raises:

@@ -18,8 +18,8 @@ from gendom.estimation.likelihood import Comparison, NoiseModel
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
 from gendom.estimation.placing import with_points
 from gendom.estimation.problem import EstimateSettings, Problem
-from gendom.estimation.scene import Scene
-from gendom.estimation.theta import Theta
+from gendom.estimation.scene import LiftScene
+from gendom.materials.unknowns import Theta
 
 Array = NDArray[np.floating]
 
@@ -59,7 +59,7 @@ def register(recording: Recording, settings: EstimateSettings, known: Theta | No
     """
     T, vector = first_shift(recording), None
     for _ in range(ROUNDS):
-        scene = Scene.of(recording, settings.scene, registration=T)
+        scene = LiftScene.of(recording, settings.scene, registration=T)
         problem = Problem([scene], settings, known=known)
         if vector is None:
             vector, comparison, noise = _scanned(problem.easier)

@@ -1,5 +1,7 @@
-"""A `Scene`: everything about a recording that does not depend on unknown parameters. It is made
-once and never changed."""
+"""A `LiftScene`: everything about a recording that does not depend on unknown parameters.
+
+It is made once and never changed.
+"""
 
 from __future__ import annotations
 
@@ -29,16 +31,17 @@ from gendom.estimation.scene_settings import (
     SHELL_SPACING,
     SceneSettings,
 )
-from gendom.estimation.theta import Prior, Theta
 from gendom.materials import STANDARD_GRAVITY, catalogue
 from gendom.materials.parameters import E_over_rho_of, bending_length
+from gendom.materials.posterior import Prior
+from gendom.materials.unknowns import Theta
 from gendom.sim import Body
 
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
+class LiftScene:
     """A recorded object at rest, its grippers, and the frames that are compared.
 
     A rope lies along its visible centre line, from the gripper on, as long as stated; a cloth is
@@ -82,7 +85,7 @@ class Scene:
         recording: Recording,
         settings: SceneSettings | None = None,
         registration: Array | None = None,
-    ) -> Scene:
+    ) -> LiftScene:
         """The scene of a recording.
 
         Args:
@@ -240,7 +243,7 @@ class Scene:
             return 0.0
         return 0.5 * (theta.thickness - 1.0) * self.body.thickness
 
-    def finer(self, theta: Theta) -> Scene:
+    def finer(self, theta: Theta) -> LiftScene:
         """The same with the resolution that a cloth of this bending length needs, unless it has it
         or the settings fix the number of points."""
         settings, described = self.settings, self.recording.object
@@ -251,7 +254,7 @@ class Scene:
         points = min(math.ceil(longer / (SHELL_SPACING * bends)) + 1, MOST_SHELL_POINTS)
         if points <= 1.1 * SHELL_POINTS:
             return self
-        fine = Scene.of(self.recording, replace(settings, points=points))
+        fine = LiftScene.of(self.recording, replace(settings, points=points))
         return replace(
             fine,
             frames=self.frames,

@@ -28,10 +28,10 @@ from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_ne
 from gendom.estimation.methods.pointnet import pointnet
 from gendom.estimation.problem import EstimateSettings, Found, Problem
 from gendom.estimation.replay import middle, replay
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import SceneSettings
-from gendom.estimation.theta import Theta
 from gendom.materials import STANDARD_GRAVITY
+from gendom.materials.unknowns import Theta
 from gendom.observation import chamfer
 from gendom.sim import PAPER
 
@@ -186,7 +186,7 @@ def sim2sim_recording(
             extra={"ordered_markers": markers},
         )
 
-    scene = Scene.of(recorded(np.tile(lying, (int(shown.sum()), 1, 1))), settings)
+    scene = LiftScene.of(recorded(np.tile(lying, (int(shown.sum()), 1, 1))), settings)
     scene = replace(scene, frames=tuple(map(int, np.flatnonzero(shown))))
     x = replay(scene, [truth_of(E, nu)])[:, 0]
     return recorded(middle(scene, x) if markers else np.asarray(scene.body.surface(x), float))
@@ -202,7 +202,7 @@ def sim2sim_problem(
         settings: Of the simulation.
         other: Of `EstimateSettings`.
     """
-    scene = Scene.of(recording, settings or scene_settings())
+    scene = LiftScene.of(recording, settings or scene_settings())
     chosen = EstimateSettings(
         unknowns=("E_over_rho", "nu"),
         noise=EXACT,

@@ -23,10 +23,11 @@ from gendom.datasets.checks import (
 )
 from gendom.estimation.likelihood import Comparison, NoiseModel
 from gendom.estimation.placing import early_points, lying_rectangle, with_points
-from gendom.estimation.posterior import Posterior
 from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem
-from gendom.estimation.theta import UNKNOWNS, Theta
+from gendom.materials.estimate import Verdict
+from gendom.materials.posterior import Posterior
+from gendom.materials.unknowns import UNKNOWNS, Theta
 
 Array = NDArray[np.floating]
 
@@ -96,19 +97,6 @@ class VerdictSettings:
     skin: tuple[float, float] = (0.0025, 0.3)
     """Largest distance of points from the skin of an object as thick as stated: the larger of the
     first [m] and the second times the thickness."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """Whether an estimate is usable."""
-
-    usable: bool
-    reasons: tuple[str, ...] = ()
-    """Why it is not usable, one sentence each."""
-
-    @property
-    def text(self) -> str:
-        return "usable" if self.usable else "not usable: " + "; ".join(self.reasons)
 
 
 def recording_faults(

@@ -22,7 +22,7 @@ from scipy.stats import binom, norm
 
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
-from gendom.estimation import Calibration, EstimateSettings, SceneSettings, Theta, estimate
+from gendom.estimation import EstimateSettings, IntervalCalibration, SceneSettings, Theta, estimate
 from gendom.evaluation.sheet import Ranks, Sheet
 from gendom.files import write_json
 from gendom.materials import STANDARD_GRAVITY, Material
@@ -180,7 +180,7 @@ def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
         found = estimate(
             recorded(folder, settings, seed),
             settings.estimate_settings(seed),
-            calibration=Calibration.none(),
+            calibration=IntervalCalibration.none(),
         )
     except GendomError as error:
         row["fault"] = str(error)

@@ -3,7 +3,6 @@
 from gendom.materials.objects import (
     AIR_DENSITY,
     ASSUMED,
-    ASSUMED_SD,
     KINDS,
     LARGEST,
     PARAMETERS,
@@ -28,7 +27,6 @@ from gendom.materials.parameters import E_over_rho_of, Material, bending_length
 __all__ = [
     "AIR_DENSITY",
     "ASSUMED",
-    "ASSUMED_SD",
     "KINDS",
     "LARGEST",
     "PARAMETERS",

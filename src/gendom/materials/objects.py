@@ -33,11 +33,6 @@ ASSUMED = {"nu": 0.35, "density": 1000.0, "damping": 0.004, "friction": 0.3}
 """What is assumed for a number that is not given, by column name: about the middle of what ropes
 and cloths have."""
 
-ASSUMED_SD = {"nu": 0.06, "damping": 0.86, "friction": 0.22}
-"""Standard deviations of what is assumed, by names of `PARAMETERS`, of the logarithm where ratios
-count: nu 0.2 to 0.4, damping 1 to 20 ms, friction 0.1 to 0.8."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
     """One of the dimensionless numbers that determine an object's motion."""

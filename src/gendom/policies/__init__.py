@@ -12,7 +12,7 @@ from gendom.policies.policy import Action, Column, Description, GoalRange, Outsi
 
 if TYPE_CHECKING:
     from gendom.policies.adaptation import Adapted, AdaptSettings, Execution, adapt
-    from gendom.policies.belief import Belief
+    from gendom.policies.belief import believed
     from gendom.policies.demonstrations import Demonstrations
     from gendom.policies.polishing import Polished, PolishSettings, polish
     from gendom.policies.training import Training, train
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _LATER = {
     "AdaptSettings": "adaptation",
     "Adapted": "adaptation",
-    "Belief": "belief",
+    "believed": "belief",
     "Demonstrations": "demonstrations",
     "Execution": "adaptation",
     "PolishSettings": "polishing",
@@ -36,7 +36,6 @@ __all__ = [
     "Action",
     "AdaptSettings",
     "Adapted",
-    "Belief",
     "Column",
     "Demonstrations",
     "Description",
@@ -48,6 +47,7 @@ __all__ = [
     "Polished",
     "Training",
     "adapt",
+    "believed",
     "polish",
     "train",
 ]

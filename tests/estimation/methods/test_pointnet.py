@@ -17,7 +17,7 @@ from gendom.estimation.methods.pointnet import (
     pointnet,
     read_network,
 )
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 from gendom.estimation.sim2sim import (
     paper_E,
     scene_settings,
@@ -66,7 +66,7 @@ def test_the_file_gives_what_torch_gives(tmp_path):
     )
 
     settings = scene_settings()
-    scene = Scene.of(sim2sim_recording(4000.0, 0.3, frames=10), settings)
+    scene = LiftScene.of(sim2sim_recording(4000.0, 0.3, frames=10), settings)
     thetas = [truth_of(E, nu) for E, nu in ((600.0, 0.2), (2000.0, 0.4), (9000.0, 0.3))]
     clouds, targets = simulated_lifts(scene, thetas)
     assert targets[0, 0] == pytest.approx(

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from gendom.estimation.likelihood import NoiseModel
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
 from gendom.estimation.problem import Found, Problem, Start
-from gendom.estimation.theta import UNKNOWNS
+from gendom.materials.unknowns import UNKNOWNS
 
 Array = NDArray[np.floating]
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from gendom.errors import ParameterError
 from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.problem import Found, Problem, Start
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 
 Array = NDArray[np.floating]
 
@@ -107,7 +107,7 @@ def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Foun
     )
 
 
-def lift_of(scene: Scene) -> dict[str, float]:
+def lift_of(scene: LiftScene) -> dict[str, float]:
     """Dimensionless features that distinguish lifts.
 
     Raises:
@@ -122,7 +122,7 @@ def lift_of(scene: Scene) -> dict[str, float]:
     return {"rise": rise / scene.size, "thickness": scene.body.thickness / scene.size}
 
 
-def normalised(scene: Scene, points: Array, frame: int) -> Array:
+def normalised(scene: LiftScene, points: Array, frame: int) -> Array:
     """[n, 3] points [m] seen from the gripper in a frame, in sizes of the object; x is where the
     rope lay before, z up."""
     x, y = scene.inwards[0, :2] / np.linalg.norm(scene.inwards[0, :2])

@@ -28,9 +28,9 @@ from gendom.estimation.methods.pointnet import (
     read_network,
 )
 from gendom.estimation.replay import replay
-from gendom.estimation.scene import Scene
-from gendom.estimation.theta import Theta
+from gendom.estimation.scene import LiftScene
 from gendom.files import atomic_path
+from gendom.materials.unknowns import Theta
 from gendom.observation import visible
 
 Array = NDArray[np.floating]
@@ -106,7 +106,7 @@ class PointNetTraining:
 
 
 def simulated_lifts(
-    scene: Scene,
+    scene: LiftScene,
     thetas: Sequence[Theta],
     *,
     cameras: bool = False,
@@ -147,7 +147,7 @@ def simulated_lifts(
 
 
 def train_pointnet(
-    scene: Scene,
+    scene: LiftScene,
     clouds: Array,
     targets: Array,
     path: Path,

@@ -20,8 +20,8 @@ from gendom.evaluation.protocol import Cases, choose
 from gendom.evaluation.tables.lifted import lifted, stated
 from gendom.evaluation.tables.workbench import Wanted, Workbench
 from gendom.materials import Item
+from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
-from gendom.policies.belief import Belief
 from gendom.policies.policy import QUANTILE
 from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import CLOTH, OFF_CENTRE, SEARCHED
@@ -145,7 +145,7 @@ def _acts(policy: Policy, item: Item) -> float:
     return float(choose(policy, case)[0, 0])
 
 
-def _searched(bench: Workbench, settings: ClothRealSettings, name: str, belief: Belief) -> float:
+def _searched(bench: Workbench, settings: ClothRealSettings, name: str, belief: Estimate) -> float:
     """The A that spreads most in our simulator, in the mean over the posterior of an estimate."""
 
     def make() -> dict[str, Any]:

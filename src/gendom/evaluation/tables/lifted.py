@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.evaluation.tables.workbench import Workbench
-from gendom.materials import QUANTITIES, to_columns
-from gendom.policies.belief import Belief
-from gendom.policies.estimates import believed
+from gendom.materials import to_columns
+from gendom.materials.estimate import Estimate
+from gendom.policies.belief import believed
 from gendom.tasks import Task
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def recorded(
     return Recording.read(path)
 
 
-def lifted(bench: Workbench, name: str, task: Task) -> Belief:
+def lifted(bench: Workbench, name: str, task: Task) -> Estimate:
     """Distribution of an object's parameters for a task, after one lift seen by two noisy cameras.
 
     Raises:
@@ -74,13 +74,14 @@ def lifted(bench: Workbench, name: str, task: Task) -> Belief:
     record = bench.kept(f"estimate-{name}", make)
     if not record["verdict"]["usable"]:
         raise GendomError(", ".join(record["verdict"]["reasons"]), where=f"the lift of {name}")
-    return believed(record, task, f"the lift of {name}")
+    where = f"the lift of {name}"
+    return believed(Estimate.from_dict(record, where), task, where)
 
 
-def stated(belief: Belief) -> dict[str, Any]:
+def stated(belief: Estimate) -> dict[str, Any]:
     """Means and 90 % intervals by parameter, for JSON."""
     columns = to_columns(belief.most_likely)
     return {
-        name: {"mean": columns[QUANTITIES[name].column], "interval_90": belief.interval(name)}
+        name: {"mean": columns[name], "interval_90": belief.posterior.interval(name, 0.9)}
         for name in belief.names
     }

@@ -23,9 +23,10 @@ from gendom.materials import (
     to_columns,
     with_dimensionless,
 )
+from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.adaptation import Execution, adapting
-from gendom.policies.belief import Belief
+from gendom.policies.belief import believed
 from gendom.policies.demonstrations import Demonstrations, joined
 from gendom.policies.identify import Identified, identify
 from gendom.policies.polishing import PolishSettings, polishing
@@ -304,7 +305,7 @@ def _measured(
     settings: RopeRealSettings,
     title: str,
     cases: Cases,
-    beliefs: Sequence[Belief],
+    beliefs: Sequence[Estimate],
     policies: dict[str, Policy],
     world: World,
 ) -> dict[str, Any]:
@@ -334,8 +335,8 @@ def _measured(
     }
     true, _ = measure("ours, true parameters", lambda: choose(policies["ours"], cases))
     assumed = [
-        Belief.for_task(cases.task, _middling(rope)).with_uncertain("E_over_rho", WITHOUT_LIFT)
-        for rope in cases.items
+        believed(Estimate.of(known), cases.task).with_uncertain("E_over_rho", WITHOUT_LIFT)
+        for known in map(_middling, cases.items)
     ]
     blind, _ = done["ours, no parameters"]
     measure("polished, no lift", lambda: _polished(bench, settings, cases, assumed, blind))
@@ -371,7 +372,7 @@ def _after(
     bench: Workbench,
     settings: RopeRealSettings,
     cases: Cases,
-    beliefs: Sequence[Belief],
+    beliefs: Sequence[Estimate],
     seen: Sequence[Sequence[Execution]],
     start: Array,
 ) -> Array:
@@ -392,7 +393,7 @@ def _polished(
     bench: Workbench,
     settings: RopeRealSettings,
     cases: Cases,
-    beliefs: Sequence[Belief],
+    beliefs: Sequence[Estimate],
     start: Array,
     discrepancies: Sequence[Any] | None = None,
 ) -> Array:
