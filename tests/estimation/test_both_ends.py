@@ -66,7 +66,6 @@ def test_a_wire_at_rest(real_data):
     ends = found.interval("bending_stiffness")
     assert ends is not None and ends[0] < 0.98e-4 < 1.2166e-4 < ends[1]
     # it is as long as it is
-    assert found.positions is not None
     x = found.positions[0]
     assert np.linalg.norm(np.diff(x, axis=0), axis=1).sum() == pytest.approx(1.5, rel=0.002)
     assert np.abs(found.record["calibration"]["shift"]).max() < 0.003

@@ -13,7 +13,8 @@ from gendom.cli import main
 from gendom.errors import GendomError
 from gendom.evaluation.tables import ClothRealSettings, Workbench, cloth_real, sheets
 from gendom.policies import Policy
-from gendom.policies.belief import Belief
+from gendom.materials.estimate import Estimate
+from gendom.policies.belief import believed
 from gendom.reality import find_object
 from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import OFF_CENTRE
@@ -59,7 +60,7 @@ def bench(tmp_path, monkeypatch) -> Workbench:
 def lifted(bench, name, task):
     if name == RUBBER:
         raise GendomError("it did not move", where=f"the lift of {name}")
-    return Belief.for_task(task, find_object(name))
+    return believed(Estimate.of(find_object(name)), task)
 
 
 SMALL = ClothRealSettings(trials=3, demonstrations=0, draws=2)

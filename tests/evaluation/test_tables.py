@@ -25,7 +25,8 @@ from gendom.evaluation.tables import (
 from gendom.evaluation.tables import simulated as simulated_module
 from gendom.evaluation.tables.workbench import Wanted
 from gendom.policies import Policy
-from gendom.policies.belief import Belief
+from gendom.materials.estimate import Estimate
+from gendom.policies.belief import believed
 from gendom.policies.training import Training
 from gendom.reality import RealRope, find_object
 from gendom.tasks import RopeReaching
@@ -189,7 +190,7 @@ def test_real_ropes_have_all_rows_and_go_on(bench, monkeypatch):
         posterior = {"names": ["E_over_rho", "damping"],
                      "mean": np.log([1.03 * m.E_over_rho, m.damping]).tolist(),
                      "covariance": [[0.04**2, 0.0], [0.0, 0.1**2]]}  # fmt: skip
-        return Belief.for_task(task, rope, posterior)
+        return believed(Estimate.of(rope, posterior), task)
 
     monkeypatch.setattr(rope_real_module, "lifted", lifted)
     monkeypatch.setattr(

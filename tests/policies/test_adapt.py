@@ -8,9 +8,9 @@ import pytest
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Cloth, dimensionless_parameters, size_of
+from gendom.materials.estimate import Estimate
 from gendom.policies.adaptation import AdaptSettings, Execution, adapt, executions_from
-from gendom.policies.belief import Belief, uncertain
-from gendom.policies.estimates import _posterior
+from gendom.policies.belief import uncertain
 from gendom.policies.polishing import polish
 from gendom.tasks import ClothSpreading
 from policies.ballistic import ROPE, TASK, Throws, reach_of
@@ -25,6 +25,14 @@ TRUE = replace(ROPE, material=replace(ROPE.material, E=7.7e5, damping=0.009))
 EXACT = AdaptSettings(discrepancy=1e-5, noise=1e-5)
 
 
+EVERY = ("E_over_rho", "nu", "damping", "friction")
+
+
+def belief_of(item, posterior, *, known=()) -> Estimate:
+    """What a posterior says of an object, where some parameters are known."""
+    return Estimate.of(item, posterior).of_object([n for n in EVERY if n not in known])
+
+
 def executed(x, z, *, off=0.0, item=TRUE) -> Execution:
     L, alike = item.length, dimensionless_parameters(item)
     reached = L * (reach_of(x, z, alike["bending_ratio"], alike["damping"]) + off)
@@ -33,7 +41,7 @@ def executed(x, z, *, off=0.0, item=TRUE) -> Execution:
 
 def test_two_exact_executions_tell_what_one_cannot():
     """E and damping move the reach alike, so the sum is learnt; the prior shares it out."""
-    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
     found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), settings=EXACT).belief
     alike = dimensionless_parameters(found.most_likely)
     (reached,) = executed(0.4, 0.4).reached / ROPE.length
@@ -49,7 +57,7 @@ def test_two_exact_executions_tell_what_one_cannot():
 
 def test_belief_is_that_of_the_linear_model():
     """Near its mean the world is linear: mean and covariance are Kalman's."""
-    belief = Belief.of(ROPE, POSTERIOR, known=(*KNOWN, "damping"))
+    belief = belief_of(ROPE, POSTERIOR, known=(*KNOWN, "damping"))
     settings = AdaptSettings(discrepancy=0.01, noise=0.002)
     seen = executed(0.4, 0.4, item=replace(ROPE, material=replace(ROPE.material, E=8.1e5)))
     found = adapt(TASK, belief, [seen], world=Throws(), settings=settings)
@@ -66,7 +74,7 @@ def test_belief_is_that_of_the_linear_model():
 
 def test_what_parameters_cannot_explain_is_expected_again_nearby():
     tight = {"names": ["E_over_rho"], "mean": [math.log(8e5 / 900)], "covariance": [[1e-8]]}
-    belief = Belief.of(ROPE, tight, known=(*KNOWN, "damping"))
+    belief = belief_of(ROPE, tight, known=(*KNOWN, "damping"))
     seen = executed(0.4, 0.4, off=0.02, item=ROPE)
     found = adapt(TASK, belief, [seen], world=Throws())
     assert found.residuals[0, 0] == pytest.approx(0.02 * ROPE.length, rel=1e-2)
@@ -86,20 +94,20 @@ def test_what_parameters_cannot_explain_is_expected_again_nearby():
 
 
 def test_nothing_seen_changes_nothing():
-    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
     found = adapt(TASK, belief, [], world=Throws())
     assert found.belief is belief and found.discrepancy is None
 
 
 def test_parameters_may_be_left_alone():
-    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
     found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), refine=False)
     assert np.array_equal(found.belief.mean, belief.mean)
     assert found.discrepancy is not None
 
 
 def test_bad_executions_are_refused():
-    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
     wrong = Execution(action=np.array([0.2]), reached=np.array([0.4]))
     with pytest.raises(ParameterError, match="1 numbers of an action"):
         adapt(TASK, belief, [wrong], world=Throws())
@@ -133,7 +141,7 @@ def test_what_a_task_depends_on():
 
 
 def test_belief_takes_the_posterior_and_doubts_the_rest():
-    belief = Belief.of(ROPE, POSTERIOR, known=("friction",))
+    belief = belief_of(ROPE, POSTERIOR, known=("friction",))
     assert belief.names == ("E_over_rho", "nu", "damping")
     assert belief.sd == pytest.approx([0.05, 0.06, 0.86])
     assert belief.most_likely.material.E == pytest.approx(8e5)
@@ -141,25 +149,25 @@ def test_belief_takes_the_posterior_and_doubts_the_rest():
     logs = np.log([item.material.E_over_rho for item in drawn])
     assert logs.mean() == pytest.approx(math.log(8e5 / 900), abs=0.003)
     assert logs.std() == pytest.approx(0.05, rel=0.05)
-    low, high = belief.interval("E_over_rho")
+    low, high = belief.posterior.interval("E_over_rho", 0.9)
     inside = (np.exp(logs) > low) & (np.exp(logs) < high)
     assert inside.mean() == pytest.approx(0.9, abs=0.02)
     assert all(size_of(item) == ROPE.length for item in drawn)
 
 
 def test_belief_may_doubt_one_more_parameter():
-    belief = Belief.of(ROPE, None, known=("nu", "friction")).with_uncertain("E_over_rho", 0.3)
+    belief = belief_of(ROPE, None, known=("nu", "friction")).with_uncertain("E_over_rho", 0.3)
     assert belief.names == ("damping", "E_over_rho")
     assert belief.sd[1] == pytest.approx(0.3) and belief.covariance[0, 1] == 0.0
     assert belief.most_likely.material.E == pytest.approx(8e5)
-    again = Belief.from_dict(ROPE, belief.to_dict())
+    again = Estimate.of(ROPE, belief.posterior.to_dict())
     assert again.names == belief.names and np.array_equal(again.covariance, belief.covariance)
 
 
 def test_belief_keeps_correlations_in_any_order():
-    posterior = {"names": ["damping", "x", "E_over_rho"], "mean": [-5.0, 0.0, 7.0],
+    posterior = {"names": ["damping", "yaw", "E_over_rho"], "mean": [-5.0, 0.0, 7.0],
                  "covariance": [[0.04, 0.0, 0.01], [0.0, 1.0, 0.0], [0.01, 0.0, 0.09]]}  # fmt: skip
-    belief = Belief.of(ROPE, posterior, known=KNOWN)
+    belief = belief_of(ROPE, posterior, known=KNOWN)
     assert belief.names == ("E_over_rho", "damping")
     assert belief.mean == pytest.approx([7.0, -5.0])
     assert belief.covariance == pytest.approx(np.array([[0.09, 0.01], [0.01, 0.04]]))
@@ -172,7 +180,7 @@ def test_belief_keeps_correlations_in_any_order():
 )  # fmt: skip
 def test_broken_posteriors_are_refused(posterior):
     with pytest.raises(ParameterError):
-        Belief.of(ROPE, posterior, known=KNOWN)
+        belief_of(ROPE, posterior, known=KNOWN)
 
 
 def test_what_recordings_have_each_is_kept():
@@ -188,7 +196,9 @@ def test_what_recordings_have_each_is_kept():
         "high": [9.0, 0.1, 0.1],
         "covariance": np.diag([1e-2, 1e-6, 4e-6]).tolist(),
     }
-    found = _posterior(old, Belief.of(ROPE, old, known=["nu", "damping", "friction"]))
+    estimate = Estimate.of(ROPE, old)
+    belief = estimate.of_object(["E_over_rho"])
+    found = estimate.updated(belief, {}).posterior.to_dict()
     assert found["names"] == old["names"] and found["recordings"] == old["recordings"]
     assert found["mean"][1:] == [0.001, 0.002]
     assert np.diag(found["covariance"]) == pytest.approx([1e-2, 1e-6, 4e-6])
@@ -203,5 +213,5 @@ def test_a_belief_is_about_an_object_of_the_item_s_thickness():
         "mean": [math.log(8e5 / 900), 0.0],
         "covariance": covariance.tolist(),
     }
-    belief = Belief.of(ROPE, posterior, known=("nu", "friction", "damping"))
+    belief = belief_of(ROPE, posterior, known=("nu", "friction", "damping"))
     assert belief.names == ("E_over_rho",) and belief.sd == pytest.approx([0.03])

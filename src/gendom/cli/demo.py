@@ -153,7 +153,6 @@ class Command:
         # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.
         write_json(self.out / "estimate.json", found.record)
         recording.write(self.out / "recording.npz")
-        assert found.scene is not None and found.positions is not None
         clouds = clouds_of(found.scene, found.positions, found.theta, found.chamfer)
         if not found.usable:
             for reason in found.verdict.reasons:

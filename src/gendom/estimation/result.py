@@ -21,6 +21,7 @@ from gendom.observation import chamfer, visible
 
 Array = NDArray[np.floating]
 
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordingFit:
     """The best fit beside one recording."""

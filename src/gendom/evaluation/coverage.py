@@ -188,7 +188,6 @@ def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
         row["verdict"] = asdict(found.verdict)
         row["posterior"] = found.posterior.to_dict()
         row["rms"], row["seconds"] = found.record["rms"], found.record["seconds"]
-        assert found.scene is not None
         row["displaced"] = found.record["noise"]["model"] / found.scene.size
     write_json(kept, row)
     return row

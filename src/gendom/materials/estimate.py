@@ -238,6 +238,16 @@ class Estimate(Shown):
         Raises:
             ParameterError: E over density or a size is not known.
         """
+        made = self._usual
+        for name in self.names:
+            applied = UNKNOWNS[name].on_object
+            if applied is not None and name not in ("E_over_rho", *ASSUMED):
+                made = applied(made, self._estimated(name))
+        return made
+
+    @cached_property
+    def _usual(self) -> Item:
+        """The object without effects of unknowns that other packages have registered."""
         numbers = {n: self._need(n) if self._says(n) else value for n, value in ASSUMED.items()}
         kind = KINDS[self.kind]
         square = self.kind == "cloth" and "side" not in self.known
@@ -248,12 +258,7 @@ class Estimate(Shown):
             density=numbers["density"],
             damping=numbers["damping"],
         )
-        made = kind(**sizes, material=material, friction=numbers["friction"])
-        for name in self.names:
-            applied = UNKNOWNS[name].on_object
-            if applied is not None and name not in ("E_over_rho", *ASSUMED):
-                made = applied(made, self._estimated(name))
-        return made
+        return kind(**sizes, material=material, friction=numbers["friction"])
 
     def rope(self) -> Rope:
         """The rope with the estimated material.
@@ -279,7 +284,7 @@ class Estimate(Shown):
 
     def at(self, vector: Array) -> Item:
         """The object with transformed unknowns [P], kept within their ranges."""
-        item = self.item
+        item = self._usual
         for name, x in zip(self.names, vector, strict=True):
             u = UNKNOWNS[name]
             if u.on_object is not None:
@@ -745,4 +750,3 @@ def _check_consistent(found: Estimate, stated: Mapping[str, float], where: str) 
             where=where,
             fix="leave the file as it was written; give another number by a flag such as --E",
         )
-

@@ -33,6 +33,7 @@ ASSUMED = {"nu": 0.35, "density": 1000.0, "damping": 0.004, "friction": 0.3}
 """What is assumed for a number that is not given, by column name: about the middle of what ropes
 and cloths have."""
 
+
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
     """One of the dimensionless numbers that determine an object's motion."""

@@ -76,9 +76,7 @@ class Prior:
     def vector(self, *thetas: Theta) -> Array:
         """[P] transformed values of an estimate, one for each recording."""
         own = [thetas[owner or 0] for owner in self.owners]
-        return np.array(
-            [u.transformed(t[u.name]) for u, t in zip(self.unknowns, own, strict=True)]
-        )
+        return np.array([u.transformed(t[u.name]) for u, t in zip(self.unknowns, own, strict=True)])
 
     def theta(self, vector: Sequence[float] | Array, base: Theta, recording: int = 0) -> Theta:
         """A recording's estimate with these transformed values [P], others as in ``base``."""

@@ -90,8 +90,6 @@ def _with_E_over_rho(item: Any, value: float) -> Any:
     return _with("E")(item, value * item.material.density)
 
 
-
-
 def _unknown(name: str, symbol: str, unit: str, meaning: str, **other) -> Unknown:
     return Unknown(name=name, symbol=symbol, unit=unit, meaning=meaning, **other)
 
