@@ -22,8 +22,8 @@ from gendom.errors import DeviceError, RobotError, SimulationError
 from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
 from gendom.perception.camera import Camera
 from gendom.reality.arm import RobotArm, surroundings
+from gendom.reality.model import CLOTH_STEP, Layout, default_cameras
 from gendom.reality.objects import RealCloth, RealObject, RealRope, as_real
-from gendom.reality.scene import CLOTH_STEP, Layout, default_cameras
 from gendom.reality.world import FINGER_WIDTH, Reality
 from gendom.robot import (
     XARM7,
