@@ -37,7 +37,7 @@ class Strip(RealCloth):
 
     across: int
     """Spacings across; along the diagonal: half diagonals."""
-    diagonal: bool
+    diagonal: bool = False
 
     @property
     def counts(self) -> tuple[int, int]:

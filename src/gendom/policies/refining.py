@@ -33,7 +33,8 @@ from gendom.policies.fitting import RISK_FLOOR, TrainingProblem, huber
 from gendom.policies.rollouts import around, slopes
 from gendom.progress import bar
 from gendom.tasks import Task
-from gendom.tasks.world import BATCH, World
+from gendom.tasks.task import World
+from gendom.tasks.world import BATCH
 
 Array = NDArray[np.float64]
 

@@ -39,7 +39,8 @@ from gendom.policies.policy import METADATA_KEY, Description, GoalRange, Policy
 from gendom.policies.refining import refine
 from gendom.progress import Show, bar
 from gendom.tasks import Task, find_task, rebuild
-from gendom.tasks.world import Simulation, World
+from gendom.tasks.task import World
+from gendom.tasks.world import Simulation
 
 GOAL_BINS = 8
 """Bins of the parameter E in which the range of goals is kept."""

@@ -36,7 +36,8 @@ from gendom.robot import (
     pointing_down,
 )
 from gendom.tasks import Observed, Task
-from gendom.tasks.world import Outcome, check_actions
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import check_actions
 
 ROPE_LIFT_SPEED, CLOTH_LIFT_SPEED = 0.05, 0.1
 """Speed of the predefined lift [m/s]: of a rope so slow that inertia plays no part."""

@@ -21,11 +21,11 @@ from gendom.plugins import plugins
 from gendom.tasks.cloth_spreading import ClothSpreading
 from gendom.tasks.rope_casting import RopeCasting, RopeCastingAtSpeed
 from gendom.tasks.rope_reaching import RopeReaching
-from gendom.tasks.task import Observed, Quantity, Risk, Scene, Task
+from gendom.tasks.task import Observed, Outcome, Quantity, Risk, Scene, Task, World
 
 if TYPE_CHECKING:
     from gendom.tasks.demonstrator import Demonstrator
-    from gendom.tasks.world import Outcome, Simulation, World
+    from gendom.tasks.world import Simulation
 
 _log = logging.getLogger(__name__)
 
@@ -144,9 +144,7 @@ __getattr__ = imported_later(
     __name__,
     {
         "Demonstrator": "demonstrator",
-        "Outcome": "world",
         "Simulation": "world",
-        "World": "world",
     },
 )
 
