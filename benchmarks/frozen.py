@@ -429,13 +429,12 @@ def compare(before: Path, after: Path) -> int:
             continue
         relative, absolute = TOLERANCES[name.split("/")[0]]
         a, b = dict(leaves(old[name])), dict(leaves(new[name]))
-        worst, lines = 0.0, []
-        for leaf in {**a, **b}:
+        gone = {key.split(": ")[0]: None for key in old[name] if key not in new[name]}
+        worst, lines = 0.0, [f"    {key}: gone" for key in gone]
+        for leaf in [x for x in a if x in b or not x.startswith(tuple(gone))]:
             off, size = difference(a.get(leaf), b.get(leaf))
-            if off > relative * size + absolute and leaf != "clock":
-                lines.append(
-                    f"    {leaf}: {shown(a.get(leaf))} -> {shown(b.get(leaf))}, off by {off:.3g}"
-                )
+            if off > (bound := relative * size + absolute) and leaf != "clock":
+                lines.append(f"    {leaf}: {shown(a[leaf], b.get(leaf), bound)}, off by {off:.3g}")
             if size > 0.0:
                 worst = max(worst, off / size)
         count += len(lines)
@@ -444,11 +443,14 @@ def compare(before: Path, after: Path) -> int:
     return count
 
 
-def shown(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.8g}"
-    text = json.dumps(value)
-    return text if len(text) < 60 else f"{text[:50]}... ({len(value)})"
+def shown(a: Any, b: Any, bound: float) -> str:
+    """Two leaves; of lists of one length the first of those that differ, and how many do."""
+    many = ""
+    if isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
+        apart = [k for k, pair in enumerate(zip(a, b, strict=True)) if difference(*pair)[0] > bound]
+        many = f" ([{apart[0]}], {len(apart)} of {len(a)} differ)"
+        a, b = a[apart[0]], b[apart[0]]
+    return " -> ".join(f"{v:.8g}" if is_number(v) else f"{v!r:.50}" for v in (a, b)) + many
 
 
 def main() -> int:
