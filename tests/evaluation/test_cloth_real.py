@@ -12,14 +12,14 @@ pytest.importorskip("mujoco", reason="needs the extra reality")
 from gendom.cli import main
 from gendom.errors import GendomError
 from gendom.evaluation.tables import ClothRealSettings, Workbench, cloth_real, sheets
-from gendom.policies import Policy
 from gendom.materials.estimate import Estimate
+from gendom.policies import Policy
 from gendom.policies.belief import believed
 from gendom.reality import find_object
 from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import OFF_CENTRE
 from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.world import Outcome
+from gendom.tasks.task import Outcome
 
 COTTON, RUBBER = "cloth-cotton-200mm", "cloth-rubber-200mm"
 

@@ -24,8 +24,8 @@ from gendom.evaluation.tables import (
 )
 from gendom.evaluation.tables import simulated as simulated_module
 from gendom.evaluation.tables.workbench import Wanted
-from gendom.policies import Policy
 from gendom.materials.estimate import Estimate
+from gendom.policies import Policy
 from gendom.policies.belief import believed
 from gendom.policies.training import Training
 from gendom.reality import RealRope, find_object

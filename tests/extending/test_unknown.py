@@ -8,8 +8,8 @@ import pytest
 
 from gendom import cli
 from gendom.cli.view_recording import _parameters
-from gendom.estimation import LiftScene
 from gendom.errors import ParameterError
+from gendom.estimation import LiftScene
 from gendom.materials.estimate import Estimate
 from gendom.materials.unknowns import UNKNOWNS, Unknown, register
 from gendom.policies.belief import believed

@@ -23,7 +23,7 @@ from gendom.tasks import Task
 
 if TYPE_CHECKING:
     from gendom.materials.estimate import Estimate
-    from gendom.tasks.world import World
+    from gendom.tasks.task import World
 
 _ACTION = "gendom-action/3"
 

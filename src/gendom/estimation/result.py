@@ -113,8 +113,8 @@ def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
     """Chamfer distance a frame, to all of the object and to what the cameras could see [T] [m].
 
     Parts of the object outside the recorded space (`LiftScene.floor`) have no points near and do
-    not count. Without camera positions a rope is seen from above; of a cloth everything counts, since
-    both of its sides lie where the cloud is.
+    not count. Without camera positions a rope is seen from above; of a cloth everything counts,
+    since both of its sides lie where the cloud is.
 
     Args:
         scene: What was recorded.
