@@ -22,7 +22,7 @@ def stiffened(inputs, value):
 
 def raised(inputs, value):
     inputs.grippers = [
-        replace(g, position=np.asarray(g.position) + [0.0, 0.0, value]) for g in inputs.grippers
+        replace(g, position=g.position + np.array([0.0, 0.0, value])) for g in inputs.grippers
     ]
 
 

@@ -20,7 +20,7 @@ from gendom.files import check_file, check_folder, to_json, write_json
 from gendom.installation import version
 
 if TYPE_CHECKING:
-    from gendom.estimation import Estimate, EstimateSettings
+    from gendom.estimation import EstimateSettings, FittedEstimate
     from gendom.viz.report import NextStep, Provenance
 
 NOT_USABLE = 3
@@ -190,11 +190,11 @@ class Command:
         write_json(path, record)
         tell_written(path, json=self.json)
 
-    def _write_report(self, found: Estimate) -> None:
+    def _write_report(self, found: FittedEstimate) -> None:
         from gendom.cli.pictures import clouds_of, summary_of, view_of
         from gendom.viz.report import LiftPictures, ReportContent, write_report
 
-        assert self.report is not None and found.fits
+        assert self.report is not None
         record, first = found.record, found.fits[0]
         recording = first.scene.recording
         note = "" if len(found.fits) == 1 else f"The first of {len(found.fits)}: {first.name}."
@@ -246,7 +246,7 @@ class Command:
             warnings=warnings,
         )
 
-    def _next_steps(self, found: Estimate | None) -> list[NextStep]:
+    def _next_steps(self, found: FittedEstimate | None) -> list[NextStep]:
         """Commands to run next on the written files."""
         from gendom.viz.report import NextStep
 
@@ -306,11 +306,11 @@ def _sentences(*texts: str) -> str:
     return " ".join(text if text.endswith(".") else f"{text}." for text in texts if text)
 
 
-def _task_and_goal(found: Estimate) -> list[str]:
+def _task_and_goal(found: FittedEstimate) -> list[str]:
     """A task for an object of this kind, with a goal in the middle of those trained on."""
     from gendom.policies import Policy
 
-    if found.record["object"]["kind"] == "cloth":
+    if found.kind == "cloth":
         return ["cloth-spreading"]
     ends = found.record["object"]["length"] * Policy.pretrained("rope-casting").goal_range()
     return ["rope-casting", "--goal", *(f"{end:.3f}" for end in ends.mean(axis=1))]
@@ -320,7 +320,7 @@ def _shell(words: Sequence[str | Path]) -> str:
     return shlex.join(map(str, words))
 
 
-def estimate_text(found: Estimate) -> str:
+def estimate_text(found: FittedEstimate) -> str:
     """An estimate for people."""
     record = found.record
     rows = [("verdict", "usable" if found.usable else "not usable")]

@@ -128,17 +128,17 @@ class Estimate(Shown):
         return self.posterior.names
 
     @property
-    def mean(self) -> Array:
+    def mean(self) -> NDArray[np.float64]:
         """[P] transformed: logarithms where `UNKNOWNS` says so."""
-        return self.posterior.mean
+        return np.asarray(self.posterior.mean, dtype=float)
 
     @property
-    def covariance(self) -> Array:
+    def covariance(self) -> NDArray[np.float64]:
         """[P, P] of that."""
-        return self.posterior.covariance
+        return np.asarray(self.posterior.covariance, dtype=float)
 
     @property
-    def sd(self) -> Array:
+    def sd(self) -> NDArray[np.float64]:
         """[P] standard deviations of that."""
         return np.sqrt(np.diag(self.covariance))
 
@@ -336,9 +336,11 @@ class Estimate(Shown):
             for j, other in enumerate(chosen):
                 if other in blocks:
                     total[i, j] = covariance[blocks[name], blocks[other]]
-        return self._with(prior, mean, total)
+        # what is not uncertain any more stays as it most likely is
+        known = {n: v for n, v in to_columns(self._usual).items() if n != "E"}
+        return replace(self, known=known)._with(prior, mean, total)
 
-    def _of_this_size(self) -> Array:
+    def _of_this_size(self) -> NDArray[np.float64]:
         """[P, P] covariance with the thickness at its most likely value. Of an uncertain thickness
         and E over density, what bends alike is known better than either."""
         if "thickness" not in self.names:
@@ -349,10 +351,7 @@ class Estimate(Shown):
 
     def _with(self, prior: Prior, mean: Array, covariance: Array) -> Self:
         posterior = replace(self.posterior, prior=prior, mean=mean, covariance=covariance)
-        known = self.known
-        if "thickness" in self.names and "thickness" not in prior.names:
-            known = {**known, self._small: self._need(self._small), "density": self.density}
-        return replace(self, posterior=posterior, known=known)
+        return replace(self, posterior=posterior)
 
     def with_posterior(self, read: Mapping[str, Any]) -> Self:
         """With the Gaussian of a file.
@@ -504,7 +503,7 @@ class Estimate(Shown):
         """Intervals, searched ranges, and whether each value is determined, by name."""
         intervals: dict[str, list[float]] = {}
         bounds: dict[str, list[float]] = {}
-        known = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
+        known: dict[str, bool] = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
         posterior, values = self.posterior, self._values()
         for name in posterior.names:
             u = UNKNOWNS[name]
