@@ -276,21 +276,6 @@ def test_velocities(engine, name, value):
     assert np.isfinite(s.velocities()).all()
 
 
-@cases(
-    {
-        "times": ["soon", RAGGED],
-        "tolerance": ["small", [1e-3, 1e-3]],
-        "most_steps": ["many", 1.5, nan, [1, 2]],
-        "increments": ["few", 1.5, nan],
-        "keep_going": ["yes"],
-        "derivatives": ["friction", [3]],
-    }
-)
-def test_equilibria(name, value):
-    s = Simulator(ROPE, [MATERIAL], grippers=[HAND])
-    assert named(name, refused(s.equilibria, **{"times": [0.1], name: value}))
-
-
 @cases({"simulator": [3], "memory": ["all", -1.0, nan]})
 def test_rollouts(name, value):
     given: dict[str, Any] = {"simulator": Simulator(ROPE, [MATERIAL]), name: value}

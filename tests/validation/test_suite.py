@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from gendom.errors import ParameterError, SimulationError
+from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import CFL, Gripper, Simulator, cloth
+from gendom.sim import CFL, Gripper, cloth
 from gendom.validation import CASES, Settings, choose, run_cases
 from gendom.validation.stability import _diverged
 
@@ -29,18 +29,6 @@ def failing(name, settings):
 def test_quick_suite(name):
     """Everything passes."""
     assert failing(name, QUICK) == set()
-
-
-@pytest.mark.parametrize("name", [name for name in CASES if name.startswith("static-")])
-def test_static_cases_do_not_move(name, monkeypatch):
-    """They fail without `Simulator.equilibria`, and do not step through time."""
-
-    def missing(*args, **options):
-        raise SimulationError("there are no equilibria")
-
-    monkeypatch.setattr(Simulator, "equilibria", missing)
-    (result,) = run_cases(choose([name]), QUICK)
-    assert result.failure is not None and "there are no equilibria" in result.failure
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@ from gendom.arguments import check_numbers
 from gendom.materials import AIR_DENSITY
 from gendom.sim.bodies import Body, Weave, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device
-from gendom.sim.equilibria import Equilibria
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import CFL, stable_substep
@@ -23,7 +22,6 @@ __all__ = [
     "PAPER",
     "Body",
     "Box",
-    "Equilibria",
     "Gradients",
     "Gripper",
     "Grippers",

@@ -24,15 +24,12 @@ from gendom.materials.laws import LAWS
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
-from gendom.sim.equilibria import Equilibria
 from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.scene import GRAVITY, Box, Table
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin import thin_engine
-from gendom.sim.thin.engine import ThinEngine
-from gendom.sim.thin.statics import Search
 
 ENGINES = ("mpm", "thin")
 """``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
@@ -351,75 +348,6 @@ class Simulator(Shown):
         self.engine.run(Frames(self.time, t, picked, x, on_frame, keep_going))
         self.time = float(t[-1])
         return x
-
-    def equilibria(
-        self,
-        times: ArrayLike,
-        *,
-        tolerance: float | None = None,
-        most_steps: int = 100_000,
-        increments: int = 1,
-        keep_going: bool = False,
-        derivatives: Sequence[str] = (),
-    ) -> Equilibria:
-        """Compute static equilibria of rods and shells, frame by frame (quasi-static motion).
-
-        Each frame starts from the previous equilibrium. A point that touches the table sticks to
-        its position in the previous frame, or slides with the friction mu N against its
-        displacement since then. Velocities, damping, air and the substep have no influence;
-        velocities are 0 afterwards. Grippers close and open on bodies in equilibrium. Where
-        several equilibria exist, the result is the one that the body reaches without momentum.
-
-        Args:
-            times: [T] not decreasing, not before ``self.time`` [s].
-            tolerance: Largest residual, see ``Equilibria.residual`` (default: 1e-6, with
-                self-contact 0.02; never below the rounding error). The search is in float64.
-            most_steps: Maximum number of relaxation steps for one equilibrium.
-            increments: Equilibria computed for each frame; only the last is returned. More
-                increments follow the path more closely where friction or folds depend on it.
-            keep_going: Stop only the worlds that fail, and mark frames that did not converge,
-                instead of raising an error.
-            derivatives: Names of the parameters with respect to which positions are
-                differentiated: ``E`` [Pa], ``nu``, ``density`` [kg/m^3], ``thickness`` (or
-                diameter, initial positions unchanged) [m], ``width`` of a flat rope [m],
-                ``membrane`` [Pa], ``weave`` ([.., 4]: warp, weft, shear, bending), ``friction`` of
-                the table, ``gravity`` ([.., 3]) [m/s^2], ``gripper_radius`` ([.., G]) [m],
-                ``gripper_offset`` ([.., G, 3]: a shift of a gripper's whole path, which also
-                shifts where it holds the body) [m]; and by many numbers, with as many linear
-                systems' right sides: ``stiffness`` ([.., N]), ``rest_strains`` ([.., N, 6] or
-                [.., N, 3], see ``Gradients``), initial ``positions`` ([.., N, 3]) [m],
-                ``gripper_positions`` and ``gripper_rotations`` ([.., G, K, 3], of each knot,
-                see ``Gradients``) [m] and [rad].
-
-        Raises:
-            ParameterError: If the times decrease, the engine is the MPM, an argument is of another
-                type or range, or a derivative is unknown or not available with self-contact.
-            SimulationError: If nothing holds a body, a world is stretched beyond its limits, a
-                frame does not converge, or derivatives are not determined, unless ``keep_going``
-                is set. The error names world, time, residual and parameters.
-        """
-        if not isinstance(self.engine, ThinEngine):
-            raise ParameterError("only rods and shells come to rest so", fix="engine='thin'")
-        if tolerance is not None:
-            check_number("tolerance", tolerance, above=0.0)
-        check_integers("most_steps", most_steps, (), least=1)
-        check_integers("increments", increments, (), least=1)
-        check_type("keep_going", keep_going, bool)
-        check_list("derivatives", derivatives, str)
-        t = self.checked(times)
-        search = Search(
-            self.engine,
-            t,
-            self.time,
-            tolerance=tolerance,
-            most_steps=most_steps,
-            increments=increments,
-            keep_going=keep_going,
-            derivatives=derivatives,
-        )
-        found = search.run()
-        self.time = float(t[-1])
-        return found
 
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:
         """Return ``times`` as an array [T], after checking that the simulator can be run to them.

@@ -29,7 +29,6 @@ from gendom.validation import (
     rods,
     shells,
     stability,
-    statics,
     torsion,
 )
 from gendom.validation.check import Case, Check, Settings
@@ -101,28 +100,6 @@ CASES = {
                 ("shell-cantilever", "strips' sags over decades", master_curves.strips_sag),
                 ("shell-lateral", "a strip on its edge", master_curves.strip_falls_over),
                 ("shell-discs", "discs cut out of a lattice", outlines.discs),
-            )
-        ),
-        Case(
-            name="static-hanging", title="a rope's own weight", run=statics.hanging, engine="thin"
-        ),
-        *(
-            Case(name=name, title=title, run=statics.at_rest(run), engine="thin")
-            for name, title, run in (
-                ("static-held", "ropes in grippers, at rest", rods.held),
-                ("static-elastica", "a rope's large sag, at rest", rods.elastica),
-                ("static-catenary", "a rope between two hands, at rest", rods.catenary),
-                ("static-twist", "a twisted rope, at rest", rods.twist),
-                ("static-graded", "ropes stiffer or softer at their tip, at rest", rods.graded),
-                ("static-rods", "ropes' sags over four decades, at rest", master_curves.rods_sag),
-                ("static-stick-slip", "tips on the table, at rest", statics.tips_slip),
-                ("static-strips", "strips' sags, at rest", shells.strips),
-                ("static-shells", "strips' sags over decades, at rest", master_curves.strips_sag),
-                ("static-plates", "strips and squares that bend two ways, at rest", plates.plates),
-                ("static-weave", "strips of a weave, at rest", fabrics.weave),
-                ("static-curl", "strips that curl, at rest", fabrics.curls),
-                ("static-discs", "discs held in their middle, at rest", outlines.held_discs),
-                ("static-cut-strips", "strips cut at an angle, at rest", outlines.cut_strips),
             )
         ),
     )

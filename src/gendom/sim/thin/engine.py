@@ -53,8 +53,6 @@ class ThinEngine(ABC):
     """As ``CFL``, of worlds without damping."""
     stiffened: ClassVar[tuple[slice, ...]]
     """Components of the stiffness that change at a gripper's border, see ``Grip.stiffer``."""
-    natural: ClassVar[slice]
-    """Components of the kernels' ``rest`` that are stress-free strains."""
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         self.check_suits(setting)
@@ -170,10 +168,6 @@ class ThinEngine(ABC):
     @abstractmethod
     def slopes(self, name: str) -> Slopes:
         """Derivatives of the model by ``E``, ``nu``, ``density`` or one of ``parameters``."""
-
-    @abstractmethod
-    def stiffness_by_share(self, w: int, i: int) -> NDArray[np.float64]:
-        """Derivative [R, n] of world w's stiffness by the share of E at point i."""
 
     @abstractmethod
     def tape(self, memory: float) -> Any:
@@ -453,7 +447,6 @@ class ThinEngine(ABC):
         body.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
         body.table = int(s.table is not None)
         body.radius = s.body.thickness / 2.0
-        body.anchor = self.zeros((0, 3, self.row_length))
         body.walls = int(s.box is not None)
         if s.box is not None:
             body.box_lower = self.types.vec3(*(s.box.lower - self.origin))

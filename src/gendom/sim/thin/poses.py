@@ -94,19 +94,6 @@ class Paths:
         self.turn_bar[w, g, k] += np.where(turns, before, 0.0)
         self.turn_bar[w, g, k + 1] += np.where(turns, after, 0.0)
 
-    def slopes(self, g: int, w: int, t: float) -> tuple[Array, Array]:
-        """Derivatives of gripper g's pose in world w at time t [s]: of its centre by its knots'
-        positions, and of its rotation by rotations of its knots in world axes, [3, K, 3] each."""
-        world = {name: values[w : w + 1] for name, values in self.stacked.items()}
-        found = []
-        for unit in np.eye(3)[:, None]:
-            one = Paths(world)
-            none = np.zeros_like(unit)
-            one.pose_adjoint(g, np.array([0]), np.array([t]), PoseBars(unit, unit, none, none))
-            found.append((one.position_bar[0, g], one.turn_bar[0, g]))
-        centre, turn = (np.stack(rows) for rows in zip(*found, strict=True))
-        return centre, turn
-
 
 def _exp(turn: Array) -> Array:
     """Quaternions [..., 4] of rotation vectors [..., 3]."""

@@ -168,14 +168,6 @@ class RodModel:
             thickness=float(name == "thickness"),
         )
 
-    def stiffness_by_share(
-        self, materials: Sequence[Material], w: int, i: int
-    ) -> NDArray[np.float64]:
-        """Derivative [6, n] of world w's stiffness by the share of E at point i."""
-        moduli, _ = _moduli(self.section, materials[w : w + 1])
-        one = np.eye(len(self.tributary))[i : i + 1]
-        return moduli[0][:, None] * _shares(one, self.length)[0]
-
     def share_bar(
         self, materials: Sequence[Material], stiffness_bar: NDArray[np.floating]
     ) -> NDArray[np.float64]:

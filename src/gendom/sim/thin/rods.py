@@ -30,7 +30,6 @@ class Rods(ThinEngine):
     state_rows, state_bars, scratch_rows, scratch_bars = 19, 18, 12, 18
     lanes_on_cuda = 32
     stiffened = (slice(3, 6),)
-    natural = slice(1, 7)
     apart: int
     """Smallest number of points along the rod between parts that can be in self-contact."""
 
@@ -134,9 +133,6 @@ class Rods(ThinEngine):
     def slopes(self, name: str) -> Slopes:
         s = self.setting
         return self.model.slopes(name, s.body, s.materials, self.share)
-
-    def stiffness_by_share(self, w: int, i: int) -> NDArray[np.float64]:
-        return self.model.stiffness_by_share(self.setting.materials, w, i)
 
     def tape(self, memory: float) -> Any:
         from gendom.sim.thin.tape import RodTape

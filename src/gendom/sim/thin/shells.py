@@ -27,7 +27,6 @@ class Shells(ThinEngine):
     undamped_cfl = 0.4
     """Nonlinear vibrations gain energy in longer steps, see ``benchmarks/swing.py``."""
     stiffened = (slice(4, 5), slice(5, 6))
-    natural = slice(3, 6)
 
     @staticmethod
     def check_suits(setting: Setting) -> None:
@@ -140,11 +139,6 @@ class Shells(ThinEngine):
 
     def slopes(self, name: str) -> Slopes:
         return self.model.slopes(name, self.setting.materials, self.share)
-
-    def stiffness_by_share(self, w: int, i: int) -> NDArray[np.float64]:
-        found = np.zeros(self.modulus[w].shape)
-        found[:, i] = self.modulus[w, :, i]
-        return found
 
     def tape(self, memory: float) -> Any:
         from gendom.sim.thin.tape import ShellTape

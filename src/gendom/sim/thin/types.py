@@ -69,8 +69,6 @@ def make_types(real: Any) -> Types:
         gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
         table: int  # at height 0
         radius: real  # height of a point on the table [m]
-        anchored: int  # whether slip is measured from anchors instead of a step's start
-        anchor: wp.array3d(dtype=real)  # [W, 3, P] of a search for equilibria [m]
         walls: int
         box_lower: vec3
         box_upper: vec3

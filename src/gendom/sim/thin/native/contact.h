@@ -6,7 +6,7 @@
 // taken at once (Jacobi): each has its part of a point's mass, and the point takes the mean of what its parts do,
 // so that impulses stay equal and opposite (Tonge et al. (2012), "Mass splitting for jitter-free parallel rigid
 // body simulation"). One after the other (Gauss and Seidel) they throw points out of places that are too narrow
-// for them; a search for equilibria, which has no velocities, converges only so.
+// for them.
 #pragma once
 
 namespace gendom {
@@ -21,15 +21,6 @@ template <typename real> CUDA_CALLABLE inline void add_to(const rows_of<real>& r
 template <typename real>
 CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, const vec<real>& a) {
     add_to(rows, c, i, a.x), add_to(rows, c + 1, i, a.y), add_to(rows, c + 2, i, a.z);
-}
-
-// Whether contacts are taken one after the other: in a CPU's search for equilibria.
-template <typename Body> CUDA_CALLABLE inline bool takes_in_order(const Body& body) {
-#if defined(__CUDA_ARCH__)
-    return false;
-#else
-    return body.anchored != 0;
-#endif
 }
 
 // Two places that are too near, and what pushes them apart.
@@ -57,14 +48,12 @@ template <typename Body, typename real> struct contacts {
     // Points that take the mean of many pushes go less far than each asks for. Where the first turns do not suffice,
     // over-relaxation takes fewer further ones. From 2 on it may diverge.
     const real over;
-    const bool in_order;
 
     CUDA_CALLABLE inline contacts(const Body& body, int w, const wp::array_t<real>& state, int row,
                                   real dt, int turn)
         : body(body), w(w), close(close_pairs(body, w)), s(state, row), push(body.push, w),
           loose(body.loose, w), dt(dt), per_dt(real(1) / dt), mu(wp::index(body.self_friction, w)),
-          over(turn < body.contact_turns || takes_in_order(body) ? real(1) : real(1.8)),
-          in_order(takes_in_order(body)) {}
+          over(turn < body.contact_turns ? real(1) : real(1.8)) {}
 
     CUDA_CALLABLE inline meeting<real> pair(int k) const {
         int one, other;
@@ -81,7 +70,7 @@ template <typename Body, typename real> struct contacts {
     CUDA_CALLABLE inline int at(int j) const { return wp::index(body.touching, w, j); }
     // The number of contacts among which the mass of point p is divided.
     CUDA_CALLABLE inline real split(int p) const {
-        return in_order ? real(1) : push.template get<real>(6, p);
+        return push.template get<real>(6, p);
     }
     // Whether pair k is pushed apart, and how.
     CUDA_CALLABLE inline bool find(int k, contact<real>& c) const {
@@ -137,8 +126,7 @@ CUDA_CALLABLE inline int push_apart(const Body& body, int w, const wp::array_t<r
         for (int i = 0; i < 4; ++i) {
             const int p = c.places.point[i];
             const real by = c.places.share[i] * all.loose.template get<real>(0, p);
-            if (all.in_order) all.s.add3(3, p, by * impulse), all.s.add3(0, p, by * shift);
-            else add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
+            add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
         }
     }
     return again;
@@ -158,12 +146,11 @@ CUDA_CALLABLE inline void take_push(const Body& body, int w, const wp::array_t<r
 }
 
 // What a turn pushed beyond the table or a wall goes back to it; left there, it would be thrown out by the next
-// step's velocities. In a search for equilibria only places tell the table what rests on it, and its friction.
+// step's velocities.
 template <typename Body, typename real>
 CUDA_CALLABLE inline void end_turn(const Body& body, int w, const wp::array_t<real>& state, int row) {
     typedef typename several<real>::lanes T;
     take_push(body, w, state, row);
-    if (body.anchored) return;
     const ground<T> around(body, w, real(1));
     const rows_of<real> s(state, row), loose(body.loose, w);
     for (EACH_IN(p, body.first, body.end)) {

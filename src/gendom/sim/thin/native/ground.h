@@ -41,26 +41,8 @@ template <typename T> struct ground {
         const T p = push(x, v), slides = larger(T(real(0)), T(real(1)) - mu * p / speed(v));
         return {slides * v.x, slides * v.y, v.z + p};
     }
-    // Where friction counts from an anchor: `before` is the way from there over the step's length.
-    // A form of its own, for it would cost motion 5 % of its time.
-    CUDA_CALLABLE inline vec<T> on_table(const vec<T>& x, const vec<T>& v, const vec<T>& before) const {
-        if (!table) return v;
-        const T p = push(x, v);
-        const T slides = larger(T(real(0)), T(real(1)) - mu * p / speed(v + before));
-        const T back = T(real(1)) - slides;
-        return {slides * v.x - back * before.x, slides * v.y - back * before.y, v.z + p};
-    }
     CUDA_CALLABLE inline vec<T> stopped(const vec<T>& x, const vec<T>& free) const {
         return between_walls(x, on_table(x, free));
-    }
-    // As above, of point i, whose anchor is its place in the shape before if the body has anchors.
-    template <typename Body>
-    CUDA_CALLABLE inline vec<T> stopped(const Body& body, int w, int i, const vec<T>& x,
-                                        const vec<T>& free) const {
-        if (!body.anchored) return stopped(x, free);
-        const rows_of<real> anchor(body.anchor, w);
-        const vec<T> before = T(real(1)) / h * (x - anchor.template get3<T>(0, i));
-        return between_walls(x, on_table(x, free, before));
     }
     CUDA_CALLABLE inline vec<T> between_walls(const vec<T>& x, const vec<T>& v) const {
         if (!walls) return v;

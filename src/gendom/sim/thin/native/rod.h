@@ -170,7 +170,7 @@ CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real
         const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
                          m.template get<T>(DRAG, i) * root(dot(vn, vn)) * vn;
         vec<T> v = keep * (v0 + T(kick) * (m.template get<T>(PER_MASS, i) * f + g));
-        v = around.stopped(rod, w, i, x, v);
+        v = around.stopped(x, v);
         to.put3(V, i, v);
         to.put3(X, i, x + h * v);
 

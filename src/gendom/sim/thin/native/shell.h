@@ -238,7 +238,7 @@ CUDA_CALLABLE inline void shell_move(const Body& body, int w, const wp::array_t<
         const vec<T> f = shell_pull<T>(in, shape, p, body.pitch) -
                          m.template get<T>(POINT_DRAG, p) * root(vn * vn) * vn * normal;
         const vec<T> free = keep * (v0 + T(kick) * (m.template get<T>(POINT_PER_MASS, p) * f + g));
-        const vec<T> v = around.stopped(body, w, p, x, free);
+        const vec<T> v = around.stopped(x, free);
         to.put3(SHELL_V, p, v);
         to.put3(SHELL_X, p, x + h * v);
     }
