@@ -10,7 +10,7 @@ from gendom.sim.mpm.engine import CFL, stable_substep
 from gendom.sim.outlines import outline_of_mesh
 from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
-from gendom.sim.scene import GRAVITY, Box, Table
+from gendom.sim.scene import GRAVITY, Table
 from gendom.sim.simulator import ENGINES, Simulator
 
 __all__ = [
@@ -21,7 +21,6 @@ __all__ = [
     "METRIC",
     "PAPER",
     "Body",
-    "Box",
     "Gradients",
     "Gripper",
     "Grippers",

@@ -40,16 +40,14 @@ class Weave:
     """
 
     warp: float = 1.0
-    """Stretching stiffness along the first axis."""
+    """Bending stiffness along the first axis."""
     weft: float = 1.0
-    """Stretching stiffness along the second axis."""
+    """Bending stiffness along the second axis; that of twist is their geometric mean."""
     shear: float = 1.0
     """In-plane shear stiffness."""
-    bending: float = 1.0
-    """Bending stiffness, in all directions."""
 
     def __post_init__(self) -> None:
-        _check_positive(warp=self.warp, weft=self.weft, shear=self.shear, bending=self.bending)
+        _check_positive(warp=self.warp, weft=self.weft, shear=self.shear)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,13 +85,8 @@ class Body:
     which a cloth with an outline has a part."""
     cut: Cut | None = None
     """That part; None: all of it."""
-    width: float | None = None
-    """Width of a flat rope, horizontal and across it [m]; None: round rope."""
     weave: "Weave" = field(default_factory=lambda: Weave())
     """Stiffness of a cloth's weave relative to an isotropic sheet; for shells."""
-    natural_curvature: NDArray[np.floating] | None = None
-    """[2, 2] curvature of the stress-free shell in its first two axes, positive where it arches
-    towards its third axis [1/m]; None: flat."""
 
     @property
     def num_particles(self) -> int:
@@ -212,7 +205,6 @@ def rope(
     direction: ArrayLike = (1.0, 0.0, 0.0),
     cells_across: float = 2.0,
     points: int | None = None,
-    width: float | None = None,
 ) -> Body:
     """Make a rope, straight or along a centre line.
 
@@ -230,8 +222,6 @@ def rope(
             the MPM.
         points: Number of points of the centre line, for rods; by default they are one diameter
             apart, but at least 25 and at most 49.
-        width: Width of a flat rope (a ribbon), horizontal and across it [m]; its thickness is
-            ``diameter``. For rods.
 
     Raises:
         ParameterError: If an argument is of another type or shape or not finite, sizes are not
@@ -264,8 +254,6 @@ def rope(
     dx = diameter / cells_across
     spacing = dx / 2.0
     total = length if length is not None else float(arc_length(line)[-1])
-    if width is not None:
-        _check_positive(width=width)
     if points is None:
         points = 1 + min(max(round(total / diameter), EDGES[0]), EDGES[1])
     check_integers("points", points, (), least=3, most=MOST)
@@ -306,7 +294,6 @@ def rope(
         contact_radius=diameter / 2.0,
         points=along_line(line, np.linspace(0.0, total, points))[0],
         shape=(points,),
-        width=width,
     )
 
 
@@ -320,7 +307,6 @@ def cloth(
     yaw: float = 0.0,
     points: tuple[int, int] | None = None,
     weave: Weave | None = None,
-    natural_curvature: ArrayLike | None = None,
     outline: Any = None,
 ) -> Body:
     """Make a flat cloth in a horizontal plane: a rectangle, or of any outline.
@@ -342,9 +328,8 @@ def cloth(
         dx: Size of a grid cell [m]. For the MPM.
         points: Numbers of points along the first and second axis, for shells; by default 28 along
             the longer side and the same spacing along the other.
-        weave: Stiffness along threads, in shear and in bending; for shells (default: isotropic).
-        natural_curvature: [2, 2] curvature of the stress-free cloth in its first two axes,
-            positive where it arches towards its third axis [1/m]; for shells (default: flat).
+        weave: Bending stiffness along threads, and shear stiffness; for shells (default:
+            isotropic).
         corner: [3] position of one corner of the mid-plane, from which both axes go, or with an
             outline of the origin of its coordinates [m].
         yaw: Angle of the first axis about z [rad].
@@ -417,7 +402,6 @@ def cloth(
         shape=points[::-1],
         cut=part,
         weave=weave or Weave(),
-        natural_curvature=None if natural_curvature is None else _curvature(natural_curvature),
     )
 
 
@@ -459,18 +443,6 @@ def _sizes(
                 f"{name} is {given:g} m, and the outline's is {size:g} m", fix=f"leave {name} out"
             )
     return float(box[0]), float(box[1])
-
-
-def _curvature(values: ArrayLike) -> NDArray[np.floating]:
-    """Check a natural curvature and return it as an array [2, 2].
-
-    Raises:
-        ParameterError: If it is not [2, 2], finite and symmetric.
-    """
-    a = check_numbers("natural_curvature", values, (2, 2))
-    if a[0, 1] != a[1, 0]:
-        raise ParameterError(f"natural_curvature must be symmetric, got {a.tolist()}")
-    return a
 
 
 def _check_positive(**values: float) -> None:

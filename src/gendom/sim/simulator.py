@@ -16,6 +16,7 @@ from gendom.arguments import (
     check_number,
     check_numbers,
     check_type,
+    require,
 )
 from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
@@ -27,7 +28,7 @@ from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.scene import GRAVITY, Box, Table
+from gendom.sim.scene import GRAVITY, Table
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin import thin_engine
 
@@ -38,8 +39,8 @@ INTEGRATORS = ("explicit", "implicit")
 """How steps are taken; see ``docs/thin.md``."""
 
 START_INSIDE = 0.1
-"""Greatest initial depth of a body in a table or wall [cells, or diameters of a rod]; contact
-pushes it out."""
+"""Greatest initial depth of a body in a table [cells, or diameters of a rod]; contact pushes it
+out."""
 
 
 class Simulator(Shown):
@@ -64,7 +65,6 @@ class Simulator(Shown):
             inside the material see ``Material.damping``.
         air_density: Density of the air, which exerts drag on ropes and cloths, one number or [W]
             [kg/m^3].
-        box: Walls, or None.
         self_contact: Whether rods and shells keep their thickness where they meet themselves. The
             MPM resolves self-contact through its grid in any case.
         self_friction: Coefficient of friction at self-contact, one number or [W].
@@ -98,7 +98,6 @@ class Simulator(Shown):
         gravity: ArrayLike = GRAVITY,
         velocity_damping: float | ArrayLike = 0.0,
         air_density: float | ArrayLike = AIR_DENSITY,
-        box: Box | None = None,
         self_contact: bool = False,
         self_friction: float | ArrayLike = 0.3,
         law: str = "neo-hookean",
@@ -114,7 +113,6 @@ class Simulator(Shown):
         check_type("body", body, Body)
         check_list("materials", materials, Material)
         check_type("table", table, Table, optional=True)
-        check_type("box", box, Box, optional=True)
         check_type("self_contact", self_contact, bool)
         if not materials:
             raise ParameterError("a simulation needs at least one material (one a world)")
@@ -165,7 +163,7 @@ class Simulator(Shown):
         x = rest if positions is None else positions
         x = check_numbers("positions", x, (N, 3), ("W", N, 3))
         unit = body.thickness if thin else body.dx
-        _check_clear(body, x, 1 if thin else body.section, START_INSIDE * unit, table, box)
+        _check_clear(body, x, 1 if thin else body.section, START_INSIDE * unit, table)
         self.body = body
         self.materials = tuple(materials)
         self.time = start_time
@@ -176,7 +174,6 @@ class Simulator(Shown):
             materials=self.materials,
             grippers=_grippers_of_worlds(grippers, W),
             table=table,
-            box=box,
             self_contact=self_contact,
             self_friction=self_friction,
             gravity=gravity,
@@ -365,37 +362,30 @@ class Simulator(Shown):
 
 
 def _check_clear(
-    body: Body,
-    x: NDArray[np.floating],
-    section: int,
-    least: float,
-    table: Table | None,
-    box: Box | None,
+    body: Body, x: NDArray[np.floating], section: int, least: float, table: Table | None
 ) -> None:
-    """Check that positions [..., N, 3] do not lie deeper than ``least`` [m] in the table or a wall.
+    """Check that positions [..., N, 3] do not lie deeper than ``least`` [m] in the table.
 
     Each ``section`` consecutive positions form one cross-section.
 
     Raises:
         ParameterError: If they do; the error names the depth, and the world if they differ.
     """
+    if table is None:
+        return
     n = x.shape[-2] // section
     centres = x.reshape(*x.shape[:-2], n, section, 3).mean(axis=-2).reshape(-1, n, 3)
     lowest, highest = centres.min(axis=1), centres.max(axis=1)
-    planes = [] if table is None else [("the table", table.height - lowest[:, 2])]
-    if box is not None:
-        planes += [("a wall", d) for d in (*(box.lower - lowest).T, *(highest - box.upper).T)]
-    for name, beyond in planes:
-        w = int(beyond.argmax())
-        depth = beyond[w] + body.contact_radius
-        if depth > least:
-            raise ParameterError(
-                f"the object begins {1e3 * depth:.3g} mm inside {name}",
-                where=f"{f'world {w}, ' if len(beyond) > 1 else ''}centres of its cross-sections "
-                f"lie between {lowest[w].round(4).tolist()} and {highest[w].round(4).tolist()} m, "
-                f"half its thickness is {body.contact_radius:.4g} m",
-                fix="move the object, or the table or wall",
-            )
+    w = int(lowest[:, 2].argmin())
+    depth = table.height + body.contact_radius - lowest[w, 2]
+    require(
+        depth <= least,
+        f"the object begins {1e3 * depth:.3g} mm inside the table",
+        where=f"{f'world {w}, ' if len(lowest) > 1 else ''}centres of its cross-sections "
+        f"lie between {lowest[w].round(4).tolist()} and {highest[w].round(4).tolist()} m, "
+        f"half its thickness is {body.contact_radius:.4g} m",
+        fix="move the object, or the table",
+    )
 
 
 def _worlds(n: int) -> str:

@@ -447,10 +447,6 @@ class ThinEngine(ABC):
         body.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
         body.table = int(s.table is not None)
         body.radius = s.body.thickness / 2.0
-        body.walls = int(s.box is not None)
-        if s.box is not None:
-            body.box_lower = self.types.vec3(*(s.box.lower - self.origin))
-            body.box_upper = self.types.vec3(*(s.box.upper - self.origin))
         body.holds = self.array(self.holds, wp.int32)
         body.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
         body.torn_from = self.array(np.full(W, np.inf), wp.float64)

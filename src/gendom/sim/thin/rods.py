@@ -128,7 +128,7 @@ class Rods(ThinEngine):
         put_worlds(body.inertia, worlds, inertia)
 
     def parameters(self) -> tuple[str, ...]:
-        return ("thickness",) if self.setting.body.width is None else ("thickness", "width")
+        return ("thickness",)
 
     def slopes(self, name: str) -> Slopes:
         s = self.setting

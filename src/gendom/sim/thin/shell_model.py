@@ -33,8 +33,6 @@ class ShellModel:
     """[n] area represented by each point [m^2]."""
     exists: NDArray[np.float64]
     """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
-    rest_bend: NDArray[np.float64]
-    """[3, n] stress-free second differences along the normal [m]."""
     weave: Weave
     shares: NDArray[np.float64]
     """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
@@ -91,10 +89,8 @@ class ShellModel:
         faster = (1.0, 1.0) if body.cut is None else _faster(body.cut, area, shares[4:])
         weave = body.weave
         coupled = math.sqrt(weave.warp * weave.weft)
-        membrane = [weave.warp, weave.weft, coupled, weave.shear]
-        shares *= np.array(membrane + 4 * [weave.bending])[:, None, None]
-        k = np.zeros((2, 2)) if body.natural_curvature is None else -body.natural_curvature
-        rest = [k[0, 0] * lx**2, k[1, 1] * ly**2, k[0, 1] * lx * ly]
+        bending = [weave.warp, weave.weft, coupled, coupled]
+        shares *= np.array([1.0, 1.0, 1.0, weave.shear, *bending])[:, None, None]
         return cls(
             shape=(ny, nx),
             at=at,
@@ -102,7 +98,6 @@ class ShellModel:
             thickness=body.thickness,
             area=area.reshape(-1)[at],
             exists=np.stack([after, below, there]).reshape(3, -1)[:, at],
-            rest_bend=np.array(rest)[:, None] * np.ones((1, len(at))),
             weave=weave,
             shares=shares.reshape(8, -1)[:, at],
             alone=np.stack(alone).reshape(2, -1)[:, at],
@@ -184,11 +179,11 @@ class ShellModel:
         nu = np.array([m.nu for m in materials])
         density = np.array([m.density for m in materials])
         weave = self.weave
-        stiffest = max(weave.warp, weave.weft, weave.shear)
+        stiffest, stiffest_bending = max(1.0, weave.shear), max(weave.warp, weave.weft)
         # joints at a gripper's border can be eight times as stiff
         across = 8.0 * self.faster[1] * self.thickness**2 / 12.0 * k2**2
         along = self.faster[0] * k2
-        fastest = np.maximum(in_plane * stiffest * along, E * weave.bending * across)
+        fastest = np.maximum(in_plane * stiffest * along, E * stiffest_bending * across)
         fastest = fastest / (1.0 - nu**2) / density
         damped = np.array([m.damping > 0.0 for m in materials])
         return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
@@ -196,8 +191,9 @@ class ShellModel:
 
 def _powers(name: str) -> list[float]:
     """Powers of a weave's parameter in the stiffness, [8]."""
-    membrane = {"warp": [1.0, 0.0, 0.5, 0.0], "weft": [0.0, 1.0, 0.5, 0.0], "shear": [0, 0, 0, 1.0]}
-    return membrane.get(name, [0.0] * 4) + [float(name == "bending")] * 4
+    if name == "shear":
+        return [0.0, 0.0, 0.0, 1.0] + 4 * [0.0]
+    return 4 * [0.0] + [float(name == "warp"), float(name == "weft"), 0.5, 0.5]
 
 
 def _to_corners(cells: NDArray[np.floating]) -> NDArray[np.float64]:

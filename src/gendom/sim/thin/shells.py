@@ -74,12 +74,11 @@ class Shells(ThinEngine):
         self.per_mass = 1.0 / self.mass
         self.spacing = max(m.spacing)
         inertia = np.stack([self.per_mass, drag, np.ones((W, n)), np.ones((W, n))], axis=1)
-        rest = np.concatenate([m.exists, m.rest_bend])
         ny, nx = m.shape
         body.pitch = -(-(nx + 1) // 8) * 8
         body.first, body.end = body.pitch, body.pitch * (ny + 1)
         body.per_x, body.per_y = 1.0 / m.spacing[0], 1.0 / m.spacing[1]
-        body.rest = self.array(self.rows(rest)[None])
+        body.rest = self.array(self.rows(m.exists)[None])
         body.stiffness = self.array(self.rows(stiffness))
         body.inertia = self.array(self.rows(inertia))
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-WEAVE = ("warp", "weft", "shear", "bending")
+WEAVE = ("warp", "weft", "shear")
 """Parameters of a shell's weave, in the order of the derivatives by it."""
 
 

@@ -2,7 +2,7 @@
 
 The integrator is leapfrog (Stoermer-Verlet): forces at the start of a step advance velocities from
 the middle of the previous step to the middle of this one, and velocities advance positions and
-directions to its end. Contact with the table and walls changes velocities so that no point ends
+directions to its end. Contact with the table changes velocities so that no point ends
 beyond them, with Coulomb friction (Moreau 1988). Held points are moved with their gripper. Each
 world uses one block of threads on CUDA, and one thread with SIMD lanes on the CPU.
 """

@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -41,8 +41,8 @@ from gendom.sim.thin.types import (
     X,
 )
 
-PER_TURN = 14
-"""Component of derivatives with respect to a rod's model."""
+REST, PER_TURN = slice(6, 12), 14
+"""Components of derivatives with respect to a rod's model."""
 
 TURN, SPIN_BAR = slice(6, 9), slice(9, 12)
 """Components of derivatives with respect to a rod's state: rotations of directions, and spins."""
@@ -235,7 +235,8 @@ class ThinTape(ABC):
         put(self.bars.scratch, group, np.zeros((group.stop - group.start, e.scratch_bars, P)))
         e.launch(e.kernels.begin_adjoint, group, [e.body, self.first, 0, self.bars])
         found = self.bars.model.numpy()[group][..., e.slots].astype(float)
-        self.model_bar[group, self.rest_rows] += found[:, self.rest_rows]
+        if e.kind == "rod":
+            self.model_bar[group, REST] += found[:, REST]
 
     # ---- sums ------------------------------------------------------------------------------------
 
@@ -263,7 +264,7 @@ class ThinTape(ABC):
             gripper_positions=self.bars.position.numpy() + self.host.position_bar,
             gripper_rotations=self.bars.path_turn.numpy() + self.host.turn_bar,
             gripper_radius=self.radius_bar,
-            rest_strains=np.swapaxes(m[:, self.rest_rows], 1, 2),
+            rest_strains=np.swapaxes(m[:, REST], 1, 2) if e.kind == "rod" else None,
             weave=np.stack(weave, axis=1) if weave else None,
             **own,
         )
@@ -290,9 +291,6 @@ class ThinTape(ABC):
         return np.sum(found + self.by_turning(by), axis=1)
 
     # ---- defined by each kind of body ------------------------------------------------------------
-
-    rest_rows: ClassVar[slice]
-    """Components of derivatives with respect to stress-free strains."""
 
     @abstractmethod
     def unstiffened(
@@ -337,7 +335,6 @@ class RodTape(ThinTape):
     """Tape of rods."""
 
     engine: Rods
-    rest_rows = slice(6, 12)
 
     def unstiffened(
         self, group: slice, stiffer: NDArray[np.floating], found: NDArray[np.floating]
@@ -396,7 +393,6 @@ class ShellTape(ThinTape):
     """Tape of shells."""
 
     engine: Shells
-    rest_rows = slice(8, 11)
 
     def unstiffened(
         self, group: slice, stiffer: NDArray[np.floating], found: NDArray[np.floating]

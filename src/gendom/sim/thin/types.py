@@ -69,9 +69,6 @@ def make_types(real: Any) -> Types:
         gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
         table: int  # at height 0
         radius: real  # height of a point on the table [m]
-        walls: int
-        box_lower: vec3
-        box_upper: vec3
         holds: wp.array3d(dtype=wp.int32)  # [W, G, n] 1: a point is held, 2: an edge's direction is
         place: wp.array3d(dtype=real)  # [W G, 7, P] of those, in the gripper's frame
         torn_from: wp.array(dtype=wp.float64)  # [W] when grippers are too far apart for it [s]

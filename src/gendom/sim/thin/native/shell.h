@@ -13,15 +13,15 @@
 //
 //     D / 2 (|x_xx|^2 + 2 nu x_xx.x_yy + |x_yy|^2) of points, D (1 - nu) |x_xy|^2 of cells.
 //
-// Where an edge of the sheet is free, so is the curvature across it. Curvatures free of stress and
-// those that lag behind (a standard linear solid) go along the normal n: kappa = n.x_xx.
+// Where an edge of the sheet is free, so is the curvature across it. Curvatures that lag behind (a
+// standard linear solid) go along the normal n: kappa = n.x_xx.
 #pragma once
 
 namespace gendom {
 
 // Rows of a state, of what all worlds share, of stiffness, of inertia, of the scratch.
 enum { SHELL_X = 0, SHELL_V = 3, LAG_ROW = 6, LAG_COLUMN = 8, LAG_SHEAR = 10, LAG_BEND = 11 };
-enum { NEXT = 0, BELOW = 1, CELL = 2, REST_BEND = 3 };
+enum { NEXT = 0, BELOW = 1, CELL = 2 };
 enum { C11 = 0, C22 = 1, C12 = 2, G12 = 3, BXX = 4, BYY = 5, BXY = 6, TWIST = 7 };
 enum { POINT_PER_MASS = 0, POINT_DRAG = 1, STIFFER_X = 2, STIFFER_Y = 3 };
 enum { F_BOTTOM = 0, F_TOP = 3, F_LEFT = 6, F_RIGHT = 9, M_XX = 12, M_YY = 15, M_XY = 18, NORMAL = 21 };
@@ -49,7 +49,7 @@ template <typename T> struct shell_cell {
         }
         mean_u = half * (u[0] + u[1]), mean_v = half * (v[0] + v[1]), twist = v[1] - v[0];
         const T F = dot(mean_u, mean_v), free = half * half * dot(twist, twist);
-        is_sheared = is_above(larger(F, -F), free);
+        is_sheared = one - is_above(free, larger(F, -F));  // a flat cell resists shear at once
         sign = is_sheared * (T(real(2)) * is_above(F, T(real(0))) - one);
         shear = half * lxy * (is_sheared * F - sign * free);
     }
@@ -175,7 +175,7 @@ CUDA_CALLABLE inline real shell_forces(const Body& body, int w, const wp::array_
         const shell_bend<T> bend(s, shape, p, pitch);
         const bend_stiffness<T> B(k, m, p);
         const vec<T> kappa = bend.curvatures(), lag = s.template get3<T>(LAG_BEND, p);
-        const vec<T> along = B(c * (kappa - lag) - shape.template get3<T>(REST_BEND, p));
+        const vec<T> along = B(c * (kappa - lag));
         to.put3(LAG_BEND, p, lag + a * (kappa - lag));
         out.put3(M_XX, p, B.xx * bend.xx + B.both * bend.yy + along.x * bend.n);
         out.put3(M_YY, p, B.yy * bend.yy + B.both * bend.xx + along.y * bend.n);

@@ -6,7 +6,7 @@ namespace gendom {
 enum { SHELL_X_BAR = 0, SHELL_V_BAR = 3, LAG_ROW_BAR = 6, LAG_COLUMN_BAR = 8, LAG_SHEAR_BAR = 10, LAG_BEND_BAR = 11 };
 enum {
     C11_BAR = 0, C22_BAR = 1, C12_BAR = 2, G12_BAR = 3, BXX_BAR = 4, BYY_BAR = 5, BXY_BAR = 6,
-    TWIST_BAR = 7, REST_BEND_BAR = 8, POINT_PER_MASS_BAR = 12, POINT_DRAG_BAR = 13, SHELL_GRAVITY_BAR = 15, SHELL_DAMPING_BAR = 18, SHELL_FRICTION_BAR = 19,
+    TWIST_BAR = 7, POINT_PER_MASS_BAR = 12, POINT_DRAG_BAR = 13, SHELL_GRAVITY_BAR = 15, SHELL_DAMPING_BAR = 18, SHELL_FRICTION_BAR = 19,
     SHELL_VELOCITY_DAMPING_BAR = 20, SHELL_RADIUS_BAR = 22
 };
 enum { F_BAR = 0, N_BAR = 3, U_BAR = 6, V_EDGE_BAR = 12, XX_BAR = 18, YY_BAR = 21, XY_BAR = 24, TX_BAR = 27, TY_BAR = 30 };
@@ -128,14 +128,13 @@ CUDA_CALLABLE inline void shell_forces_adjoint(const Body& body, const Bars& bar
         const vec<T> mxx_bar = two_f - pulled(p - 1) - fb, myy_bar = two_f - pulled(p - pitch) - fc;
         const vec<T> mxy_bar = fb + fc - fa - fd;
         const vec<T> kappa = bend.curvatures(), late = kappa - s.template get3<T>(LAG_BEND, p);
-        const vec<T> rest = shape.template get3<T>(REST_BEND, p), lagging = c * late - rest;
+        const vec<T> lagging = c * late;
         const vec<T> along = B(lagging);
         const vec<T> along_bar = {dot(mxx_bar, bend.n), dot(myy_bar, bend.n), dot(mxy_bar, bend.n)};
         const vec<T> lagging_bar = B(along_bar), lag_bar = b.template get3<T>(LAG_BEND_BAR, p);
         const vec<T> late_bar = c * lagging_bar + a * lag_bar;
         b.put3(LAG_BEND_BAR, p, lag_bar - late_bar);
         damping_bar += T(visc.share_slope) * dot(lagging_bar, late) + T(visc.follows_slope) * dot(lag_bar, late);
-        by.add3(REST_BEND_BAR, p, -lagging_bar);
         vec<T> n_bar = at.template get3<T>(N_BAR, p) + along.x * mxx_bar + along.y * myy_bar +
                        along.z * mxy_bar + late_bar.x * bend.xx + late_bar.y * bend.yy +
                        late_bar.z * bend.xy;
