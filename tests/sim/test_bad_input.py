@@ -204,7 +204,6 @@ def test_tables(name, value):
         "stiffness": ["stiff", RAGGED],
         "positions": ["there", RAGGED, np.zeros((5, 3)), np.zeros((31, 2)), np.full((31, 3), nan)],
         "start_time": ["now", [0.0, 1.0]],
-        "integrator": [3, "later"],
         "substep": ["short", [1e-4]],
         "cfl": ["half", [0.5]],
         "threads": ["all", 1.5, nan],

@@ -30,13 +30,10 @@ from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.scene import GRAVITY, Table
 from gendom.sim.setting import Frames, Setting, spread
-from gendom.sim.thin import thin_engine
+from gendom.sim.thin import THIN_ENGINES
 
 ENGINES = ("mpm", "thin")
 """``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
-
-INTEGRATORS = ("explicit", "implicit")
-"""How steps are taken; see ``docs/thin.md``."""
 
 START_INSIDE = 0.1
 """Greatest initial depth of a body in a table [cells, or diameters of a rod]; contact pushes it
@@ -55,8 +52,6 @@ class Simulator(Shown):
         engine: ``thin`` (a rope as a rod, a cloth as a shell), the default for elastic ropes and
             cloths, or ``mpm`` (particles on a grid), the default for all other bodies and for
             materials with a yield stress.
-        integrator: ``explicit``, or ``implicit`` for rods: steps of 2 ms or ``substep``, whatever
-            the stiffness (L-stable, of second order; no self-contact, in float64).
         grippers: Grippers shared by all worlds, or one sequence of them for each world, or all as
             arrays (``Grippers``).
         table: Table, or None for open space.
@@ -92,7 +87,6 @@ class Simulator(Shown):
         materials: Sequence[Material],
         *,
         engine: str | None = None,
-        integrator: str = "explicit",
         grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
         table: Table | None = None,
         gravity: ArrayLike = GRAVITY,
@@ -129,11 +123,6 @@ class Simulator(Shown):
                 f"only shells have a membrane's modulus, not a {body.kind} of the {engine} engine",
                 where="materials",
                 fix="leave membrane out, or take engine='thin' for a cloth",
-            )
-        if integrator not in INTEGRATORS:
-            raise ParameterError(
-                f"unknown integrator {integrator!r}",
-                fix=f"choose one of {', '.join(INTEGRATORS)}",
             )
         dtype = dtype or ("float64" if thin else "float32")
         if dtype not in ("float32", "float64"):
@@ -187,10 +176,7 @@ class Simulator(Shown):
             device=self.device,
             threads=threads or cores(),
         )
-        implicit = integrator == "implicit"
-        if implicit and not thin:
-            raise ParameterError("the MPM has no implicit steps", fix="integrator='explicit'")
-        kind = thin_engine(body, implicit=implicit) if thin else MpmEngine
+        kind = THIN_ENGINES[body.kind] if thin else MpmEngine
         with making:
             self.engine = kind(setting, substep=substep, cfl=cfl)
 
@@ -251,8 +237,11 @@ class Simulator(Shown):
         return self.engine.positions()
 
     def velocities(self) -> NDArray[Any]:
-        """Velocities of particles now, or of points half a step ago (after implicit steps now),
-        [W, N, 3] [m/s]."""
+        """Velocities, [W, N, 3] [m/s].
+
+        Those of particles are of now, those of points half a step ago; held points of rods and
+        shells have the speed at which their gripper has come here.
+        """
         return self.engine.velocities()
 
     def affine_velocities(self) -> NDArray[Any]:

@@ -4,7 +4,6 @@ import pytest
 import warp as wp
 
 from gendom.sim.device import open_device
-from gendom.sim.thin.implicit import make_implicit
 from gendom.sim.thin.stepping import make_stepping
 
 
@@ -14,9 +13,6 @@ def test_kernels_compile_for_cuda(kind, real, tmp_path):
     open_device("cpu")
     steps = make_stepping(real, kind)
     kernels = [steps.advance, steps.reverse]
-    if kind == "rod" and real == wp.float64:
-        implicit = make_implicit(real)
-        kernels += [implicit.advance, implicit.reverse]
     for kernel in kernels:
         wp.compile_aot_module(kernel.module, arch=90, module_dir=str(tmp_path), use_ptx=True)
     assert len(list(tmp_path.rglob("*.ptx"))) == len(kernels)

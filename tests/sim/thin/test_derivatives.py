@@ -131,31 +131,21 @@ def gradients(body, p, weights, **options):
     return x, rollout.backward(weights)
 
 
-IMPLICIT = {"integrator": "implicit", "substep": 2e-3}
-
-
-STEPS = pytest.mark.parametrize(
-    ("body", "steps"),
-    [(ROPE, {}), (CURVED, {}), (CLOTH, {}), (CUT, {})],
-    ids=["rope", "curved", "cloth", "cut"],
-)
-
-
-@STEPS
-def test_every_derivative_is_that_of_central_differences(body, steps):
+@BODIES
+def test_every_derivative_is_that_of_central_differences(body):
     p, rng = given(body), np.random.default_rng(1)
     weights = rng.normal(size=(len(TIMES), 1, len(body.points), 3))
-    rollout = Rollout(simulator(body, p, **steps))
+    rollout = Rollout(simulator(body, p))
     rollout.forward(TIMES)
     found = rollout.backward(weights)
-    watched = simulator(body, p, **steps).run(np.linspace(0.001, 0.06, 60))
+    watched = simulator(body, p).run(np.linspace(0.001, 0.06, 60))
     lowest = table_height(body) + body.thickness / 2.0
     assert np.abs(watched[..., 2] - lowest).min() < 1e-9  # something touches the table
 
     def loss(name, direction, step):
         return float(
             np.sum(
-                simulator(body, p | {name: p[name] + step * direction}, **steps).run(TIMES)
+                simulator(body, p | {name: p[name] + step * direction}).run(TIMES)
                 * weights
             )
         )
@@ -166,7 +156,7 @@ def test_every_derivative_is_that_of_central_differences(body, steps):
             direction = np.array(1.0)
         # lengths by 20 nm: nothing may begin to touch or to slide in another step
         length = name in ("positions", "gripper_positions", "gripper_radius", "thickness")
-        h = (1e-7 if steps else 2e-8) if length else 2e-6 * max(np.abs(p[name]).max(), 1e-2)
+        h = 2e-8 if length else 2e-6 * max(np.abs(p[name]).max(), 1e-2)
         by = getattr(found, name)[0]
         by = by[1] if name == "gripper_rotations" else by
         check_derivative(np.sum(by * direction), partial(loss, name, direction), h, 2e-6, name)
@@ -373,15 +363,15 @@ def test_bad_input_is_named(body):
 
 
 @pytest.mark.gpu
-@STEPS
-def test_cuda_runs_and_differentiates_as_the_cpu_does(body, steps):
+@BODIES
+def test_cuda_runs_and_differentiates_as_the_cpu_does(body):
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
     p = given(body)
     weights = np.random.default_rng(1).normal(size=(len(TIMES), 1, len(body.points), 3))
     found = []
     for device in ("cpu", "cuda"):
-        rollout = Rollout(simulator(body, p, device=device, **steps))
+        rollout = Rollout(simulator(body, p, device=device))
         found.append((rollout.forward(TIMES), rollout.backward(weights)))
     np.testing.assert_allclose(found[1][0], found[0][0], rtol=0.0, atol=1e-12)
     for name, values in given_gradients(found[0][1]).items():

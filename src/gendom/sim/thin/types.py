@@ -51,7 +51,6 @@ def make_types(real: Any) -> Types:
         """W rods or shells, and their surroundings."""
 
         points: int
-        implicit: int  # whether steps are implicit
         slot: wp.array(dtype=wp.int32)  # [n] of each point in a row
         # for shells: stride between rows, 0 for rods; index of the first point, and after the last
         pitch: int

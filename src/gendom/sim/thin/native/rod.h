@@ -77,13 +77,9 @@ enum { ALONG = 0, PULL = 3, TURN = 6, MOMENT = 9 };
 template <typename real> struct viscosity {
     real follows, share;  // a of the lagged strain in a step; c, the viscous stiffness over the elastic
     real follows_slope, share_slope;  // derivatives by the damping
-    CUDA_CALLABLE inline viscosity(real damping, real dt, bool implicit = false)
+    CUDA_CALLABLE inline viscosity(real damping, real dt)
         : follows(real(1)), share(real(0)), follows_slope(real(0)), share_slope(real(1) / dt) {
-        if (implicit) {
-            const real per = real(1) / (damping + dt);
-            follows = dt * per, share = damping * per;
-            share_slope = dt * per * per, follows_slope = -share_slope;
-        } else if (damping > real(0)) {
+        if (damping > real(0)) {
             const real left = wp::exp(-dt / damping);
             follows = real(1) - left;
             share = follows * damping / dt;

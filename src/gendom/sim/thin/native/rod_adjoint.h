@@ -81,7 +81,7 @@ CUDA_CALLABLE inline void rod_forces_adjoint(const Rod& rod, const Bars& bars, i
     const int n = rod.points;
     const rows_of<real> s(state, row), rest(rod.rest, 0), k(rod.stiffness, w), m(rod.inertia, w),
         b(bars.state, w), by(bars.model, w), at(bars.scratch, w);
-    const viscosity<real> visc(wp::index(rod.damping, w), dt, rod.implicit);
+    const viscosity<real> visc(wp::index(rod.damping, w), dt);
     const T c = T(visc.share), a = T(visc.follows), whole = T(real(1)) + c, left = T(real(1)) - a;
     for (EACH(i, n)) {
         const quat<T> q = s.template get4<T>(Q, i);
