@@ -19,7 +19,7 @@ from gendom.sim.rollout import Rollout
 from gendom.sim.scene import Table
 from gendom.sim.simulator import Simulator
 from gendom.sim.thin.rotation import left_jacobian_inverse
-from gendom.sim.thin.slopes import WEAVE
+from gendom.sim.thin.types import WEAVE
 
 _AXES = {
     **dict.fromkeys(("E", "nu", "density", "yield_stress", "damping", "membrane"), 0),

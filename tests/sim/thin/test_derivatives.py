@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Gripper, Rollout, Simulator, Table, Weave, cloth, rope
-from gendom.sim.thin.slopes import WEAVE
+from gendom.sim.thin.types import WEAVE
 from sim.thin.differences import check_derivative
 
 TIMES = [0.01, 0.03, 0.05, 0.06]
@@ -144,10 +144,7 @@ def test_every_derivative_is_that_of_central_differences(body):
 
     def loss(name, direction, step):
         return float(
-            np.sum(
-                simulator(body, p | {name: p[name] + step * direction}).run(TIMES)
-                * weights
-            )
+            np.sum(simulator(body, p | {name: p[name] + step * direction}).run(TIMES) * weights)
         )
 
     for name in p:
@@ -207,13 +204,13 @@ def test_rest_strains_are_differentiated(body):
     def loss(step):
         s = simulator(body, p)
         engine: Any = s.engine
-        rest = engine.body.rest.numpy()
+        rest = engine.device_model.rest.numpy()
         # an edge or joint that is not there has no stiffness: its number changes nothing
         rest[0, 1:7, engine.slots] += step * direction.T
-        engine.body.rest.assign(rest)
+        engine.device_model.rest.assign(rest)
         engine.state.assign(engine.first_state(engine.component(slice(0, 3))))
         s.set_velocities(p["velocities"])
-        engine.launch(engine.kernels.begin, slice(0, 1), [engine.body, engine.state])
+        engine.launch(engine.kernels.begin, slice(0, 1), [engine.device_model, engine.state])
         return float(np.sum(s.run(TIMES) * weights))
 
     h = 1e-6
@@ -390,3 +387,29 @@ def test_free_fall_is_exact(body):
         x = s.run([t])[0, 0]
         fall = np.array([0.5 * t, 0.0, t - 5.0 * t**2])
         np.testing.assert_allclose(x - body.points, np.broadcast_to(fall, x.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])
+def test_velocities_of_held_points_are_those_of_the_hand(body):
+    """A hand that moves and turns; a still one; at last one that has let go."""
+    first, last = body.points[0], body.points[-1]
+    turns = Rotation.from_rotvec([[0, 0, 0], [0.3, 0.5, 0.1]]).as_quat()
+    hands = [
+        Gripper(
+            time=[0, 0.05], position=[first, first + 0.01], quat_xyzw=turns, radius=0.025,
+            hold_until=0.04,
+        ),
+        Gripper.still(last, radius=0.025),
+    ]  # fmt: skip
+    s = Simulator(body, [Material(E=3e5, damping=0.002)] * 2, grippers=hands)
+    before = s.run([0.02 - 1e-6])
+    after = s.run([0.02])
+    v = s.velocities()
+    engine: Any = s.engine
+    moved, still = (engine.holds[:, g] & 1 > 0 for g in (0, 1))
+    np.testing.assert_allclose(v[moved], ((after - before)[0] / 1e-6)[moved], rtol=1e-5, atol=1e-6)
+    assert np.linalg.norm(v[moved], axis=-1).min() > 0.1
+    np.testing.assert_array_equal(v[still], 0.0)
+    np.testing.assert_array_equal(s.engine.kept(last_good=False)["v"], v)
+    s.run([0.05])
+    assert not engine.holds[:, 0].any() and np.isfinite(s.velocities()).all()

@@ -12,7 +12,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Table, cloth, outline_of_mesh
 from gendom.sim.outlines import Outline
-from gendom.sim.thin.crossing import check_cloth
+from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.shell_model import ShellModel
 from gendom.sim.thin.shells import Shells
 from gendom.validation.outlines import circle

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gendom.materials import Material
 from gendom.sim.bodies import Body
 from gendom.sim.thin import rotation
-from gendom.sim.thin.slopes import Slopes
+from gendom.sim.thin.types import ParameterDerivatives
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Section:
         return cls(area, area * diameter**2 / 16.0, diameter)
 
     @classmethod
-    def slopes(cls, diameter: float) -> "Section":
+    def derivatives(cls, diameter: float) -> "Section":
         """Derivatives by the diameter."""
         return cls(math.pi / 2.0 * diameter, math.pi / 16.0 * diameter**3, 1.0)
 
@@ -96,23 +96,25 @@ class RodModel:
             tributary=tributary,
         )
 
-    def slopes(
+    def derivatives(
         self, name: str, body: Body, materials: Sequence[Material], share: NDArray[np.floating]
-    ) -> Slopes:
+    ) -> ParameterDerivatives:
         """Derivatives by ``E``, ``nu``, ``density`` or ``thickness``, the diameter."""
         if name == "E":
             E = np.array([m.E for m in materials])
-            return Slopes(stiffness=self.stiffness / E[:, None, None])
+            return ParameterDerivatives(stiffness=self.stiffness / E[:, None, None])
         shares = _shares(share, self.length)
         if name == "nu":
-            return Slopes(stiffness=_moduli(self.section, materials)[1][:, :, None] * shares)
+            return ParameterDerivatives(
+                stiffness=_moduli(self.section, materials)[1][:, :, None] * shares
+            )
         if name == "density":
             per_density = 1.0 / np.array([[m.density] for m in materials])
-            return Slopes(mass=per_density, inertia=per_density)
-        by = Section.slopes(body.thickness)
+            return ParameterDerivatives(mass=per_density, inertia=per_density)
+        by = Section.derivatives(body.thickness)
         inertia = np.zeros((1, len(self.tributary)))
         inertia[:, :-1] = by.turning(self.length) / self.section.turning(self.length)
-        return Slopes(
+        return ParameterDerivatives(
             stiffness=_moduli(by, materials)[0][:, :, None] * shares,
             mass=np.full((len(materials), 1), by.area / self.section.area),
             inertia=inertia,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gendom.materials import Material
 from gendom.sim.bodies import Body, Weave
 from gendom.sim.cut import Cut
-from gendom.sim.thin.slopes import WEAVE, Slopes
+from gendom.sim.thin.types import WEAVE, ParameterDerivatives
 
 MOST_COUPLED = 1.5
 """Largest area that couples both curvatures of a point, over the geometric mean of the areas that
@@ -134,31 +134,31 @@ class ShellModel:
         free[4:6] = self.alone > 0.0
         return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, slopes[:, :, None])
 
-    def slopes(
+    def derivatives(
         self, name: str, materials: Sequence[Material], share: NDArray[np.floating]
-    ) -> Slopes:
+    ) -> ParameterDerivatives:
         """Derivatives by ``E``, ``nu``, ``density``, ``thickness``, ``membrane`` or a parameter of
         the weave; ``share`` [W, n] is E at each point over its material's E."""
         if name == "density":
-            return Slopes(mass=1.0 / np.array([[m.density] for m in materials]))
+            return ParameterDerivatives(mass=1.0 / np.array([[m.density] for m in materials]))
         values, by_nu = self.factors(np.array([m.nu for m in materials]))
         scale = self.scales(materials) * self.shares * share[:, None]
         if name == "nu":
-            return Slopes(stiffness=by_nu * scale)
+            return ParameterDerivatives(stiffness=by_nu * scale)
         stiffness = values * scale
         if name == "thickness":
             per = np.repeat([1.0, 3.0], 4)[:, None] / self.thickness
             mass = np.full((len(materials), 1), 1.0 / self.thickness)
-            return Slopes(stiffness=stiffness * per, mass=mass, thickness=1.0)
+            return ParameterDerivatives(stiffness=stiffness * per, mass=mass, thickness=1.0)
         if name in WEAVE:
             per = np.array(_powers(name)) / getattr(self.weave, name)
-            return Slopes(stiffness=stiffness * per[:, None])
+            return ParameterDerivatives(stiffness=stiffness * per[:, None])
         # a separate modulus of the membrane does not depend on E
         own = [m.membrane for m in materials]
         per = np.array([[0.0 if k is None else 1.0 / k, 0.0] for k in own])
         if name == "E":
             per = np.array([[k is None, True] for k in own]) / np.array([[m.E] for m in materials])
-        return Slopes(stiffness=stiffness * np.repeat(per, 4, axis=1)[:, :, None])
+        return ParameterDerivatives(stiffness=stiffness * np.repeat(per, 4, axis=1)[:, :, None])
 
     def scales(self, materials: Sequence[Material]) -> NDArray[np.float64]:
         """Scales [W, 8, 1] of the stiffness: E h with the in-plane modulus, and E h^3 / 12."""

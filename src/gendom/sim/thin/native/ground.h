@@ -3,8 +3,8 @@
 
 namespace gendom {
 
-template <typename T, typename Body> CUDA_CALLABLE inline vec<T> gravity_of(const Body& body, int w) {
-    const auto& g = wp::index(body.gravity, w);
+template <typename T, typename Model> CUDA_CALLABLE inline vec<T> gravity_of(const Model& model, int w) {
+    const auto& g = wp::index(model.gravity, w);
     return {T(g[0]), T(g[1]), T(g[2])};
 }
 
@@ -20,9 +20,9 @@ template <typename T> struct ground {
     T h, mu, radius;
     bool table;
 
-    template <typename Body>
-    CUDA_CALLABLE inline ground(const Body& body, int w, real dt)
-        : h(T(dt)), mu(T(wp::index(body.friction, w))), radius(T(body.radius)), table(body.table) {}
+    template <typename Model>
+    CUDA_CALLABLE inline ground(const Model& model, int w, real dt)
+        : h(T(dt)), mu(T(wp::index(model.friction, w))), radius(T(model.radius)), table(model.table) {}
 
     CUDA_CALLABLE inline T push(const vec<T>& x, const vec<T>& v) const {
         return larger(T(real(0)), (radius - x.z) / h - v.z);

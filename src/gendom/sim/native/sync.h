@@ -3,14 +3,14 @@
 
 namespace gendom {
 
-CUDA_CALLABLE inline void meet() {
+CUDA_CALLABLE inline void block_sync() {
 #if defined(__CUDA_ARCH__)
     __syncthreads();
 #endif
 }
 
 // Whether a thread's value is not 0.
-CUDA_CALLABLE inline int any_of(int value) {
+CUDA_CALLABLE inline int block_any(int value) {
 #if defined(__CUDA_ARCH__)
     return __syncthreads_or(value) ? 1 : 0;
 #else
