@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.arguments import check_integers, check_number, check_numbers, check_type
+from gendom.arguments import check_integers, check_number, check_numbers, check_type, require
 from gendom.errors import ParameterError
 from gendom.sim.cut import Cut, cut
 from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
@@ -229,26 +229,24 @@ def rope(
             there are fewer than three points or more than ``MOST``.
     """
     _check_positive(diameter=diameter, cells_across=cells_across)
-    if not CELLS_ACROSS[0] <= cells_across <= CELLS_ACROSS[1]:
-        raise ParameterError(
-            f"cells_across must lie between {CELLS_ACROSS[0]:g} and {CELLS_ACROSS[1]:g}, "
-            f"got {cells_across:g}",
-            fix="1.5 is the default of estimates; more cost their fourth power",
-        )
+    require(
+        CELLS_ACROSS[0] <= cells_across <= CELLS_ACROSS[1],
+        f"cells_across must lie between {CELLS_ACROSS[0]:g} and {CELLS_ACROSS[1]:g}, "
+        f"got {cells_across:g}",
+        fix="1.5 is the default of estimates; more cost their fourth power",
+    )
     if centre_line is None:
         if length is None:
             raise ParameterError("a straight rope needs its length [m]")
         _check_positive(length=length)
         unit = check_numbers("direction", direction, (3,))
         norm = np.linalg.norm(unit)
-        if norm == 0.0:
-            raise ParameterError("direction of a rope must not be the zero vector")
+        require(norm > 0.0, "direction of a rope must not be the zero vector")
         first = check_numbers("start", start, (3,))
         line = np.stack([first, first + unit / norm * length])
     else:
         line = check_numbers("centre_line", centre_line, ("K", 3))
-        if len(line) < 2:
-            raise ParameterError(f"centre_line must have at least two points, got {len(line)}")
+        require(len(line) >= 2, f"centre_line must have at least two points, got {len(line)}")
         if length is not None:
             _check_positive(length=length)
     dx = diameter / cells_across
@@ -438,10 +436,9 @@ def _sizes(
         ParameterError: If a given one is another.
     """
     for name, given, size in (("width", width, box[0]), ("height", height, box[1])):
-        if given is not None and abs(given - size) > 1e-6 * size:
-            raise ParameterError(
-                f"{name} is {given:g} m, and the outline's is {size:g} m", fix=f"leave {name} out"
-            )
+        if given is not None:
+            what = f"{name} is {given:g} m, and the outline's is {size:g} m"
+            require(abs(given - size) <= 1e-6 * size, what, fix=f"leave {name} out")
     return float(box[0]), float(box[1])
 
 
@@ -451,10 +448,8 @@ def _check_positive(**values: float) -> None:
 
 
 def _check_many(count: float, fix: str) -> None:
-    if count > MOST:
-        raise ParameterError(
-            f"the body would have {count:.3g} particles or points, at most {MOST:.0e} fit", fix=fix
-        )
+    would = f"the body would have {count:.3g} particles or points, at most {MOST:.0e} fit"
+    require(count <= MOST, would, fix=fix)
 
 
 def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:

@@ -12,9 +12,10 @@ from gendom.sim.paths import Pose
 from gendom.sim.setting import DRAG, Setting
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import check_rope
-from gendom.sim.thin.engine import Event, ThinEngine, put_worlds
+from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import STRETCH, Grip, border_of_rod_adjoint, close_rod
 from gendom.sim.thin.rod_model import RodModel
+from gendom.sim.thin.run import Event, put_worlds
 from gendom.sim.thin.tape import ThinTape
 from gendom.sim.thin.types import (
     MARGIN,

@@ -10,8 +10,9 @@ from gendom.errors import ParameterError
 from gendom.sim.paths import Pose
 from gendom.sim.setting import DRAG, Setting
 from gendom.sim.thin.contact import check_cloth
-from gendom.sim.thin.engine import Event, ThinEngine, put_worlds
+from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import STRETCH, Grip, border_of_shell_adjoint, close_shell
+from gendom.sim.thin.run import Event, put_worlds
 from gendom.sim.thin.shell_model import MOST_COUPLED, ShellModel
 from gendom.sim.thin.tape import ThinTape
 from gendom.sim.thin.types import MARGIN, WEAVE, ParameterDerivatives, V, X

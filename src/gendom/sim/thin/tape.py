@@ -12,8 +12,9 @@ from gendom.sim.gradients import Gradients
 from gendom.sim.paths import HostPaths
 from gendom.sim.setting import Frames
 from gendom.sim.thin.contact import LISTED
-from gendom.sim.thin.engine import Event, Held, Round, ThinEngine, put
+from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import close_adjoint, released_adjoint
+from gendom.sim.thin.run import Event, Held, Round, put
 from gendom.sim.thin.types import (
     DAMPING,
     DISTANCE,
