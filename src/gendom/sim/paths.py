@@ -247,23 +247,10 @@ class HostPaths:
         self.arrays = arrays
         self._paths = paths_on("cpu", arrays, wp.float64)
         self._kernels = _host_kernels()
-        with making:
-            for kernel in vars(self._kernels).values():
-                wp.load_module(kernel.module, device="cpu")
-        shape = arrays["time"].shape
-        self._position_bar, self._turn_bar = (
-            wp.zeros(shape, dtype=wp.vec3d, device="cpu") for _ in range(2)
-        )
-
-    @property
-    def position_bar(self) -> Array:
+        self.position_bar = np.zeros(arrays["position"].shape)
         """[W, G, K, 3] derivatives by the knots' positions."""
-        return self._position_bar.numpy()
-
-    @property
-    def turn_bar(self) -> Array:
+        self.turn_bar = np.zeros(arrays["position"].shape)
         """[W, G, K, 3] derivatives by rotations of the knots, in world axes."""
-        return self._turn_bar.numpy()
 
     def pose(self, g: int, w: Array, t: Array) -> Pose:
         """Pose of gripper g of worlds w [k] at times t [k] [s]."""
@@ -275,8 +262,8 @@ class HostPaths:
 
     def pose_adjoint(self, g: int, w: Array, t: Array, adjoint: PoseAdjoint) -> None:
         """Transpose of ``pose``: adds to the derivatives by the knots."""
-        given = [_view(a, wp.vec3d) for a in vars(adjoint).values()]
-        self._launch("pose_adjoint", g, w, t, [*given, self._position_bar, self._turn_bar])
+        bars = (*vars(adjoint).values(), self.position_bar, self.turn_bar)
+        self._launch("pose_adjoint", g, w, t, [_view(a, wp.vec3d) for a in bars])
 
     def _launch(self, name: str, g: int, w: Array, t: Array, more: list[Any]) -> None:
         worlds, times = _view(w, wp.int32), _view(t, wp.float64)
@@ -294,7 +281,7 @@ def _view(values: Array, kind: Any) -> Any:
 
 @functools.cache
 def _host_kernels() -> SimpleNamespace:
-    """Kernels that evaluate and transpose paths of many worlds."""
+    """Kernels that evaluate and transpose paths of many worlds, loaded."""
     of, Paths = make_paths(wp.float64), make_path_type(wp.float64)
 
     @wp.func
@@ -347,4 +334,7 @@ def _host_kernels() -> SimpleNamespace:
                 w, g, k, wp.float64(0.0), wp.vec3d(), rate * spin_bar[i], paths, turn_bars
             )
 
+    with making:
+        for kernel in (pose, pose_adjoint):
+            wp.load_module(kernel.module, device="cpu")
     return SimpleNamespace(pose=pose, pose_adjoint=pose_adjoint)

@@ -108,25 +108,22 @@ class Simulator(Shown):
         check_list("materials", materials, Material)
         check_type("table", table, Table, optional=True)
         check_type("self_contact", self_contact, bool)
-        if not materials:
-            raise ParameterError("a simulation needs at least one material (one a world)")
+        require(materials, "a simulation needs at least one material (one a world)")
         if engine is None:
             yields = any(np.isfinite(m.yield_stress) for m in materials)
             engine = "mpm" if yields or body.kind not in ("rope", "cloth") else "thin"
-        if engine not in ENGINES:
-            raise ParameterError(
-                f"unknown engine {engine!r}", fix=f"choose one of {', '.join(ENGINES)}"
-            )
+        choice = f"choose one of {', '.join(ENGINES)}"
+        require(engine in ENGINES, f"unknown engine {engine!r}", fix=choice)
         thin = engine == "thin"
-        if not (thin and body.kind == "cloth") and any(m.membrane is not None for m in materials):
-            raise ParameterError(
-                f"only shells have a membrane's modulus, not a {body.kind} of the {engine} engine",
-                where="materials",
-                fix="leave membrane out, or take engine='thin' for a cloth",
-            )
+        require(
+            (thin and body.kind == "cloth") or all(m.membrane is None for m in materials),
+            f"only shells have a membrane's modulus, not a {body.kind} of the {engine} engine",
+            where="materials",
+            fix="leave membrane out, or take engine='thin' for a cloth",
+        )
         dtype = dtype or ("float64" if thin else "float32")
-        if dtype not in ("float32", "float64"):
-            raise ParameterError(f"dtype must be float32 or float64, got {dtype!r}")
+        known = dtype in ("float32", "float64")
+        require(known, f"dtype must be float32 or float64, got {dtype!r}")
         check_numbers("velocity_damping", velocity_damping, (), ("W",), least=0.0)
         check_numbers("air_density", air_density, (), ("W",), least=0.0)
         check_numbers("gravity", gravity, (3,), ("W", 3))
@@ -143,10 +140,8 @@ class Simulator(Shown):
                 f"unknown elastic law {law!r}", fix=f"choose one of {', '.join(LAWS)}"
             )
         rest = body.points if thin else body.x
-        if not len(rest):
-            raise ParameterError(
-                "the outline is narrower than the particles", fix="a smaller dx, or engine='thin'"
-            )
+        narrow = "the outline is narrower than the particles"
+        require(len(rest), narrow, fix="a smaller dx, or engine='thin'")
         N = len(rest)
         check_numbers("stiffness", stiffness, (), (N,), ("W", N), above=0.0)
         x = rest if positions is None else positions

@@ -187,7 +187,7 @@ class ThinTape:
                 take(TURN_BAR, part(TURN_BAR) + q_bar)
         else:
             holds = event.grip.holds
-            point, edge = ((holds & what)[..., None] > 0 for what in (1, 2))
+            point, edge = (np.asarray(holds & what)[..., None] > 0 for what in (1, 2))
             v_bar = part(V)
             spin_bar = part(SPIN_BAR) if e.directed else np.zeros_like(v_bar)
             x_bar, pose_bar = released_adjoint(event.x, event.pose, holds, v_bar, spin_bar)
