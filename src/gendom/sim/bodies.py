@@ -235,20 +235,7 @@ def rope(
         f"got {cells_across:g}",
         fix="1.5 is the default of estimates; more cost their fourth power",
     )
-    if centre_line is None:
-        if length is None:
-            raise ParameterError("a straight rope needs its length [m]")
-        _check_positive(length=length)
-        unit = check_numbers("direction", direction, (3,))
-        norm = np.linalg.norm(unit)
-        require(norm > 0.0, "direction of a rope must not be the zero vector")
-        first = check_numbers("start", start, (3,))
-        line = np.stack([first, first + unit / norm * length])
-    else:
-        line = check_numbers("centre_line", centre_line, ("K", 3))
-        require(len(line) >= 2, f"centre_line must have at least two points, got {len(line)}")
-        if length is not None:
-            _check_positive(length=length)
+    line = _line_of(centre_line, start, direction, length)
     dx = diameter / cells_across
     spacing = dx / 2.0
     total = length if length is not None else float(arc_length(line)[-1])
@@ -256,43 +243,57 @@ def rope(
         points = 1 + min(max(round(total / diameter), EDGES[0]), EDGES[1])
     check_integers("points", points, (), least=3, most=MOST)
     _check_many(total / spacing * (diameter / spacing) ** 2, "a larger diameter")
-    count = max(2, round(total / spacing))
-    along = (np.arange(count) + 0.5) * (total / count)
-    centre, tangent = along_line(line, along)
-
-    section, places = round_section(max(2, round(diameter / spacing)), diameter)
-    per_section = len(section)
-
-    side, up = frames(tangent)
-    x = centre[:, None] + side[:, None] * section[None, :, :1] + up[:, None] * section[None, :, 1:]
-    coordinates = np.concatenate(
-        [
-            np.broadcast_to(along[:, None, None], (*x.shape[:2], 1)),
-            np.broadcast_to(section[None], (*x.shape[:2], 2)),
-        ],
-        axis=2,
-    )
-    n = x.shape[0] * x.shape[1]
-    cells = np.concatenate(
-        [
-            np.repeat(np.arange(count), per_section)[:, None],
-            np.tile(places, (count, 1)),
-        ],
-        axis=1,
-    )
+    x, coordinates, cells = _rope_particles(line, total, diameter, spacing)
     return Body(
         kind="rope",
-        x=x.reshape(n, 3),
-        material_coordinates=coordinates.reshape(n, 3).copy(),
+        x=x,
+        material_coordinates=coordinates,
         lattice=_neighbours(cells),
-        volume=math.pi / 4.0 * diameter**2 * total / n,
+        volume=math.pi / 4.0 * diameter**2 * total / len(x),
         dx=dx,
         thickness=diameter,
-        section=per_section,
+        section=max(2, round(diameter / spacing)) ** 2,
         contact_radius=diameter / 2.0,
         points=along_line(line, np.linspace(0.0, total, points))[0],
         shape=(points,),
     )
+
+
+def _line_of(
+    centre_line: ArrayLike | None, start: ArrayLike, direction: ArrayLike, length: float | None
+) -> NDArray[np.floating]:
+    """[K, 3] the given centre line, or that of a straight rope."""
+    if length is not None:
+        _check_positive(length=length)
+    if centre_line is not None:
+        line = check_numbers("centre_line", centre_line, ("K", 3))
+        require(len(line) >= 2, f"centre_line must have at least two points, got {len(line)}")
+        return line
+    if length is None:
+        raise ParameterError("a straight rope needs its length [m]")
+    unit = check_numbers("direction", direction, (3,))
+    norm = np.linalg.norm(unit)
+    require(norm > 0.0, "direction of a rope must not be the zero vector")
+    first = check_numbers("start", start, (3,))
+    return np.stack([first, first + unit / norm * length])
+
+
+def _rope_particles(
+    line: NDArray[np.floating], total: float, diameter: float, spacing: float
+) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.integer]]:
+    """Particles of a rope along a line: positions, material coordinates and cells, [N, 3] each."""
+    count = max(2, round(total / spacing))
+    along = (np.arange(count) + 0.5) * (total / count)
+    centre, tangent = along_line(line, along)
+    section, places = round_section(max(2, round(diameter / spacing)), diameter)
+    side, up = frames(tangent)
+    x = centre[:, None] + side[:, None] * section[None, :, :1] + up[:, None] * section[None, :, 1:]
+    across = np.tile(section, (count, 1))
+    coordinates = np.column_stack([np.repeat(along, len(section)), across])
+    cells = np.column_stack(
+        [np.repeat(np.arange(count), len(section)), np.tile(places, (count, 1))]
+    )
+    return x.reshape(-1, 3), coordinates, cells
 
 
 def cloth(
@@ -362,13 +363,7 @@ def cloth(
     counts = [max(2.0, size / (dx / 2.0)) for size in (width, height, thickness)]
     _check_many(math.prod(counts), "a larger dx")
     shape = [round(count) for count in counts]
-    ticks = [
-        (np.arange(n) + 0.5) * (size / n)
-        for n, size in zip(shape, (width, height, thickness), strict=True)
-    ]
-    ticks[2] -= thickness / 2.0
-    ticks[2] *= thickness / math.sqrt(12.0 * np.mean(ticks[2] ** 2))
-    local = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    local = _sheet_particles(shape, (width, height, thickness))
     along, across = (
         np.linspace(0.0, size, n) for size, n in zip((width, height), points, strict=True)
     )
@@ -401,6 +396,14 @@ def cloth(
         cut=part,
         weave=weave or Weave(),
     )
+
+
+def _sheet_particles(shape: list[int], sizes: tuple[float, float, float]) -> NDArray[np.floating]:
+    """[N, 3] particles of a rectangle from its corner on, in its own frame; see ``cloth``."""
+    ticks = [(np.arange(n) + 0.5) * (size / n) for n, size in zip(shape, sizes, strict=True)]
+    ticks[2] -= sizes[2] / 2.0
+    ticks[2] *= sizes[2] / math.sqrt(12.0 * np.mean(ticks[2] ** 2))
+    return np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def round_section(across: int, diameter: float) -> tuple[NDArray[np.floating], NDArray[np.integer]]:

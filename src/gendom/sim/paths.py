@@ -262,8 +262,8 @@ class HostPaths:
 
     def pose_adjoint(self, g: int, w: Array, t: Array, adjoint: PoseAdjoint) -> None:
         """Transpose of ``pose``: adds to the derivatives by the knots."""
-        bars = (*vars(adjoint).values(), self.position_bar, self.turn_bar)
-        self._launch("pose_adjoint", g, w, t, [_view(a, wp.vec3d) for a in bars])
+        adjoints = (*vars(adjoint).values(), self.position_bar, self.turn_bar)
+        self._launch("pose_adjoint", g, w, t, [_view(a, wp.vec3d) for a in adjoints])
 
     def _launch(self, name: str, g: int, w: Array, t: Array, more: list[Any]) -> None:
         worlds, times = _view(w, wp.int32), _view(t, wp.float64)

@@ -367,10 +367,10 @@ def border_of_shell_adjoint(
     for k, (axis, step) in enumerate(((1, model.spacing[0]), (0, model.spacing[1]))):
         lines = _lines(at, axis)
         many = shape[0] if axis == 1 else shape[1]
-        bars = _lines(model.on_lattice(stiffer_bar[:, k]), axis)
+        line_bar = _lines(model.on_lattice(stiffer_bar[:, k]), axis)
         by_x, by_centre, by_radius = _cut_adjoint(
             grip.cuts[k], lines, np.repeat(pose.centre, many, axis=0),
-            np.full(lines.shape[1] - 1, step), bars,
+            np.full(lines.shape[1] - 1, step), line_bar,
         )  # fmt: skip
         x_bar += model.of_lattice(_unlines(by_x, W, shape, axis))
         centre_bar += by_centre.reshape(W, many, 3).sum(axis=1)

@@ -190,5 +190,5 @@ def _moduli(
     none = np.zeros_like(E)
     values = [kappa * G * A, kappa * G * A, E * A, E * I, E * I, G * J]
     shear = (kappa_slope * G + kappa * G_slope) * A
-    slopes = [shear, shear, none, none, none, G_slope * J]
-    return np.stack(values, axis=1), np.stack(slopes, axis=1)
+    by_nu = [shear, shear, none, none, none, G_slope * J]
+    return np.stack(values, axis=1), np.stack(by_nu, axis=1)

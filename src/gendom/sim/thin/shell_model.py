@@ -127,12 +127,12 @@ class ShellModel:
         shear, shear_nu = 0.5 / (1.0 + nu), -0.5 / (1.0 + nu) ** 2
         twist, twist_nu = 2.0 * shear, 2.0 * shear_nu  # D (1 - nu) = E h^3 / 12 / (1 + nu)
         values = np.stack([plane, plane, both, shear, plane, plane, both, twist], axis=1)
-        slopes = np.stack(
+        by_nu = np.stack(
             [plane_nu, plane_nu, both_nu, shear_nu, plane_nu, plane_nu, both_nu, twist_nu], axis=1
         )
         free = np.zeros((8, len(self.area)), dtype=bool)
         free[4:6] = self.alone > 0.0
-        return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, slopes[:, :, None])
+        return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, by_nu[:, :, None])
 
     def derivatives(
         self, name: str, materials: Sequence[Material], share: NDArray[np.floating]

@@ -159,10 +159,10 @@ class ThinTape:
         put(self.adjoint.model, group, np.zeros((len(found), MODEL_ROWS, e.row_length)))
         own = e.stiffer[group]
         stiffer = own.prod(axis=1)
-        bars = e.unstiffened(group, stiffer, found)
+        by_stiffer = e.unstiffened(group, stiffer, found)
         self.model_bar[group] += found
         closed = e.holds[group].any(axis=2)[:, :, None, None]
-        self.stiffer_bar[group] += np.where(closed, (bars * stiffer)[:, None] / own, 0.0)
+        self.stiffer_bar[group] += np.where(closed, (by_stiffer * stiffer)[:, None] / own, 0.0)
 
     def _reverse_event(self, group: slice, event: Event) -> None:
         e, g, w = self.engine, event.g, event.worlds
