@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -28,21 +28,20 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from gendom.datasets.lerobot.format import ABOUT, ACTION, INFO, STATE, statistics, write_lerobot
+from gendom.datasets.npz import short
+from gendom.datasets.recording_form import RecordingData
 from gendom.errors import GendomError, RecordingError
 from gendom.files import read_json
-
-if TYPE_CHECKING:
-    from gendom.datasets.recording import Recording
 
 POINTS, NUM_POINTS, TIME = "observation.points", "observation.num_points", "observation.time"
 _DATA = Path("data/chunk-000/file-000.parquet")
 
 
-def export_recording(recording: Recording, out: str | os.PathLike) -> dict[str, Any]:
+def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[str, Any]:
     """Write a recording as a LeRobot data set of one episode.
 
     Args:
-        recording: Recording of T frames and G grippers.
+        recording: RecordingData of T frames and G grippers.
         out: Folder to create; it is written completely or not at all.
 
     Returns:
@@ -84,7 +83,7 @@ def export_recording(recording: Recording, out: str | os.PathLike) -> dict[str, 
     )
 
 
-def _task(recording: Recording) -> str:
+def _task(recording: RecordingData) -> str:
     return f"move a {recording.object.kind} that is held by: {recording.object.grasp}"
 
 
@@ -97,7 +96,7 @@ def _closed(G: int) -> dict[str, str]:
     return {f"gripper{g}.closed": "1" for g in range(G)}
 
 
-def _state_units(recording: Recording) -> dict[str, str]:
+def _state_units(recording: RecordingData) -> dict[str, str]:
     G = recording.num_grippers
     units = _named("position", G, "m")
     units |= {} if recording.gripper_axis is None else _named("axis", G, "1")
@@ -150,8 +149,7 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
         flat = points.combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
         padded = np.asarray(flat, dtype=np.float32).reshape(len(table), -1, 3)
     except (FileNotFoundError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
-        said = (str(error) or type(error).__name__).splitlines()[0][:120]
-        raise fault(f"is incomplete or damaged ({said})") from None
+        raise fault(f"is incomplete or damaged ({short(error)})") from None
     if len(table) != info.get("total_frames") or (order != np.arange(len(table))).any():
         raise fault(f"has not the {info.get('total_frames')} frames in order that are announced")
     if state.ndim != 2 or state.shape[1] != len(names):
