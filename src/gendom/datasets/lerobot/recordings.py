@@ -128,10 +128,8 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
         return RecordingError(what, where=str(folder), fix=fix)
 
     if not (folder / ABOUT).is_file():
-        raise fault(
-            "is a LeRobot data set that was not made of a recording",
-            "give one that gendom export wrote: others lack the object's sizes",
-        )
+        what = "is a LeRobot data set that was not made of a recording"
+        raise fault(what, "give one that gendom export wrote: others lack the object's sizes")
     try:
         info, meta = read_json(folder / INFO), read_json(folder / ABOUT)
     except GendomError as error:
