@@ -5,10 +5,10 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.perception import (
+    CameraView,
     Capsules,
     CloudSettings,
     Pictures,
-    View,
     perceive_frame,
 )
 from gendom.perception.cloud import fuse
@@ -23,8 +23,8 @@ def settings(low=(-0.4, -0.4, -0.1), high=(0.4, 0.4, 0.5), **other):
 def test_crop_is_that_of_the_points(world):
     """Depth limits a pixel against a test of every point, at all depths."""
     camera = world.make_camera(scale=0.25)
-    wide = View(camera, settings(low=(-9, -9, -9), high=(9, 9, 9)))
-    view = View(camera, settings(low=(-0.2, -0.1, 0.05), high=(0.15, 0.3, 0.25)))
+    wide = CameraView(camera, settings(low=(-9, -9, -9), high=(9, 9, 9)))
+    view = CameraView(camera, settings(low=(-0.2, -0.1, 0.05), high=(0.15, 0.3, 0.25)))
     size = (camera.height, camera.width)
     depth = np.random.default_rng(0).integers(3000, 14000, size).astype(np.uint16)
     depth[0, :50] = 0
@@ -41,12 +41,12 @@ def test_table_goes_and_what_stands_on_it_stays(world):
     camera = world.make_camera()
     scene = world.Scene([world.Plane(), world.Sphere((0, 0, 0.06), 0.06)])
     pictures = scene.pictures(camera)
-    view = View(camera, settings())
+    view = CameraView(camera, settings())
     view.find_table(pictures.depth, None)
     points, counts = view.segment(pictures)
     assert counts[0] > counts[1] > 20 * counts[2] > 0
     # Above the table's noise the ball loses nothing.
-    everything, _ = View(camera, settings()).segment(pictures)
+    everything, _ = CameraView(camera, settings()).segment(pictures)
     assert (points[:, 2] > 0.03).sum() > 0.99 * (everything[:, 2] > 0.03).sum() > 1000
     on_ball = np.abs(world.Sphere((0, 0, 0.06), 0.06).distance(points)) < 0.01
     assert on_ball.mean() > 0.9
@@ -73,7 +73,7 @@ def test_pixels_half_behind_the_object_are_dropped(world):
     assert edge.sum() > 50
     far = []
     for least in (0, 3):
-        view = View(camera, settings(min_support=least))
+        view = CameraView(camera, settings(min_support=least))
         view.find_table(pictures.depth, 0.0)
         points, _ = view.segment(
             Pictures(mixed, pictures.colour), ObjectColour.near(lab(world.RED))
@@ -87,7 +87,7 @@ def test_thin_objects_keep_their_pixels(world):
     rope = world.lifted_rope(radius=0.002)
     camera = world.make_camera()
     pictures = world.Scene([rope]).pictures(camera)
-    kept = [View(camera, settings(min_support=k)).segment(pictures)[1][4] for k in (0, 3)]
+    kept = [CameraView(camera, settings(min_support=k)).segment(pictures)[1][4] for k in (0, 3)]
     assert kept[1] > 0.85 * kept[0] > 0
 
 
@@ -126,7 +126,7 @@ def test_robot_is_taken_out_by_its_capsules(world):
     link = world.Cylinder((0.0, 0.1, 0.3), (0.0, -0.1, 0.35), 0.04)
     rope = world.lifted_rope(tip=(0.12, 0.0, 0.25))
     camera = world.make_camera(scale=0.5)
-    view = View(camera, settings())
+    view = CameraView(camera, settings())
     pictures = world.Scene([link, rope]).pictures(camera, sensor=world.EXACT)
     capsules = Capsules(np.array([link.start]), np.array([link.end]), np.array([link.radius]))
     with_robot, _ = view.segment(pictures)
@@ -164,7 +164,7 @@ def test_capsules_move_between_their_rows(tmp_path):
 
 def test_frames_without_object_are_empty(world):
     camera = world.make_camera(scale=0.25)
-    view = View(camera, settings())
+    view = CameraView(camera, settings())
     blind = Pictures(np.zeros((camera.height, camera.width), np.uint16))
     cloud = perceive_frame([view], [blind])
     assert cloud.points.shape == (0, 3) and cloud.counts.tolist() == [0] * 8

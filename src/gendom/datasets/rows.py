@@ -8,18 +8,20 @@ from pathlib import Path
 from gendom.errors import RecordingError
 
 
-def read_rows(path: Path, *, header: str) -> list[tuple[int, list[str]]]:
+def read_rows(path: Path, *, header: str, damaged: bool = False) -> list[tuple[int, list[str]]]:
     """Number and values of each line that is not empty, without blanks around values.
 
     Args:
         path: The file.
         header: What its first line should be, for messages.
+        damaged: Whether bytes that are no UTF-8 are replaced in place of refused.
 
     Raises:
         RecordingError: The file is missing, empty or no CSV.
     """
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
+        errors = "replace" if damaged else "strict"
+        with open(path, newline="", encoding="utf-8-sig", errors=errors) as file:
             reader = csv.reader(file)
             lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
     except FileNotFoundError:

@@ -21,7 +21,7 @@ from gendom.perception.camera import Camera
 from gendom.perception.colour import ObjectColour
 from gendom.perception.frames import Pictures
 from gendom.perception.robot import Capsules
-from gendom.perception.table import Table, fit_table
+from gendom.perception.table import TablePlane, fit_table
 
 STAGES = ("depth", "workspace", "table", "colour", "support", "robot", "voxels", "outliers")
 """What is counted: pixels with depth, then those left after each stage, then fused voxels and
@@ -86,7 +86,7 @@ class CloudSettings:
             raise ParameterError(f"min_cluster is {self.min_cluster}", fix="give 1 or more")
 
 
-class View:
+class CameraView:
     """One camera's pixels in one workspace.
 
     Args:
@@ -100,7 +100,7 @@ class View:
     def __init__(self, camera: Camera, settings: CloudSettings):
         self.camera = camera
         self.settings = settings
-        self.table: Table | None = None
+        self.table: TablePlane | None = None
         T = camera.calibrated()
         directions = camera.rays() @ T[:3, :3].T
         self._position = camera.position.astype(np.float32)
@@ -345,7 +345,7 @@ def fuse(
 
 
 def perceive_frame(
-    views: Sequence[View],
+    views: Sequence[CameraView],
     pictures: Sequence[Pictures],
     *,
     colour: ObjectColour | None = None,

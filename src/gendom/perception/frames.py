@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import require
 from gendom.errors import GendomError
 from gendom.perception.camera import Camera
 
@@ -160,9 +161,7 @@ class _Lookahead:
             return
         first = self.head.time if np.isnan(self.span[0]) else self.span[0]
         self.span = (first, self.head.time)
-        if self.following is not None and not self.following.time > self.head.time:
-            raise GendomError(
-                f"time goes from {self.head.time:.6g} s to {self.following.time:.6g} s",
-                where=self.following.where,
-                fix="sort the frames and drop repeated ones",
-            )
+        if (after := self.following) is not None:
+            what = f"time goes from {self.head.time:.6g} s to {after.time:.6g} s"
+            increases, fix = after.time > self.head.time, "sort the frames and drop repeated ones"
+            require(increases, what, where=after.where, fix=fix, error=GendomError)

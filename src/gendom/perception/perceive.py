@@ -21,9 +21,9 @@ from gendom.perception.camera import Camera
 from gendom.perception.cloud import (
     LEAST_DEPTH,
     STAGES,
+    CameraView,
     CloudSettings,
     FusedCloud,
-    View,
     perceive_frame,
 )
 from gendom.perception.colour import (
@@ -34,7 +34,7 @@ from gendom.perception.colour import (
     lab,
     picked_colour,
 )
-from gendom.perception.folder import Sighting
+from gendom.perception.folder import CameraRecording
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Matching, Pictures, match_frames
 from gendom.perception.quality import (
     MAX_DISAGREEMENT,
@@ -134,7 +134,7 @@ class Perceived:
 
 
 def perceive(
-    sighting: Sighting,
+    recorded: CameraRecording,
     settings: PerceptionSettings | None = None,
     *,
     on_warning: Callable[[Fault], None] = lambda _: None,
@@ -146,7 +146,7 @@ def perceive(
     that lie outside of the grippers' path are left out with a warning; all others are kept.
 
     Args:
-        sighting: Cameras, the robot's path and the object's description.
+        recorded: Cameras, the robot's path and the object's description.
         settings: By default the workspace follows from the grippers' path, and all that stands
             above the table is the object.
         on_warning: Called with every fault that does not prevent use.
@@ -158,33 +158,33 @@ def perceive(
             came of it is not valid.
         ParameterError: A setting is out of its range.
     """
-    return _Perception(sighting, settings or PerceptionSettings(), on_warning, on_frame).run()
+    return _Perception(recorded, settings or PerceptionSettings(), on_warning, on_frame).run()
 
 
 class _Perception:
     def __init__(
         self,
-        sighting: Sighting,
+        recorded: CameraRecording,
         settings: PerceptionSettings,
         on_warning: Callable[[Fault], None],
         on_frame: Callable[[float, FusedCloud], None],
     ):
-        self.sighting, self.settings = sighting, settings
+        self.recorded, self.settings = recorded, settings
         self.on_warning, self.on_frame = on_warning, on_frame
-        values, faults = parse_meta(sighting.meta)
+        values, faults = parse_meta(recorded.meta)
         if faults:
-            raise RecordingError(where=f"{sighting.where}/object.toml", faults=faults)
+            raise RecordingError(where=f"{recorded.where}/object.toml", faults=faults)
         self.values = values
         self.object = values["object"]
-        self.names = [source.camera.name for source in sighting.sources]
+        self.names = [source.camera.name for source in recorded.sources]
         if (size := self.object.size) is None or not (math.isfinite(size) and size > 0.0):
             raise RecordingError(
                 "the object's sizes are missing",
-                where=f"{sighting.where}/object.toml",
+                where=f"{recorded.where}/object.toml",
                 fix="give length for a rope, width and height for a cloth, in metres",
             )
         self.cloud_settings = self._cloud_settings(size)
-        self.views = [View(source.camera, self.cloud_settings) for source in sighting.sources]
+        self.views = [CameraView(source.camera, self.cloud_settings) for source in recorded.sources]
         self.colour: ObjectColour | None = None
         self.clouds: list[FusedCloud] = []
         self.times: list[float] = []
@@ -201,12 +201,12 @@ class _Perception:
     def run(self) -> Perceived:
         matching = Matching()
         sets = match_frames(
-            self.sighting.sources, tolerance=self.settings.sync_tolerance, matching=matching
+            self.recorded.sources, tolerance=self.settings.sync_tolerance, matching=matching
         )
         ready = False
         for frames in sets:
             time = float(np.mean([frame.time for frame in frames]))
-            gripper = self.sighting.robot.at(time)
+            gripper = self.recorded.robot.at(time)
             if gripper is None:
                 self.off_path += 1
                 continue
@@ -220,7 +220,7 @@ class _Perception:
                 self.views,
                 pictures,
                 colour=self.colour,
-                capsules=self.sighting.capsules and self.sighting.capsules.at(time),
+                capsules=self.recorded.capsules and self.recorded.capsules.at(time),
                 on_clouds=self._compare,
             )
             self.clouds.append(cloud)
@@ -234,7 +234,7 @@ class _Perception:
         if self.settings.workspace is not None:
             corners = self.settings.workspace
             return CloudSettings(low=corners[:3], high=corners[3:], **self.settings.cloud)
-        path = self.sighting.robot.position.reshape(-1, 3)
+        path = self.recorded.robot.position.reshape(-1, 3)
         low = path.min(axis=0) - size - _MARGIN
         high = path.max(axis=0) + _MARGIN
         high[:2] += size
@@ -255,7 +255,7 @@ class _Perception:
             if known.kind == "rope"
             else (known.width or 0.0) * (known.height or 0.0)
         )
-        away = np.linalg.norm(self.sighting.robot.position.mean(axis=(0, 1)) - camera.position)
+        away = np.linalg.norm(self.recorded.robot.position.mean(axis=(0, 1)) - camera.position)
         filled = area * camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
         return max(_AGREEMENT_POINTS, _AGREEMENT_SHARE * filled)
 
@@ -302,7 +302,7 @@ class _Perception:
             listed = ", ".join(f"{1e3 * z:.0f} mm by {name}" for name, z in known.items())
             raise RecordingError(
                 f"the table is at z = {listed}: more than {1e3 * MAX_DISAGREEMENT:.0f} mm apart",
-                where=self.sighting.where,
+                where=self.recorded.where,
                 fix="calibrate the cameras again, or correct table_height",
             )
         if heights and self.settings.level:
@@ -328,7 +328,7 @@ class _Perception:
             rise = height - view.table.height(middle[0], middle[1])
             tilt = math.acos(min(float(view.table.normal[2]), 1.0))
             T = view.table.levelled(middle[0], middle[1], height)
-            level = View(view.camera.at(T @ view.camera.calibrated()), self.cloud_settings)
+            level = CameraView(view.camera.at(T @ view.camera.calibrated()), self.cloud_settings)
             level.find_table(seen.depth, height)
             if level.table is None:
                 continue
@@ -419,7 +419,7 @@ class _Perception:
             raise RecordingError(
                 f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
                 f"({x:.0f}, {y:.0f}, {z:.0f} mm)",
-                where=self.sighting.where,
+                where=self.recorded.where,
                 fix="calibrate them again (gendom calibrate), take the robot out of view "
                 "(--colour, joints.csv, capsules.csv), or use one by --cameras",
             )
@@ -432,7 +432,7 @@ class _Perception:
             raise RecordingError(
                 f"no frames of the cameras lie within {self.settings.sync_tolerance:g} s "
                 f"({matching.spans(self.names)})",
-                where=self.sighting.where,
+                where=self.recorded.where,
                 fix="put all time stamps on one clock, or raise --sync-tolerance",
             )
         for name, alone in zip(self.names, matching.alone or [], strict=True):
@@ -448,30 +448,30 @@ class _Perception:
             warn(
                 f"{len(self.unreadable)} of {matching.used} frames cannot be read and are left "
                 f"out; the first: {first.what}",
-                first.where or self.sighting.where,
+                first.where or self.recorded.where,
                 first.fix or "",
             )
         if self.off_path:
-            path = self.sighting.robot.time
+            path = self.recorded.robot.time
             warn(
                 f"{self.off_path} of {matching.used} frames are outside of its times, "
                 f"{path[0]:.6g} to {path[-1]:.6g} s; they are left out",
-                f"{self.sighting.where}/gripper.csv",
+                f"{self.recorded.where}/gripper.csv",
                 "put robot and cameras on one clock if there are many",
             )
         if not self.clouds:
             if not self.unreadable:
-                path = self.sighting.robot.time
+                path = self.recorded.robot.time
                 raise RecordingError(
                     f"the robot's path is at other times, {path[0]:.6g} to {path[-1]:.6g} s, than "
                     f"the cameras' frames ({matching.spans(self.names)})",
-                    where=self.sighting.where,
+                    where=self.recorded.where,
                     fix="put both on one clock",
                 )
             first = self.unreadable[0]
             raise RecordingError(
                 f"none of {len(self.unreadable)} frames can be read; the first: {first.what}",
-                where=first.where or self.sighting.where,
+                where=first.where or self.recorded.where,
                 fix=first.fix,
             )
 
@@ -482,20 +482,20 @@ class _Perception:
             raise RecordingError(
                 f"no object in view: no points are left after {lost!r} in any of "
                 f"{len(counts)} frames",
-                where=self.sighting.where,
+                where=self.recorded.where,
                 fix=_REMEDIES[lost],
             )
         if self.offsets:
             self._check_agreement()
         positions, axes = zip(*self.grippers, strict=True)
-        closed = [self.sighting.robot.closed_at(time) for time in self.times]
+        closed = [self.recorded.robot.closed_at(time) for time in self.times]
         extra = {**self.values.pop("extra"), "perception": self._history()}
         self.values["camera_positions"] = np.array([v.camera.position for v in self.views])
         tables = [v.table for v in self.views if v.table is not None]
         if self.values["table_height"] is None and tables:
             x, y, _ = np.mean(positions, axis=(0, 1))
             self.values["table_height"] = float(np.mean([t.height(x, y) for t in tables]))
-        self.values["source"] = self.values["source"] or self.sighting.where
+        self.values["source"] = self.values["source"] or self.recorded.where
         recording = Recording.from_frames(
             [cloud.points for cloud in self.clouds],
             time=self.times,
@@ -507,7 +507,7 @@ class _Perception:
         )
         faults = recording.validate()
         if errors := [f for f in faults if f.severity == "error"]:
-            raise RecordingError(where=self.sighting.where, faults=errors)
+            raise RecordingError(where=self.recorded.where, faults=errors)
         for fault in faults:
             self.on_warning(fault)
         for name, count in zip(self.names, self.seen, strict=True):

@@ -17,7 +17,7 @@ _MAX_POINTS = 20_000  # more do not make the plane better than its calibration
 
 
 @dataclass(frozen=True)
-class Table:
+class TablePlane:
     """A plane as one camera sees it."""
 
     normal: npt.NDArray[np.float64]
@@ -50,7 +50,7 @@ def fit_table(
     depth: npt.NDArray[np.floating],
     *,
     expected_height: float | None = None,
-) -> Table | None:
+) -> TablePlane | None:
     """The horizontal plane that most points lie on.
 
     Begins at the most frequent height and repeats least squares on the points within 2.5 robust
@@ -104,4 +104,4 @@ def fit_table(
     slope = np.abs(directions @ normal)
     wide = (np.abs(residual) < _WINDOW) & (slope > 0.1)
     scaled = np.abs(residual[wide] / (slope[wide] * depth[wide] ** 2))
-    return Table(normal, offset, float(1.4826 * np.median(scaled)))
+    return TablePlane(normal, offset, float(1.4826 * np.median(scaled)))
