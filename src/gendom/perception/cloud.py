@@ -16,7 +16,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from gendom.errors import ParameterError, RecordingError
+from gendom.arguments import require
+from gendom.errors import RecordingError
 from gendom.perception.camera import Camera
 from gendom.perception.colour import ObjectColour
 from gendom.perception.frames import Pictures
@@ -27,14 +28,14 @@ STAGES = ("depth", "workspace", "table", "colour", "support", "robot", "voxels",
 """What is counted: pixels with depth, then those left after each stage, then fused voxels and
 those left after outlier removal."""
 
-LEAST_DEPTH = 100
+MIN_DEPTH_PIXELS = 100
 """Pictures with fewer valid depth pixels are treated as empty."""
 
-_NEVER = np.uint16(65535)
+_NO_TABLE = np.uint16(65535)  # counts that no depth exceeds
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
 _STEEPEST = 5.0  # a surface's depth may change by this many pixels' width from one to the next
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
-_FAR = 0.5  # [m]; larger settings were not given in metres
+_MAX_LENGTH = 0.5  # [m]; larger settings were not given in metres
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
 _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 
@@ -64,26 +65,20 @@ class CloudSettings:
     """Connected points fewer than this are outliers."""
 
     def __post_init__(self):
-        if not all(
-            np.isfinite([a, b]).all() and a < b for a, b in zip(self.low, self.high, strict=True)
-        ):
-            raise ParameterError(
-                f"the workspace runs from {self.low} to {self.high}",
-                fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first",
-            )
+        corners = zip(self.low, self.high, strict=True)
+        ordered = all(np.isfinite([a, b]).all() and a < b for a, b in corners)
+        what = f"the workspace runs from {self.low} to {self.high}"
+        require(ordered, what, fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first")
         for name in ("table_sigmas", "table_clearance", "robot_margin", "voxel", "outlier_radius"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ParameterError(f"{name} is {value}", fix="give 0 or more")
-            if name != "table_sigmas" and value > _FAR:
-                raise ParameterError(
-                    f"{name} is {value:g} m",
-                    fix=f"give metres: {value:g} mm are {1e-3 * value:g} m",
-                )
-        if not 0 <= self.min_support <= 8:
-            raise ParameterError(f"min_support is {self.min_support}", fix="give 0 to 8")
-        if self.min_cluster < 1:
-            raise ParameterError(f"min_cluster is {self.min_cluster}", fix="give 1 or more")
+            right = np.isfinite(value) and value >= 0.0
+            require(right, f"{name} is {value}", fix="give 0 or more")
+            fix = f"give metres: {value:g} mm are {1e-3 * value:g} m"
+            in_metres = name == "table_sigmas" or value <= _MAX_LENGTH
+            require(in_metres, f"{name} is {value:g} m", fix=fix)
+        few, enough = 0 <= self.min_support <= 8, self.min_cluster >= 1
+        require(few, f"min_support is {self.min_support}", fix="give 0 to 8")
+        require(enough, f"min_cluster is {self.min_cluster}", fix="give 1 or more")
 
 
 class CameraView:
@@ -110,8 +105,8 @@ class CameraView:
         self._near, self._far = self._counts(near, np.ceil), self._counts(far, np.floor)
         self._far[~(near <= far)] = 0  # the ray misses the workspace
         # Depths from `_top` on are on the table or below, those beyond `_bottom` below.
-        self._top = np.full(len(self._near), _NEVER)
-        self._bottom = np.full(len(self._near), _NEVER)
+        self._top = np.full(len(self._near), _NO_TABLE)
+        self._bottom = np.full(len(self._near), _NO_TABLE)
 
     def _counts(self, depth: np.ndarray, to_integer: np.ufunc) -> npt.NDArray[np.uint16]:
         """Depths [m] as counts of the depth unit, 1 to 65535."""
@@ -136,7 +131,7 @@ class CameraView:
         """Check that some depth lies in the workspace.
 
         Args:
-            depth: [height, width]; `LEAST_DEPTH` pixels or more have depth.
+            depth: [height, width]; `MIN_DEPTH_PIXELS` pixels or more have depth.
             table_height: z of the table [m]; None: unknown.
 
         Raises:
@@ -154,24 +149,23 @@ class CameraView:
 
         scales = {s: with_scale(s) for s in (1e-4, 1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4)}
         best = max(scales, key=lambda s: scales[s])
+        median = f"{np.median(raw[raw > 0]) * self.camera.depth_unit:.4g} m"
         if scales[best] >= max(10 * inside, 0.005 * has, 100):
-            unit = self.camera.depth_unit
-            right = self._unit_by_table(depth, table_height) or unit * best
-            raise RecordingError(
-                f"depth of median {np.median(raw[raw > 0]) * unit:.4g} m misses the workspace, "
-                f"but would be in it in another unit",
-                where=f"{where}: depth_unit",
-                fix=f"it is {unit:g} m a count; {right:g} seems right",
-            )
+            what = f"depth of median {median} misses the workspace, but would be in it in another "
+            right = self._unit_by_table(depth, table_height) or self.camera.depth_unit * best
+            raise self._other_unit(f"{what}unit", right)
         if inside < 50:
             self.check_unit(depth, table_height)
-        if inside < 50:
-            raise RecordingError(
-                f"sees nothing of the workspace, {_corners(self.settings)}; "
-                f"median depth {np.median(raw[raw > 0]) * self.camera.depth_unit:.3g} m",
-                where=where,
-                fix="check T_world_camera (camera to world) and --workspace",
+            what = (
+                f"sees nothing of the workspace, {_corners(self.settings)}; median depth {median}"
             )
+            fix = "check T_world_camera (camera to world) and --workspace"
+            raise RecordingError(what, where=where, fix=fix)
+
+    def _other_unit(self, what: str, right: float) -> RecordingError:
+        where = f"camera {self.camera.name!r}: depth_unit"
+        fix = f"it is {self.camera.depth_unit:g} m a count; {right:g} seems right"
+        return RecordingError(what, where=where, fix=fix)
 
     def check_unit(self, depth: npt.NDArray[np.uint16], table_height: float | None) -> None:
         """Check whether the table is at its height only in another depth unit.
@@ -183,13 +177,10 @@ class CameraView:
         Raises:
             RecordingError: It is.
         """
-        unit, right = self.camera.depth_unit, self._unit_by_table(depth, table_height)
+        right = self._unit_by_table(depth, table_height)
         if right is not None:
-            raise RecordingError(
-                f"sees no table at z = {table_height:g} m, but would in another unit",
-                where=f"camera {self.camera.name!r}: depth_unit",
-                fix=f"it is {unit:g} m a count; {right:g} seems right",
-            )
+            what = f"sees no table at z = {table_height:g} m, but would in another unit"
+            raise self._other_unit(what, right)
 
     def _unit_by_table(
         self, depth: npt.NDArray[np.uint16], table_height: float | None
@@ -200,7 +191,7 @@ class CameraView:
         """
         raw, slope = depth.ravel(), -self._directions[2]
         pixels = np.flatnonzero((raw > 0) & (slope > 0.1))
-        if table_height is None or len(pixels) < LEAST_DEPTH:
+        if table_height is None or len(pixels) < MIN_DEPTH_PIXELS:
             return None
         below = np.log(slope[pixels] * raw[pixels])  # of counts
         bins = ((below - below.min()) / 0.02).astype(np.int64)
@@ -331,8 +322,8 @@ def fuse(
     Raises:
         ParameterError: More cameras than bits.
     """
-    if len(clouds) > _MAX_CAMERAS:
-        raise ParameterError(f"{len(clouds)} cameras", fix=f"use {_MAX_CAMERAS} at most")
+    few = len(clouds) <= _MAX_CAMERAS
+    require(few, f"{len(clouds)} cameras", fix=f"use {_MAX_CAMERAS} at most")
     points = np.concatenate(clouds)
     bits = np.repeat((1 << np.arange(len(clouds))).astype(np.uint8), [len(c) for c in clouds])
     if settings.voxel > 0.0 and len(points):

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import require
 from gendom.datasets import Fault, Recording
 from gendom.datasets.recording import check_name
 from gendom.datasets.recording_form import parse_meta
-from gendom.errors import ParameterError, RecordingError
+from gendom.errors import RecordingError
 from gendom.files import atomic_path
 from gendom.perception.camera import Camera
 from gendom.perception.cloud import (
-    LEAST_DEPTH,
+    MIN_DEPTH_PIXELS,
     STAGES,
     CameraView,
     CloudSettings,
@@ -49,7 +50,10 @@ _AGREEMENT_STRIDE = 5  # beyond the first of them, one frame of so many is compa
 _AGREEMENT_POINTS = 30
 _AGREEMENT_SHARE = 0.03  # of the pixels that the object would fill; fewer may be the table's noise
 _SHARE_FRAMES = 10  # frames on which the seen share is measured
-_LEVELLED = 0.005, math.radians(1.0)  # [m], [rad]; beyond, a camera ought to be calibrated again
+_MAX_CORRECTION = (
+    0.005,
+    math.radians(1.0),
+)  # [m], [rad]; beyond, a camera ought to be calibrated again
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
 
@@ -86,17 +90,14 @@ class PerceptionSettings:
 
     def __post_init__(self):
         given = [n for n in ("colour", "pick", "box") if getattr(self, n) is not None]
-        if len(given) > 1:
-            raise ParameterError(f"{' and '.join(given)} are both given", fix="choose one")
-        if self.colour is not None and not all(0 <= c <= 255 for c in self.colour):
-            raise ParameterError(f"colour {self.colour}", fix="give R G B, each 0 to 255")
-        if not (np.isfinite(self.sync_tolerance) and self.sync_tolerance >= 0.0):
-            raise ParameterError(f"sync_tolerance is {self.sync_tolerance}", fix="give seconds")
-        if self.sync_tolerance > 1.0:
-            raise ParameterError(
-                f"sync_tolerance is {self.sync_tolerance:g} s",
-                fix=f"give seconds: {self.sync_tolerance:g} ms are {1e-3 * self.sync_tolerance:g}",
-            )
+        require(len(given) <= 1, f"{' and '.join(given)} are both given", fix="choose one")
+        right = all(0 <= c <= 255 for c in self.colour or ())
+        require(right, f"colour {self.colour}", fix="give R G B, each 0 to 255")
+        late = self.sync_tolerance
+        right = np.isfinite(late) and late >= 0.0
+        require(right, f"sync_tolerance is {late}", fix="give seconds")
+        fix = f"give seconds: {late:g} ms are {1e-3 * late:g}"
+        require(late <= 1.0, f"sync_tolerance is {late:g} s", fix=fix)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,11 +179,9 @@ class _Perception:
         self.object = values["object"]
         self.names = [source.camera.name for source in recorded.sources]
         if (size := self.object.size) is None or not (math.isfinite(size) and size > 0.0):
-            raise RecordingError(
-                "the object's sizes are missing",
-                where=f"{recorded.where}/object.toml",
-                fix="give length for a rope, width and height for a cloth, in metres",
-            )
+            what, where = "the object's sizes are missing", f"{recorded.where}/object.toml"
+            fix = "give length for a rope, width and height for a cloth, in metres"
+            raise RecordingError(what, where=where, fix=fix)
         self.cloud_settings = self._cloud_settings(size)
         self.views = [CameraView(source.camera, self.cloud_settings) for source in recorded.sources]
         self.colour: ObjectColour | None = None
@@ -230,6 +229,13 @@ class _Perception:
         self._tell_left_out(matching)
         return self._result()
 
+    def _require(self, holds: Any, what: str, fix: str | None, where: str = "") -> None:
+        where = where or self.recorded.where
+        require(holds, what, where=where, fix=fix, error=RecordingError)
+
+    def _warn(self, what: str, where: str, fix: str) -> None:
+        self.on_warning(Fault(what, where, fix, "warning"))
+
     def _cloud_settings(self, size: float) -> CloudSettings:
         if self.settings.workspace is not None:
             corners = self.settings.workspace
@@ -264,12 +270,10 @@ class _Perception:
             pictures = [frame.read() for frame in frames]
             for frame, seen in zip(frames, pictures, strict=True):
                 # Sensors give such pictures just after they are switched on.
-                if (has := np.count_nonzero(seen.depth)) < LEAST_DEPTH:
-                    raise RecordingError(
-                        f"only {has} of {seen.depth.size} pixels have depth",
-                        where=frame.where,
-                        fix="check the sensor, and that the depth pictures are 16 bit",
-                    )
+                has = np.count_nonzero(seen.depth)
+                what = f"only {has} of {seen.depth.size} pixels have depth"
+                fix = "check the sensor, and that the depth pictures are 16 bit"
+                self._require(has >= MIN_DEPTH_PIXELS, what, fix, frame.where)
         except RecordingError as error:
             self.unreadable.append(error)
             return None
@@ -298,27 +302,20 @@ class _Perception:
             else:
                 heights[view.camera.name] = view.table.height(middle[0], middle[1])
         known = dict(heights) if expected is None else {"object.toml": expected, **heights}
-        if heights and max(known.values()) - min(known.values()) > MAX_DISAGREEMENT:
-            listed = ", ".join(f"{1e3 * z:.0f} mm by {name}" for name, z in known.items())
-            raise RecordingError(
-                f"the table is at z = {listed}: more than {1e3 * MAX_DISAGREEMENT:.0f} mm apart",
-                where=self.recorded.where,
-                fix="calibrate the cameras again, or correct table_height",
-            )
+        apart = max(known.values()) - min(known.values()) if heights else 0.0
+        listed = ", ".join(f"{1e3 * z:.0f} mm by {name}" for name, z in known.items())
+        what = f"the table is at z = {listed}: more than {1e3 * MAX_DISAGREEMENT:.0f} mm apart"
+        fix = "calibrate the cameras again, or correct table_height"
+        self._require(apart <= MAX_DISAGREEMENT, what, fix)
         if heights and self.settings.level:
             mean = sum(heights.values()) / len(heights)
             self._level(pictures, middle, mean if expected is None else expected)
         lacking = [name for name in self.names if name not in heights]
         if lacking and known:  # neither stated nor seen: there is none
             level = "" if expected is None else f" at z = {expected:g} m"
-            self.on_warning(
-                Fault(
-                    f"no table{level} is seen by {', '.join(lacking)}, so none is removed there",
-                    "table",
-                    "check the workspace and T_world_camera; --no-table if there is none",
-                    "warning",
-                )
-            )
+            what = f"no table{level} is seen by {', '.join(lacking)}, so none is removed there"
+            fix = "check the workspace and T_world_camera; --no-table if there is none"
+            self._warn(what, "table", fix)
 
     def _level(self, pictures: list[Pictures], middle: np.ndarray, height: float) -> None:
         """Move every camera so that its table is level and at this height [m]."""
@@ -334,16 +331,11 @@ class _Perception:
                 continue
             self.views[k] = level
             self.levelled[view.camera.name] = {"rise": rise, "turn": tilt}
-            if abs(rise) > _LEVELLED[0] or tilt > _LEVELLED[1]:
-                self.on_warning(
-                    Fault(
-                        f"sees the table {-1e3 * rise:+.0f} mm too high and tilted by "
-                        f"{math.degrees(tilt):.1f} degrees; it is moved to where that is right",
-                        f"camera {view.camera.name!r}",
-                        "calibrate it again (gendom calibrate), or --no-level",
-                        "warning",
-                    )
-                )
+            if abs(rise) > _MAX_CORRECTION[0] or tilt > _MAX_CORRECTION[1]:
+                what = f"sees the table {-1e3 * rise:+.0f} mm too high and tilted by "
+                what += f"{math.degrees(tilt):.1f} degrees; it is moved to where that is right"
+                fix = "calibrate it again (gendom calibrate), or --no-level"
+                self._warn(what, f"camera {view.camera.name!r}", fix)
 
     def _find_colour(self, pictures: list[Pictures]) -> ObjectColour | None:
         chosen = self.settings
@@ -352,10 +344,8 @@ class _Perception:
         elif (place := chosen.pick or chosen.box) is None:
             return None
         else:
-            if place[0] not in self.names:
-                raise ParameterError(
-                    f"there is no camera {place[0]!r}", fix=f"have {', '.join(self.names)}"
-                )
+            what, fix = f"there is no camera {place[0]!r}", f"have {', '.join(self.names)}"
+            require(place[0] in self.names, what, fix=fix)
             k = self.names.index(place[0])
             picture = self._coloured(k, pictures)
             if chosen.pick is not None:
@@ -375,11 +365,9 @@ class _Perception:
     def _coloured(self, k: int, pictures: list[Pictures]) -> np.ndarray:
         colour = pictures[k].colour
         if colour is None:
-            raise RecordingError(
-                "has no colour pictures",
-                where=f"camera {self.names[k]!r}",
-                fix="leave out --colour, --pick and --box, or record colour",
-            )
+            fix = "leave out --colour, --pick and --box, or record colour"
+            where = f"camera {self.names[k]!r}"
+            raise RecordingError("has no colour pictures", where=where, fix=fix)
         return colour
 
     def _compare(self, clouds: list[np.ndarray]) -> None:
@@ -414,129 +402,85 @@ class _Perception:
         latest = self.offsets[-_AGREEMENT_FRAMES:]
         apart = median_distance(latest)
         self.disagreement = max(apart, self.disagreement or 0.0)
-        if apart > MAX_DISAGREEMENT:
-            x, y, z = 1e3 * np.median(np.array(latest), axis=0)
-            raise RecordingError(
-                f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
-                f"({x:.0f}, {y:.0f}, {z:.0f} mm)",
-                where=self.recorded.where,
-                fix="calibrate them again (gendom calibrate), take the robot out of view "
-                "(--colour, joints.csv, capsules.csv), or use one by --cameras",
-            )
+        x, y, z = 1e3 * np.median(np.array(latest), axis=0)
+        what = f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
+        what += f"({x:.0f}, {y:.0f}, {z:.0f} mm)"
+        fix = "calibrate them again (gendom calibrate), take the robot out of view "
+        fix += "(--colour, joints.csv, capsules.csv), or use one by --cameras"
+        self._require(apart <= MAX_DISAGREEMENT, what, fix)
 
     def _tell_left_out(self, matching: Matching) -> None:
-        def warn(what: str, where: str, fix: str) -> None:
-            self.on_warning(Fault(what, where, fix, "warning"))
-
-        if matching.used == 0:
-            raise RecordingError(
-                f"no frames of the cameras lie within {self.settings.sync_tolerance:g} s "
-                f"({matching.spans(self.names)})",
-                where=self.recorded.where,
-                fix="put all time stamps on one clock, or raise --sync-tolerance",
-            )
+        """Warn of frames that are left out, and refuse if none is left."""
+        late = f"{self.settings.sync_tolerance:g} s"
+        spans = matching.spans(self.names)
+        what = f"no frames of the cameras lie within {late} ({spans})"
+        fix = "put all time stamps on one clock, or raise --sync-tolerance"
+        self._require(matching.used, what, fix)
         for name, alone in zip(self.names, matching.alone or [], strict=True):
             if alone:
-                warn(
-                    f"{alone} of {alone + matching.used} frames match no frame of the others "
-                    f"within {self.settings.sync_tolerance:g} s; they are left out",
-                    f"camera {name!r}",
-                    "check the cameras' clocks if there are many",
-                )
+                what = f"{alone} of {alone + matching.used} frames match no frame of the others "
+                what += f"within {late}; they are left out"
+                self._warn(what, f"camera {name!r}", "check the cameras' clocks if there are many")
+        path = self.recorded.robot.time
+        times = f"{path[0]:.6g} to {path[-1]:.6g} s"
         if self.unreadable:
-            first = self.unreadable[0]
-            warn(
-                f"{len(self.unreadable)} of {matching.used} frames cannot be read and are left "
-                f"out; the first: {first.what}",
-                first.where or self.recorded.where,
-                first.fix or "",
-            )
+            first, count = self.unreadable[0], len(self.unreadable)
+            where, fix = first.where or self.recorded.where, first.fix or ""
+            what = f"{count} of {matching.used} frames cannot be read and are left out; the first: "
+            self._warn(f"{what}{first.what}", where, fix)
         if self.off_path:
-            path = self.recorded.robot.time
-            warn(
-                f"{self.off_path} of {matching.used} frames are outside of its times, "
-                f"{path[0]:.6g} to {path[-1]:.6g} s; they are left out",
-                f"{self.recorded.where}/gripper.csv",
-                "put robot and cameras on one clock if there are many",
-            )
-        if not self.clouds:
-            if not self.unreadable:
-                path = self.recorded.robot.time
-                raise RecordingError(
-                    f"the robot's path is at other times, {path[0]:.6g} to {path[-1]:.6g} s, than "
-                    f"the cameras' frames ({matching.spans(self.names)})",
-                    where=self.recorded.where,
-                    fix="put both on one clock",
-                )
+            what = f"{self.off_path} of {matching.used} frames are outside of its times, {times}; "
+            fix = "put robot and cameras on one clock if there are many"
+            self._warn(f"{what}they are left out", f"{self.recorded.where}/gripper.csv", fix)
+        if self.unreadable:
+            what = f"none of {len(self.unreadable)} frames can be read; the first: "
             first = self.unreadable[0]
-            raise RecordingError(
-                f"none of {len(self.unreadable)} frames can be read; the first: {first.what}",
-                where=first.where or self.recorded.where,
-                fix=first.fix,
-            )
+            self._require(self.clouds, f"{what}{first.what}", first.fix, first.where or "")
+        what = f"the robot's path is at other times, {times}, than the cameras' frames ({spans})"
+        self._require(self.clouds, what, "put both on one clock")
 
     def _result(self) -> Perceived:
         counts = np.array([cloud.counts for cloud in self.clouds])
-        if not counts[:, -1].any():
-            lost = next(s for s, n in zip(STAGES, counts.sum(axis=0), strict=True) if n == 0)
-            raise RecordingError(
-                f"no object in view: no points are left after {lost!r} in any of "
-                f"{len(counts)} frames",
-                where=self.recorded.where,
-                fix=_REMEDIES[lost],
-            )
+        lost = next((s for s, n in zip(STAGES, counts.sum(axis=0), strict=True) if n == 0), "")
+        what = f"no object in view: no points are left after {lost!r} in any of {len(counts)} "
+        self._require(counts[:, -1].any(), f"{what}frames", _REMEDIES.get(lost))
         if self.offsets:
             self._check_agreement()
+        recording = self._recording()
+        recording.require_valid(self.recorded.where, on_warning=self.on_warning)
+        for name, count in zip(self.names, self.seen, strict=True):
+            if count == 0:
+                what = "sees nothing of the object in any frame"
+                fix = "check its colour pictures, its T_world_camera and what hides the object"
+                self._warn(what, f"camera {name!r}", fix)
+        share = self._share(recording)
+        if share < 0.5:
+            what = f"only about {100 * share:.0f} % of the object is seen"
+            fix = "check workspace, colour and what hides it; the estimate will be poor"
+            self._warn(what, "points", fix)
+        seen_by = np.concatenate([cloud.seen_by for cloud in self.clouds])
+        return Perceived(recording, seen_by, counts, self.names, share, self.disagreement)
+
+    def _recording(self) -> Recording:
+        """The recording of all frames, not yet validated."""
         positions, axes = zip(*self.grippers, strict=True)
         closed = [self.recorded.robot.closed_at(time) for time in self.times]
-        extra = {**self.values.pop("extra"), "perception": self._history()}
-        self.values["camera_positions"] = np.array([v.camera.position for v in self.views])
+        values = dict(self.values)
+        extra = {**values.pop("extra"), "perception": self._history()}
+        values["camera_positions"] = np.array([v.camera.position for v in self.views])
         tables = [v.table for v in self.views if v.table is not None]
-        if self.values["table_height"] is None and tables:
+        if values["table_height"] is None and tables:
             x, y, _ = np.mean(positions, axis=(0, 1))
-            self.values["table_height"] = float(np.mean([t.height(x, y) for t in tables]))
-        self.values["source"] = self.values["source"] or self.recorded.where
-        recording = Recording.from_frames(
+            values["table_height"] = float(np.mean([t.height(x, y) for t in tables]))
+        values["source"] = values["source"] or self.recorded.where
+        return Recording.from_frames(
             [cloud.points for cloud in self.clouds],
             time=self.times,
             gripper_position=np.array(positions),
             gripper_axis=None if axes[0] is None else np.array(axes),
             gripper_closed=None if closed[0] is None else np.array(closed),
             extra=extra,
-            **self.values,
-        )
-        faults = recording.validate()
-        if errors := [f for f in faults if f.severity == "error"]:
-            raise RecordingError(where=self.recorded.where, faults=errors)
-        for fault in faults:
-            self.on_warning(fault)
-        for name, count in zip(self.names, self.seen, strict=True):
-            if count == 0:
-                self.on_warning(
-                    Fault(
-                        "sees nothing of the object in any frame",
-                        f"camera {name!r}",
-                        "check its colour pictures, its T_world_camera and what hides the object",
-                        "warning",
-                    )
-                )
-        share = self._share(recording)
-        if share < 0.5:
-            self.on_warning(
-                Fault(
-                    f"only about {100 * share:.0f} % of the object is seen",
-                    "points",
-                    "check workspace, colour and what hides it; the estimate will be poor",
-                    "warning",
-                )
-            )
-        return Perceived(
-            recording,
-            np.concatenate([cloud.seen_by for cloud in self.clouds]),
-            counts,
-            self.names,
-            share,
-            self.disagreement,
+            **values,
         )
 
     def _share(self, recording: Recording) -> float:
@@ -576,6 +520,5 @@ def read_seen_by(path: str | os.PathLike) -> npt.NDArray[np.uint8] | None:
         with np.load(path, allow_pickle=False) as archive:
             return archive[SEEN_BY] if SEEN_BY in archive.files else None
     except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise RecordingError(
-            f"cannot be read ({error})", where=str(path), fix="check the file"
-        ) from None
+        what = f"cannot be read ({error})"
+        raise RecordingError(what, where=str(path), fix="check the file") from None
