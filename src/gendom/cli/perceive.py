@@ -80,7 +80,8 @@ class Command:
             find_table=not self.no_table,
             level=not self.no_level,
             sync_tolerance=self.sync_tolerance,
-            cloud={"voxel": self.voxel, "min_cluster": self.min_cluster},
+            voxel=self.voxel,
+            min_cluster=self.min_cluster,
         )
         recorded = read_cameras(self.folder, cameras=self.cameras, on_warning=warnings.append)
         show = self.frames and not self.json

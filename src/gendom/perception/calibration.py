@@ -80,10 +80,10 @@ class Board:
         import cv2
 
         number = getattr(cv2.aruco, self.dictionary, None)
-        known = self.dictionary.startswith("DICT_") and number is not None
-        what = f"there is no dictionary {self.dictionary!r}"
-        fix = "use OpenCV's names, such as DICT_4X4_50 or DICT_5X5_100"
-        require(known, what, where="board", fix=fix, error=GendomError)
+        if not self.dictionary.startswith("DICT_") or number is None:
+            what = f"there is no dictionary {self.dictionary!r}"
+            fix = "use OpenCV's names, such as DICT_4X4_50 or DICT_5X5_100"
+            raise GendomError(what, where="board", fix=fix)
         board = cv2.aruco.CharucoBoard(
             (self.squares_x, self.squares_y),
             self.square,

@@ -15,7 +15,7 @@ Axes are OpenCV's: x right, y down, z forward; pixel (0, 0) is centred at u = v 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -56,14 +56,23 @@ class Camera:
     """OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; empty: none."""
 
     def __post_init__(self):
-        for name, shape in (("K", (3, 3)), ("T_world_camera", (4, 4))):
+        for name in ("width", "height"):
+            value, where = getattr(self, name), f"{self.name}: {name}"
+            right = isinstance(value, int)
+            require(right, f"is {value!r}", where=where, fix="give pixels", error=RecordingError)
+        for name, shape in (
+            ("K", (3, 3)),
+            ("T_world_camera", (4, 4)),
+            ("depth_unit", ()),
+            ("distortion", (None,)),
+        ):
             value = getattr(self, name)
             if value is None and name == "T_world_camera":
                 continue
             array = _numbers(value, shape, f"{self.name}: {name}")
             array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
+            object.__setattr__(self, name, array if array.ndim == 2 else array.tolist())
+        object.__setattr__(self, "distortion", tuple(self.distortion))
         for what, where, fix in self._faults():
             raise RecordingError(what, where=f"{self.name}: {where}", fix=fix)
 
@@ -72,7 +81,7 @@ class Camera:
         K, T, width, height = self.K, self.T_world_camera, self.width, self.height
         if width < 1 or height < 1:
             yield f"is {width} x {height}", "width, height", "give the pictures' size"
-        if not (np.isfinite(self.depth_unit) and self.depth_unit > 0.0):
+        if not self.depth_unit > 0.0:
             fix = "give metres a count: 0.001 for depth in millimetres"
             yield f"is {self.depth_unit}", "depth_unit", fix
         if not (K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1])) or K[1, 0] != 0:
@@ -84,8 +93,6 @@ class Camera:
         if (count := len(self.distortion)) not in _DISTORTION_LENGTHS:
             fix = "give none, or 4, 5 or 8 of OpenCV's k1, k2, p1, p2, k3, k4, k5, k6"
             yield f"has {count} numbers", "distortion", fix
-        elif not np.isfinite(self.distortion).all():
-            yield "is not finite", "distortion", "give numbers"
         if T is None:
             return
         R, distance = T[:3, :3], np.linalg.norm(T[:3, 3])
@@ -163,13 +170,9 @@ def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
     """
     path = Path(path)
     # A default depth unit would be wrong by a factor of ten for many cameras.
-    table = _read_table(path, ("width", "height", "K", "depth_unit"))
-    return Camera(
-        name=name or path.resolve().parent.name,
-        T_world_camera=table.get("T_world_camera"),
-        **{key: table[key] for key in ("width", "height", "K", "depth_unit")},
-        distortion=table.get("distortion", ()),
-    )
+    table = _read_table(path, required=("width", "height", "K", "depth_unit"))
+    name = name or path.resolve().parent.name
+    return _made(path, lambda: Camera(**{"name": name, "T_world_camera": None, **table}))
 
 
 def adopt_camera(path: str | os.PathLike, camera: Camera) -> Camera:
@@ -189,24 +192,32 @@ def adopt_camera(path: str | os.PathLike, camera: Camera) -> Camera:
     if not path.exists():
         return camera
     table = _read_table(path)
+    given = _made(path, lambda: replace(camera, **table))
     for key, tolerance in (("width", 0.0), ("height", 0.0), ("K", 0.5), ("distortion", 1e-3)):
-        own = np.atleast_1d(getattr(camera, key))
-        given = np.atleast_1d(table.get(key, own))
+        own, stated = (np.atleast_1d(getattr(c, key)) for c in (camera, given))
         if key == "distortion":  # what is left out is zero
-            own, given = (np.pad(a, (0, 8 - len(a))) for a in (own, given))
+            own, stated = (np.pad(a, (0, 8 - len(a))) for a in (own, stated))
         what, fix = "is not that of the recording beside it", "leave it out: its own is taken"
-        alike = np.abs(given - own).max() <= tolerance
+        alike = np.abs(stated - own).max() <= tolerance
         require(alike, what, where=f"{path}: {key}", fix=fix, error=RecordingError)
     kept = {key: table[key] for key in ("depth_unit", "T_world_camera") if key in table}
     return replace(camera, **kept)
 
 
+def _made(path: Path, make: Callable[[], Camera]) -> Camera:
+    """A camera of a file, which messages name in place of the camera."""
+    try:
+        return make()
+    except RecordingError as error:
+        where = f"{path}: {str(error.where).rpartition(': ')[2]}"
+        raise RecordingError(error.what, where=where, fix=error.fix) from None
+
+
 def _read_table(path: Path, required: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The keys of a camera.toml that are there, each of its type.
+    """The keys of a camera.toml that are there; `Camera` checks their values.
 
     Raises:
-        RecordingError: The file is missing, no TOML, lacks a required key, or one is unknown or
-            has a wrong value.
+        RecordingError: The file is missing, no TOML, lacks a required key or has an unknown one.
     """
     table = read_toml(
         path,
@@ -214,27 +225,13 @@ def _read_table(path: Path, required: tuple[str, ...] = ()) -> dict[str, Any]:
         fix="write one with width, height, K, depth_unit, distortion and T_world_camera",
         error=RecordingError,
     )
-
-    def wanted(holds: bool, what: str, fix: str, key: str = "") -> None:
-        where = f"{path}: {key}" if key else str(path)
-        require(holds, what, where=where, fix=fix, error=RecordingError)
-
     missing = [key for key in required if key not in table]
     fix = "copy it from the camera's own settings; depth is useless without"
-    wanted(not missing, f"lacks {', '.join(missing)}", fix)
+    what = f"lacks {', '.join(missing)}"
+    require(not missing, what, where=str(path), fix=fix, error=RecordingError)
     for key in table:
-        wanted(key in _KEYS, f"has the unknown key {key!r}", f"known are {', '.join(_KEYS)}")
-    for key in ("width", "height"):
-        if key in table:
-            wanted(isinstance(table[key], int), f"is {table[key]!r}", "give pixels", key)
-    for key, shape in (("K", (3, 3)), ("T_world_camera", (4, 4)), ("distortion", (None,))):
-        if key in table:
-            table[key] = _numbers(table[key], shape, f"{path}: {key}")
-    count = len(table.get("distortion", ()))
-    right = count in _DISTORTION_LENGTHS
-    wanted(right, f"has {count} numbers", "give none, or 4, 5 or 8", "distortion")
-    if "depth_unit" in table:
-        table["depth_unit"] = float(_numbers(table["depth_unit"], (), f"{path}: depth_unit"))
+        what, fix = f"has the unknown key {key!r}", f"known are {', '.join(_KEYS)}"
+        require(key in _KEYS, what, where=str(path), fix=fix, error=RecordingError)
     return table
 
 

@@ -31,11 +31,27 @@ those left after outlier removal."""
 MIN_DEPTH_PIXELS = 100
 """Pictures with fewer valid depth pixels are treated as empty."""
 
+TABLE_SIGMAS = 3.0
+"""Depths within so many standard deviations of the table's are on the table."""
+
+TABLE_CLEARANCE = 0.002
+"""Points nearer to the table than this [m] are also removed, for any noise."""
+
+MIN_SUPPORT = 3
+"""Minimum number of a pixel's eight neighbours that must belong to the object at about the same
+depth. This removes mixed pixels at edges, and isolated ones."""
+
+ROBOT_MARGIN = 0.01
+"""Points nearer than this [m] to a capsule are the robot's."""
+
+OUTLIER_RADIUS = 0.015
+"""Points in the same or in touching cubes of this edge [m] are connected."""
+
 _NO_TABLE = np.uint16(65535)  # counts that no depth exceeds
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
 _STEEPEST = 5.0  # a surface's depth may change by this many pixels' width from one to the next
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
-_MAX_LENGTH = 0.5  # [m]; larger settings were not given in metres
+_MAX_VOXEL = 0.5  # [m]; larger ones were not given in metres
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
 _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 
@@ -48,19 +64,8 @@ class CloudSettings:
     """The workspace's lower corner [m]."""
     high: tuple[float, float, float]
     """The workspace's upper corner [m]."""
-    table_sigmas: float = 3.0
-    """Depths within so many standard deviations of the table's are on the table."""
-    table_clearance: float = 0.002
-    """Points nearer to the table than this [m] are also removed, for any noise."""
-    min_support: int = 3
-    """Minimum number of a pixel's eight neighbours that must belong to the object at about the same
-    depth. This removes mixed pixels at edges, and isolated ones. 0: no such test."""
-    robot_margin: float = 0.01
-    """Points nearer than this [m] to a capsule are the robot's."""
     voxel: float = 0.005
     """Edge of the cubes that give one point each, the mean of theirs [m]; 0: keep all points."""
-    outlier_radius: float = 0.015
-    """Points in the same or in touching cubes of this edge [m] are connected."""
     min_cluster: int = 10
     """Connected points fewer than this are outliers."""
 
@@ -69,16 +74,12 @@ class CloudSettings:
         ordered = all(np.isfinite([a, b]).all() and a < b for a, b in corners)
         what = f"the workspace runs from {self.low} to {self.high}"
         require(ordered, what, fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first")
-        for name in ("table_sigmas", "table_clearance", "robot_margin", "voxel", "outlier_radius"):
-            value = getattr(self, name)
-            right = np.isfinite(value) and value >= 0.0
-            require(right, f"{name} is {value}", fix="give 0 or more")
-            fix = f"give metres: {value:g} mm are {1e-3 * value:g} m"
-            in_metres = name == "table_sigmas" or value <= _MAX_LENGTH
-            require(in_metres, f"{name} is {value:g} m", fix=fix)
-        few, enough = 0 <= self.min_support <= 8, self.min_cluster >= 1
-        require(few, f"min_support is {self.min_support}", fix="give 0 to 8")
-        require(enough, f"min_cluster is {self.min_cluster}", fix="give 1 or more")
+        voxel, count = self.voxel, self.min_cluster
+        right = np.isfinite(voxel) and voxel >= 0.0
+        require(right, f"voxel is {voxel}", fix="give 0 or more")
+        fix = f"give metres: {voxel:g} mm are {1e-3 * voxel:g} m"
+        require(voxel <= _MAX_VOXEL, f"voxel is {voxel:g} m", fix=fix)
+        require(count >= 1, f"min_cluster is {count}", fix="give 1 or more")
 
 
 class CameraView:
@@ -224,13 +225,11 @@ class CameraView:
         )
         if self.table is None:
             return
-        table, settings = self.table, self.settings
+        table = self.table
         slope = -(table.normal @ self._directions.astype(np.float64))  # per depth, downwards
         with np.errstate(divide="ignore", invalid="ignore"):
             z = (table.normal @ self.camera.position - table.offset) / slope
-            band = np.maximum(
-                settings.table_sigmas * table.noise * z**2, settings.table_clearance / slope
-            )
+            band = np.maximum(TABLE_SIGMAS * table.noise * z**2, TABLE_CLEARANCE / slope)
             meets = (slope > 1e-6) & (z > 0)
             top = np.where(meets, z - band, np.inf)
             bottom = np.where(meets, z + band, np.inf)
@@ -271,13 +270,12 @@ class CameraView:
         counts.append(len(pixels))
         points = self.points(raw, pixels)
         if capsules is not None and len(points):
-            points = points[~capsules.contain(points, self.settings.robot_margin)]
+            points = points[~capsules.contain(points, ROBOT_MARGIN)]
         return points, [*counts, len(points)]
 
     def _supported(self, raw: npt.NDArray[np.uint16], pixels: np.ndarray) -> np.ndarray:
         """Those of the flat pixel numbers that have enough neighbours among them."""
-        least = self.settings.min_support
-        if least == 0 or len(pixels) == 0:
+        if len(pixels) == 0:
             return pixels
         width = self.camera.width
         # A picture of the object alone, with room for the neighbours of its corners.
@@ -292,7 +290,7 @@ class CameraView:
         support = np.zeros(len(pixels), np.int8)
         for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
             support += np.abs(alone[at + step] - own) <= apart
-        return pixels[support >= least]
+        return pixels[support >= MIN_SUPPORT]
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,8 +327,8 @@ def fuse(
     if settings.voxel > 0.0 and len(points):
         points, bits = _voxel_means(points, bits, settings.voxel)
     voxels = len(points)
-    if voxels and settings.min_cluster > 1 and settings.outlier_radius > 0.0:
-        keep = _in_clusters(points, settings.outlier_radius, settings.min_cluster)
+    if voxels and settings.min_cluster > 1:
+        keep = _in_clusters(points, settings.min_cluster)
         points, bits = points[keep], bits[keep]
     return points, bits, voxels
 
@@ -407,13 +405,13 @@ def _unique_cells(points: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarr
     return np.stack(np.unravel_index(keys, tuple(size)), axis=1), place
 
 
-def _in_clusters(points: np.ndarray, radius: float, least: int) -> npt.NDArray[np.bool_]:
+def _in_clusters(points: np.ndarray, least: int) -> npt.NDArray[np.bool_]:
     """[n] points in clusters of `least` or more.
 
-    A cluster is what lies in cells of edge `radius` [m] that touch, by a corner at least.
+    A cluster is what lies in cells of edge `OUTLIER_RADIUS` that touch, by a corner at least.
     Grouping cells instead of points keeps large objects as fast as small ones.
     """
-    cells, place = _unique_cells(points, radius)
+    cells, place = _unique_cells(points, OUTLIER_RADIUS)
     pairs = KDTree(cells).query_pairs(1.8, output_type="ndarray")  # sqrt(3) is a corner away
     n = len(cells)
     graph = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(n, n))

@@ -36,7 +36,7 @@ from gendom.datasets.folder import read_gripper, read_object
 from gendom.datasets.rows import read_rows
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, read_camera, write_camera
-from gendom.perception.frames import Frame, FrameSource, Pictures
+from gendom.perception.frames import Frame, FrameSource, Pictures, interpolate
 from gendom.perception.png import read_png
 from gendom.perception.realsense import RealSenseRecording, find_recording
 from gendom.perception.robot import CapsulePath, cut_off, read_shape
@@ -65,15 +65,11 @@ class RobotPath:
         """
         if not self.time[0] - _ROUNDING <= time <= self.time[-1] + _ROUNDING:
             return None
-        k = int(np.clip(np.searchsorted(self.time, time, side="right"), 1, len(self.time) - 1))
-        k = min(k, len(self.time) - 1)
-        before = max(k - 1, 0)
-        step = self.time[k] - self.time[before]
-        w = 0.0 if step == 0.0 else (time - self.time[before]) / step
-        position = (1.0 - w) * self.position[before] + w * self.position[k]
+        time = float(np.clip(time, self.time[0], self.time[-1]))
+        position = interpolate(self.time, self.position, time)
         if self.axis is None:
             return position, None
-        axis = (1.0 - w) * self.axis[before] + w * self.axis[k]
+        axis = interpolate(self.time, self.axis, time)
         return position, axis / np.linalg.norm(axis, axis=-1, keepdims=True)
 
     def closed_at(self, time: float) -> npt.NDArray[np.bool_] | None:

@@ -165,3 +165,14 @@ class _Lookahead:
             what = f"time goes from {self.head.time:.6g} s to {after.time:.6g} s"
             increases, fix = after.time > self.head.time, "sort the frames and drop repeated ones"
             require(increases, what, where=after.where, fix=fix, error=GendomError)
+
+
+def interpolate(
+    times: npt.NDArray[np.float64], values: npt.NDArray[np.float64], time: float
+) -> npt.NDArray[np.float64]:
+    """Values [...] at a time, linear between rows [M, ...] at times [M]; constant outside."""
+    k = int(np.searchsorted(times, time))
+    before, after = max(k - 1, 0), min(k, len(times) - 1)
+    step = times[after] - times[before]
+    share = (time - times[before]) / step if step > 0.0 else 0.0
+    return (1.0 - share) * values[before] + share * values[after]

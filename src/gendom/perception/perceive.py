@@ -6,7 +6,7 @@ import math
 import os
 import zipfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,6 @@ from gendom.perception.folder import CameraRecording
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Matching, Pictures, match_frames
 from gendom.perception.quality import (
     MAX_DISAGREEMENT,
-    median_distance,
     offset_between,
     seen_share,
     sides_apart,
@@ -85,8 +84,10 @@ class PerceptionSettings:
     object's description says, or where cameras see it in the mean."""
     sync_tolerance: float = SYNC_TOLERANCE
     """Largest difference of the time stamps in a set of frames [s]."""
-    cloud: dict[str, Any] = field(default_factory=dict)
-    """Fields of `CloudSettings` other than the workspace."""
+    voxel: float = 0.005
+    """Edge of the cubes that give one point each [m]; 0: keep all points."""
+    min_cluster: int = 10
+    """Connected points fewer than this are outliers."""
 
     def __post_init__(self):
         given = [n for n in ("colour", "pick", "box") if getattr(self, n) is not None]
@@ -237,20 +238,22 @@ class _Perception:
         self.on_warning(Fault(what, where, fix, "warning"))
 
     def _cloud_settings(self, size: float) -> CloudSettings:
-        if self.settings.workspace is not None:
-            corners = self.settings.workspace
-            return CloudSettings(low=corners[:3], high=corners[3:], **self.settings.cloud)
-        path = self.recorded.robot.position.reshape(-1, 3)
-        low = path.min(axis=0) - size - _MARGIN
-        high = path.max(axis=0) + _MARGIN
-        high[:2] += size
-        table = self.values["table_height"]
-        if table is not None and table < high[2]:
-            low[2] = max(low[2], table - _BELOW_TABLE)
+        if (box := self.settings.workspace) is None:
+            path = self.recorded.robot.position.reshape(-1, 3)
+            low = path.min(axis=0) - size - _MARGIN
+            high = path.max(axis=0) + _MARGIN
+            high[:2] += size
+            table = self.values["table_height"]
+            if table is not None and table < high[2]:
+                low[2] = max(low[2], table - _BELOW_TABLE)
+            x0, y0, z0, x1, y1, z1 = (float(x) for x in (*low, *high))
+        else:
+            x0, y0, z0, x1, y1, z1 = box
         return CloudSettings(
-            low=(float(low[0]), float(low[1]), float(low[2])),
-            high=(float(high[0]), float(high[1]), float(high[2])),
-            **self.settings.cloud,
+            low=(x0, y0, z0),
+            high=(x1, y1, z1),
+            voxel=self.settings.voxel,
+            min_cluster=self.settings.min_cluster,
         )
 
     def _fewest(self, camera: Camera) -> float:
@@ -400,9 +403,10 @@ class _Perception:
 
     def _check_agreement(self) -> None:
         latest = self.offsets[-_AGREEMENT_FRAMES:]
-        apart = median_distance(latest)
+        offset = np.median(np.array(latest), axis=0)
+        apart = float(np.linalg.norm(offset))
         self.disagreement = max(apart, self.disagreement or 0.0)
-        x, y, z = 1e3 * np.median(np.array(latest), axis=0)
+        x, y, z = 1e3 * offset
         what = f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
         what += f"({x:.0f}, {y:.0f}, {z:.0f} mm)"
         fix = "calibrate them again (gendom calibrate), take the robot out of view "

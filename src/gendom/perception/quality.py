@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse.csgraph import minimum_spanning_tree
@@ -107,8 +105,3 @@ def _spaced(points: np.ndarray, spacing: float) -> np.ndarray:
         chosen.append(left[0])
         left = left[((left - left[0]) ** 2).sum(axis=1) >= spacing**2]
     return np.array(chosen)
-
-
-def median_distance(offsets: Sequence[np.ndarray]) -> float:
-    """Length of the componentwise median of translations [3] [m]."""
-    return float(np.linalg.norm(np.median(np.array(offsets), axis=0)))

@@ -28,6 +28,7 @@ from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.datasets.rows import read_rows
 from gendom.errors import RecordingError, RobotError
+from gendom.perception.frames import interpolate
 from gendom.robot import XARM7, Arm, JointStates, arm_shape, find_arm, read_joints
 
 FINGER_MARGIN = 0.003
@@ -86,13 +87,8 @@ class CapsulePath:
 
     def at(self, time: float) -> Capsules:
         """The capsules at a time, ends linear between rows and at rest before and after."""
-        rows = np.empty((len(self.tracks), 7))
-        for row, (times, values) in zip(rows, self.tracks.values(), strict=True):
-            k = int(np.searchsorted(times, time))
-            before, after = max(k - 1, 0), min(k, len(times) - 1)
-            step = times[after] - times[before]
-            share = (time - times[before]) / step if step > 0.0 else 0.0
-            row[:] = (1.0 - share) * values[before] + share * values[after]
+        rows = np.array([interpolate(*track, time) for track in self.tracks.values()])
+        rows = rows.reshape(-1, 7)
         most = np.array([self.largest_margin.get(name, np.inf) for name in self.tracks])
         return Capsules(rows[:, :3], rows[:, 3:6], rows[:, 6], most)
 
