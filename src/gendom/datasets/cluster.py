@@ -85,7 +85,9 @@ def _connected(address: str) -> Iterator[Any]:
         raise DeviceError("Ray is not installed", where="--cluster", fix=fix) from None
     own = not ray.is_initialized()
     if own:
-        where: dict[str, Any] = {"address": address} if address != "local" else {"include_dashboard": False}
+        where: dict[str, Any] = (
+            {"address": address} if address != "local" else {"include_dashboard": False}
+        )
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # the client warns of what is told below

@@ -189,23 +189,18 @@ def _complete(
         from gendom.sim import list_devices  # Warp: a task that needs it imports it itself
 
         devices = list_devices(device)
-    parts: dict[int, list[pa.Table]] = {}  # by shard
-    jobs: list[range] = []
     together = _count_together(kind, shard_size, size - done, len(devices))
-    for number, rows in enumerate(kept):
-        # a set that is extended may end in a shard that is not full
-        first, end = number * shard_size, min((number + 1) * shard_size, size)
-        begin = first + (len(rows) if rows is not None else 0)
-        if begin < end:
-            parts[number] = [rows] if rows is not None else []
-            jobs += [range(i, min(i + together, end)) for i in range(begin, end, together)]
-
+    # by shard; a set that is extended may end in a shard that is not full
+    parts = {number: [] if rows is None else [rows] for number, rows in enumerate(kept)}
+    jobs: list[range] = []
+    for number, own in parts.items():
+        begin, end = number * shard_size + sum(map(len, own)), min((number + 1) * shard_size, size)
+        jobs += [range(i, min(i + together, end)) for i in range(begin, end, together)]
     simulate = functools.partial(_simulate, source, seed=seed)
-    results = (
-        _on_devices(simulate, jobs, devices)
-        if cluster is None
-        else on_cluster(simulate, jobs, cluster, kind)
-    )
+    if cluster is None:
+        results = _on_devices(simulate, jobs, devices)
+    else:
+        results = on_cluster(simulate, jobs, cluster, kind)
     for job, rows in results:
         number = job.start // shard_size
         parts[number].append(rows)

@@ -49,7 +49,9 @@ OUTLIER_RADIUS = 0.015
 
 _NO_TABLE = np.uint16(65535)  # counts that no depth exceeds
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
-_STEEPEST = 5.0  # a surface's depth may change by this many pixels' width from one to the next
+_MAX_DEPTH_SLOPE = (
+    5.0  # a surface's depth may change by this many pixels' width from one to the next
+)
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
 _MAX_VOXEL = 0.5  # [m]; larger ones were not given in metres
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
@@ -285,7 +287,7 @@ class CameraView:
         alone[at] = own
         z = own * np.float32(self.camera.depth_unit)
         noise = _STEREO_NOISE if self.table is None else self.table.noise
-        apart = 4.0 * noise * z**2 + _STEEPEST / self.camera.K[0, 0] * z
+        apart = 4.0 * noise * z**2 + _MAX_DEPTH_SLOPE / self.camera.K[0, 0] * z
         apart = (apart / self.camera.depth_unit).astype(np.int32) + 1
         support = np.zeros(len(pixels), np.int8)
         for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):

@@ -20,10 +20,10 @@ TOLERANCE = 25.0
 LIGHTNESS_WEIGHT = 0.4
 """How much a difference of lightness counts beside one of a* or b*."""
 
-DARKEST = 0.45
+DARKEST_SHADOW = 0.45
 """Of (L* + 16, a*, b*) in shadow: a tenth of the light."""
 
-COLOURED = 0.6
+SHADOW_SATURATION = 0.6
 """How far from it a colour in shadow may be, at most, in the saturation it has there: grey is no
 shadow of a colour."""
 
@@ -86,8 +86,8 @@ class ObjectColour:
         own = (((colours - at) * weight) ** 2).sum(axis=1) <= tolerance**2
         if lightness_weight < 1.0:
             ray, seen = (at - black) * weight, (colours - black) * weight
-            q = np.clip(seen @ ray / (ray @ ray), DARKEST, 1.0)
-            near = q * min(tolerance, COLOURED * float(np.hypot(at[1], at[2])))
+            q = np.clip(seen @ ray / (ray @ ray), DARKEST_SHADOW, 1.0)
+            near = q * min(tolerance, SHADOW_SATURATION * float(np.hypot(at[1], at[2])))
             own |= np.linalg.norm(seen - q[:, None] * ray, axis=1) < near
         return cls(at, own)
 

@@ -22,8 +22,8 @@ from gendom.perception.camera import Camera, rigid
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, FrameSource, FrameWriter, Pictures
 from gendom.perception.realsense import own_clock, realsense_sdk
 
-_LAG = 0.1  # [s]; a colour picture this much behind the depth pictures is lost
-_WAITING = 64  # pictures that may wait to be used: about a second of depth and colour
+_MAX_COLOUR_LAG = 0.1  # [s]; a colour picture this much behind the depth pictures is lost
+_QUEUE_SIZE = 64  # pictures that may wait to be used: about a second of depth and colour
 
 
 class _Arrived(NamedTuple):
@@ -104,7 +104,7 @@ class RealSenseCamera:
             own = by_sensor.setdefault(sensor.get_info(sdk.camera_info.name), (sensor, []))
             own[1].append(profile)
         self._sensors = list(by_sensor.values())
-        self._arrived: queue.Queue[_Arrived | None] = queue.Queue(_WAITING)
+        self._arrived: queue.Queue[_Arrived | None] = queue.Queue(_QUEUE_SIZE)
         self._dropped = 0
         self._streaming = False
         self._lost = False
@@ -233,7 +233,7 @@ class RealSenseCamera:
         """Whether no better colour picture for the first depth picture can arrive any more."""
         if self._align is None or (colours and colours[-1].time >= depths[0].time):
             return True
-        return depths[-1].time - depths[0].time > _LAG
+        return depths[-1].time - depths[0].time > _MAX_COLOUR_LAG
 
     def _next(self, first: bool) -> _Arrived | None:
         """The next picture; None when there will be none."""
@@ -322,10 +322,8 @@ def record_cameras(
 
     def run(k: int) -> None:
         try:
-            first = None
-            for frame in sources[k]:
-                first = frame.time if first is None else first
-                if ended.is_set() or frame.time - first > duration:
+            for frame in _frames_for(sources[k], duration):
+                if ended.is_set():
                     return
                 try:
                     pictures = frame.read()
@@ -351,3 +349,13 @@ def record_cameras(
     if faults:
         raise faults[0]
     return counts
+
+
+def _frames_for(source: FrameSource, duration: float) -> Iterator[Frame]:
+    """A source's frames until a duration [s] after the first."""
+    first = None
+    for frame in source:
+        first = frame.time if first is None else first
+        if frame.time - first > duration:
+            return
+        yield frame

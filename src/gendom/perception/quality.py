@@ -13,7 +13,9 @@ from gendom.datasets import ObjectDescription
 MAX_DISAGREEMENT = 0.02
 """Two cameras' clouds of one object may be this far apart [m]."""
 
-_PAIRED = 0.6  # share of the points that is paired: each camera also sees what the other cannot
+_PAIRED_SHARE = (
+    0.6  # share of the points that is paired: each camera also sees what the other cannot
+)
 _MAX_POINTS = 500
 
 
@@ -31,7 +33,7 @@ def offset_between(a: npt.ArrayLike, b: npt.ArrayLike) -> npt.NDArray[np.float64
     shift = np.zeros(3)
     for _ in range(60):
         distance, index = (np.asarray(found) for found in tree.query(p + shift))
-        paired = np.argsort(distance)[: max(1, int(_PAIRED * len(p)))]
+        paired = np.argsort(distance)[: max(1, int(_PAIRED_SHARE * len(p)))]
         step = (q[index[paired]] - p[paired] - shift).mean(axis=0)
         shift += step
         if np.linalg.norm(step) < 1e-5:

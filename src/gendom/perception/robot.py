@@ -34,8 +34,10 @@ from gendom.robot import XARM7, Arm, JointStates, arm_shape, find_arm, read_join
 FINGER_MARGIN = 0.003
 """Largest margin around the fingers [m]: about the depth noise at 0.8 m."""
 
-_TURN = 0.05  # [rad]; joints turn by no more between two rows: ends then sag by 0.3 mm at most
-_LATE = 0.1  # [s]; the joints may begin later and end earlier by so much
+_MAX_JOINT_STEP = (
+    0.05  # [rad]; joints turn by no more between two rows: ends then sag by 0.3 mm at most
+)
+_MAX_GAP_AT_ENDS = 0.1  # [s]; the joints may begin later and end earlier by so much
 _COLUMNS = ("time", "capsule", "x0", "y0", "z0", "x1", "y1", "z1", "radius")
 
 
@@ -112,7 +114,7 @@ def arm_capsules(arm: Arm, states: JointStates, *, held: float = 0.0) -> Capsule
     turns = np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0)
     dense = [time[:1]]
     for k, turn in enumerate(turns):
-        steps = max(1, math.ceil(turn / _TURN))
+        steps = max(1, math.ceil(turn / _MAX_JOINT_STEP))
         dense.append(np.linspace(time[k], time[k + 1], steps + 1)[1:])
     times = np.concatenate(dense)
     angles = np.stack([np.interp(times, time, joint) for joint in q.T], axis=1)
@@ -162,7 +164,7 @@ def read_shape(
         width = next((float(s) for s in sizes if isinstance(s, (int, float))), 0.0)
         shape = arm_capsules(arm, states, held=width)
         first, last = states.time[0], states.time[-1]
-        if first > span[0] + _LATE or last < span[1] - _LATE:
+        if first > span[0] + _MAX_GAP_AT_ENDS or last < span[1] - _MAX_GAP_AT_ENDS:
             what = f"spans {first:.6g} to {last:.6g} s of {span[0]:.6g} to {span[1]:.6g} s: "
             what += "outside, the arm is taken to stand still"
             fix = "put joints and gripper on one clock, or record both throughout"

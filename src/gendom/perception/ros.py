@@ -94,11 +94,8 @@ def read_ros_bag(
             world = world or frame
             try:
                 turn, shift = frames.between(world, frame, time)
-                if poses is None:
-                    _, held = frames.between(world, settings.gripper, time)
-                else:
-                    base, origin = frames.between(world, poses.frame, time)
-                    held = base.apply(poses.at(time)[1]) + origin
+                base, held = frames.between(world, poses.frame if poses else settings.gripper, time)
+                held = held if poses is None else base.apply(poses.at(time)[1]) + held
             except _OutOfTimeError:
                 left_out += 1
                 continue
@@ -113,15 +110,14 @@ def read_ros_bag(
         what = f"{left_out} of {left_out + len(clouds)} clouds lie outside of the time in which "
         what += "frames are known; they are left out"
         on_warning(Fault(what, topic, "record /tf as long as the clouds", "warning"))
-    source = values.pop("source") or f"ROS bag {Path(path).name}"
-    extra = {**values.pop("extra"), "ros": {"points": topic, "gripper": settings.gripper}}
+    values["source"] = values["source"] or f"ROS bag {Path(path).name}"
+    values["extra"] |= {"ros": {"points": topic, "gripper": settings.gripper}}
+    values["extra"] |= {"started": times[0], "world": world}
     made = Recording.from_frames(
         clouds,
         time=np.array(times) - times[0],
         gripper_position=np.array(positions),
         **values,
-        source=source,
-        extra=extra | {"started": times[0], "world": world},
     )
     made.require_valid(where, on_warning=on_warning)
     return made

@@ -41,7 +41,9 @@ _PNG = b"\x89PNG"
 _ZSTD_FORMAT = re.compile(r"(\w+); zstd; (\d+)x(\d+) step=(\d+)$")
 
 _DATA = re.compile(r"(/device_0/sensor_\d+/(Depth|Color)_\d+)/image/data(/compressed(Depth)?)?$")
-_GAP = 1000  # rows that cannot be read one after the other before the rest is given up
+_MAX_UNREADABLE_ROWS = (
+    1000  # rows that cannot be read one after the other before the rest is given up
+)
 
 # Distortion models by the SDK's names. It projects "Inverse Brown Conrady" by OpenCV's formula
 # too, to 0.02 pixels at coefficients of 0.07 (rsutil.h).
@@ -151,7 +153,7 @@ class Bag:
 
     def _probe(self, row: int) -> Iterator[tuple[int, tuple[int, int]]]:
         missed = 0
-        while missed < _GAP:
+        while missed < _MAX_UNREADABLE_ROWS:
             try:
                 found = self._database.execute(
                     "SELECT topic_id, timestamp FROM messages WHERE id = ?", (row,)

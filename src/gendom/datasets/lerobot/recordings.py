@@ -141,10 +141,9 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
     try:
         names = info["features"][STATE]["names"]
         table = pq.read_table(folder / _DATA)
-        points, counts = table[POINTS], table[NUM_POINTS].to_numpy()
-        state = np.array(table[STATE].to_pylist(), dtype=np.float64)
+        counts, state = table[NUM_POINTS].to_numpy(), np.array(table[STATE].to_pylist(), float)
         time, order = table[TIME].to_numpy(), table["frame_index"].to_numpy()
-        flat = points.combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
+        flat = table[POINTS].combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
         padded = np.asarray(flat, dtype=np.float32).reshape(len(table), -1, 3)
     except (FileNotFoundError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise fault(f"is incomplete or damaged ({short(error)})") from None
@@ -155,21 +154,16 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
     if (counts < 0).any() or (counts > padded.shape[1]).any():
         raise fault(f"{NUM_POINTS} is {counts.max()} of {padded.shape[1]} points")
 
-    def columns(what: str) -> NDArray[np.float64] | None:
-        own = [n for n, name in enumerate(names) if f".{what}" in name]
-        return state[:, own] if own else None
-
-    position, axis, closed = (columns(what) for what in ("position", "axis", "closed"))
-    if position is None:
-        raise fault(f"{STATE} has no positions of grippers")
     arrays = {
         "points": padded[np.arange(padded.shape[1]) < counts[:, None]],
         "offsets": np.concatenate([[0], np.cumsum(counts)]),
         "time": time,
-        "gripper_position": position.reshape(len(table), -1, 3),
     }
-    if axis is not None:
-        arrays["gripper_axis"] = axis.reshape(len(table), -1, 3)
-    if closed is not None:
-        arrays["gripper_closed"] = closed == 1.0
+    for what, width in (("position", 3), ("axis", 3), ("closed", 1)):
+        own = [n for n, name in enumerate(names) if f".{what}" in name]
+        if own:
+            values = state[:, own].reshape(len(table), -1, width)
+            arrays[f"gripper_{what}"] = values if width == 3 else values[..., 0] == 1.0
+    if "gripper_position" not in arrays:
+        raise fault(f"{STATE} has no positions of grippers")
     return arrays, meta
