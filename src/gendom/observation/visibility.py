@@ -66,8 +66,10 @@ def visible_on_sheet(
     spacing: float,
     camera_positions: ArrayLike | None = None,
 ) -> NDArray[np.bool_]:
-    """Mark the points on a sheet that lie open to a camera: seen no more aslant than `MAX_SIGHT_ANGLE`, and
-    with nothing of the sheet before them, by depth in pixels.
+    """Mark the points on a sheet that a camera sees.
+
+    They are seen no more aslant than `MAX_SIGHT_ANGLE`, and no nearer part of the sheet lies in
+    their pixel.
 
     Args:
         points: [n, 3] [m].

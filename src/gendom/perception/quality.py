@@ -13,9 +13,7 @@ from gendom.datasets import ObjectDescription
 MAX_DISAGREEMENT = 0.02
 """Two cameras' clouds of one object may be this far apart [m]."""
 
-_PAIRED_SHARE = (
-    0.6  # share of the points that is paired: each camera also sees what the other cannot
-)
+_PAIRED_SHARE = 0.6  # of the points: each camera also sees what the other cannot
 _MAX_POINTS = 500
 
 

@@ -34,9 +34,7 @@ from gendom.robot import XARM7, Arm, JointStates, arm_shape, find_arm, read_join
 FINGER_MARGIN = 0.003
 """Largest margin around the fingers [m]: about the depth noise at 0.8 m."""
 
-_MAX_JOINT_STEP = (
-    0.05  # [rad]; joints turn by no more between two rows: ends then sag by 0.3 mm at most
-)
+_MAX_JOINT_STEP = 0.05  # [rad]; between two rows: ends then sag by 0.3 mm at most
 _MAX_GAP_AT_ENDS = 0.1  # [s]; the joints may begin later and end earlier by so much
 _COLUMNS = ("time", "capsule", "x0", "y0", "z0", "x1", "y1", "z1", "radius")
 

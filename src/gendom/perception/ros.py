@@ -189,9 +189,8 @@ def _cloud_topic(topics: dict[str, str], wanted: str | None, where: str) -> str:
 def _check_type(topics: dict[str, str], name: str, kind: str, where: str) -> None:
     others = ", ".join(n for n, k in topics.items() if k == kind)
     what = f"{name} is no {kind}" if name in topics else f"has no topic {name} of {kind}"
-    what, fix = (
-        (what, f"give one of: {others}") if others else (f"{what}, nor another one", "record one")
-    )
+    fix = f"give one of: {others}" if others else "record one"
+    what += "" if others else ", nor another one"
     require(topics.get(name) == kind, what, where=where, fix=fix, error=RecordingError)
 
 

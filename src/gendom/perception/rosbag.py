@@ -41,9 +41,7 @@ _PNG = b"\x89PNG"
 _ZSTD_FORMAT = re.compile(r"(\w+); zstd; (\d+)x(\d+) step=(\d+)$")
 
 _DATA = re.compile(r"(/device_0/sensor_\d+/(Depth|Color)_\d+)/image/data(/compressed(Depth)?)?$")
-_MAX_UNREADABLE_ROWS = (
-    1000  # rows that cannot be read one after the other before the rest is given up
-)
+_MAX_UNREADABLE_ROWS = 1000  # in sequence, before the rest is given up
 
 # Distortion models by the SDK's names. It projects "Inverse Brown Conrady" by OpenCV's formula
 # too, to 0.02 pixels at coefficients of 0.07 (rsutil.h).
