@@ -235,12 +235,18 @@ def _read_table(path: Path, required: tuple[str, ...] = ()) -> dict[str, Any]:
     return table
 
 
-def write_camera(path: str | os.PathLike, camera: Camera) -> None:
+def write_camera(path: str | os.PathLike, camera: Camera, *, pose_only: bool = False) -> None:
     """Write a camera as camera.toml, atomically; reading it gives the same numbers.
+
+    Args:
+        path: The file.
+        camera: The camera.
+        pose_only: Whether to leave out all but the pose, for a recording that holds the rest.
 
     Raises:
         GendomError: The place cannot be written.
     """
+    T = camera.T_world_camera
     lines = [
         f"width = {camera.width}",
         f"height = {camera.height}",
@@ -248,21 +254,9 @@ def write_camera(path: str | os.PathLike, camera: Camera) -> None:
         f"K = {_rows(camera.K)}  # pixels",
         f"distortion = {list(camera.distortion)}  # OpenCV's k1, k2, p1, p2, k3, ...",
     ]
-    if camera.T_world_camera is not None:
-        lines.append(f"T_world_camera = {_rows(camera.T_world_camera)}  # metres")
+    pose = "# not calibrated" if T is None else f"T_world_camera = {_rows(T)}  # metres"
+    text = "\n".join([pose] if pose_only else [*lines, pose])
     with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def write_pose(path: str | os.PathLike, camera: Camera) -> None:
-    """Write a camera.toml with nothing but the pose, for a recording that holds the rest.
-
-    Raises:
-        GendomError: The place cannot be written.
-    """
-    T = camera.T_world_camera
-    with atomic_path(path) as temporary:
-        text = "# not calibrated" if T is None else f"T_world_camera = {_rows(T)}  # metres"
         temporary.write_text(text + "\n", encoding="utf-8")
 
 

@@ -49,9 +49,7 @@ OUTLIER_RADIUS = 0.015
 
 _NO_TABLE = np.uint16(65535)  # counts that no depth exceeds
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
-_MAX_DEPTH_SLOPE = (
-    5.0  # most pixels' widths by which a surface's depth changes from one to the next
-)
+_MAX_DEPTH_SLOPE = 5.0  # pixels' widths by which a surface's depth changes a pixel, at most
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
 _MAX_VOXEL = 0.5  # [m]; larger ones were not given in metres
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit

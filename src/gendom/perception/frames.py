@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -74,16 +74,16 @@ class Matching:
 
     used: int = 0
     """Sets of frames given."""
-    alone: list[int] | None = None
+    alone: list[int] = field(default_factory=list)
     """Frames of each camera that no other camera's frame belonged to."""
-    span: list[tuple[float, float]] | None = None
+    span: list[tuple[float, float]] = field(default_factory=list)
     """First and last time stamp of each camera [s]."""
 
     def spans(self, names: Sequence[str]) -> str:
         """`span` in words."""
         return ", ".join(
             f"{name} {first:.6g} to {last:.6g} s"
-            for name, (first, last) in zip(names, self.span or [], strict=True)
+            for name, (first, last) in zip(names, self.span, strict=True)
         )
 
 
@@ -113,7 +113,6 @@ def match_frames(
 
     def skip(k: int) -> None:
         streams[k].step()
-        assert count.alone is not None
         count.alone[k] += 1
 
     while all(stream.head is not None for stream in streams):

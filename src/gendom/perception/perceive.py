@@ -420,7 +420,7 @@ class _Perception:
         what = f"no frames of the cameras lie within {late} ({spans})"
         fix = "put all time stamps on one clock, or raise --sync-tolerance"
         self._require(matching.used, what, fix)
-        for name, alone in zip(self.names, matching.alone or [], strict=True):
+        for name, alone in zip(self.names, matching.alone, strict=True):
             if alone:
                 what = f"{alone} of {alone + matching.used} frames match no frame of the others "
                 what += f"within {late}; they are left out"

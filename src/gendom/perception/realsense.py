@@ -33,7 +33,7 @@ from gendom.datasets import Fault
 from gendom.errors import DeviceError, RecordingError
 from gendom.installation import how_to_install
 from gendom.perception.alignment import Alignment
-from gendom.perception.camera import Camera, adopt_camera, write_pose
+from gendom.perception.camera import Camera, adopt_camera, write_camera
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
 from gendom.perception.rosbag import Bag, Entry, Stream
 
@@ -259,7 +259,7 @@ class RealSenseWriter:
         ):
             what, where = "does not fit into a RealSense recording", f"{camera.name}: {key}"
             require(fits, what, where=where, fix=f"{fix}, or write PNG", error=RecordingError)
-        write_pose(self._path.with_name("camera.toml"), camera)
+        write_camera(self._path.with_name("camera.toml"), camera, pose_only=True)
 
     def __enter__(self) -> RealSenseWriter:
         return self
