@@ -392,31 +392,3 @@ def test_a_page_plays_by_itself(browser, tmp_path):
     until(browser, "document.querySelector('canvas') !== null")
     assert browser.errors == []
     assert [a for a in browser.requested if not a.startswith(("file:", "blob:"))] == []
-
-
-def test_a_rerun_file_holds_everything(tmp_path):
-    pytest.importorskip("rerun", reason="needs rerun-sdk (the extra rerun)")
-    chunk = pytest.importorskip("rerun.chunk", reason="needs a newer rerun-sdk to read files")
-    from gendom.viz.viewer.rerun_file import write_rrd
-
-    path = tmp_path / "square.rrd"
-    write_rrd(path, scene_of_square(), title="a square")
-    rows = {}
-    for piece in chunk.RrdReader(str(path)).stream():
-        rows[piece.entity_path] = rows.get(piece.entity_path, 0) + piece.num_rows
-    for name in ("/world/recorded", "/world/simulated", "/curves/height\\ \\[mm\\]"):
-        assert rows[name] == len(TIMES), rows
-    assert rows["/world/table"] == 1
-
-
-def test_a_rerun_file_is_whole_or_absent(tmp_path, monkeypatch):
-    pytest.importorskip("rerun", reason="needs rerun-sdk (the extra rerun)")
-    from gendom.viz.viewer import rerun_file
-
-    def fail(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(rerun_file, "_log_frame", fail)
-    with pytest.raises(KeyboardInterrupt):
-        rerun_file.write_rrd(tmp_path / "square.rrd", scene_of_square(), title="a square")
-    assert list(tmp_path.iterdir()) == []

@@ -26,8 +26,8 @@ class Command:
     """Look at a recording or at demonstrations in a browser, and simulate them again as sliders
     change parameters.
 
-    The address is printed; it is reached from this machine alone. Ctrl-C ends it. With --rrd or
-    --html a file is written instead.
+    The address is printed; it is reached from this machine alone. Ctrl-C ends it. With --html a
+    file is written instead.
 
     For example: gendom view lift.npz --params lift/estimate.json
     """
@@ -42,38 +42,22 @@ class Command:
     """Number of the demonstration that is shown first."""
     port: int = 8080
     """Of the address; where it is taken one of the next is."""
-    rrd: Path | None = None
-    """File for rerun's viewer."""
     html: Path | None = None
     """Page that plays the motion by itself, without sliders for parameters."""
     force: bool = False
     """Take parameters whose verdict is not usable, too."""
 
     def run(self) -> int:
-        if self.rrd is not None:
-            check_file(self.rrd, ".rrd")
-        if self.html is not None:
-            check_file(self.html, ".html")
-        if self.rrd is None and self.html is None:
+        if self.html is None:
             return self._serve()
-        if self.rrd is not None:
-            import gendom.viz.viewer.rerun_file  # rerun: whether it is there shows at once
-        if self.html is not None:
-            import gendom.viz.viewer.server  # noqa: F401  # viser, likewise
+        check_file(self.html, ".html")
+        from gendom.viz.viewer.server import encode_html  # viser: whether it is there shows at once
+
         model = self._model()
-        scene = final_scene(model, self._case(model))
-        if self.rrd is not None:
-            from gendom.viz.viewer.rerun_file import write_rrd
-
-            write_rrd(self.rrd, scene, title=model.title)
-            tell_written(self.rrd, json=False)
-        if self.html is not None:
-            from gendom.viz.viewer.server import encode_html
-
-            page = encode_html(scene)
-            with atomic_path(self.html) as temporary:
-                temporary.write_text(page, encoding="utf-8")
-            tell_written(self.html, json=False)
+        page = encode_html(final_scene(model, self._case(model)))
+        with atomic_path(self.html) as temporary:
+            temporary.write_text(page, encoding="utf-8")
+        tell_written(self.html, json=False)
         return 0
 
     def _serve(self) -> int:

@@ -1,8 +1,7 @@
-"""An interactive viewer: what is shown (`scene`, `model`), in a browser (`server`, on viser) or in
-a file (`rerun_file`).
+"""An interactive viewer: what is shown (`scene`, `model`), in a browser (`server`, on viser).
 
 Takes plain arrays and a `Model`, so it needs neither estimation nor tasks. Nothing here imports
-viser or rerun; `server`, `painter` and `rerun_file` do.
+viser; `server` and `painter` do.
 """
 
 from gendom.viz.viewer.meshes import capsules, tube_faces
