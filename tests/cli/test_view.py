@@ -13,15 +13,14 @@ import numpy as np
 import pytest
 
 from gendom import cli
-from gendom.cli.replay import of_all_frames
-from gendom.cli.view_dataset import FRAMES, DatasetModel
-from gendom.cli.view_layers import RING
-from gendom.cli.view_recording import CHAMFER, RecordingModel, find_recording
+from gendom.cli.replay import of_all_frames, replay_setup
+from gendom.cli.view import find_recording
 from gendom.datasets import Recording
 from gendom.errors import DatasetError, GendomError, SimulationError
 from gendom.estimation import Scene, Theta, chamfers, replay
 from gendom.files import read_json, write_json
-from gendom.viz.viewer import MATERIAL, MeshLayer
+from gendom.viz.viewer.layers import MATERIAL, RING, MeshLayer
+from gendom.viz.viewer.models import CHAMFER, FRAMES, DatasetModel, RecordingModel
 
 
 def layers(scene):
@@ -233,8 +232,8 @@ def test_an_estimate_without_its_recording_says_what_to_do(params, capsys):
 
 
 def test_an_estimate_s_parameters_are_those_at_first(params, lifted, rope_lift):
-    model = RecordingModel.with_params(lifted, read_json(params), "here", "a lift")
-    assert model.theta == rope_lift.truth
+    _, theta = replay_setup(lifted, read_json(params), "here", "cpu")
+    assert theta == rope_lift.truth
 
 
 # ---- demonstrations ------------------------------------------------------------------------------

@@ -17,12 +17,12 @@ import numpy as np
 from gendom.cli.arguments import iterations_shown
 from gendom.cli.demo_report import WAYS, Run, action_summary, report_demo
 from gendom.cli.estimate import NOT_USABLE, estimate_text
-from gendom.cli.pictures import arm_of_lift, arm_poses, clouds_of, goal_mark
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.files import check_folder, to_json, write_json
 from gendom.materials import Item
 from gendom.progress import each
+from gendom.viz.sources import arm_of_lift, arm_poses, clouds_of, goal_mark
 
 if TYPE_CHECKING:
     from gendom.policies import Policy

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gendom.cli.estimate import NOT_USABLE_SUMMARY
-from gendom.cli.pictures import summary_of
 from gendom.datasets import Recording
 from gendom.installation import version
+from gendom.viz.sources import summary_of
 
 if TYPE_CHECKING:
     from gendom.cli.demo import Command

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -56,3 +57,9 @@ def _palette() -> Image.Image:
     holder = Image.new("P", (1, 1))
     holder.putpalette(colors.tobytes())
     return holder
+
+
+def nice_step(at_least: float) -> float:
+    """The smallest of 1, 2 and 5 times a power of ten that is not below `at_least`."""
+    power = 10.0 ** math.floor(math.log10(at_least))
+    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= at_least * (1.0 - 1e-9))

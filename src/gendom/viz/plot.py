@@ -13,14 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from gendom.viz.palette import nice_step
+
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 10.0, 8.0, 40.0
 _WIDTH, _HEIGHT = 420.0, 250.0
-
-
-def nice_step(at_least: float) -> float:
-    """The smallest of 1, 2 and 5 times a power of ten that is not below `at_least`."""
-    power = 10.0 ** math.floor(math.log10(at_least))
-    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= at_least * (1.0 - 1e-9))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,9 +18,9 @@ from gendom.viz.palette import (
     SOFT_INK,
     TABLE_FILL,
     TABLE_LINE,
+    nice_step,
     rgb,
 )
-from gendom.viz.plot import nice_step
 from gendom.viz.raster import lettering, splat, stroke
 from gendom.viz.views import OBLIQUE_TILT, choose_view
 

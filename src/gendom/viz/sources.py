@@ -1,4 +1,4 @@
-"""What reports and animations are given of lifts, replays, estimates and actions."""
+"""What reports, animations and the viewer draw of lifts, replays, estimates and actions."""
 
 from __future__ import annotations
 
