@@ -96,7 +96,7 @@ class Command:
         from gendom.reality import RealRope, find_object
         from gendom.reality.chain import record_and_perceive
         from gendom.sim import open_device
-        from gendom.viz import encode_sights, write_gif
+        from gendom.viz import encode_camera_views, write_gif
 
         check_folder(self.out)
         open_device(self.device)
@@ -119,7 +119,7 @@ class Command:
                 recording, sights = record_and_perceive(
                     rope, self.out / "lift", frame_rate=self.frame_rate, seed=self.seed
                 )
-                views = encode_sights(sights)
+                views = encode_camera_views(sights)
                 (self.out / "lift" / "views.jpg").write_bytes(views)
         elif rope.name != SHIPPED:
             raise ParameterError(

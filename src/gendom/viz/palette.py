@@ -1,12 +1,17 @@
-"""The colours of clouds, and the fixed palette that their pictures are stored with."""
+"""Colours of all pictures, round steps of axes, and what cameras saw as one picture."""
 
 from __future__ import annotations
 
+import io
 import math
-from functools import cache
+from collections.abc import Sequence
 
 import numpy as np
-from PIL import Image
+import numpy.typing as npt
+from PIL import Image, ImageOps
+
+from gendom.arguments import require
+from gendom.errors import GendomError
 
 # From Okabe and Ito's palette, told apart with every common form of colour blindness.
 RECORDED_COLOR = "#0072B2"
@@ -26,40 +31,42 @@ def rgb(color: str) -> tuple[int, int, int]:
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
-def with_palette(image: Image.Image) -> Image.Image:
-    """The image with the colours that a `Stage` can mix; one palette for all frames.
-
-    A fixed palette keeps frames from flickering and the file small.
-    """
-    return image.quantize(palette=_palette(), dither=Image.Dither.NONE)
-
-
-@cache
-def _palette() -> Image.Image:
-    white = np.array([255.0, 255.0, 255.0])
-    table = np.array(TABLE_FILL, dtype=float)
-    blue, orange = (np.array(rgb(c), dtype=float) for c in (RECORDED_COLOR, SIMULATED_COLOR))
-    ink = np.array(INK, dtype=float)
-    orange_mix = white + SIMULATED_OPACITY * (orange - white)
-    ramps = [
-        (white, ink, 14),
-        (white, orange_mix, 7),
-        (white, white + RECORDED_OPACITY * (blue - white), 8),
-        (orange_mix, orange_mix + RECORDED_OPACITY * (blue - orange_mix), 7),
-        (table, table, 1),
-        (orange, orange, 1),  # the legend's dots are opaque
-        (blue, blue, 1),
-        (np.array(GRID, dtype=float), np.array(GRID, dtype=float), 1),
-        (orange_mix, ink, 4),
-    ]
-    colors = np.concatenate([a + np.linspace(0.0, 1.0, n)[:, None] * (b - a) for a, b, n in ramps])
-    colors = np.unique(colors.round().astype(np.uint8), axis=0)
-    holder = Image.new("P", (1, 1))
-    holder.putpalette(colors.tobytes())
-    return holder
-
-
 def nice_step(at_least: float) -> float:
     """The smallest of 1, 2 and 5 times a power of ten that is not below `at_least`."""
     power = 10.0 ** math.floor(math.log10(at_least))
     return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= at_least * (1.0 - 1e-9))
+
+
+def encode_camera_views(
+    views: Sequence[tuple[npt.NDArray[np.uint8], npt.NDArray[np.floating]]],
+    *,
+    width: int = 1280,
+    near: float = 0.5,
+    far: float = 1.3,
+) -> bytes:
+    """One JPEG: a row for each camera, colour on the left and depth on the right.
+
+    Args:
+        views: Colour [height, width, 3] and depth [height, width] [m], 0 where there is none,
+            of each camera; pictures of one size.
+        width: Of the whole [pixels].
+        near, far: Depths of the ends of the colour scale [m]; black is no depth.
+
+    Raises:
+        GendomError: There is no picture, or their sizes differ.
+    """
+    sizes = {colour.shape[:2] for colour, _ in views} | {depth.shape for _, depth in views}
+    what, fix = f"has pictures of {len(sizes)} sizes", "give pictures of one size"
+    require(len(sizes) == 1, what, where="views", fix=fix, error=GendomError)
+    rows = []
+    for colour, depth in views:
+        share = np.clip((depth - near) / (far - near), 0.0, 1.0)
+        grey = Image.fromarray((255 * share).astype(np.uint8))
+        painted = np.array(ImageOps.colorize(grey, "#fde725", "#440154", "#21918c"))
+        painted[depth <= 0.0] = 0
+        rows.append(np.concatenate([colour, painted], axis=1))
+    whole = Image.fromarray(np.concatenate(rows))
+    size = width, round(whole.height * width / whole.width)
+    buffer = io.BytesIO()
+    whole.resize(size, Image.Resampling.LANCZOS).save(buffer, "JPEG", quality=80, optimize=True)
+    return buffer.getvalue()

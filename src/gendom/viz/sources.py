@@ -47,7 +47,7 @@ def clouds_of(
 
 
 def view_of(scene: Scene) -> str:
-    """From where a lift of this object is looked at: one of `gendom.viz.views.VIEWS`."""
+    """From where a lift of this object is looked at: one of `gendom.viz.clouds.VIEWS`."""
     return "oblique" if scene.kind == "cloth" else "auto"
 
 

@@ -17,7 +17,7 @@ from gendom.robot import Arm, arm_shape
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.viz.palette import INK, SIMULATED_COLOR
-from gendom.viz.report.quantities import with_minus
+from gendom.viz.report.summary import with_minus
 
 ARM_COLOR = "#d0d0d0"
 

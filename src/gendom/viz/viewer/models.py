@@ -20,7 +20,7 @@ from gendom.robot import ARMS, DOWN, XARM7, JointMotion, TcpPath, follow, invers
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
-from gendom.viz.report.quantities import length_text, quantity_text
+from gendom.viz.report.summary import length_text, quantity_text
 from gendom.viz.sources import goal_mark
 from gendom.viz.viewer.layers import (
     ACTION,
@@ -326,7 +326,7 @@ class DatasetModel:
         names = to_columns(self.task.item)
         return from_columns(self.task.kind, {name: float(columns[name]) for name in names})
 
-    def _goal(self, case: int) -> _Array | None:
+    def _goal(self, case: int) -> NDArray[np.float64] | None:
         """[G] what that demonstration reached; None: it failed, or there are no goals."""
         from gendom.datasets.demonstrations import GOAL
 
