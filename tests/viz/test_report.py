@@ -361,17 +361,16 @@ def test_what_could_not_be_estimated_says_why():
             lambda: EstimateSummary(values=estimate(intervals={"youngs_modulus": [1.0]})),
             r"estimate.intervals.youngs_modulus: is \[1.0\]",
         ),
-        (lambda: PolicyRun(action=np.array([np.nan]), reached=np.ones(1)), "action: holds NaN"),
         (
-            lambda: PolicyRun(action=np.ones(1), reached=np.ones(1), tip_path=np.zeros(3)),
-            "tip_path: has shape",
+            lambda: PolicyRun(action=np.array([np.nan]), reached=np.ones(1)),
+            "action must be finite, got nan",
         ),
         (
             lambda: PolicyRun(action=np.ones(1), reached=np.ones(1), tip_path=np.zeros((3, 2))),
-            r"tip_path: has shape \[3, 2\]; give \[n, 3\]",
+            r"tip_path must be \[n, 3\] numbers, got shape \[3, 2\]",
         ),
-        (lambda: ReachOutcome(goal=np.zeros(3), ours=run(0.3)), r"goal: has shape \[3\]"),
-        (lambda: ReachOutcome(goal=np.zeros(2), ours=run(0.3)), "ours.reached: has shape"),
+        (lambda: ReachOutcome(goal=np.zeros(3), ours=run(0.3)), r"goal must be .* shape \[3\]"),
+        (lambda: ReachOutcome(goal=np.zeros(2), ours=run(0.3)), "ours.reached must be"),
         (lambda: ActionSummary(outcomes=[]), "outcomes: is empty"),
         (
             lambda: ActionSummary(outcomes=outcomes(), action_names=("x",)),

@@ -12,7 +12,6 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from gendom.arguments import require
-from gendom.errors import GendomError
 from gendom.files import atomic_path
 from gendom.viz.clouds import OBLIQUE_TILT, CloudSequence, choose_view
 from gendom.viz.palette import (
@@ -58,11 +57,11 @@ def write_gif(
         width: Width of the picture [pixels].
 
     Raises:
-        GendomError: As `gendom.viz.clouds.choose_view` and `gendom.files.atomic_path`; or there
+        ParameterError: As `gendom.viz.clouds.choose_view` and `gendom.files.atomic_path`; or there
             are no points, or `fps` is not in 1 to 50, or `max_frames` below 1.
     """
     fix = "give 1 to 50 frames a second"
-    require(1.0 <= fps <= 50.0, f"is {fps:g}", where="fps", fix=fix, error=GendomError)
+    require(1.0 <= fps <= 50.0, f"is {fps:g}", where="fps", fix=fix)
     chosen = clouds.spread(max_frames)
     painter = FramePainter(clouds, view=view, width=width)
     images = [painter.draw(t) for t in chosen]
@@ -95,7 +94,7 @@ class FramePainter:
         width: Width of the picture [pixels]; its height follows from the object.
 
     Raises:
-        GendomError: As `choose_view`; or the sequence has no points.
+        ParameterError: As `choose_view`; or the sequence has no points.
     """
 
     def __init__(self, sequence: CloudSequence, *, view: str = "auto", width: int = 640):

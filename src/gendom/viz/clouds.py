@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from gendom.errors import GendomError
+from gendom.arguments import check_numbers, require
 
 VIEWS = ("auto", "xz", "yz", "xy", "oblique")
 
@@ -26,7 +25,7 @@ class CloudSequence:
     World frame, z up. Arrays are converted to float64.
 
     Raises:
-        GendomError: Lengths differ, an array has another shape, or a number is not finite.
+        ParameterError: Lengths differ, an array has another shape, or a number is not finite.
     """
 
     recorded: Sequence[np.ndarray]
@@ -51,44 +50,36 @@ class CloudSequence:
     """[1, 3] a point to be reached, or [2, 3] the ends of a line [m]."""
 
     def __post_init__(self):
-        times = _array(self.times, "times", (None,))
-        frames = len(times)
-        if frames == 0:
-            raise GendomError("is empty", where="times", fix="give at least one frame")
-        if (np.diff(times) <= 0.0).any():
-            raise GendomError("does not increase", where="times", fix="sort the frames")
+        times = check_numbers("times", self.times, ("T",))
+        T = len(times)
+        require(T > 0, "is empty", where="times", fix="give at least one frame")
+        require((np.diff(times) > 0.0).all(), "does not increase", where="times", fix="sort it")
         values: dict[str, Any] = {"times": times}
         for name in ("recorded", "simulated"):
             clouds = getattr(self, name)
             if clouds is not None:
-                _check_count(clouds, name, frames)
+                what = f"has {len(clouds)} frames, but times has {T}"
+                require(len(clouds) == T, what, where=name, fix="give one each")
                 values[name] = tuple(
-                    _array(cloud, f"{name}[{t}]", (None, 3)) for t, cloud in enumerate(clouds)
+                    check_numbers(f"{name}[{t}]", cloud, ("n", 3)) for t, cloud in enumerate(clouds)
                 )
-        if self.gripper is not None:
-            gripper = np.asarray(self.gripper, dtype=np.float64)
-            if gripper.ndim == 2:
-                gripper = gripper[:, None]
-            _check_count(gripper, "gripper", frames)
-            values["gripper"] = _array(gripper, "gripper", (None, None, 3))
-        if self.arm is not None:
-            _check_count(self.arm, "arm", frames)
-            values["arm"] = _array(self.arm, "arm", (None, None, 2, 3))
-            radius = _array(
-                () if self.arm_radius is None else self.arm_radius, "arm_radius", (None,)
-            )
-            if len(radius) != values["arm"].shape[1]:
-                raise GendomError(
-                    f"has {len(radius)} numbers", where="arm_radius", fix="give one of each capsule"
-                )
-            values["arm_radius"] = radius
-        if self.goal is not None:
-            values["goal"] = _array(self.goal, "goal", (None, 3))
-        if self.chamfer is not None:
-            _check_count(self.chamfer, "chamfer", frames)
-            values["chamfer"] = _array(self.chamfer, "chamfer", (None,))
-        if self.table_height is not None:
-            values["table_height"] = float(_array(self.table_height, "table_height", ()))
+        shapes = {
+            "gripper": ((T, "G", 3), (T, 3)),
+            "table_height": ((),),
+            "chamfer": ((T,),),
+            "arm": ((T, "C", 2, 3),),
+            "goal": (("n", 3),),
+        }
+        for name, allowed in shapes.items():
+            if getattr(self, name) is not None:
+                values[name] = check_numbers(name, getattr(self, name), *allowed)
+        if "gripper" in values:
+            values["gripper"] = values["gripper"].reshape(T, -1, 3)
+        if "arm" in values:
+            shape = (values["arm"].shape[1],)
+            values["arm_radius"] = check_numbers("arm_radius", self.arm_radius, shape)
+        if "table_height" in values:
+            values["table_height"] = float(values["table_height"])
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -101,10 +92,9 @@ class CloudSequence:
         """Indices of at most `max_frames` frames, evenly spaced, with the first and the last.
 
         Raises:
-            GendomError: `max_frames` is below 1.
+            ParameterError: `max_frames` is below 1.
         """
-        if max_frames < 1:
-            raise GendomError(f"is {max_frames}", where="max_frames", fix="give 1 or more")
+        require(max_frames >= 1, f"is {max_frames}", where="max_frames", fix="give 1 or more")
         if max_frames == 1:
             return [self.num_frames - 1]
         count = min(max_frames, self.num_frames)
@@ -114,7 +104,7 @@ class CloudSequence:
         """[2, 3] lowest and highest corner of all that is drawn, without stray points [m].
 
         Raises:
-            GendomError: There are no points at all.
+            ParameterError: There are no points at all.
         """
         return self.extent(np.eye(3))
 
@@ -122,7 +112,7 @@ class CloudSequence:
         """[2, K] lowest and highest coordinate along K axes [K, 3], without stray points [m].
 
         Raises:
-            GendomError: There are no points at all.
+            ParameterError: There are no points at all.
         """
         ends = []
         for clouds in (self.recorded, self.simulated or ()):
@@ -130,8 +120,7 @@ class CloudSequence:
                 if len(cloud):
                     # A depth camera's flying pixels would shrink everything else.
                     ends.append(np.quantile(cloud @ axes.T, (0.005, 0.995), axis=0))
-        if not ends:
-            raise GendomError("has no points at all", where="recorded", fix="record it again")
+        require(ends, "has no points at all", where="recorded", fix="record it again")
         if self.gripper is not None:
             ends.append(self.gripper.reshape(-1, 3) @ axes.T)
         ends = np.concatenate(ends)
@@ -167,10 +156,9 @@ def choose_view(sequence: CloudSequence, view: str = "auto") -> Projection:
     looks from above. "oblique" shows all three axes, from 25 degrees above.
 
     Raises:
-        GendomError: There is no view of this name.
+        ParameterError: There is no view of this name.
     """
-    if view not in VIEWS:
-        raise GendomError(f"is {view!r}", where="view", fix=f"choose from {', '.join(VIEWS)}")
+    require(view in VIEWS, f"is {view!r}", where="view", fix=f"choose from {', '.join(VIEWS)}")
     if view == "auto":
         low, high = sequence.box()
         x, y, z = (high - low).tolist()
@@ -183,26 +171,3 @@ def choose_view(sequence: CloudSequence, view: str = "auto") -> Projection:
     }[view]
     names = None if view == "oblique" else (view[0], view[1])
     return Projection(turn=math.radians(turn), tilt=math.radians(tilt), names=names)
-
-
-def _array(value: npt.ArrayLike, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    """`value` as finite float64 of a shape in which None stands for any length."""
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise GendomError("is no array of numbers", where=name, fix="give numbers") from None
-    wanted = f"[{', '.join('n' if n is None else str(n) for n in shape)}]"
-    if array.ndim != len(shape) or any(
-        n is not None and n != m for n, m in zip(shape, array.shape, strict=False)
-    ):
-        raise GendomError(f"has shape {list(array.shape)}", where=name, fix=f"give {wanted}")
-    if not np.isfinite(array).all():
-        raise GendomError("holds NaN or infinity", where=name, fix="leave those points out")
-    return array
-
-
-def _check_count(values: Sequence | np.ndarray, name: str, frames: int) -> None:
-    if len(values) != frames:
-        raise GendomError(
-            f"has {len(values)} frames, but times has {frames}", where=name, fix="give one each"
-        )

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from PIL import Image, ImageOps
 
 from gendom.arguments import require
-from gendom.errors import GendomError
 
 # From Okabe and Ito's palette, told apart with every common form of colour blindness.
 RECORDED_COLOR = "#0072B2"
@@ -53,11 +52,11 @@ def encode_camera_views(
         near, far: Depths of the ends of the colour scale [m]; black is no depth.
 
     Raises:
-        GendomError: There is no picture, or their sizes differ.
+        ParameterError: There is no picture, or their sizes differ.
     """
     sizes = {colour.shape[:2] for colour, _ in views} | {depth.shape for _, depth in views}
     what, fix = f"has pictures of {len(sizes)} sizes", "give pictures of one size"
-    require(len(sizes) == 1, what, where="views", fix=fix, error=GendomError)
+    require(len(sizes) == 1, what, where="views", fix=fix)
     rows = []
     for colour, depth in views:
         share = np.clip((depth - near) / (far - near), 0.0, 1.0)

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gendom.arguments import require
-from gendom.errors import GendomError
+from gendom.arguments import check_numbers, require
 from gendom.viz.charts import Swing, goal_chart, swing_chart
 from gendom.viz.clouds import CloudSequence
 from gendom.viz.report.lift import viewer
@@ -21,7 +20,7 @@ class PolicyRun:
     """One action, and what it reached. Arrays are converted to float64.
 
     Raises:
-        GendomError: An array has another shape, or a number is not finite.
+        ParameterError: An array has another shape, or a number is not finite.
     """
 
     action: np.ndarray
@@ -36,11 +35,11 @@ class PolicyRun:
     """[n, 3] points along the rope when its tip is farthest [m]."""
 
     def __post_init__(self):
-        for name in ("action", "reached"):
-            _convert(self, name, (-1,), np.atleast_1d(getattr(self, name)))
-        for name in ("tip_path", "shape_at_release", "shape_at_farthest"):
-            if getattr(self, name) is not None:
-                _convert(self, name, (-1, 3), getattr(self, name))
+        for name in ("action", "reached", "tip_path", "shape_at_release", "shape_at_farthest"):
+            value, flat = getattr(self, name), name in ("action", "reached")
+            if value is not None:
+                value = check_numbers(name, np.atleast_1d(value), ("n",) if flat else ("n", 3))
+                object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +47,7 @@ class ReachOutcome:
     """One goal, and what both policies reached.
 
     Raises:
-        GendomError: Goal and place reached differ in shape, or the goal is not 1-D or 2-D.
+        ParameterError: Goal and place reached differ in shape, or the goal is not 1-D or 2-D.
     """
 
     goal: np.ndarray
@@ -61,18 +60,11 @@ class ReachOutcome:
     """What else was tried for this goal, by what it is called."""
 
     def __post_init__(self):
-        _convert(self, "goal", (-1,), np.atleast_1d(self.goal))
-        shape, fix = list(self.goal.shape), "give [1] or [2]"
-        require(shape in ([1], [2]), f"has shape {shape}", where="goal", fix=fix, error=GendomError)
+        goal = check_numbers("goal", np.atleast_1d(self.goal), (1,), (2,))
+        object.__setattr__(self, "goal", goal)
         for name, run in {"ours": self.ours, "without": self.without, **self.further}.items():
             if run is not None:
-                require(
-                    list(run.reached.shape) == shape,
-                    f"has shape {list(run.reached.shape)}, the goal {shape}",
-                    where=f"{name}.reached",
-                    fix="give both in the same coordinates",
-                    error=GendomError,
-                )
+                check_numbers(f"{name}.reached", run.reached, goal.shape)
 
     def error(self, run: PolicyRun) -> float:
         """Distance between the place reached and the goal [m]."""
@@ -84,7 +76,7 @@ class ActionSummary:
     """The task carried out for one or several goals.
 
     Raises:
-        GendomError: There is no outcome, or goals or actions differ in shape.
+        ParameterError: There is no outcome, or goals or actions differ in shape.
     """
 
     outcomes: Sequence[ReachOutcome]
@@ -96,7 +88,7 @@ class ActionSummary:
 
     def __post_init__(self):
         fix = "give one goal or leave it out"
-        require(self.outcomes, "is empty", where="outcomes", fix=fix, error=GendomError)
+        require(self.outcomes, "is empty", where="outcomes", fix=fix)
         sizes = {
             (len(o.goal), len(run.action))
             for o in self.outcomes
@@ -104,11 +96,11 @@ class ActionSummary:
             if run is not None
         }
         where, fix = "goals and actions", "give one task's"
-        require(len(sizes) == 1, "differ in shape", where=where, fix=fix, error=GendomError)
+        require(len(sizes) == 1, "differ in shape", where=where, fix=fix)
         actions, names = next(iter(sizes))[1], len(self.action_names)
         what = f"has {names} names for {actions} numbers"
         where, fix = "action_names", "give one each"
-        require(names in (0, actions), what, where=where, fix=fix, error=GendomError)
+        require(names in (0, actions), what, where=where, fix=fix)
 
     def mean_errors(self) -> tuple[float, float | None]:
         """Mean distance from the goals [m], of our policy and of the one without parameters.
@@ -248,15 +240,3 @@ def _motion_viewer(motion: CloudSequence) -> str:
     if motion.simulated is not None:
         text += f" and as the simulator {motion.labels[1]} it with the estimate (orange)"
     return f"<p>{escaped(text)}.</p>{viewer(motion, name='motion', subject='The motion')}"
-
-
-def _convert(target: object, name: str, shape: tuple[int, ...], value: np.ndarray) -> None:
-    """Set a field of a frozen dataclass to a finite array of a shape, where -1 is any length."""
-    array = np.asarray(value, dtype=float)
-    wanted = f"[{', '.join('n' if n < 0 else str(n) for n in shape)}]"
-    fits = array.ndim == len(shape) and array.size and shape[1:] == array.shape[1:]
-    what, fix = f"has shape {list(array.shape)}", f"give {wanted}"
-    require(fits, what, where=name, fix=fix, error=GendomError)
-    what, fix = "holds NaN or infinity", "check what made it"
-    require(np.isfinite(array).all(), what, where=name, fix=fix, error=GendomError)
-    object.__setattr__(target, name, array)

@@ -10,12 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from gendom.errors import GendomError
+from gendom.arguments import require
 
 ESTIMATE_FORMAT = "gendom-estimate/1"
 
 RATIOS = ("poissons_ratio", "friction", "stiffness_slope")
 """Quantities without a unit, on a linear scale."""
+
+_UNITS = {
+    "density": (1.0, "kg/m³"),
+    "specific_modulus": (1.0, "m²/s²"),
+    "damping": (1e3, "ms"),
+    "bending_length": (1e3, "mm"),
+    "thickness": (1e3, "mm"),
+}
+"""What others are multiplied by, and the unit, to be read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +32,7 @@ class EstimateSummary:
     """What was estimated, and what is known besides.
 
     Raises:
-        GendomError: `values` has another format, or no Young's modulus or Poisson's ratio; or
+        ParameterError: `values` has another format, or no Young's modulus or Poisson's ratio; or
             an interval or a range that was searched is not a pair of numbers.
     """
 
@@ -36,19 +45,16 @@ class EstimateSummary:
 
     def __post_init__(self):
         found = self.values.get("format", ESTIMATE_FORMAT)
-        if found != ESTIMATE_FORMAT:
-            raise GendomError(
-                f"is {found!r}", where="estimate.format", fix=f"give {ESTIMATE_FORMAT!r}"
-            )
+        fix = f"give {ESTIMATE_FORMAT!r}"
+        require(found == ESTIMATE_FORMAT, f"is {found!r}", where="estimate.format", fix=fix)
         for key in ("youngs_modulus", "poissons_ratio"):
-            if finite(self.values.get(key)) is None:
-                raise GendomError("is no number", where=f"estimate.{key}", fix="estimate again")
+            known = finite(self.values.get(key)) is not None
+            require(known, "is no number", where=f"estimate.{key}", fix="estimate again")
         for name in ("intervals", "bounds"):
             for key, ends in (self.values.get(name) or {}).items():
-                if key != "level" and ends is not None and len(np.atleast_1d(ends)) != 2:
-                    raise GendomError(
-                        f"is {ends!r}", where=f"estimate.{name}.{key}", fix="give [low, high]"
-                    )
+                pair = key == "level" or ends is None or len(np.atleast_1d(ends)) == 2
+                where = f"estimate.{name}.{key}"
+                require(pair, f"is {ends!r}", where=where, fix="give [low, high]")
 
     def value(self, key: str) -> float | None:
         """What was estimated, in the unit of `values`."""
@@ -111,30 +117,20 @@ def finite(value: Any) -> float | None:
 
 def quantity_text(key: str, value: float) -> str:
     """A value with its unit."""
-    if key == "youngs_modulus":
-        factor, unit = pascal_unit(value)
-        return with_minus(f"{value * factor:.4g} {unit}")
-    if key in ("bending_length", "thickness"):
-        return length_text(value)
     if key in RATIOS:
         return with_minus(f"{value:.3f}")
-    if key == "damping":
-        return with_minus(f"{1e3 * value:.3g} ms")
-    unit = {"density": " kg/m³", "specific_modulus": " m²/s²"}[key]
-    return with_minus(f"{value:.4g}{unit}")
+    if key in ("bending_length", "thickness"):
+        return length_text(value)
+    factor, unit = pascal_unit(value) if key == "youngs_modulus" else _UNITS[key]
+    return with_minus(f"{factor * value:.{3 if key == 'damping' else 4}g} {unit}")
 
 
 def interval_text(key: str, interval: tuple[float, float]) -> str:
     """Both ends in one unit."""
-    low, high = interval
-    factor, unit = 1.0, {"density": "kg/m³", "specific_modulus": "m²/s²"}.get(key, "")
-    if key == "youngs_modulus":
-        factor, unit = pascal_unit(high)
-    elif key in ("bending_length", "thickness"):
-        factor, unit = 1e3, "mm"
-    elif key == "damping":
-        factor, unit = 1e3, "ms"
-    low, high = factor * low, factor * high
+    factor, unit = (
+        pascal_unit(interval[1]) if key == "youngs_modulus" else _UNITS.get(key, (1.0, ""))
+    )
+    low, high = factor * interval[0], factor * interval[1]
     decimals = 3
     if key not in RATIOS:
         decimals = max(0, 3 - math.floor(math.log10(max(abs(high), 1e-9))))

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
-from gendom.errors import GendomError
 from gendom.robot import Arm, arm_shape
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
@@ -97,7 +96,7 @@ class ViewerScene:
     """T frames of some layers. World frame, z up.
 
     Raises:
-        GendomError: There is no frame, lengths differ, or two layers have one name.
+        ParameterError: There is no frame, lengths differ, or two layers have one name.
     """
 
     times: Array
@@ -115,16 +114,16 @@ class ViewerScene:
 
     def __post_init__(self) -> None:
         T = len(self.times)
-        require(T > 0, "is empty", where="times", fix="give at least one frame", error=GendomError)
+        require(T > 0, "is empty", where="times", fix="give at least one frame")
         counts = [(layer.name, len(layer), "frames") for layer in self.layers if len(layer) != 1]
         counts += [(name, len(values), "numbers") for name, values in self.curves.items()]
         for name, count, noun in counts:
             what = f"has {count} {noun}, but times has {T}"
-            require(count == T, what, where=name, fix="give 1 each", error=GendomError)
+            require(count == T, what, where=name, fix="give 1 each")
         names = [layer.name for layer in self.layers]
         what = f"are {', '.join(names)}"
         fix = "give each a name"
-        require(len(set(names)) == len(names), what, where="layers", fix=fix, error=GendomError)
+        require(len(set(names)) == len(names), what, where="layers", fix=fix)
 
     @property
     def num_frames(self) -> int:
@@ -141,7 +140,7 @@ class ViewerScene:
         points [m].
 
         Raises:
-            GendomError: There are no points at all.
+            ParameterError: There are no points at all.
         """
         ends = []
         for layer in self.layers:
@@ -151,7 +150,7 @@ class ViewerScene:
                 share = (0.005, 0.995) if isinstance(layer, PointLayer) else (0.0, 1.0)
                 ends.append(np.quantile(points, share, axis=0))
         what, fix = "have no points at all", "record it again"
-        require(ends, what, where="layers", fix=fix, error=GendomError)
+        require(ends, what, where="layers", fix=fix)
         return np.stack([np.min(ends, axis=(0, 1)), np.max(ends, axis=(0, 1))])
 
 
@@ -224,7 +223,7 @@ class Model(Protocol):
             go_on: Called now and then; what it raises ends everything.
 
         Raises:
-            GendomError: It cannot be simulated.
+            ParameterError: It cannot be simulated.
         """
         ...
 
