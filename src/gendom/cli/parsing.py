@@ -10,10 +10,10 @@ import shutil
 import textwrap
 from collections.abc import Iterable, Sequence
 from contextlib import redirect_stderr
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, fields
 from itertools import pairwise, takewhile
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import tyro
 
@@ -63,15 +63,13 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         if not stop.code:
             raise
     text = " ".join(re.sub("[│╭╮╰╯─|+]|-{4,}", " ", printed.getvalue()).split())
-    raise _refusal(text, arguments, words, flags, command, name)
+    raise _refusal(text, arguments, words, f"see gendom {name} --help", _example(command))
 
 
-@dataclass(frozen=True)
-class _Argument:
+class _Argument(NamedTuple):
     """A flag, or a word without one."""
 
     kind: Any
-    """Its type."""
     help: str
     required: bool
 
@@ -83,51 +81,32 @@ def _arguments(command: type) -> dict[str, _Argument]:
     help_of, found = _help(command), {}
     for field in fields(command):
         marks = get_args(hints[field.name])[1:]
+        called = f"--{field.name.rstrip('_').replace('_', '-')}"  # a flag may be a word of Python's
         if any(mark is positional for mark in marks):
-            called = next((m.metavar for m in marks if getattr(m, "metavar", None)), None)
-            called = str(called or field.name.upper())
-            called = called if called.isalpha() else field.name.upper()
-        else:  # a flag may be a word of Python's
-            called = f"--{field.name.rstrip('_').replace('_', '-')}"
+            named = [m.metavar for m in marks if str(getattr(m, "metavar", "") or "").isalpha()]
+            called = named[0] if named else field.name.upper()
         required = field.default is MISSING and field.default_factory is MISSING
         found[called] = _Argument(hints[field.name], help_of.get(field.name, ""), required)
     return found
 
 
 def _refusal(
-    text: str,
-    arguments: dict[str, _Argument],
-    words: Sequence[str],
-    flags: Sequence[str],
-    command: type,
-    name: str,
+    text: str, arguments: dict[str, _Argument], words: Sequence[str], see: str, example: str
 ) -> ParameterError:
-    """What tyro has refused, in one line.
-
-    Args:
-        text: What it printed.
-        arguments: What the command takes.
-        words: What was given.
-        flags: All flags.
-        command: The command's class.
-        name: As it is called.
-    """
+    """What tyro has refused and said in its own words, in one line."""
     if choice := re.search(r"invalid choice '(.*?)' for argument '(.*?)'.*?\((.*?)\)", text):
-        choices = re.findall("'(.*?)'", choice[3])
-        where = choice[2] if choice[2].startswith("--") else None
-        fix = did_you_mean(choice[1], choices) or f"choose {', '.join(choices)}"
-        what = f"is {choice[1]!r}" if where else f"does not take {choice[1]!r}"
-        return ParameterError(what, where=where, fix=fix)
+        word, where, choices = choice[1], choice[2], re.findall("'(.*?)'", choice[3])
+        fix = did_you_mean(word, choices) or f"choose {', '.join(choices)}"
+        if where.startswith("--"):
+            return ParameterError(f"is {word!r}", where=where, fix=fix)
+        return ParameterError(f"does not take {word!r}", fix=fix)
     if bad := re.search("(?:Error parsing|for argument) '?(--[-a-z]+)", text):
-        given = _given(bad[1], words, flags)
+        given = _given(bad[1], words, [*arguments, *EVERYWHERE])
         what = f"is {' '.join(given)!r}" if given else "has no value"
         wanted = _wanted(arguments[bad[1]].kind)
         return ParameterError(what, where=bad[1], fix=f"give {wanted}")
     if extra := re.search("Unrecognized options: (.*?) For full helptext", text):
-        words = extra[1].split(", ")
-        return ParameterError(f"{' '.join(words)!r} is too much", fix=f"see gendom {name} --help")
-    example = re.search(r"For example: (gendom .*)", command.__doc__ or "")
-    fix = f"for example: {example[1]}" if example else f"see gendom {name} --help"
+        return ParameterError(f"{' '.join(extra[1].split(', '))!r} is too much", fix=see)
     printed = "".join(text.split())
     missing = [
         called
@@ -135,7 +114,13 @@ def _refusal(
         if argument.required
         and ("".join(argument.help.split()) in printed or f"forargument'{called}'" in printed)
     ]
-    return ParameterError(f"lacks {', '.join(missing)}" if missing else text, fix=fix)
+    return ParameterError(f"lacks {', '.join(missing)}" if missing else text, fix=example or see)
+
+
+def _example(command: type) -> str:
+    """The line that every command's help ends with."""
+    found = re.search(r"For example: (gendom .*)", command.__doc__ or "")
+    return f"for example: {found[1]}" if found else ""
 
 
 def described(command: type) -> type:
