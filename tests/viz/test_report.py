@@ -1,12 +1,10 @@
 """Reports are one valid file each that asks nothing of the network."""
 
 import base64
-import importlib.util
 import io
 import json
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,6 +25,8 @@ from gendom.viz import (
 )
 from gendom.viz.report import render_report
 from gendom.viz.report.lift import encode_scene
+from viz import made_up
+from viz.made_up import content, estimate, outcomes, run
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}
 
@@ -67,24 +67,6 @@ class Page(HTMLParser):
     @property
     def words(self):
         return re.sub(r"\s+", " ", " ".join(self.text))
-
-
-def _module(name):
-    """A file beside this one."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-made_up = _module("made_up")
-estimate, run, outcomes, content = (
-    made_up.estimate,
-    made_up.run,
-    made_up.outcomes,
-    made_up.content,
-)
 
 
 def test_whole_report(make_lift, tmp_path):

@@ -1,12 +1,10 @@
 """The viewer without a recording: what it shows, when it simulates, its server and its files."""
 
-import importlib.util
 import math
 import socket
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +19,7 @@ from gendom.viz.viewer.layers import (
     capsules,
     tube_faces,
 )
+from viz import browser as headless
 
 ARROW = {"key": "ArrowRight", "code": "ArrowRight", "windowsVirtualKeyCode": 39}
 """A key, as the browser's protocol describes it."""
@@ -52,7 +51,7 @@ class Square:
     title = "a square"
     notes = ("It is flat.",)
     cases = ("square", 3)
-    initial = ViewerScene(times=TIMES, layers=(cloud(),), table_height=0.0)
+    initial: ViewerScene | None = ViewerScene(times=TIMES, layers=(cloud(),), table_height=0.0)
 
     def __init__(self, seconds=0.0):
         self.seconds = seconds
@@ -324,18 +323,9 @@ def test_nothing_is_printed(capfd):
     assert not [t for t in threading.enumerate() if t.name in ("player", "resimulation")]
 
 
-def _headless():
-    spec = importlib.util.spec_from_file_location("browser", Path(__file__).with_name("browser.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     """One that draws with WebGL, in software."""
-    headless = _headless()
     program = headless.find_browser()
     if program is None:
         pytest.skip(f"needs a browser: {', '.join(headless.NAMES)}")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import base64
 import json
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -197,6 +198,38 @@ def encode_scene(sequence: CloudSequence, *, view: str = "auto", max_frames: int
         low = np.minimum(low, sequence.goal.min(axis=0))
         high = np.maximum(high, sequence.goal.max(axis=0))
     high = np.maximum(high, low + 1e-3)
+    clouds, points = _packed(sequence, chosen, low, high)
+    side, grippers, chamfer = choose_view(sequence, view), sequence.gripper, sequence.chamfer
+    arm = None
+    if sequence.arm is not None and sequence.arm_radius is not None:
+        ends = (1e3 * sequence.arm[chosen]).round().astype(int)
+        arm = {
+            "radius": (1e3 * sequence.arm_radius).round().astype(int).tolist(),
+            "ends": ends.reshape(len(chosen), -1).tolist(),
+        }
+    scene = {
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "times": sequence.times[chosen].round(5).tolist(),
+        "frames": [t + 1 for t in chosen],
+        "of": sequence.num_frames,
+        "chamfer": None if chamfer is None else chamfer[chosen].tolist(),
+        "table": sequence.table_height,
+        "view": {"turn": side.turn, "tilt": side.tilt, "names": side.names},
+        "grippers": [] if grippers is None else grippers[chosen].round(5).tolist(),
+        "arm": arm,
+        "goal": None if sequence.goal is None else sequence.goal.round(5).tolist(),
+        "clouds": clouds,
+        "points": base64.b64encode(points.tobytes()).decode("ascii"),
+    }
+    return json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _packed(
+    sequence: CloudSequence, chosen: list[int], low: np.ndarray, high: np.ndarray
+) -> tuple[list[dict[str, Any]], np.ndarray]:
+    """What each cloud is and where its frames begin, and the points [n, 3] of all, 0 to 65535
+    between two corners."""
     per_frame = _BUDGET // (_BYTES_A_POINT * len(chosen))
     # Points are few in a recording and many in a simulation: what one leaves the other may use.
     counts = [len(sequence.recorded[t]) for t in chosen]
@@ -215,35 +248,7 @@ def encode_scene(sequence: CloudSequence, *, view: str = "auto", max_frames: int
             total += len(points)
             offsets.append(total)
         clouds.append({"kind": kind, "label": label, "size": size, "offsets": offsets})
-    side = choose_view(sequence, view)
-    arm = None
-    if sequence.arm is not None and sequence.arm_radius is not None:
-        ends = (1e3 * sequence.arm[chosen]).round().astype(int)
-        arm = {
-            "radius": (1e3 * sequence.arm_radius).round().astype(int).tolist(),
-            "ends": ends.reshape(len(chosen), -1).tolist(),
-        }
-    return json.dumps(
-        {
-            "low": low.tolist(),
-            "high": high.tolist(),
-            "times": sequence.times[chosen].round(5).tolist(),
-            "frames": [t + 1 for t in chosen],
-            "of": sequence.num_frames,
-            "chamfer": None if sequence.chamfer is None else sequence.chamfer[chosen].tolist(),
-            "table": sequence.table_height,
-            "view": {"turn": side.turn, "tilt": side.tilt, "names": side.names},
-            "grippers": (
-                [] if sequence.gripper is None else sequence.gripper[chosen].round(5).tolist()
-            ),
-            "arm": arm,
-            "goal": None if sequence.goal is None else sequence.goal.round(5).tolist(),
-            "clouds": clouds,
-            "points": base64.b64encode(np.concatenate(packed).tobytes()).decode("ascii"),
-        },
-        separators=(",", ":"),
-        allow_nan=False,
-    ).replace("<", "\\u003c")
+    return clouds, np.concatenate(packed)
 
 
 def thinned(points: np.ndarray, keep: int) -> np.ndarray:
@@ -261,25 +266,26 @@ def residual_charts(clouds: CloudSequence, summary: EstimateSummary | None, scen
         summary: The estimate, or None.
         scene: Id of the data of the viewer whose time is marked.
     """
-    figures = []
-    rms = [] if summary is None else summary.values.get("rms_by_frame") or []
-    if len(rms) == clouds.num_frames > 1:
-        plot = distance_chart(clouds.times, rms, scene=scene)
-        name = "Points to simulated surface [mm]"
-        said = (
+    residuals = [
+        (
+            [] if summary is None else summary.values.get("rms_by_frame") or [],
+            "Points to simulated surface [mm]",
             "Distance of recorded points from the simulated surface, root mean square in each "
-            "frame that was compared."
-        )
-        figures.append(chart_figure(name, [plot], said))
-    if clouds.chamfer is not None and clouds.num_frames > 1:
-        plot = distance_chart(clouds.times, clouds.chamfer, scene=scene)
-        name = "Chamfer distance of both clouds [mm]"
-        said = (
+            "frame that was compared.",
+        ),
+        (
+            [] if clouds.chamfer is None else clouds.chamfer,
+            "Chamfer distance of both clouds [mm]",
             "Mean distance from each recorded point to the nearest simulated one, plus the mean "
             "distance the other way round. Cameras see one side of the object only, so it is not "
-            "zero even for a perfect fit."
-        )
-        figures.append(chart_figure(name, [plot], said))
+            "zero even for a perfect fit.",
+        ),
+    ]
+    figures = [
+        chart_figure(name, [distance_chart(clouds.times, values, scene=scene)], said)
+        for values, name, said in residuals
+        if len(values) == clouds.num_frames > 1
+    ]
     if not figures:
         return ""
     return f'<h3>Residuals over time</h3><div class="pair">{"".join(figures)}</div>'

@@ -65,6 +65,7 @@ class RecordingModel:
         title: One line.
     """
 
+    initial: ViewerScene | None
     cases = ("recording", 1)
 
     def __init__(self, scene: Scene, theta: Theta, title: str):
@@ -101,7 +102,11 @@ class RecordingModel:
         """The simulated object, then with its distance from the clouds."""
         scene, theta = self.scene, self.theta.with_values(values)
         x = replay(scene, [theta], on_frame=lambda _: go_on())[:, 0]
-        simulated, facts = self._simulated(x, theta), _facts(scene, theta)
+        columns, rows = lattice(scene)
+        counts = None if scene.kind == "rope" else (len(rows), len(columns))
+        body, points = scene.body_of(theta), middle(scene, x)
+        simulated = object_layer("simulated", body, points, counts, SIMULATED_OPACITY)
+        facts = _facts(scene, theta)
         yield self._shown((simulated,), facts=facts)
         distance = 1e3 * chamfers(scene, x, theta)[0]
         yield self._shown((simulated,), facts=facts, curves={CHAMFER: distance})
@@ -112,12 +117,8 @@ class RecordingModel:
         counts = np.diff(recording.offsets)[frames]
         # small, or a dense cloud would hide the object
         dot = scene.size * (0.006 if np.median(counts) < 400 else 0.003)
-        recorded = PointLayer(
-            name="recorded",
-            color=RECORDED_COLOR,
-            points=recording.frames(frames),
-            radius=dot,
-        )
+        points = recording.frames(frames)
+        recorded = PointLayer(name="recorded", color=RECORDED_COLOR, points=points, radius=dot)
         axis = None if recording.gripper_axis is None else recording.gripper_axis[frames]
         return ViewerScene(
             times=recording.time[frames],
@@ -129,14 +130,6 @@ class RecordingModel:
             ),
             table_height=recording.table_height,
             **other,
-        )
-
-    def _simulated(self, x: _Array, theta: Theta) -> Layer:
-        scene = self.scene
-        columns, rows = lattice(scene)
-        counts = None if scene.kind == "rope" else (len(rows), len(columns))
-        return object_layer(
-            "simulated", scene.body_of(theta), middle(scene, x), counts, SIMULATED_OPACITY
         )
 
 
@@ -218,7 +211,7 @@ class DatasetModel:
         ParameterError: Its task is unknown here.
     """
 
-    initial = None
+    initial: ViewerScene | None = None
 
     def __init__(self, folder: Path):
         from gendom.datasets.demonstrations import load, read_description
