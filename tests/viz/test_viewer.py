@@ -51,7 +51,7 @@ class Square:
     title = "a square"
     notes = ("It is flat.",)
     cases = ("square", 3)
-    initial: ViewerScene | None = ViewerScene(times=TIMES, layers=(cloud(),), table_height=0.0)
+    initial = ViewerScene(times=TIMES, layers=(cloud(),), table_height=0.0)
 
     def __init__(self, seconds=0.0):
         self.seconds = seconds

@@ -20,21 +20,21 @@ from gendom.tasks.world import Simulation
 from gendom.viz import CloudSequence, PolicyRun, ReachOutcome
 from gendom.viz.sources import arm_poses, goal_mark
 
-WAYS = {
+VARIANTS = {
     "with_parameters": "with the estimate",
     "without_parameters": "without parameters",
     "polished": "polished in the simulator",
     "after_one_execution": "after one execution",
 }
-"""Ways to act, by their names in actions.json."""
+"""What is compared, by its name in actions.json."""
 
-STANDS = 0.003
+STANDING_DISTANCE = 0.003
 """The hand stands where it is this near to its last place [m]."""
 
 MOTION_RATE = 30.0
 """Frames a second of the executed motion."""
 
-POLISHED_FOR = 8
+POLISH_DRAWS = 8
 """Objects drawn from the estimate to polish an action for."""
 
 _FINER = 4
@@ -61,20 +61,20 @@ class Executed:
     """z of the table [m]."""
 
 
-def ways_of(outcome: ReachOutcome) -> dict[str, PolicyRun]:
-    """What was reached for a goal, by the names of `WAYS`."""
+def runs_of(outcome: ReachOutcome) -> dict[str, PolicyRun]:
+    """What was reached for a goal, by the names of `VARIANTS`."""
     assert outcome.without is not None
     runs = outcome.ours, outcome.without, *outcome.further.values()
-    return dict(zip(WAYS, runs, strict=True))
+    return dict(zip(VARIANTS, runs, strict=True))
 
 
 def carry_out(
     rope: RealRope, policies: Sequence[Policy], goals: np.ndarray, belief: Belief, seed: int
 ) -> tuple[list[ReachOutcome], Executed]:
-    """What each of `WAYS` reached for each goal, done by the arm; and the policy's last motion.
+    """What each of `VARIANTS` reached for each goal, done by the arm; and the policy's last motion.
 
     Besides the policies' actions one is polished through the simulator for what is believed of
-    the rope, and once more for what that execution has taught.
+    the rope, and once more for what is known after that execution.
     """
     task = policies[0].task()
     outcomes, shown = [], None
@@ -86,7 +86,7 @@ def carry_out(
             discrepancy: Discrepancy | None = None,
             goal: np.ndarray = goal,
         ) -> np.ndarray:
-            items = belief.draws(POLISHED_FOR, seed)
+            items = belief.draws(POLISH_DRAWS, seed)
             return polish(task, goal, items, start, discrepancy=discrepancy).action
 
         ours, without = (np.array(p.act(goal, belief.item).values) for p in policies)
@@ -97,7 +97,7 @@ def carry_out(
         learnt = adapt(task, belief, [Execution(action=action, reached=runs[-1].reached)])
         action = polished(action, learnt.belief, learnt.discrepancy)
         runs.append(_execute(rope, task, action, goal)[0])
-        further = [WAYS[name].capitalize() for name in ("polished", "after_one_execution")]
+        further = [VARIANTS[name].capitalize() for name in ("polished", "after_one_execution")]
         further = dict(zip(further, runs[2:], strict=True))
         outcomes.append(ReachOutcome(goal=goal, ours=run, without=runs[1], further=further))
     assert shown is not None
@@ -140,7 +140,7 @@ def _free(seen: Observed) -> int:
     """Frame at which the rope is let go, or at which the hand stands again."""
     if np.isfinite(seen.opens):
         return int(np.searchsorted(seen.times, seen.opens))
-    stands = np.linalg.norm(seen.hand - seen.hand[-1], axis=1) < STANDS
+    stands = np.linalg.norm(seen.hand - seen.hand[-1], axis=1) < STANDING_DISTANCE
     return int(np.argmax(stands))
 
 

@@ -32,7 +32,7 @@ _SMOOTH = 4
 """Pixels of a mask along one of the picture, so that edges are smooth."""
 
 _COLORS = 64
-"""Of an animation; all its frames have the same, or they would flicker."""
+"""Colours of an animation; all its frames have the same, or they would flicker."""
 
 
 def write_gif(

@@ -48,7 +48,7 @@ class DemoReport:
     truth: Mapping[str, float]
     """True values under the keys of an estimate's record."""
     seconds: dict[str, float]
-    """That each stage took so far."""
+    """Time that each stage took so far [s]."""
 
     def write(
         self,

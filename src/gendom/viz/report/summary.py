@@ -41,7 +41,7 @@ class EstimateSummary:
     truth: Mapping[str, float] | None = None
     """True values under the keys of `values`, as far as known."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """Of the unknowns of the estimate's posterior, by name."""
+    """Unit of each unknown of the posterior, by name."""
 
     def __post_init__(self):
         found = self.values.get("format", ESTIMATE_FORMAT)

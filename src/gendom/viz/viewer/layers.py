@@ -24,7 +24,7 @@ RING = 8
 """Points of a rod's skin around its centre line, see `gendom.sim.Body.surface`."""
 
 SIDES = 12
-"""Of a capsule."""
+"""Sides of a capsule's mesh."""
 
 MATERIAL, ACTION, SETUP = "Material", "Action", "Grip and clock"
 """Groups of parameters."""
@@ -53,7 +53,7 @@ class PointLayer:
     points: Sequence[Array]
     """T clouds [n_t, 3] [m]."""
     radius: float
-    """Of a dot [m]."""
+    """A dot's radius [m]."""
     framed: bool = True
     """Whether the camera is placed so that it is seen."""
 
@@ -102,7 +102,7 @@ class ViewerScene:
     times: Array
     """[T] increasing [s]."""
     layers: tuple[Layer, ...]
-    """Of T frames each, or of one that is shown at all times."""
+    """Each has T frames, or one that is shown at all times."""
     table_height: float | None = None
     """z of the table [m]; None: no table."""
     curves: Mapping[str, Array] = field(default_factory=dict)
@@ -188,14 +188,25 @@ class Parameter:
 class Model(Protocol):
     """Something to view."""
 
-    title: str
-    """One line."""
-    notes: tuple[str, ...]
-    """Sentences to be read beside it."""
-    cases: tuple[str, int]
-    """What its cases are, in the singular, and how many there are."""
-    initial: ViewerScene | None
-    """What is known before anything is simulated."""
+    @property
+    def title(self) -> str:
+        """One line."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences to be read beside it."""
+        ...
+
+    @property
+    def cases(self) -> tuple[str, int]:
+        """What its cases are, in the singular, and how many there are."""
+        ...
+
+    @property
+    def initial(self) -> ViewerScene | None:
+        """What is known before anything is simulated."""
+        ...
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
         """Parameters of a case; of the same names in all cases."""

@@ -45,7 +45,7 @@ FRAMES = 160
 GOAL_COLOR = "#009E73"
 
 _RANGES = {"nu": (0.05, 0.45), "friction": (0.0, 1.5)}
-"""Of parameters that a task does not draw, where differences count."""
+"""Ranges of parameters that a task does not draw, where differences count."""
 
 _FACTOR = 3.0
 """How far from its value such a parameter goes, where ratios count."""
@@ -65,7 +65,6 @@ class RecordingModel:
         title: One line.
     """
 
-    initial: ViewerScene | None
     cases = ("recording", 1)
 
     def __init__(self, scene: Scene, theta: Theta, title: str):
@@ -93,7 +92,7 @@ class RecordingModel:
         return cls(replace(scene, recording=recording, frames=every), theta, title)
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
-        """Those of the object, and of how it is held."""
+        """The object's parameters, and those of how it is held."""
         return self._parameters
 
     def simulate(
@@ -211,7 +210,7 @@ class DatasetModel:
         ParameterError: Its task is unknown here.
     """
 
-    initial: ViewerScene | None = None
+    initial = None
 
     def __init__(self, folder: Path):
         from gendom.datasets.demonstrations import load, read_description
@@ -278,8 +277,8 @@ class DatasetModel:
     ) -> Iterator[ViewerScene]:
         """The object under that action, then with the arm that would do it."""
         task, item = self.task, self._item(case, values)
-        wanted = np.array([values[q.name] for q in task.actions])
-        action = task.nearest(item, wanted)
+        asked = np.array([values[q.name] for q in task.actions])
+        action = task.nearest(item, asked)
         (outcome,) = self._world.carry_out(
             task, [item], [action], keep=True, on_frame=lambda _: go_on()
         )
@@ -290,7 +289,7 @@ class DatasetModel:
             )
         seen = _thinned(outcome.seen)
         facts = self._facts(case, item, outcome.values)
-        if not np.allclose(action, wanted):
+        if not np.allclose(action, asked):
             numbers = ", ".join(f"{a:.4g}" for a in action)
             facts.append(("action", f"{numbers}: the nearest that is allowed"))
         layers = self._layers(case, item, seen)

@@ -11,7 +11,7 @@ from gendom.viz.palette import TABLE_FILL, TABLE_LINE, nice_step, rgb
 from gendom.viz.viewer.layers import Array, Layer, MeshLayer, PointLayer, ViewerScene
 
 FIELD_OF_VIEW = math.radians(35.0)
-"""Of the camera, upwards."""
+"""The camera's field of view, upwards."""
 
 _TURN, _TILT = math.radians(25.0), math.radians(18.0)
 """From where the camera looks, around and down."""
@@ -20,7 +20,7 @@ _NARROW = 0.8
 """Width over height of a window below which the panel lies below what is shown."""
 
 _SQUARES = 10
-"""Of the table's grid along the longer side of what is shown."""
+"""Squares of the table's grid along the longer side of what is shown."""
 
 
 class Painter:

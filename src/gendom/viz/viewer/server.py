@@ -32,8 +32,8 @@ SPEEDS = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 """Times faster than life, as people write it."""
 
 PATIENCE = 1.0
-"""Time after which a simulation is given up for a newer wish [s]: a shorter one is shown, so that
-the object follows a slider that is dragged."""
+"""Time after which a simulation is given up for a newer request [s]. Shorter ones are shown, so
+that the object follows a slider that is dragged."""
 
 _SHORTEST = 3.0
 """Time that playing takes at first [s], at least if a speed allows it."""
@@ -42,7 +42,7 @@ _RATE = 25.0
 """Frames that are played in a second, at most."""
 
 _POSITIONS = 200
-"""Of a parameter's slider, at least."""
+"""Least number of positions of a parameter's slider."""
 
 _DIGIT = 0.01
 """Step of a logarithmic slider [decades]."""
@@ -86,7 +86,10 @@ class Viewer:
         self._build()
         self._server.on_client_connect(self._place_camera)
         self._resimulation = Resimulation(
-            model, on_begin=self._begin, on_scene=self._take, on_fault=self._refuse
+            model,
+            on_begin=lambda: self._say("simulating …"),
+            on_scene=self._take,
+            on_fault=lambda why: self._say(why, fault=True),
         )
         if self._scene is not None:
             self._take(self._scene, 0.0)
@@ -98,12 +101,12 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Its address."""
+        """The page's address."""
         return f"http://{HOST}:{self._server.get_port()}"
 
     @property
     def port(self) -> int:
-        """Of its address."""
+        """The address's port."""
         return self._server.get_port()
 
     @property
@@ -230,7 +233,7 @@ class Viewer:
         return slider
 
     def _value(self, name: str) -> float:
-        """Of a parameter; exactly that which it began with where its slider was not moved."""
+        """A parameter's value: exactly its first one while its slider was not moved."""
         p, position = self._parameters[name], self._sliders[name].value
         return p.value if position == _start(p) else p.at(position)
 
@@ -238,12 +241,6 @@ class Viewer:
         self._resimulation.ask(self._case, {name: self._value(name) for name in self._sliders})
 
     # ---- what simulations say --------------------------------------------------------------------
-
-    def _begin(self) -> None:
-        self._say("simulating …")
-
-    def _refuse(self, why: str) -> None:
-        self._say(why, fault=True)
 
     def _take(self, scene: ViewerScene, seconds: float) -> None:
         """Show a scene in place of another one, at the same time if it has that."""
@@ -289,7 +286,7 @@ class Viewer:
             box.visible = name in names
 
     def _draw_curves(self, scene: ViewerScene) -> None:
-        """Those of before stay until there are others."""
+        """Draw a scene's curves; earlier ones stay while it has none."""
         if not scene.curves:
             return
         self._curves = tuple(scene.curves)
@@ -421,12 +418,12 @@ class _DroppedError(Exception):
 
 
 class Resimulation:
-    """Simulates a model in a thread of its own; the last wish wins, older ones are dropped.
+    """Simulates a model in a thread of its own; the last request wins, older ones are dropped.
 
     Args:
         model: What is simulated.
-        on_begin: Called when a wish is taken up.
-        on_scene: Called with every scene that a wish gives, and the time since it was taken up [s].
+        on_begin: Called when a request is taken up.
+        on_scene: Called with every scene that a request gives, and the time since then [s].
         on_fault: Called with one line if it cannot be simulated.
     """
 
@@ -441,7 +438,7 @@ class Resimulation:
         self._model = model
         self._on_begin, self._on_scene, self._on_fault = on_begin, on_scene, on_fault
         self._changed = threading.Condition()
-        self._wish: tuple[int, Mapping[str, float]] | None = None
+        self._request: tuple[int, Mapping[str, float]] | None = None
         self._busy = self._closed = False
         self._thread = threading.Thread(target=self._run, name="resimulation", daemon=True)
         self._thread.start()
@@ -449,13 +446,13 @@ class Resimulation:
     def ask(self, case: int, values: Mapping[str, float]) -> None:
         """Simulate a case with parameters by name, as soon as possible."""
         with self._changed:
-            self._wish = (case, dict(values))
+            self._request = (case, dict(values))
             self._changed.notify_all()
 
     def wait(self, timeout: float) -> bool:
         """Whether all that was asked for is done within a time [s]."""
         with self._changed:
-            return self._changed.wait_for(lambda: self._wish is None and not self._busy, timeout)
+            return self._changed.wait_for(lambda: self._request is None and not self._busy, timeout)
 
     def close(self) -> None:
         """Drop everything, and end the thread."""
@@ -469,11 +466,11 @@ class Resimulation:
             with self._changed:
                 self._busy = False
                 self._changed.notify_all()
-                self._changed.wait_for(lambda: self._wish is not None or self._closed)
-                if self._closed or self._wish is None:
+                self._changed.wait_for(lambda: self._request is not None or self._closed)
+                if self._closed or self._request is None:
                     return
-                case, values = self._wish
-                self._wish, self._busy = None, True
+                case, values = self._request
+                self._request, self._busy = None, True
             self._simulate(case, values)
 
     def _simulate(self, case: int, values: Mapping[str, float]) -> None:
@@ -481,7 +478,7 @@ class Resimulation:
 
         def go_on() -> None:
             late = time.monotonic() - began > PATIENCE
-            if self._closed or (late and self._wish is not None):
+            if self._closed or (late and self._request is not None):
                 raise _DroppedError
 
         self._on_begin()
@@ -490,7 +487,7 @@ class Resimulation:
                 if self._closed:
                     return
                 self._on_scene(scene, time.monotonic() - began)
-                if self._wish is not None:
+                if self._request is not None:
                     return
         except _DroppedError:
             return
