@@ -112,11 +112,6 @@ def _listed(names: Sequence[str]) -> str:
 
 def parameters_section(summary: EstimateSummary) -> Section:
     """A row for each quantity, and how to read the bars if there are any."""
-    return Section(title="The estimate", body=_parameter_table(summary))
-
-
-def _parameter_table(summary: EstimateSummary) -> str:
-    """A row for each quantity, and how to read the bars if there are any."""
     knows_truth = any(summary.true(key) is not None for key, _ in _ROWS)
     has_interval = any(summary.interval(key) is not None for key, _ in _ROWS)
     rows, bars = [], False
@@ -154,7 +149,7 @@ def _parameter_table(summary: EstimateSummary) -> str:
             + (", the thin mark the true value" if knows_truth else "")
             + ". Scales are logarithmic, but for ratios.</p>"
         )
-    return text
+    return Section(title="The estimate", body=text)
 
 
 def _remark(key: str, summary: EstimateSummary) -> str:
