@@ -8,13 +8,16 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageOps
+from PIL import Image
 
 from gendom.arguments import require
 
 # From Okabe and Ito's palette, told apart with every common form of colour blindness.
 RECORDED_COLOR = "#0072B2"
 SIMULATED_COLOR = "#E69F00"
+
+DEPTH_COLORS = ("#fde725", "#5ec962", "#21918c", "#3b528b", "#440154")
+"""From near to far: five of the colours of matplotlib's viridis."""
 
 INK = (34, 34, 34)
 SOFT_INK = (110, 110, 110)
@@ -57,11 +60,12 @@ def encode_camera_views(
     sizes = {colour.shape[:2] for colour, _ in views} | {depth.shape for _, depth in views}
     what, fix = f"has pictures of {len(sizes)} sizes", "give pictures of one size"
     require(len(sizes) == 1, what, where="views", fix=fix)
+    scale = np.transpose([rgb(color) for color in DEPTH_COLORS])
     rows = []
     for colour, depth in views:
         share = np.clip((depth - near) / (far - near), 0.0, 1.0)
-        grey = Image.fromarray((255 * share).astype(np.uint8))
-        painted = np.array(ImageOps.colorize(grey, "#fde725", "#440154", "#21918c"))
+        channels = [np.interp(share, np.linspace(0.0, 1.0, len(c)), c) for c in scale]
+        painted = np.stack(channels, axis=-1).astype(np.uint8)
         painted[depth <= 0.0] = 0
         rows.append(np.concatenate([colour, painted], axis=1))
     whole = Image.fromarray(np.concatenate(rows))
