@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from gendom import cli
-from gendom.cli.view_recording import _parameters
 from gendom.errors import ParameterError
 from gendom.estimation import LiftScene
 from gendom.materials.estimate import Estimate
 from gendom.materials.unknowns import UNKNOWNS, Unknown, register
 from gendom.policies.belief import believed
 from gendom.tasks import RopeReaching
+from gendom.viz.viewer.models import _parameters
 
 
 def stiffened(inputs, value):
@@ -64,7 +64,7 @@ def test_a_new_unknown_is_found_everywhere(unknown, rope_lift, tmp_path, capsys)
         assert unknown.title in "\n".join(name for name, *_ in found.rows())
 
     # the report and the viewer
-    assert unknown.title in report.read_text(encoding="utf-8")
+    assert unknown.title in report.read_text(encoding="utf-8").lower()
     scene = LiftScene.of(rope_lift.seen(), rope_lift.settings)
     assert unknown.name in [p.name for p in _parameters(scene, found.theta)]
 
