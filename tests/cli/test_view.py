@@ -5,7 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -176,7 +176,7 @@ def params(rope_lift, lifted, tmp_path):
     """A recording, and in a folder beside it its estimate."""
     lifted.write(tmp_path / "lift.npz")
     record = {
-        "format": "gendom-estimate/1", "theta": asdict(rope_lift.truth), "compared": [0, 11],
+        "format": "gendom-estimate/1", "theta": dict(rope_lift.truth), "compared": [0, 11],
         "object": {"kind": "rope"}, "begins_with": lifted.begins_with, "digest": lifted.digest,
         "simulation": {"engine": "thin", "points": 15},
     }  # fmt: skip

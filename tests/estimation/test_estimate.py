@@ -1,7 +1,7 @@
 """Known parameters come back from lifts that were simulated with them."""
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,7 +28,8 @@ KEYS = {
     "begins_with", "bending_length", "bending_stiffness", "bounds", "calibration", "chamfer_last",
     "chamfer_last_registered", "chamfer_last_surface", "chamfer_mean", "chamfer_mean_registered",
     "chamfer_mean_surface", "compared", "damping",
-    "density", "density_assumed", "device", "digest", "format", "frames", "friction", "history",
+    "density", "density_assumed", "density_sd", "device", "digest", "format", "frames",
+    "friction", "history",
     "identifiable", "interrupted", "intervals", "iterations", "method", "noise", "notes", "object",
     "nu", "posterior", "recordings", "rms", "rms_by_frame", "rms_registered", "seconds",
     "seed", "simulation", "stage_seconds", "E_over_rho", "starts", "stiffness_slope",
@@ -118,7 +119,7 @@ def test_a_cloth_s_modulus_comes_back(cloth_lift):
 
 def test_what_is_known_is_not_looked_for(rope_lift, lifted, settings):
     """With the material known, only what belongs to the recording is found."""
-    known = Theta(**asdict(rope_lift.truth) | {"damping": 0.002})
+    known = Theta(**dict(rope_lift.truth) | {"damping": 0.002})
     changed = EstimateSettings(**vars(settings) | {"unknowns": ("grip_height", "delay")})
     found = estimate(lifted, changed, known=known)
     assert found.posterior.names == ("grip_height", "delay")

@@ -128,3 +128,37 @@ def test_an_estimate_shows_itself_briefly(found):
     assert "Young's modulus" in text and "Pa" in text and "90% in [" in text
     table = found._repr_html_()
     assert table.count("<tr>") == len(found.rows()) and "usable" in table
+
+
+def test_a_value_that_was_changed_by_hand_is_refused(found, tmp_path):
+    path = tmp_path / "estimate.json"
+    write_json(path, found.record | {"E": 2.0 * found.E})
+    with pytest.raises(ParameterError, match=r"estimate\.json: E is .*, its posterior says"):
+        Estimate.load(path)
+
+
+def test_the_object_has_the_estimated_material(found):
+    rope = found.rope()
+    assert rope.material.E == pytest.approx(found.E) and rope.material.nu == found.nu
+    assert rope.length == found.record["object"]["length"]
+    with pytest.raises(ParameterError, match="is of a rope"):
+        found.cloth()
+    assert len({item.material.E for item in found.draws(5, seed=0)}) == 5
+
+
+def test_files_of_earlier_versions_are_read(found, tmp_path):
+    path = tmp_path / "estimate.json"
+    old = {"E": "youngs_modulus", "nu": "poissons_ratio", "E_over_rho": "specific_modulus"}
+
+    def renamed(read):
+        if isinstance(read, dict):
+            return {old.get(k, k) if k != "nu" else k: renamed(v) for k, v in read.items()}
+        if isinstance(read, list):
+            return [old["E_over_rho"] if v == "E_over_rho" else renamed(v) for v in read]
+        return read
+
+    record = renamed(found.record)
+    record["poissons_ratio"] = record.pop("nu")
+    write_json(path, record)
+    assert Estimate.load(path).record["posterior"] == found.record["posterior"]
+    assert Estimate.load(path).E == found.E

@@ -189,11 +189,13 @@ def _theta(params: Mapping[str, Any], own: Mapping[str, Any]) -> Theta:
 
     found = Estimate.from_dict(params)
     if found.posterior.bases:
-        theta = found.theta
-    else:  # files of earlier versions
+        return found.theta.with_values(own.get("theta") or {})
+    values = params.get("theta")
+    if values is None:  # files of earlier versions
         numbers = {n: found.value(n) for n, u in UNKNOWNS.items() if u.material}
-        theta = Theta(**{n: v for n, v in numbers.items() if v is not None and n != "thickness"})
-    return theta.with_values(own.get("theta") or {})
+        values = {n: v for n, v in numbers.items() if v is not None and n != "thickness"}
+    values = {**values, **(own.get("theta") or {})}
+    return Theta(**{name: float(value) for name, value in values.items()})
 
 
 def _settings(params: Mapping[str, Any], device: str, engine: str | None) -> SceneSettings:

@@ -695,7 +695,7 @@ def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) 
     names = {n for n, u in UNKNOWNS.items() if u.material and n != "thickness"}
     told = read.get("identifiable") or {}
     numbers = {n: read.get(n) for n in ("E", *names, "density")}
-    if "posterior" not in read:  # what the recording does not tell is its prior's
+    if not read.get("posterior"):  # what the recording does not tell is its prior's
         numbers |= {n: None for n in HIDDEN if told.get(n, True) is False}
     numbers |= {n: described.get(n) for n in (*SIZES, "mass")}
     for name, value in numbers.items():
