@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from gendom.arguments import require
 from gendom.datasets import Recording
-from gendom.errors import ParameterError, RecordingError
+from gendom.errors import RecordingError
 from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.discrepancy import discrepancy
 from gendom.estimation.methods import METHODS
@@ -77,10 +78,8 @@ def estimate(
         KeyboardInterrupt: If interrupted before anything was found.
     """
     settings = settings or EstimateSettings()
-    if settings.method not in METHODS:
-        raise ParameterError(
-            f"there is no method {settings.method!r}", fix=f"choose one of {', '.join(METHODS)}"
-        )
+    what, fix = f"there is no method {settings.method!r}", f"choose one of {', '.join(METHODS)}"
+    require(settings.method in METHODS, what, fix=fix)
     times = [clock.perf_counter()]
     if isinstance(recordings, Recording):
         recordings = [recordings]
