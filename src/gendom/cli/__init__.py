@@ -43,7 +43,6 @@ COMMANDS = {
     "perceive": ("gendom.cli.perceive", "from depth pictures to a recording"),
     "import": ("gendom.cli.import_", "from a ROS 2 bag, clouds or LeRobot to a recording"),
     "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
-    "validate": ("gendom.cli.validate", "measure the simulator against analytic mechanics"),
     "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
 }
 

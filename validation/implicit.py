@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
-from gendom.sim import Gripper, Table, rope
-from gendom.validation.check import Check, Settings
-from gendom.validation.damping import elastic_frequency
+from gendom.sim import AIR_DENSITY, Gripper, Table, rope
+from validation.bench import WEIGHTLESS, Bench, Row, absolute, case, relative
+from validation.references import round_frequency
 
 LENGTH, DIAMETER, HELD = 0.3, 0.01, 0.03
 """Of the rope, and how much of it a hand holds [m]."""
@@ -25,7 +25,8 @@ KEPT = (
 SLIDES = "(g_x - mu g_z) t^2 / 2 down a slope (Coulomb)"
 
 
-def steps(settings: Settings) -> list[Check]:
+@case("rod-implicit", "implicit steps", "thin")
+def implicit_steps(bench: Bench) -> list[Row]:
     """A rope that a hand leads and turns about; one that rings; one on a slope."""
     body = rope(diameter=DIAMETER, length=LENGTH, start=(0, 0, 0.2), points=21)
     t = np.linspace(0.0, 0.5, 201)[:, None]
@@ -37,40 +38,38 @@ def steps(settings: Settings) -> list[Check]:
         radius=0.02,
     )
 
-    def led(**options: object) -> NDArray[np.floating]:
-        s = settings.simulator(
-            body, [Material(E=5e5, damping=0.005)], engine="thin", dtype="float64",
-            grippers=[hand], **options,
-        )  # fmt: skip
-        return s.run([0.1, 0.2, 0.3])
+    def moved(**options: object) -> NDArray[np.floating]:
+        given = {"dtype": "float64", "grippers": [hand], "air_density": AIR_DENSITY} | options
+        return bench.simulate(body, [Material(E=5e5, damping=0.005)], **given).run([0.1, 0.2, 0.3])
 
-    exact = led(cfl=0.04)
+    exact = moved(cfl=0.04)
     lengths = (0.002, 0.001, 0.0005)
-    errors = [float(np.abs(led(integrator="implicit", substep=h) - exact).max()) for h in lengths]
-    orders = [
-        Check.within(
-            f"order of implicit steps, {1e3 * h:g} to {500 * h:g} ms", "-", 2.0,
-            math.log2(coarse / fine), 0.25, ORDER,
-        )
-        for h, (coarse, fine) in zip(lengths, pairwise(errors), strict=False)
-    ]  # fmt: skip
-    return [*orders, *_rings(settings), *_slides(settings)]
+    errors = [float(np.abs(moved(integrator="implicit", substep=h) - exact).max()) for h in lengths]
+    rows = []
+    for h, (coarse, fine) in zip(lengths, pairwise(errors), strict=False):
+        name = f"order of implicit steps, {1e3 * h:g} to {500 * h:g} ms"
+        rows.append(absolute(name, "-", 2.0, math.log2(coarse / fine), 0.25, ORDER))
+    return [*rows, *_rings(bench), *_slides(bench)]
 
 
-def _rings(settings: Settings) -> list[Check]:
+def _rings(bench: Bench) -> list[Row]:
     """A clamped rope in vacuum that is pushed: what 1.4 s leave of its slowest vibration."""
     body = rope(diameter=DIAMETER, length=LENGTH, points=31)
     material = Material(E=2e8)
     count, frame = 280, 0.01
-    omega = elastic_frequency(material, DIAMETER / 4.0, LENGTH - HELD)
+    omega = round_frequency(material, DIAMETER / 4.0, LENGTH - HELD)
     along = np.clip((body.points[:, 0] - HELD) / (LENGTH - HELD), 0.0, 1.0)
 
     def kept(h: float) -> float:
-        s = settings.simulator(
-            body, [material], engine="thin", dtype="float64", air_density=0.0, gravity=(0, 0, 0),
-            grippers=[Gripper.still(body.points[0], radius=HELD)], integrator="implicit",
+        s = bench.simulate(
+            body,
+            [material],
+            dtype="float64",
+            gravity=WEIGHTLESS,
+            grippers=[Gripper.still(body.points[0], radius=HELD)],
+            integrator="implicit",
             substep=h,
-        )  # fmt: skip
+        )
         s.set_velocities(0.02 * along[:, None] ** 2 * np.array([0.0, 0.0, 1.0]))
         tip = s.run(frame * np.arange(1, count + 1), particles=[30])[:, 0, 0, 2]
         first, second = (
@@ -78,35 +77,31 @@ def _rings(settings: Settings) -> list[Check]:
         )
         return float(second / first)
 
-    checks = []
+    rows = []
     for h in (0.01, 0.005):
         z = 1j * omega * h
         g = 1.0 - math.sqrt(0.5)
         left = abs((1.0 + (1.0 - 2.0 * g) * z) / (1.0 - g * z) ** 2) ** (count * frame / 2.0 / h)
-        checks.append(
-            Check.within_share(
-                f"what implicit steps of {1e3 * h:g} ms leave of 12 swings", "-", left, kept(h),
-                0.003, KEPT,
-            )
-        )  # fmt: skip
-    return checks
+        name = f"what implicit steps of {1e3 * h:g} ms leave of 12 swings"
+        rows.append(relative(name, "-", left, kept(h), 0.003, KEPT))
+    return rows
 
 
-def _slides(settings: Settings) -> list[Check]:
+def _slides(bench: Bench) -> list[Row]:
+    """Ropes on a slope on which they slide, or stick."""
     body = rope(diameter=DIAMETER, length=LENGTH, start=(0, 0, DIAMETER / 2.0), points=21)
-    checks = []
+    rows = []
     for mu in (0.2, 0.6):
-        s = settings.simulator(
-            body, [Material(E=2e6, damping=0.005)], engine="thin", dtype="float64",
-            table=Table(height=0.0, friction=mu), gravity=(4.0, 0.0, -9.0), air_density=0.0,
+        s = bench.simulate(
+            body,
+            [Material(E=2e6, damping=0.005)],
+            dtype="float64",
+            table=Table(height=0.0, friction=mu),
+            gravity=(4.0, 0.0, -9.0),
             integrator="implicit",
-        )  # fmt: skip
+        )
         x = s.run([0.4])[0, 0] - body.points
-        expected = 0.5 * max(0.0, 4.0 - mu * 9.0) * 0.4**2
-        checks.append(
-            Check.within(
-                f"way down a slope by implicit steps, friction {mu:g}", "mm", 1e3 * expected,
-                1e3 * float(x[:, 0].mean()), 0.3, SLIDES,
-            )
-        )  # fmt: skip
-    return checks
+        expected, found = 500.0 * max(0.0, 4.0 - mu * 9.0) * 0.4**2, 1e3 * float(x[:, 0].mean())
+        name = f"way down a slope by implicit steps, friction {mu:g}"
+        rows.append(absolute(name, "mm", expected, found, 0.3, SLIDES))
+    return rows
