@@ -77,15 +77,12 @@ def _run(flags: argparse.Namespace) -> int:
 def _entry(result: Result) -> dict[str, Any]:
     """A case's result for JSON."""
     return {
-        "name": result.case.name,
-        "title": result.case.title,
-        "passed": result.passed,
-        "failure": result.failure,
-        "seconds": result.seconds,
+        "name": result.case.name, "title": result.case.title, "passed": result.passed,
+        "failure": result.failure, "seconds": result.seconds,
         "checks": [
             {**asdict(row), "error": row.error, "passed": row.passed} for row in result.rows
         ],
-    }
+    }  # fmt: skip
 
 
 def _text(results: Sequence[Result]) -> str:

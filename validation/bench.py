@@ -64,9 +64,6 @@ class Bench:
         return double if self.dtype == "float64" else single
 
 
-# ---- rows ----------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Row:
     """One measured quantity and its expected value.

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
-from gendom.sim import Gripper, Table, rope
+from gendom.sim import Body, Gripper, Table, rope
 from gendom.sim.thin.rod_model import joint_strains
 from gendom.sim.thin.rods import Q, Rods
 from validation.bench import WEIGHTLESS, Bench, Row, case, over_theory, relative, vanishing, worst
@@ -60,8 +60,6 @@ MICHELL = (
     "'Twisted elastic rings and the rediscoveries of Michell's instability')"
 )
 
-# ---- twist ---------------------------------------------------------------------------------------
-
 
 @case("torsion", "a twisted rope", "mpm")
 def torsion(bench: Bench) -> list[Row]:
@@ -69,35 +67,22 @@ def torsion(bench: Bench) -> list[Row]:
 
     Its elastic energy gives the stiffness: that of the twist alone, as both ends stay in place.
     """
-    L, angle = 6.0 * DIAMETER, 0.1
+    L, angle, rows = 6.0 * DIAMETER, 0.1, []
     omega = math.pi * math.sqrt(SOFT.lame[0] / SOFT.density) / L
     expected = SOFT.lame[0] * math.pi * DIAMETER**4 / 32.0 / L
-    rows = []
+    near = clamp_beyond(reach=DIAMETER)
+    far = clamp_beyond((1.0, 0.0, 0.0), DIAMETER, point=(L, 0.0, 0.0))
+    turn = Rotation.from_rotvec([(0.0, 0.0, 0.0), (angle, 0.0, 0.0)]).as_quat()
+    place = np.repeat(far.position_at([0.0]), 2, axis=0)
+    hand = Gripper(time=[0.0, 40.0 / omega], position=place, quat_xyzw=turn, radius=far.radius)
     for cells in (1.0, 2.0) if bench.quick else (0.6, 1.0, 1.5, 2.0, 3.0):
         back = 3.0 * DIAMETER / cells
-        far = clamp_beyond((1.0, 0.0, 0.0), DIAMETER, point=(L, 0.0, 0.0))
-        turning = 40.0 / omega
-        hand = Gripper(
-            time=[0.0, turning],
-            position=np.repeat(far.position_at([0.0]), 2, axis=0),
-            quat_xyzw=Rotation.from_rotvec([(0.0, 0.0, 0.0), (angle, 0.0, 0.0)]).as_quat(),
-            radius=far.radius,
-        )
-        s = bench.simulate(
-            rope(
-                diameter=DIAMETER,
-                length=L + 2.0 * back,
-                start=(-back, 0.0, 0.0),
-                cells_across=cells,
-            ),
-            [SOFT],
-            grippers=[clamp_beyond(reach=DIAMETER), hand],
-            gravity=WEIGHTLESS,
-            velocity_damping=omega,
-        )
-        s.run([turning + 20.0 / omega])
-        found = 2.0 * particle_energy(s) / angle**2
-        name = f"torsional stiffness, {across(cells)}"
+        start = (-back, 0.0, 0.0)
+        body = rope(diameter=DIAMETER, length=L + 2.0 * back, start=start, cells_across=cells)
+        options = {"grippers": [near, hand], "gravity": WEIGHTLESS, "velocity_damping": omega}
+        s = bench.simulate(body, [SOFT], **options)
+        s.run([60.0 / omega])
+        found, name = 2.0 * particle_energy(s) / angle**2, f"torsional stiffness, {across(cells)}"
         rows.append(relative(name, "N m/rad", expected, found, 0.05, SAINT_VENANT))
     return rows
 
@@ -106,7 +91,7 @@ def torsion(bench: Bench) -> list[Row]:
 def rod_twist(bench: Bench) -> list[Row]:
     """A straight rope, one end clamped, the other turned by 0.3 rad: its moment everywhere."""
     angle = 0.3
-    body = rope(diameter=DIAMETER, length=1.5 * LENGTH, start=(-0.25 * LENGTH, 0, 0), points=49)
+    body = _straight_rope()
     material = replace(SOFT, damping=0.02)
     s = bench.simulate(body, [material], grippers=_clamps(0.0, angle), gravity=WEIGHTLESS)
     s.run([3.0])
@@ -130,15 +115,10 @@ def _clamps(shortening: float, angle: float) -> list[Gripper]:
     return [
         Gripper.still((-held, 0, 0), radius=held),
         Gripper(
-            time=2.0 * share,
-            position=np.outer(LENGTH + held - shortening * share, along),
-            quat_xyzw=Rotation.from_rotvec(np.outer(angle * share, along)).as_quat(),
-            radius=held,
+            time=2.0 * share, position=np.outer(LENGTH + held - shortening * share, along),
+            quat_xyzw=Rotation.from_rotvec(np.outer(angle * share, along)).as_quat(), radius=held,
         ),
-    ]
-
-
-# ---- columns -------------------------------------------------------------------------------------
+    ]  # fmt: skip
 
 
 @case("rod-buckling", "ropes pushed and twisted", "thin")
@@ -148,46 +128,43 @@ def columns(bench: Bench) -> list[Row]:
     Each is given a small kick. The rate at which it grows, squared (or minus the squared frequency
     at which it swings), is linear in the load near the critical one: its zero is read off a line.
     """
-    shares = np.array([0.9, 0.95, 1.05, 1.1])
+    shares, rows = np.array([0.9, 0.95, 1.05, 1.1]), []
     strain = 4.0 * math.pi**2 * (DIAMETER / 4.0) ** 2 / LENGTH**2
-    pushed = [_clamps(share * strain * LENGTH, 0.0) for share in shares]
-    # G J = E I / (1 + nu)
-    twisted = [_clamps(0.0, share * 8.9868 * (1.0 + SOFT.nu)) for share in shares]
-    rows = []
+    body = _straight_rope()
+    place = np.clip(2.0 * body.points[:, 0] / LENGTH - 1.0, -1.0, 1.0)
+    t, squares = np.linspace(0.01, 0.15, 29), np.linspace(-2000.0, 2000.0, 4001)
     for name, hands, source in (
-        ("critical shortening, P L / (E A)", pushed, EULER),
-        ("critical twist, M L / (G J)", twisted, GREENHILL),
+        (
+            "critical shortening, P L / (E A)",
+            [_clamps(share * strain * LENGTH, 0.0) for share in shares],
+            EULER,
+        ),
+        (  # G J = E I / (1 + nu)
+            "critical twist, M L / (G J)",
+            [_clamps(0.0, share * 8.9868 * (1.0 + SOFT.nu)) for share in shares],
+            GREENHILL,
+        ),
     ):
-        slope, offset = np.polyfit(shares, _kicked(bench, hands), 1)
-        rows.append(over_theory(name, float(-offset / slope), 0.03, source))
+        s = bench.simulate(body, [SOFT] * len(hands), grippers=hands, gravity=WEIGHTLESS)
+        s.run([2.5])  # nothing bends it
+        s.set_velocities(1e-4 * np.outer(1.0 + np.cos(math.pi * place), (0.0, 0.0, 1.0)))
+        bent = np.linalg.norm(s.run(2.5 + t)[..., 1:], axis=-1).max(axis=-1)
+        rates = [squares[np.argmin([_misfit(t, y, r) for r in squares])] for y in bent.T]
+        slope, offset = np.polyfit(shares, rates, 1)
+        rows.append(over_theory(name, -offset / slope, 0.03, source))
     return rows
 
 
-def _kicked(bench: Bench, hands: list[list[Gripper]]) -> NDArray[np.float64]:
-    """[W] squared rates [1/s^2] at which small kicks grow; negative: squared frequencies."""
-    body = rope(diameter=DIAMETER, length=1.5 * LENGTH, start=(-0.25 * LENGTH, 0, 0), points=49)
-    s = bench.simulate(body, [SOFT] * len(hands), grippers=hands, gravity=WEIGHTLESS)
-    s.run([2.5])  # nothing bends it
-    place = np.clip(2.0 * body.points[:, 0] / LENGTH - 1.0, -1.0, 1.0)
-    s.set_velocities(1e-4 * np.outer(1.0 + np.cos(math.pi * place), (0.0, 0.0, 1.0)))
-    t = np.linspace(0.01, 0.15, 29)
-    bent = np.linalg.norm(s.run(2.5 + t)[..., 1:], axis=-1).max(axis=-1)
-    return np.array([_rate(t, y) for y in bent.T])
+def _straight_rope() -> Body:
+    """Free from 0 to ``LENGTH``."""
+    return rope(diameter=DIAMETER, length=1.5 * LENGTH, start=(-0.25 * LENGTH, 0, 0), points=49)
 
 
-def _rate(t: NDArray[np.floating], y: NDArray[np.floating]) -> float:
-    """r^2 of y = c sinh(r t) / r, or of sin where it is negative, by least squares."""
-
-    def misfit(square: float) -> float:
-        r = math.sqrt(abs(square)) + 1e-9
-        f = np.sinh(r * t) / r if square > 0 else np.sin(r * t) / r
-        return float(np.sum((y - f * (f @ y) / (f @ f)) ** 2))
-
-    squares = np.linspace(-2000.0, 2000.0, 4001)
-    return float(squares[int(np.argmin([misfit(square) for square in squares]))])
-
-
-# ---- published tests -----------------------------------------------------------------------------
+def _misfit(t: NDArray[np.floating], y: NDArray[np.floating], square: float) -> float:
+    """Of y = c sinh(r t) / r by least squares, or of sin where ``square``, r^2, is negative."""
+    r = math.sqrt(abs(square)) + 1e-9
+    f = np.sinh(r * t) / r if square > 0 else np.sin(r * t) / r
+    return float(np.sum((y - f * (f @ y) / (f @ f)) ** 2))
 
 
 @case("shell-lateral", "a strip on its edge", "thin")
@@ -207,12 +184,9 @@ def strip_falls_over(bench: Bench) -> list[Row]:
     # G J over E I is 4 G / E; its weight pulls along y
     g = expected * math.sqrt(2.0) * shares * unit_gravity(material, k, SPAN)
     s = bench.simulate(
-        body,
-        [material] * len(shares),
-        grippers=[hand],
-        gravity=np.outer(g, (0.0, -1.0, 0.0)),
+        body, [material] * len(shares), grippers=[hand], gravity=np.outer(g, (0.0, -1.0, 0.0)),
         velocity_damping=2.0 * omega,
-    )
+    )  # fmt: skip
     # in the plane it is stiff, and soon at rest
     s.run([3.0 / omega])
     bent = np.clip(body.points[:, 0] / SPAN, 0.0, None) ** 2
@@ -255,12 +229,9 @@ def curl_leaves(bench: Bench, load: float, curvature: float, angle: float, point
     k = SLENDER / 4.0
     omega = beam_frequency(MATERIAL, k, SPAN)
     s = bench.simulate(
-        body,
-        [MATERIAL] * len(shares),
-        grippers=[hand],
-        gravity=down(load * shares * unit_gravity(MATERIAL, k, SPAN)),
-        velocity_damping=2.0 * omega,
-    )
+        body, [MATERIAL] * len(shares), grippers=[hand],
+        gravity=down(load * shares * unit_gravity(MATERIAL, k, SPAN)), velocity_damping=2.0 * omega,
+    )  # fmt: skip
     s.run([20.0 / omega])
     s.set_velocities(np.outer(np.linspace(0.0, 1.0, points) ** 2, (0.0, 1e-5, 0.0)))
     t = (20.0 + np.linspace(10.0, 15.0, 11)) / omega
@@ -311,36 +282,22 @@ def slips(bench: Bench, load: float, friction: ArrayLike) -> NDArray[np.float64]
 
 @case("rod-ring", "a twisted ring", "thin")
 def ring_writhes(bench: Bench) -> list[Row]:
-    """A straight rope bent to a closed ring and twisted at its seam, until it leaves its plane."""
-    critical = 2.0 * math.pi * math.sqrt(3.0) * (1.0 + MATERIAL.nu)
-    found = critical * _ring_leaves(bench, critical, 24 if bench.quick else 48)
-    return [relative("critical twist of a ring", "rad", critical, found, 0.03, MICHELL)]
+    """A straight rope bent to a closed ring and twisted at its seam, until it leaves its plane.
 
-
-def _ring_leaves(bench: Bench, critical: float, edges: int) -> float:
-    """Twist at which a ring leaves its plane, over ``critical``, from four smaller twists.
-
-    The seam's two sides are held, one over the other: without self-contact nothing is between.
-    Each twist has two worlds, of which one is kicked. A turn of the whole ring about the seam's
-    tangent costs nothing; it stays as it is, and differences in time are free of it.
+    It is read off four smaller twists. The seam's two sides are held, one over the other: without
+    self-contact nothing is between. Each twist has two worlds, of which one is kicked. A turn of
+    the whole ring about the seam's tangent costs nothing; it stays as it is, and differences in
+    time are free of it.
     """
-    shares = np.array([0.8, 0.85, 0.9, 0.95])
-    l = SPAN / edges
+    edges, critical = 24 if bench.quick else 48, 2.0 * math.pi * math.sqrt(3.0) * (1 + MATERIAL.nu)
+    shares, l = np.array([0.8, 0.85, 0.9, 0.95]), SPAN / edges
     body = rope(diameter=SLENDER, length=SPAN + 2.0 * l, start=(-l, 0, 0), points=edges + 3)
     omega = 4.0 * beam_frequency(MATERIAL, SLENDER / 4.0, SPAN)
-    damping = 4.0 * omega
-    bent, twisted, rest = 20.0 / omega, 80.0 / omega, 100.0 / omega
+    rest, damping, times = 100.0 / omega, 4.0 * omega, (20.0 / omega, 80.0 / omega)
     seam = Gripper.still((-0.5 * l, 0.0, 0.0), radius=0.5 * l)
-    hands = [
-        [seam, _seam(edges, l, (bent, twisted), share * critical)] for share in np.repeat(shares, 2)
-    ]
-    s = bench.simulate(
-        body,
-        [MATERIAL] * len(hands),
-        grippers=hands,
-        gravity=WEIGHTLESS,
-        velocity_damping=damping,
-    )
+    hands = [[seam, _seam(edges, l, times, share * critical)] for share in np.repeat(shares, 2)]
+    options = {"grippers": hands, "gravity": WEIGHTLESS, "velocity_damping": damping}
+    s = bench.simulate(body, [MATERIAL] * len(hands), **options)
     s.run([rest])
     around = 2.0 * math.pi * np.clip(np.arange(-1, edges + 2) / edges, 0.0, 1.0)
     turn, shape = 1.0 - np.cos(around), 1.0 - np.cos(2.0 * around)
@@ -352,7 +309,8 @@ def _ring_leaves(bench: Bench, critical: float, edges: int) -> float:
     moved = np.linalg.norm(np.diff(z[:, ::2] - z[:, 1::2], axis=0), axis=2)
     rates = squared_rates(0.5 * (t[1:] + t[:-1]), moved, damping)
     # twists to the left and to the right are alike
-    return math.sqrt(critical_share(shares**2, rates))
+    found = critical * math.sqrt(critical_share(shares**2, rates))
+    return [relative("critical twist of a ring", "rad", critical, found, 0.03, MICHELL)]
 
 
 def _seam(edges: int, l: float, times: tuple[float, float], twist: float) -> Gripper:

@@ -19,26 +19,18 @@ LIGHT = Material(E=2.0e6, nu=0.3, density=200.0)
 HOERNER = "(Hoerner 1965, Fluid-Dynamic Drag, chapter 3: c = 1.2 of a plate, 1.1 of a cylinder)"
 TOUCHES = "a body at rest touches the table with its surface"
 
-# ---- terminal speeds -----------------------------------------------------------------------------
-
 
 @case("terminal-speed", "falls through air", "mpm")
-def terminal_speeds(bench: Bench) -> list[Row]:
-    """A sheet that falls flat, and a rope that falls level, until both are as fast as they get."""
-    soft = Material(E=2.0e4, nu=0.3, density=200.0)
-    sheet = cloth(width=0.04, height=0.04, thickness=0.001, dx=0.01)
-    string = rope(diameter=0.005, length=0.04, cells_across=1.5)
-    return [
-        terminal_speed(bench, sheet, soft, "a sheet's"),
-        terminal_speed(bench, string, soft, "a level rope's"),
-    ]
-
-
 @case("rod-falls", "a rope in air", "thin")
-def rope_falls(bench: Bench) -> list[Row]:
-    """A level rope that falls through air until it is as fast as it gets."""
-    soft = Material(E=2.0e4, nu=0.3, density=200.0)
-    return [terminal_speed(bench, rope(diameter=0.005, length=0.2), soft, "a level rope's")]
+def falls(bench: Bench) -> list[Row]:
+    """A rope that falls level, and a sheet of the MPM that falls flat, until they are as fast as
+    they get."""
+    soft, rows = Material(E=2.0e4, nu=0.3, density=200.0), []
+    size = {"length": 0.04, "cells_across": 1.5} if bench.engine == "mpm" else {"length": 0.2}
+    if bench.engine == "mpm":
+        sheet = cloth(width=0.04, height=0.04, thickness=0.001, dx=0.01)
+        rows.append(terminal_speed(bench, sheet, soft, "a sheet's"))
+    return [*rows, terminal_speed(bench, rope(diameter=0.005, **size), soft, "a level rope's")]
 
 
 def terminal_speed(bench: Bench, body: Body, material: Material, whose: str) -> Row:
@@ -57,9 +49,6 @@ def terminal_speed(bench: Bench, body: Body, material: Material, whose: str) -> 
     return relative(f"{whose} terminal speed", "m/s", speed, found, 0.03, source)
 
 
-# ---- the table -----------------------------------------------------------------------------------
-
-
 @case("resting", "what lies on the table", "mpm")
 def resting(bench: Bench) -> list[Row]:
     """A rope and a cloth that fall by two cells and lie for a while."""
@@ -69,15 +58,13 @@ def resting(bench: Bench) -> list[Row]:
         (
             f"a rope's axis, {across(cells)}",
             rope(
-                diameter=d,
-                length=12.0 * d,
+                diameter=d, length=12.0 * d,
                 start=(0.0013, 0.0007, table + d / 2.0 + 2.0 * d / cells),
-                direction=(1.0, 0.3, 0.0),
-                cells_across=cells,
+                direction=(1.0, 0.3, 0.0), cells_across=cells,
             ),
         )
         for cells in ((1.5,) if bench.quick else (1.0, 1.5, 2.0))
-    ]
+    ]  # fmt: skip
     corner = (0.0013, 0.0007, table + h / 2.0 + 2.0 * dx)
     sheet = cloth(width=0.1, height=0.1, thickness=h, dx=dx, corner=corner)
     bodies.append((f"the middle of a cloth {h / dx:g} cells thick", sheet))

@@ -110,12 +110,9 @@ def _put_down(bench: Bench, body: Body, friction: ArrayLike, gravity: ArrayLike)
     worlds = [MATERIAL] * len(mu)
     # friction that holds everything, so that nothing slides away before its time
     x = bench.simulate(
-        body,
-        worlds,
-        table=Table(height=0.0, friction=10.0),
-        gravity=gravity,
+        body, worlds, table=Table(height=0.0, friction=10.0), gravity=gravity,
         velocity_damping=omega,
-    )
+    )  # fmt: skip
     x.run([20.0 / omega])
     table = Table(height=0.0, friction=mu)
     return bench.simulate(body, worlds, table=table, gravity=gravity, positions=x.positions())
@@ -233,12 +230,6 @@ def _hairpin(gap: float) -> NDArray[np.float64]:
 
 # ---- sheets of particles that do not touch -------------------------------------------------------
 
-WIDTH, DX = 0.08, 0.01
-"""Of the sheets, and of a cell [m]."""
-
-SPEED = 0.02
-"""Of the sheets, relative to each other [m/s]."""
-
 FREE = "Newton's first law; shape functions of two particles 3 cells apart share no node"
 STUCK = (
     "bodies that share nodes of the grid share their velocity (APIC has one velocity a node) and "
@@ -255,52 +246,34 @@ def sliding_sheets(bench: Bench) -> list[Row]:
     say so. From two cells on that depends on the phase of the grid: here the sheets share as many
     nodes as they can.
     """
-    corner = (0.0013, 0.0007, 0.0021)
-    sheet = cloth(width=WIDTH, height=WIDTH, thickness=0.001, dx=DX, corner=corner)
-    rows = []
+    dx, speed, rows = 0.01, 0.02, []
+    sheet = cloth(width=0.08, height=0.08, thickness=0.001, dx=dx, corner=(0.0013, 0.0007, 0.0021))
+    half = sheet.num_particles
     for gap in (0.5, 1.0, 2.0, 3.0):
-        distance = gap * DX + float(np.ptp(sheet.x[:, 2]))
-        left = _share_left(bench, sheet, distance)
+        distance = gap * dx + float(np.ptp(sheet.x[:, 2]))
+        body = stacked(sheet, distance)
+        s = bench.simulate(body, [Material(E=1.0e5, nu=0.3)], gravity=WEIGHTLESS)
+        v = np.zeros_like(body.x)
+        v[:half, 0], v[half:, 0] = -speed / 2.0, speed / 2.0
+        s.set_velocities(v)
+        s.run([0.1])
+        u = s.velocities()[0, :, 0].astype(float)
+        left = (u[half:].mean() - u[:half].mean()) / speed
         name = f"share of the speed left after 0.1 s at a gap of {gap:g} cell{'s' * (gap != 1)}"
         if gap >= 3.0:
             rows.append(absolute(name, "-", 1.0, left, bench.round_off(1e-6, 1e-5), FREE))
         else:
-            name += " (for information)"
-            turning = share_when_stuck(distance, float(np.var(sheet.x[:, 0])), DX)
-            rows.append(absolute(name, "-", turning, left, 0.005, STUCK))
+            # Of each unit of mass V d / 4 of angular momentum stays; the last term of its moment
+            # of inertia is that of affine velocities.
+            square = distance**2 / 4.0
+            turning = square / (float(np.var(sheet.x[:, 0])) + square + dx**2 / 2.0)
+            rows.append(absolute(f"{name} (for information)", "-", turning, left, 0.005, STUCK))
     return rows
-
-
-def _share_left(bench: Bench, sheet: Body, distance: float) -> float:
-    """Relative speed of two sheets after 0.1 s, over that at the start."""
-    body, half = stacked(sheet, distance), sheet.num_particles
-    s = bench.simulate(body, [Material(E=1.0e5, nu=0.3)], gravity=WEIGHTLESS)
-    v = np.zeros_like(body.x)
-    v[:half, 0], v[half:, 0] = -SPEED / 2.0, SPEED / 2.0
-    s.set_velocities(v)
-    s.run([0.1])
-    u = s.velocities()[0, :, 0].astype(float)
-    return float(u[half:].mean() - u[:half].mean()) / SPEED
-
-
-def share_when_stuck(distance: float, variance: float, dx: float) -> float:
-    """Relative speed left of two sheets that have become one body, which turns.
-
-    Of each unit of mass V d / 4 of angular momentum stays, and its moment of inertia is variance +
-    d^2 / 4 + dx^2 / 2, the last that of affine velocities.
-
-    Args:
-        distance: Of the sheets [m].
-        variance: Of a sheet's particles along the motion [m^2].
-        dx: Size of a cell [m].
-    """
-    return distance**2 / 4.0 / (variance + distance**2 / 4.0 + dx**2 / 2.0)
 
 
 def stacked(sheet: Body, distance: float) -> Body:
     """A sheet and another one, not joined to it, so far above [m]."""
-    up = np.array([0.0, 0.0, distance])
-    places, lattice = sheet.material_coordinates, sheet.lattice
+    up, places, lattice = [0.0, 0.0, distance], sheet.material_coordinates, sheet.lattice
     return replace(
         sheet,
         x=np.concatenate([sheet.x, sheet.x + up]),

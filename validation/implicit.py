@@ -32,11 +32,9 @@ def implicit_steps(bench: Bench) -> list[Row]:
     t = np.linspace(0.0, 0.5, 201)[:, None]
     way = 1.0 - np.cos(6.0 * t)
     hand = Gripper(
-        time=t[:, 0],
-        position=body.points[0] + way * [0.02, 0.05, 0.03],
-        quat_xyzw=Rotation.from_rotvec(way * [0.8, 0.5, 0.3]).as_quat(),
-        radius=0.02,
-    )
+        time=t[:, 0], position=body.points[0] + way * [0.02, 0.05, 0.03],
+        quat_xyzw=Rotation.from_rotvec(way * [0.8, 0.5, 0.3]).as_quat(), radius=0.02,
+    )  # fmt: skip
 
     def moved(**options: object) -> NDArray[np.floating]:
         given = {"dtype": "float64", "grippers": [hand], "air_density": AIR_DENSITY} | options
@@ -62,14 +60,9 @@ def _rings(bench: Bench) -> list[Row]:
 
     def kept(h: float) -> float:
         s = bench.simulate(
-            body,
-            [material],
-            dtype="float64",
-            gravity=WEIGHTLESS,
-            grippers=[Gripper.still(body.points[0], radius=HELD)],
-            integrator="implicit",
-            substep=h,
-        )
+            body, [material], dtype="float64", gravity=WEIGHTLESS,
+            grippers=[Gripper.still(body.points[0], radius=HELD)], integrator="implicit", substep=h,
+        )  # fmt: skip
         s.set_velocities(0.02 * along[:, None] ** 2 * np.array([0.0, 0.0, 1.0]))
         tip = s.run(frame * np.arange(1, count + 1), particles=[30])[:, 0, 0, 2]
         first, second = (
@@ -93,13 +86,9 @@ def _slides(bench: Bench) -> list[Row]:
     rows = []
     for mu in (0.2, 0.6):
         s = bench.simulate(
-            body,
-            [Material(E=2e6, damping=0.005)],
-            dtype="float64",
-            table=Table(height=0.0, friction=mu),
-            gravity=(4.0, 0.0, -9.0),
-            integrator="implicit",
-        )
+            body, [Material(E=2e6, damping=0.005)], dtype="float64",
+            table=Table(height=0.0, friction=mu), gravity=(4.0, 0.0, -9.0), integrator="implicit",
+        )  # fmt: skip
         x = s.run([0.4])[0, 0] - body.points
         expected, found = 500.0 * max(0.0, 4.0 - mu * 9.0) * 0.4**2, 1e3 * float(x[:, 0].mean())
         name = f"way down a slope by implicit steps, friction {mu:g}"

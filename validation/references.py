@@ -33,8 +33,6 @@ LEAPFROG = (
     "velocities are read half a step before positions"
 )
 
-# ---- cantilevers ---------------------------------------------------------------------------------
-
 
 def beam_frequency(material: Material, k: float, L: float) -> float:
     """Angular frequency of a slender cantilever's first mode [rad/s].
@@ -100,9 +98,6 @@ def damped_frequency(omega: float, tau: float) -> tuple[float, float]:
     s = np.roots([tau, 1.0, 2.0 * omega**2 * tau, omega**2])
     s = s[np.argmax(s.imag)]
     return float(s.imag), float(-s.real)
-
-
-# ---- by Ritz's method ----------------------------------------------------------------------------
 
 
 def lowest_frequency(specific: float, k: float, L: float, g: float, *, terms: int = 50) -> float:

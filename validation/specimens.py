@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.sim import Body, Gripper, cloth, rope
 
-# ---- of both engines -----------------------------------------------------------------------------
-
 
 def clamp_beyond(
     outwards: ArrayLike = (-1.0, 0.0, 0.0),
@@ -41,9 +39,6 @@ def down(gravity: ArrayLike) -> NDArray[np.floating]:
 def across(cells: float) -> str:
     """A resolution in words."""
     return f"{cells:g} cell{'s' * (cells != 1)} across"
-
-
-# ---- rods and shells -----------------------------------------------------------------------------
 
 
 def clamped_rope(
@@ -93,14 +88,9 @@ def clamped_strip(
     if axis == 1:
         size, number, corner = size[::-1], number[::-1], corner[::-1]
     body = cloth(
-        width=size[0],
-        height=size[1],
-        thickness=thickness,
-        dx=0.02,
-        corner=(*corner, 0.0),
-        points=(number[0], number[1]),
-        **options,
-    )
+        width=size[0], height=size[1], thickness=thickness, dx=0.02, corner=(*corner, 0.0),
+        points=(number[0], number[1]), **options,
+    )  # fmt: skip
     return body, clamp_beyond(-np.eye(3)[axis])
 
 
@@ -109,9 +99,6 @@ def circle(radius: float, sides: int = 256) -> NDArray[np.float64]:
     angle = 2.0 * math.pi * np.arange(sides) / sides
     area = 0.5 * sides * math.sin(2.0 * math.pi / sides)
     return radius * math.sqrt(math.pi / area) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
-
-# ---- particles -----------------------------------------------------------------------------------
 
 
 def block(size: ArrayLike, dx: float, *, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
@@ -134,16 +121,10 @@ def block(size: ArrayLike, dx: float, *, centre: ArrayLike = (0.0, 0.0, 0.0)) ->
             beside[:, axis] = np.clip(beside[:, axis] + step, 0, count[axis] - 1)
             lattice[:, axis, side] = number[tuple(beside.T)]
     return Body(
-        kind="block",
-        x=local - edges / 2.0 + np.asarray(centre, dtype=float),
-        material_coordinates=local,
-        lattice=lattice,
-        volume=float(np.prod(edges)) / len(cells),
-        dx=dx,
-        thickness=float(edges[2]),
-        section=1,
-        contact_radius=0.0,
-    )
+        kind="block", x=local - edges / 2.0 + np.asarray(centre, dtype=float),
+        material_coordinates=local, lattice=lattice, volume=float(np.prod(edges)) / len(cells),
+        dx=dx, thickness=float(edges[2]), section=1, contact_radius=0.0,
+    )  # fmt: skip
 
 
 def particle_rope(length: float, diameter: float, cells: float) -> tuple[Body, Gripper]:

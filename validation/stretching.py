@@ -100,12 +100,9 @@ def clamped_bar(
     back = 3.0 * dx
     body = block((L + back, BAR_SIDE, BAR_SIDE), dx, centre=((L - back) / 2.0, 0.0, 0.0))
     return bench.simulate(
-        body,
-        [material],
-        grippers=[clamp_beyond(reach=BAR_SIDE)],
-        gravity=(pull, 0.0, 0.0),
+        body, [material], grippers=[clamp_beyond(reach=BAR_SIDE)], gravity=(pull, 0.0, 0.0),
         velocity_damping=damping,
-    )
+    )  # fmt: skip
 
 
 # ---- sheets of given shape -----------------------------------------------------------------------
@@ -171,13 +168,9 @@ def _bent_strips(bench: Bench) -> list[Row]:
     """Strips ten times as long as wide, bent to an arc: how they curve across in their middle."""
     L, width, points, R, back = 0.4, 0.04, (41, 9), 10.0, 0.02
     body = cloth(
-        width=L + 2.0 * back,
-        height=width,
-        thickness=THICKNESS,
-        dx=0.02,
-        points=points,
+        width=L + 2.0 * back, height=width, thickness=THICKNESS, dx=0.02, points=points,
         corner=(-0.5 * L - back, -0.5 * width, 0.0),
-    )
+    )  # fmt: skip
     turned = np.linspace(0.0, 0.5 * L / R, 13)[1:]
     end = 0.5 * L / turned[:, None] * np.stack([np.sin(turned), np.cos(turned) - 1.0], axis=1)
     end = np.concatenate([[[0.5 * L, 0.0]], end])
@@ -222,11 +215,9 @@ def _squares(bench: Bench) -> list[Row]:
         corner = (-0.5 * a, -0.5 * a, 0.0)
         x = bench.settle(
             cloth(width=a, height=a, thickness=THICKNESS, dx=0.02, points=(n, n), corner=corner),
-            [material],
-            omega,
-            grippers=[Gripper.still(at, radius=1e-4) for at in corners],
+            [material], omega, grippers=[Gripper.still(at, radius=1e-4) for at in corners],
             gravity=(0, 0, -sag / middle * D / (areal * a**4)),
-        )
+        )  # fmt: skip
         z = -x[0, :, 2].reshape(n, n) / sag
         name = "sag over theory of a square held at its corners"
         for place, found in (
@@ -281,13 +272,9 @@ def _bias(bench: Bench) -> Row:
     outline = np.array([(-back, -0.5), (LENGTH, -0.5), (LENGTH, 0.5), (-back, 0.5)])
     turn = np.array([[math.cos(a), math.sin(a)], [-math.sin(a), math.cos(a)]])
     body = cloth(
-        outline=(outline * [1.0, width]) @ turn,
-        thickness=THICKNESS,
-        dx=0.02,
-        yaw=-a,
-        points=(28, 28),
-        weave=WEAVE,
-    )
+        outline=(outline * [1.0, width]) @ turn, thickness=THICKNESS, dx=0.02, yaw=-a,
+        points=(28, 28), weave=WEAVE,
+    )  # fmt: skip
     # G is E / 2 times the weave's
     times = 4.0 / (1.0 / WEAVE.warp + 1.0 / WEAVE.weft + 2.0 / WEAVE.shear)
     stretch = _stretch(bench, body, clamp_beyond(), 0, times)

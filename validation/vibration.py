@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import j0, jn_zeros
 
 from gendom.materials import Material
-from gendom.sim import GRAVITY, Gripper, Simulator, rope, stable_substep
+from gendom.sim import GRAVITY, Gripper, rope, stable_substep
 from validation.bench import WEIGHTLESS, Bench, Row, absolute, case, relative, vanishing
 from validation.readings import swing
 from validation.references import (
@@ -81,9 +81,6 @@ def axial_vibration(bench: Bench) -> list[Row]:
     return rows
 
 
-# ---- damping -------------------------------------------------------------------------------------
-
-
 @case("ring-down", "a rope with material damping", "mpm")
 def particles_ring_down(bench: Bench) -> list[Row]:
     """A rope ten diameters long, pushed in its first mode (8.8 Hz), with and without damping.
@@ -147,14 +144,10 @@ def damped_sag(bench: Bench) -> list[Row]:
     worlds = [MATERIAL, replace(MATERIAL, damping=0.01)]
     body, clamp = particle_rope(LENGTH, DIAMETER, 1.5)
     x = bench.settle(
-        body,
-        worlds,
-        omega,
-        periods=40.0,
-        grippers=[clamp],
+        body, worlds, omega, periods=40.0, grippers=[clamp],
         substep=stable_substep(worlds[1], DIAMETER / 1.5),
         gravity=(0.0, 0.0, -gravity_for(0.02 * LENGTH, MATERIAL, DIAMETER / 4.0, LENGTH)),
-    )
+    )  # fmt: skip
     plain, damped = (float(-z) for z in end(x, body)[:, 2])
     name = "sag of a tip with damping 10 ms beside that without"
     return [relative(name, "m", plain, damped, 1e-4, RELAXED)]
@@ -197,75 +190,48 @@ def _hertz(omega: float) -> float:
     return omega / (2.0 * math.pi)
 
 
-# ---- hanging ropes -------------------------------------------------------------------------------
-
-
 @case("hanging-chain", "a soft rope's swing", "mpm")
-def hanging_chain(bench: Bench) -> list[Row]:
-    """A rope 100 diameters long (60 in the quick run) that swings by 2 % of its length.
-
-    It starts at rest in its first mode, already stretched by its weight.
-    """
-    d, nu, g = 0.005, 0.3, -GRAVITY[2]
-    slenderness, cells = (60, 1.0) if bench.quick else (100, 1.5)
-    L = slenderness * d
-    specific, back = 50.0 * g * L, 3.0 * d / cells
-    body = rope(
-        diameter=d,
-        length=L + back,
-        start=(0.0, 0.0, back),
-        direction=(0.0, 0.0, -1.0),
-        cells_across=cells,
-    )
-    below = np.clip(L + back - body.material_coordinates[:, 0], 0.0, L)
-    omega = jn_zeros(0, 1)[0] / 2.0 * math.sqrt(g / L)
-    strain = np.where(below < L, g * below / specific, 0.0)
-    x = body.x.copy()
-    x[:, 2] -= g * (L**2 - below**2) / (2.0 * specific)
-    x[:, :2] *= 1.0 - nu * strain[:, None]
-    x[:, 0] += 0.02 * L * j0(jn_zeros(0, 1)[0] * np.sqrt(below / L))
-    s = bench.simulate(
-        body,
-        [Material(E=1000.0 * specific, nu=nu, density=1000.0)],
-        grippers=[clamp_beyond((0.0, 0.0, 1.0), d)],
-        positions=x,
-    )
-    t = np.linspace(0.0, 1.5 * 2.0 * math.pi / omega, 91)
-    found, _ = swing(t, end(s.run(t)[:, 0], body)[:, 0], omega)
-    stiff = lowest_frequency(specific, d / 4.0, L, g)
-    period = 2.0 * math.pi / found
-    chain, rope_ = f"period of a chain, {across(cells)}", _stiff_period(across(cells))
-    return [
-        relative(chain, "s", 2.0 * math.pi / omega, period, 0.02, CHAIN),
-        relative(rope_, "s", 2.0 * math.pi / stiff, period, 0.01, STIFF),
-    ]
-
-
 @case("rod-hanging", "a soft rope's swing", "thin")
-def hanging_rod(bench: Bench) -> list[Row]:
-    """A soft rope 100 diameters long that swings in its first mode."""
-    d, g, points = 0.005, -GRAVITY[2], 33 if bench.quick else 65
-    L = 100 * d
+def hanging(bench: Bench) -> list[Row]:
+    """A soft rope 100 diameters long (the MPM's 60 in the quick run) that swings in its first mode.
+
+    It starts stretched by its weight; the MPM's at rest, by 2 % of its length aside.
+    """
+    particles, d, g, nu = bench.engine == "mpm", 0.005, -GRAVITY[2], 0.3
+    L = d * (60 if particles and bench.quick else 100)
+    cells, points = (1.0, 33) if bench.quick else (1.5, 65)
+    size = across(cells) if particles else f"{points} points"
+    back = 3.0 * d / cells if particles else 0.05 * L
+    count = {"cells_across": cells} if particles else {"points": points}
+    start = (0.0, 0.0, back if particles else 0.0)
+    body = rope(diameter=d, length=L + back, start=start, direction=(0.0, 0.0, -1.0), **count)
+    x = (body.x if particles else body.points).copy()
+    along = body.material_coordinates[:, 0] if particles else -x[:, 2]
+    below = np.clip(L + back - along, 0.0, L)
     specific = 50.0 * g * L
-    body = rope(diameter=d, length=1.05 * L, direction=(0, 0, -1), points=points)
-    below = np.clip(1.05 * L + body.points[:, 2], 0.0, L)
-    x = body.points.copy()
     x[:, 2] -= g * (L**2 - below**2) / (2.0 * specific)
-    s: Simulator = bench.simulate(
-        body,
-        [Material(E=1000.0 * specific, nu=0.3, density=1000.0)],
-        grippers=[Gripper.still((0, 0, 0), radius=0.05 * L)],
-        positions=x,
-    )
+    chain = jn_zeros(0, 1)[0] / 2.0 * math.sqrt(g / L)
     stiff = lowest_frequency(specific, d / 4.0, L, g)
-    s.set_velocities(np.outer((1.0 - below / L) ** 2 * 0.02 * L * stiff, (1.0, 0.0, 0.0)))
-    t = np.linspace(0.0, 3.0 * 2.0 * math.pi / stiff, 181)
-    # without what is faster than five samples: higher modes of a soft rope
-    tip = np.convolve(np.pad(s.run(t)[:, 0, -1, 0], 2, mode="edge"), np.full(5, 0.2), mode="valid")
-    period = 2.0 * math.pi / swing(t, tip, stiff)[0]
-    name = _stiff_period(f"{points} points")
-    return [relative(name, "s", 2.0 * math.pi / stiff, period, 0.01, STIFF)]
-
-
-def _stiff_period(size: str) -> str:
-    return f"period with bending stiffness and stretch, {size}"
+    if particles:
+        x[:, :2] *= 1.0 - nu * np.where(below < L, g * below / specific, 0.0)[:, None]
+        x[:, 0] += 0.02 * L * j0(jn_zeros(0, 1)[0] * np.sqrt(below / L))
+    hand = Gripper.still((0, 0, 0), radius=back)
+    s = bench.simulate(
+        body, [Material(E=1000.0 * specific, nu=nu, density=1000.0)], positions=x,
+        grippers=[clamp_beyond((0.0, 0.0, 1.0), d) if particles else hand],
+    )  # fmt: skip
+    if particles:
+        t = np.linspace(0.0, 1.5 * 2.0 * math.pi / chain, 91)
+        tip, near = end(s.run(t)[:, 0], body)[:, 0], chain
+    else:
+        s.set_velocities(np.outer((1.0 - below / L) ** 2 * 0.02 * L * stiff, (1.0, 0.0, 0.0)))
+        t, near = np.linspace(0.0, 3.0 * 2.0 * math.pi / stiff, 181), stiff
+        # without what is faster than five samples: higher modes of a soft rope
+        tip = np.pad(s.run(t)[:, 0, -1, 0], 2, mode="edge")
+        tip = np.convolve(tip, np.full(5, 0.2), mode="valid")
+    period = 2.0 * math.pi / swing(t, tip, near)[0]
+    rows, name = [], f"period with bending stiffness and stretch, {size}"
+    if particles:
+        expected = 2.0 * math.pi / chain
+        rows.append(relative(f"period of a chain, {size}", "s", expected, period, 0.02, CHAIN))
+    return [*rows, relative(name, "s", 2.0 * math.pi / stiff, period, 0.01, STIFF)]

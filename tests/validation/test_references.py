@@ -22,7 +22,7 @@ from validation.elastica import (
     sag,
     tip_friction,
 )
-from validation.friction import share_when_stuck, stacked
+from validation.friction import stacked
 from validation.readings import growth, mechanics, swing
 from validation.references import (
     ROOT,
@@ -271,12 +271,6 @@ def test_stacked_sheets_are_not_joined():
     assert (body.lattice[:half] < half).all() and (body.lattice[half:] >= half).all()
     assert np.allclose(body.x[half:] - body.x[:half], [0.0, 0.0, 0.02])
     assert np.allclose(body.rest_frames[half:], body.rest_frames[:half])
-
-
-def test_stuck_sheets_turn_as_one():
-    """Two sheets 1 apart: v / 4 of angular momentum over 1 + 1 / 4 of inertia, times 1."""
-    assert share_when_stuck(1.0, 1.0, 0.0) == pytest.approx(0.25 / 1.25)
-    assert share_when_stuck(1.0, 1.0, math.sqrt(2.0)) == pytest.approx(0.25 / 2.25)
 
 
 def test_swing_reads_frequency_and_decay():
