@@ -11,7 +11,7 @@ from validation.bench import CASES, Bench, Case, Result, Row, choose, run_cases
 
 for _theme in (
     "motion", "bending", "vibration", "stretching", "buckling", "falling", "friction",
-    "convergence", "consistency", "implicit", "stability",
+    "convergence", "consistency", "stability",
 ):  # fmt: skip
     import_module(f"validation.{_theme}")
 

@@ -6,11 +6,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
-from gendom.sim import GRAVITY, Body, Gripper, Simulator, Weave, cloth
+from gendom.sim import Gripper, Simulator, Weave, cloth
 from validation.bench import WEIGHTLESS, Bench, Row, case, over_theory, relative
 from validation.readings import bending_energy, membrane_energy
 from validation.references import BEAM, beam_frequency, corner_sags, unit_gravity
@@ -43,11 +42,6 @@ CORNERS = (
     "0.02551 and 0.01775 q a^4 / D in the middle and halfway along a side, nu 0.3, by Ritz's "
     "method with polynomials of degree 16 (plates supported at corners: Timoshenko, Theory of "
     "Plates and Shells)"
-)
-OWN_WEIGHT = "rho g L^2 / (2 E) (Gere and Timoshenko, Mechanics of Materials), E times the weave's"
-OFF_AXIS = (
-    "1 / E_a = cos^4 a / E_1 + sin^4 a / E_2 + sin^2 a cos^2 a / G, nu 0 (Jones, Mechanics of "
-    "Composite Materials, chapter 2)"
 )
 
 # ---- bars ----------------------------------------------------------------------------------------
@@ -228,74 +222,16 @@ def _squares(bench: Bench) -> list[Row]:
     return rows
 
 
-# ---- strips of a weave ---------------------------------------------------------------------------
-
-LENGTH, WIDTH = 0.2, 0.03
-"""Of strips [m]."""
-
-WEAVE = Weave(warp=2.0, weft=0.5, shear=0.1, bending=0.4)
-
-
 @case("shell-weave", "strips of a weave", "thin")
 def weave(bench: Bench) -> list[Row]:
-    """Strips of one weave that hang from a hand, or are clamped level.
-
-    They are cut along its threads, or hanging at 45 degrees to them. Those that hang stretch by
-    0.1 % under their weight; level ones sag by 2 % of their length.
-    """
-    rows = []
-    for axis, name, times in ((0, "warp", WEAVE.warp), (1, "weft", WEAVE.weft)):
-        body, hand = clamped_strip(LENGTH, WIDTH, THICKNESS, (22, 4), axis=axis, weave=WEAVE)
-        stretch = _stretch(bench, body, hand, axis, times)
-        tip = body.points[:, axis] > LENGTH - 1e-9
-        share = float(stretch[tip].mean()) / (0.5 * LENGTH**2)
-        name = f"stretch over theory of a hanging strip along the {name}"
-        rows.append(over_theory(name, share, 0.01, OWN_WEIGHT))
-    rows.append(_bias(bench))
-    soft = replace(MATERIAL, E=WEAVE.bending * MATERIAL.E)
-    k = THICKNESS / math.sqrt(12.0)
-    omega, g = beam_frequency(soft, k, LENGTH), 8.0 * 0.02 * unit_gravity(soft, k, LENGTH)
-    for axis, name in ((0, "warp"), (1, "weft")):
-        body, hand = clamped_strip(LENGTH, WIDTH, THICKNESS, (22, 4), axis=axis, weave=WEAVE)
+    """Level strips of one weave, cut along its threads, that sag by 2 % of their length."""
+    woven, L, k, rows = Weave(warp=2.0, weft=0.5), 0.2, THICKNESS / math.sqrt(12.0), []
+    for axis, name, times in ((0, "warp", woven.warp), (1, "weft", woven.weft)):
+        body, hand = clamped_strip(L, 0.03, THICKNESS, (22, 4), axis=axis, weave=woven)
+        alike = replace(MATERIAL, E=times * MATERIAL.E)  # bends as the weave does
+        omega, g = beam_frequency(alike, k, L), 8.0 * 0.02 * unit_gravity(alike, k, L)
         x = bench.settle(body, [MATERIAL], omega, grippers=[hand], gravity=(0, 0, -g))
-        tip = body.points[:, axis] > LENGTH - 1e-9
-        share = -float(x[0, tip, 2].mean()) / (0.02 * LENGTH)
+        share = -x[0, body.points[:, axis] > L - 1e-9, 2].mean() / (0.02 * L)
         name = f"sag over theory of a level strip along the {name}"
         rows.append(over_theory(name, share, 0.01, BEAM))
     return rows
-
-
-def _bias(bench: Bench) -> Row:
-    """A strip cut at 45 degrees: how it stretches away from its clamp and its free end, which
-    hinder or free it from contracting across."""
-    a, width, back = math.radians(45.0), 0.04, 0.02
-    outline = np.array([(-back, -0.5), (LENGTH, -0.5), (LENGTH, 0.5), (-back, 0.5)])
-    turn = np.array([[math.cos(a), math.sin(a)], [-math.sin(a), math.cos(a)]])
-    body = cloth(
-        outline=(outline * [1.0, width]) @ turn, thickness=THICKNESS, dx=0.02, yaw=-a,
-        points=(28, 28), weave=WEAVE,
-    )  # fmt: skip
-    # G is E / 2 times the weave's
-    times = 4.0 / (1.0 / WEAVE.warp + 1.0 / WEAVE.weft + 2.0 / WEAVE.shear)
-    stretch = _stretch(bench, body, clamp_beyond(), 0, times)
-    s, y = body.points[:, 0], body.points[:, 1]
-    inside = (s > 1.5 * width) & (s < LENGTH - 0.5 * width) & (np.abs(y) < 0.5 * width)
-    # s L - s^2 / 2 of theory, and a shift and a turn of the whole
-    terms = np.stack([s * LENGTH - 0.5 * s**2, 0.0 * s + 1.0, y], axis=1)[inside]
-    share = float(np.linalg.lstsq(terms, stretch[inside], rcond=None)[0][0])
-    name = "stretch over theory of a hanging strip at 45 degrees"
-    return over_theory(name, share, 0.02, OFF_AXIS)
-
-
-def _stretch(
-    bench: Bench, body: Body, hand: Gripper, axis: int, times: float
-) -> NDArray[np.float64]:
-    """[n] how far points go along a hanging strip over rho g / E; ``times`` the material's E is the
-    strip's, and its end goes down by 0.1 % of the length."""
-    g = -GRAVITY[2]
-    material = replace(MATERIAL, E=MATERIAL.density * g * LENGTH / (2e-3 * times))
-    along = material.specific_modulus * times
-    omega = 0.5 * math.pi * math.sqrt(along) / LENGTH
-    options = {"grippers": [hand], "gravity": g * np.eye(3)[axis]}
-    x = bench.settle(body, [material], omega, periods=24.0, **options)
-    return (x[0] - body.points)[:, axis] * along / g

@@ -208,10 +208,8 @@ slipping, lifted = moving(-1e-4 / 9.0, 9.0), moving(0.1, 1.0)
                 "sag over theory of a square held at its corners, in the",
                 "sag over theory of a square held at its corners, halfway"),
             ("shell-weave", heavier,
-                "stretch over theory of a hanging strip along the warp",
-                "stretch over theory of a hanging strip along the weft",
+                "sag over theory of a level strip along the warp",
                 "sag over theory of a level strip along the weft"),
-            ("shell-weave", more_lateral, "stretch over theory of a hanging strip at 45 degrees"),
         )
     ],
 )  # fmt: skip

@@ -46,6 +46,9 @@ COMMANDS = {
     "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
 }
 
+MOVED = {"validate": "run make validate in a clone of the repository"}
+"""Commands that are gone, with what takes their place."""
+
 # Import name -> the extra that brings it.
 _EXTRAS = {
     "pyarrow": "data",
@@ -57,7 +60,6 @@ _EXTRAS = {
     "gymnasium": "reality",
     "ray": "cluster",
     "viser": "viz",
-    "rerun": "rerun",
     "rosbags": "ros",
 }
 
@@ -136,7 +138,7 @@ def _usage() -> str:
 
 def _unknown(name: str) -> str:
     kind = "flag" if name.startswith("-") else "command"
-    advice = did_you_mean(name, COMMANDS) or "see gendom --help"
+    advice = MOVED.get(name) or did_you_mean(name, COMMANDS) or "see gendom --help"
     return f"there is no {kind} {name!r}; {advice}"
 
 
