@@ -56,7 +56,6 @@ PACKAGES = (
     "gendom.perception",
     "gendom.robot",
     "gendom.reality",
-    "gendom.validation",
     "gendom.viz",
 )
 """Packages with a page in docs/api: what their `__all__` names is public."""

@@ -52,7 +52,6 @@ EXPENSIVE = {
     r"gendom evaluate .*": "tests/policies/test_commands.py",
     r"gendom plan-lift .*": "two minutes; tests/evaluation/test_lift_plan.py",
     r"gendom record .*": "needs OpenGL; tests/reality/test_recording.py",
-    r"gendom validate( .*)?": "seconds to minutes a case; tests/validation has small ones",
     r"gendom dataset .*": "minutes; the tutorial makes a small one",
     r"gendom estimate rope_red_lift.npz.*|gendom estimate wire_white_loop.npz": "real recordings; "
     "tests/estimation/test_real.py",

@@ -44,7 +44,7 @@ SPRING = 0.1
 BEYOND = 1.22
 """Where the weight of what is held falls to 0, in lattice spacings beyond the gripper's surface:
 half a spacing for the ramp, and 0.72 because differences between neighbours span two spacings, so
-that what is held bends a little. Free lengths then are those of beams, see ``gendom validate``."""
+that what is held bends a little. Free lengths then are those of beams, see ``make validate``."""
 
 STIFFNESS = 1.4
 """Of the spring on what is held in part, for the material's own."""

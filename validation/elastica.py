@@ -23,7 +23,12 @@ WARPING = 1.0 / 48.0
 
 
 def hung(
-    loads: ArrayLike, *, curvature: float = 0.0, angle: float = 0.0, first: Any = None
+    loads: ArrayLike,
+    *,
+    curvature: float = 0.0,
+    angle: float = 0.0,
+    first: Any = None,
+    tol: float = 1e-6,
 ) -> list[Any]:
     """Plane rods, clamped at ``angle``, under weights that are raised from one to the next.
 
@@ -35,6 +40,7 @@ def hung(
         curvature: That is free of stress [1 / L].
         angle: [rad].
         first: A shape near the first load's, if that is not near 0.
+        tol: Of the collocation.
 
     Returns:
         [K] functions from arc lengths [S] in [0, 1] to theta, theta', x and z [4, S].
@@ -56,12 +62,27 @@ def hung(
         s, y = first.x, first(first.x)
     shapes = []
     for load in np.atleast_1d(np.asarray(loads, dtype=float)):
-        found = solve_bvp(partial(slopes, load=load), at_ends, s, y, tol=1e-6, max_nodes=50000)
+        found = solve_bvp(partial(slopes, load=load), at_ends, s, y, tol=tol, max_nodes=50000)
         if not found.success:
             raise SimulationError(f"no shape was found ({found.message})", where=f"Gamma {load:g}")
         s, y = found.x, found.y
         shapes.append(found.sol)
     return shapes
+
+
+def heavy_elastica(ratio: float) -> Any:
+    """Shape of a level rod of ``ratio`` bending lengths (E I / w)^(1/3).
+
+    The load is raised in steps, so that the solution is the one that hangs.
+
+    Returns:
+        A function from arc lengths [S] in [0, 1] to x and z [2, S].
+
+    Raises:
+        SimulationError: If the collocation does not converge.
+    """
+    shape = hung(ratio**3 * np.linspace(0.2, 1.0, 5), tol=1e-8)[-1]
+    return lambda s: shape(s)[2:]
 
 
 def sag(loads: ArrayLike) -> NDArray[np.float64]:
@@ -76,16 +97,14 @@ def sag(loads: ArrayLike) -> NDArray[np.float64]:
     return -tips[:, 1] / tips[:, 0]
 
 
-def leaves_plane(
-    shape: Any, load: float, curvature: float, bending: float, torsion: float
-) -> float:
+def leaves_plane(shape: Any, load: float, curvature: float, torsion: float) -> float:
     """A determinant that is 0 where a rod at rest in a plane has another equilibrium beside it.
 
     A small turn phi2 about its normal and phi3 about its tangent changes curvature and twist by
     phi2' - k phi3 and phi3' + k phi2, k = -theta'; what the rod carries beyond s is its weight
     N = load (1 - s), whatever it does. With its moment M about the plane's normal:
 
-        m2' = k m3 - N sin(theta) phi2       phi2' = k phi3 + (m2 - M phi3) / bending
+        m2' = k m3 - N sin(theta) phi2       phi2' = k phi3 + m2 - M phi3
         m3' = -k m2 + N cos(theta) phi2      phi3' = -k phi2 + (m3 + M phi2) / torsion
 
     with m = 0 at the tip and phi = 0 at the clamp. Source: Kirchhoff's equations, linearised.
@@ -94,7 +113,7 @@ def leaves_plane(
         shape: The rod, as of ``hung``.
         load: Gamma.
         curvature: As of ``hung``.
-        bending, torsion: Stiffness out of the plane and in torsion over that in the plane.
+        torsion: Stiffness in torsion over that of bending.
     """
     steps = 200
     s = np.linspace(1.0, 0.0, 2 * steps + 1)
@@ -103,7 +122,7 @@ def leaves_plane(
     A = np.zeros((len(s), 4, 4))
     A[:, 0, 1], A[:, 0, 2] = k, -N * np.sin(theta)
     A[:, 1, 0], A[:, 1, 2] = -k, N * np.cos(theta)
-    A[:, 2, 0], A[:, 2, 3] = 1.0 / bending, k - M / bending
+    A[:, 2, 0], A[:, 2, 3] = 1.0, k - M
     A[:, 3, 1], A[:, 3, 2] = 1.0 / torsion, -k + M / torsion
     y, h = np.eye(4)[:, 2:], -1.0 / steps
     for first, middle, last in zip(A[:-2:2], A[1:-1:2], A[2::2], strict=True):
@@ -120,7 +139,6 @@ def critical_load(
     *,
     curvature: float = 0.0,
     angle: float = 0.0,
-    bending: float = 1.0,
     torsion: float,
 ) -> float:
     """Gamma at which a rod leaves its plane, or comes back to it; arguments as ``leaves_plane``.
@@ -134,7 +152,7 @@ def critical_load(
     def determinant(load: float) -> float:
         way = np.linspace(low, load, 3)
         shape = hung(way, curvature=curvature, angle=angle, first=first)[-1]
-        return leaves_plane(shape, load, curvature, bending, torsion)
+        return leaves_plane(shape, load, curvature, torsion)
 
     if determinant(low) * determinant(high) > 0.0:
         raise SimulationError("no critical load", where=f"between Gamma {low:g} and {high:g}")
