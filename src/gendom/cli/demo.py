@@ -90,9 +90,9 @@ class Command:
 
     def run(self) -> int:
         from gendom.estimation import EstimateSettings, SceneSettings, estimate
-        from gendom.evaluation import draw_cases
         from gendom.policies import Policy
         from gendom.policies.estimates import believed
+        from gendom.policies.evaluation import draw_cases
         from gendom.reality import RealRope, find_object
         from gendom.reality.chain import record_and_perceive
         from gendom.sim import open_device
