@@ -21,7 +21,7 @@ from gendom.policies.demonstrations import Demonstrations
 from gendom.policies.evaluation import Cases, choose, draw_cases, judge
 from gendom.tasks import Task, find_task
 from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.task import ROPE, World
+from gendom.tasks.task import ROPE
 from gendom.tasks.world import Simulation
 
 Array = NDArray[np.float64]
@@ -231,7 +231,7 @@ class Simulated:
         return found
 
 
-def simulation(runs: Runs, settings: Settings) -> World:
+def simulation(runs: Runs, settings: Settings) -> Simulation:
     """Where the table is made."""
     return Simulation(engine=settings.engine, device=runs.device)
 

@@ -6,7 +6,7 @@ a cloth differ in where the hand closes.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -77,7 +77,7 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     return Result(name="cloth-real", figures=figures, shown=tables_of(figures))
 
 
-def cloth_real(runs: Runs, settings: Settings, cloths: tuple[str, ...] = CLOTHS) -> dict[str, Any]:
+def cloth_real(runs: Runs, settings: Settings, cloths: Sequence[str] = CLOTHS) -> dict[str, Any]:
     """Measure all rows; each trial is kept by itself.
 
     Returns:

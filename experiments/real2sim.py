@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -70,7 +70,7 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     """
     from gendom.reality import find_object
 
-    objects = flags.objects or OBJECTS
+    objects: Sequence[str] = flags.objects or OBJECTS
     for name in objects:
         find_object(name)
     work = partial(_rows, runs, SCALES[flags.scale], flags.method)
@@ -79,7 +79,7 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
 
 
 def _rows(
-    runs: Runs, settings: Settings, methods: tuple[str, ...], name: str
+    runs: Runs, settings: Settings, methods: Sequence[str], name: str
 ) -> dict[str, dict[str, Any]]:
     """Rows of one object by name."""
     from gendom.reality import find_object

@@ -104,7 +104,9 @@ def inline(page: Path) -> Iterator[str]:
     text = FENCE.sub("", page.read_text())
     for code in re.findall(r"`([^`\n]+(?:\n[^`\n]+)?)`", text):
         words = " ".join(code.split())
-        if re.match(r"(gendom [a-z]|python (examples|benchmarks)/|python -m experiments |make( |$))", words):
+        if re.match(
+            r"(gendom [a-z]|python (examples|benchmarks)/|python -m experiments |make( |$))", words
+        ):
             yield words
 
 
