@@ -38,7 +38,7 @@ def parser() -> argparse.ArgumentParser:
     every = argparse.ArgumentParser(
         prog="python -m experiments",
         description="Make one of the paper's tables, or measure estimates. Results in --out are "
-        "kept, so an interrupted table continues. Tables of policies need the extra train.",
+        "kept, so an interrupted table continues. Tables of policies need the extra train, charts docs.",
         epilog="\n".join(f"{name}: {about}." for name, about in TABLES.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -124,7 +124,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"experiments {flags.table}: {error}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
-        extra = "reality" if error.name == "mujoco" else "train"
+        extra = {"mujoco": "reality", "matplotlib": "docs"}.get(error.name or "", "train")
         advice = f"install it with: {how_to_install(extra)}"
         print(f"experiments {flags.table}: needs {error.name}; {advice}", file=sys.stderr)
         return 2

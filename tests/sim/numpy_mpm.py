@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
-from gendom.sim import GRAVITY, Body, Box, Gripper, Table
+from gendom.sim import GRAVITY, Body, Gripper, Table
 
 Array = NDArray[np.floating]
 
@@ -77,7 +77,6 @@ class NumpyMPM:
         material: What it consists of.
         grippers: In any number.
         table: Table, or None for open space.
-        box: Walls, or None.
         gravity: [3] [m/s^2].
         velocity_damping: Rate at which the grid's velocities decay [1/s].
         air_density: Of the air that is at rest around the body [kg/m^3].
@@ -94,7 +93,6 @@ class NumpyMPM:
         *,
         grippers: Sequence[Gripper] = (),
         table: Table | None = None,
-        box: Box | None = None,
         gravity: ArrayLike = GRAVITY,
         velocity_damping: float = 0.0,
         air_density: float = 0.0,
@@ -104,7 +102,7 @@ class NumpyMPM:
         start_time: float = 0.0,
     ):
         self.body, self.material, self.law = body, material, law
-        self.grippers, self.table, self.box = grippers, table, box
+        self.grippers, self.table = grippers, table
         self.gravity = np.asarray(gravity, dtype=float)
         self.velocity_damping, self.air_density = velocity_damping, air_density
         self.yields = math.isfinite(material.yield_stress)
@@ -166,9 +164,6 @@ class NumpyMPM:
             most = float(np.asarray(self.table.friction)) * change[:, 2]
             lost = np.where(slip > most, most / np.where(slip > 0.0, slip, 1.0), 1.0)
             change[:, :2] = -np.where(change[:, 2] > 0.0, lost, 0.0)[:, None] * u[:, :2]
-        if self.box is not None:
-            change += push(x - np.asarray(self.box.lower) - radius, u)
-            change -= push(np.asarray(self.box.upper) - x - radius, -u)
         return change
 
     @property

@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 from gendom.materials import Material
-from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Simulator, Table, cloth, rope
 from gendom.sim.mpm.runners.block_per_world import Blocks
 from gendom.sim.mpm.runners.graph import Batch
 
@@ -46,7 +46,6 @@ def settings(sheet, table_height):
     return body, {
         "grippers": [gripper, other],
         "table": Table(height=up, friction=0.4),
-        "box": Box(lower=(-0.1, -0.1, up - 0.1), upper=(0.09, 0.1, up + 0.1)),
         "gravity": GRAVITY,
         "velocity_damping": 2.0,
         "air_density": 30.0,

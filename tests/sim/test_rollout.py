@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Box, Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
 from gendom.sim.mpm.adjoint import block_per_world as block_tape
 from gendom.sim.mpm.adjoint.block_per_world import BlockTape
 from gendom.sim.mpm.adjoint.cpu import WorldTape
@@ -48,7 +48,6 @@ def scene(
     dtype="float64",
     device="cpu",
     worlds=1,
-    box=None,
     rubs=True,
     **by,
 ):
@@ -83,7 +82,6 @@ def scene(
         velocity_damping=2.0 + d["velocity_damping"],
         air_density=30.0 + d["air_density"],
         gravity=np.array([0.5, 0.2, -9.81]) + d["gravity"],
-        box=box,
         law=law,
         substep=2.0e-4,
         stiffness=1.0 + d["stiffness"],
@@ -174,22 +172,6 @@ def test_derivatives_hold_where_a_rope_rubs_over_its_table():
     g = rollout.backward(bar)
     up, down = (float((scene(E=s * 1e-5).run(TIMES) * bar).sum()) for s in (1.0, -1.0))
     assert g.E[0] * SCALE["E"] == pytest.approx((up - down) / 2e-5, rel=1e-3)
-
-
-def test_walls_pass_no_derivative_through():
-    wall = Box(lower=(-1.0, -1.0, -1.0), upper=(0.0875, 1.0, 1.0))
-
-    def make(**by):
-        return scene(box=wall, **by)
-
-    rollout = Rollout(make())
-    x = rollout.forward([0.02])
-    bar = weights(x.shape)
-    g = rollout.backward(bar)
-    v = np.array([1.0, 0.2, 0.3])
-    up, down = (make(velocities=s * 1e-6 * v).run([0.02]) for s in (1.0, -1.0))
-    expected = ((up - down) * bar).sum() / 2e-6
-    assert (g.velocities[0] * v).sum() == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])

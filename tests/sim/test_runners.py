@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 
 from gendom.materials import Material
-from gendom.sim import Box, Gripper, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Simulator, Table, cloth, rope
 from gendom.sim.mpm.runners import block_per_world
 from gendom.sim.mpm.runners.block_per_world import Blocks
 from gendom.sim.mpm.runners.graph import Batch
@@ -27,7 +27,7 @@ def run_together(s, together, times, **options):
 
 
 def scene(**options):
-    """Four worlds that differ in all they can; two grippers, a table, walls."""
+    """Four worlds that differ in all they can; two grippers, a table."""
     body = rope(diameter=0.02, length=0.12, start=(0.0, 0.0, 0.01), cells_across=1.5)
     turn = [(0, 0, 0, 1), (0, 0, 0.2, 1), (0, 0, 0.4, 1)]
     path = [(0.0, 0.0, 0.01), (0.0, 0.01, 0.05), (0.02, 0.0, 0.11)]
@@ -51,7 +51,6 @@ def scene(**options):
         materials,
         grippers=[lifting, dragging],
         table=Table(height=0.0, friction=[0.2, 0.5, 0.9, 0.3]),
-        box=Box(lower=(-0.05, -0.1, -1.0), upper=(0.135, 0.1, 1.0)),
         velocity_damping=[2.0, 1.0, 0.0, 0.0],
         air_density=[1.2, 20.0, 0.0, 1.2],
         gravity=[(0, 0, -9.81), (1, 0, -9.81), (0, 2, -5), (0, 2, -5)],

@@ -13,7 +13,6 @@ from gendom.materials import Material
 from gendom.materials.laws import LAWS
 from gendom.sim import (
     PAPER,
-    Box,
     Gripper,
     Simulator,
     Table,
@@ -383,7 +382,7 @@ def test_forces_are_the_derivatives_of_the_elastic_energy(law, bent):
             )
 
 
-# ---- table and walls -------------------------------------------------------------------------
+# ---- table -----------------------------------------------------------------------------------
 
 
 def on_table(**options):
@@ -446,23 +445,6 @@ def test_tilted_gravity_slides_beyond_the_angle_of_friction(side):
         assert abs(x1 - x0) < 1e-4
     else:
         assert v1 - v0 == pytest.approx(gain, rel=0.05)
-
-
-def test_walls_keep_particles_in():
-    """A thrown block stays in its box, comes back from it, and would have left without."""
-    box = Box(lower=(-0.05, -0.05, -0.05), upper=(0.1, 0.1, 0.1))
-    runs = []
-    for walls in (box, None):
-        s = simulator(block(corner=(0.0, 0.0, 0.0)), box=walls, velocity_damping=0.5)
-        s.set_velocities((1.0, 0.7, 1.8))
-        runs.append(s.run(np.linspace(0.02, 0.8, 40))[:, 0])
-    inside, free = runs
-    # what flies at a wall is stopped in the substeps in which it would go half a cell
-    assert np.all(inside >= np.array(box.lower) - 0.5 * DX)
-    assert np.all(inside <= np.array(box.upper) + 0.5 * DX)
-    assert np.any(free > box.upper, axis=(0, 1)).all() and np.any(free < box.lower)
-    for axis in range(3):
-        assert inside[..., axis].max() > box.upper[axis] - 1.5 * DX
 
 
 # ---- grippers --------------------------------------------------------------------------------
@@ -793,11 +775,10 @@ def test_substeps_that_are_too_short_are_refused():
         lambda: Table(height=np.nan),
         lambda: Table(height=0.0, friction=-0.3),
         lambda: Table(height=0.0, friction=[0.1, np.nan]),
-        lambda: Box(lower=(1.0, 1.0, 1.0), upper=(0.0, 0.0, 0.0)),
     ],
 )
 def test_bad_scenery_is_refused(make):
-    """Numbers that are none, friction below zero and walls turned round raise."""
+    """Numbers that are none, and friction below zero raise."""
     with pytest.raises(ParameterError):
         make()
 

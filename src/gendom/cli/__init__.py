@@ -60,7 +60,6 @@ _EXTRAS = {
     "gymnasium": "reality",
     "ray": "cluster",
     "viser": "viz",
-    "rerun": "rerun",
     "rosbags": "ros",
 }
 

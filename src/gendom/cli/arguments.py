@@ -5,17 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
+from gendom.arguments import require
 from gendom.errors import ParameterError, did_you_mean
 from gendom.files import read_json
 from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Progress
+
+Settings = TypeVar("Settings")
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
 
@@ -63,6 +67,19 @@ MethodName = Annotated[str, _name(METHODS_HELP, _method)]
 """The name of a method of estimation."""
 
 
+def settings_of(kind: type[Settings], command: Any, **others: Any) -> Settings:
+    """Settings, a dataclass, with what a command's flags of the same names say.
+
+    Args:
+        kind: Of the settings.
+        command: Its flags; they may lack some.
+        others: Fields that no flag gives, or gives in another form.
+    """
+    every = fields(kind)  # pyright: ignore[reportArgumentType]
+    names = [f.name for f in every if hasattr(command, f.name) and f.name not in others]
+    return kind(**{name: getattr(command, name) for name in names}, **others)
+
+
 @contextmanager
 def iterations_shown() -> Iterator[Callable[[Progress], None]]:
     """A bar of an estimation's progress."""
@@ -88,24 +105,15 @@ def read_params(path: Path, *, force: bool) -> dict[str, Any]:
         GendomError: The file is missing, or no JSON.
         ParameterError: It is no estimate, or not usable.
     """
-    params = read_json(path)
-    if params.get("format") != ESTIMATE_FORMAT:
-        raise ParameterError(
-            f"has format {params.get('format')!r}, not {ESTIMATE_FORMAT!r}",
-            where=str(path),
-            fix="give a file written by gendom estimate",
-        )
+    params, where = read_json(path), str(path)
+    what = f"has format {params.get('format')!r}, not {ESTIMATE_FORMAT!r}"
+    fix = "give a file written by gendom estimate"
+    require(params.get("format") == ESTIMATE_FORMAT, what, where=where, fix=fix)
     verdict = params.get("verdict") or {}
-    if verdict.get("usable") is False and not force:
-        raise ParameterError(
-            f"is not usable: {', '.join(verdict.get('reasons', ()))}",
-            where=str(path),
-            fix="record the object again, or add --force",
-        )
-    if verdict.get("usable") is False and params.keys() <= {"format", "verdict"}:
-        raise ParameterError(
-            f"holds no numbers, since nothing was estimated: {', '.join(verdict['reasons'])}",
-            where=str(path),
-            fix="record the object again, or describe it by flags such as --E",
-        )
+    usable, why = verdict.get("usable") is not False, ", ".join(verdict.get("reasons", ()))
+    fix = "record the object again, or add --force"
+    require(usable or force, f"is not usable: {why}", where=where, fix=fix)
+    what = f"holds no numbers, since nothing was estimated: {why}"
+    fix = "record the object again, or describe it by flags such as --E"
+    require(usable or not params.keys() <= {"format", "verdict"}, what, where=where, fix=fix)
     return params

@@ -6,7 +6,7 @@ from typing import Any
 
 from gendom.errors import ParameterError
 from gendom.materials import AIR_DENSITY, Material
-from gendom.sim.scene import GRAVITY, Box, Table
+from gendom.sim.scene import GRAVITY, Table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,6 @@ class Preset:
     substep: float | None
     """Substep [s], or None to derive it from each world's stability limit."""
     table: Table | None
-    box: Box | None
 
     def material(self, *, E: float, nu: float, damping: float = 0.0) -> Material:
         """Return a material with this preset's density and yield stress."""
@@ -48,7 +47,6 @@ class Preset:
             "air_density": self.air_density,
             "substep": self.substep,
             "table": self.table,
-            "box": self.box,
         }
 
 
@@ -62,12 +60,10 @@ METRIC = Preset(
     air_density=AIR_DENSITY,
     substep=None,
     table=None,
-    box=None,
 )
 """SI units; the default throughout the package."""
 
 _CELL = 1.0 / 64.0
-_LOWER, _UPPER = 2.0 * _CELL, 1.0 - 3.0 * _CELL
 
 PAPER = Preset(
     name="paper",
@@ -79,10 +75,9 @@ PAPER = Preset(
     air_density=0.0,
     substep=None,
     table=Table(height=2.0 * _CELL, friction=0.5),
-    box=Box(lower=(_LOWER, _LOWER, _LOWER), upper=(_UPPER, _UPPER, _UPPER)),
 )
 """The unit cube of the GenDOM authors' code, z up, with 64 cells, density 1 and the authors'
-gravity, yield stress, floor and walls. The authors' substep of 1e-4 exceeds the stability limit
+gravity, yield stress and floor. The authors' substep of 1e-4 exceeds the stability limit
 at E above about 3,000; here each world's substep is derived from its own limit."""
 
 _PRESETS = {p.name: p for p in (METRIC, PAPER)}

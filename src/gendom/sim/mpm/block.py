@@ -45,10 +45,10 @@ def make_block(real: Any) -> Namespace:
     @wp.func_native("return gendom::resident_at(byte);")
     def resident_at(byte: int) -> wp.uint64: ...
 
-    @wp.func_native("gendom::meet();")
+    @wp.func_native("gendom::block_sync();")
     def meet(): ...
 
-    @wp.func_native("return gendom::any_of(value);")
+    @wp.func_native("return gendom::block_any(value);")
     def any_of(value: int) -> int: ...
 
     @wp.func_native("return gendom::largest(value);")

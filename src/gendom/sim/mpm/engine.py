@@ -33,10 +33,6 @@ class MpmEngine:
     """
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
-        if setting.body.width is not None:
-            raise ParameterError(
-                "the MPM knows round ropes only, this one is flat", fix="engine='thin'"
-            )
         N, W = setting.body.num_particles, len(setting.materials)
         share = np.sqrt(spread(setting.stiffness, (W, N), "stiffness").max(axis=1))
         limits = [stable_substep(m, setting.body.dx, cfl=cfl or CFL) for m in setting.materials]

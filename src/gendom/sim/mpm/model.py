@@ -105,10 +105,6 @@ class Worlds:
     def _scene(self) -> Any:
         s, W = self.setting, self.num_worlds
         friction = s.table.friction if s.table is not None else 0.0
-        walls = {}
-        if s.box is not None:
-            walls["box_lower"] = self.types.vec3(*(s.box.lower - self.origin))
-            walls["box_upper"] = self.types.vec3(*(s.box.upper - self.origin))
         return self.filled(
             self.types.Scene,
             dx=s.body.dx,
@@ -116,8 +112,7 @@ class Worlds:
             velocity_damping=spread(s.velocity_damping, (W,), "velocity_damping"),
             friction=spread(friction, (W,), "friction"),
             table=int(s.table is not None),
-            walls=int(s.box is not None),
-            **walls,
+            walls=0,
         )
 
     def _paths(self) -> Any:

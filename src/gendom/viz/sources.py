@@ -1,4 +1,4 @@
-"""What reports and animations are given of lifts, replays, estimates and actions."""
+"""What reports, animations and the viewer draw of lifts, replays, estimates and actions."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def clouds_of(
 
 
 def view_of(scene: Scene) -> str:
-    """From where a lift of this object is looked at: one of `gendom.viz.views.VIEWS`."""
+    """From where a lift of this object is looked at: one of `gendom.viz.clouds.VIEWS`."""
     return "oblique" if scene.kind == "cloth" else "auto"
 
 
