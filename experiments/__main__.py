@@ -38,7 +38,8 @@ def parser() -> argparse.ArgumentParser:
     every = argparse.ArgumentParser(
         prog="python -m experiments",
         description="Make one of the paper's tables, or measure estimates. Results in --out are "
-        "kept, so an interrupted table continues. Tables of policies need the extra train, charts docs.",
+        "kept, so an interrupted table continues. Tables of policies need the extra train, charts "
+        "the extra docs.",
         epilog="\n".join(f"{name}: {about}." for name, about in TABLES.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
