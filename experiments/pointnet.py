@@ -6,7 +6,7 @@ PointNet++ (Qi et al. 2017) with single-scale grouping, trained on simulated lif
 the logarithm of bending length over size and Poisson's ratio, each with its variance (Kendall and
 Gal 2017). Farthest points and their neighbourhoods are chosen here, before the network, which
 onnxruntime runs. Other unknowns stay at their priors. The network is for the lift of the paper's
-simulation. Importing this module adds it to `gendom.estimation.METHODS`.
+simulation.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.errors import ParameterError
-from gendom.estimation import METHODS
 from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.estimation.scene import Scene
@@ -202,6 +201,3 @@ def read_network(path: Path) -> tuple[Any, dict[str, Any]]:
     what = f"has format {description.get('format')!r}, not {FORMAT!r}"
     require(description.get("format") == FORMAT, what, where=str(path), fix=fix)
     return session, description
-
-
-METHODS["pointnet"] = pointnet
