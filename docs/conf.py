@@ -51,7 +51,6 @@ PACKAGES = (
     "gendom.estimation",
     "gendom.tasks",
     "gendom.policies",
-    "gendom.evaluation",
     "gendom.observation",
     "gendom.perception",
     "gendom.robot",

@@ -35,7 +35,6 @@ COMMANDS = {
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
     "policies": ("gendom.cli.policies", "the shipped policies"),
     "materials": ("gendom.cli.materials", "ropes, cables and cloths with parameters and sources"),
-    "reproduce": ("gendom.cli.reproduce", "the paper's tables and the intervals' coverage"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
     "calibrate": ("gendom.cli.calibrate", "a camera's pose, from pictures of a board"),
     "plan-lift": ("gendom.cli.plan_lift", "which lift shows an object's parameters best"),
@@ -46,7 +45,10 @@ COMMANDS = {
     "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
 }
 
-MOVED = {"validate": "run make validate in a clone of the repository"}
+MOVED = {
+    "validate": "run make validate in a clone of the repository",
+    "reproduce": "run python -m experiments TABLE in a clone of the repository",
+}
 """Commands that are gone, with what takes their place."""
 
 # Import name -> the extra that brings it.

@@ -1,42 +1,32 @@
 """Coverage of intervals: random objects of the MuJoCo test scene are lifted, perceived and
-estimated.
+estimated. Objects have the seeds from --seed on; every lift and every estimate is kept.
 
-Every lift and every estimate is kept in a folder, so that an interrupted run continues.
+Also writes the factors of the intervals, from which `gendom/assets/calibration.json` is made.
 """
 
 from __future__ import annotations
 
-import json
+import argparse
 import math
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from scipy.stats import binom, norm
 
+from experiments.runs import Chart, Result, Runs, Table
 from gendom.datasets import Recording
-from gendom.errors import GendomError, ParameterError
+from gendom.errors import GendomError
 from gendom.estimation import Calibration, EstimateSettings, SceneSettings, Theta, estimate
-from gendom.evaluation.sheet import Ranks, Sheet
+from gendom.estimation.lift_plan import CLOUD_POINTS
 from gendom.files import write_json
 from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.materials.parameters import specific_modulus_of
 from gendom.reality import RealCloth, RealObject, RealRope
-from gendom.reality.chain import record_and_perceive
 from gendom.reality.objects import vertices_of
-
-CLOUD_POINTS = {"rope": 320, "cloth": 1400}
-"""Points of a frame that are kept, twice what an estimate compares."""
-
-FRAME_RATE = {"hold": 10.0, "swing": 30.0, "drop": 30.0}
-"""Of the cameras by how a lift ends [1/s]."""
-
+from gendom.robot import predefined_lift
 
 BAND = 0.95
 """Probability with which all bars of uniform ranks lie within their band."""
@@ -44,35 +34,51 @@ BAND = 0.95
 BINS, A_BIN = (4, 20), 5
 """Bars of a histogram of ranks, at least and at most, and how many ranks each should hold."""
 
+LEVEL = 0.9
+"""Probability that intervals claim."""
+
 
 @dataclass(frozen=True, kw_only=True)
-class CoverageSettings:
-    """Kinds and numbers of lifts."""
+class Lifts:
+    """What is lifted and how; one random object a seed."""
 
     kind: str = "rope"
     """``rope`` or ``cloth``."""
     end: str = "hold"
     """How lifts end, one of `gendom.robot.LIFT_ENDS`."""
-    lifts: int = 40
-    seed: int = 0
-    """Of the first object; each further one has the next number."""
-    level: float = 0.9
-    jobs: int = 1
-    """Processes."""
 
-    def __post_init__(self) -> None:
-        if self.kind not in CLOUD_POINTS:
-            raise ParameterError(f"is {self.kind!r}", where="kind", fix="give rope or cloth")
-        if self.end not in FRAME_RATE:
-            raise ParameterError(f"is {self.end!r}", where="end", fix="give hold, swing or drop")
-        if self.lifts < 1 or self.jobs < 1 or self.seed < 0:
-            raise ParameterError("lifts and jobs must be at least 1, the seed at least 0")
+    @property
+    def name(self) -> str:
+        """Part of the names of files."""
+        return f"{self.kind}-{self.end}"
 
-    def estimate_settings(self, seed: int) -> EstimateSettings:
-        """Of the lift with this seed: one start on one thread, as processes work side by side."""
-        return EstimateSettings(
-            starts=1, seed=seed, level=self.level, scene=SceneSettings(threads=1)
-        )
+    def recorded(self, runs: Runs, seed: int) -> Recording:
+        """The lift of a random object, of twice as many points a frame as estimates compare."""
+        item, motion = draw_object(self.kind, seed), predefined_lift(self.kind, self.end)
+        own, label = replace(runs, seed=seed), f"{self.name}-{seed:04d}"
+        return own.recorded(label, item, motion, CLOUD_POINTS[self.kind])
+
+
+def estimate_settings(seed: int) -> EstimateSettings:
+    """Of a lift: one start on one thread, as processes work side by side."""
+    return EstimateSettings(starts=1, seed=seed, level=LEVEL, scene=SceneSettings(threads=1))
+
+
+def run(runs: Runs, flags: argparse.Namespace) -> Result:
+    """A row for each lift: what was estimated, without calibration, and what is true."""
+    lifts = Lifts(kind=flags.kind, end=flags.end)
+    seeds = range(flags.seed, flags.seed + flags.lifts)
+    rows = list(runs.each(partial(_row, runs, lifts), seeds, "lifting"))
+    table = covered(rows, LEVEL)
+    factors = {lifts.kind: calibration_of(rows, table)}
+    write_json(runs.folder / f"calibration-{lifts.name}.json", factors)
+    settings = {**asdict(lifts), "lifts": flags.lifts, "level": LEVEL}
+    return Result(
+        name=f"coverage-{lifts.name}",
+        figures={**settings, "unknowns": [asdict(c) for c in table], "rows": rows},
+        shown=shown_of(rows, table),
+        notes=reasons_of(rows),
+    )
 
 
 def draw_object(kind: str, seed: int) -> RealObject:
@@ -123,105 +129,26 @@ def draw_object(kind: str, seed: int) -> RealObject:
     )
 
 
-def coverage(
-    folder: str | Path,
-    settings: CoverageSettings,
-    *,
-    on_done: Callable[[int], None] | None = None,
-) -> list[dict[str, Any]]:
-    """A row for each lift: what was estimated, without calibration, and what is true.
-
-    Args:
-        folder: Keeps recordings and rows; existing ones are kept.
-        settings: Which lifts.
-        on_done: Called with the number of lifts done.
-
-    Raises:
-        DeviceError: The second reality cannot be simulated or rendered here.
-        GendomError: The folder cannot be written.
-    """
-    return of_each_lift(partial(_row, Path(folder), settings), settings, on_done)
+def _row(runs: Runs, lifts: Lifts, seed: int) -> dict[str, Any]:
+    return runs.kept(f"{lifts.name}-{seed:04d}", partial(_estimated, runs, lifts, seed))
 
 
-def of_each_lift(
-    work: Callable[[int], Any],
-    settings: CoverageSettings,
-    on_done: Callable[[int], None] | None = None,
-) -> list[Any]:
-    """What a function gives for the seed of each lift, by processes side by side.
-
-    Args:
-        work: The function; it can be pickled.
-        settings: Which lifts, and the number of processes.
-        on_done: Called with the number of lifts done.
-    """
-    seeds = range(settings.seed, settings.seed + settings.lifts)
-    done = []
-    with ExitStack() as stack:
-        made = map(work, seeds)
-        if settings.jobs > 1:
-            pool = stack.enter_context(get_context("spawn").Pool(settings.jobs))
-            made = pool.imap(work, seeds)
-        for one in made:
-            done.append(one)
-            if on_done is not None:
-                on_done(len(done))
-    return done
-
-
-def _row(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, Any]:
-    name = f"{settings.kind}-{settings.end}-{seed:04d}"
-    kept = folder / f"{name}.json"
-    if kept.exists():
-        return json.loads(kept.read_text(encoding="utf-8"))
-    item = draw_object(settings.kind, seed)
-    row: dict[str, Any] = {"seed": seed, "truth": truth_of(item)}
+def _estimated(runs: Runs, lifts: Lifts, seed: int) -> dict[str, Any]:
+    row: dict[str, Any] = {"seed": seed, "truth": truth_of(draw_object(lifts.kind, seed))}
     try:
-        found = estimate(
-            recorded(folder, settings, seed),
-            settings.estimate_settings(seed),
-            calibration=Calibration.none(),
-        )
+        recording = lifts.recorded(runs, seed)
+        found = estimate(recording, estimate_settings(seed), calibration=Calibration.none())
     except GendomError as error:
-        row["fault"] = str(error)
-    else:
-        row["verdict"] = asdict(found.verdict)
-        row["posterior"] = found.posterior.to_dict()
-        row["rms"], row["seconds"] = found.record["rms"], found.record["seconds"]
-        assert found.scene is not None
-        row["displaced"] = found.record["noise"]["model"] / found.scene.size
-    write_json(kept, row)
-    return row
-
-
-def recorded(folder: Path, settings: CoverageSettings, seed: int) -> Recording:
-    """The lift of a random object, from the folder where it is kept there."""
-    path = folder / f"{settings.kind}-{settings.end}-{seed:04d}.npz"
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        item = draw_object(settings.kind, seed)
-        with TemporaryDirectory(dir=folder) as pictures:
-            made, _ = record_and_perceive(
-                item, pictures, frame_rate=FRAME_RATE[settings.end], seed=seed, end=settings.end
-            )
-        _thinned(made, CLOUD_POINTS[settings.kind], seed).write(path)
-    return Recording.read(path, on_warning=lambda _: None)
-
-
-def _thinned(recording: Recording, most: int, seed: int) -> Recording:
-    """With at most twice as many points a frame as an estimate compares."""
-    rng = np.random.default_rng(seed)
-    clouds = []
-    for t in range(recording.num_frames):
-        cloud = recording.frame(t)
-        if len(cloud) > most:
-            cloud = cloud[np.sort(rng.choice(len(cloud), most, replace=False))]
-        clouds.append(cloud)
-    return replace(
-        recording,
-        points=np.concatenate(clouds),
-        offsets=np.cumsum([0, *map(len, clouds)]),
-    )
+        return {**row, "fault": str(error)}
+    assert found.scene is not None
+    return {
+        **row,
+        "verdict": asdict(found.verdict),
+        "posterior": found.posterior.to_dict(),
+        "rms": found.record["rms"],
+        "seconds": found.record["seconds"],
+        "displaced": found.record["noise"]["model"] / found.scene.size,
+    }
 
 
 def truth_of(item: RealObject) -> dict[str, float]:
@@ -286,10 +213,10 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
     """Of all unknowns whose truth is known, over the usable lifts.
 
     Args:
-        rows: Of `coverage`.
+        rows: Of lifts.
         level: Probability that intervals claim.
     """
-    usable = [r for r in rows if r.get("verdict", {}).get("usable")]
+    usable = _usable(rows)
     z = float(norm.ppf(0.5 + level / 2.0))
     found = []
     for name in ("specific_modulus", "nu", "damping", "friction"):
@@ -340,7 +267,7 @@ def calibration_of(
     Intervals that are too wide get a factor; to those that are too narrow a deviation is added,
     since what is missing there does not shrink with the noise.
     """
-    usable = [r for r in rows if r.get("verdict", {}).get("usable")]
+    usable = _usable(rows)
     known = [r["displaced"] for r in usable if "displaced" in r]
     return {
         "lifts": len(usable),
@@ -350,54 +277,51 @@ def calibration_of(
     }
 
 
-def coverage_sheets(
-    rows: Sequence[dict[str, Any]], table: Sequence[Covered]
-) -> list[Sheet | Ranks]:
-    """The table of `covered`, and the histogram of each unknown's ranks."""
-    usable = sum(bool(r.get("verdict", {}).get("usable")) for r in rows)
-    sheet = Sheet(
-        title=f"{len(rows)} lifts, {usable} usable",
-        head=(
-            "error, median",
-            "90 % below",
-            "bias",
-            "half width",
-            "covered",
-            "factor",
-            "or added",
-            "ranks",
-        ),
-        rows={
-            c.name: (
-                f"{c.median_error:.4f}",
-                f"{c.ninety_error:.4f}",
-                f"{c.bias:+.4f}",
-                f"{c.half_width:.4f}",
-                f"{c.covered:.0%}",
-                f"{c.factor:.2f}",
-                f"{c.added:.4f}",
-                "in the band" if c.uniform else "not uniform",
-            )
-            for c in table
-        },
-    )
-    ranks = [
-        Ranks(
-            title=f"Ranks of {c.name}",
-            counts=c.counts,
-            band=c.band,
-            band_label=f"{100.0 * BAND:g} % band of uniform ranks",
+def shown_of(rows: Sequence[dict[str, Any]], table: Sequence[Covered]) -> list[Table | Chart]:
+    """The table of `covered`, and the histogram of each unknown's ranks.
+
+    Where posteriors are right, the truth has any rank among their values as often as any other, and
+    bars end within the band. Bars that are high on both sides mean posteriors that are too narrow,
+    bars that are high on one side a bias.
+    """
+    head = ("error, median", "90 % below", "bias", "half width", "covered", "factor", "or added",
+            "ranks")  # fmt: skip
+    texts = {
+        c.name: (
+            f"{c.median_error:.4f}",
+            f"{c.ninety_error:.4f}",
+            f"{c.bias:+.4f}",
+            f"{c.half_width:.4f}",
+            f"{c.covered:.0%}",
+            f"{c.factor:.2f}",
+            f"{c.added:.4f}",
+            "in the band" if c.uniform else "not uniform",
         )
         for c in table
+    }
+    return [
+        Table(title=f"{len(rows)} lifts, {len(_usable(rows))} usable", head=head, rows=texts),
+        *(
+            Chart(
+                title=f"Ranks of {c.name}, and the {100.0 * BAND:g} % band of uniform ranks",
+                x="share of the posterior below the truth",
+                y="lifts",
+                counts=c.counts,
+                band=c.band,
+            )
+            for c in table
+        ),
     ]
-    return [sheet, *ranks]
 
 
-def coverage_text(rows: Sequence[dict[str, Any]], table: Sequence[Covered]) -> str:
-    """For people."""
-    lines = [str(coverage_sheets(rows, table)[0])]
-    for row in rows:
-        reasons = row.get("fault") or "; ".join(row.get("verdict", {}).get("reasons", ()))
-        if reasons:
-            lines.append(f"  seed {row['seed']}: {reasons}")
-    return "\n".join(lines)
+def reasons_of(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Why lifts are not usable, a line each."""
+    found = (
+        (r["seed"], r.get("fault") or "; ".join(r.get("verdict", {}).get("reasons", ())))
+        for r in rows
+    )
+    return [f"  seed {seed}: {reasons}" for seed, reasons in found if reasons]
+
+
+def _usable(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [row for row in rows if row.get("verdict", {}).get("usable")]

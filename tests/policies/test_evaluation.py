@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError, PolicyError, SimulationError
-from gendom.evaluation import draw_cases, score
 from gendom.materials import PARAMETERS, Rope, dimensionless_parameters, size_of
 from gendom.policies import Column, Description, GoalRange, Policy
+from gendom.policies.evaluation import draw_cases, score
 from gendom.tasks import RopeReaching
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation

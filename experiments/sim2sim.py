@@ -10,22 +10,24 @@ et al. (2024), section IV-A.
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.pointnet import pointnet
+from experiments.runs import Result, Runs, Table
+from gendom.arguments import require
 from gendom.datasets import ObjectDescription, Recording
-from gendom.errors import ParameterError
 from gendom.estimation.likelihood import NoiseModel
 from gendom.estimation.methods.adam import AdamSettings, adam
 from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
-from gendom.estimation.methods.pointnet import pointnet
 from gendom.estimation.problem import EstimateSettings, Found, Problem
 from gendom.estimation.replay import middle, replay
 from gendom.estimation.scene import Scene
@@ -33,7 +35,8 @@ from gendom.estimation.scene_settings import SceneSettings
 from gendom.estimation.theta import Theta
 from gendom.materials import STANDARD_GRAVITY
 from gendom.observation import chamfer
-from gendom.sim import PAPER
+from gendom.progress import bar
+from gendom.sim import PAPER, open_device
 
 Array = NDArray[np.floating]
 
@@ -77,6 +80,18 @@ later, positions jump by some 1e-7 m. Without leaps a third of the searches ends
 ITERATIONS = 50
 """Batches that a search may simulate; three of Adam's steps each make the authors' 150."""
 
+SCALES = {"small": (2, 1), "full": (5, 5)}
+"""Objects, and starts of each."""
+
+ROWS = (
+    ("gauss-newton", "all"),
+    ("gauss-newton", "last"),
+    ("adam", "all"),
+    ("adam", "last"),
+    ("pointnet", "last"),
+)
+"""Methods, and the frames that they see."""
+
 PAPER_ERRORS = {
     ("adam", "all"): {"E": 11.69, "nu": 0.0032, "chamfer": 0.0004},
     ("adam", "last"): {"E": 13.74, "nu": 0.0067, "chamfer": 0.0004},
@@ -94,6 +109,27 @@ SEARCHES: dict[str, Callable[[Problem, Array], Found]] = {
     "pointnet": lambda problem, start: pointnet(problem),
 }
 """Methods, each from a start [P]; the last two take none."""
+
+
+def run(runs: Runs, flags: argparse.Namespace) -> Result:
+    """A row for each method and frames."""
+    open_device(runs.device)
+    settings = scene_settings(flags.engine, device=runs.device)
+    truths, starts = SCALES[flags.scale]
+    chosen = [(m, f) for m, f in ROWS if not flags.method or m in flags.method]
+    chosen += [(m, "all") for m in flags.method if m not in dict(ROWS)]
+    rows = [
+        sim2sim(
+            method, truths=truths, starts=starts, frames=frames, settings=settings, seed=runs.seed
+        )
+        for method, frames in chosen
+    ]
+    title = f"{truths} objects, {starts} starts each, seed {runs.seed}, engine {flags.engine}"
+    return Result(
+        name="sim2sim",
+        figures={"engine": flags.engine, "rows": rows},
+        shown=[table_of(f"Mean absolute errors: {title}", rows)],
+    )
 
 
 def specific_modulus(E: float) -> float:
@@ -152,8 +188,7 @@ def sim2sim_recording(
         ParameterError: There are fewer than two frames.
         SimulationError: It diverges.
     """
-    if frames < 2:
-        raise ParameterError(f"a lift has at least two frames, got {frames}")
+    require(frames >= 2, f"a lift has at least two frames, got {frames}")
     settings = settings or scene_settings()
     seconds = SECONDS * rise / RISE / math.sqrt(GRAVITY_SHARE)
     time = np.linspace(0.0, seconds, frames)
@@ -182,7 +217,7 @@ def sim2sim_recording(
             ),
             table_height=0.0,
             gripper_source="measured",
-            source="gendom.estimation.sim2sim",
+            source="experiments.sim2sim",
             extra={"ordered_markers": markers},
         )
 
@@ -224,33 +259,6 @@ def sim2sim_problem(
     return problem
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """One method, frames and engine, over truths and starts."""
-
-    method: str
-    frames: str
-    engine: str
-    truths: int
-    starts: int
-    E: float
-    """Mean absolute error, in the paper's units."""
-    nu: float
-    """Mean absolute error."""
-    chamfer: float
-    """Of the last frame, mean [m]."""
-    E_sd: float
-    nu_sd: float
-    chamfer_sd: float
-    """Deviations of those errors."""
-    E_worst: float
-    nu_worst: float
-    seconds: float
-    """Of one estimate, mean [s]."""
-    paper: dict[str, float] | None
-    """What the paper has there."""
-
-
 def sim2sim(
     method: str,
     *,
@@ -259,9 +267,8 @@ def sim2sim(
     frames: str = "all",
     settings: SceneSettings | None = None,
     seed: int = 0,
-    on_done: Callable[[int], None] | None = None,
-) -> Row:
-    """A row of the paper's table: mean absolute errors of E, nu and the Chamfer distance.
+) -> dict[str, Any]:
+    """A row of the paper's table.
 
     Args:
         method: A key of `SEARCHES`.
@@ -270,51 +277,70 @@ def sim2sim(
         frames: ``all`` or ``last``.
         settings: Of the simulation (default: `scene_settings`).
         seed: Of truths and starts.
-        on_done: Called with the number of estimates done.
+
+    Returns:
+        Mean absolute errors of E (in the paper's units), nu and the Chamfer distance of the last
+        frame [m], their deviations and, of E and nu, the largest ones; the mean time of an estimate
+        [s]; what the paper has there, or None.
 
     Raises:
         ParameterError: There is no such method.
         SimulationError: A lift diverges.
     """
-    if method not in SEARCHES:
-        raise ParameterError(f"there is no method {method!r}", fix=f"use {', '.join(SEARCHES)}")
+    check = f"there is no method {method!r}"
+    require(method in SEARCHES, check, fix=f"use {', '.join(SEARCHES)}")
     settings = settings or scene_settings()
     errors, began = [], perf_counter()
-    for n in range(truths):
-        rng = np.random.default_rng([seed, n])
-        E, nu = rng.uniform(*E_RANGE), rng.uniform(*NU_RANGE)
-        # the network sees clouds, as it was trained
-        markers = method != "pointnet"
-        recording = sim2sim_recording(E, nu, settings=settings, markers=markers, shows=frames)
-        for k in range(starts):
-            problem = sim2sim_problem(recording, settings=settings, seed=k)
-            rng = np.random.default_rng([seed, n, k])
-            start = problem.prior.vector(truth_of(rng.uniform(*E_STARTS), rng.uniform(*NU_RANGE)))
-            found = problem.theta(SEARCHES[method](problem, start).best.vector)
-            x = replay(problem.scene, [truth_of(E, nu), found])[-1]
-            errors.append((paper_E(found.specific_modulus) - E, found.nu - nu, chamfer(x[0], x[1])))
-            if on_done is not None:
-                on_done(len(errors))
+    with bar(f"{method}, {frames} frames", truths * starts, "estimate") as show:
+        for n in range(truths):
+            rng = np.random.default_rng([seed, n])
+            E, nu = rng.uniform(*E_RANGE), rng.uniform(*NU_RANGE)
+            # the network sees clouds, as it was trained
+            markers = method != "pointnet"
+            recording = sim2sim_recording(E, nu, settings=settings, markers=markers, shows=frames)
+            for k in range(starts):
+                start = np.random.default_rng([seed, n, k])
+                errors.append(_errors(method, recording, settings, (E, nu), start, k))
+                show(len(errors))
     size = np.abs(errors)
     mean, sd, worst = size.mean(axis=0), size.std(axis=0), size.max(axis=0)
-    return Row(
-        method=method, frames=frames, engine=settings.engine, truths=truths, starts=starts,
-        E=mean[0], nu=mean[1], chamfer=mean[2],
-        E_sd=sd[0], nu_sd=sd[1], chamfer_sd=sd[2], E_worst=worst[0], nu_worst=worst[1],
-        seconds=(perf_counter() - began) / len(errors),
-        paper=PAPER_ERRORS.get((method, frames)),
-    )  # fmt: skip
+    return {
+        "method": method, "frames": frames, "engine": settings.engine,
+        "truths": truths, "starts": starts,
+        "E": mean[0], "nu": mean[1], "chamfer": mean[2],
+        "E_sd": sd[0], "nu_sd": sd[1], "chamfer_sd": sd[2],
+        "E_worst": worst[0], "nu_worst": worst[1],
+        "seconds": (perf_counter() - began) / len(errors),
+        "paper": PAPER_ERRORS.get((method, frames)),
+    }  # fmt: skip
 
 
-def rows_text(rows: Sequence[Row]) -> str:
-    """A table for people."""
-    lines = [
-        f"{'method':<24}{'frames':<8}{'engine':<8}{'E':>12}{'nu':>12}{'Chamfer [m]':>13}{'s':>8}"
-    ]
+def _errors(
+    method: str,
+    recording: Recording,
+    settings: SceneSettings,
+    true: tuple[float, float],
+    rng: np.random.Generator,
+    seed: int,
+) -> tuple[float, float, float]:
+    """Of E and nu of one estimate, and the Chamfer distance."""
+    problem = sim2sim_problem(recording, settings=settings, seed=seed)
+    start = problem.prior.vector(truth_of(rng.uniform(*E_STARTS), rng.uniform(*NU_RANGE)))
+    found = problem.theta(SEARCHES[method](problem, start).best.vector)
+    x = replay(problem.scene, [truth_of(*true), found])[-1]
+    return paper_E(found.specific_modulus) - true[0], found.nu - true[1], chamfer(x[0], x[1])
+
+
+def table_of(title: str, rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Rows with the paper's numbers below them."""
+    texts = {}
     for row in rows:
-        name = f"{row.method:<24}{row.frames:<8}{row.engine:<8}"
-        lines.append(f"{name}{row.E:>12.3g}{row.nu:>12.2g}{row.chamfer:>13.2g}{row.seconds:>8.2g}")
-        if row.paper is not None:
-            E, nu, c = (row.paper[k] for k in ("E", "nu", "chamfer"))
-            lines.append(f"{'  in the paper':<40}{E:>12.4g}{nu:>12.2g}{c:>13.2g}")
-    return "\n".join(lines)
+        name = f"{row['method']}, {row['frames']} frames, {row['engine']}"
+        figures = tuple(f"{row[key]:.2g}" for key in ("nu", "chamfer", "seconds"))
+        texts[name] = (f"{row['E']:.3g}", *figures)
+        if row["paper"] is not None:
+            E, nu, c = (row["paper"][k] for k in ("E", "nu", "chamfer"))
+            texts[f"  {row['method']}, {row['frames']} frames, in the paper"] = (
+                f"{E:.4g}", f"{nu:.2g}", f"{c:.2g}", ""
+            )  # fmt: skip
+    return Table(title=title, head=("E", "nu", "Chamfer [m]", "s"), rows=texts)

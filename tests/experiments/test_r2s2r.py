@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from experiments.r2s2r import identify
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import dimensionless_parameters, with_dimensionless
 from gendom.policies.adaptation import Execution
-from gendom.policies.identify import IdentifySettings, identify
 from policies.ballistic import ROPE, TASK, Throws
 
 PARAMETERS = {"E": 0.5, "damping": 0.03}
@@ -35,10 +35,9 @@ def test_one_object_is_explained():
 
 def test_several_objects_share_a_compromise():
     other = with_dimensionless(ROPE, {"E": 0.3, "damping": 0.03})
-    settings = IdentifySettings(ranges={"E": (0.2, 0.8)})
     start = with_dimensionless(ROPE, {"damping": 0.03})
     both = [(start, e) for _, e in [*seen(TRUE, 10), *seen(other, 10)]]
-    found = identify(TASK, both, world=Throws(), settings=settings)
+    found = identify(TASK, both, world=Throws(), ranges={"E": (0.2, 0.8)})
     assert 0.3 < found.parameters["E"] < 0.5
     assert found.misfit > 0.01
     assert dimensionless_parameters(found.item(ROPE))["E"] == pytest.approx(found.parameters["E"])
@@ -48,5 +47,4 @@ def test_nothing_to_learn_from_is_told():
     with pytest.raises(ParameterError, match="no executions"):
         identify(TASK, [], world=Throws())
     with pytest.raises(SimulationError, match="no parameters could be simulated"):
-        identify(TASK, seen(TRUE), world=Throws(fails=True),
-                 settings=IdentifySettings(generations=1))  # fmt: skip
+        identify(TASK, seen(TRUE), world=Throws(fails=True), generations=1)

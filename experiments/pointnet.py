@@ -1,25 +1,25 @@
-"""`pointnet`: a network that predicts parameters from the last cloud of one kind of lift.
+"""PointNet++, the paper's baseline: a network that predicts parameters from the last cloud of one
+kind of lift.
 
-The paper's baseline: PointNet++ (Qi et al. 2017) with single-scale grouping, trained on simulated
-lifts (`pointnet_network`). It takes a cloud in the gripper's frame, in sizes of the object, and
-gives the logarithm of bending length over size and Poisson's ratio, each with its variance (Kendall
-and Gal 2017). Farthest points and their neighbourhoods are chosen here, before the network, which
-onnxruntime runs. Other unknowns stay at their priors. The network is for one lift, by default that
-of the paper's simulation.
+PointNet++ (Qi et al. 2017) with single-scale grouping, trained on simulated lifts
+(`pointnet_training`). It takes a cloud in the gripper's frame, in sizes of the object, and gives
+the logarithm of bending length over size and Poisson's ratio, each with its variance (Kendall and
+Gal 2017). Farthest points and their neighbourhoods are chosen here, before the network, which
+onnxruntime runs. Other unknowns stay at their priors. The network is for the lift of the paper's
+simulation.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.problem import Found, Problem, Start
@@ -27,7 +27,7 @@ from gendom.estimation.scene import Scene
 
 Array = NDArray[np.floating]
 
-ASSET = "pointnet-rope.onnx"
+ASSET = Path(__file__).parent / "assets" / "pointnet-rope.onnx"
 METADATA_KEY = "gendom-pointnet"
 FORMAT = "gendom-pointnet/1"
 
@@ -44,32 +44,22 @@ NEIGHBOURS = 16
 """Of each centre, itself among them; where there are fewer, the centre stands in."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PointNetSettings:
-    """Which network."""
-
-    path: Path | None = None
-    """ONNX file that `train_pointnet` wrote; None: the shipped one."""
-
-
-def pointnet(problem: Problem, settings: PointNetSettings | None = None) -> Found:
+def pointnet(problem: Problem) -> Found:
     """Predict modulus and Poisson's ratio from the last cloud.
 
     Raises:
-        ParameterError: The network was trained on another kind of lift, or the file is none.
+        ParameterError: The network was trained on another kind of lift.
         SimulationError: Its prediction cannot be simulated.
     """
-    settings = settings or PointNetSettings(path=problem.settings.network)
     scene, prior = problem.only().scene, problem.prior
-    session, description = read_network(settings.path)
+    session, description = read_network(ASSET)
     lift = lift_of(scene)
     for name, value in description["lift"].items():
         if not value / 1.2 <= lift[name] <= 1.2 * value:
             raise ParameterError(
                 f"the network knows lifts with {name} {value:.3g}, this one's is {lift[name]:.3g}",
                 where="method pointnet",
-                fix="use gauss-newton, or give a network for such lifts (--network), which "
-                "benchmarks/pointnet.py --recording trains",
+                fix="use gauss-newton",
             )
     cloud = scene.recording.frame(scene.frames[-1]).astype(float)
     (mean,), (log_variance,) = session.run(
@@ -186,37 +176,28 @@ def _taken(points: Array, index: NDArray[np.intp]) -> Array:
     return np.take_along_axis(points, flat, axis=1).reshape(*index.shape, 3)
 
 
-def read_network(path: Path | None) -> tuple[Any, dict[str, Any]]:
-    """A session of onnxruntime, and the file's metadata.
-
-    Args:
-        path: What `train_pointnet` wrote; None: the shipped one.
+def read_network(path: Path) -> tuple[Any, dict[str, Any]]:
+    """A session of onnxruntime, and the metadata of a file that `train` of `pointnet_training`
+    wrote.
 
     Raises:
         ParameterError: There is no such file, or it is no such network.
     """
     import onnxruntime
 
-    place = path or resources.files("gendom") / "assets" / ASSET
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.log_severity_level = 4
+    fix = "train one with python -m experiments.pointnet_training"
     try:
         session = onnxruntime.InferenceSession(
-            place.read_bytes(), sess_options=options, providers=["CPUExecutionProvider"]
+            path.read_bytes(), sess_options=options, providers=["CPUExecutionProvider"]
         )
         metadata = session.get_modelmeta().custom_metadata_map[METADATA_KEY]
         description = json.loads(metadata)
     except Exception as error:  # onnxruntime's own exceptions share no public base class
-        raise ParameterError(
-            f"is no network of this method ({type(error).__name__})",
-            where=str(place),
-            fix="train one with benchmarks/pointnet.py",
-        ) from error
-    if description.get("format") != FORMAT:
-        raise ParameterError(
-            f"has format {description.get('format')!r}, not {FORMAT!r}",
-            where=str(place),
-            fix="train it again with benchmarks/pointnet.py",
-        )
+        what = f"is no network of this method ({type(error).__name__})"
+        raise ParameterError(what, where=str(path), fix=fix) from error
+    what = f"has format {description.get('format')!r}, not {FORMAT!r}"
+    require(description.get("format") == FORMAT, what, where=str(path), fix=fix)
     return session, description

@@ -6,8 +6,7 @@ import os
 import numpy as np
 import pytest
 
-from gendom.errors import ParameterError
-from gendom.estimation.methods.pointnet import (
+from experiments.pointnet import (
     CENTRES,
     NEIGHBOURS,
     POINTS,
@@ -17,14 +16,15 @@ from gendom.estimation.methods.pointnet import (
     pointnet,
     read_network,
 )
-from gendom.estimation.scene import Scene
-from gendom.estimation.sim2sim import (
+from experiments.sim2sim import (
     paper_E,
     scene_settings,
     sim2sim_problem,
     sim2sim_recording,
     truth_of,
 )
+from gendom.errors import ParameterError
+from gendom.estimation.scene import Scene
 
 RNG = np.random.default_rng(0)
 
@@ -58,12 +58,7 @@ def test_groups_do_not_depend_on_the_order_of_points(n):
 
 def test_the_file_gives_what_torch_gives(tmp_path):
     torch = pytest.importorskip("torch", reason="training needs torch")
-    from gendom.estimation.methods.pointnet_network import (
-        INPUTS,
-        PointNetTraining,
-        simulated_lifts,
-        train_pointnet,
-    )
+    from experiments.pointnet_training import INPUTS, Training, simulated_lifts, train
 
     settings = scene_settings()
     scene = Scene.of(sim2sim_recording(4000.0, 0.3, frames=10), settings)
@@ -72,8 +67,8 @@ def test_the_file_gives_what_torch_gives(tmp_path):
     assert targets[0, 0] == pytest.approx(
         math.log(scene.bending_length(thetas[0].specific_modulus) / 0.5)
     )
-    path, training = tmp_path / "net.onnx", PointNetTraining(epochs=3)
-    network = train_pointnet(scene, clouds, targets, path, training)
+    path, training = tmp_path / "net.onnx", Training(epochs=3)
+    network = train(scene, clouds, targets, path, training)
     session, said = read_network(path)
     assert said["lift"] == pytest.approx({"rise": 0.9, "thickness": 0.056})
     made = grouped(clouds)
@@ -82,7 +77,7 @@ def test_the_file_gives_what_torch_gives(tmp_path):
     for a, b in zip(session.run(None, made), expected, strict=True):
         np.testing.assert_allclose(a, b.numpy(), atol=1e-5)
     torch.manual_seed(5)
-    again = train_pointnet(scene, clouds, targets, path, training)
+    again = train(scene, clouds, targets, path, training)
     for a, b in zip(network.parameters(), again.parameters(), strict=True):
         assert torch.equal(a, b)
 
@@ -96,6 +91,14 @@ def test_the_shipped_network_reads_a_lift(paper_lift):
     sd = math.sqrt(found.covariance[0, 0])
     assert 0.0 < sd < 0.3
     assert abs(math.log(E / 4000.0)) < 4.0 * sd
+
+
+def test_the_network_refuses_another_lift():
+    settings = scene_settings(fast_frames=20)
+    short = {"frames": 20, "rise": 0.2, "markers": False, "shows": "last"}
+    recording = sim2sim_recording(4000.0, 0.3, settings=settings, **short)
+    with pytest.raises(ParameterError, match="knows lifts with rise"):
+        pointnet(sim2sim_problem(recording, settings=settings))
 
 
 def test_a_file_that_is_no_network_is_refused(tmp_path):

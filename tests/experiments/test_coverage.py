@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from gendom.cli import main
-from gendom.evaluation.coverage import coverage_text, covered, rank_band
+from experiments.__main__ import main
+from experiments.coverage import covered, rank_band, shown_of
 
 
 def rows_of(lifts, *, stated=1.0, bias=0.0, seed=0):
@@ -33,7 +33,7 @@ def rows_of(lifts, *, stated=1.0, bias=0.0, seed=0):
 def test_ranks_of_right_posteriors_stay_in_the_band(seed):
     (found,) = covered(rows_of(100, seed=seed), 0.9)
     assert found.uniform and len(found.ranks) == sum(found.counts) == 100
-    assert "in the band" in coverage_text(rows_of(100, seed=seed), [found])
+    assert "in the band" in str(shown_of(rows_of(100, seed=seed), [found])[0])
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -47,7 +47,7 @@ def test_ranks_of_narrow_or_shifted_posteriors_leave_it(wrong, piles, seed):
     assert not found.uniform
     for end in piles:
         assert found.counts[end] > found.band[1]
-    assert "not uniform" in coverage_text(rows_of(100, seed=seed, **wrong), [found])
+    assert "not uniform" in str(shown_of(rows_of(100, seed=seed, **wrong), [found])[0])
 
 
 def test_ranks_of_wide_posteriors_leave_it_in_the_middle():
@@ -66,7 +66,7 @@ def test_what_is_added_makes_intervals_hold(stated):
     for row in rows:
         row["posterior"]["covariance"] = [[(stated * 0.05) ** 2 + found.added**2]]
     assert covered(rows, 0.9)[0].covered == pytest.approx(0.9, abs=1e-3)
-    assert f"{found.added:.4f}" in coverage_text(rows, [found])
+    assert f"{found.added:.4f}" in str(shown_of(rows, [found])[0])
 
 
 @pytest.mark.parametrize("stated", [0.5, 2.0])
@@ -100,21 +100,20 @@ def test_the_band_holds_uniform_ranks_as_often_as_it_says(count, bins):
     assert narrower < 0.95
 
 
-def test_the_command_writes_ranks_and_a_page(tmp_path, monkeypatch, capsys):
+def test_the_command_writes_ranks_and_a_picture(tmp_path, monkeypatch, capsys):
     """Rows that are kept are not made again."""
     rows = rows_of(40, stated=0.4)
     for row in rows:
         (tmp_path / f"rope-swing-{row['seed']:04d}.json").write_text(json.dumps(row))
-    words = ["reproduce", "coverage", "--end", "swing", "--jobs", "1", "--out", str(tmp_path)]
+    words = ["coverage", "--end", "swing", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0
     told = capsys.readouterr().out
     assert "40 lifts, 40 usable" in told and "not uniform" in told
-    result = json.loads((tmp_path / "table-rope-swing.json").read_text())
+    result = json.loads((tmp_path / "coverage-rope-swing.json").read_text())
     (unknown,) = result["unknowns"]
     assert len(unknown["ranks"]) == 40 and unknown["band"] == list(rank_band(40, 8))
     made = json.loads((tmp_path / "calibration-rope-swing.json").read_text())["rope"]
     assert made["lifts"] == 40 and made["factor"] == {}
     assert made["added"]["specific_modulus"] == unknown["added"] > 0.0
-    page = (tmp_path / "table-rope-swing.html").read_text()
-    assert "95 % band of uniform ranks" in page and '<svg class="plot"' in page
-    assert "--end swing --lifts 40" in page
+    assert "coverage --end swing" in (tmp_path / "coverage-rope-swing.txt").read_text()
+    assert (tmp_path / "coverage-rope-swing.png").stat().st_size > 1000

@@ -10,9 +10,8 @@ import pytest
 from gendom.cli import main
 from gendom.cli.plan_lift import plan_text
 from gendom.errors import ParameterError, RobotError
-from gendom.estimation import EstimateSettings, SceneSettings, estimate, replay
-from gendom.evaluation import lift_plan
-from gendom.evaluation.lift_plan import (
+from gendom.estimation import EstimateSettings, SceneSettings, estimate, lift_plan, replay
+from gendom.estimation.lift_plan import (
     SHOWN,
     LiftPlan,
     LiftPlanSettings,
@@ -22,8 +21,8 @@ from gendom.evaluation.lift_plan import (
     rolls,
 )
 from gendom.materials import Rope
-from gendom.reality import as_real, lifted_by, predefined_lift
-from gendom.robot import XARM7, LiftMotion, follow
+from gendom.reality import as_real, lifted_by
+from gendom.robot import XARM7, LiftMotion, follow, predefined_lift
 
 ROPES = ObjectClass(kind="rope", size=(0.25, 0.25), thickness=(0.012, 0.012))
 FIXED = ["rope", "--length", "0.25", "--diameter", "0.012"]

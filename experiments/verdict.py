@@ -1,38 +1,32 @@
-"""The verdict's confusion table: lifts of random objects, good ones and spoiled ones.
+"""What estimates say of lifts of random objects, as recorded and corrupted in many ways.
 
-What is spoiled are units, sizes, frames, the gripper and the clouds. An estimate must refuse such a
-recording, or be right all the same: some faults do no harm to what is estimated.
+Corrupted are units, sizes, frames, the gripper and the clouds. An estimate must refuse such a
+recording, or be right all the same: some faults do no harm to what is estimated. Right: usable, and
+the truth lies in the intervals of E and E / density, or within 10 % of them.
 """
 
 from __future__ import annotations
 
-import json
+import argparse
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.coverage import Lifts, draw_object, estimate_settings, truth_of
+from experiments.runs import Result, Runs, Table
 from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.estimation import estimate
-from gendom.evaluation.coverage import (
-    CoverageSettings,
-    draw_object,
-    of_each_lift,
-    recorded,
-    truth_of,
-)
-from gendom.evaluation.sheet import Sheet
-from gendom.files import write_json
+from gendom.files import read_json, write_json
 
 Array = NDArray[np.floating]
 
-Spoil = Callable[[Recording], Recording]
+Corruption = Callable[[Recording], Recording]
 
 
 def clouds_of(recording: Recording, clouds: list[Array]) -> Recording:
@@ -44,26 +38,26 @@ def clouds_of(recording: Recording, clouds: list[Array]) -> Recording:
     )
 
 
-def _time(factor: float) -> Spoil:
+def _time(factor: float) -> Corruption:
     return lambda r: replace(r, time=r.time[0] + factor * (r.time - r.time[0]))
 
 
-def _described(**factors: float) -> Spoil:
+def _described(**factors: float) -> Corruption:
     """Sizes or mass times these factors, where they are stated."""
 
-    def spoil(r: Recording) -> Recording:
+    def corrupt(r: Recording) -> Recording:
         own = {n: getattr(r.object, n) for n in factors}
         changed = {n: f * own[n] for n, f in factors.items() if own[n] is not None}
         return replace(r, object=replace(r.object, **changed))
 
-    return spoil
+    return corrupt
 
 
-def _size(factor: float) -> Spoil:
+def _size(factor: float) -> Corruption:
     return _described(length=factor, width=factor, height=factor)
 
 
-def _thick(factor: float) -> Spoil:
+def _thick(factor: float) -> Corruption:
     return _described(diameter=factor, thickness=factor)
 
 
@@ -75,18 +69,18 @@ def _away(r: Recording) -> tuple[Array, Array]:
     return np.array([*along, 0.0]), np.array([-along[1], along[0], 0.0])
 
 
-def _gripper_moved(along: float = 0.0, aside: float = 0.0, up: float = 0.0) -> Spoil:
+def _gripper_moved(along: float = 0.0, aside: float = 0.0, up: float = 0.0) -> Corruption:
     """Stated so far from where it is [m]."""
 
-    def spoil(r: Recording) -> Recording:
+    def corrupt(r: Recording) -> Recording:
         a, b = _away(r)
         by = along * a + aside * b + np.array([0.0, 0.0, up])
         return replace(r, gripper_position=r.gripper_position + by)
 
-    return spoil
+    return corrupt
 
 
-def _swapped(*axes: int) -> Spoil:
+def _swapped(*axes: int) -> Corruption:
     return lambda r: replace(
         r,
         points=r.points[:, axes],
@@ -95,7 +89,7 @@ def _swapped(*axes: int) -> Spoil:
     )
 
 
-def _points(change: Callable[[Array, Recording], Array]) -> Spoil:
+def _points(change: Callable[[Array, Recording], Array]) -> Corruption:
     return lambda r: replace(r, points=change(r.points.astype(float), r))
 
 
@@ -113,7 +107,7 @@ def _mirrored(points: Array, r: Recording) -> Array:
     return points * [1.0, -1.0, 1.0]
 
 
-def _through_lens(factor: float) -> Spoil:
+def _through_lens(factor: float) -> Corruption:
     """Clouds of a camera whose focal length is stated wrongly, seen from its place or, where that
     is unknown, from a metre away."""
 
@@ -145,7 +139,7 @@ def _table(points: Array, r: Recording) -> Array:
     return drawn
 
 
-def _strays(share: float) -> Spoil:
+def _outliers(share: float) -> Corruption:
     def change(points: Array, r: Recording) -> Array:
         rng = np.random.default_rng(0)
         return np.where(rng.random(len(points))[:, None] < share, _uniform(points, r), points)
@@ -172,15 +166,15 @@ def _still_cloud(r: Recording) -> Recording:
     return clouds_of(r, [r.frame(int(np.argmax(r.frame_valid)))] * r.num_frames)
 
 
-def _late(frames: float) -> Spoil:
-    def spoil(r: Recording) -> Recording:
+def _late(frames: float) -> Corruption:
+    def corrupt(r: Recording) -> Recording:
         by = round(frames * r.num_frames)
         return clouds_of(r, [r.frame(max(0, t - by)) for t in range(r.num_frames)])
 
-    return spoil
+    return corrupt
 
 
-SPOILED: dict[str, Spoil] = {
+CORRUPTED: dict[str, Corruption] = {
     "time in milliseconds": _time(1e3),
     "frame numbers as time": lambda r: replace(r, time=np.arange(r.num_frames, dtype=float)),
     "time x 10": _time(10.0),
@@ -224,7 +218,7 @@ SPOILED: dict[str, Spoil] = {
     "focal length x 1.2": _through_lens(1 / 1.2),
     "uniform noise": _points(_uniform),
     "the table's points": _points(_table),
-    "30 % strays": _strays(0.3),
+    "30 % outliers": _outliers(0.3),
     "half of the object": _cut,
     "one frame": lambda r: r.head(1),
     "nothing moves": _still,
@@ -236,44 +230,36 @@ SPOILED: dict[str, Spoil] = {
 
 GOOD = "as recorded"
 
-NEAR = 0.1
+CLOSE_ENOUGH = 0.1
 """Largest relative error of E, and of E / density, of an estimate that is right although its
 intervals miss the truth."""
 
 
-def verdicts(
-    folder: str | Path,
-    settings: CoverageSettings,
-    *,
-    on_done: Callable[[int], None] | None = None,
-) -> list[dict[str, dict[str, Any]]]:
-    """Of each lift, by `GOOD` and names of `SPOILED`, what an estimate said.
-
-    Args:
-        folder: Keeps recordings and results, recordings as `gendom.evaluation.coverage` does;
-            existing ones are kept.
-        settings: Which lifts.
-        on_done: Called with the number of lifts done.
-
-    Raises:
-        DeviceError: The second reality cannot be simulated or rendered here.
-        GendomError: The folder cannot be written.
-    """
-    return of_each_lift(partial(_judged, Path(folder), settings), settings, on_done)
+def run(runs: Runs, flags: argparse.Namespace) -> Result:
+    """Of each lift, by `GOOD` and names of `CORRUPTED`, what an estimate said."""
+    lifts = Lifts(kind=flags.kind, end=flags.end)
+    seeds = range(flags.seed, flags.seed + flags.lifts)
+    rows = list(runs.each(partial(_judged, runs, lifts), seeds, "judging"))
+    settings = {**asdict(lifts), "lifts": flags.lifts}
+    return Result(
+        name=f"verdict-{lifts.name}",
+        figures={**settings, "cases": confusion(rows), "rows": rows},
+        shown=[confusion_table(rows)],
+    )
 
 
-def _judged(folder: Path, settings: CoverageSettings, seed: int) -> dict[str, dict[str, Any]]:
-    kept = folder / f"verdict-{settings.kind}-{settings.end}-{seed:04d}.json"
-    done = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
-    for case in (GOOD, *SPOILED):
+def _judged(runs: Runs, lifts: Lifts, seed: int) -> dict[str, dict[str, Any]]:
+    kept = runs.folder / f"verdict-{lifts.name}-{seed:04d}.json"
+    done = read_json(kept) if kept.exists() else {}
+    for case in (GOOD, *CORRUPTED):
         if case not in done:
-            done[case] = _case(recorded(folder, settings, seed), case, settings, seed)
+            done[case] = _case(lifts.recorded(runs, seed), case, lifts, seed)
             write_json(kept, done)
     return done
 
 
-def _case(recording: Recording, case: str, settings: CoverageSettings, seed: int) -> dict[str, Any]:
-    item = draw_object(settings.kind, seed)
+def _case(recording: Recording, case: str, lifts: Lifts, seed: int) -> dict[str, Any]:
+    item = draw_object(lifts.kind, seed)
     modulus = truth_of(item)["specific_modulus"]
     truth = {
         "specific_modulus": modulus,
@@ -281,8 +267,8 @@ def _case(recording: Recording, case: str, settings: CoverageSettings, seed: int
     }
     try:
         if case != GOOD:
-            recording = SPOILED[case](recording)
-        found = estimate(recording, settings.estimate_settings(seed))
+            recording = CORRUPTED[case](recording)
+        found = estimate(recording, estimate_settings(seed))
     except GendomError as error:
         return {"usable": False, "reasons": [str(error)]}
     if not found.usable:
@@ -294,14 +280,14 @@ def _case(recording: Recording, case: str, settings: CoverageSettings, seed: int
         if (ends := found.interval(name)) is not None
         for low, high in [ends]
     ]
-    near = max(abs(ratio - 1.0) for ratio in ratios.values()) < NEAR
+    near = max(abs(ratio - 1.0) for ratio in ratios.values()) < CLOSE_ENOUGH
     return {"usable": True, "right": near or all(inside), "ratios": ratios}
 
 
 def confusion(rows: Sequence[dict[str, dict[str, Any]]]) -> dict[str, dict[str, int]]:
     """By case how many lifts were refused, are usable and right, and usable and wrong."""
     table = {}
-    for case in (GOOD, *SPOILED):
+    for case in (GOOD, *CORRUPTED):
         of_case = [row[case] for row in rows]
         usable = [r for r in of_case if r["usable"]]
         right = sum(r["right"] for r in usable)
@@ -313,7 +299,7 @@ def confusion(rows: Sequence[dict[str, dict[str, Any]]]) -> dict[str, dict[str, 
     return table
 
 
-def confusion_sheet(rows: Sequence[dict[str, dict[str, Any]]]) -> Sheet:
+def confusion_table(rows: Sequence[dict[str, dict[str, Any]]]) -> Table:
     """The table of `confusion`, with the worst ratio of E to the truth of those that are wrong."""
     found = {}
     for case, counts in confusion(rows).items():
@@ -324,7 +310,7 @@ def confusion_sheet(rows: Sequence[dict[str, dict[str, Any]]]) -> Sheet:
         ]
         worst = max(off, key=lambda ratio: abs(math.log(ratio)), default=None)
         found[case] = (*map(str, counts.values()), "" if worst is None else f"{worst:.2g}")
-    return Sheet(
+    return Table(
         title=f"{len(rows)} lifts",
         head=("refused", "usable, right", "usable, wrong", "E / true E at worst"),
         rows=found,

@@ -5,23 +5,22 @@ a cloth differ in where the hand closes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import argparse
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from experiments.runs import Result, Runs, Table, TrainingJob, stated
 from gendom.errors import GendomError
-from gendom.evaluation.protocol import Cases, choose
-from gendom.evaluation.tables.lifted import lifted, stated
-from gendom.evaluation.tables.workbench import Wanted, Workbench
 from gendom.materials import Item
 from gendom.policies import Policy
 from gendom.policies.belief import Belief
+from gendom.policies.evaluation import Cases, choose
 from gendom.policies.policy import QUANTILE
 from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import CLOTH, OFF_CENTRE, SEARCHED
@@ -33,10 +32,16 @@ Array = NDArray[np.float64]
 CLOTHS = ("cloth-cotton-200mm", "cloth-rubber-200mm")
 """Of the second reality, as the paper's."""
 
+PAPER = {
+    "ours": {"cloth-cotton-200mm": 0.78, "cloth-rubber-200mm": 0.98},
+    "ours, no parameters": {"cloth-cotton-200mm": 0.52, "cloth-rubber-200mm": 0.97},
+}
+"""Extended ratios in the paper, of its cotton and its rubber cloth."""
+
 HAND = 0.01
 """Standard deviation of where the hand closes, along each side [sides]."""
 
-SEEN = ("covered", "share")
+MEASURED = ("covered", "share")
 """Results of a trial: the area covered, the paper's extended ratio, and the share of it that
 lies spread."""
 
@@ -45,33 +50,40 @@ _STREAM = 7
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClothRealSettings:
+class Settings:
     """Numbers of simulations, trainings and trials."""
 
-    cloths: tuple[str, ...] = CLOTHS
-    trials: int = 5
+    trials: int
     """Of each cloth and row."""
-    demonstrations: int = 800
+    demonstrations: int
     """Simulated, of which those that spread are learnt from; 0: the policy that ships. The one
     without parameters gives the same quantile of what was learnt from."""
+    draws: int
+    """Objects of the posterior for which an action is searched."""
     epochs: int = 150
     steps: int = 3000
     """Of the optimiser in each training, at least."""
-    draws: int = 8
-    """Objects of the posterior for which an action is searched."""
 
 
-def cloth_real(bench: Workbench, settings: ClothRealSettings) -> dict[str, Any]:
-    """Measure all rows.
+SCALES = {
+    "small": Settings(trials=1, demonstrations=0, draws=2),
+    "full": Settings(trials=5, demonstrations=800, draws=8),
+}
 
-    Args:
-        bench: Where everything is kept, each trial by itself.
-        settings: How much.
+
+def run(runs: Runs, flags: argparse.Namespace) -> Result:
+    """Measure all rows, and show a table for each cloth."""
+    figures = cloth_real(runs, SCALES[flags.scale], flags.objects or CLOTHS)
+    return Result(name="cloth-real", figures=figures, shown=tables_of(figures))
+
+
+def cloth_real(runs: Runs, settings: Settings, cloths: Sequence[str] = CLOTHS) -> dict[str, Any]:
+    """Measure all rows; each trial is kept by itself.
 
     Returns:
         JSON: estimates; where the hand closed in each trial [sides]; for each cloth its rows with
-        A and, by trial, `SEEN`, null where the arm or the simulation failed. A cloth whose estimate
-        is not usable has the reason, and no rows that need one.
+        A and, by trial, `MEASURED`, null where the arm or the simulation failed. A cloth whose
+        estimate is not usable has the reason, and no rows that need one.
 
     Raises:
         DeviceError: The second reality cannot be simulated or rendered here.
@@ -79,31 +91,32 @@ def cloth_real(bench: Workbench, settings: ClothRealSettings) -> dict[str, Any]:
     """
     from gendom.reality import find_object
 
-    policies = _policies(bench, settings)
+    policy, constant = _policy(runs, settings)
     estimates, rows = {}, {}
-    for name in settings.cloths:
+    for name in cloths:
         item = find_object(name)
-        A = {"ours, no parameters": policies["no parameters"](item)}
+        A = {"ours, no parameters": constant}
         try:
-            belief = lifted(bench, name, ClothSpreading())
+            belief = runs.lifted(name, ClothSpreading())
         except GendomError as error:
             estimates[name] = {"refused": str(error).splitlines()[0]}
         else:
             estimates[name] = stated(belief)
-            A["ours"] = policies["ours"](belief.most_likely)
-            A["searched"] = _searched(bench, settings, name, belief)
-        A["ours, true parameters"] = policies["ours"](item)
+            A["ours"] = _acts(policy, belief.most_likely)
+            A["searched"] = _searched(runs, settings, name, belief)
+        A["ours, true parameters"] = _acts(policy, item)
         rows[name] = {row: {"A": round(value, 4)} for row, value in A.items()}
 
-    hands = _hands(bench.seed, settings.trials)
-    wanted = sorted({(n, row["A"], k) for n, of in rows.items() for row in of.values()
+    hands = _hands(runs.seed, settings.trials)
+    trials = sorted({(n, row["A"], k) for n, of in rows.items() for row in of.values()
                      for k in range(settings.trials)})  # fmt: skip
-    bench.on_stage(f"{len(wanted)} trials")
-    found = dict(zip(wanted, _carried_out(bench, wanted, hands), strict=True))
+    found = dict(
+        zip(trials, runs.each(partial(_trial, runs, hands), trials, "trials"), strict=True)
+    )
     for name, of in rows.items():
         for row in of.values():
-            trials = [found[name, row["A"], k] for k in range(settings.trials)]
-            row |= {key: [trial[key] for trial in trials] for key in SEEN}
+            own = [found[name, row["A"], k] for k in range(settings.trials)]
+            row |= {key: [trial[key] for trial in own] for key in MEASURED}
     return {"estimates": estimates, "hands": hands.tolist(), "cloths": rows}
 
 
@@ -114,29 +127,22 @@ def _hands(seed: int, trials: int) -> Array:
     return np.array(OFF_CENTRE) + away
 
 
-def _policies(
-    bench: Workbench, settings: ClothRealSettings
-) -> Mapping[str, Callable[[Item], float]]:
-    """The A [-] of each policy for an object."""
-    policy, constant = _policy(bench, settings)
-    return {"ours": partial(_acts, policy), "no parameters": lambda _: constant}
-
-
-def _policy(bench: Workbench, settings: ClothRealSettings) -> tuple[Policy, float]:
+def _policy(runs: Runs, settings: Settings) -> tuple[Policy, float]:
     """The policy, and the A that is enough for as many cloths without seeing them [-]."""
     task = ClothSpreading()
     if settings.demonstrations == 0:
         policy = Policy.pretrained(task.name)
         A, (_, most) = policy.description.outputs[0], task.limits(CLOTH)[0]
         return policy, min(A.mean + float(norm.ppf(QUANTILE)) * A.scale, float(most))
-    from gendom.policies.training import Training
+    from gendom.policies.fitting import Training
 
-    data = bench.demonstrations(
+    data = runs.demonstrations(
         f"{task.name}-simulated", Demonstrator(task=task), settings.demonstrations
     )
-    training = Training(method="quantile", epochs=settings.epochs, seed=bench.seed)
+    training = Training(method="quantile", epochs=settings.epochs, seed=runs.seed)
     name = f"{task.name}-ours"
-    policy = bench.policies({name: Wanted.suited(data, training, settings.steps)})[name]
+    job = TrainingJob.of_steps(data, training, settings.steps)
+    policy = runs.policies({name: job})[name]
     return policy, float(np.quantile(data.action[:, 0], QUANTILE))
 
 
@@ -145,12 +151,12 @@ def _acts(policy: Policy, item: Item) -> float:
     return float(choose(policy, case)[0, 0])
 
 
-def _searched(bench: Workbench, settings: ClothRealSettings, name: str, belief: Belief) -> float:
+def _searched(runs: Runs, settings: Settings, name: str, belief: Belief) -> float:
     """The A that spreads most in our simulator, in the mean over the posterior of an estimate."""
 
     def make() -> dict[str, Any]:
-        items = belief.draws(settings.draws, bench.seed)
-        found = Simulation(device=bench.device).carry_out(
+        items = belief.draws(settings.draws, runs.seed)
+        found = Simulation(device=runs.device).carry_out(
             ClothSpreading(),
             [item for item in items for _ in SEARCHED],
             np.tile(SEARCHED, len(items))[:, None],
@@ -160,34 +166,49 @@ def _searched(bench: Workbench, settings: ClothRealSettings, name: str, belief: 
         mean = share.reshape(len(items), -1).mean(axis=0)
         return {"A": SEARCHED, "share": mean.tolist(), "best": SEARCHED[int(mean.argmax())]}
 
-    kept = bench.kept(f"{name}, searched, {settings.draws} draws, seed {bench.seed}", make)
+    kept = runs.kept(f"{name}, searched, {settings.draws} draws, seed {runs.seed}", make)
     return float(kept["best"])
 
 
-def _carried_out(
-    bench: Workbench, wanted: list[tuple[str, float, int]], hands: Array
-) -> list[dict[str, float | None]]:
-    """`SEEN` of trials, each a cloth's name, A and the number of the hand's place."""
-    # the progress callback stays in this process
-    work = partial(_trial, {"folder": bench.folder, "seed": bench.seed})
-    places = [hands[k].tolist() for *_, k in wanted]
-    if bench.jobs == 1 or len(wanted) == 1:
-        return list(map(work, wanted, places))
-    with get_context("spawn").Pool(min(bench.jobs, len(wanted))) as pool:
-        return pool.starmap(work, zip(wanted, places, strict=True), chunksize=1)
-
-
 def _trial(
-    own: dict[str, Any], wanted: tuple[str, float, int], place: list[float]
-) -> dict[str, float | None]:
+    runs: Runs, hands: Array, trial: tuple[str, float, int]
+) -> dict[str, float | str | None]:
+    """`MEASURED` of a trial: a cloth's name, A and the number of the hand's place."""
     from gendom.reality import RealWorld, find_object
 
-    name, A, k = wanted
-    bench = Workbench(**own)
+    name, A, k = trial
 
     def make() -> dict[str, Any]:
-        task = ClothSpreading(off_centre=(place[0], place[1]))
+        task = ClothSpreading(off_centre=tuple(hands[k].tolist()))
         (outcome,) = RealWorld().carry_out(task, [find_object(name)], [[A]])
-        return {key: outcome.values.get(key) for key in SEEN} | {"fault": outcome.fault}
+        return {key: outcome.values.get(key) for key in MEASURED} | {"fault": outcome.fault}
 
-    return bench.kept(f"{name}, A {A:.4f}, trial {k}, seed {bench.seed}", make)
+    return runs.kept(f"{name}, A {A:.4f}, trial {k}, seed {runs.seed}", make)
+
+
+def tables_of(result: Mapping[str, Any]) -> list[Table]:
+    """A table for each cloth."""
+    head = ("A", "extended ratio", "std", "paper", "share spread", "std", "failed")
+    found = []
+    for name, rows in result["cloths"].items():
+        refused = result["estimates"][name].get("refused")
+        title = f"{name}, estimate refused: {refused}" if refused else name
+        texts = {row: _texts(name, row, figures) for row, figures in rows.items()}
+        found.append(Table(title=title, head=head, rows=texts))
+    return found
+
+
+def _texts(name: str, row: str, figures: Mapping[str, Any]) -> tuple[str, ...]:
+    texts: dict[str, tuple[str, str]] = {}
+    for key in MEASURED:
+        values = np.array(figures[key], dtype=float)
+        done = values[np.isfinite(values)]
+        texts[key] = (f"{done.mean():.2f}", f"{done.std():.2f}") if len(done) else ("", "")
+    paper = PAPER.get(row, {}).get(name)
+    return (
+        f"{figures['A']:.2f}",
+        *texts["covered"],
+        "" if paper is None else f"{paper:.2f}",
+        *texts["share"],
+        str(sum(value is None for value in figures["covered"])),
+    )

@@ -8,8 +8,8 @@ simulations with these parameters alone. Objects of several kinds share one set.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,20 +25,12 @@ from gendom.tasks.world import Simulation
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
-class IdentifySettings:
-    """Of the search; numbers are scipy's own."""
+RANGES = {"E": (0.2, 0.8), "damping": (0.005, 0.15)}
+"""Lowest and highest value of each parameter, as `dimensionless_parameters` has them."""
 
-    ranges: Mapping[str, tuple[float, float]] = field(
-        default_factory=lambda: {"E": (0.2, 0.8), "damping": (0.005, 0.15)}
-    )
-    """Lowest and highest value of each parameter, as `dimensionless_parameters` has them."""
-    population: int = 15
-    """Members for each parameter."""
-    generations: int = 20
-    tolerance: float = 0.01
-    """The search ends where misfits of the population deviate by this share of their mean."""
-    seed: int = 0
+POPULATION, GENERATIONS, TOLERANCE = 15, 20, 0.01
+"""Members for each parameter, generations, and the share by which misfits deviate in the end:
+scipy's `popsize`, `maxiter` and `tol`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +54,9 @@ def identify(
     seen: Sequence[tuple[Item, Execution]],
     *,
     world: World | None = None,
-    settings: IdentifySettings | None = None,
-    on_generation: Callable[[int], None] | None = None,
+    ranges: Mapping[str, tuple[float, float]] = RANGES,
+    generations: int = GENERATIONS,
+    seed: int = 0,
 ) -> Identified:
     """Look for the parameters that explain executions best.
 
@@ -71,20 +64,18 @@ def identify(
         task: What was done.
         seen: Objects, of which only sizes and density count, and what was done with them.
         world: Where it is simulated (default: our simulator).
-        settings: How to look.
-        on_generation: Called with the number of generations done.
+        ranges: Parameters, and where to look for them.
+        generations: At most.
+        seed: Of the search.
 
     Raises:
         ParameterError: Nothing was executed, or a parameter is unknown.
         SimulationError: Nothing could be simulated.
     """
-    settings, world = settings or IdentifySettings(), world or Simulation()
+    world = world or Simulation()
     if not seen:
         raise ParameterError("no executions to identify parameters from", fix="give about 20")
-    names = tuple(settings.ranges)
-    bounds = [
-        tuple(np.log(ends)) if PARAMETERS[n].log else ends for n, ends in settings.ranges.items()
-    ]
+    bounds = [tuple(np.log(ends)) if PARAMETERS[n].log else ends for n, ends in ranges.items()]
     units = np.array([task.goal_units(item) for item, _ in seen])
     reached = np.array([e.reached for _, e in seen]) / units
     rollouts = 0
@@ -92,7 +83,7 @@ def identify(
     def values(vector: Array) -> dict[str, float]:
         return {
             n: float(np.exp(x) if PARAMETERS[n].log else x)
-            for n, x in zip(names, vector, strict=True)
+            for n, x in zip(ranges, vector, strict=True)
         }
 
     def misfits(population: Array) -> Array:
@@ -111,25 +102,16 @@ def identify(
         cost = (off**2).sum(axis=2).mean(axis=1)
         return np.where(np.isfinite(cost), cost, np.inf)
 
-    done = 0
-
-    def count(*_: object, **__: object) -> None:
-        nonlocal done
-        done += 1
-        if on_generation is not None:
-            on_generation(done)
-
     result = optimize.differential_evolution(
         misfits,
         bounds,
-        popsize=settings.population,
-        maxiter=settings.generations,
-        tol=settings.tolerance,
-        rng=settings.seed,
+        popsize=POPULATION,
+        maxiter=generations,
+        tol=TOLERANCE,
+        rng=seed,
         vectorized=True,
         updating="deferred",
         polish=False,
-        callback=count,
     )
     if not np.isfinite(result.fun):
         raise SimulationError("no parameters could be simulated", fix="choose other ranges")

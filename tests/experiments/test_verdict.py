@@ -1,12 +1,12 @@
-"""Recordings that are spoiled, and the table of what was said of them."""
+"""Recordings that are corrupted, and the table of what was said of them."""
 
 import json
 
 import pytest
 
-from gendom.cli import main
+from experiments.__main__ import main
+from experiments.verdict import CORRUPTED, GOOD, confusion
 from gendom.datasets import Recording
-from gendom.evaluation.spoiled import GOOD, SPOILED, confusion
 
 
 @pytest.fixture(scope="module")
@@ -14,10 +14,10 @@ def lifted(rope_lift):
     return rope_lift.seen()
 
 
-@pytest.mark.parametrize("case", SPOILED)
-def test_each_spoils_a_recording(lifted, case):
-    spoiled = SPOILED[case](lifted)
-    assert isinstance(spoiled, Recording) and spoiled.digest != lifted.digest
+@pytest.mark.parametrize("case", CORRUPTED)
+def test_each_corrupts_a_recording(lifted, case):
+    corrupted = CORRUPTED[case](lifted)
+    assert isinstance(corrupted, Recording) and corrupted.digest != lifted.digest
 
 
 def answers(usable, *, right=False, ratio=1.0):
@@ -30,14 +30,14 @@ def answers(usable, *, right=False, ratio=1.0):
 def test_the_table_counts_and_resumes(tmp_path, capsys):
     """Cases that are kept are not estimated again."""
     for seed in range(3):
-        row = {case: answers(False) for case in SPOILED}
+        row = {case: answers(False) for case in CORRUPTED}
         row[GOOD] = answers(True, right=True)
         row["mass x 10"] = answers(seed > 0, right=seed > 1, ratio=10.0)
         (tmp_path / f"verdict-rope-hold-{seed:04d}.json").write_text(json.dumps(row))
-    words = ["reproduce", "verdict", "--lifts", "3", "--jobs", "1", "--out", str(tmp_path)]
+    words = ["verdict", "--lifts", "3", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0
     assert "E / true E at worst" in capsys.readouterr().out
-    result = json.loads((tmp_path / "table-verdict-rope-hold.json").read_text())
+    result = json.loads((tmp_path / "verdict-rope-hold.json").read_text())
     assert result["cases"] == confusion(result["rows"])
     assert result["cases"][GOOD] == {"refused": 0, "right": 3, "wrong": 0}
     assert result["cases"]["mass x 10"] == {"refused": 1, "right": 1, "wrong": 1}

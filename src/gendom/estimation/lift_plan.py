@@ -32,7 +32,6 @@ from gendom.estimation import (
 )
 from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.problem import Start
-from gendom.evaluation.coverage import CLOUD_POINTS, FRAME_RATE
 from gendom.materials import KINDS, Item, Material, Rope, catalogue, size_of, thickness_of
 from gendom.observation import visible
 from gendom.reality import (
@@ -42,10 +41,9 @@ from gendom.reality import (
     end_of,
     lift_cameras,
     lifted_by,
-    predefined_lift,
 )
-from gendom.reality.trials import FREE_RISE, RISE
-from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion
+from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion, predefined_lift
+from gendom.robot.motions import FREE_RISE, LIFT_FRAME_RATE, RISE
 
 Array = NDArray[np.floating]
 
@@ -55,6 +53,9 @@ density counts."""
 
 AIMS = (*SHOWN, "all")
 """Parameters that a motion can be chosen for."""
+
+CLOUD_POINTS = {"rope": 320, "cloth": 1400}
+"""Points of a frame, twice what an estimate compares."""
 
 CLOTH_POINTS = 15
 """Along a cloth's longer side: few points are enough to compare motions."""
@@ -315,7 +316,7 @@ def plan_lift(
                 faults[str(arm)] = None
             else:
                 carried_out += 1
-                lying = recorded_lift(trial, arm, FRAME_RATE[motion.end])
+                lying = recorded_lift(trial, arm, LIFT_FRAME_RATE[motion.end])
                 prior_sd, sd = forecast(lying, objects.material, [settings.seed, n])
                 if sd is None:
                     faults[f"a drawn {objects.kind} could not be simulated"] = None
@@ -434,7 +435,7 @@ def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recordin
         gripper_source="measured",
         quasi_static=trial.quasi_static,
         camera_positions=np.array([c.position for c in lift_cameras(item)]),
-        source="gendom.evaluation.lift_plan",
+        source="gendom.estimation.lift_plan",
     )
 
 

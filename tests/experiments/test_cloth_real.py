@@ -1,6 +1,5 @@
 """The table of cloths, in worlds whose shares are a formula."""
 
-import importlib
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -9,9 +8,11 @@ import pytest
 
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
-from gendom.cli import main
+from experiments import cloth_real as module
+from experiments.__main__ import main
+from experiments.cloth_real import CLOTHS, Settings, cloth_real, tables_of
+from experiments.runs import Runs
 from gendom.errors import GendomError
-from gendom.evaluation.tables import ClothRealSettings, Workbench, cloth_real, sheets
 from gendom.policies import Policy
 from gendom.policies.belief import Belief
 from gendom.reality import find_object
@@ -20,9 +21,7 @@ from gendom.tasks.cloth_spreading import OFF_CENTRE
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import Outcome
 
-COTTON, RUBBER = "cloth-cotton-200mm", "cloth-rubber-200mm"
-
-module = importlib.import_module("gendom.evaluation.tables.cloth_real")
+COTTON, RUBBER = CLOTHS
 
 
 @dataclass
@@ -48,31 +47,31 @@ done: list = []
 
 
 @pytest.fixture
-def bench(tmp_path, monkeypatch) -> Workbench:
+def runs(tmp_path, monkeypatch) -> Runs:
     done.clear()
     monkeypatch.setattr("gendom.reality.RealWorld", Formula)
     monkeypatch.setattr(module, "Simulation", Formula)
-    monkeypatch.setattr(module, "lifted", lifted)
-    return Workbench(folder=tmp_path / "table")
+    monkeypatch.setattr(Runs, "lifted", lifted)
+    return Runs(folder=tmp_path / "table")
 
 
-def lifted(bench, name, task):
+def lifted(runs, name, task):
     if name == RUBBER:
         raise GendomError("it did not move", where=f"the lift of {name}")
     return Belief.for_task(task, find_object(name))
 
 
-SMALL = ClothRealSettings(trials=3, demonstrations=0, draws=2)
+SMALL = Settings(trials=3, demonstrations=0, draws=2)
 
 
-def test_every_row_is_tried_and_what_has_no_estimate_is_said(bench):
-    result = cloth_real(bench, SMALL)
+def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs):
+    result = cloth_real(runs, SMALL)
     cotton, rubber = result["cloths"][COTTON], result["cloths"][RUBBER]
     assert set(cotton) == {"ours, no parameters", "ours", "searched", "ours, true parameters"}
     assert set(rubber) == {"ours, no parameters", "ours, true parameters"}
     assert "it did not move" in result["estimates"][RUBBER]["refused"]
     assert "friction" in result["estimates"][COTTON]
-    # of the shipped policy: what was enough for nine of ten cloths that it was taught
+    # of the shipped policy: what was enough for nine of ten cloths that it was trained on
     shipped = Policy.pretrained("cloth-spreading")
     assert cotton["ours, no parameters"]["A"] == rubber["ours, no parameters"]["A"]
     A = shipped.description.outputs[0]
@@ -83,14 +82,14 @@ def test_every_row_is_tried_and_what_has_no_estimate_is_said(bench):
     assert off[0] == 0.0 and 0.001 < off[1:].min() < off.max() < 0.05
     assert cotton["searched"]["share"] == pytest.approx(0.9 - off)
     assert cotton["searched"]["covered"] == pytest.approx(1.0 - off)
-    (first, second) = sheets.cloth_real_sheets(result)
+    (first, second) = tables_of(result)
     assert "0.78" in str(first) and "0.52" in str(first) and "it did not move" in str(second)
 
 
-def test_policies_are_trained_on_their_own_demonstrations(bench, monkeypatch):
+def test_policies_are_trained_on_their_own_demonstrations(runs, monkeypatch):
     pytest.importorskip("torch", reason="needs the extra train")
 
-    class Teacher(Formula):
+    class Demonstrated(Formula):
         def on(self, device):
             return self
 
@@ -103,24 +102,24 @@ def test_policies_are_trained_on_their_own_demonstrations(bench, monkeypatch):
                 one.values["unspread"] = 1.0 - one.values.get("share", 0.0)
             return found
 
-    monkeypatch.setattr(module, "Demonstrator", partial(Demonstrator, world=Teacher()))
+    monkeypatch.setattr(module, "Demonstrator", partial(Demonstrator, world=Demonstrated()))
     settings = replace(SMALL, demonstrations=24, trials=1, epochs=2, steps=60)
-    rows = cloth_real(bench, settings)["cloths"][COTTON]
+    rows = cloth_real(runs, settings)["cloths"][COTTON]
     # 0.15 is the smallest A that spreads
     assert rows["ours"]["A"] == pytest.approx(0.15, abs=0.02)
     assert rows["ours, no parameters"]["A"] == pytest.approx(0.15, abs=0.02)
 
 
-def test_trials_are_kept_and_faults_are_no_numbers(bench, monkeypatch):
+def test_trials_are_kept_and_faults_are_no_numbers(runs, monkeypatch):
     monkeypatch.setattr(module, "_acts", lambda policy, item: 0.65)
-    result = cloth_real(bench, SMALL)
+    result = cloth_real(runs, SMALL)
     row = result["cloths"][COTTON]["ours"]
     assert row["covered"] == [None] * 3 == row["share"]
-    (sheet, _) = sheets.cloth_real_sheets(result)
+    (sheet, _) = tables_of(result)
     assert sheet.rows["ours"][-1] == "3" and sheet.rows["ours"][1] == ""
     assert done
     done.clear()
-    assert cloth_real(bench, SMALL) == result
+    assert cloth_real(runs, SMALL) == result
     assert not done
 
 
@@ -140,11 +139,12 @@ def test_a_cloth_s_place_in_the_hand_is_part_of_the_task_s_settings():
     np.testing.assert_allclose(path[:, :2], np.tile(0.2 * np.array([0.53, 0.5]), (len(path), 1)))
 
 
-def test_the_command_prints_the_table(bench, capsys, monkeypatch):
-    monkeypatch.setattr("gendom.cli.reproduce.CLOTH_REAL", {"small": (2, 0, 1)})
-    out = bench.folder / "command"
-    command = ["reproduce", "cloth-real", "--objects", COTTON, "--out", str(out), "--jobs", "1"]
+def test_the_command_prints_the_table(runs, capsys, monkeypatch):
+    small = Settings(trials=2, demonstrations=0, draws=1)
+    monkeypatch.setattr(module, "SCALES", {"small": small})
+    out = runs.folder / "command"
+    command = ["cloth-real", "--objects", COTTON, "--out", str(out), "--jobs", "1"]
     assert main(command) == 0
     told = capsys.readouterr().out
     assert COTTON in told and RUBBER not in told and "extended ratio" in told
-    assert (out / "cloth-real.json").exists() and (out / "cloth-real.html").exists()
+    assert (out / "cloth-real.json").exists() and (out / "cloth-real.txt").exists()
