@@ -9,7 +9,6 @@ from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import CFL, stable_substep
 from gendom.sim.outlines import outline_of_mesh
-from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
 from gendom.sim.scene import GRAVITY, Box, Table
 from gendom.sim.simulator import ENGINES, Simulator
@@ -19,15 +18,12 @@ __all__ = [
     "CFL",
     "ENGINES",
     "GRAVITY",
-    "METRIC",
-    "PAPER",
     "Body",
     "Box",
     "Equilibria",
     "Gradients",
     "Gripper",
     "Grippers",
-    "Preset",
     "Rollout",
     "Simulator",
     "Table",
@@ -38,7 +34,6 @@ __all__ = [
     "list_devices",
     "open_device",
     "outline_of_mesh",
-    "preset",
     "rope",
     "stable_substep",
 ]

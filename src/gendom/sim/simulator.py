@@ -20,7 +20,6 @@ from gendom.arguments import (
 from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
 from gendom.materials import AIR_DENSITY, Material
-from gendom.materials.laws import LAWS
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
@@ -54,9 +53,8 @@ class Simulator(Shown):
     Args:
         body: The body to simulate, at rest.
         materials: One material for each world.
-        engine: ``thin`` (a rope as a rod, a cloth as a shell), the default for elastic ropes and
-            cloths, or ``mpm`` (particles on a grid), the default for all other bodies and for
-            materials with a yield stress.
+        engine: ``thin`` (a rope as a rod, a cloth as a shell), the default for ropes and cloths, or
+            ``mpm`` (particles on a grid), the default for all other bodies.
         integrator: ``explicit``, or ``implicit`` for rods: steps of 2 ms or ``substep``, whatever
             the stiffness (L-stable, of second order; no self-contact, in float64).
         grippers: Grippers shared by all worlds, or one sequence of them for each world, or all as
@@ -71,7 +69,6 @@ class Simulator(Shown):
         self_contact: Whether rods and shells keep their thickness where they meet themselves. The
             MPM resolves self-contact through its grid in any case.
         self_friction: Coefficient of friction at self-contact, one number or [W].
-        law: Elastic law of the MPM, see ``gendom.materials.laws.LAWS``.
         substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
         cfl: Share of that limit (default: the engine's ``CFL``).
         stiffness: E of each particle or point over E of its material, [N] or [W, N] [-].
@@ -104,7 +101,6 @@ class Simulator(Shown):
         box: Box | None = None,
         self_contact: bool = False,
         self_friction: float | ArrayLike = 0.3,
-        law: str = "neo-hookean",
         substep: float | None = None,
         cfl: float | None = None,
         stiffness: ArrayLike = 1.0,
@@ -122,8 +118,7 @@ class Simulator(Shown):
         if not materials:
             raise ParameterError("a simulation needs at least one material (one a world)")
         if engine is None:
-            yields = any(np.isfinite(m.yield_stress) for m in materials)
-            engine = "mpm" if yields or body.kind not in ("rope", "cloth") else "thin"
+            engine = "thin" if body.kind in ("rope", "cloth") else "mpm"
         if engine not in ENGINES:
             raise ParameterError(
                 f"unknown engine {engine!r}", fix=f"choose one of {', '.join(ENGINES)}"
@@ -154,10 +149,6 @@ class Simulator(Shown):
         if threads is not None:
             check_integers("threads", threads, (), least=1)
         W = len(materials)
-        if law not in LAWS:
-            raise ParameterError(
-                f"unknown elastic law {law!r}", fix=f"choose one of {', '.join(LAWS)}"
-            )
         rest = body.points if thin else body.x
         if not len(rest):
             raise ParameterError(
@@ -185,7 +176,6 @@ class Simulator(Shown):
             gravity=gravity,
             velocity_damping=velocity_damping,
             air_density=air_density,
-            law=law,
             stiffness=stiffness,
             positions=x,
             start_time=start_time,
@@ -295,7 +285,7 @@ class Simulator(Shown):
     def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
         """Write the state, the time and the parameters of all worlds to an ``.npz`` file.
 
-        The state is x and v; for the MPM also C and F (and Z and G if present); for rods and
+        The state is x and v; for the MPM also C and F (and Z if present); for rods and
         shells all components of their state.
 
         Args:

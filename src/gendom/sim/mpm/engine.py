@@ -2,7 +2,6 @@
 
 # pyright: basic
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -158,9 +157,6 @@ def stable_substep(material: Material, dx: float, *, cfl: float = CFL) -> float:
     """Longest substep [s] at a share ``cfl`` of the Courant limit dx / wave speed.
 
     The wave speed is that of small strains; ``CFL`` leaves room for stiffening under compression.
-    Materials that yield get a quarter of it, so that the strain in a substep does not exceed the
-    yield strain by much.
     Source: Courant, Friedrichs and Lewy (1928).
     """
-    share = 0.25 if math.isfinite(material.yield_stress) else 1.0
-    return share * cfl * dx / material.wave_speed
+    return cfl * dx / material.wave_speed

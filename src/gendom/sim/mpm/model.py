@@ -2,7 +2,6 @@
 
 # pyright: basic
 
-import math
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ class Worlds:
         self.real = wp.float32 if s.dtype == "float32" else wp.float64
         self.types = make_types(self.real)
         # elastic worlds run kernels of their own: what the others do does not show in them
-        self.yields = np.array([math.isfinite(m.yield_stress) for m in s.materials])
+        self.yields = np.zeros(len(s.materials), dtype=bool)
         self.damped = any(m.damping > 0.0 for m in s.materials)
         W, N = len(s.materials), s.body.num_particles
         self.num_worlds, self.num_particles = W, N
@@ -86,7 +85,7 @@ class Worlds:
             self.types.Matter,
             mu=np.broadcast_to(lame[:, :1] * share, self.stiffness.shape),
             lam=np.broadcast_to(lame[:, 1:] * share, self.stiffness.shape),
-            yield_stress=np.minimum([m.yield_stress for m in s.materials], 1e30),
+            yield_stress=np.full(self.num_worlds, 1e30),
             mass=np.array([m.density for m in s.materials]) * s.body.volume,
             damping=np.array([m.damping for m in s.materials]),
             drag=self.drag_by_air * air,

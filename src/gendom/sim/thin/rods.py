@@ -36,8 +36,6 @@ class Rods(ThinEngine):
 
     @staticmethod
     def check_suits(setting: Setting) -> None:
-        if any(np.isfinite(m.yield_stress) for m in setting.materials):
-            raise ParameterError("rods do not yield", fix="engine='mpm', or no yield_stress")
         length, diameter = arc_length(setting.body.points)[-1], setting.body.thickness
         if diameter > length:
             raise ParameterError(

@@ -31,8 +31,6 @@ class Shells(ThinEngine):
 
     @staticmethod
     def check_suits(setting: Setting) -> None:
-        if any(np.isfinite(m.yield_stress) for m in setting.materials):
-            raise ParameterError("shells do not yield", fix="engine='mpm', or no yield_stress")
         least = -1.0 if setting.body.cut is None else -1.0 / MOST_COUPLED
         if any(m.nu < least for m in setting.materials):
             raise ParameterError(f"cloths with an outline have a nu of at least {least:.2f}")

@@ -250,7 +250,6 @@ class ThinTape(ABC):
             E=self.by_parameter("E"),
             nu=self.by_parameter("nu"),
             density=self.by_parameter("density"),
-            yield_stress=np.zeros(e.num_worlds),
             stiffness=self.by_shares(),
             damping=m[:, DAMPING].sum(axis=1),
             velocity_damping=m[:, VELOCITY_DAMPING].sum(axis=1),

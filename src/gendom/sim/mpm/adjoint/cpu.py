@@ -91,7 +91,7 @@ class WorldTape:
         self._stretches: list[list[_Stretch]] = []
         worlds = simulator.worlds
         for yields in np.unique(worlds.yields):
-            reverse = make_reverse(worlds.real, worlds.setting.law, yields=bool(yields))
+            reverse = make_reverse(worlds.real, "neo-hookean", yields=bool(yields))
             load(reverse, worlds.device)
 
     def forward(self, times: NDArray[np.float64]) -> NDArray[np.floating]:
@@ -193,7 +193,7 @@ class WorldTape:
         """Carry world w's derivatives from the end of a recorded stretch to its beginning."""
         s, grid = self.simulator.worlds, recording.grid
         wp.launch(
-            make_reverse(s.real, s.setting.law, yields=bool(s.yields[w])),
+            make_reverse(s.real, "neo-hookean", yields=bool(s.yields[w])),
             dim=1,
             inputs=[
                 w, stretch.substeps, stretch.begun, stretch.age, stretch.time, stretch.dt,

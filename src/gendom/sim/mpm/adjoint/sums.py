@@ -83,7 +83,6 @@ class Sums:
             E=(by_E * s.stiffness).sum(axis=1),
             nu=((mu_bar * mu_nu + lam_bar * lam_nu) * s.stiffness).sum(axis=1),
             density=matter.mass.numpy().astype(float).sum(axis=1) * s.body.volume,
-            yield_stress=matter.yield_stress.numpy().astype(float).sum(axis=1),
             stiffness=by_E * E,
             damping=np.array(scene.damping.numpy()),
             velocity_damping=np.array(scene.velocity_damping.numpy()),

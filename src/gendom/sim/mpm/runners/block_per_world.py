@@ -111,9 +111,7 @@ class Blocks(Batch):
 
     @staticmethod
     def _variant(worlds: Worlds, *, yields: bool, room: int, lanes: int) -> Variant:
-        return Variant(
-            worlds.real, worlds.setting.law, yields, worlds.damped, room=room, lanes=lanes
-        )
+        return Variant(worlds.real, "neo-hookean", yields, worlds.damped, room=room, lanes=lanes)
 
     @property
     def grip_rows(self) -> int:

@@ -134,7 +134,7 @@ class Threads:
         self.state = {name: getattr(worlds.state, name).numpy() for name in worlds.carried}
         self.low = worlds.low.numpy()
         # kernels are made in one thread: Python's parser fails with concurrent ones
-        real, law = worlds.real, worlds.setting.law
+        real, law = worlds.real, "neo-hookean"
         for yields in np.unique(worlds.yields):
             load(make_advance(real, law, yields=bool(yields)), worlds.device)
         if worlds.grips.count.shape[1]:
@@ -247,7 +247,7 @@ class Threads:
         """Call the kernel on state rows and grid; see there for ``first`` and ``stride``."""
         s = self.worlds
         wp.launch(
-            make_advance(s.real, s.setting.law, yields=bool(s.yields[w])),
+            make_advance(s.real, "neo-hookean", yields=bool(s.yields[w])),
             dim=1,
             inputs=[
                 w, now, s.clock, s.matter, s.scene, s.paths, s.grips, s.pulls, s.touched, first,
