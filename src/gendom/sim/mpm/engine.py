@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim.device import making
 from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.runners.cpu import Threads
+from gendom.sim.mpm.runner import Program, run
+from gendom.sim.mpm.tape import Tape
 from gendom.sim.setting import Frames, Setting, spread
 
 CFL = 0.6
@@ -53,7 +53,9 @@ class MpmEngine:
         self.worlds = Worlds(setting)
         self.threads, self.dtype, self.device = setting.threads, setting.dtype, setting.device
         self.body, self.materials, self.time = setting.body, setting.materials, setting.start_time
-        self._runner: Any = None
+        self.in_blocks = setting.device.is_cuda
+        """Whether a block of threads runs each world; tests set it on the CPU."""
+        self._program: Program | None = None
 
     @property
     def num_points(self) -> int:
@@ -89,7 +91,7 @@ class MpmEngine:
         self.worlds.state.C.assign(C.astype(dtype))
 
     def kept(self, *, last_good: bool) -> dict[str, NDArray[Any]]:
-        """x, v, C, F and, where there are some, Z and G; of the last good state with its time."""
+        """x, v, C, F and, where there is one, Z; of the last good state with its time."""
         worlds, dtype = self.worlds, self.dtype
         state = worlds.last_good if last_good else worlds.state
         kept = {name: getattr(state, name).numpy() for name in worlds.carried}
@@ -99,58 +101,37 @@ class MpmEngine:
             kept["time"] = worlds.last_good_time
         return kept
 
+    @property
+    def program(self) -> Program:
+        """The kernels and what they share, made when first needed."""
+        if self._program is None:
+            self._program = Program(self.worlds, in_blocks=self.in_blocks)
+        return self._program
+
     def run(self, frames: Frames) -> None:
-        if self._runner is None:
-            with making:
-                self._runner = self._make_runner()
-        self._runner.run(frames)
+        run(self.program, frames, self.threads)
         frames.x[...] += self.worlds.origin.astype(self.dtype)
 
-    def tape(self, memory: float) -> "Tape":
+    def tape(self, memory: float) -> "Recorded":
         """Make the tape that records a run for its reverse pass."""
-        return Tape(self, memory)
-
-    def _make_runner(self) -> Any:
-        if not self.worlds.device.is_cuda:
-            return Threads(self.worlds, self.threads)
-        from gendom.sim.mpm.runners.block_per_world import Blocks, suits_blocks
-        from gendom.sim.mpm.runners.graph import Batch
-
-        return (Blocks if suits_blocks(self.worlds) else Batch)(self.worlds)
+        return Recorded(self, memory)
 
 
-class Tape:
+class Recorded:
     """A run of the MPM that can be differentiated."""
 
     def __init__(self, engine: MpmEngine, memory: float):
         self.engine = engine
-        self.tape = _tape_of(engine)(engine, memory)
+        self.tape = Tape(engine.program, memory, engine.threads)
 
     def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
         """[T, W, N, 3] particles at the given times [m], from the time ``began`` [s]."""
-        self.engine.time = began
-        x = self.tape.forward(times)
+        x = self.tape.forward(times, began)
         return x + self.engine.worlds.origin.astype(self.engine.dtype)
 
     def backward(self, bar: NDArray[np.floating]) -> Gradients:
         """Derivatives by all inputs, given those by the particles of ``forward``."""
-        from gendom.sim.mpm.adjoint.sums import Sums
-
-        sums = Sums(self.engine)
-        self.tape.backward(bar, sums)
-        return sums.gradients(self.engine)
-
-
-def _tape_of(engine: MpmEngine) -> Any:
-    if not engine.device.is_cuda:
-        from gendom.sim.mpm.adjoint.cpu import WorldTape
-
-        return WorldTape
-    from gendom.sim.mpm.adjoint.block_per_world import BlockTape
-    from gendom.sim.mpm.adjoint.graph import BatchTape
-    from gendom.sim.mpm.runners.block_per_world import suits_blocks
-
-    return BlockTape if suits_blocks(engine.worlds) else BatchTape
+        return self.tape.backward(bar)
 
 
 def stable_substep(material: Material, dx: float, *, cfl: float = CFL) -> float:

@@ -17,7 +17,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.mpm.block import make_block
-from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.mpm.types import make_types
 
 MARGIN = 0.5
 """Largest distance [cells] that a particle may travel before the grid is rebuilt."""
@@ -49,8 +49,6 @@ class Grid:
 
     layouts: Any
     """``SparseGrid`` of L layouts."""
-    layout_of: wp.array
-    """[S] the layout of each recorded substep."""
     momentum: wp.array
     """[S, M] momentum and mass."""
 
@@ -117,18 +115,19 @@ def make_grid(
     for name in ("low", "high", "start"):
         setattr(grid, name, array((layouts, X, Y)))
     grid.count = array(layouts)
-    return Grid(grid, array(rows), array((rows, M), node))
+    return Grid(grid, array((rows, M), node))
 
 
 @functools.cache
-def make_rebuild(real: Any) -> Namespace:
-    """Build the functions that number the nodes, for one scalar type.
+def make_rebuild(real: Any, particles: Any) -> Any:
+    """Build ``rebuild``, with which the threads of a block rebuild a world's layout.
 
-    Returns:
-        Namespace with ``reset``, ``reach`` (lowest and highest node of a particle), ``widen``,
-        ``clear_column``, ``mark``, ``number_column``, to be called in this order over all particles
-        or columns.
+    Args:
+        real: ``wp.float32`` or ``wp.float64``.
+        particles: How particles are stored, see ``particles.Stored``.
     """
+    position, Particles = particles.fields.x, particles.Struct
+    sync = make_block(real).sync
     vec3 = make_types(real).vec3
 
     @wp.func
@@ -191,60 +190,45 @@ def make_rebuild(real: Any) -> Namespace:
         first = wp.atomic_add(grid.count, layout, wp.max(0, k1 - k0 + 1))
         grid.start[layout, i, j] = first - k0
 
-    return Namespace(reset, reach, widen, mark, clear_column, number_column)
-
-
-@functools.cache
-def make_rebuild_world(real: Any, particles: Any) -> Any:
-    """Build ``rebuild``, with which the threads of a block rebuild a world's layout.
-
-    Args:
-        real: ``wp.float32`` or ``wp.float64``.
-        particles: How particles are stored, see ``particles``.
-    """
-    one = make_rebuild(real)
-    position, Particles = particles.position, particles.Struct
-    meet = make_block(real).meet
-
     @wp.func
     def rebuild(
-        row: int, lane: int, lanes: int, N: int, layout: int, room: int, inv_dx: real,
+        row: int, thread: int, threads: int, N: int, layout: int, room: int, inv_dx: real,
         particles: Particles, grid: SparseGrid,
     ):  # fmt: skip
         """Return whether the layout has room for the particles of a row."""
-        if lane == 0:
-            one.reset(layout, grid)
-        meet()
-        lower, upper = one.reach(position(particles, row, lane % N), inv_dx)
-        for i in range(lane, N, lanes):
-            low, high = one.reach(position(particles, row, i), inv_dx)
+        if thread == 0:
+            reset(layout, grid)
+        sync()
+        lower, upper = reach(position(particles, row, thread % N), inv_dx)
+        for i in range(thread, N, threads):
+            low, high = reach(position(particles, row, i), inv_dx)
             lower = wp.min(lower, low)
             upper = wp.max(upper, high)
-        one.widen(layout, lower, upper, grid)
-        meet()
+        widen(layout, lower, upper, grid)
+        sync()
         X = grid.bounds[layout, 2] - grid.bounds[layout, 0] + 1
         Y = grid.bounds[layout, 3] - grid.bounds[layout, 1] + 1
         fits = X <= grid.low.shape[1] and Y <= grid.low.shape[2]
         if fits:
-            for n in range(lane, X * Y, lanes):
-                one.clear_column(layout, n // Y, n % Y, grid)
-            meet()
+            for n in range(thread, X * Y, threads):
+                clear_column(layout, n // Y, n % Y, grid)
+            sync()
             # particles that follow each other mostly stand in one column
-            begin = lane * N // lanes
-            lower, upper = one.reach(position(particles, row, begin % N), inv_dx)
-            for i in range(begin, (lane + 1) * N // lanes):
-                low, high = one.reach(position(particles, row, i), inv_dx)
+            begin = thread * N // threads
+            lower, upper = reach(position(particles, row, begin % N), inv_dx)
+            for i in range(begin, (thread + 1) * N // threads):
+                low, high = reach(position(particles, row, i), inv_dx)
                 if wp.abs(low[0] - lower[0]) + wp.abs(low[1] - lower[1]) > 1:
-                    one.mark(layout, lower, upper, grid)
+                    mark(layout, lower, upper, grid)
                     lower = low
                     upper = high
                 lower = wp.min(lower, low)
                 upper = wp.max(upper, high)
-            one.mark(layout, lower, upper, grid)
-            meet()
-            for n in range(lane, X * Y, lanes):
-                one.number_column(layout, n // Y, n % Y, grid)
-            meet()
+            mark(layout, lower, upper, grid)
+            sync()
+            for n in range(thread, X * Y, threads):
+                number_column(layout, n // Y, n % Y, grid)
+            sync()
             fits = grid.count[layout] <= room
         return fits
 
