@@ -249,7 +249,7 @@ def rollout(memory=1e9, *, in_blocks=False, **options):
 
 
 def segments_of(rollout):
-    return rollout._tape.tape.segments
+    return rollout._tape.segments
 
 
 def test_a_long_rollout_stays_within_its_memory():

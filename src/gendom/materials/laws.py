@@ -1,8 +1,8 @@
 """The neo-Hookean law as Warp functions, made for one floating-point type.
 
 It maps the deformation gradient F to the first Piola-Kirchhoff stress P. Its transpose stands
-beside it and carries derivatives of a loss from P back to F, mu and lam. A name with ``_bar`` is the
-derivative of the loss by that quantity.
+beside it and carries derivatives of a loss from P back to F, mu and lam. A name with ``_bar`` is
+the derivative of the loss by that quantity.
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.

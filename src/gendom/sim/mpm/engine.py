@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.mpm.runner import Program, run
 from gendom.sim.mpm.tape import Tape
@@ -52,7 +51,7 @@ class MpmEngine:
         self.setting = setting = replace(setting, substep=limits)
         self.worlds = Worlds(setting)
         self.threads, self.dtype, self.device = setting.threads, setting.dtype, setting.device
-        self.body, self.materials, self.time = setting.body, setting.materials, setting.start_time
+        self.body, self.materials = setting.body, setting.materials
         self.in_blocks = setting.device.is_cuda
         """Whether a block of threads runs each world; tests set it on the CPU."""
         self._program: Program | None = None
@@ -112,26 +111,9 @@ class MpmEngine:
         run(self.program, frames, self.threads)
         frames.x[...] += self.worlds.origin.astype(self.dtype)
 
-    def tape(self, memory: float) -> "Recorded":
+    def tape(self, memory: float) -> Tape:
         """Make the tape that records a run for its reverse pass."""
-        return Recorded(self, memory)
-
-
-class Recorded:
-    """A run of the MPM that can be differentiated."""
-
-    def __init__(self, engine: MpmEngine, memory: float):
-        self.engine = engine
-        self.tape = Tape(engine.program, memory, engine.threads)
-
-    def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
-        """[T, W, N, 3] particles at the given times [m], from the time ``began`` [s]."""
-        x = self.tape.forward(times, began)
-        return x + self.engine.worlds.origin.astype(self.engine.dtype)
-
-    def backward(self, bar: NDArray[np.floating]) -> Gradients:
-        """Derivatives by all inputs, given those by the particles of ``forward``."""
-        return self.tape.backward(bar)
+        return Tape(self.program, memory, self.threads)
 
 
 def stable_substep(material: Material, dx: float, *, cfl: float = CFL) -> float:

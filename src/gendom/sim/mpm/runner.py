@@ -6,8 +6,9 @@ group, with a block of threads for each world.
 
 # pyright: basic
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -164,16 +165,16 @@ class Program:
         )
 
 
+@dataclass(frozen=True)
 class Plan:
     """The frames that worlds go through."""
 
-    def __init__(self, time: NDArray[np.float64], steps: NDArray[np.int32], arrays: Any):
-        self.time = time
-        """[T + 1] where each frame begins, and the last one's end [s]."""
-        self.steps = steps
-        """[T, W] substeps."""
-        self.arrays = arrays
-        """``FramePlan``."""
+    time: NDArray[np.float64]
+    """[T + 1] where each frame begins, and the last one's end [s]."""
+    steps: NDArray[np.int32]
+    """[T, W] substeps."""
+    arrays: Any
+    """``FramePlan``."""
 
 
 class Group:
@@ -228,29 +229,33 @@ class Group:
         """Take the worlds through all frames, or until one fails that is not to be left behind."""
         self.begin()
         slices = SLICES if self.worlds.device.is_cuda else 1
-        pause, end, more = plan.time[0], plan.time[-1], True
+        now, more = plan.time[0], True
         while more and not stopped():
-            for _ in range(slices):
-                pause = pause + self._span
-                self.advance(plan, pause=np.inf if pause >= end else pause)
-                if pause >= end:
-                    break
+            pauses = now + self._span * np.arange(1, slices + 1)
+            now = pauses[-1]
+            # the last of all is without bound
+            ends = int((pauses < plan.time[-1]).sum())
+            self.advance(plan, pauses=[*pauses[:ends], *([np.inf] if ends < slices else [])])
             more = self.look(plan, keep_going=keep_going)
             report()
         self.end()
 
     def advance(
-        self, plan: Plan, *, pause: float = np.inf, most: int = ALL, frames: int | None = None
-    ) -> None:
-        """Take the worlds further, by ``most`` substeps at most, none from ``pause`` [s] on,
-        through the first ``frames`` of the plan (default: all)."""
+        self, plan: Plan, *, pauses: Sequence[float] = (np.inf,), most: int = ALL,
+        frames: int | None = None,
+    ) -> None:  # fmt: skip
+        """Take the worlds further, launch by launch: by ``most`` substeps at most, none from the
+        launch's pause [s] on, through the first ``frames`` of the plan (default: all)."""
         frames = len(plan.steps) if frames is None else frames
         several = len(self._streams) > 1
         if several:
             wp.synchronize_device(self.worlds.device)
-        for n, stream in enumerate(self._streams):
-            order: Any = self.order[n :: len(self._streams)] if several else self.order
-            self._launch(plan, order, most, pause, frames, self.grid, self.velocity, None, stream)
+        for pause in pauses:
+            for n, stream in enumerate(self._streams):
+                order: Any = self.order[n :: len(self._streams)] if several else self.order
+                self._launch(
+                    plan, order, most, pause, frames, self.grid, self.velocity, None, stream
+                )
         if several:
             wp.synchronize_device(self.worlds.device)
 

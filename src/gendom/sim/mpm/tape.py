@@ -55,7 +55,7 @@ class Tape:
         """
         s = self.program.worlds
         W, N = s.num_worlds, s.num_particles
-        x = wp.empty((len(times), W, N), dtype=s.types.vec3, device=s.device)
+        x: Any = wp.empty((len(times), W, N), dtype=s.types.vec3, device=s.device)
         self._plan = plan = self.program.plan(began, times, np.arange(N), x)
         row = self._row_bytes(SUBSTEPS_A_LAYOUT)
         substeps = plan.steps.sum(axis=0)
@@ -71,7 +71,7 @@ class Tape:
             group.end()
 
         for_groups(self.groups, self.threads, one_group)
-        return np.array(x.numpy())
+        return x.numpy() + s.origin.astype(s.numpy_type)
 
     def _run_segment(self, group: Group, f: int, *, keeps: bool) -> "Segment":
         s, plan = self.program.worlds, self._plan
@@ -396,7 +396,7 @@ class Sums:
             gripper_radius=np.array(by.radius.numpy()),
         )
 
-    def _by_knots(self, of: wp.array) -> NDArray[np.float64]:
+    def _by_knots(self, of: Any) -> NDArray[np.float64]:
         """[W, G, K, 3] with the derivatives by repeats of a last knot at the first of them."""
         by_knot = np.array(of.numpy())
         for w, grippers in enumerate(self.program.worlds.setting.grippers):
