@@ -173,7 +173,7 @@ def across(edges: int) -> int:
 def flex(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
     """MuJoCo's rods and sheets, without the hand, floor and contacts of our test scene. Vertices
     are pinned, not connected to the clamp, which takes less than half the time."""
-    from gendom.reality.scene import DIAGONAL_HINGES, SIDE_HINGES, load_mujoco
+    from gendom.reality.model import DIAGONAL_HINGES, SIDE_HINGES, load_mujoco
     from gendom.reality.sheet import SHEET_NU, grid
 
     mujoco = load_mujoco()
@@ -244,7 +244,7 @@ def row(values: np.ndarray) -> str:
 
 def chain(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
     """A rope in MuJoCo as rigid links with springs in their ball joints, as its cables were."""
-    from gendom.reality.scene import load_mujoco
+    from gendom.reality.model import load_mujoco
 
     mujoco = load_mujoco()
     integrator, step = option.split()
@@ -278,7 +278,7 @@ def steps_of(
     model: Any, steps: int, worlds: int, height: Callable[[Any], float]
 ) -> Callable[[], np.ndarray]:
     """Many `MjData` in threads: a call of many steps releases the interpreter's lock."""
-    from gendom.reality.scene import load_mujoco
+    from gendom.reality.model import load_mujoco
 
     mujoco = load_mujoco()
 

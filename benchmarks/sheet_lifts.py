@@ -17,8 +17,8 @@ from scipy.interpolate import RegularGridInterpolator
 from gendom.evaluation.coverage import draw_object
 from gendom.materials import AIR_DENSITY
 from gendom.reality import find_object
+from gendom.reality.model import softened
 from gendom.reality.objects import RealCloth
-from gendom.reality.scene import softened
 from gendom.reality.trials import Performance, Trial, lift
 from gendom.sim import Gripper, Simulator, Table, cloth
 

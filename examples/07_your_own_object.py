@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from gendom import RopeReaching
-from gendom.reality import RealWorld, cantilever, find_object
+from gendom.reality import RealWorld, find_object
 from gendom.tasks import Simulation
 
 ROPE = """
@@ -30,7 +30,7 @@ colour = [200, 60, 60]     # sRGB
 
 
 def main(out: Path | None = None) -> None:
-    """Write rope.toml, bench-test the rope, and carry a task out with it.
+    """Write rope.toml, and carry a task out with it.
 
     Args:
         out: Folder to write to; by default a new temporary one.
@@ -40,8 +40,6 @@ def main(out: Path | None = None) -> None:
     (out / "rope.toml").write_text(ROPE)
     rope = find_object(str(out / "rope.toml"))
     print(f"{rope.name}: {rope.mass:.3f} kg, E {rope.material.E:.2e} Pa")
-    bench = cantilever(rope)
-    print(f"sag as a cantilever {1e3 * bench.sag:.3f} mm, theory {1e3 * bench.expected:.3f}")
 
     task = RopeReaching()
     action = task.limits(rope).mean(axis=1)  # the middle of what the task allows: x, z [m]

@@ -8,7 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from gendom import cli
-from gendom.tasks.world import Outcome, Simulation
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import Simulation
 
 
 @pytest.fixture(autouse=True)

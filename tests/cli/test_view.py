@@ -301,7 +301,8 @@ def test_sliders_of_demonstrations_stay_within_what_was_drawn(casts_model):
 
 
 def test_what_diverges_is_told(casts_model, monkeypatch):
-    from gendom.tasks.world import Outcome, Simulation
+    from gendom.tasks.task import Outcome
+    from gendom.tasks.world import Simulation
 
     failed = [Outcome(values={}, fault="NaN at 0.1 s")]
     monkeypatch.setattr(Simulation, "carry_out", lambda *_, **__: failed)

@@ -14,7 +14,8 @@ from gendom.datasets.lerobot import export_demonstrations, format
 from gendom.errors import DatasetError, GendomError
 from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.world import Outcome, Simulation
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import Simulation
 
 DATA = "data/chunk-000/file-000.parquet"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"

@@ -177,7 +177,7 @@ def test_chamfer_is_that_of_the_best_fit(lifted, result):
     estimated = result[0]
     record, scene = estimated.record, estimated.scene
     skin = scene.body.surface(estimated.positions[3])
-    assert estimated.chamfer[3] == chamfer(lifted.frame(scene.frames[3]), skin)
+    assert estimated.chamfer[3] == pytest.approx(chamfer(lifted.frame(scene.frames[3]), skin))
     whole, surface = chamfers(scene, estimated.positions, estimated.theta)
     assert np.array_equal(whole, estimated.chamfer)
     assert len(whole) == len(record["rms_by_frame"]) == len(record["compared"])

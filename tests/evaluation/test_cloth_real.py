@@ -18,7 +18,7 @@ from gendom.reality import find_object
 from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import OFF_CENTRE
 from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.world import Outcome
+from gendom.tasks.task import Outcome
 
 COTTON, RUBBER = "cloth-cotton-200mm", "cloth-rubber-200mm"
 

@@ -10,7 +10,8 @@ from gendom.evaluation import draw_cases, score
 from gendom.materials import PARAMETERS, Rope, dimensionless_parameters, size_of
 from gendom.policies import Column, Description, GoalRange, Policy
 from gendom.tasks import RopeReaching
-from gendom.tasks.world import Outcome, Simulation
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import Simulation
 
 TASK = RopeReaching()
 

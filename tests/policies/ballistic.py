@@ -6,7 +6,8 @@ import numpy as np
 
 from gendom.materials import Material, Rope, dimensionless_parameters, size_of
 from gendom.tasks import RopeReaching
-from gendom.tasks.world import Outcome, Simulation
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import Simulation
 
 TASK = RopeReaching()
 ROPE = Rope(

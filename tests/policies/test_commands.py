@@ -16,7 +16,8 @@ from gendom.materials import size_of
 from gendom.policies import Policy
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.world import Outcome, Simulation
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import Simulation
 
 ESTIMATE = {
     "format": "gendom-estimate/1",

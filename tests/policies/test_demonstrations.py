@@ -12,7 +12,8 @@ from gendom.materials import Rope, dimensionless_parameters
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import RopeCasting, RopeReaching, Task
 from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.world import Outcome, Simulation
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
 from gendom.policies import refining  # noqa: E402
-from gendom.policies.lesson import Lesson  # noqa: E402
+from gendom.policies.fitting import TrainingProblem  # noqa: E402
 from gendom.policies.rollouts import around  # noqa: E402
 from gendom.policies.training import Training, train  # noqa: E402
 
@@ -91,7 +91,7 @@ def test_risk_is_avoided(tmp_path, monkeypatch):
 
     assert share_at_risk(BRIEF) < 0.02
     # the risk itself does that
-    monkeypatch.setattr(Lesson, "caution", lambda _, log_risk: 0.0 * log_risk.sum())
+    monkeypatch.setattr(TrainingProblem, "caution", lambda _, log_risk: 0.0 * log_risk.sum())
     assert share_at_risk(BRIEF) > 0.1
 
 

@@ -6,7 +6,8 @@ import pytest
 
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
-from gendom.reality import OBJECTS, RealRope, cantilever
+from gendom.reality import OBJECTS, RealRope
+from reality.benches import cantilever
 
 ROPES = [name for name, item in OBJECTS.items() if isinstance(item, RealRope)]
 

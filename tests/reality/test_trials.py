@@ -31,7 +31,6 @@ from gendom.reality import (
     lift_cameras,
     looking_at,
     observe,
-    stretch,
     task_trial,
 )
 from gendom.reality.arm import surroundings
@@ -39,6 +38,7 @@ from gendom.robot import LIFT_ENDS, XARM7, collision_along, tcp_pose
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 from gendom.tasks.cloth_spreading import WAIT as SPREADING_WAIT
 from gendom.tasks.world import Simulation
+from reality.benches import stretch
 
 REACHING, CASTING, SPREADING = RopeReaching(), RopeCasting(), ClothSpreading()
 

@@ -66,7 +66,7 @@ def test_without_a_blend_the_samples_are_the_knots(path):
     for own in (path, replace(path, blend=0.0)):
         time, position = own.sampled()
         np.testing.assert_array_equal(time, path.time)
-        np.testing.assert_allclose(position, path.position, atol=1e-15)
+        np.testing.assert_allclose(position, path.position, atol=1e-12)
 
 
 @pytest.mark.parametrize("blend", [0.2, 0.8])

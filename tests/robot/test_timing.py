@@ -90,7 +90,7 @@ def test_a_lift_far_too_fast_takes_no_longer_than_the_arm_must(speed):
     """0.225 m straight up: the pauses as asked for, and about a third of a second between them."""
     path = lift([0.45, 0, 0.02], height=0.225, speed=speed, wait=0.5, after=0.5)
     motion = follow(XARM7, path, slow_down=True)
-    assert max(largest(motion)) <= 1.0
+    assert max(largest(motion)) <= 1.0 + 1e-9
     # At 1 m/s it would take 0.225 s, had the tool no mass.
     assert 1.225 < motion.end - motion.start < 1.45
     t = motion.sampled(500.0)
@@ -109,7 +109,7 @@ def test_corners_passed_far_too_fast_are_passed_on_the_same_path():
         max_blend=0.02,
     )
     motion = follow(XARM7, path, slow_down=True)
-    assert max(largest(motion)) <= 1.0
+    assert max(largest(motion)) <= 1.0 + 1e-9
     t = motion.sampled(1000.0)
     miss = pose_error(path.pose_at(motion.path_time_at(t), motion.blend), motion.tcp_at(XARM7, t))
     assert np.abs(miss).max() < 1e-5

@@ -24,7 +24,7 @@ def test_positions_between_and_beyond_knots():
     """Straight lines between knots; still before the first and after the last."""
     at = Gripper(**path()).position_at([-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 9.0])
     expected = [[0, 0, 0], [0, 0, 0], [0.5, 0, 1], [1, 0, 2], [1, 2, 1], [1, 4, 0], [1, 4, 0]]
-    assert np.allclose(at, expected, atol=1e-15)
+    assert np.allclose(at, expected, atol=1e-12)
     assert np.array_equal(Gripper(**path()).position_at(0.5), [0.5, 0.0, 1.0])
 
 
@@ -92,13 +92,13 @@ def test_stacked_grippers_are_those_that_were_given():
     every = [[turning, still], [still, turning]]
     stacked = Grippers.of(every)
     assert len(stacked) == 2
-    np.testing.assert_allclose(stacked.arrays["turn"][0, 0], turning.turn, atol=1e-15)
+    np.testing.assert_allclose(stacked.arrays["turn"][0, 0], turning.turn, atol=1e-12)
     for given, found in zip(every, stacked, strict=True):
         for a, b in zip(given, found, strict=True):
             for name in ("time", "position", "radius", "hold_from", "hold_until", "may_miss"):
                 np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
             assert (a.quat_xyzw is None) == (b.quat_xyzw is None)
-            np.testing.assert_allclose(a.turn, b.turn, atol=1e-15)
+            np.testing.assert_allclose(a.turn, b.turn, atol=1e-12)
     np.testing.assert_array_equal(stacked[1:].arrays["time"], stacked.arrays["time"][1:])
 
 

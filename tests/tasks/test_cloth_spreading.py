@@ -16,7 +16,8 @@ from gendom.tasks.cloth_spreading import (
     spread_share,
     step_shares,
 )
-from gendom.tasks.world import Outcome, Simulation
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import Simulation
 
 TASK = ClothSpreading()
 N = 41

@@ -3,7 +3,6 @@
 import json
 import math
 from dataclasses import replace
-from importlib import metadata
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from gendom.materials import (
     size_of,
     to_columns,
 )
-from gendom.tasks import RopeReaching, find_task, rebuild, task_names
+from gendom.tasks import RopeReaching, find_task, load_task, rebuild, task_names
 from gendom.tasks.world import Simulation
 
 ALL = [find_task(name) for name in task_names()]
@@ -148,21 +147,26 @@ def test_a_name_is_given_once(monkeypatch):
         tasks.register(Other)
 
 
-def test_entry_points_bring_tasks(monkeypatch):
-    class Dragging(RopeReaching):
-        name = "rope-dragging"
+@pytest.fixture
+def code_file(tmp_path):
+    """A Python file that leaves a trace when it is executed."""
+    path = tmp_path / "task.py"
+    path.write_text(f"open({str(tmp_path / 'trace')!r}, 'w')\n")
+    return path
 
-    class Point:
-        def load(self):
-            return Dragging
 
-    monkeypatch.setattr(tasks, "_registered", dict(tasks._registered))
-    monkeypatch.setattr(metadata, "entry_points", lambda group: [Point()])
-    tasks._load_others.cache_clear()
-    try:
-        assert find_task("rope-dragging") is Dragging
-    finally:
-        tasks._load_others.cache_clear()
+def test_names_in_files_are_never_code(code_file, tmp_path):
+    """What a data set or a policy calls its task is looked up, not executed."""
+    for read in (find_task, lambda name: rebuild({"name": name})):
+        with pytest.raises(ParameterError, match="there is no task"):
+            read(str(code_file))
+    assert not (tmp_path / "trace").exists()
+
+
+def test_a_file_is_code_where_a_person_names_it(code_file, tmp_path):
+    with pytest.raises(ParameterError, match="defines 0 tasks"):
+        load_task(str(code_file))
+    assert (tmp_path / "trace").exists()
 
 
 def test_tasks_need_neither_torch_nor_the_simulator(run_python):

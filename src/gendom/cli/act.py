@@ -22,7 +22,7 @@ from gendom.robot import XARM7, TcpPath, follow
 from gendom.tasks import Task
 
 if TYPE_CHECKING:
-    from gendom.tasks.world import World
+    from gendom.tasks.task import World
 
 _ACTION = "gendom-action/3"
 

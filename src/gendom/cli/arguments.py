@@ -41,9 +41,9 @@ def _name(metavar: str, known: Callable[[str], str]) -> Any:
 
 
 def _task(word: str) -> str:
-    from gendom.tasks import find_task
+    from gendom.tasks import load_task
 
-    return find_task(word).name
+    return load_task(word).name
 
 
 TaskName = Annotated[str, _name(TASKS_HELP, _task)]

@@ -65,7 +65,8 @@ class Command:
         from gendom.datasets.demonstrations import generate
         from gendom.tasks import find_task
         from gendom.tasks.demonstrator import Demonstrator
-        from gendom.tasks.world import Simulation, World
+        from gendom.tasks.task import World
+        from gendom.tasks.world import Simulation
 
         began = time.monotonic()
         check_folder(self.out)

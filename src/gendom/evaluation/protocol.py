@@ -19,7 +19,8 @@ from gendom.errors import ParameterError, PolicyError, SimulationError
 from gendom.materials import Item, dimensionless_parameters, unit_of
 from gendom.policies import Policy
 from gendom.tasks import Task
-from gendom.tasks.world import Simulation, World
+from gendom.tasks.task import World
+from gendom.tasks.world import Simulation
 
 _ROUNDS = 100
 """How often a case whose simulation fails, or that is at risk, is drawn again."""

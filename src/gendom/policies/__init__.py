@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from gendom.policies.adaptation import Adapted, AdaptSettings, Execution, adapt
     from gendom.policies.belief import Belief
     from gendom.policies.demonstrations import Demonstrations
+    from gendom.policies.fitting import Training
     from gendom.policies.polishing import Polished, PolishSettings, polish
-    from gendom.policies.training import Training, train
+    from gendom.policies.training import train
 
 # Public name -> module that defines it. Keep in step with the block above and `__all__`.
 _LATER = {
@@ -26,7 +27,7 @@ _LATER = {
     "Execution": "adaptation",
     "PolishSettings": "polishing",
     "Polished": "polishing",
-    "Training": "training",
+    "Training": "fitting",
     "adapt": "adaptation",
     "polish": "polishing",
     "train": "training",

@@ -26,7 +26,8 @@ from gendom.policies.belief import Belief
 from gendom.policies.polishing import Discrepancy
 from gendom.policies.rollouts import Asking, Rollouts, side_by_side
 from gendom.tasks import Task
-from gendom.tasks.world import Simulation, World
+from gendom.tasks.task import World
+from gendom.tasks.world import Simulation
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,8 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import PARAMETERS, Item, with_dimensionless
 from gendom.policies.adaptation import Execution
 from gendom.tasks import Task
-from gendom.tasks.world import Simulation, World
+from gendom.tasks.task import World
+from gendom.tasks.world import Simulation
 
 Array = NDArray[np.float64]
 

@@ -25,7 +25,8 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item, unit_of
 from gendom.policies.rollouts import Asking, Rollouts, around, side_by_side, slopes
 from gendom.tasks import Task
-from gendom.tasks.world import Outcome, Simulation, World
+from gendom.tasks.task import Outcome, World
+from gendom.tasks.world import Simulation
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""A policy refined through the simulator itself, once its method has taught it. Needs torch.
+"""A policy refined through the simulator itself, once its method has trained it. Needs torch.
 
 In rounds, the policy acts with objects and goals of its demonstrations in the simulator, which says
 what is reached and, by central differences, how that changes with the action. Then the policy is
@@ -29,11 +29,12 @@ import torch
 from torch import Tensor
 
 from gendom.materials import PARAMETERS, Item, unit_of, with_dimensionless
-from gendom.policies.lesson import RISK_FLOOR, Lesson, huber
+from gendom.policies.fitting import RISK_FLOOR, TrainingProblem, huber
 from gendom.policies.rollouts import around, slopes
 from gendom.progress import bar
 from gendom.tasks import Task
-from gendom.tasks.world import BATCH, World
+from gendom.tasks.task import World
+from gendom.tasks.world import BATCH
 
 Array = NDArray[np.float64]
 
@@ -47,13 +48,13 @@ similarity]."""
 LARGE = 0.03
 """Error from which on it counts linearly [standard deviations of the goal]."""
 
-NEAR = 0.003
+CLOSENESS = 0.003
 """Weight of the squared distance from the actions that models are of [standard deviations]."""
 
 LEARNING_RATE = 2e-3
 """At its peak."""
 
-LAST = 4
+LAST_ROUND = 4
 """How many times as many steps of the optimiser the last round has."""
 
 
@@ -81,11 +82,13 @@ class Models:
         return Models(**both)
 
 
-def refine(lesson: Lesson, task: Task, world: World, *, shown: bool = False) -> dict[str, float]:
-    """Refine the lesson's policy in as many rounds as its training says.
+def refine(
+    problem: TrainingProblem, task: Task, world: World, *, shown: bool = False
+) -> dict[str, float]:
+    """Refine the problem's policy in as many rounds as its training says.
 
     Args:
-        lesson: Its policy is changed.
+        problem: Its policy is changed.
         task: What is done.
         world: Where.
         shown: Whether to show a bar of what is simulated.
@@ -97,16 +100,16 @@ def refine(lesson: Lesson, task: Task, world: World, *, shown: bool = False) -> 
     Raises:
         PolicyError: No outcome can be relied on.
     """
-    training, G = lesson.training, len(lesson.goals)
+    training, G = problem.training, len(problem.goals)
     rng = np.random.default_rng([training.seed, training.refine])
-    steady = lesson.taught[lesson.within[lesson.taught]]
-    cases = (steady if len(steady) else lesson.taught).numpy()
+    within = problem.trained[problem.within[problem.trained]]
+    cases = (within if len(within) else problem.trained).numpy()
     models, misses = None, []
     for k in range(1, training.refine + 1):
         rows = rng.permutation(cases)[: training.refine_cases]
         name = f"round {k} of {training.refine}"
-        found = lesson.remembered(
-            name, lambda rows=rows, name=name: _simulated(lesson, task, world, rows, name, shown)
+        found = problem.remembered(
+            name, lambda rows=rows, name=name: _simulated(problem, task, world, rows, name, shown)
         )
         new = Models(**found)
         usable = new.counts[:, :G] > 0.0
@@ -116,37 +119,37 @@ def refine(lesson: Lesson, task: Task, world: World, *, shown: bool = False) -> 
                 where="refine",
                 fix="train it for more epochs, or check the task's risk",
             )
-        miss = (new.reached[:, :G] - lesson.goal[new.row])[usable]
+        miss = (new.reached[:, :G] - problem.goal[new.row])[usable]
         misses.append(float((miss**2).mean().sqrt()))
         models = new if models is None else models.and_then(new)
-        _fit(lesson, models, name, LAST if k == training.refine else 1)
+        _fit(problem, models, name, LAST_ROUND if k == training.refine else 1)
     return {"goal_rms_before_refining": misses[0], "goal_rms_before_last_round": misses[-1]}
 
 
-def _fit(lesson: Lesson, models: Models, name: str, times: int) -> None:
+def _fit(problem: TrainingProblem, models: Models, name: str, times: int) -> None:
     """Fit the policy to what models say that its actions reach."""
-    training, G = lesson.training, len(lesson.goals)
-    goal_scale = torch.tensor([column.scale for column in lesson.goals])
-    scale = lesson.policy.output_scale
+    training, G = problem.training, len(problem.goals)
+    goal_scale = torch.tensor([column.scale for column in problem.goals])
+    scale = problem.policy.output_scale
 
     def loss(at: Tensor) -> Tensor:
         row = models.row[at]
-        moved = lesson.act(row) - models.action[at]
+        moved = problem.act(row) - models.action[at]
         found = models.reached[at] + torch.einsum("bra,ba->br", models.slope[at], moved)
-        miss = (found[:, :G] - lesson.goal[row]) / goal_scale
+        miss = (found[:, :G] - problem.goal[row]) / goal_scale
         away = moved / scale
         outwards = torch.relu((models.beyond[at] * away).sum(dim=1))
         total = (models.counts[at, :G] * huber(miss, LARGE)).mean() + (outwards**2).mean()
-        total = total + NEAR * (away**2).sum(dim=1).mean()
+        total = total + CLOSENESS * (away**2).sum(dim=1).mean()
         if found.shape[1] > G:
             known = models.counts[at, G] > 0.0
-            total = total + lesson.caution(found[:, G].masked_fill(~known, -torch.inf))
+            total = total + problem.caution(found[:, G].masked_fill(~known, -torch.inf))
         return total
 
     batch = min(training.batch_size, len(models.row))
-    lesson.fit_to(
+    problem.fit_to(
         name,
-        lesson.policy,
+        problem.policy,
         loss,
         torch.arange(len(models.row)),
         FitSettings(
@@ -159,13 +162,18 @@ def _fit(lesson: Lesson, models: Models, name: str, times: int) -> None:
 
 
 def _simulated(
-    lesson: Lesson, task: Task, world: World, rows: NDArray[np.intp], name: str, shown: bool
+    problem: TrainingProblem,
+    task: Task,
+    world: World,
+    rows: NDArray[np.intp],
+    name: str,
+    shown: bool,
 ) -> dict[str, Tensor]:
     """Fields of `Models` of what the policy does now for some demonstrations' goals and objects."""
     with torch.no_grad():
-        asked = lesson.act(torch.as_tensor(rows)).double().numpy()
+        asked = problem.act(torch.as_tensor(rows)).double().numpy()
     items = [
-        with_dimensionless(task.item, {n: float(lesson.data[n][row, 0]) for n in PARAMETERS})
+        with_dimensionless(task.item, {n: float(problem.data[n][row, 0]) for n in PARAMETERS})
         for row in rows
     ]
 
@@ -189,7 +197,7 @@ def _simulated(
     counts = np.isfinite(found[:, 0])
     counts[:, :G] &= _smooth(found)[:, :G]
     if found.shape[2] > G:  # what is reached at risk is noise
-        counts[:, :G] &= (found[:, 0, G] <= lesson.highest)[:, None]
+        counts[:, :G] &= (found[:, 0, G] <= problem.highest)[:, None]
     left = asked - action
     length = np.linalg.norm(left, axis=1, keepdims=True)
     arrays = {

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gendom.materials import Item
 from gendom.tasks import Task
-from gendom.tasks.world import Outcome, World
+from gendom.tasks.task import Outcome, World
 
 T = TypeVar("T")
 Array = NDArray[np.float64]

@@ -8,9 +8,9 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,15 +32,15 @@ from gendom import __version__
 from gendom.errors import PolicyError
 from gendom.files import atomic_path
 from gendom.materials import PARAMETERS
+from gendom.policies import methods
 from gendom.policies.demonstrations import SMALLEST, Demonstrations
-from gendom.policies.lesson import Lesson
-from gendom.policies.methods import teacher
-from gendom.policies.networks import ARCHITECTURES
-from gendom.policies.policy import METADATA_KEY, METHODS, Description, GoalRange, Policy
+from gendom.policies.fitting import Training, TrainingProblem
+from gendom.policies.policy import METADATA_KEY, Description, GoalRange, Policy
 from gendom.policies.refining import refine
 from gendom.progress import Show, bar
 from gendom.tasks import Task, find_task, rebuild
-from gendom.tasks.world import Simulation, World
+from gendom.tasks.task import World
+from gendom.tasks.world import Simulation
 
 GOAL_BINS = 8
 """Bins of the parameter E in which the range of goals is kept."""
@@ -50,72 +50,6 @@ GOAL_QUANTILE = 0.005
 
 AGREEMENT = 1e-5
 """Largest difference allowed between onnxruntime and torch [units of similarity]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Training:
-    """How to train.
-
-    Raises:
-        PolicyError: A value lies outside its range.
-    """
-
-    method: str = "distal"
-    """One of "distal", "inverse" and "quantile"; see `gendom.policies.methods`."""
-    conditioned_on: tuple[str, ...] | None = None
-    """The parameters that the policy sees; None: all that vary. The forward model that teaches it
-    always sees all of them: they are those of the demonstration, and a policy that does not see
-    them then learns the action that is best on average over them."""
-    architecture: str = "smooth"
-    """A key of `gendom.policies.networks.ARCHITECTURES`."""
-    epochs: int = 300
-    """Passes over the demonstrations, for each network."""
-    batch_size: int = 256
-    learning_rate: float = 4e-3
-    """Peak of the learning rate, which then falls to zero along a cosine."""
-    weight_decay: float = 1e-4
-    finetune_epochs: int = 300
-    """Passes over the demonstrations for fine-tuning."""
-    finetune_learning_rate: float = 4e-4
-    pull: float = 1.0
-    """Weight of the pull towards demonstrated actions, distal only."""
-    caution: float = 1.0
-    """Weight of the task's risk, distal only."""
-    refine: int = 0
-    """Rounds in the simulator after that, see `gendom.policies.refining`."""
-    refine_cases: int = 2000
-    """Demonstrations whose goals and objects the policy acts for in each round, at most."""
-    refine_steps: int = 4000
-    """Of the optimiser in each round; the last has four times as many."""
-    validation_share: float = 0.1
-    """Share of the demonstrations held out."""
-    seed: int = 0
-    """Fixes the held-out demonstrations, the initial weights and the order of the batches."""
-
-    def __post_init__(self) -> None:
-        _check_choice("method", self.method, METHODS)
-        _check_choice("architecture", self.architecture, ARCHITECTURES)
-        for name in self.conditioned_on or ():
-            _check_choice("conditioned_on", name, PARAMETERS)
-        for name in (
-            "epochs",
-            "batch_size",
-            "learning_rate",
-            "finetune_epochs",
-            "finetune_learning_rate",
-        ):
-            if not getattr(self, name) > 0:
-                raise PolicyError(f"{name} must be positive, got {getattr(self, name)}")
-        if self.refine < 0 or min(self.refine_cases, self.refine_steps) < 1:
-            raise PolicyError(
-                f"{self.refine} rounds of {self.refine_cases} cases and {self.refine_steps} steps",
-                where="refine",
-                fix="give 0 rounds or more, of 1 case and 1 step or more",
-            )
-        if not 0.0 < self.validation_share < 1.0:
-            raise PolicyError(
-                f"validation_share must lie between 0 and 1, got {self.validation_share}"
-            )
 
 
 def train(
@@ -156,7 +90,7 @@ def train(
     path = Path(path)
     given = len(demonstrations)
     if not demonstrations.goal_names:
-        demonstrations = _steady(demonstrations)  # an action that failed teaches no other goal
+        demonstrations = _within_risk(demonstrations)  # an action that failed teaches no other goal
     sees = _seen(demonstrations, training)
     task, world = rebuild(demonstrations.task), world or Simulation()
     if training.refine:
@@ -175,7 +109,7 @@ def train(
         },
     )
     with reproducible(training.seed), _shown(progress, tensorboard) as observe:
-        lesson = Lesson(
+        problem = TrainingProblem(
             demonstrations,
             sees,
             training,
@@ -183,16 +117,16 @@ def train(
             observe=observe,
             checkpoint=checkpoint,
         )
-        errors = teacher(training.method)(lesson)
+        errors = getattr(methods, training.method)(problem)
         if training.refine:
-            errors |= refine(lesson, task, world, shown=progress)
+            errors |= refine(problem, task, world, shown=progress)
         figures = {
             **asdict(training),
             "demonstrations": given,
             "failed": given - len(demonstrations),
             "refined_in": world.settings() if training.refine else None,
             "finetuned_on": 0 if finetune is None else len(finetune),
-            "held_out": len(lesson.held_out),
+            "held_out": len(problem.held_out),
             "errors": errors,
             "seconds": time.monotonic() - began,
             "gendom": __version__,
@@ -202,16 +136,16 @@ def train(
             task=demonstrations.task,
             method=training.method,
             conditioned_on=sees,
-            inputs=tuple(lesson.inputs),
-            outputs=tuple(lesson.actions),
-            goals=goal_range(_steady(demonstrations)),
+            inputs=tuple(problem.inputs),
+            outputs=tuple(problem.actions),
+            goals=goal_range(_within_risk(demonstrations)),
             parameters={
                 name: (float(values.min()), float(values.max()))
                 for name, values in demonstrations.parameters.items()
             },
             training=figures,
         )
-        policy = _written(lesson, description, path)
+        policy = _written(problem, description, path)
     checkpoint.clear()
     return policy
 
@@ -299,7 +233,7 @@ def _check_alike(demonstrations: Demonstrations, finetune: Demonstrations) -> No
             )
 
 
-def _steady(demonstrations: Demonstrations) -> Demonstrations:
+def _within_risk(demonstrations: Demonstrations) -> Demonstrations:
     """Those whose risk is within its limit."""
     risk = find_task(demonstrations.task["name"]).risk
     if risk is None or demonstrations.risk is None:
@@ -318,21 +252,21 @@ def _digest(demonstrations: Demonstrations) -> str:
     return found.hexdigest()
 
 
-def _written(lesson: Lesson, description: Description, path: Path) -> Policy:
+def _written(problem: TrainingProblem, description: Description, path: Path) -> Policy:
     """Write the file, once onnxruntime gives the trained network's actions."""
-    rows = lesson.held_out
+    rows = problem.held_out
     with torch.no_grad():
-        expected = lesson.act(rows).numpy()
+        expected = problem.act(rows).numpy()
     with atomic_path(path) as temporary:
         export_onnx(
-            lesson.policy,
+            problem.policy,
             temporary,
             inputs={column.name: torch.ones(2, 1) for column in description.inputs},
             outputs=("action",),
             metadata={METADATA_KEY: description.to_json()},
         )
         given: dict[str, NDArray[np.float64]] = {
-            name: lesson.data[name][rows, 0].numpy().astype(float) for name in lesson.sees
+            name: problem.data[name][rows, 0].numpy().astype(float) for name in problem.sees
         }
         low_high = description.parameters
         inside = np.all(
@@ -340,7 +274,7 @@ def _written(lesson: Lesson, description: Description, path: Path) -> Policy:
             or [np.ones(len(rows), dtype=bool)],
             axis=0,
         )
-        actions = Policy.read(temporary).actions(lesson.goal[rows].numpy(), given)
+        actions = Policy.read(temporary).actions(problem.goal[rows].numpy(), given)
         # what lies beyond the training range is clipped
         worst = float(np.abs(actions - expected)[inside].max(initial=0.0))
         if not worst < AGREEMENT:
@@ -390,8 +324,3 @@ def _shown(
     finally:
         if writer is not None:
             writer.close()
-
-
-def _check_choice(name: str, value: str, known: Sequence[str] | dict[str, Any]) -> None:
-    if value not in known:
-        raise PolicyError(f"{name} is {value!r}", fix=f"choose from {', '.join(known)}")

@@ -6,10 +6,10 @@ on, one for each, see `gendom.reality.envs`.
 
 from gendom.materials import AIR_DENSITY
 from gendom.reality.air import Air
-from gendom.reality.benches import Bench, cantilever, stretch
-from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, as_real, find_object
+from gendom.reality.model import Layout, build_model, default_cameras, looking_at
+from gendom.reality.object_file import find_object
+from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, as_real
 from gendom.reality.recording import RecordSettings, record
-from gendom.reality.scene import Layout, build_model, default_cameras, looking_at
 from gendom.reality.sensor import DepthSensor, RigErrors
 from gendom.reality.trials import (
     Performance,
@@ -31,7 +31,6 @@ __all__ = [
     "AIR_DENSITY",
     "OBJECTS",
     "Air",
-    "Bench",
     "DepthSensor",
     "Layout",
     "Performance",
@@ -46,7 +45,6 @@ __all__ = [
     "arm_motion",
     "as_real",
     "build_model",
-    "cantilever",
     "default_cameras",
     "end_of",
     "find_object",
@@ -57,7 +55,6 @@ __all__ = [
     "observe",
     "predefined_lift",
     "record",
-    "stretch",
     "task_trial",
 ]
 

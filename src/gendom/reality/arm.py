@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from gendom.perception.camera import Camera
-from gendom.reality.scene import load_mujoco
+from gendom.reality.model import load_mujoco
 from gendom.robot import Arm, Box, JointMotion, Surroundings, arm_shape, link_poses
 
 STIFFNESS, DAMPING, INERTIA = 2.0e4, 4.0e2, 0.3

@@ -46,8 +46,9 @@ import numpy.typing as npt
 from gendom.errors import DeviceError, ParameterError, RobotError
 from gendom.installation import how_to_install
 from gendom.materials import LARGEST, PARAMETERS, size_of, to_columns, unit_of
-from gendom.reality.objects import OBJECTS, RealObject, find_object
-from gendom.reality.scene import default_cameras, looking_at
+from gendom.reality.model import default_cameras, looking_at
+from gendom.reality.object_file import find_object
+from gendom.reality.objects import OBJECTS, RealObject
 from gendom.reality.trials import Performance, observe, task_trial
 from gendom.tasks import Task, find_task
 from gendom.tasks.world import Simulation

@@ -21,16 +21,30 @@ import os
 from pathlib import Path
 from typing import Any
 
+from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.files import read_toml
 from gendom.materials import ASSUMED, KINDS, Material, catalogue
-from gendom.reality.objects import PLAIN, RealCloth, RealObject, RealRope, vertices_of
+from gendom.reality.objects import OBJECTS, PLAIN, RealCloth, RealObject, RealRope, vertices_of
 
 DEFAULTS = {name: ASSUMED[name] for name in ("damping", "friction")}
 """Defaults of numbers that a file may leave out."""
 
 LARGEST, THICKEST, DENSEST, STIFFEST = 5.0, 0.2, 2e4, 1e13
 """Sizes [m], densities [kg/m^3] and moduli [Pa] beyond these are taken for a wrong unit."""
+
+
+def find_object(name: str) -> RealObject:
+    """The object with a given name, or from a TOML file (`read_object`).
+
+    Raises:
+        ParameterError: There is no such object, or the file does not describe one.
+    """
+    if name.endswith(".toml"):
+        return read_object(name)
+    fix = f"choose {', '.join(OBJECTS)}, or give a .toml file"
+    require(name in OBJECTS, f"there is no object {name!r}", where="reality", fix=fix)
+    return OBJECTS[name]
 
 
 def read_object(path: str | os.PathLike) -> RealObject:
@@ -43,24 +57,20 @@ def read_object(path: str | os.PathLike) -> RealObject:
     where = str(path)
     table = read_toml(path, error=ParameterError)
     kind = table.pop("kind", None)
-    if kind not in KINDS:
-        raise ParameterError(f"kind is {kind!r}", where=where, fix=f"give {' or '.join(KINDS)}")
+    require(kind in KINDS, f"kind is {kind!r}", where=where, fix=f"give {' or '.join(KINDS)}")
     large, small = KINDS[kind].sizes
     colour = table.pop("colour", list(PLAIN))
     usual = _usual(table.pop("material", None), kind, where)
-    if "outline" in table:
-        raise ParameterError(
-            "objects of tasks and of the MuJoCo test scene are squares or ropes, without outline",
-            where=where,
-            fix="gendom.sim.cloth(outline=...) simulates it; or give its side",
-        )
+    require(
+        "outline" not in table,
+        "objects of tasks and of the MuJoCo test scene are squares or ropes, without outline",
+        where=where,
+        fix="gendom.sim.cloth(outline=...) simulates it; or give its side",
+    )
     known = {large, small, "mass", "density", "E", "nu", *DEFAULTS}
-    if unknown := [name for name in table if name not in known]:
-        raise ParameterError(
-            f"{unknown[0]} means nothing",
-            where=where,
-            fix=f"have material, {', '.join(sorted(known))}",
-        )
+    for name in table:
+        fix = f"have material, {', '.join(sorted(known))}"
+        require(name in known, f"{name} means nothing", where=where, fix=fix)
     number = {name: _number(value, name, where) for name, value in table.items()}
     if "mass" in number:
         usual.pop("density", None)
@@ -68,27 +78,26 @@ def read_object(path: str | os.PathLike) -> RealObject:
     missing = [name for name in (large, small, "E", "nu") if name not in number]
     if ("mass" in number) == ("density" in number):
         missing.append("one of mass and density")
-    if missing:
-        raise ParameterError(f"lacks {', '.join(missing)}", where=where, fix="give it")
+    require(not missing, f"lacks {', '.join(missing)}", where=where, fix="give it")
     for name, most, unit in (
         (large, LARGEST, "metres"),
         (small, THICKEST, "metres"),
         ("density", DENSEST, "kg/m^3"),
         ("E", STIFFEST, "pascals"),
     ):
-        if not 0.0 < number.get(name, most) <= most:
-            raise ParameterError(f"{name} is {number[name]:g}", where=where, fix=f"give {unit}")
+        value = number.get(name, most)
+        require(0.0 < value <= most, f"{name} is {value:g}", where=where, fix=f"give {unit}")
     good = isinstance(colour, list) and len(colour) == 3
-    if not good or not all(isinstance(c, int) and 0 <= c <= 255 for c in colour):
-        raise ParameterError(f"colour is {colour}", where=where, fix="give three of 0 to 255")
+    good = good and all(isinstance(c, int) and 0 <= c <= 255 for c in colour)
+    require(good, f"colour is {colour}", where=where, fix="give three of 0 to 255")
     area = math.pi / 4.0 * number[small] ** 2 if kind == "rope" else number[large] * number[small]
     density = number.get("density", number.get("mass", 0.0) / (number[large] * area))
-    if not 1.0 <= density <= DENSEST:
-        raise ParameterError(
-            f"its density would be {density:.4g} kg/m^3",
-            where=where,
-            fix="check the sizes [m] and the mass [kg]",
-        )
+    require(
+        1.0 <= density <= DENSEST,
+        f"its density would be {density:.4g} kg/m^3",
+        where=where,
+        fix="check the sizes [m] and the mass [kg]",
+    )
     item: dict[str, Any] = {
         large: number[large],
         small: number[small],
@@ -114,12 +123,11 @@ def _usual(name: Any, kind: str, where: str) -> dict[str, float]:
         listed = catalogue.get(str(name))
     except ParameterError as error:
         raise ParameterError(error.what, where=where, fix=error.fix) from None
-    if listed.kind != kind:
-        raise ParameterError(f"{name} is a {listed.kind}, and kind is {kind!r}", where=where)
+    require(listed.kind == kind, f"{name} is a {listed.kind}, and kind is {kind!r}", where=where)
     return {quantity: found.typical for quantity, (_, found) in listed.ranges().items()}
 
 
 def _number(value: Any, name: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ParameterError(f"{name} is {value!r}", where=where, fix="give a number")
+    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    require(number, f"{name} is {value!r}", where=where, fix="give a number")
     return float(value)

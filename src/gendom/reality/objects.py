@@ -32,9 +32,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gendom.errors import ParameterError
 from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, Rope
-from gendom.reality.sheet import diagonal_strip, grid
+from gendom.reality.sheet import grid
 
 LEAST_RADIUS = 0.0005
 """The least of a cloth's `RealCloth.radius` [m]."""
@@ -90,7 +89,7 @@ class RealRope(Rope):
 
 @dataclass(frozen=True, kw_only=True)
 class RealCloth(Cloth):
-    """A cloth of the MuJoCo test scene, or a strip cut from one; its E is that of bending."""
+    """A cloth of the MuJoCo test scene; its E is that of bending."""
 
     name: str
     """As on the command line."""
@@ -98,22 +97,15 @@ class RealCloth(Cloth):
     """sRGB."""
     vertices: int = 41
     """Points along a side."""
-    strip: int | None = None
-    """Spacings across, for a strip that is cut from it (along the diagonal: half diagonals);
-    None: all of it."""
-    diagonal: bool = False
-    """Whether the strip is cut along the diagonal, not along the first side."""
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Points along and across the whole cloth or a strip along its side."""
-        return self.vertices, self.vertices if self.strip is None else self.strip + 1
+        """Points along its first and second side."""
+        return self.vertices, self.vertices
 
     @property
     def sheet(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
         """Vertices [V, 2] of the flat cloth [m] and triangles [F, 3]."""
-        if self.diagonal and self.strip is not None:
-            return diagonal_strip(self.vertices, self.strip, self.spacing)
         return grid(*self.counts, self.spacing)
 
     @property
@@ -257,23 +249,3 @@ def as_real(item: Item) -> RealObject:
         return RealRope(name=f"a {item.kind}", colour=PLAIN, vertices=vertices, **own)
     own |= {"name": f"a {item.kind}", "colour": PLAIN, "vertices": vertices_of(item.side)}
     return RealCloth(**own)
-
-
-def find_object(name: str) -> RealObject:
-    """The object with a given name, or from a TOML file (see `gendom.reality.object_file`).
-
-    Raises:
-        ParameterError: There is no such object, or the file does not describe one.
-    """
-    if name.endswith(".toml"):
-        from gendom.reality.object_file import read_object
-
-        return read_object(name)
-    try:
-        return OBJECTS[name]
-    except KeyError:
-        raise ParameterError(
-            f"there is no object {name!r}",
-            where="reality",
-            fix=f"choose {', '.join(OBJECTS)}, or give a .toml file",
-        ) from None

@@ -46,29 +46,3 @@ def grid(
     triangles = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
     points = spacing * np.indices((along, across)).reshape(2, -1).T.astype(np.float64)
     return points, triangles
-
-
-def diagonal_strip(
-    vertices: int, across: int, spacing: float
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
-    """A strip along the diagonal of a square, without its pointed ends.
-
-    Args:
-        vertices: Along a side of the square.
-        across: Half squares of the grid across the strip.
-        spacing: Between neighbours along a side [m].
-
-    Returns:
-        Vertices [V, 2], along and across the strip [m], and triangles [F, 3].
-    """
-    points, triangles = grid(vertices, vertices, spacing)
-    turn = np.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])
-    turned = points @ turn
-    half = across / 2.0 * spacing * 0.5**0.5
-    middle = turned[:, 0].max() / 2.0
-    away = np.abs(turned - [middle, 0.0])
-    kept = np.all(away <= np.array([middle - half, half]) + 1e-6 * spacing, axis=1)
-    triangles = triangles[kept[triangles].all(axis=1)]
-    used, triangles = np.unique(triangles, return_inverse=True)
-    strip = np.asarray(turned[used] - [half, 0.0], dtype=np.float64)
-    return strip, triangles.reshape(-1, 3)

@@ -22,8 +22,8 @@ from gendom.errors import DeviceError, RobotError, SimulationError
 from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
 from gendom.perception.camera import Camera
 from gendom.reality.arm import RobotArm, surroundings
+from gendom.reality.model import CLOTH_STEP, Layout, default_cameras
 from gendom.reality.objects import RealCloth, RealObject, RealRope, as_real
-from gendom.reality.scene import CLOTH_STEP, Layout, default_cameras
 from gendom.reality.world import FINGER_WIDTH, Reality
 from gendom.robot import (
     XARM7,
@@ -36,7 +36,8 @@ from gendom.robot import (
     pointing_down,
 )
 from gendom.tasks import Observed, Task
-from gendom.tasks.world import Outcome, check_actions
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import check_actions
 
 ROPE_LIFT_SPEED, CLOTH_LIFT_SPEED = 0.05, 0.1
 """Speed of the predefined lift [m/s]: of a rope so slow that inertia plays no part."""

@@ -16,8 +16,7 @@ from gendom.materials import AIR_DENSITY
 from gendom.perception.camera import Camera
 from gendom.reality.air import Air
 from gendom.reality.grip import Slip, pull
-from gendom.reality.objects import RealObject, RealRope
-from gendom.reality.scene import (
+from gendom.reality.model import (
     GLFault,
     Layout,
     build_model,
@@ -26,6 +25,7 @@ from gendom.reality.scene import (
     headless,
     load_mujoco,
 )
+from gendom.reality.objects import RealObject, RealRope
 from gendom.reality.twist import Twist
 
 FINGER_WIDTH = 0.025

@@ -3,7 +3,9 @@
 The robot's base is the world. NumPy and SciPy only; nothing here moves a real arm.
 """
 
+from gendom.arguments import require
 from gendom.errors import RobotError
+from gendom.plugins import plugins
 from gendom.robot.arm import (
     Arm,
     FingerCapsule,
@@ -52,14 +54,17 @@ ARMS = {XARM7.name: XARM7}
 
 
 def find_arm(name: str) -> Arm:
-    """The arm with a given name.
+    """The arm with a given name: one of `ARMS`, or of an entry point ``gendom.arms``.
 
     Raises:
         RobotError: There is none.
     """
-    if name not in ARMS:
-        raise RobotError(f"there is no robot {name!r}", fix=f"have {', '.join(ARMS)}")
-    return ARMS[name]
+    arms = {**ARMS, **plugins("arms")}
+    fix = f"have {', '.join(arms)}"
+    require(
+        isinstance(arms.get(name), Arm), f"there is no robot {name!r}", fix=fix, error=RobotError
+    )
+    return arms[name]
 
 
 __all__ = [

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.files import is_cut
 from gendom.robot.arm import Arm
@@ -78,36 +79,40 @@ def read_joints(
             table[i] = [float(text) for text in row]
         except ValueError:
             table[i] = np.nan
-        if not np.isfinite(table[i]).all():
-            raise RobotError(
-                f"is no joint state: {','.join(row)[:60]!r}",
-                where=where,
-                fix="give seconds, radians and metres",
-            )
-        if i and table[i, 0] <= table[i - 1, 0]:
-            raise RobotError(
-                f"time goes from {table[i - 1, 0]:g} to {table[i, 0]:g} s",
-                where=where,
-                fix="sort the rows",
-            )
-        q = table[i, 1 : 1 + arm.joints]
-        beyond = np.maximum(arm.q_min - q, q - arm.q_max)
-        if beyond.max() > 0.1:
-            j = int(beyond.argmax())
-            raise RobotError(
-                f"joint {j + 1} is at {q[j]:g} rad, its range on {arm.name} is "
-                f"{arm.q_min[j]:.3f} to {arm.q_max[j]:.3f}",
-                where=where,
-                fix="give radians, from the base to the flange",
-            )
-        if len(header) > len(expected) and not -0.005 <= table[i, -1] <= (
-            arm.gripper.max_opening + 0.005
-        ):
-            raise RobotError(
-                f"the gripper's opening is {table[i, -1]:g} m, it goes to "
-                f"{arm.gripper.max_opening:g}",
-                where=where,
-                fix="give metres between the fingers",
-            )
+        said = f"is no joint state: {','.join(row)[:60]!r}"
+        fix = "give seconds, radians and metres"
+        require(np.isfinite(table[i]).all(), said, where=where, fix=fix, error=RobotError)
+        if i:
+            before, time = table[i - 1 : i + 1, 0]
+            said = f"time goes from {before:g} to {time:g} s"
+            require(time > before, said, where=where, fix="sort the rows", error=RobotError)
+        _check_state(arm, table[i, 1:], where)
     opening = table[:, -1] if len(header) > len(expected) else None
     return JointStates(table[:, 0], table[:, 1 : 1 + arm.joints], opening)
+
+
+def _check_state(arm: Arm, state: NDArray[np.float64], where: str) -> None:
+    """Check that joint angles, and the gripper's opening if it is there, are in the arm's ranges.
+
+    Raises:
+        RobotError: One is beyond, as angles in degrees are.
+    """
+    q, opening = state[: arm.joints], state[arm.joints :]
+    beyond = np.maximum(arm.q_min - q, q - arm.q_max)
+    j = int(beyond.argmax())
+    require(
+        beyond[j] <= 0.1,
+        f"joint {j + 1} is at {q[j]:g} rad, its range on {arm.name} is "
+        f"{arm.q_min[j]:.3f} to {arm.q_max[j]:.3f}",
+        where=where,
+        fix="give radians, from the base to the flange",
+        error=RobotError,
+    )
+    widest = arm.gripper.max_opening
+    require(
+        np.all((opening >= -0.005) & (opening <= widest + 0.005)),
+        f"the gripper's opening is {opening.sum():g} m, it goes to {widest:g}",
+        where=where,
+        fix="give metres between the fingers",
+        error=RobotError,
+    )

@@ -7,26 +7,27 @@ made from `Task`.
 from __future__ import annotations
 
 import importlib.util
+import logging
 import sys
 from collections.abc import Mapping
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.lazy import imported_later
+from gendom.plugins import plugins
 from gendom.tasks.cloth_spreading import ClothSpreading
 from gendom.tasks.rope_casting import RopeCasting, RopeCastingAtSpeed
 from gendom.tasks.rope_reaching import RopeReaching
-from gendom.tasks.task import Observed, Quantity, Risk, Scene, Task
+from gendom.tasks.task import Observed, Outcome, Quantity, Risk, Scene, Task, World
 
 if TYPE_CHECKING:
     from gendom.tasks.demonstrator import Demonstrator
-    from gendom.tasks.world import Outcome, Simulation, World
+    from gendom.tasks.world import Simulation
 
-GROUP = "gendom.tasks"
-"""Of entry points."""
+_log = logging.getLogger(__name__)
 
 _registered: dict[str, type[Task]] = {}
 
@@ -54,44 +55,54 @@ for _task in (
 
 
 @cache
-def _load_others() -> None:
-    for point in metadata.entry_points(group=GROUP):
-        register(point.load())
+def _register_plugins() -> None:
+    for name, task in plugins("tasks").items():
+        if isinstance(task, type) and issubclass(task, Task):
+            register(task)
+        else:
+            _log.warning("gendom.tasks %r is left out: it is no subclass of Task", name)
 
 
 def task_names() -> list[str]:
     """Names of all tasks, those of other packages included."""
-    _load_others()
+    _register_plugins()
     return list(_registered)
 
 
 def find_task(name: str) -> type[Task]:
-    """The class of a task.
+    """The class of a registered task. Names from files of data sets and policies end here: none is
+    ever a path whose code would run.
+
+    Raises:
+        ParameterError: There is none of that name.
+    """
+    names = task_names()
+    require(
+        name in names,
+        f"there is no task {name!r}",
+        where="task",
+        fix=f"choose {', '.join(names)}, or give the .py file that defines it",
+    )
+    return _registered[name]
+
+
+def load_task(word: str) -> type[Task]:
+    """The class of a task that a person named, or whose Python file a person gave.
 
     Args:
-        name: Its name, or the path of a Python file (``.py``) that defines one task; it is then
-            known by its name.
+        word: A task's name, or the path of a Python file (``.py``) that defines one task. The file
+            is executed, and its task is then known by its name.
 
     Raises:
         ParameterError: There is none of that name, or the file cannot be read or does not define
             one task.
     """
-    if name.endswith(".py"):
-        return register(_read(Path(name)))
-    names = task_names()
-    if name not in names:
-        raise ParameterError(
-            f"there is no task {name!r}",
-            where="task",
-            fix=f"choose {', '.join(names)}, or give the .py file that defines it",
-        )
-    return _registered[name]
+    return register(_read(Path(word))) if word.endswith(".py") else find_task(word)
 
 
 def _read(path: Path) -> type[Task]:
     """The one task that a file defines."""
-    if not path.is_file():
-        raise ParameterError("no such file", where=str(path), fix="check the path")
+    require(path.is_file(), "no such file", where=str(path), fix="check the path")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -107,10 +118,8 @@ def _read(path: Path) -> type[Task]:
         for value in vars(module).values()
         if isinstance(value, type) and issubclass(value, Task) and value.__module__ == path.stem
     ]
-    if len(found) != 1:
-        raise ParameterError(
-            f"defines {len(found)} tasks", where=str(path), fix="define one class made from Task"
-        )
+    fix = "define one class made from Task"
+    require(len(found) == 1, f"defines {len(found)} tasks", where=str(path), fix=fix)
     return found[0]
 
 
@@ -135,9 +144,7 @@ __getattr__ = imported_later(
     __name__,
     {
         "Demonstrator": "demonstrator",
-        "Outcome": "world",
         "Simulation": "world",
-        "World": "world",
     },
 )
 
@@ -156,6 +163,7 @@ __all__ = [
     "Task",
     "World",
     "find_task",
+    "load_task",
     "rebuild",
     "register",
     "task_names",

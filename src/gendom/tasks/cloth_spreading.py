@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -28,10 +28,16 @@ from PIL import Image, ImageDraw
 from gendom.errors import ParameterError
 from gendom.materials import Cloth, Item, Material, size_of, thickness_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
-from gendom.tasks.task import Array, Observed, Quantity, Risk, Scene, Task
-
-if TYPE_CHECKING:
-    from gendom.tasks.world import Outcome, World
+from gendom.tasks.task import (
+    Array,
+    Observed,
+    Outcome,
+    Quantity,
+    Risk,
+    Scene,
+    Task,
+    World,
+)
 
 CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=4e5, density=400.0, damping=0.005))
 """What demonstrations are simulated with."""

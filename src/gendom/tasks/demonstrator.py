@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gendom.datasets.demonstrations import GOAL, Outcomes
 from gendom.materials import Item, from_columns, to_columns
-from gendom.tasks.task import Task
-from gendom.tasks.world import Simulation, World
+from gendom.tasks.task import Task, World
+from gendom.tasks.world import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,9 +24,6 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.errors import ParameterError
 from gendom.materials import PARAMETERS, Item, Material, Rope, from_columns, to_columns, unit_of
 from gendom.robot.path import TcpPath
-
-if TYPE_CHECKING:
-    from gendom.tasks.world import Outcome, World
 
 Array = NDArray[np.float64]
 
@@ -120,6 +117,57 @@ class Observed:
     def tip(self) -> Array:
         """[T, 3] a rope's free end [m]."""
         return self.points[:, -1]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """The outcome of one action."""
+
+    values: dict[str, float]
+    """As `Task.outcome` gives them; empty where it failed."""
+    fault: str | None = None
+    """What went wrong; None: nothing."""
+    seen: Observed | None = None
+    """What it was judged by, if asked for."""
+
+
+class World(Protocol):
+    """Where tasks are carried out."""
+
+    def carry_out(
+        self,
+        task: Task,
+        items: Sequence[Item],
+        actions: ArrayLike,
+        *,
+        keep: bool = False,
+        on_frame: Callable[[int], None] | None = None,
+    ) -> list[Outcome]:
+        """Carry out W actions with W objects. One that fails is recorded as such, others go on.
+
+        Args:
+            task: What is done.
+            items: W objects.
+            actions: [W, A], each within its limits.
+            keep: Whether outcomes keep what was seen.
+            on_frame: Called now and then; what it raises ends everything.
+
+        Raises:
+            ParameterError: An action is out of its limits, or numbers do not agree.
+        """
+        ...
+
+    def on(self, device: str) -> World:
+        """The same on another device.
+
+        Raises:
+            DeviceError: There is none for this world.
+        """
+        ...
+
+    def settings(self) -> dict[str, Any]:
+        """What outcomes depend on beyond rounding, ready for JSON."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,4 @@
-"""Worlds in which tasks are carried out, and the one that is our simulator.
-
-Another is `gendom.reality.RealWorld`.
-"""
+"""Our simulator as a world that carries out tasks; another is `gendom.reality.RealWorld`."""
 
 from __future__ import annotations
 
@@ -9,17 +6,17 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.errors import ParameterError
+from gendom.arguments import require
 from gendom.materials import AIR_DENSITY, Cloth, Item, Rope
 from gendom.robot.path import TcpPath, TcpPaths
 from gendom.sim import Body, Gripper, Grippers, Simulator, Table, claimed, cloth, rope
 from gendom.sim.bodies import CELLS_ACROSS
-from gendom.tasks.task import Array, Observed, Scene, Task
+from gendom.tasks.task import Array, Observed, Outcome, Scene, Task
 
 _log = logging.getLogger(__name__)
 
@@ -28,57 +25,6 @@ EVERYTHING = 100
 
 BATCH = 8192
 """Objects simulated at once at the most."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Outcome:
-    """The outcome of one action."""
-
-    values: dict[str, float]
-    """As `Task.outcome` gives them; empty where it failed."""
-    fault: str | None = None
-    """What went wrong; None: nothing."""
-    seen: Observed | None = None
-    """What it was judged by, if asked for."""
-
-
-class World(Protocol):
-    """Where tasks are carried out."""
-
-    def carry_out(
-        self,
-        task: Task,
-        items: Sequence[Item],
-        actions: ArrayLike,
-        *,
-        keep: bool = False,
-        on_frame: Callable[[int], None] | None = None,
-    ) -> list[Outcome]:
-        """Carry out W actions with W objects. One that fails is recorded as such, others go on.
-
-        Args:
-            task: What is done.
-            items: W objects.
-            actions: [W, A], each within its limits.
-            keep: Whether outcomes keep what was seen.
-            on_frame: Called now and then; what it raises ends everything.
-
-        Raises:
-            ParameterError: An action is out of its limits, or numbers do not agree.
-        """
-        ...
-
-    def on(self, device: str) -> World:
-        """The same on another device.
-
-        Raises:
-            DeviceError: There is none for this world.
-        """
-        ...
-
-    def settings(self) -> dict[str, Any]:
-        """What outcomes depend on beyond rounding, ready for JSON."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,10 +48,10 @@ class Simulation:
 
     def __post_init__(self) -> None:
         low, high = CELLS_ACROSS
-        if not low <= self.cells_across <= high:
-            raise ParameterError(
-                f"cells_across must lie between {low:g} and {high:g}, got {self.cells_across:g}"
-            )
+        require(
+            low <= self.cells_across <= high,
+            f"cells_across must lie between {low:g} and {high:g}, got {self.cells_across:g}",
+        )
 
     def carry_out(
         self,
@@ -210,7 +156,7 @@ class Simulation:
         keep: bool,
         on_frame: Callable[[int], None] | None,
     ) -> list[Outcome]:
-        """Objects of one size."""
+        """Simulate objects of one size."""
         first = items[0]
         scene = task.scene(first)
         body, x = self.body(task, first)
@@ -248,10 +194,11 @@ class Simulation:
                 particles=None if all_points else np.atleast_1d(tip),
                 keep_going=True,
             )
-        hands = paths.position_at(times)
         lattice = _lattice(body, simulator.num_points) if isinstance(first, Cloth) else (0, 0)
         outcomes = []
-        for w, (item, path) in enumerate(zip(items, paths.paths, strict=True)):
+        for w, (item, path, hand) in enumerate(
+            zip(items, paths.paths, paths.position_at(times), strict=True)
+        ):
             if w in simulator.failures:
                 error = simulator.failures[w]
                 when = "" if error.time is None else f" at {error.time:.4f} s"
@@ -260,7 +207,7 @@ class Simulation:
             seen = Observed(
                 times=times,
                 points=centre(body, recorded[:, w].astype(float)),
-                hand=hands[w],
+                hand=hand,
                 opens=opening(path),
                 lattice=lattice,
             )
@@ -275,12 +222,12 @@ def check_actions(task: Task, items: Sequence[Item], actions: ArrayLike) -> Arra
         ParameterError: One is not, or there are more or fewer than objects.
     """
     wanted = np.asarray(actions, dtype=float).reshape(-1, len(task.actions))
-    if len(wanted) != len(items):
-        raise ParameterError(
-            f"are of shape {np.shape(actions)} for {len(items)} objects",
-            where="actions",
-            fix="give one for each object",
-        )
+    require(
+        len(wanted) == len(items),
+        f"are of shape {np.shape(actions)} for {len(items)} objects",
+        where="actions",
+        fix="give one for each object",
+    )
     low, high = np.moveaxis(np.array([task.limits(item) for item in items]), 2, 0)
     within = np.all((wanted >= low) & (wanted <= high), axis=1)
     for item, action, inside in zip(items, wanted, within, strict=True):
@@ -303,8 +250,7 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
     """
     holds = [_holds(path, begin) for path in paths.paths]
     often = {len(h) for h in holds}
-    if len(often) != 1:
-        raise ParameterError(f"the tool must close equally often in all worlds, got {often}")
+    require(len(often) == 1, f"the tool must close equally often in all worlds, got {often}")
     time, position = _from(paths, begin)
     W, K = time.shape
     hold_from, hold_until = np.moveaxis(np.array(holds).reshape(W, -1, 2), 2, 0)

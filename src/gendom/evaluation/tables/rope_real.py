@@ -32,7 +32,8 @@ from gendom.policies.polishing import PolishSettings, polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import Task, find_task
 from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.world import Simulation, World
+from gendom.tasks.task import World
+from gendom.tasks.world import Simulation
 
 Array = NDArray[np.float64]
 

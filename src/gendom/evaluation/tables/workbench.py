@@ -16,7 +16,8 @@ from gendom.files import read_json, write_json
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.world import Simulation, World
+from gendom.tasks.task import World
+from gendom.tasks.world import Simulation
 
 if TYPE_CHECKING:
     from gendom.policies.training import Training

@@ -9,14 +9,15 @@ discretisation with which the object is used.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gendom.materials import STANDARD_GRAVITY
+from gendom.reality.model import Layout
 from gendom.reality.objects import RealCloth, RealObject, RealRope
-from gendom.reality.scene import Layout
-from gendom.reality.sheet import SHEET_NU
+from gendom.reality.sheet import SHEET_NU, grid
 from gendom.reality.world import Reality
 
 SAG = 0.02
@@ -28,6 +29,30 @@ clamp; along the diagonal the borders of 6 and 10 are softer than the rest."""
 
 STEP = 0.001
 """Time step [s]. With a cloth's 4 ms the clamp of a stiffened strip gives way by 1.4 mm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strip(RealCloth):
+    """A strip that is cut from a cloth along its first side or its diagonal."""
+
+    across: int
+    """Spacings across; along the diagonal: half diagonals."""
+    diagonal: bool = False
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        return self.vertices, self.across + 1
+
+    @property
+    def sheet(self):
+        if self.diagonal:
+            return diagonal_strip(self.vertices, self.across, self.spacing)
+        return grid(*self.counts, self.spacing)
+
+
+def strip_of(cloth: RealCloth, across: int, diagonal: bool) -> Strip:
+    own = {field.name: getattr(cloth, field.name) for field in fields(cloth)}
+    return Strip(across=across, diagonal=diagonal, **own)
 
 
 @dataclass(frozen=True)
@@ -48,6 +73,32 @@ class Bench:
         return self.sag / self.expected - 1.0
 
 
+def diagonal_strip(
+    vertices: int, across: int, spacing: float
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """A strip along the diagonal of a square, without its pointed ends.
+
+    Args:
+        vertices: Along a side of the square.
+        across: Half squares of the grid across the strip.
+        spacing: Between neighbours along a side [m].
+
+    Returns:
+        Vertices [V, 2], along and across the strip [m], and triangles [F, 3].
+    """
+    points, triangles = grid(vertices, vertices, spacing)
+    turn = np.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])
+    turned = points @ turn
+    half = across / 2.0 * spacing * 0.5**0.5
+    middle = turned[:, 0].max() / 2.0
+    away = np.abs(turned - [middle, 0.0])
+    kept = np.all(away <= np.array([middle - half, half]) + 1e-6 * spacing, axis=1)
+    triangles = triangles[kept[triangles].all(axis=1)]
+    used, triangles = np.unique(triangles, return_inverse=True)
+    strip = np.asarray(turned[used] - [half, 0.0], dtype=np.float64)
+    return strip, triangles.reshape(-1, 3)
+
+
 def cantilever(item: RealObject, *, diagonal: bool = False, seconds: float = 1.5) -> Bench:
     """Let an object sag from a clamp.
 
@@ -57,7 +108,7 @@ def cantilever(item: RealObject, *, diagonal: bool = False, seconds: float = 1.5
         seconds: Simulated time until it is at rest [s].
     """
     if isinstance(item, RealCloth):
-        item = replace(item, strip=STRIP, diagonal=diagonal)
+        item = strip_of(item, STRIP, diagonal)
         rows, row = np.unique(item.sheet[0][:, 0].round(9), return_inverse=True)
         length, spacing = float(rows[-1]), float(rows[1])
         breadth = item.mass / (item.material.density * item.thickness * length)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from gendom.arguments import require
 from gendom.errors import DeviceError, ParameterError
 from gendom.installation import how_to_install
 from gendom.materials import STANDARD_GRAVITY
@@ -65,14 +66,12 @@ class Layout:
     def __post_init__(self) -> None:
         for name in ("origin", "along", "across"):
             value = np.asarray(getattr(self, name), dtype=float)
-            if value.shape != (3,) or not np.isfinite(value).all():
-                raise ParameterError("give three finite numbers", where=f"layout: {name}")
+            good = value.shape == (3,) and np.isfinite(value).all()
+            require(good, "give three finite numbers", where=f"layout: {name}")
             object.__setattr__(self, name, value)
         axes = np.stack([self.along, self.across])
-        if not np.allclose(axes @ axes.T, np.eye(2), atol=1e-9):
-            raise ParameterError(
-                "are no unit vectors at right angles", where="layout: along, across"
-            )
+        square = np.allclose(axes @ axes.T, np.eye(2), atol=1e-9)
+        require(square, "are no unit vectors at right angles", where="layout: along, across")
 
     def rotation(self) -> Rotation:
         """Rotation from the flex's axes to the world's."""
@@ -177,37 +176,46 @@ def build_model(
     mujoco = load_mujoco()
     step = timestep or (ROPE_STEP if isinstance(item, RealRope) else CLOTH_STEP)
     flex, vertices = _flex(item, layout, step)
-    held = clamped_vertices(item, layout)
-    x, y, wide, deep = TABLE
-    # The contact surface is a plane: it makes one contact for each vertex, a box one for each
-    # corner of each triangle, six times as many constraints. Each of the plane's contacts is
-    # harder, so that objects on a slope creep as little. By its priority, the plane's contact
-    # parameters apply.
-    top = (
-        f'<geom name="table" type="box" pos="{x} {y} -0.02" size="{wide / 2} {deep / 2} 0.02"'
-        ' rgba="0.62 0.58 0.52 1" contype="0" conaffinity="0"/>'
-        f'<geom name="top" type="plane" group="{_UNSEEN}" size="{wide / 2} {deep / 2} 0.1"'
-        f' pos="{x} {y} 0" contype="{_FIXED}" conaffinity="{_OBJECT}"'
-        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1" solimp="0.99 0.999 0.0005"'
-        ' priority="1"/>'
-        if table
-        else ""
-    )
     connections = [
         _connect(f"{hand}_{v}", f"object_{v}", hand, step, active=False)
         for hand in hands
         for v in range(vertices)
     ]
     connections += [
-        f'<connect name="stand_{v}" body1="object_{v}" anchor="0 0 0" {_firm(step)}/>' for v in held
+        f'<connect name="stand_{v}" body1="object_{v}" anchor="0 0 0" {_firm(step)}/>'
+        for v in clamped_vertices(item, layout)
     ]
     # CG needs many iterations where a cloth lies on itself; with too few, vertices penetrate.
     solver, usual = ("Newton", 1e-8) if isinstance(item, RealRope) else ("CG", 1e-6)
-    xml = f"""
-<mujoco model="{item.name}">
-  <option timestep="{step}" integrator="discrete" solver="{solver}"
-          tolerance="{usual if tolerance is None else tolerance}"
-          iterations="400" gravity="{_row(gravity)}"/>
+    options = (
+        f'timestep="{step}" integrator="discrete" solver="{solver}" iterations="400"'
+        f' tolerance="{usual if tolerance is None else tolerance}" gravity="{_row(gravity)}"'
+    )
+    bodies = [_table(item, step)] if table else []
+    bodies += [*map(_camera, cameras), arm, flex]
+    xml = _SCENE.format(
+        name=item.name,
+        options=options,
+        floor=f'contype="{_FIXED}" conaffinity="{_OBJECT}"',
+        bodies="".join(bodies),
+        actuators=actuators,
+        connections="".join(connections),
+    )
+    try:
+        model = mujoco.MjModel.from_xml_string(xml)
+    except ValueError as error:
+        raise ParameterError(
+            f"MuJoCo refuses the scene ({error})", where=item.name, fix="check its sizes"
+        ) from None
+    _weigh(model, item)
+    if isinstance(item, RealCloth):
+        _bend_alike(model, item)
+    return model
+
+
+_SCENE = """
+<mujoco model="{name}">
+  <option {options}/>
   <size memory="256M"/>
   <visual>
     <global offwidth="1280" offheight="960"/>
@@ -219,28 +227,32 @@ def build_model(
   <worldbody>
     <light pos="0.2 0.6 1.8" dir="0.1 -0.3 -1" diffuse="0.5 0.5 0.5" castshadow="true"/>
     <light pos="0.8 -0.8 1.6" dir="-0.2 0.4 -1" diffuse="0.3 0.3 0.3" castshadow="false"/>
-    <geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -0.75" rgba="0.35 0.37 0.4 1"
-          contype="{_FIXED}" conaffinity="{_OBJECT}"/>
-    {top}
-    {"".join(_camera(camera) for camera in cameras)}
-    {arm}
-    {flex}
+    <geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -0.75" rgba="0.35 0.37 0.4 1" {floor}/>
+    {bodies}
   </worldbody>
   <actuator>{actuators}</actuator>
   <equality>
-    {"".join(connections)}
+    {connections}
   </equality>
 </mujoco>"""
-    try:
-        model = mujoco.MjModel.from_xml_string(xml)
-    except ValueError as error:
-        raise ParameterError(
-            f"MuJoCo refuses the scene ({error})", where=item.name, fix="check its sizes"
-        ) from None
-    _weigh(model, item)
-    if isinstance(item, RealCloth):
-        _bend_alike(model, item)
-    return model
+
+
+def _table(item: RealObject, step: float) -> str:
+    """The table: a box that is seen, and a plane that is touched.
+
+    A plane makes one contact for each vertex, a box one for each corner of each triangle, six times
+    as many constraints. Each of the plane's contacts is harder, so that objects on a slope creep as
+    little. By its priority, the plane's contact parameters apply.
+    """
+    x, y, wide, deep = TABLE
+    return (
+        f'<geom name="table" type="box" pos="{x} {y} -0.02" size="{wide / 2} {deep / 2} 0.02"'
+        ' rgba="0.62 0.58 0.52 1" contype="0" conaffinity="0"/>'
+        f'<geom name="top" type="plane" group="{_UNSEEN}" size="{wide / 2} {deep / 2} 0.1"'
+        f' pos="{x} {y} 0" contype="{_FIXED}" conaffinity="{_OBJECT}"'
+        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1" solimp="0.99 0.999 0.0005"'
+        ' priority="1"/>'
+    )
 
 
 def _weigh(model: Any, item: RealObject) -> None:

@@ -1,11 +1,10 @@
-"""What every way to teach a policy is given: data, columns, network, fits. Needs torch."""
+"""The problem that every training method solves: data, columns, network, fits. Needs torch."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +16,12 @@ from gendom.learning import Checkpoint, Epoch, FitSettings, fit  # explains a mi
 import torch
 from torch import Tensor, nn
 
+from gendom.arguments import require
 from gendom.materials import PARAMETERS
 from gendom.policies.demonstrations import SMALLEST, Demonstrations, joined
-from gendom.policies.networks import PhysicalNetwork
-from gendom.policies.policy import GOAL, Column
+from gendom.policies.networks import ARCHITECTURES, PhysicalNetwork
+from gendom.policies.policy import GOAL, METHODS, Column
 from gendom.tasks import find_task
-
-if TYPE_CHECKING:
-    from gendom.policies.training import Training
 
 RISK_FLOOR = 1e-5
 """Smaller risks count as zero [units of similarity]."""
@@ -34,10 +31,82 @@ RISK_MARGIN = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Split:
-    """Rows to teach, and rows held out."""
+class Training:
+    """How to train.
 
-    taught: Tensor
+    Raises:
+        PolicyError: A value lies outside its range.
+    """
+
+    method: str = "distal"
+    """One of "distal", "inverse" and "quantile"; see `gendom.policies.methods`."""
+    conditioned_on: tuple[str, ...] | None = None
+    """The parameters that the policy sees; None: all that vary. The forward model that teaches it
+    always sees all of them: they are those of the demonstration, and a policy that does not see
+    them then learns the action that is best on average over them."""
+    architecture: str = "smooth"
+    """A key of `gendom.policies.networks.ARCHITECTURES`."""
+    epochs: int = 300
+    """Passes over the demonstrations, for each network."""
+    batch_size: int = 256
+    learning_rate: float = 4e-3
+    """Peak of the learning rate, which then falls to zero along a cosine."""
+    weight_decay: float = 1e-4
+    finetune_epochs: int = 300
+    """Passes over the demonstrations for fine-tuning."""
+    finetune_learning_rate: float = 4e-4
+    pull: float = 1.0
+    """Weight of the pull towards demonstrated actions, distal only."""
+    caution: float = 1.0
+    """Weight of the task's risk, distal only."""
+    refine: int = 0
+    """Rounds in the simulator after that, see `gendom.policies.refining`."""
+    refine_cases: int = 2000
+    """Demonstrations whose goals and objects the policy acts for in each round, at most."""
+    refine_steps: int = 4000
+    """Of the optimiser in each round; the last has four times as many."""
+    validation_share: float = 0.1
+    """Share of the demonstrations held out."""
+    seed: int = 0
+    """Fixes the held-out demonstrations, the initial weights and the order of the batches."""
+
+    def __post_init__(self) -> None:
+        chosen = [
+            ("method", self.method, METHODS),
+            ("architecture", self.architecture, ARCHITECTURES),
+        ]
+        chosen += [("conditioned_on", name, PARAMETERS) for name in self.conditioned_on or ()]
+        for name, value, known in chosen:
+            fix = f"choose from {', '.join(known)}"
+            require(value in known, f"{name} is {value!r}", fix=fix, error=PolicyError)
+        for name in (
+            "epochs",
+            "batch_size",
+            "learning_rate",
+            "finetune_epochs",
+            "finetune_learning_rate",
+        ):
+            value = getattr(self, name)
+            require(value > 0, f"{name} must be positive, got {value}", error=PolicyError)
+        require(
+            self.refine >= 0 and min(self.refine_cases, self.refine_steps) >= 1,
+            f"{self.refine} rounds of {self.refine_cases} cases and {self.refine_steps} steps",
+            where="refine",
+            fix="give 0 rounds or more, of 1 case and 1 step or more",
+            error=PolicyError,
+        )
+        require(
+            0.0 < self.validation_share < 1.0,
+            f"validation_share must lie between 0 and 1, got {self.validation_share}",
+            error=PolicyError,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Split:
+    """Rows that are trained on, and rows held out."""
+
+    trained: Tensor
     held_out: Tensor
 
     @classmethod
@@ -45,10 +114,10 @@ class Split:
         """Of `count` rows from `first` on."""
         order = first + torch.randperm(count)
         held = max(1, round(share * count))
-        return cls(taught=order[held:], held_out=order[:held])
+        return cls(trained=order[held:], held_out=order[:held])
 
 
-class Lesson:
+class TrainingProblem:
     """A policy in training.
 
     Args:
@@ -113,9 +182,9 @@ class Lesson:
         self._observe, self._checkpoint = observe, checkpoint
 
     @property
-    def taught(self) -> Tensor:
-        """Rows of the demonstrations that are learnt from first."""
-        return self._simulated.taught
+    def trained(self) -> Tensor:
+        """Rows of the demonstrations that are trained on first."""
+        return self._simulated.trained
 
     @property
     def held_out(self) -> Tensor:
@@ -186,13 +255,13 @@ class Lesson:
         only: Tensor | None,
         settings: FitSettings,
     ) -> None:
-        taught, held_out = split.taught, split.held_out
+        trained, held_out = split.trained, split.held_out
         if only is not None:
-            chosen = taught[only[taught]]
-            taught = chosen if len(chosen) >= SMALLEST else taught
+            chosen = trained[only[trained]]
+            trained = chosen if len(chosen) >= SMALLEST else trained
             held_out = held_out[only[held_out]]
 
-        self.fit_to(name, network, loss_of, taught, settings, held_out=held_out)
+        self.fit_to(name, network, loss_of, trained, settings, held_out=held_out)
 
     def fit_to(
         self,

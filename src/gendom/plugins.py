@@ -1,0 +1,40 @@
+"""What other packages add, by entry points of the groups ``gendom.tasks``, ``gendom.materials``,
+``gendom.unknowns``, ``gendom.methods``, ``gendom.cameras`` and ``gendom.arms``."""
+
+from __future__ import annotations
+
+import logging
+from functools import cache
+from importlib import metadata
+from typing import Any
+
+_log = logging.getLogger(__name__)
+
+
+@cache
+def plugins(kind: str) -> dict[str, Any]:
+    """Load the objects that other packages add.
+
+    One that cannot be imported is left out with a warning, so that it does not stop commands that
+    have no use for it.
+
+    Args:
+        kind: The group of entry points, without ``gendom.``.
+
+    Returns:
+        The objects by the names of their entry points.
+    """
+    found = {}
+    for point in metadata.entry_points(group=f"gendom.{kind}"):
+        try:
+            found[point.name] = point.load()
+        except Exception as error:  # whatever somebody else's module raises
+            _log.warning(
+                "%s %r (%s) is left out: %s: %s",
+                f"gendom.{kind}",
+                point.name,
+                point.value,
+                type(error).__name__,
+                error,
+            )
+    return found

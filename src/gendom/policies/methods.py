@@ -1,0 +1,149 @@
+"""Methods that train a policy: each takes a `TrainingProblem` and returns errors. Needs torch.
+
+`distal` (default) trains through a forward model, after Jordan and Rumelhart (1992), "Forward
+models: supervised learning with a distal teacher". First a forward model f(action, parameters) ->
+goal is fitted: that map is a function. Then the policy pi is trained through the frozen f to make
+f(pi(g, p), p) = g, so it may choose any action of the curve that reaches the goal, and has no
+reason to average. What the policy does not see, f does: such a policy learns the action that is
+best on average, one that hardly depends on it.
+
+A forward model knows nothing where no demonstrations are, and a policy trained through it would
+seek out such places. A pull brings actions that stray farther from the demonstrated ones than
+these lie from each other back to the nearest. Where a task names a risk (rope reaching: falling out
+of the plane), the forward model learns it too, and the policy is kept below its limit: beyond it
+what is reached cannot be predicted. Here and there what is reached jumps, and no network follows.
+Large errors count linearly (Huber 1964), so that both networks fit what can be fitted.
+
+`inverse` is the regression of the action on goal and parameters of Kuroki et al. (2024). The
+minimiser of the mean squared error is the *mean* of all actions that lead to the goal. Two numbers
+of a release make one distance, so a whole curve of releases reaches each goal, and where the curve
+bends its mean lies beside it. No amount of data takes that error away.
+
+`quantile` is the regression of a quantile of the action (Koenker and Bassett 1978, "Regression
+quantiles"), for tasks whose demonstrations hold the least action that is enough, like cloth
+spreading: the mean of those is enough for half of the objects that look alike, an upper quantile
+for most.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from gendom.errors import PolicyError
+from gendom.policies.fitting import TrainingProblem, huber, rms, standardised
+from gendom.policies.networks import PhysicalNetwork
+from gendom.policies.policy import QUANTILE
+
+ANCHORS = 1024
+"""Demonstrated actions, at most, that the pull looks for the nearest among."""
+
+LARGE = 0.1
+"""Error from which on it counts linearly [standard deviations of the goal]."""
+
+
+def distal(problem: TrainingProblem) -> dict[str, float]:
+    """Train forward model and policy; return their errors on held-out demonstrations.
+
+    Raises:
+        PolicyError: The task has no goals.
+    """
+    training, G = problem.training, len(problem.goals)
+    if not G:
+        raise PolicyError(
+            f"{problem.task_name} has no goals to teach through",
+            where="method",
+            fix="choose the method inverse",
+        )
+    outputs, target = list(problem.goals), problem.goal
+    if problem.log_risk is not None:
+        outputs.append(standardised("risk", problem.log_risk.numpy()[:, 0].astype(float)))
+        target = torch.cat([problem.goal, problem.log_risk], dim=1)
+    model = PhysicalNetwork(
+        [*problem.actions, *problem.parameters.values()], outputs, training.architecture
+    )
+
+    def predicted(action: Tensor, rows: Tensor) -> Tensor:
+        return model(*action.split(1, dim=1), *(problem.data[n][rows] for n in problem.parameters))
+
+    # what is reached beyond the risk's limit is noise: only the risk itself is learnt there
+    counts = torch.ones_like(target)
+    counts[:, :G] = problem.within[:, None].float()
+
+    def model_loss(rows: Tensor) -> Tensor:
+        error = (predicted(problem.action[rows], rows) - target[rows]) / model.output_scale
+        return (counts[rows] * huber(error, LARGE)).mean()
+
+    problem.fit("forward model", model, model_loss)
+    model.requires_grad_(False)
+    scale = problem.policy.output_scale
+    outside = _DistanceOutside(problem.action[problem.trained] / scale)
+
+    def policy_loss(rows: Tensor) -> Tensor:
+        action = problem.act(rows)
+        found = predicted(action, rows)
+        error = (found[:, :G] - problem.goal[rows]) / model.output_scale[:G]
+        loss = huber(error, LARGE).mean() + training.pull * outside(action / scale)
+        if problem.log_risk is not None:
+            loss = loss + problem.caution(found[:, G])
+        return loss
+
+    problem.fit("policy", problem.policy, policy_loss, only=problem.within)
+    with torch.no_grad():
+        rows = problem.held_out[problem.within[problem.held_out]]
+        if not len(rows):
+            return {}
+        known = predicted(problem.action[rows], rows)[:, :G] - problem.goal[rows]
+        own = predicted(problem.act(rows), rows)[:, :G] - problem.goal[rows]
+        return {"forward_model_rms": rms(known), "goal_rms_by_forward_model": rms(own)}
+
+
+def inverse(problem: TrainingProblem) -> dict[str, float]:
+    """Train the policy; return its root mean square error on held-out demonstrations."""
+    scale = problem.policy.output_scale
+
+    def loss(rows: Tensor) -> Tensor:
+        return (((problem.act(rows) - problem.action[rows]) / scale) ** 2).mean()
+
+    problem.fit("policy", problem.policy, loss)
+    with torch.no_grad():
+        rows = problem.held_out
+        return {"action_rms": rms(problem.act(rows) - problem.action[rows])}
+
+
+def quantile(problem: TrainingProblem) -> dict[str, float]:
+    """Train the policy; return the share of held-out demonstrations that need no more."""
+    scale = problem.policy.output_scale
+
+    def loss(rows: Tensor) -> Tensor:
+        lacks = (problem.action[rows] - problem.act(rows)) / scale
+        return torch.maximum(QUANTILE * lacks, (QUANTILE - 1.0) * lacks).mean()
+
+    problem.fit("policy", problem.policy, loss)
+    with torch.no_grad():
+        rows = problem.held_out
+        enough = (problem.act(rows) >= problem.action[rows]).float()
+        return {"enough_share": float(enough.mean())}
+
+
+class _DistanceOutside:
+    """Mean squared distance by which actions lie outside the demonstrated ones.
+
+    Distances up to the usual gap between neighbouring demonstrations count as inside.
+
+    Args:
+        actions: [N, A] demonstrated actions, standardised.
+    """
+
+    def __init__(self, actions: Tensor):
+        self._anchors = actions[torch.randperm(len(actions))[:ANCHORS]]
+        between = torch.cdist(self._anchors, self._anchors)
+        between.fill_diagonal_(torch.inf)
+        self._gap = torch.quantile(between.min(dim=1).values, 0.95)
+
+    def __call__(self, actions: Tensor) -> Tensor:
+        # cdist has no gradient at distance zero, and only the nearest one is needed
+        with torch.no_grad():
+            nearest = self._anchors[torch.cdist(actions, self._anchors).argmin(dim=1)]
+        distance = ((actions - nearest) ** 2).sum(dim=1).clamp_min(1e-12).sqrt()
+        return (torch.relu(distance - self._gap) ** 2).mean()
