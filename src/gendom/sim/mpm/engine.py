@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.errors import ParameterError, SimulationError
+from gendom.arguments import require
+from gendom.errors import SimulationError
 from gendom.materials import Material
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.runner import Program, run
+from gendom.sim.mpm.runner import MOST_PARTICLES, Program, run
 from gendom.sim.mpm.tape import Tape
 from gendom.sim.setting import Frames, Setting, spread
 
@@ -31,27 +32,32 @@ class MpmEngine:
     """
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
-        if setting.body.width is not None:
-            raise ParameterError(
-                "the MPM knows round ropes only, this one is flat", fix="engine='thin'"
-            )
+        require(
+            setting.body.width is None,
+            "the MPM knows round ropes only, this one is flat",
+            fix="engine='thin'",
+        )
         N, W = setting.body.num_particles, len(setting.materials)
+        require(
+            not setting.device.is_cuda or N <= MOST_PARTICLES,
+            f"the body has {N} particles, on CUDA the MPM takes at most {MOST_PARTICLES}",
+            fix="a larger dx, or device='cpu'",
+        )
         share = np.sqrt(spread(setting.stiffness, (W, N), "stiffness").max(axis=1))
         limits = [stable_substep(m, setting.body.dx, cfl=cfl or CFL) for m in setting.materials]
         limits = np.full(W, substep) if substep else np.array(limits) / share
-        if limits.min() < SHORTEST_SUBSTEP:
-            w = int(limits.argmin())
-            m = setting.materials[w]
-            raise ParameterError(
-                f"substeps of {limits[w]:.2g} s would be needed, the shortest are 1e-06 s",
-                where=f"world {w} (E {m.E:.6g} Pa, nu {m.nu:.4g}, density {m.density:.6g} kg/m^3, "
-                f"damping {m.damping:.4g} s, cells of {setting.body.dx:.4g} m)",
-                fix="a softer or denser material, larger cells, or engine='thin'",
-            )
+        w = int(limits.argmin())
+        m = setting.materials[w]
+        require(
+            limits[w] >= SHORTEST_SUBSTEP,
+            f"substeps of {limits[w]:.2g} s would be needed, the shortest are 1e-06 s",
+            where=f"world {w} (E {m.E:.6g} Pa, nu {m.nu:.4g}, density {m.density:.6g} kg/m^3, "
+            f"damping {m.damping:.4g} s, cells of {setting.body.dx:.4g} m)",
+            fix="a softer or denser material, larger cells, or engine='thin'",
+        )
         self.setting = setting = replace(setting, substep=limits)
         self.worlds = Worlds(setting)
         self.threads, self.dtype, self.device = setting.threads, setting.dtype, setting.device
-        self.body, self.materials = setting.body, setting.materials
         self.in_blocks = setting.device.is_cuda
         """Whether a block of threads runs each world; tests set it on the CPU."""
         self._program: Program | None = None
@@ -63,10 +69,6 @@ class MpmEngine:
     @property
     def num_worlds(self) -> int:
         return self.worlds.num_worlds
-
-    @property
-    def stiffness(self) -> NDArray[np.floating]:
-        return self.worlds.stiffness
 
     @property
     def used(self) -> bool:

@@ -15,7 +15,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.errors import ParameterError
 from gendom.sim.device import making
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
 from gendom.sim.mpm.gripped import LIST, make_gripped_type
@@ -52,6 +51,9 @@ RECORDED = 1 << 30
 REBUILD = 1e30
 """Distance travelled [m] after which every world rebuilds its grid."""
 
+ANY_THREADS = 256
+"""Threads of a block of kernels that do little."""
+
 ALL = 1 << 30
 
 
@@ -61,9 +63,6 @@ class Program:
     Args:
         worlds: On any device.
         in_blocks: Whether as on CUDA. On the CPU, where tests do so, a block is one thread.
-
-    Raises:
-        ParameterError: If a body has too many particles for CUDA.
     """
 
     def __init__(self, worlds: Worlds, *, in_blocks: bool):
@@ -73,11 +72,6 @@ class Program:
         self.variant = Variant(worlds.real, worlds.damped, rows=not in_blocks)
         self.crowded = W > MANY_WORLDS and N <= LARGE_BODY
         if in_blocks:
-            if N > MOST_PARTICLES:
-                raise ParameterError(
-                    f"the body has {N} particles, on CUDA the MPM takes at most {MOST_PARTICLES}",
-                    fix="a larger dx, or device='cpu'",
-                )
             room = self._shared_room() if cuda else 0
             threads = NARROW if self.crowded and room != ROOM_ALONE else WIDE
             self.variant = Variant(
@@ -89,7 +83,7 @@ class Program:
         )
         self.unsorted = worlds.zeros(W, worlds.real)
         self.load(make_advance(self.variant, taped=False))
-        self.load(make_hold_as_at(worlds.real), 1)
+        self.load(make_hold_as_at(worlds.real), ANY_THREADS)
 
     def _shared_room(self) -> int:
         """Shared memory of a block in which its particles fit [bytes]; 0 if they do not."""
@@ -161,7 +155,7 @@ class Program:
             inputs=[order, *([threads] if threads else []), *inputs],
             device=None if stream else self.worlds.device,
             stream=stream,
-            block_dim=threads or 256,
+            block_dim=threads or ANY_THREADS,
         )
 
 
