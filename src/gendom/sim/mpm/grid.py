@@ -131,14 +131,6 @@ def make_rebuild(real: Any, particles: Any) -> Any:
     vec3 = make_types(real).vec3
 
     @wp.func
-    def reset(layout: int, grid: SparseGrid):
-        grid.count[layout] = 0
-        grid.bounds[layout, 0] = EMPTY_BELOW
-        grid.bounds[layout, 1] = EMPTY_BELOW
-        grid.bounds[layout, 2] = -EMPTY_BELOW
-        grid.bounds[layout, 3] = -EMPTY_BELOW
-
-    @wp.func
     def reach(x: vec3, inv_dx: real):
         """Lowest and highest node [cells] of a particle that may yet travel by the margin."""
         y = x * inv_dx
@@ -155,13 +147,6 @@ def make_rebuild(real: Any, particles: Any) -> Any:
         return lower, upper
 
     @wp.func
-    def widen(layout: int, lower: wp.vec3i, upper: wp.vec3i, grid: SparseGrid):
-        wp.atomic_min(grid.bounds, layout, 0, lower[0])
-        wp.atomic_min(grid.bounds, layout, 1, lower[1])
-        wp.atomic_max(grid.bounds, layout, 2, upper[0])
-        wp.atomic_max(grid.bounds, layout, 3, upper[1])
-
-    @wp.func
     def mark(layout: int, lower: wp.vec3i, upper: wp.vec3i, grid: SparseGrid):
         """Let columns hold all nodes of a box, unless the layout has no room for it."""
         i0 = lower[0] - grid.bounds[layout, 0]
@@ -175,43 +160,33 @@ def make_rebuild(real: Any, particles: Any) -> Any:
                     wp.atomic_max(grid.high, layout, i, j, upper[2])
 
     @wp.func
-    def clear_column(layout: int, i: int, j: int, grid: SparseGrid):
-        grid.low[layout, i, j] = EMPTY_BELOW
-        grid.high[layout, i, j] = -EMPTY_BELOW
-
-    @wp.func
-    def number_column(layout: int, i: int, j: int, grid: SparseGrid):
-        """Number a column's nodes, in any order of columns: sums do not depend on it.
-
-        The count may exceed the room.
-        """
-        k0 = grid.low[layout, i, j]
-        k1 = grid.high[layout, i, j]
-        first = wp.atomic_add(grid.count, layout, wp.max(0, k1 - k0 + 1))
-        grid.start[layout, i, j] = first - k0
-
-    @wp.func
     def rebuild(
         row: int, thread: int, threads: int, N: int, layout: int, room: int, inv_dx: real,
         particles: Particles, grid: SparseGrid,
     ):  # fmt: skip
         """Return whether the layout has room for the particles of a row."""
         if thread == 0:
-            reset(layout, grid)
+            grid.count[layout] = 0
+            for a in range(2):
+                grid.bounds[layout, a] = EMPTY_BELOW
+                grid.bounds[layout, a + 2] = -EMPTY_BELOW
         sync()
         lower, upper = reach(position(particles, row, thread % N), inv_dx)
         for i in range(thread, N, threads):
             low, high = reach(position(particles, row, i), inv_dx)
             lower = wp.min(lower, low)
             upper = wp.max(upper, high)
-        widen(layout, lower, upper, grid)
+        for a in range(2):
+            wp.atomic_min(grid.bounds, layout, a, lower[a])
+            wp.atomic_max(grid.bounds, layout, a + 2, upper[a])
         sync()
         X = grid.bounds[layout, 2] - grid.bounds[layout, 0] + 1
         Y = grid.bounds[layout, 3] - grid.bounds[layout, 1] + 1
         fits = X <= grid.low.shape[1] and Y <= grid.low.shape[2]
         if fits:
             for n in range(thread, X * Y, threads):
-                clear_column(layout, n // Y, n % Y, grid)
+                grid.low[layout, n // Y, n % Y] = EMPTY_BELOW
+                grid.high[layout, n // Y, n % Y] = -EMPTY_BELOW
             sync()
             # particles that follow each other mostly stand in one column
             begin = thread * N // threads
@@ -226,8 +201,12 @@ def make_rebuild(real: Any, particles: Any) -> Any:
                 upper = wp.max(upper, high)
             mark(layout, lower, upper, grid)
             sync()
+            # columns are numbered in any order: sums do not depend on it; the count may exceed room
             for n in range(thread, X * Y, threads):
-                number_column(layout, n // Y, n % Y, grid)
+                k0 = grid.low[layout, n // Y, n % Y]
+                k1 = grid.high[layout, n // Y, n % Y]
+                first = wp.atomic_add(grid.count, layout, wp.max(0, k1 - k0 + 1))
+                grid.start[layout, n // Y, n % Y] = first - k0
             sync()
             fits = grid.count[layout] <= room
         return fits

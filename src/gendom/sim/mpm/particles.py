@@ -259,45 +259,26 @@ def _record_fields(real: Any, stress: int, *, resident: bool) -> Namespace:
     vec3, mat33 = types.vec3, types.mat33
     STRESS_AT = wp.constant(stress)
 
-    @wp.func
-    def x(s: Any, row: int, i: int):
-        return store.vector(s.of, row, X, i)
+    def vector(first: int) -> tuple[Any, Any]:
+        FIRST = wp.constant(first)
 
-    @wp.func
-    def v(s: Any, row: int, i: int):
-        return store.vector(s.of, row, V, i)
+        @wp.func
+        def get(s: Any, row: int, i: int):
+            return store.vector(s.of, row, FIRST, i)
+
+        @wp.func
+        def put(s: Any, row: int, i: int, value: vec3):
+            store.put_vector(s.of, row, FIRST, i, value)
+
+        return get, put
 
     @wp.func
     def C(s: Any, row: int, i: int):
         return store.matrix(s.of, row, AFFINE, i)
 
     @wp.func
-    def q(s: Any, row: int, i: int):
-        return store.vector(s.of, row, MOMENTUM, i)
-
-    @wp.func
-    def low(s: Any, row: int, i: int):
-        return store.vector(s.of, row, LOW, i)
-
-    @wp.func
-    def put_x(s: Any, row: int, i: int, value: vec3):
-        store.put_vector(s.of, row, X, i, value)
-
-    @wp.func
-    def put_v(s: Any, row: int, i: int, value: vec3):
-        store.put_vector(s.of, row, V, i, value)
-
-    @wp.func
     def put_C(s: Any, row: int, i: int, value: mat33):
         store.put_matrix(s.of, row, AFFINE, i, value)
-
-    @wp.func
-    def put_q(s: Any, row: int, i: int, value: vec3):
-        store.put_vector(s.of, row, MOMENTUM, i, value)
-
-    @wp.func
-    def put_low(s: Any, row: int, i: int, value: vec3):
-        store.put_vector(s.of, row, LOW, i, value)
 
     @wp.func
     def get_Z(s: Any, row: int, c: int, i: int):
@@ -307,9 +288,10 @@ def _record_fields(real: Any, stress: int, *, resident: bool) -> Namespace:
     def put_Z(s: Any, row: int, c: int, i: int, value: real):
         store.put(s.of, row, STRESS_AT + c, i, value)
 
-    return Namespace(
-        x, v, C, q, low, put_x, put_v, put_C, put_q, put_low, get_Z, put_Z, store=store
-    )  # fmt: skip
+    vectors: dict[str, Any] = {}
+    for name, first in (("x", X), ("v", V), ("q", MOMENTUM), ("low", LOW)):
+        vectors[name], vectors[f"put_{name}"] = vector(first)
+    return Namespace(C, put_C, get_Z, put_Z, store=store, **vectors)
 
 
 @functools.cache

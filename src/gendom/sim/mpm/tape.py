@@ -84,7 +84,8 @@ class Tape:
                 segment.recording = self._record(group, segment, substeps, None)
                 more = False
             else:
-                group.advance(plan, most=self._segment_substeps(), frames=f + 1)
+                done = int((group.read("age") - segment.start.age).max())
+                group.advance(plan, most=self._segment_substeps() - done, frames=f + 1)
                 more = bool((group.read("status") == GRID_FULL).any())
             if not group.look(plan, keep_going=False) and s.failures:
                 raise s.failures[min(s.failures)]
