@@ -65,7 +65,9 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
     block = make_block(real)
     compensates = wp.constant(int(types.compensates))
     keeps, rows = wp.constant(int(taped)), wp.constant(int(variant.rows))
-    resident, numbers = wp.constant(int(variant.room > 0)), wp.constant(variant.numbers)
+    # known when a kernel is made: on the CPU, kernels with tiles must not run on several threads
+    IN_SHARED_MEMORY, numbers = wp.constant(variant.room > 0), wp.constant(variant.numbers)
+    resident = wp.constant(int(variant.room > 0))
     number_bytes = wp.constant(4 if real == wp.float32 else 8)
     before_nodes = wp.constant(variant.components)
 
@@ -190,7 +192,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         if rows == 1:  # known to the compiler
             thread = 0
             threads = 1
-        if resident == 1:
+        if IN_SHARED_MEMORY:
             wp.tile_empty(shape=numbers, dtype=real, storage="shared")
         w = order[turn]
         own = w % shared
@@ -362,7 +364,7 @@ def make_reverse(variant: Variant) -> Any:
         make_block(real),
     )
     rows, numbers = wp.constant(int(variant.rows)), wp.constant(variant.numbers)
-    resident = wp.constant(int(variant.room > 0))
+    IN_SHARED_MEMORY = wp.constant(variant.room > 0)
     COMPONENTS = wp.constant(variant.components)
 
     if variant.rows:
@@ -481,7 +483,7 @@ def make_reverse(variant: Variant) -> Any:
         gone = int(slots[w] - 1)
         if gone < 0:
             return
-        if resident == 1:
+        if IN_SHARED_MEMORY:
             wp.tile_empty(shape=numbers, dtype=real, storage="shared")
         grippers = grips.closed.shape[1]
         t0 = began[w]

@@ -110,11 +110,9 @@ class Program:
     def load(self, kernel: Any, threads: int | None = None) -> None:
         """Compile a kernel, or load it from Warp's cache, before threads call it."""
         with making:
-            wp.load_module(
-                kernel.module,
-                device=self.worlds.device,
-                block_dim=self.variant.threads if threads is None else threads,
-            )
+            block = self.variant.threads if threads is None else threads
+            device = self.worlds.device
+            wp.load_module(kernel.module, device=device, block_dim=block if device.is_cuda else 1)
 
     def groups(self) -> list["Group"]:
         """The groups of worlds, the slowest first."""
