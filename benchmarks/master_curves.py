@@ -63,25 +63,6 @@ def sags(axes: Axes, settings: Settings) -> None:
     axes.legend(loc="upper left")
 
 
-def ribbons(axes: Axes, settings: Settings) -> None:
-    ratios = np.geomspace(3.0, 20.0, 30)
-    nu = curves.MATERIAL.nu
-    load = [curves.ribbon_load(ratio) for ratio in ratios]
-    axes.plot(ratios, load, **THEORY, label="theory")
-    thin = 12.85 * math.sqrt(2.0 / (1.0 + nu))
-    axes.axhline(
-        thin, color="#6e6e6e", linestyle=(0, (4, 3)), linewidth=1.0, label="thin: 12.85 √(E I G J)"
-    )
-    some = np.array([3.0, 4.0, 5.0, 7.0, 10.0, 14.0, 20.0])
-    found = [curves.ribbon_load(r) * curves.ribbon_falls(settings, r, 33) for r in some]
-    axes.plot(some, found, **RODS, label="rods")
-    axes.set(
-        title="Ribbon on its edge: weight at which it falls over [E I / L³]",
-        xlabel="width over thickness",
-    )
-    axes.legend(loc="best")
-
-
 def curls(axes: Axes, settings: Settings) -> None:
     tests = (
         (0.0, "clamped level", "-", RODS, (3.7, 6.3), (4.0, 4.5, 5.0, 5.5, 6.0)),
@@ -143,9 +124,9 @@ def tips(axes: Axes, settings: Settings) -> None:
 
 @matplotlib.rc_context(STYLE)
 def draw(settings: Settings) -> bytes:
-    figure = Figure(figsize=(11.0, 8.0), layout="constrained")
-    panels = figure.subplots(2, 2)
-    for axes, panel in zip(panels.flat, (sags, ribbons, curls, tips), strict=True):
+    figure = Figure(figsize=(15.0, 4.5), layout="constrained")
+    panels = figure.subplots(1, 3)
+    for axes, panel in zip(panels.flat, (sags, curls, tips), strict=True):
         axes.spines[["top", "right"]].set_visible(False)
         panel(axes, settings)
     buffer = io.BytesIO()

@@ -21,7 +21,7 @@ from gendom.estimation.replay import middle
 from gendom.files import write_json
 from gendom.reality import OBJECTS, RealObject, RealRope, find_object
 from gendom.reality.chain import record_and_perceive
-from gendom.viz import encode_sights
+from gendom.viz import encode_camera_views
 
 FINER = 8
 """Points between two vertices, where distances to the true shape are measured."""
@@ -48,7 +48,7 @@ def measure(
     """One object's row."""
     if not (folder / "recording.npz").exists():
         _, sights = record_and_perceive(item, folder, frame_rate=args.frame_rate, seed=args.seed)
-        (folder / "views.jpg").write_bytes(encode_sights(sights))
+        (folder / "views.jpg").write_bytes(encode_camera_views(sights))
     recording = Recording.read(folder / "recording.npz")
     if (folder / "estimate.json").exists():
         found = Estimate.load(folder / "estimate.json")

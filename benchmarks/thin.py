@@ -235,47 +235,6 @@ def spreading(given: argparse.Namespace) -> tuple[float, str]:
     )
 
 
-def at_rest(given: argparse.Namespace, kind: str) -> tuple[float, str]:
-    """25 shapes at rest of a slow lift, with and without derivatives by eight parameters; beside
-    motion in 10, 40 and 160 s, with distances from the last."""
-    if kind == "rope":
-        body = rope(diameter=0.01, length=0.3, start=(0.0, 0.0, 0.005))
-        material, radius, increments = replace(ROPE, damping=0.02), 0.0075, 1
-    else:
-        body = cloth(
-            width=0.3, height=0.3, thickness=0.001, dx=0.02, corner=(0.0, 0.0, 0.0005),
-            points=(14, 14),
-        )  # fmt: skip
-        material, radius, increments = replace(CLOTH, damping=0.02), 0.015, 4
-    first, frames = body.points[0], np.linspace(0.0, 1.0, 26)[1:]
-
-    def scene(lasts: float) -> Simulator:
-        path = [first, first + np.array([0.0, 0.0, 0.3])]
-        hand = Gripper(time=[0.0, lasts], position=path, radius=radius)
-        return Simulator(
-            body, [material], engine="thin", grippers=[hand], table=Table(height=0.0),
-            device=given.device, dtype=given.dtype, threads=1,
-        )  # fmt: skip
-
-    slow = scene(160.0).run(160.0 * frames)
-    parameters = ["E", "nu", "density", "thickness", "friction", "gravity"]
-    jobs: dict[str, Callable[[], np.ndarray]] = {
-        "equilibria": lambda: scene(1.0).equilibria(frames, increments=increments).positions,
-        "with 8 derivatives": lambda: (
-            scene(1.0).equilibria(frames, increments=increments, derivatives=parameters).positions
-        ),
-        "motion in 10 s": lambda: scene(10.0).run(10.0 * frames),
-        "motion in 40 s": lambda: scene(40.0).run(40.0 * frames),
-        "motion in 160 s": lambda: scene(160.0).run(160.0 * frames),
-    }
-    seconds = {name: timed(given, job) for name, job in jobs.items()}
-    notes = []
-    for name, job in jobs.items():
-        off = 1e3 * np.linalg.norm(job() - slow, axis=-1)
-        notes.append(f"{name} {seconds[name]:.3f} s, {off.mean():.3f} mm off ({off.max():.1f})")
-    return seconds["equilibria"], f"a slow {kind} lift, {len(frames)} frames: {'; '.join(notes)}"
-
-
 JOBS = {
     "release": one_release,
     "releases": releases,
@@ -283,8 +242,6 @@ JOBS = {
     "rope-gradient": rope_gradient,
     "sheet-lift": sheet_lift,
     "spreading": spreading,
-    "rope-at-rest": lambda given: at_rest(given, "rope"),
-    "sheet-at-rest": lambda given: at_rest(given, "cloth"),
 }
 
 if __name__ == "__main__":

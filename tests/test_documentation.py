@@ -84,7 +84,7 @@ FENCE = re.compile(
 
 
 def blocks(page: Path) -> Iterator[Block]:
-    text = page.read_text()
+    text = page.read_text(encoding="utf-8")
     for found in FENCE.finditer(text):
         if found["language"] not in ("", "sh"):
             continue
@@ -101,7 +101,7 @@ def blocks(page: Path) -> Iterator[Block]:
 
 def inline(page: Path) -> Iterator[str]:
     """Commands in backticks outside of blocks."""
-    text = FENCE.sub("", page.read_text())
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
     for code in re.findall(r"`([^`\n]+(?:\n[^`\n]+)?)`", text):
         words = " ".join(code.split())
         if re.match(r"(gendom [a-z]|python (examples|benchmarks)/|make( |$))", words):
@@ -169,7 +169,7 @@ def fault_of(command: str, *, whole: bool = True) -> str | None:
         script = ROOT / rest[0]
         if not script.is_file():
             return f"there is no {rest[0]}"
-        text = script.read_text()
+        text = script.read_text(encoding="utf-8")
         if "tyro" in text:  # the fields of a class or the arguments of a function are its flags
             text = text.replace("-", "_")
         for word in (w for w in rest[1:] if w.startswith("--")):
@@ -179,7 +179,9 @@ def fault_of(command: str, *, whole: bool = True) -> str | None:
         return None
     if program == "make":
         folder = ROOT / (rest[rest.index("-C") + 1] if "-C" in rest else ".")
-        targets = re.findall(r"^([a-z]+):", (folder / "Makefile").read_text(), re.MULTILINE)
+        targets = re.findall(
+            r"^([a-z]+):", (folder / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+        )
         wanted = [w for w in rest if "=" not in w and w not in ("-C", folder.name)]
         return next((f"there is no target {w}" for w in wanted if w not in targets), None)
     if program == "pytest":
@@ -304,7 +306,7 @@ def test_every_expensive_pattern_has_a_use():
 PYTHON = [
     (page, found["body"])
     for page in PAGES
-    for found in FENCE.finditer(page.read_text())
+    for found in FENCE.finditer(page.read_text(encoding="utf-8"))
     if found["language"] == "python"
 ]
 
@@ -326,7 +328,7 @@ def test_the_python_of_the_readme_runs(after_tutorial, monkeypatch):
 
 
 def test_the_readme_keeps_to_one_screen():
-    text = (ROOT / "README.md").read_text()
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
     (table,) = re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE)
     assert len(text.splitlines()) <= 60
     assert len(table.splitlines()) - 2 <= 8  # figures, without the head
@@ -338,7 +340,9 @@ def test_the_readme_keeps_to_one_screen():
 
 def anchors(page: Path) -> set[str]:
     """Those that GitHub and MyST give to headings."""
-    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(
+        r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
+    )
     found = set()
     for heading in re.findall(r"^#+ (.*)$", text, re.MULTILINE):
         plain = re.sub(r"[^\w\- ]", "", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower())
@@ -348,7 +352,9 @@ def anchors(page: Path) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_relative_links_and_anchors_resolve(page):
-    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(
+        r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
+    )
     broken = []
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
         if re.match(r"[a-z]+:", target):
@@ -368,7 +374,7 @@ def test_public_packages_have_a_page():
     packages = {
         f"gendom.{path.parent.name}"
         for path in (ROOT / "src" / "gendom").glob("*/__init__.py")
-        if "__all__" in path.read_text()
+        if "__all__" in path.read_text(encoding="utf-8")
     }
     assert packages <= pages
 
@@ -376,7 +382,7 @@ def test_public_packages_have_a_page():
 def test_names_of_the_top_level_are_in_the_reference():
     import gendom
 
-    text = (DOCS / "api" / "index.md").read_text()
+    text = (DOCS / "api" / "index.md").read_text(encoding="utf-8")
     public = set(gendom.__all__) - {"__version__"}
     assert {name for name in public if f"`gendom.{name}`" not in text} <= {"GendomError"}
 

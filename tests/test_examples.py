@@ -77,7 +77,7 @@ def test_example_runs(name, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
 def test_example_is_short_and_says_what_it_shows(path):
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 75
     assert text.startswith('"""')
     if path.stem in SCRIPTS:

@@ -38,4 +38,6 @@ def test_the_citation_is_of_this_version():
 
     folder = clone()
     assert folder is not None
-    assert f"\nversion: {gendom.__version__}\n" in (folder / "CITATION.cff").read_text()
+    assert f"\nversion: {gendom.__version__}\n" in (folder / "CITATION.cff").read_text(
+        encoding="utf-8"
+    )

@@ -45,8 +45,8 @@ def test_every_extra_is_imported_somewhere():
     assert folder is not None
     import tomllib
 
-    extras = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    extras = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert set(_EXTRAS.values()) == set(extras["optional-dependencies"]) - {"dev", "docs"}
-    source = "".join(p.read_text() for p in (folder / "src").rglob("*.py"))
+    source = "".join(p.read_text(encoding="utf-8") for p in (folder / "src").rglob("*.py"))
     for name in _EXTRAS:
         assert re.search(rf"^\s*(import|from) {name}\b", source, re.MULTILINE), name

@@ -4,13 +4,12 @@ import shlex
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
 import pytest
 import tyro
 
 from gendom import cli
 from gendom.cli.demo import Command, _command_line
-from gendom.cli.demo_report import next_steps
+from gendom.viz.report.demo import next_steps
 
 
 @pytest.mark.parametrize(
@@ -32,10 +31,12 @@ def test_the_reported_command_repeats_the_run(command):
 @pytest.mark.parametrize("command", [Command(), Command(out=Path("a b"), task="rope-reaching")])
 def test_commands_to_try_next_are_commands(command):
     """Of the files that the demo writes; each as a user would type it."""
-    steps = next_steps(command, np.array([0.3, 0.1]))
+    steps = next_steps(command.out, command.task, [0.3, 0.1])
     names = [words[1] for words, _ in steps]
     assert names == ["check", "estimate", "replay", "act", "demo"]
-    assert next_steps(command, None) == steps[:2]  # nothing that needs a usable estimate
+    assert (
+        next_steps(command.out, command.task, None) == steps[:2]
+    )  # nothing that needs a usable estimate
     for words, _ in steps:
         module = import_module(f"gendom.cli.{words[1]}")
         said = shlex.split(shlex.join(map(str, words)))

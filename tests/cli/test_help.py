@@ -68,7 +68,7 @@ def test_completion_knows_commands_and_flags(shell, capsys, tmp_path):
     script = capsys.readouterr().out
     assert "estimate" in script and "cells-across" in script
     if shutil.which(shell):
-        (tmp_path / "script").write_text(script)
+        (tmp_path / "script").write_text(script, encoding="utf-8")
         subprocess.run([shell, "-n", str(tmp_path / "script")], check=True)
 
 

@@ -436,31 +436,32 @@ def test_rows_do_not_depend_on_their_batch(tmp_path):
     assert generate(source, 12, tmp_path / "parts", seed=3, shard_size=12).equals(whole)
 
 
-def digest(columns, digits):
-    """SHA-256 of numbers to so many significant digits: the last one is a matter of libraries."""
-    text = json.dumps(
-        {name: [f"{v:.{digits}g}" for v in columns[name]] for name in sorted(columns)}
-    )
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+def fingerprint(columns):
+    """A number that a change of any value changes, whatever columns are called. Rounding, which
+    differs between processors and libraries, hardly does."""
+    weights = np.sqrt(np.arange(1.0, 65.0))
+    scaled = [np.asarray(v, dtype=float) / np.abs(v).max() for v in columns.values()]
+    return sum(weights[: len(v)] @ v for v in scaled)
 
 
 @pytest.mark.parametrize(
     ("task", "drawn", "reached"),
     [
-        ("rope-reaching", "5292e1b58efd0780", "fa8ed90e830d832c"),
-        ("rope-casting", "3808cd34d04856be", "7a42f552d5459318"),
-        ("rope-casting-at-speed", "d933ce02c4340b14", "8c9b45b53c645554"),
-        ("cloth-spreading", "4c9466d81ebee72f", None),
+        ("rope-reaching", 2239.07377283, 8.5146878),
+        ("rope-casting", 2084.35332454, 14.817006),
+        ("rope-casting-at-speed", 2359.39567636, 13.755709),
+        ("cloth-spreading", 1867.33646331, None),
     ],
 )
 def test_rows_are_those_of_earlier_versions(tmp_path, task, drawn, reached):
-    """What a seed draws, and what is reached with it, to 12 and 6 digits."""
+    """What a seed draws, and what is reached with it."""
     source = Demonstrator(task=find_task(task)())
     draws = source.draw([generator_of(2**40, i) for i in range(64)])
-    assert digest(draws, 12) == drawn
+    assert fingerprint(draws) == pytest.approx(drawn, rel=1e-9)
     if reached is not None:
         rows = generate(source, 6, tmp_path / "set", seed=11).to_pydict()
-        assert digest({n: rows[n] for n in rows if n.startswith("goal_")}, 6) == reached
+        goals = {n: rows[n] for n in rows if n.startswith("goal_")}
+        assert fingerprint(goals) == pytest.approx(reached, rel=1e-6)
 
 
 def test_an_absent_device_leaves_no_folder(tmp_path):

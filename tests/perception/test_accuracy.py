@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from gendom.perception import Capsules, CloudSettings, View, perceive_frame
+from gendom.perception import CameraView, Capsules, CloudSettings, perceive_frame
 from gendom.perception.colour import ObjectColour, lab
 from gendom.reality.sensor import DepthSensor
 
@@ -39,7 +39,7 @@ def things(world):
 def test_without_noise_points_are_on_the_surface(world, name):
     """To the depth unit of 0.1 mm."""
     thing, camera = things(world)[name], world.make_camera()
-    view = View(camera, settings())
+    view = CameraView(camera, settings())
     points, counts = view.segment(world.Scene([thing]).pictures(camera, sensor=world.EXACT))
     assert len(points) == counts[-1] > 500
     assert np.abs(thing.distance(points)).max() < 6e-5
@@ -49,7 +49,7 @@ def test_without_noise_points_are_on_the_surface(world, name):
 def test_error_of_pixels_is_that_of_the_noise(world, name, within):
     """What a curved surface adds to it grows with the noise over the radius."""
     thing, camera = things(world)[name], world.make_camera()
-    view = View(camera, settings(low=(-0.3, -0.3, -0.1), high=(0.3, 0.3, 0.5)))
+    view = CameraView(camera, settings(low=(-0.3, -0.3, -0.1), high=(0.3, 0.3, 0.5)))
     points, _ = view.segment(world.Scene([thing]).pictures(camera))
     error = thing.distance(points.astype(float))
     expected = expected_rms(world, camera, thing, points)
@@ -63,7 +63,7 @@ def test_fused_cloud_has_no_bias(world, name):
     """Two cameras, table removed, colour chosen, voxels and outliers: below the pixels' noise."""
     thing = things(world)[name]
     cameras = [world.make_camera(), world.make_camera("right", eye=(0.1, 0.65, 0.47))]
-    views = [View(camera, settings()) for camera in cameras]
+    views = [CameraView(camera, settings()) for camera in cameras]
     scene = world.Scene([world.Plane(), thing])
     pictures = [scene.pictures(camera, seed=k) for k, camera in enumerate(cameras)]
     for view, seen in zip(views, pictures, strict=True):
@@ -83,7 +83,7 @@ def test_whole_sensor_has_no_bias_either(world, name):
     """Shared noise, shadows, edges that are lost or hang between, steep surfaces and dropout."""
     thing = things(world)[name]
     cameras = [world.make_camera(), world.make_camera("right", eye=(0.1, 0.65, 0.47))]
-    views = [View(camera, settings()) for camera in cameras]
+    views = [CameraView(camera, settings()) for camera in cameras]
     scene = world.Scene([world.Plane(), thing])
     pictures = [
         scene.pictures(camera, sensor=DepthSensor(), seed=k) for k, camera in enumerate(cameras)
@@ -103,7 +103,7 @@ def test_rope_on_the_table_has_no_bias(world):
     camera = world.make_camera()
     scene = world.Scene([world.Plane(), rope])
     pictures = scene.pictures(camera)
-    view = View(camera, settings())
+    view = CameraView(camera, settings())
     view.find_table(pictures.depth, 0.0)
     points, _ = view.segment(pictures, ObjectColour.near(lab(world.RED)))
     lying = points[points[:, 2] < 0.012].astype(float)
@@ -115,7 +115,7 @@ def test_only_colour_keeps_what_is_thinner_than_the_noise(world):
     rope = world.lifted_rope(tip=(0.0, 0.0, 0.2), radius=0.002)
     camera = world.make_camera()
     pictures = world.Scene([world.Plane(), rope]).pictures(camera)
-    view = View(camera, settings())
+    view = CameraView(camera, settings())
     view.find_table(pictures.depth, 0.0)
 
     def lying(colour):
@@ -127,7 +127,7 @@ def test_only_colour_keeps_what_is_thinner_than_the_noise(world):
 
 def test_table_fit_measures_plane_and_noise(world):
     camera = world.make_camera()
-    view = View(camera, settings())
+    view = CameraView(camera, settings())
     scene = world.Scene([world.Plane(0.013), world.lifted_rope()])
     view.find_table(scene.pictures(camera).depth, None)
     assert view.table is not None
@@ -141,7 +141,7 @@ def test_thirty_frames_a_second(world):
     """Two 640 x 480 cameras, an object of 25,000 pixels, colour and eight capsules, one core."""
     thing = world.Sphere((0.0, 0.0, 0.13), 0.12)
     cameras = [world.make_camera(), world.make_camera("right", eye=(0.1, 0.65, 0.47))]
-    views = [View(camera, settings()) for camera in cameras]
+    views = [CameraView(camera, settings()) for camera in cameras]
     scene = world.Scene([world.Plane(), thing])
     pictures = [scene.pictures(camera) for camera in cameras]
     for view, seen in zip(views, pictures, strict=True):

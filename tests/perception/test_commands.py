@@ -15,8 +15,8 @@ from gendom.perception import (
     FrameSource,
     PngCamera,
     RealSenseWriter,
+    read_cameras,
     read_seen_by,
-    read_sighting,
 )
 
 RED = ["--colour", "180", "30", "35"]
@@ -359,7 +359,7 @@ def test_joint_angles_that_were_cut_off(copy):
     rows = [f"{t / 30!r},0,0,0,0.4,0,0.4,0" for t in range(6)]
     path.write_text("\n".join(["time,q0,q1,q2,q3,q4,q5,q6", *rows])[:-5])
     warnings = []
-    assert read_sighting(copy, on_warning=warnings.append).capsules is not None
+    assert read_cameras(copy, on_warning=warnings.append).capsules is not None
     assert "joints.csv, line 7: is cut short" in str(warnings[0])
 
 

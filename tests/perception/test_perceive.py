@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
 from gendom.perception import (
+    CameraRecording,
     Frame,
     FrameSource,
     PerceptionSettings,
     RobotPath,
-    Sighting,
     perceive,
     read_seen_by,
 )
@@ -47,7 +47,7 @@ def live(world):
         ]
         path = np.array([[[0.0, 0.0, 0.2]], [[0.0, 0.0, 0.5]]])
         robot = RobotPath(np.array(times), path)
-        return Sighting([Live(world, c, frames) for c in cameras], robot, meta, where="live")
+        return CameraRecording([Live(world, c, frames) for c in cameras], robot, meta, where="live")
 
     return sighting
 
@@ -83,7 +83,7 @@ def test_a_cloth_lifted_by_its_corner(world):
     path = np.array([[[0.0, 0.0, 0.25]], [[0.0, 0.0, 0.55]]])
     side = float(np.linalg.norm([0.14, 0.05, 0.15]))
     cloth = {"kind": "cloth", "width": side, "height": side, "thickness": 0.001, "grasp": "corner"}
-    sighting = Sighting(
+    sighting = CameraRecording(
         [Live(world, camera, 2, held) for camera in cameras],
         RobotPath(np.array([0.0, 1.0]), path),
         {"object": cloth, "table_height": 0.0},
@@ -107,7 +107,7 @@ def test_specks_before_the_cloth_is_seen_say_nothing_about_the_cameras(world):
         return lambda t: speck if t < 5 else sheet
 
     cloth = {"kind": "cloth", "width": 0.2, "height": 0.2, "thickness": 0.001, "grasp": "corner"}
-    sighting = Sighting(
+    sighting = CameraRecording(
         [Live(world, camera, 7, held(camera.name)) for camera in cameras],
         RobotPath(np.array([0.0, 1.0]), np.full((2, 1, 3), 0.1) * [-1.0, -1.0, 1.0]),
         {"object": cloth, "table_height": 0.0},

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gendom.datasets import ObjectDescription
-from gendom.perception import CloudSettings, View
+from gendom.perception import CameraView, CloudSettings
 from gendom.perception.quality import offset_between, seen_share, sides_apart
 
 
@@ -26,7 +26,7 @@ def test_sides_of_a_rope_are_allowed_for(world):
     ]
     settings = CloudSettings(low=(-0.1, -0.1, 0.02), high=(0.1, 0.1, 0.28))
     a, b = (
-        View(c, settings).segment(world.Scene([rope]).pictures(c, sensor=world.EXACT))[0]
+        CameraView(c, settings).segment(world.Scene([rope]).pictures(c, sensor=world.EXACT))[0]
         for c in cameras
     )
     held = ObjectDescription(kind="rope", length=0.3, diameter=0.02)

@@ -16,7 +16,7 @@ from gendom.perception import (
     Pictures,
     RealSenseRecording,
     RealSenseWriter,
-    read_sighting,
+    read_cameras,
 )
 from gendom.perception.alignment import Alignment
 from gendom.perception.realsense import realsense_sdk
@@ -271,13 +271,13 @@ def test_folders_with_several_recordings(world, copy, tmp_path):
     world.write_lift(lift, frames=2, scale=0.1)
     shutil.copy(path, lift / "cameras" / "left" / "a.db3")
     with pytest.raises(RecordingError, match=r"left: holds frames\.csv and a\.db3"):
-        read_sighting(lift)
+        read_cameras(lift)
     (lift / "cameras" / "left" / "frames.csv").unlink()
     (lift / "cameras" / "left" / "camera.toml").unlink()
-    assert isinstance(read_sighting(lift).sources[0], RealSenseRecording)
+    assert isinstance(read_cameras(lift).sources[0], RealSenseRecording)
     shutil.copy(path, lift / "cameras" / "left" / "b.bag")
     with pytest.raises(RecordingError, match=r"holds 2 recordings, a\.db3, b\.bag"):
-        read_sighting(lift)
+        read_cameras(lift)
 
 
 # Damaged files. The recording at hand has 4 frames and pages of 4096 bytes.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import RecordingError
-from gendom.perception import perceive, read_sighting
+from gendom.perception import perceive, read_cameras
 from gendom.perception.robot import FINGER_MARGIN, Capsules, arm_capsules
 from gendom.robot import (
     XARM7,
@@ -145,13 +145,13 @@ def seen(world, tmp_path_factory):
 
 
 def clouds(folder, **changes):
-    sighting = read_sighting(folder, **changes)
+    sighting = read_cameras(folder, **changes)
     recording = perceive(sighting).recording
     return [recording.frame(t) for t in range(recording.num_frames)]
 
 
 def capsules_of(folder):
-    found = read_sighting(folder).capsules
+    found = read_cameras(folder).capsules
     assert found is not None
     return found
 
@@ -207,15 +207,15 @@ def test_bad_joints_are_told(seen):
     try:
         joints.write_text("time,q0\n0,1\n")
         with pytest.raises(RecordingError, match=r"joints\.csv: has the header"):
-            read_sighting(folder)
+            read_cameras(folder)
         motion.write_joints(joints)
         described.write_text(good + 'robot = "r2d2"\n')
         with pytest.raises(RecordingError, match=r"robot: there is no robot 'r2d2'; have xarm7"):
-            read_sighting(folder)
+            read_cameras(folder)
         described.write_text(good + 'robot = "xarm7"\n')
         motion.shifted(3.0).write_joints(joints)
         warnings = []
-        read_sighting(folder, on_warning=warnings.append)
+        read_cameras(folder, on_warning=warnings.append)
         assert len(warnings) == 1 and "the arm is taken to stand still" in str(warnings[0])
     finally:
         described.write_text(good)

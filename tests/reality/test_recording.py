@@ -12,7 +12,7 @@ pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from gendom.errors import DeviceError, GendomError, ParameterError
 from gendom.files import read_json
-from gendom.perception import PerceptionSettings, perceive, read_sighting
+from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reality import (
     OBJECTS,
     DepthSensor,
@@ -50,7 +50,7 @@ def recorded(folder, *, noise=True, rate=RATE, seed=0, rise=0.04, end="hold", **
 
 def perceived(folder, warnings=None):
     warnings = [] if warnings is None else warnings
-    sighting = read_sighting(folder, on_warning=warnings.append)
+    sighting = read_cameras(folder, on_warning=warnings.append)
     return perceive(
         sighting, PerceptionSettings(colour=ROPE.colour), on_warning=warnings.append
     ).recording
@@ -134,7 +134,7 @@ def test_a_lift_that_ends_in_motion_is_perceived_to_its_end(rendering, tmp_path,
 
 
 def test_what_is_held_is_described(clean):
-    meta = read_sighting(clean).meta
+    meta = read_cameras(clean).meta
     assert meta["object"]["kind"] == "rope" and meta["object"]["grasp"] == "end"
     assert meta["object"]["length"] == ROPE.length
     assert meta["object"]["grasp_inset"] == FINGER_WIDTH / 2.0
@@ -166,10 +166,10 @@ def test_the_faults_are_there(clean, noisy):
     """The believed poses differ from the true ones, and clocks by 20 ms."""
     truth = {c.name: c for c in lift_cameras(ROPE)}
     for folder, moved in ((clean, False), (noisy, True)):
-        for source in read_sighting(folder).sources:
+        for source in read_cameras(folder).sources:
             off = np.linalg.norm(source.camera.position - truth[source.camera.name].position)
             assert (off > 1e-4) == moved
-    first, second = (next(iter(s)).time for s in read_sighting(noisy).sources)
+    first, second = (next(iter(s)).time for s in read_cameras(noisy).sources)
     assert abs(second - first) == pytest.approx(0.02)
 
 
@@ -287,7 +287,7 @@ def test_a_robots_clock_and_encoders_are_wrong_where_asked_for(rendering, tmp_pa
     np.testing.assert_allclose(moved[:, 1:4] - hand[:, 1:4], wrong[:, :3, 3], atol=5e-6)
     assert np.abs(moved[:, 1:4] - hand[:, 1:4]).max() > 3e-4
     times = [
-        [frame.time for frame in source] for source in read_sighting(tmp_path / "wrong").sources
+        [frame.time for frame in source] for source in read_cameras(tmp_path / "wrong").sources
     ]
     assert times == [[0.0, 1.0]]
     assert files(tmp_path / "wrong", "cameras/*/*/*.png") == files(
@@ -308,7 +308,7 @@ def test_realsense_recordings_are_perceived_alike(sdk, rendering, tmp_path):
         performance.step_to(performance.closes)
         with performance.world:
             record(performance, tmp_path / kind, RecordSettings(frame_rate=1.0, format=kind))
-        perceived = perceive(read_sighting(tmp_path / kind), PerceptionSettings(colour=ROPE.colour))
+        perceived = perceive(read_cameras(tmp_path / kind), PerceptionSettings(colour=ROPE.colour))
         clouds.append(perceived.recording)
     assert np.array_equal(clouds[0].points, clouds[1].points)
     assert clouds[0].time == pytest.approx(clouds[1].time, abs=1e-6)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from gendom.errors import ParameterError, SimulationError
+from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import CFL, Gripper, Simulator, cloth
+from gendom.sim import CFL, Gripper, cloth
 from gendom.validation import CASES, Settings, choose, run_cases
 from gendom.validation.stability import _diverged
 
@@ -29,18 +29,6 @@ def failing(name, settings):
 def test_quick_suite(name):
     """Everything passes."""
     assert failing(name, QUICK) == set()
-
-
-@pytest.mark.parametrize("name", [name for name in CASES if name.startswith("static-")])
-def test_static_cases_do_not_move(name, monkeypatch):
-    """They fail without `Simulator.equilibria`, and do not step through time."""
-
-    def missing(*args, **options):
-        raise SimulationError("there are no equilibria")
-
-    monkeypatch.setattr(Simulator, "equilibria", missing)
-    (result,) = run_cases(choose([name]), QUICK)
-    assert result.failure is not None and "there are no equilibria" in result.failure
 
 
 @pytest.mark.slow
@@ -231,7 +219,6 @@ def stiffer_in_single(settings, materials, options):
         ("precision", stiffer_in_single, "largest difference of float32 from float64"),
         ("rod-cantilever", heavier, "sag of rods over theory"),
         ("shell-cantilever", heavier, "sag of strips over theory"),
-        ("rod-lateral", softer_in_torsion, "critical weight of a ribbon 10 times as wide"),
         ("shell-lateral", heavier, "critical weight of a standing strip"),
         ("rod-bend-twist", softer_in_torsion, "weight at which a curl of 5 rad"),
         ("rod-stick-slip", rougher, "H / V where tips slip over mu"),
@@ -261,12 +248,7 @@ def stiffer_in_single(settings, materials, options):
         ("shell-plates", more_lateral, "curvature across over that along a bent strip"),
         ("shell-plates", heavier, "sag over theory of a square held at its corners, in the"),
         ("shell-plates", heavier, "sag over theory of a square held at its corners, halfway"),
-        ("shell-weave", heavier, "stretch over theory of a hanging strip along the warp"),
-        ("shell-weave", heavier, "stretch over theory of a hanging strip along the weft"),
-        ("shell-weave", more_lateral, "stretch over theory of a hanging strip at 45 degrees"),
         ("shell-weave", heavier, "sag over theory of a level strip along the weft"),
-        ("shell-curl", always_down, "radius of a curled strip along the first axis"),
-        ("shell-curl", always_down, "largest distance of a strip along the second axis from"),
     ],
 )
 def test_a_wrong_simulator_fails(name, change, quantity):

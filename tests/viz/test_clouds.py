@@ -1,4 +1,4 @@
-"""Filmstrips and the frames that animations are made of."""
+"""The frames that animations are made of, and from where clouds are seen."""
 
 import io
 
@@ -7,10 +7,10 @@ import pytest
 from PIL import Image
 
 from gendom.errors import GendomError
-from gendom.viz import CloudSequence, encode_filmstrip, write_filmstrip
+from gendom.viz import CloudSequence, encode_camera_views
+from gendom.viz.animation import FramePainter
+from gendom.viz.clouds import choose_view
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR
-from gendom.viz.stage import Stage
-from gendom.viz.views import choose_view
 
 
 def near(image, color, tolerance=60):
@@ -19,26 +19,13 @@ def near(image, color, tolerance=60):
     return (np.abs(np.asarray(image, dtype=int) - want) < tolerance).all(axis=2)
 
 
-def test_filmstrip_is_a_grid_of_panels(make_lift, tmp_path):
-    path = tmp_path / "new" / "film.png"
-    clouds = CloudSequence(**make_lift())
-    write_filmstrip(path, clouds, frames=5, columns=3, width=900)
-    with Image.open(path) as image:
-        image.load()
-        assert image.format == "PNG"
-        assert image.width == 900
-        assert image.height % 2 == 0  # two rows
-    assert path.read_bytes() == encode_filmstrip(clouds, frames=5, columns=3, width=900)
-    assert len(list(path.parent.iterdir())) == 1
-
-
 def test_points_are_drawn_where_they_are():
     """One point at the lower left, simulated too, and one at the upper right."""
     recorded = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]])
     sequence = CloudSequence(recorded=[recorded], simulated=[recorded[:1]], times=np.array([0.0]))
-    stage = Stage(sequence, view="xz", width=400)
+    painter = FramePainter(sequence, view="xz", width=400)
     # The legend shows both colours above the picture.
-    picture = np.asarray(stage.draw(0))[26:]
+    picture = np.asarray(painter.draw(0))[26:]
     blue_rows, blue_columns = np.nonzero(near(picture, RECORDED_COLOR))
     assert blue_columns[blue_rows < 100].mean() > 200 > blue_columns[blue_rows > 200].mean()
     assert not near(picture, SIMULATED_COLOR, 20).any()  # under the recorded one, and pale
@@ -47,7 +34,7 @@ def test_points_are_drawn_where_they_are():
 def test_the_legend_has_the_clouds_own_names(make_lift):
     """Other names, another legend, and the same picture below it."""
     pictures = [
-        np.asarray(Stage(CloudSequence(**make_lift(), labels=labels)).draw(0))
+        np.asarray(FramePainter(CloudSequence(**make_lift(), labels=labels)).draw(0))
         for labels in (("recorded", "simulated"), ("carried out", "predicted"))
     ]
     rows = np.flatnonzero((pictures[0] != pictures[1]).any(axis=(1, 2)))
@@ -55,9 +42,9 @@ def test_the_legend_has_the_clouds_own_names(make_lift):
 
 
 def test_limits_do_not_change_between_frames(make_lift):
-    stage = Stage(CloudSequence(**make_lift()))
-    images = [np.asarray(stage.draw(t)) for t in (0, 19)]
-    assert images[0].shape == images[1].shape == (*stage.size[::-1], 3)
+    painter = FramePainter(CloudSequence(**make_lift()))
+    images = [np.asarray(painter.draw(t)) for t in (0, 19)]
+    assert images[0].shape == images[1].shape
     axis = slice(-38, None)  # the row of axis labels
     assert (images[0][axis] == images[1][axis]).all()
 
@@ -92,24 +79,33 @@ def test_oblique_axes_are_orthonormal(make_lift):
     assert axes[1, 2] > 0.5  # up stays up
 
 
-def test_every_view_and_missing_parts_are_drawn(make_lift):
-    clouds = CloudSequence(**make_lift(frames=3))
-    for view in ("xz", "yz", "xy", "oblique"):
-        encode_filmstrip(clouds, view=view, frames=2, width=300)
+@pytest.mark.parametrize("view", ["xz", "yz", "xy", "oblique"])
+def test_every_view_and_missing_parts_are_drawn(make_lift, view):
+    FramePainter(CloudSequence(**make_lift(frames=3)), view=view, width=300).draw(1)
     bare = make_lift(frames=3) | {"simulated": None, "table_height": None}
     bare |= {"gripper": None, "chamfer": None}
-    for view in ("auto", "oblique"):
-        data = encode_filmstrip(CloudSequence(**bare), view=view, frames=1, width=300)
-        Image.open(io.BytesIO(data)).load()
+    FramePainter(CloudSequence(**bare), view=view, width=300).draw(2)
 
 
 def test_empty_frames_are_allowed_but_not_only_those(make_lift):
     lift = make_lift(frames=3)
     lift["recorded"][0] = np.empty((0, 3))
-    encode_filmstrip(CloudSequence(**lift), width=300)
+    FramePainter(CloudSequence(**lift), width=300).draw(0)
     nothing = CloudSequence(recorded=[np.empty((0, 3))], times=np.zeros(1))
     with pytest.raises(GendomError, match="recorded: has no points at all"):
-        encode_filmstrip(nothing)
+        FramePainter(nothing)
+
+
+def test_camera_views_of_one_size_become_a_picture():
+    """Nearest is yellow, and what was not measured black."""
+    depth = np.repeat([[0.5, 0.0]], 8, axis=0).repeat(8, axis=1)
+    view = np.zeros((8, 16, 3), np.uint8), depth
+    with Image.open(io.BytesIO(encode_camera_views([view, view], width=32))) as image:
+        near, none = (np.array(image.getpixel((x, 4))) for x in (19, 29))
+    np.testing.assert_allclose(near, [253, 231, 37], atol=12)
+    np.testing.assert_allclose(none, 0, atol=12)
+    with pytest.raises(GendomError, match="views: has pictures of 2 sizes"):
+        encode_camera_views([view, (view[0][:4], depth[:4])])
 
 
 @pytest.mark.parametrize(
@@ -118,33 +114,16 @@ def test_empty_frames_are_allowed_but_not_only_those(make_lift):
         ({"times": []}, "times: is empty"),
         ({"times": np.zeros(20)}, "times: does not increase"),
         ({"recorded": [np.zeros((1, 3))]}, "recorded: has 1 frames, but times has 20"),
-        ({"simulated": np.zeros((20, 5, 2))}, r"simulated\[0\]: has shape \[5, 2\]"),
-        ({"simulated": np.full((20, 5, 3), np.nan)}, r"simulated\[0\]: holds NaN or infinity"),
-        ({"gripper": np.zeros((20, 1, 2))}, r"gripper: has shape \[20, 1, 2\]"),
-        ({"chamfer": np.zeros(3)}, "chamfer: has 3 frames"),
-        ({"arm": np.zeros((20, 4, 2, 3))}, "arm_radius: has 0 numbers"),
-        ({"arm": np.zeros((2, 4, 2, 3)), "arm_radius": np.ones(4)}, "arm: has 2 frames"),
-        ({"goal": np.zeros(3)}, r"goal: has shape \[3\]"),
-        ({"table_height": "low"}, "table_height: is no array of numbers"),
+        ({"simulated": np.zeros((20, 5, 2))}, r"simulated\[0\] must be \[n, 3\] .* shape \[5, 2\]"),
+        ({"simulated": np.full((20, 5, 3), np.nan)}, r"simulated\[0\] must be finite, got nan"),
+        ({"gripper": np.zeros((20, 1, 2))}, r"gripper must be .* got shape \[20, 1, 2\]"),
+        ({"chamfer": np.zeros(3)}, r"chamfer must be \[20\] numbers, got shape \[3\]"),
+        ({"arm": np.zeros((20, 4, 2, 3))}, r"arm_radius must be \[4\] numbers, got None"),
+        ({"arm": np.zeros((2, 4, 2, 3)), "arm_radius": np.ones(4)}, r"arm must be \[20, C, 2, 3\]"),
+        ({"goal": np.zeros(3)}, r"goal must be \[n, 3\] numbers, got shape \[3\]"),
+        ({"table_height": "low"}, "table_height must be a number, got 'low'"),
     ],
 )
 def test_bad_clouds(make_lift, change, message):
     with pytest.raises(GendomError, match=message):
         CloudSequence(**make_lift() | change)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"view": "top"}, "view: is 'top'; choose from auto, xz"),
-        ({"frames": 0}, "max_frames: is 0"),
-        ({"columns": 0}, "columns: is 0"),
-    ],
-)
-def test_bad_input_keeps_the_old_file(make_lift, tmp_path, change, message):
-    path = tmp_path / "film.png"
-    path.write_text("old")
-    with pytest.raises(GendomError, match=message):
-        write_filmstrip(path, CloudSequence(**make_lift()), **change)
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]

@@ -1,8 +1,5 @@
 """A report in a real browser: what it logs and loads, whether it fits, whether its controls act."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,18 +10,8 @@ from gendom.viz import (
     LiftPictures,
     write_report,
 )
-
-
-def _module(name):
-    """A file beside this one."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-made_up, headless = _module("made_up"), _module("browser")
+from viz import browser as headless
+from viz import made_up
 
 FRAMES = 20
 

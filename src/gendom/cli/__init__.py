@@ -58,7 +58,6 @@ _EXTRAS = {
     "gymnasium": "reality",
     "ray": "cluster",
     "viser": "viz",
-    "rerun": "rerun",
     "rosbags": "ros",
 }
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
@@ -16,6 +17,8 @@ from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Progress
+
+Settings = TypeVar("Settings")
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
 
@@ -61,6 +64,19 @@ def _method(word: str) -> str:
 
 MethodName = Annotated[str, _name(METHODS_HELP, _method)]
 """The name of a method of estimation."""
+
+
+def settings_of(kind: type[Settings], command: Any, **others: Any) -> Settings:
+    """Settings, a dataclass, with what a command's flags of the same names say.
+
+    Args:
+        kind: Of the settings.
+        command: Its flags; they may lack some.
+        others: Fields that no flag gives, or gives in another form.
+    """
+    every = fields(kind)  # pyright: ignore[reportArgumentType]
+    names = [f.name for f in every if hasattr(command, f.name) and f.name not in others]
+    return kind(**{name: getattr(command, name) for name in names}, **others)
 
 
 @contextmanager

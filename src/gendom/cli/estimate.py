@@ -191,8 +191,8 @@ class Command:
         tell_written(path, json=self.json)
 
     def _write_report(self, found: Estimate) -> None:
-        from gendom.cli.pictures import clouds_of, summary_of, view_of
         from gendom.viz.report import LiftPictures, ReportContent, write_report
+        from gendom.viz.sources import clouds_of, summary_of, view_of
 
         assert self.report is not None and found.fits
         record, first = found.record, found.fits[0]

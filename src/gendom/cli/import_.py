@@ -8,10 +8,11 @@ from typing import Annotated
 
 import tyro
 
+from gendom.arguments import require
+from gendom.cli.arguments import settings_of
 from gendom.cli.check import fault_entry, summarize, summary_text
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Fault, Recording
-from gendom.errors import ParameterError
 from gendom.files import check_file, to_json
 from gendom.perception import RosSettings, is_ros_bag, read_ros_bag
 
@@ -58,26 +59,15 @@ class Command:
         return 0
 
     def _read(self, warnings: list[Fault]) -> Recording:
-        own = {
-            "--gripper": self.gripper,
-            "--points": self.points,
-            "--world": self.world,
-            "--workspace": self.workspace,
-            "--object": self.object,
-        }
         if not is_ros_bag(self.source):
-            if given := [flag for flag, value in own.items() if value is not None]:
-                raise ParameterError(
-                    f"{self.source} is no ROS 2 bag", where=given[0], fix="leave it out"
-                )
+            flags = ("gripper", "points", "world", "workspace", "object")
+            given = [f"--{flag}" for flag in flags if getattr(self, flag) is not None]
+            what, where = f"{self.source} is no ROS 2 bag", next(iter(given), None)
+            require(not given, what, where=where, fix="leave it out")
             return Recording.read(self.source, on_warning=warnings.append)
-        if self.gripper is None:
-            raise ParameterError(
-                "is missing", where="--gripper", fix="name a frame of TF, or a topic of poses"
-            )
+        fix = "name a frame of TF, or a topic of poses"
+        require(self.gripper is not None, "is missing", where="--gripper", fix=fix)
         folder = self.source if self.source.is_dir() else self.source.parent
-        settings = RosSettings(
-            points=self.points, gripper=self.gripper, world=self.world, workspace=self.workspace
-        )
         held = self.object or folder / "object.toml"
+        settings = settings_of(RosSettings, self)
         return read_ros_bag(self.source, held, settings, on_warning=warnings.append)

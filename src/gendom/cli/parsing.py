@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import ast
 import inspect
+import io
 import re
 import shutil
 import textwrap
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Iterable, Sequence
+from contextlib import redirect_stderr
+from dataclasses import MISSING, fields
 from itertools import pairwise, takewhile
-from typing import Annotated, Any, get_type_hints
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import tyro
-import tyro._errors as refusals  # its hook for refusals; no public one has as much
 
 from gendom.errors import ParameterError, did_you_mean
 
@@ -22,6 +24,8 @@ PARSING = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
 
 EVERYWHERE = ("--help", "--debug", "--quiet")
 """Flags that all commands take."""
+
+_KINDS = {int: "whole number", float: "number", Path: "path", str: "word"}
 
 
 def parse(command: type, name: str, words: Sequence[str]) -> Any:
@@ -36,50 +40,87 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         ParameterError: A flag is unknown, or a value is missing or of another type.
         SystemExit: Help was requested and has been printed.
     """
-
-    def refuse(event: refusals.ParseErrorEvent) -> None:
-        # an unknown flag is often why something else is missing
-        flags = _flags(command)
-        unknown = [w for w in words if w.startswith("--") and _flag(w) not in flags and w != "--"]
-        if isinstance(event, refusals.UnrecognizedArgs | refusals.MissingArgs):
-            tokens = getattr(event, "tokens", ()) or getattr(event, "unrecognized_tokens", ())
-            unknown += [token for token in tokens if re.match(r"-[^\d.]", token)]
-        if unknown:
-            flag = unknown[0].partition("=")[0]
+    described(command)
+    arguments = _arguments(command)
+    flags = [*(called for called in arguments if called.startswith("--")), *EVERYWHERE]
+    for word in takewhile(lambda w: w != "--", words):
+        flag = word.partition("=")[0]
+        short = re.match("-(?!inf|nan)[a-zA-Z]", word) and word != "-h"
+        if short or (word.startswith("--") and _flag(word) not in flags):
             advice = did_you_mean(flag, flags) or f"see gendom {name} --help"
             raise ParameterError(f"there is no flag {flag!r}", fix=advice)
-        if isinstance(event, refusals.UnrecognizedArgs):
-            extra = " ".join(event.tokens)
-            raise ParameterError(f"{extra!r} is too much", fix=f"see gendom {name} --help")
-        if isinstance(event, refusals.MissingArgs):
-            missing = [_called(context.arg) for context in event.missing_arguments]
-            raise ParameterError(f"lacks {', '.join(missing)}", fix=_example(command))
-        if isinstance(event, refusals.BadValue):
-            called, wanted = _called(event.argument), _wanted(event.argument)
-            given = _given(called, words, flags)
-            if given or called.startswith("--"):
-                raise ParameterError(_is(given), where=called, fix=f"give {wanted}")
-            raise ParameterError(f"lacks {called}", fix=_example(command))
-        if isinstance(event, refusals.InvalidChoice):
-            advice = did_you_mean(event.value, event.choices)
-            choices = f"choose {', '.join(event.choices)}"
-            raise ParameterError(
-                f"is {event.value!r}", where=_called(event.argument), fix=advice or choices
+    printed = io.StringIO()
+    try:
+        with redirect_stderr(printed):
+            return tyro.cli(
+                command,
+                prog=f"gendom {name}",
+                description=_description(command),
+                args=words,
+                config=PARSING,
             )
-        if isinstance(event, refusals.InstantiationFailure) and event.argument is not None:
-            called, wanted = _called(event.argument), _wanted(event.argument)
-            given = _given(called, words, flags)
-            raise ParameterError(_is(given), where=called, fix=f"give {wanted}")
-        # tyro prints anything else itself
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+    text = " ".join(re.sub("[│╭╮╰╯─|+]|-{4,}", " ", printed.getvalue()).split())
+    raise _refusal(text, arguments, words, f"see gendom {name} --help", _example(command))
 
-    with refusals.on_parse_error(refuse):
-        return tyro.cli(
-            described(command),
-            prog=f"gendom {name}",
-            description=_description(command),
-            args=words,
-            config=PARSING,
-        )
+
+class _Argument(NamedTuple):
+    """A flag, or a word without one."""
+
+    kind: Any
+    help: str
+    required: bool
+
+
+def _arguments(command: type) -> dict[str, _Argument]:
+    """All that a command takes: by its flag, or by what help calls a word without one."""
+    positional = get_args(tyro.conf.Positional[int])[1]
+    hints = get_type_hints(command, include_extras=True)
+    help_of, found = _help(command), {}
+    for field in fields(command):
+        marks = get_args(hints[field.name])[1:]
+        called = f"--{field.name.rstrip('_').replace('_', '-')}"  # a flag may be a word of Python's
+        if any(mark is positional for mark in marks):
+            named = [m.metavar for m in marks if str(getattr(m, "metavar", "") or "").isalpha()]
+            called = named[0] if named else field.name.upper()
+        required = field.default is MISSING and field.default_factory is MISSING
+        found[called] = _Argument(hints[field.name], help_of.get(field.name, ""), required)
+    return found
+
+
+def _refusal(
+    text: str, arguments: dict[str, _Argument], words: Sequence[str], see: str, example: str
+) -> ParameterError:
+    """What tyro has refused and said in its own words, in one line."""
+    if choice := re.search(r"invalid choice '(.*?)' for argument '(.*?)'.*?\((.*?)\)", text):
+        word, where, choices = choice[1], choice[2], re.findall("'(.*?)'", choice[3])
+        fix = did_you_mean(word, choices) or f"choose {', '.join(choices)}"
+        if where.startswith("--"):
+            return ParameterError(f"is {word!r}", where=where, fix=fix)
+        return ParameterError(f"does not take {word!r}", fix=fix)
+    if bad := re.search("(?:Error parsing|for argument) '?(--[-a-z]+)", text):
+        given = _given(bad[1], words, [*arguments, *EVERYWHERE])
+        what = f"is {' '.join(given)!r}" if given else "has no value"
+        wanted = _wanted(arguments[bad[1]].kind)
+        return ParameterError(what, where=bad[1], fix=f"give {wanted}")
+    if extra := re.search("Unrecognized options: (.*?) For full helptext", text):
+        return ParameterError(f"{' '.join(extra[1].split(', '))!r} is too much", fix=see)
+    printed = "".join(text.split())
+    missing = [
+        called
+        for called, argument in arguments.items()
+        if argument.required
+        and ("".join(argument.help.split()) in printed or f"forargument'{called}'" in printed)
+    ]
+    return ParameterError(f"lacks {', '.join(missing)}" if missing else text, fix=example or see)
+
+
+def _example(command: type) -> str:
+    """The line that every command's help ends with."""
+    found = re.search(r"For example: (gendom .*)", command.__doc__ or "")
+    return f"for example: {found[1]}" if found else ""
 
 
 def described(command: type) -> type:
@@ -89,19 +130,24 @@ def described(command: type) -> type:
     def default_told(default: str) -> str:
         return "" if default in ("None", "False", "") else f"(default: {default})"
 
+    told = _help(command)
+    for name, kind in get_type_hints(command, include_extras=True).items():
+        said = tyro.conf.arg(help=told.get(name), help_behavior_hint=default_told)
+        command.__annotations__[name] = Annotated[kind, said]
+    return command
+
+
+def _help(command: type) -> dict[str, str]:
+    """The docstrings of a command's fields, each in one line."""
     (tree,) = ast.parse(textwrap.dedent(inspect.getsource(command))).body
     assert isinstance(tree, ast.ClassDef)
-    told = {
+    return {
         field.target.id: " ".join(text.value.value.split())
         for field, text in pairwise(tree.body)
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
         if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
         if isinstance(text.value.value, str)
     }
-    for name, kind in get_type_hints(command, include_extras=True).items():
-        said = tyro.conf.arg(help=told.get(name), help_behavior_hint=default_told)
-        command.__annotations__[name] = Annotated[kind, said]
-    return command
 
 
 def _description(command: type) -> str:
@@ -121,32 +167,12 @@ def _description(command: type) -> str:
     )
 
 
-def _flags(command: type) -> list[str]:
-    """All that it takes."""
-    (positional,) = tyro.conf.Positional[int].__metadata__  # pyright: ignore[reportAttributeAccessIssue]
-    hints = get_type_hints(command, include_extras=True)
-    named = [
-        field.name.rstrip("_")  # a flag may be a word of Python's
-        for field in fields(command)
-        if not any(mark is positional for mark in getattr(hints[field.name], "__metadata__", ()))
-    ]
-    return [*(f"--{name.replace('_', '-')}" for name in named), *EVERYWHERE]
-
-
 def _flag(word: str) -> str:
     """A flag as it is defined: without its value, with ``-`` for ``_``."""
     return word.partition("=")[0].replace("_", "-")
 
 
-def _called(argument: Any) -> str:
-    """The flag, or what help calls a word without one: a list of choices by its field."""
-    if not argument.is_positional():
-        return argument.lowered.name_or_flags[0]
-    metavar = str(argument.lowered.metavar)
-    return metavar if metavar.isalpha() else argument.field.intern_name.upper()
-
-
-def _given(called: str, words: Sequence[str], flags: Sequence[str]) -> list[str]:
+def _given(called: str, words: Sequence[str], flags: Iterable[str]) -> list[str]:
     """The words behind a flag."""
     for n, word in enumerate(words):
         if word.startswith("--") and _flag(word) == called:
@@ -156,25 +182,15 @@ def _given(called: str, words: Sequence[str], flags: Sequence[str]) -> list[str]
     return []
 
 
-def _is(given: Sequence[str]) -> str:
-    return f"is {' '.join(given)!r}" if given else "has no value"
-
-
-_KINDS = {"INT": "whole number", "FLOAT": "number", "PATH": "path", "STR": "word"}
-
-
-def _wanted(argument: Any) -> str:
-    """What an argument takes, by the names that tyro has for it."""
-    metavar = str(argument.lowered.metavar)
-    kinds = [_KINDS[word] for word in re.findall("|".join(_KINDS), metavar)]
-    if not kinds:
-        return metavar
-    if "..." in metavar:
-        return f"{kinds[0]}s"
-    return f"a {kinds[0]}" if len(kinds) == 1 else f"{len(kinds)} {kinds[0]}s"
-
-
-def _example(command: type) -> str:
-    """The line that every command's help ends with."""
-    found = re.search(r"For example: (gendom .*)", command.__doc__ or "")
-    return f"for example: {found[1]}" if found else "see its --help"
+def _wanted(kind: Any) -> str:
+    """What a flag of a type takes."""
+    inner = [part for part in get_args(kind) if part not in (type(None), ...)]
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(map(str, inner))}"
+    if get_origin(kind) is tuple:
+        noun = _KINDS.get(inner[0], "word")
+        return f"{noun}s" if ... in get_args(kind) else f"{len(inner)} {noun}s"
+    if inner:  # annotated, or optional
+        names = [m.metavar for m in inner[1:] if isinstance(getattr(m, "metavar", None), str)]
+        return names[0] if names else _wanted(inner[0])
+    return f"a {_KINDS.get(kind, 'word')}"

@@ -20,7 +20,7 @@ from gendom.perception import (
     Perceived,
     PerceptionSettings,
     perceive,
-    read_sighting,
+    read_cameras,
 )
 
 
@@ -80,14 +80,15 @@ class Command:
             find_table=not self.no_table,
             level=not self.no_level,
             sync_tolerance=self.sync_tolerance,
-            cloud={"voxel": self.voxel, "min_cluster": self.min_cluster},
+            voxel=self.voxel,
+            min_cluster=self.min_cluster,
         )
-        sighting = read_sighting(self.folder, cameras=self.cameras, on_warning=warnings.append)
+        recorded = read_cameras(self.folder, cameras=self.cameras, on_warning=warnings.append)
         show = self.frames and not self.json
         if show:
             print(_row("time", STAGES))
         perceived = perceive(
-            sighting,
+            recorded,
             settings,
             on_warning=warnings.append,
             on_frame=_print_frame if show else lambda _time, _cloud: None,

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from gendom.arguments import require
+from gendom.cli.arguments import settings_of
 from gendom.errors import ParameterError
 from gendom.files import check_folder
 from gendom.materials import AIR_DENSITY
@@ -76,18 +78,14 @@ class Command:
         )
         from gendom.robot import LiftMotion
 
-        if not 0.0 < self.frame_rate <= 90.0:
-            raise ParameterError(
-                f"is {self.frame_rate}", where="--frame-rate", fix="give 90 or less, above 0"
-            )
-        if not 0.0 <= self.encoder_noise <= MAX_ENCODER_NOISE:
-            few = f"{self.encoder_noise:g} mrad are {1e-3 * self.encoder_noise:g}"
-            raise ParameterError(
-                f"is {self.encoder_noise:g} radians",
-                where="--encoder-noise",
-                fix=f"give 0 to {MAX_ENCODER_NOISE:g}"
-                + (f": {few}" if MAX_ENCODER_NOISE < self.encoder_noise < math.inf else ""),
-            )
+        rate, noise = self.frame_rate, self.encoder_noise
+        fix = "give 90 or less, above 0"
+        require(0.0 < rate <= 90.0, f"is {rate}", where="--frame-rate", fix=fix)
+        fix = f"give 0 to {MAX_ENCODER_NOISE:g}"
+        if MAX_ENCODER_NOISE < noise < math.inf:
+            fix += f": {noise:g} mrad are {1e-3 * noise:g}"
+        what = f"is {noise:g} radians"
+        require(0.0 <= noise <= MAX_ENCODER_NOISE, what, where="--encoder-noise", fix=fix)
         check_folder(self.out)
         item = find_object(self.reality)
         if isinstance(item, RealRope):
@@ -96,14 +94,10 @@ class Command:
             self._check_rise(item.side, f"the cloth {item.side:g} m wide")
         if self.motion is None:
             trial = lift(item, rise=self.rise, end=self.end or "hold")
-        elif self.rise is None and self.end is None:
-            trial = lifted_by(item, LiftMotion.read(self.motion))
         else:
-            raise ParameterError(
-                "says how high and with which end",
-                where="--motion",
-                fix="leave out --rise and --end",
-            )
+            what, fix = "says how high and with which end", "leave out --rise and --end"
+            require(self.rise is None and self.end is None, what, where="--motion", fix=fix)
+            trial = lifted_by(item, LiftMotion.read(self.motion))
         performance = Performance(
             trial,
             cameras=lift_cameras(item),
@@ -114,16 +108,12 @@ class Command:
         errors = replace(usual, robot_clock=self.robot_clock, encoders=self.encoder_noise)
         performance.step_to(performance.closes)
         seconds = performance.end - performance.closes
+        notes = f"The predefined lift of {item.name}, seed {self.seed}."
         with performance.world, bar("recording", round(seconds, 1), "second") as show:
             record(
                 performance,
                 self.out,
-                RecordSettings(
-                    frame_rate=self.frame_rate,
-                    seed=self.seed,
-                    format=self.format,
-                    notes=f"The predefined lift of {item.name}, seed {self.seed}.",
-                ),
+                settings_of(RecordSettings, self, notes=notes),
                 sensor=DepthSensor.exact() if self.no_noise else DepthSensor(),
                 errors=RigErrors.none() if self.no_errors else errors,
                 on_frame=lambda moment: show(round(moment, 1)),

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from gendom.cli.arguments import iterations_shown, read_params
 from gendom.cli.outputs import tell_written
-from gendom.cli.pictures import clouds_of, view_of
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.files import check_file, to_json, write_json
 from gendom.progress import bar
+from gendom.viz.sources import clouds_of, view_of
 
 if TYPE_CHECKING:
     from gendom.estimation import Scene, SceneSettings, Theta

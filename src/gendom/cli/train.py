@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from gendom.cli.arguments import TaskName
-from gendom.errors import DatasetError, ParameterError
+from gendom.arguments import require
+from gendom.cli.arguments import TaskName, settings_of
+from gendom.errors import DatasetError
 from gendom.files import check_file, to_json
 from gendom.materials import PARAMETERS
 
@@ -78,15 +79,8 @@ class Command:
         open_device(self.device)
         demonstrations = self._read(self.data)
         finetune = None if self.finetune is None else self._read(self.finetune)
-        training = Training(
-            method=self.method or ("distal" if demonstrations.goal_names else "quantile"),
-            conditioned_on=sees,
-            architecture=self.architecture,
-            epochs=self.epochs,
-            refine=self.refine,
-            refine_cases=self.refine_cases,
-            seed=self.seed,
-        )
+        method = self.method or ("distal" if demonstrations.goal_names else "quantile")
+        training = settings_of(Training, self, method=method, conditioned_on=sees)
         simulation = Simulation(engine=self.engine, device=self.device)
         policy = train(
             demonstrations,
@@ -110,12 +104,9 @@ class Command:
 
         demonstrations = Demonstrations.read(folder)
         name = demonstrations.task.get("name")
-        if name != self.task:
-            raise DatasetError(
-                f"holds demonstrations of {name}, not of {self.task}",
-                where=str(folder),
-                fix="name another folder",
-            )
+        what = f"holds demonstrations of {name}, not of {self.task}"
+        fix = "name another folder"
+        require(name == self.task, what, where=str(folder), fix=fix, error=DatasetError)
         return demonstrations
 
 
@@ -124,12 +115,9 @@ def _conditions(words: tuple[str, ...]) -> tuple[str, ...] | None:
         return None
     if words in ((), ("none",)):
         return ()
-    if unknown := [word for word in words if word not in PARAMETERS]:
-        raise ParameterError(
-            f"there is no parameter {unknown[0]!r}",
-            where="--condition",
-            fix=f"choose from {', '.join(PARAMETERS)}, or give all or none",
-        )
+    unknown = [*(word for word in words if word not in PARAMETERS), ""]
+    fix = f"choose from {', '.join(PARAMETERS)}, or give all or none"
+    require(not unknown[0], f"there is no parameter {unknown[0]!r}", where="--condition", fix=fix)
     return words
 
 

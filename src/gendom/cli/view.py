@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from gendom.arguments import require
 from gendom.cli.arguments import read_params
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
-from gendom.errors import GendomError, ParameterError
+from gendom.datasets.recording import is_recording
+from gendom.errors import GendomError
 from gendom.files import atomic_path, check_file
 
 if TYPE_CHECKING:
-    from gendom.viz.viewer import Model, ViewerScene
+    from gendom.viz.viewer.layers import Model
 
 _log = logging.getLogger(__name__)
 
@@ -26,8 +29,8 @@ class Command:
     """Look at a recording or at demonstrations in a browser, and simulate them again as sliders
     change parameters.
 
-    The address is printed; it is reached from this machine alone. Ctrl-C ends it. With --rrd or
-    --html a file is written instead.
+    The address is printed; it is reached from this machine alone. Ctrl-C ends it. With --html a
+    file is written instead.
 
     For example: gendom view lift.npz --params lift/estimate.json
     """
@@ -42,45 +45,31 @@ class Command:
     """Number of the demonstration that is shown first."""
     port: int = 8080
     """Of the address; where it is taken one of the next is."""
-    rrd: Path | None = None
-    """File for rerun's viewer."""
     html: Path | None = None
     """Page that plays the motion by itself, without sliders for parameters."""
     force: bool = False
     """Take parameters whose verdict is not usable, too."""
 
     def run(self) -> int:
-        if self.rrd is not None:
-            check_file(self.rrd, ".rrd")
         if self.html is not None:
             check_file(self.html, ".html")
-        if self.rrd is None and self.html is None:
-            return self._serve()
-        if self.rrd is not None:
-            import gendom.viz.viewer.rerun_file  # rerun: whether it is there shows at once
-        if self.html is not None:
-            import gendom.viz.viewer.server  # noqa: F401  # viser, likewise
+        from gendom.viz.viewer.server import Viewer, encode_html  # viser: missing shows at once
+
         model = self._model()
-        scene = final_scene(model, self._case(model))
-        if self.rrd is not None:
-            from gendom.viz.viewer.rerun_file import write_rrd
-
-            write_rrd(self.rrd, scene, title=model.title)
-            tell_written(self.rrd, json=False)
+        noun, count = model.cases
+        require(
+            0 <= self.demonstration < count,
+            f"is {self.demonstration}, and there is no such {noun}",
+            where="--demonstration",
+            fix=f"give 0 to {count - 1}",
+        )
         if self.html is not None:
-            from gendom.viz.viewer.server import encode_html
-
-            page = encode_html(scene)
+            page = encode_html(model, self.demonstration)
             with atomic_path(self.html) as temporary:
                 temporary.write_text(page, encoding="utf-8")
             tell_written(self.html, json=False)
-        return 0
-
-    def _serve(self) -> int:
-        from gendom.viz.viewer.server import Viewer  # viser: whether it is there shows at once
-
-        model = self._model()
-        viewer = Viewer(model, case=self._case(model), port=self.port)
+            return 0
+        viewer = Viewer(model, case=self.demonstration, port=self.port)
         try:
             if self.port not in (0, viewer.port):
                 _log.warning("port %d is taken", self.port)
@@ -90,53 +79,77 @@ class Command:
         return 0
 
     def _model(self) -> Model:
-        if (self.shown / "dataset.json").is_file():
-            from gendom.cli.view_dataset import DatasetModel
-
-            if self.params is not None:
-                raise ParameterError(
-                    "goes with a recording, not with demonstrations",
-                    where="--params",
-                    fix="leave it out; sliders change the parameters",
-                )
-            return DatasetModel(self.shown)
-        from gendom.cli.view_recording import RecordingModel, find_recording
+        from gendom.viz.viewer.models import DatasetModel, RecordingModel
 
         shown, params = self.shown, self.params
+        if (shown / "dataset.json").is_file():
+            what, fix = "goes with a recording, not with demonstrations", "leave it out"
+            fix += "; sliders change the parameters"
+            require(params is None, what, where="--params", fix=fix)
+            return DatasetModel(shown)
         if shown.suffix == ".json":
-            if params is not None:
-                raise ParameterError(
-                    "are given twice", where="--params", fix="give a recording and one estimate"
-                )
+            fix = "give a recording and one estimate"
+            require(params is None, "are given twice", where="--params", fix=fix)
             params = shown
             shown = find_recording(read_params(params, force=self.force), params)
         recording = Recording.read(shown)
         if params is None:
             return RecordingModel.of(recording, shown.name)
+        from gendom.cli.replay import replay_setup
+
         values = read_params(params, force=self.force)
-        return RecordingModel.with_params(recording, values, str(params), shown.name)
-
-    def _case(self, model: Model) -> int:
-        noun, count = model.cases
-        if not 0 <= self.demonstration < count:
-            raise ParameterError(
-                f"is {self.demonstration}, and there is no such {noun}",
-                where="--demonstration",
-                fix=f"give 0 to {count - 1}",
-            )
-        return self.demonstration
+        scene, theta = replay_setup(recording, values, str(params), "cpu")
+        return RecordingModel(scene, theta, shown.name)
 
 
-def final_scene(model: Model, case: int) -> ViewerScene:
-    """The most complete scene of a case, with its own parameters.
+def find_recording(params: Mapping[str, Any], where: Path) -> Path:
+    """The recording of an estimate: a file or folder beside it, or one folder above.
+
+    It is identified by `Recording.digest`. Estimates of older versions do not state that; their
+    recording begins with the same points and has all compared frames.
+
+    Args:
+        params: The estimate's JSON.
+        where: Its file.
 
     Raises:
-        GendomError: It cannot be simulated.
+        GendomError: It is not there, or several files of an older version's estimate fit.
     """
-    values = {p.name: p.value for p in model.parameters(case)}
-    scene = None
-    for scene in model.simulate(case, values, lambda: None):  # noqa: B007
-        pass
-    if scene is None:
-        raise GendomError("nothing is shown", where=model.title)
-    return scene
+    from gendom.cli.replay import of_recording
+
+    folder = where.absolute().parent
+    fix = f"name it: gendom view RECORDING --params {where}"
+    # files of older versions are of one recording
+    stated = params.get("recordings", [params])
+    fits: dict[str, Path] = {}
+    other: list[Path] = []
+    for path in [*_recordings_in(folder), *_recordings_in(folder.parent)]:
+        try:
+            recording = Recording.read(path, on_warning=lambda _: None)
+        except GendomError:  # another kind of file
+            continue
+        digest = recording.digest
+        if any(own.get("digest") == digest for own in stated):
+            return path
+        if (own := of_recording(params, recording)) is None:
+            continue
+        if "digest" in own or 1 + max(own.get("compared", [0])) > recording.num_frames:
+            other.append(path)
+        else:
+            fits.setdefault(digest, path)
+    several = f"may be of any of {', '.join(map(str, fits.values()))}"
+    require(len(fits) <= 1, several, where=str(where), fix=fix, error=GendomError)
+    if fits:
+        return next(iter(fits.values()))
+    similar = f"; {other[0]} begins like it, but is cut or changed" if other else ""
+    raise GendomError(
+        f"its recording is neither beside it nor in the folder above{similar}",
+        where=str(where),
+        fix=fix,
+    )
+
+
+def _recordings_in(folder: Path) -> list[Path]:
+    """What may be recordings, by name."""
+    inside = [*folder.glob("*.npz"), *(p for p in folder.iterdir() if p.is_dir())]
+    return sorted(path for path in inside if is_recording(path))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gendom.datasets.checks import Fault
 from gendom.datasets.pcd import read_pcd
 from gendom.datasets.ply import read_ply, write_ply
 from gendom.datasets.recording import Recording
-from gendom.datasets.recording_form import ObjectDescription
+from gendom.datasets.recording_form import Fault, ObjectDescription
 from gendom.lazy import imported_later
 
 if TYPE_CHECKING:

@@ -68,11 +68,9 @@ def _result(ray: Any, done: Any, address: str) -> Any:
         cause = error.cause if isinstance(error.cause, GendomError) else None
         raise cause or error from None
     except ray.exceptions.RayError as error:
-        raise DeviceError(
-            f"a job was lost {RETRIES + 1} times ({str(error).splitlines()[0]})",
-            where=f"--cluster {address}",
-            fix="look at the cluster's log; run the same command again to go on",
-        ) from None
+        what = f"a job was lost {RETRIES + 1} times ({str(error).splitlines()[0]})"
+        fix = "look at the cluster's log; run the same command again to go on"
+        raise DeviceError(what, where=f"--cluster {address}", fix=fix) from None
 
 
 @contextmanager
@@ -83,24 +81,22 @@ def _connected(address: str) -> Iterator[Any]:
     try:
         import ray
     except ImportError:
-        raise DeviceError(
-            "Ray is not installed", where="--cluster", fix=how_to_install("cluster")
-        ) from None
+        fix = how_to_install("cluster")
+        raise DeviceError("Ray is not installed", where="--cluster", fix=fix) from None
     own = not ray.is_initialized()
     if own:
-        where: dict[str, Any] = {"include_dashboard": False}
-        if address != "local":
-            where = {"address": address}
+        where: dict[str, Any] = (
+            {"address": address} if address != "local" else {"include_dashboard": False}
+        )
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # the client warns of what is told below
                 ray.init(logging_level=logging.ERROR, log_to_driver=False, **where)
         except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-            raise DeviceError(
-                f"no cluster answers there ({(str(error).splitlines() or ['no reason given'])[0]})",
-                where=f"--cluster {address}",
-                fix="start one with ray start --head, or give local",
-            ) from None
+            reason = (str(error).splitlines() or ["no reason given"])[0]
+            what = f"no cluster answers there ({reason})"
+            fix = "start one with ray start --head, or give local"
+            raise DeviceError(what, where=f"--cluster {address}", fix=fix) from None
     try:
         yield ray
     finally:

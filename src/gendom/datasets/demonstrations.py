@@ -40,8 +40,9 @@ from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from gendom import __version__
+from gendom.arguments import require
 from gendom.datasets.cluster import on_cluster
-from gendom.errors import DatasetError, GendomError, ParameterError
+from gendom.errors import DatasetError, GendomError
 from gendom.files import atomic_path, free_room, read_json, write_json
 
 FORMAT = "gendom-demonstrations/2"
@@ -49,14 +50,18 @@ FORMAT = "gendom-demonstrations/2"
 GOAL = "goal_"
 """Prefix of columns of goals."""
 
-_DESCRIPTION, _WRITER, _LOCK = "dataset.json", "writer.json", ".lock"
-_METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
-
-_log = logging.getLogger(__name__)
-
-
 SHARD_SIZE = {"cpu": 256, "cuda": 4096}
 """Default numbers of demonstrations in a shard, of cost 1."""
+
+_DESCRIPTION, _WRITER, _LOCK = "dataset.json", "writer.json", ".lock"
+_METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
+_IN_FLIGHT = 2  # parts of a set on a GPU: one is prepared while the other is simulated
+_FEWEST_TOGETHER = 1024  # demonstrations that use a GPU well; of several GPUs none gets fewer
+_PARTS_PER_DEVICE = 8  # of several devices; several parts balance the load between them
+_MAKE_AGAIN = "make it again with this version of gendom dataset"
+_MEASURED = 6  # about so many values does a task measure in a demonstration
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,19 +102,6 @@ class Demonstrator(Protocol):
         `on_frame` is called regularly; an exception that it raises stops the simulation.
         """
         ...
-
-
-AHEAD = 2
-"""Parts of a set in flight on a GPU: one is prepared while the other is simulated."""
-
-FEWEST_TOGETHER = 1024
-"""Number of demonstrations that uses a GPU well; of several GPUs none gets fewer."""
-
-MEASURED = 6
-"""Approximate number of values that a task measures in a demonstration."""
-
-TURNS = 8
-"""Parts for each of several devices; several parts balance the load between devices."""
 
 
 def generate(
@@ -159,8 +151,7 @@ def generate(
         begun = (folder / _DESCRIPTION).exists()
         shard_size = int(read_description(folder)["shard_size"]) if begun else usual
     for name, value, least in [("size", size, 1), ("shard_size", shard_size, 1), ("seed", seed, 0)]:
-        if value < least:
-            raise ParameterError(f"is {value}", where=name, fix=f"give {least} or more")
+        require(value >= least, f"is {value}", where=name, fix=f"give {least} or more")
     description = _describe(source, size, seed, kind, shard_size)
     _check_same(folder, description)
     _check_room(folder, size, len(source.draw([generator_of(seed, 0)])))
@@ -185,16 +176,7 @@ def _complete(
         hashes = dict(read_description(folder)["sha256"])
     report = progress or (lambda done, total: None)
 
-    kept: list[pa.Table | None] = []
-    for number in range(_count_shards(size, shard_size)):
-        try:
-            rows = _read_shard(_shard_path(folder, number), number, identity, hashes)
-            kept.append(rows.slice(0, size - number * shard_size))
-        except FileNotFoundError:
-            kept.append(None)
-        except DatasetError as error:
-            _log.warning("%s: %s; simulating it again", error.where, error.what)
-            kept.append(None)
+    kept = _kept_shards(folder, size, shard_size, identity, hashes)
     done = sum(len(rows) for rows in kept if rows is not None)
     report(done, size)
 
@@ -207,23 +189,18 @@ def _complete(
         from gendom.sim import list_devices  # Warp: a task that needs it imports it itself
 
         devices = list_devices(device)
-    parts: dict[int, list[pa.Table]] = {}  # by shard
-    jobs: list[range] = []
     together = _count_together(kind, shard_size, size - done, len(devices))
-    for number, rows in enumerate(kept):
-        # a set that is extended may end in a shard that is not full
-        first, end = number * shard_size, min((number + 1) * shard_size, size)
-        begin = first + (len(rows) if rows is not None else 0)
-        if begin < end:
-            parts[number] = [rows] if rows is not None else []
-            jobs += [range(i, min(i + together, end)) for i in range(begin, end, together)]
-
+    # by shard; a set that is extended may end in a shard that is not full
+    parts = {number: [] if rows is None else [rows] for number, rows in enumerate(kept)}
+    jobs: list[range] = []
+    for number, own in parts.items():
+        begin, end = number * shard_size + sum(map(len, own)), min((number + 1) * shard_size, size)
+        jobs += [range(i, min(i + together, end)) for i in range(begin, end, together)]
     simulate = functools.partial(_simulate, source, seed=seed)
-    results = (
-        _on_devices(simulate, jobs, devices)
-        if cluster is None
-        else on_cluster(simulate, jobs, cluster, kind)
-    )
+    if cluster is None:
+        results = _on_devices(simulate, jobs, devices)
+    else:
+        results = on_cluster(simulate, jobs, cluster, kind)
     for job, rows in results:
         number = job.start // shard_size
         parts[number].append(rows)
@@ -232,14 +209,35 @@ def _complete(
         if sum(map(len, parts[number])) < min(shard_size, size - number * shard_size):
             continue
         table = pa.concat_tables(parts.pop(number)).sort_by("demonstration")
-        table = table.replace_schema_metadata({_METADATA: json.dumps(identity)})
         path = _shard_path(folder, number)
         with atomic_path(path) as temporary:
-            pq.write_table(table, temporary)
+            tagged = table.replace_schema_metadata({_METADATA: json.dumps(identity)})
+            pq.write_table(tagged, temporary)
             hashes[path.name] = _sha256(temporary)
             # before the shard: one without its hash would have to be simulated again
             write_json(folder / _DESCRIPTION, {**description, "sha256": hashes})
     return load(folder)
+
+
+def _kept_shards(
+    folder: Path,
+    size: int,
+    shard_size: int,
+    identity: Mapping[str, Any],
+    hashes: Mapping[str, str],
+) -> list[pa.Table | None]:
+    """The rows of each shard of a set; None where it is missing or damaged."""
+    kept: list[pa.Table | None] = []
+    for number in range(_count_shards(size, shard_size)):
+        try:
+            rows = _read_shard(_shard_path(folder, number), number, identity, hashes)
+            kept.append(rows.slice(0, size - number * shard_size))
+        except FileNotFoundError:
+            kept.append(None)
+        except DatasetError as error:
+            _log.warning("%s: %s; simulating it again", error.where, error.what)
+            kept.append(None)
+    return kept
 
 
 @contextmanager
@@ -259,20 +257,12 @@ def _alone(folder: Path) -> Iterator[None]:
             owner = f"process {who['process']} on {who['host']}, since {who['since']}"
         except (GendomError, KeyError):
             owner = "another process"
-        raise DatasetError(
-            f"is being written by {owner}",
-            where=str(folder),
-            fix="wait for it to end, or choose a new folder",
-        ) from None
+        what, fix = f"is being written by {owner}", "wait for it to end, or choose a new folder"
+        raise DatasetError(what, where=str(folder), fix=fix) from None
     try:
-        write_json(
-            folder / _WRITER,
-            {
-                "process": os.getpid(),
-                "host": platform.node(),
-                "since": datetime.now().isoformat(timespec="seconds"),
-            },
-        )
+        since = datetime.now().isoformat(timespec="seconds")
+        own = {"process": os.getpid(), "host": platform.node(), "since": since}
+        write_json(folder / _WRITER, own)
         yield
     finally:
         # remove the folder if nothing was written
@@ -306,8 +296,8 @@ def device_kind(device: str) -> str:
         ParameterError: If the list holds both: their rounding differs.
     """
     kinds = {"cpu" if name.strip() == "cpu" else "cuda" for name in device.split(",")}
-    if len(kinds) > 1:
-        raise ParameterError(f"is {device!r}", where="device", fix="give GPUs or the CPU, not both")
+    fix = "give GPUs or the CPU, not both"
+    require(len(kinds) == 1, f"is {device!r}", where="device", fix=fix)
     return kinds.pop()
 
 
@@ -316,7 +306,11 @@ def _count_together(kind: str, shard_size: int, left: int, devices: int) -> int:
     if kind == "cpu":
         return max(16, 2 * (os.cpu_count() or 1))
     together = shard_size
-    while devices > 1 and together >= 2 * FEWEST_TOGETHER and left < TURNS * devices * together:
+    while (
+        devices > 1
+        and together >= 2 * _FEWEST_TOGETHER
+        and left < _PARTS_PER_DEVICE * devices * together
+    ):
         together = -(-together // 2)
     return together
 
@@ -334,7 +328,7 @@ def _on_devices(
             yield job, simulate(job, device=devices[0])
         return
     free: queue.SimpleQueue[str] = queue.SimpleQueue()
-    places = devices if "cpu" in devices else AHEAD * devices
+    places = devices if "cpu" in devices else _IN_FLIGHT * devices
     for device in places:
         free.put(device)
     stop = threading.Event()
@@ -384,12 +378,9 @@ def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
             continue
         parts.append(rows.slice(0, size - number * shard_size))
     have = sum(map(len, parts))
-    if have == 0 or (have < size and not part):
-        raise DatasetError(
-            f"holds {have} of {size} demonstrations",
-            where=str(folder),
-            fix="finish it with the gendom dataset command that began it",
-        )
+    fix = "finish it with the gendom dataset command that began it"
+    what, enough = f"holds {have} of {size} demonstrations", have >= (1 if part else size)
+    require(enough, what, where=str(folder), fix=fix, error=DatasetError)
     return pa.concat_tables(parts).replace_schema_metadata(None)
 
 
@@ -406,12 +397,9 @@ def succeeded(
     Raises:
         DatasetError: The set lacks a column.
     """
-    if missing := [name for name in (*names, "ok") if name not in table.column_names]:
-        raise DatasetError(
-            f"lacks the columns {', '.join(missing)}",
-            where=where,
-            fix="make it again with this version of gendom dataset",
-        )
+    missing = [name for name in (*names, "ok") if name not in table.column_names]
+    what, fix = f"lacks the columns {', '.join(missing)}", _MAKE_AGAIN
+    require(not missing, what, where=where, fix=fix, error=DatasetError)
     kept = table.filter(table["ok"])
     return {name: kept[name].to_numpy().astype(float) for name in names}
 
@@ -426,27 +414,22 @@ def read_description(folder: str | os.PathLike) -> dict[str, Any]:
     """
     folder = Path(folder)
     make = "make a set with gendom dataset"
-    if not folder.is_dir():
-        what = "is not a folder" if folder.exists() else "no such folder"
-        raise DatasetError(what, where=str(folder), fix=f"check the path, or {make}")
+
+    def wanted(holds: Any, what: str, where: Path = folder, fix: str = make) -> None:
+        require(holds, what, where=str(where), fix=fix, error=DatasetError)
+
+    what = "is not a folder" if folder.exists() else "no such folder"
+    wanted(folder.is_dir(), what, fix=f"check the path, or {make}")
     path = folder / _DESCRIPTION
-    if not path.exists():
-        raise DatasetError(f"holds no {_DESCRIPTION}", where=str(folder), fix=make)
+    wanted(path.exists(), f"holds no {_DESCRIPTION}")
     description = read_json(path)
-    if description.get("format") != FORMAT:
-        raise DatasetError(
-            f"has the format {description.get('format')!r}, not {FORMAT!r}",
-            where=str(path),
-            fix=make,
-        )
-    wrong = [
-        name
-        for name in ("size", "shard_size")
-        if not (isinstance(description.get(name), int) and description[name] > 0)
-    ]
-    wrong += [n for n in ("task", "sha256") if not isinstance(description.get(n), dict)]
-    if wrong:
-        raise DatasetError(f"lacks a usable {wrong[0]}", where=str(path), fix=make)
+    form = description.get("format")
+    wanted(form == FORMAT, f"has the format {form!r}, not {FORMAT!r}", path)
+    for name in ("size", "shard_size"):
+        value = description.get(name)
+        wanted(isinstance(value, int) and value > 0, f"lacks a usable {name}", path)
+    for name in ("task", "sha256"):
+        wanted(isinstance(description.get(name), dict), f"lacks a usable {name}", path)
     return description
 
 
@@ -472,40 +455,31 @@ def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
 
 def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
     """Check that a folder is empty or holds a part of the wanted set."""
+    where, shards = str(folder), list(folder.glob("shard-*.parquet"))
     if not (folder / _DESCRIPTION).exists():
-        if folder.is_dir() and any(folder.glob("shard-*.parquet")):
-            raise DatasetError(
-                f"holds shards but no {_DESCRIPTION}", where=str(folder), fix="choose a new folder"
-            )
+        what, fix = f"holds shards but no {_DESCRIPTION}", "choose a new folder"
+        require(not shards, what, where=where, fix=fix, error=DatasetError)
         return
     there = read_description(folder)
     differing = [
         f"{name} is {_text(mine)} there and {_text(yours)} here"
         for name, mine, yours in _differences(_identity(there), _identity(wanted))
     ]
-    names = [
-        _shard_path(folder, n) for n in range(_count_shards(there["size"], there["shard_size"]))
-    ]
-    if there["size"] > wanted["size"] and all(path.exists() for path in names):
+    count = _count_shards(there["size"], there["shard_size"])
+    whole = all(_shard_path(folder, n).exists() for n in range(count))
+    if there["size"] > wanted["size"] and whole:
         differing.append(f"size is {there['size']} there and only {wanted['size']} here")
-    if differing:
-        raise DatasetError(
-            f"holds another set: {', '.join(differing)}",
-            where=str(folder),
-            fix="choose a new folder, or the settings of that set",
-        )
+    fix = "choose a new folder, or the settings of that set"
+    what = f"holds another set: {', '.join(differing)}"
+    require(not differing, what, where=where, fix=fix, error=DatasetError)
 
 
 def _check_room(folder: Path, size: int, drawn: int) -> None:
     """Check that the disk has room for a set with ``drawn`` numbers for each demonstration."""
-    needed, free = 8 * (drawn + MEASURED) * size, free_room(folder)
-    if needed > free:
-        raise DatasetError(
-            f"{size} demonstrations take about {1e-9 * needed:.3g} GB, "
-            f"{1e-9 * free:.3g} GB are free",
-            where=str(folder),
-            fix="make room, or choose fewer or another place",
-        )
+    needed, free = 8 * (drawn + _MEASURED) * size, free_room(folder)
+    what = f"{size} demonstrations take about {1e-9 * needed:.3g} GB, {1e-9 * free:.3g} GB are free"
+    fix = "make room, or choose fewer or another place"
+    require(needed <= free, what, where=str(folder), fix=fix, error=DatasetError)
 
 
 def _differences(
@@ -543,30 +517,30 @@ def _read_shard(
         FileNotFoundError: The shard does not exist.
         DatasetError: The shard is damaged, or belongs to another set.
     """
+
     fix = "delete it, and run the gendom dataset command that made the set"
+
+    def wanted(holds: Any, what: str) -> None:
+        require(holds, what, where=str(path), fix=fix, error=DatasetError)
+
     try:
         content = path.read_bytes()
-        if hashlib.sha256(content).hexdigest() != hashes.get(path.name):
-            raise DatasetError(
-                "is damaged (its SHA-256 is not that of dataset.json)", where=str(path), fix=fix
-            )
+        is_whole = hashlib.sha256(content).hexdigest() == hashes.get(path.name)
+        wanted(is_whole, "is damaged (its SHA-256 is not that of dataset.json)")
         # not read_table: threads of its scanner may drop Python's bytes after Python has ended, and
         # abort (https://github.com/apache/arrow/issues/33975)
         rows = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
         about = json.loads((rows.schema.metadata or {}).get(_METADATA, b"null"))
-    except (FileNotFoundError, DatasetError):
+    except FileNotFoundError:
         raise
     except (OSError, ValueError) as error:  # Arrow's own errors are of these two kinds
         reason = (str(error).splitlines() or ["unreadable"])[0]
         raise DatasetError(f"is damaged ({reason})", where=str(path), fix=fix) from None
-    if about != identity:
-        raise DatasetError("belongs to another set", where=str(path), fix=fix)
+    wanted(about == identity, "belongs to another set")
     first = number * identity["shard_size"]
     named = rows["demonstration"].to_numpy() if "demonstration" in rows.column_names else []
-    if not len(named) or not np.array_equal(named, first + np.arange(len(named))):
-        raise DatasetError(
-            f"does not hold demonstrations {first} and following", where=str(path), fix=fix
-        )
+    in_order = len(named) and np.array_equal(named, first + np.arange(len(named)))
+    wanted(in_order, f"does not hold demonstrations {first} and following")
     return rows
 
 

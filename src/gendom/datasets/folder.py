@@ -7,7 +7,6 @@ object.toml     description of the object, and table_height
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 from collections.abc import Callable
@@ -16,9 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arguments import require
 from gendom.datasets.npz import read_npz_cloud
 from gendom.datasets.pcd import read_pcd
 from gendom.datasets.ply import read_ply
+from gendom.datasets.recording_form import joined
+from gendom.datasets.rows import read_rows
 from gendom.errors import RecordingError
 from gendom.files import is_cut, read_toml
 
@@ -45,7 +47,7 @@ _TOP_KEYS = (
 
 def read_folder(
     folder: str | os.PathLike,
-) -> tuple[list[np.ndarray], dict[str, np.ndarray], dict[str, Any]]:
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read the parts of a recording stored as a folder.
 
     The folder holds
@@ -58,9 +60,8 @@ def read_folder(
             quasi_static, source, notes, camera_positions, cameras_calibrated and anything else.
 
     Returns:
-        clouds (T arrays [n, 3]), arrays (time [T], gripper_position [T, G, 3], perhaps
-        gripper_axis [T, G, 3] and gripper_closed [T, G]) and the content of object.toml in the
-        layout of a recording's `meta`.
+        Arrays by their names in a recording's file, and the content of object.toml in the layout
+        of its `meta`.
 
     Raises:
         RecordingError: Something is missing, malformed or does not fit together.
@@ -70,13 +71,10 @@ def read_folder(
     meta = read_object(folder / "object.toml")
     arrays = read_gripper(folder / "gripper.csv")
     rows = len(arrays["time"])
-    if rows != len(files):
-        raise RecordingError(
-            f"{len(files)} {suffix} files but {rows} rows in gripper.csv",
-            where=str(folder),
-            fix="give one row a frame",
-        )
-    return [READERS[suffix](path) for path in files], arrays, meta
+    what = f"{len(files)} {suffix} files but {rows} rows in gripper.csv"
+    fix = "give one row a frame"
+    require(rows == len(files), what, where=str(folder), fix=fix, error=RecordingError)
+    return {**arrays, **joined([READERS[suffix](path) for path in files])}, meta
 
 
 def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
@@ -88,17 +86,11 @@ def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
             by_suffix.setdefault(suffix, []).append(path)
     if len(by_suffix) > 1:
         by_suffix.pop(".npz", None)
-    if not by_suffix:
-        raise RecordingError(
-            f"holds no {', '.join(READERS)} file",
-            where=str(folder),
-            fix="put one point cloud a frame there",
-        )
-    if len(by_suffix) > 1:
-        counts = " and ".join(f"{len(paths)} {suffix}" for suffix, paths in by_suffix.items())
-        raise RecordingError(
-            f"holds {counts} files", where=str(folder), fix="keep those of one kind"
-        )
+    where, counts = str(folder), " and ".join(f"{len(ps)} {s}" for s, ps in by_suffix.items())
+    what, fix = f"holds no {', '.join(READERS)} file", "put one point cloud a frame there"
+    require(by_suffix, what, where=where, fix=fix, error=RecordingError)
+    what, fix = f"holds {counts} files", "keep those of one kind"
+    require(len(by_suffix) == 1, what, where=where, fix=fix, error=RecordingError)
     ((suffix, files),) = by_suffix.items()
     return suffix, sorted(files, key=lambda path: natural_key(path.name))
 
@@ -114,11 +106,8 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
 
 def read_object(path: Path) -> dict[str, Any]:
     """object.toml in the layout of a recording's meta."""
-    meta = read_toml(
-        path,
-        fix="write one with the table [object]: kind, sizes in metres, grasp",
-        error=RecordingError,
-    )
+    fix = "write one with the table [object]: kind, sizes in metres, grasp"
+    meta = read_toml(path, fix=fix, error=RecordingError)
     table = meta.get("object")
     if isinstance(table, dict):
         for key in _TOP_KEYS:
@@ -141,53 +130,35 @@ def read_gripper(
     Raises:
         RecordingError: The file cannot be read, or a row is malformed.
     """
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, row) for row in reader if row]
-            file.seek(0)
-            whole = file.read().endswith(("\n", "\r"))
-    except FileNotFoundError:
-        raise RecordingError(
-            "no such file", where=str(path), fix="write one row a frame under time,x,y,z"
-        ) from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"is not CSV ({error})", where=str(path), fix="save as CSV") from None
-    if not lines:
-        raise RecordingError("is empty", where=str(path), fix="write the header time,x,y,z")
+
+    def refused(what: str, fix: str, where: str = "") -> RecordingError:
+        return RecordingError(what, where=f"{path}{where}", fix=fix)
+
+    lines = read_rows(path, header="time,x,y,z")
     if len(lines) == 1:
-        raise RecordingError(
-            "holds a header and no rows", where=str(path), fix="write one row a frame"
-        )
-    header = [name.strip() for name in lines[0][1]]
+        raise refused("holds a header and no rows", "write one row a frame")
+    header = lines[0][1]
     position, axis, closed = _gripper_columns(header, path)
     number, last = lines[-1]
+    whole = path.read_bytes().endswith((b"\n", b"\r"))
     if on_cut is not None and not whole and len(lines) > 2 and is_cut(last, len(header)):
         on_cut(number)
         del lines[-1]
     table = np.empty((len(lines) - 1, len(header)))
     for i, (number, row) in enumerate(lines[1:]):
+        where = f", line {number}"
         if len(row) != len(header):
-            raise RecordingError(
-                f"{len(row)} values under {len(header)} column names",
-                where=f"{path}, line {number}",
-                fix="give one value a column",
-            )
+            what = f"{len(row)} values under {len(header)} column names"
+            raise refused(what, "give one value a column", where)
         for j, text in enumerate(row):
+            column = f"{where}, column {header[j]}"
             try:
                 table[i, j] = float(text)
             except ValueError:
-                raise RecordingError(
-                    f"{text!r} is no number",
-                    where=f"{path}, line {number}, column {header[j]}",
-                    fix="give seconds and metres",
-                ) from None
+                raise refused(f"{text!r} is no number", "give seconds and metres", column) from None
             if j in closed and table[i, j] not in (0.0, 1.0):
-                raise RecordingError(
-                    f"is {text!r}",
-                    where=f"{path}, line {number}, column {header[j]}",
-                    fix="give 1 where the gripper is closed, 0 where it is open",
-                )
+                fix = "give 1 where the gripper is closed, 0 where it is open"
+                raise refused(f"is {text!r}", fix, column)
     arrays = {
         "time": table[:, header.index("time")],
         "gripper_position": table[:, position].reshape(len(table), -1, 3),
@@ -213,16 +184,9 @@ def _gripper_columns(header: list[str], path: Path) -> tuple[list[int], list[int
     missing = [name for name in expected if name not in header]
     unknown = [name for name in header if name not in expected]
     twice = sorted({name for name in header if header.count(name) > 1})
+    fix = "use time,x,y,z[,ax,ay,az][,closed], or time,x0,y0,z0,x1,... for several grippers"
     for names, verb in ((missing, "lacks"), (unknown, "has unknown"), (twice, "repeats")):
-        if names:
-            raise RecordingError(
-                f"the header {verb} {', '.join(map(repr, names))}",
-                where=str(path),
-                fix="use time,x,y,z[,ax,ay,az][,closed], or time,x0,y0,z0,x1,... for several "
-                "grippers",
-            )
-    return (
-        [header.index(n) for n in position],
-        [header.index(n) for n in axes],
-        [header.index(n) for n in closed],
-    )
+        what = f"the header {verb} {', '.join(map(repr, names))}"
+        require(not names, what, where=str(path), fix=fix, error=RecordingError)
+    found = [[header.index(name) for name in names] for names in (position, axes, closed)]
+    return found[0], found[1], found[2]

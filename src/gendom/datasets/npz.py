@@ -1,16 +1,21 @@
-"""Point clouds as NumPy files."""
+"""NumPy files: point clouds, and recordings. Pickles are never loaded."""
 
 from __future__ import annotations
 
+import json
 import os
 import struct
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
+from gendom.arguments import require
+from gendom.datasets.recording_form import FORMAT, STORED_ARRAYS
 from gendom.errors import RecordingError
 
 NAMES = ("points", "xyz")
@@ -31,6 +36,40 @@ LOAD_ERRORS = (
 )
 """Exceptions that NumPy raises for a damaged zip file or array header."""
 
+Taken = TypeVar("Taken")
+
+
+def from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
+    """What a function takes from an open .npz file.
+
+    Args:
+        path: The file.
+        take: Called with NumPy's archive, for example to copy some of its arrays.
+        write: How such a file is written, for the message.
+
+    Raises:
+        RecordingError: The file is missing, damaged or none; or what `take` raises.
+    """
+    where = str(path)
+    try:
+        with open(path, "rb") as file:
+            is_zip = file.read(2) == b"PK"
+            require(is_zip, "is no .npz file", where=where, fix=write, error=RecordingError)
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                return take(archive)
+    except FileNotFoundError:
+        raise RecordingError("no such file", where=where, fix="check the path") from None
+    except LOAD_ERRORS as error:
+        if isinstance(error, OSError) and error.strerror:
+            what, fix = f"cannot be read ({error.strerror})", "check the file"
+        elif "allow_pickle" in str(error):
+            what = "holds Python objects (pickles), which are never loaded"
+            fix = "write its arrays as numbers and meta as JSON text"
+        else:
+            what, fix = f"is damaged ({short(error)})", "copy or write it again"
+        raise RecordingError(what, where=where, fix=fix) from None
+
 
 def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
     """Read the cloud of a NumPy .npz file: its array `points` or `xyz`, or its only array.
@@ -42,29 +81,50 @@ def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
     Raises:
         RecordingError: The file is missing or damaged, or has no such array.
     """
-    path = Path(path)
 
-    def fault(what: str, fix: str) -> RecordingError:
-        return RecordingError(what, where=str(path), fix=fix)
+    def take(archive: Any) -> tuple[str, np.ndarray]:
+        names = list(archive.files)
+        name = next((n for n in (*NAMES, *names[:1]) if n in names), None)
+        if name is None or (name not in NAMES and len(names) > 1):
+            what = f"has the arrays {', '.join(names)}"
+            raise RecordingError(what, where=str(path), fix="call the cloud 'points'")
+        return name, archive[name]
 
-    try:
-        with open(path, "rb") as file:
-            if file.read(2) != b"PK":
-                raise fault("is no .npz file", "write it with numpy.savez")
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                names = list(archive.files)
-                name = next((n for n in (*NAMES, *names[:1]) if n in names), None)
-                if name is None or (name not in NAMES and len(names) > 1):
-                    raise fault(f"has the arrays {', '.join(names)}", "call the cloud 'points'")
-                points = archive[name]
-    except FileNotFoundError:
-        raise fault("no such file", "check the path") from None
-    except LOAD_ERRORS as error:
-        said = (str(error) or type(error).__name__).splitlines()[0][:120]
-        raise fault(f"is damaged ({said})", "copy or write it again") from None
-    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
-        raise fault(
-            f"{name} is {points.dtype} {list(points.shape)}", "give numbers [n, 3] in metres"
-        )
+    name, points = from_npz(Path(path), take, write="write it with numpy.savez")
+    right = points.ndim == 2 and points.shape[1] == 3 and points.dtype.kind in "fiu"
+    what, fix = f"{name} is {points.dtype} {list(points.shape)}", "give numbers [n, 3] in metres"
+    require(right, what, where=str(path), fix=fix, error=RecordingError)
     return points if points.dtype in (np.float32, np.float64) else points.astype(np.float64)
+
+
+def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read the arrays of a recording (or of a static one) and the parsed `meta`."""
+
+    def take(archive: Any) -> dict[str, np.ndarray]:
+        wanted = (*STORED_ARRAYS, "loops", "meta")
+        return {name: archive[name] for name in wanted if name in archive.files}
+
+    where, single = str(path), path.suffix.lower() in (".ply", ".pcd")
+    fix = "give the folder that holds all frames"
+    require(not single, "is a single cloud", where=where, fix=fix, error=RecordingError)
+    stored = from_npz(path, take, write=f"write {FORMAT} with numpy.savez")
+    meta, where = stored.pop("meta", None), f"{path}: meta"
+    if meta is None:
+        fix = f"add JSON text with format = {FORMAT!r}"
+        raise RecordingError("is missing", where=where, fix=fix)
+    try:
+        if meta.size != 1 or meta.dtype.kind not in "US":
+            raise ValueError(f"it is {meta.dtype} {list(meta.shape)}")
+        parsed = json.loads(meta.item())
+    except ValueError as error:
+        what = f"is not JSON text ({short(error)})"
+        raise RecordingError(what, where=where, fix="write it with json.dumps") from None
+    fix = "write it with json.dumps from a dict"
+    is_object = isinstance(parsed, dict)
+    require(is_object, "is not a JSON object", where=where, fix=fix, error=RecordingError)
+    return stored, parsed
+
+
+def short(error: BaseException) -> str:
+    """The first line of an error's text."""
+    return (str(error) or type(error).__name__).splitlines()[0][:120]

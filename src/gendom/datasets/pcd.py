@@ -14,14 +14,20 @@ import os
 import re
 import struct
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from gendom.datasets.cloud_fields import (
+    MAX_HEADER,
+    CloudError,
+    as_float,
+    check_length,
+    columns_of,
+    numbers_of,
+)
 from gendom.errors import RecordingError
 from gendom.files import read_bytes
 
-_MAX_HEADER = 1 << 16
 _KINDS = {"I": "i", "U": "u", "F": "f"}
 _SIZES = {"i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "f": (4, 8)}
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT")
@@ -40,19 +46,19 @@ class _Header:
     """Offset of the data [bytes]."""
 
     @property
-    def row(self) -> np.dtype:
-        """NumPy type of one point."""
-        fields = zip(self.types, self.counts, strict=True)
-        return np.dtype([(f"f{n}", kind, (count,)) for n, (kind, count) in enumerate(fields)])
+    def row_size(self) -> int:
+        """Length of one point [bytes]."""
+        return sum(t.itemsize * n for t, n in zip(self.types, self.counts, strict=True))
 
     @property
     def xyz(self) -> list[int]:
         """Indices of x, y and z among the fields."""
         return [self.names.index(axis) for axis in "xyz"]
 
-
-class _PcdFault(Exception):
-    """A fault of a file; the caller adds the file's name."""
+    @property
+    def xyz_type(self) -> np.dtype:
+        """The type that holds all three."""
+        return np.result_type(*(self.types[n].newbyteorder("=") for n in self.xyz))
 
 
 def read_pcd(path: str | os.PathLike) -> np.ndarray:
@@ -67,110 +73,91 @@ def read_pcd(path: str | os.PathLike) -> np.ndarray:
     Raises:
         RecordingError: The file is missing, no PCD, cut short, damaged, or without x, y, z.
     """
-    path = Path(path)
     data = read_bytes(path, RecordingError)
     try:
         header = _parse_header(data)
-        points = _DECODERS[header.encoding](data[header.start :], header)
-    except _PcdFault as fault:
-        raise RecordingError(
-            str(fault), where=str(path), fix="export the point cloud again as PCD"
-        ) from None
-    points = points if points.dtype.kind == "f" else points.astype(np.float64)
+        points = as_float(_DECODERS[header.encoding](data[header.start :], header))
+    except CloudError as fault:
+        fix = "export the point cloud again as PCD"
+        raise RecordingError(str(fault), where=str(path), fix=fix) from None
     return points[~np.isnan(points).any(axis=1)]
 
 
 def _parse_header(data: bytes) -> _Header:
-    end = re.search(rb"(?m)^DATA[ \t]+(\w+)[ \t]*\r?\n", data[:_MAX_HEADER])
+    end = re.search(rb"(?m)^DATA[ \t]+(\w+)[ \t]*\r?\n", data[:MAX_HEADER])
     if end is None:
-        raise _PcdFault("is not a PCD file, or has no line DATA")
+        raise CloudError("is not a PCD file, or has no line DATA")
     entries: dict[str, list[str]] = {}
     for line in data[: end.start()].decode("latin-1").splitlines():
         words = line.partition("#")[0].split()
         if words and words[0] not in _KEYS:
-            raise _PcdFault(f"has the header line {line.strip()[:60]!r}, which is not understood")
+            raise CloudError(f"has the header line {line.strip()[:60]!r}, which is not understood")
         if words:
             entries[words[0]] = words[1:]
     names = entries.get("FIELDS", entries.get("COLUMNS", []))
     for axis in "xyz":
         if names.count(axis) != 1:
-            raise _PcdFault(f"has {names.count(axis)} fields {axis!r}, not one")
+            raise CloudError(f"has {names.count(axis)} fields {axis!r}, not one")
     columns = [entries.get(key, []) for key in ("SIZE", "TYPE")]
     columns.append(entries.get("COUNT", ["1"] * len(names)))
     if any(len(column) != len(names) for column in columns):
-        raise _PcdFault(f"has {len(names)} fields, but not as many of SIZE, TYPE and COUNT")
+        raise CloudError(f"has {len(names)} fields, but not as many of SIZE, TYPE and COUNT")
     counts = [_whole(word, "COUNT") for word in columns[2]]
     types = []
     for size, kind in zip(columns[0], columns[1], strict=True):
         if _whole(size, "SIZE") not in _SIZES.get(_KINDS.get(kind, ""), ()):
-            raise _PcdFault(f"has a field of TYPE {kind} and SIZE {size}, which there is not")
+            raise CloudError(f"has a field of TYPE {kind} and SIZE {size}, which there is not")
         types.append(np.dtype(f"<{_KINDS[kind]}{size}"))
     width, height = (_whole(" ".join(entries.get(k, ["1"])), k) for k in ("WIDTH", "HEIGHT"))
     points = width * height
     if "POINTS" in entries:
         points = _whole(" ".join(entries["POINTS"]), "POINTS")
         if "WIDTH" in entries and points != width * height:
-            raise _PcdFault(f"has POINTS {points}, but WIDTH {width} and HEIGHT {height}")
+            raise CloudError(f"has POINTS {points}, but WIDTH {width} and HEIGHT {height}")
     elif "WIDTH" not in entries:
-        raise _PcdFault("does not say how many points it has")
+        raise CloudError("does not say how many points it has")
     header = _Header(names, types, counts, points, end[1].decode("ascii"), end.end())
     if not all(0 < count <= _MOST for count in counts):
-        raise _PcdFault(f"has fields of {max(counts)} numbers a point")
+        raise CloudError(f"has fields of {max(counts)} numbers a point")
     if any(counts[place] != 1 for place in header.xyz):
-        raise _PcdFault("has more than one number in x, y or z of a point")
+        raise CloudError("has more than one number in x, y or z of a point")
     if header.encoding not in _DECODERS:
-        raise _PcdFault(f"has DATA {header.encoding}, not one of {', '.join(_DECODERS)}")
+        raise CloudError(f"has DATA {header.encoding}, not one of {', '.join(_DECODERS)}")
     return header
 
 
 def _whole(word: str, key: str) -> int:
     if not word.isdecimal():
-        raise _PcdFault(f"has {key} {word[:20]!r}, which is no whole number")
+        raise CloudError(f"has {key} {word[:20]!r}, which is no whole number")
     return int(word)
-
-
-def _check_length(there: int, needed: int, unit: str) -> None:
-    if there < needed:
-        raise _PcdFault(f"is cut short: {there} {unit} where {needed} are announced")
 
 
 def _ascii(data: bytes, header: _Header) -> np.ndarray:
     tokens, width = data.split(), sum(header.counts)
-    _check_length(len(tokens), header.points * width, "numbers")
+    check_length(len(tokens), header.points * width, "numbers")
     first = np.cumsum([0, *header.counts])[header.xyz]
-    table = np.array(tokens[: header.points * width]).reshape(header.points, width)[:, first]
-    try:
-        return table.astype(np.float64).astype(_type(header))
-    except ValueError as error:
-        raise _PcdFault(f"has a coordinate that is no number ({error})") from None
+    table = np.array(tokens[: header.points * width]).reshape(header.points, width)
+    return numbers_of(table[:, first], header.xyz_type)
 
 
 def _binary(data: bytes, header: _Header) -> np.ndarray:
-    _check_length(len(data), header.points * header.row.itemsize, "bytes")
-    rows = np.frombuffer(data, header.row, header.points)
-    return np.stack([rows[f"f{n}"][:, 0].astype(_type(header)) for n in header.xyz], axis=1)
+    check_length(len(data), header.points * header.row_size, "bytes")
+    return columns_of(data, 0, header.types, header.points, header.xyz, header.counts)
 
 
 def _compressed(data: bytes, header: _Header) -> np.ndarray:
-    _check_length(len(data), 8, "bytes")
+    check_length(len(data), 8, "bytes")
     packed, size = struct.unpack_from("<II", data)
-    if size != header.points * header.row.itemsize:
-        raise _PcdFault(
-            f"unpacks to {size} bytes where {header.points * header.row.itemsize} are announced"
-        )
-    _check_length(len(data), 8 + packed, "bytes")
+    if size != (needed := header.points * header.row_size):
+        raise CloudError(f"unpacks to {size} bytes where {needed} are announced")
+    check_length(len(data), 8 + packed, "bytes")
     plain = _lzf(data[8 : 8 + packed], size)
     each = [kind.itemsize * n for kind, n in zip(header.types, header.counts, strict=True)]
     starts = np.cumsum([0, *each]) * header.points
     columns = [
         np.frombuffer(plain, header.types[n], header.points, int(starts[n])) for n in header.xyz
     ]
-    return np.stack([column.astype(_type(header)) for column in columns], axis=1)
-
-
-def _type(header: _Header) -> np.dtype:
-    """The type that holds all three coordinates."""
-    return np.result_type(*(header.types[n].newbyteorder("=") for n in header.xyz))
+    return np.stack([column.astype(header.xyz_type) for column in columns], axis=1)
 
 
 def _lzf(data: bytes, size: int) -> bytearray:
@@ -204,9 +191,9 @@ def _lzf(data: bytes, size: int) -> bytearray:
             if len(out) > size:
                 raise IndexError
     except IndexError:
-        raise _PcdFault("has compressed data that is damaged") from None
+        raise CloudError("has compressed data that is damaged") from None
     if len(out) != size:
-        raise _PcdFault(f"unpacks to {len(out)} bytes where {size} are announced")
+        raise CloudError(f"unpacks to {len(out)} bytes where {size} are announced")
     return out
 
 

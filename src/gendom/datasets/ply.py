@@ -8,33 +8,27 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
+from gendom.arguments import require
+from gendom.datasets.cloud_fields import (
+    MAX_HEADER,
+    CloudError,
+    as_float,
+    check_length,
+    columns_of,
+    numbers_of,
+)
 from gendom.errors import RecordingError
 from gendom.files import atomic_path, read_bytes
 
 _TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
+    **{"char": "i1", "short": "i2", "int": "i4", "float": "f4", "double": "f8"},
+    **{"uchar": "u1", "ushort": "u2", "uint": "u4", "float32": "f4", "float64": "f8"},
+    **{"int8": "i1", "int16": "i2", "int32": "i4", "uint8": "u1", "uint16": "u2", "uint32": "u4"},
 }
 _BYTE_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_MAX_HEADER = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -78,7 +72,6 @@ def read_ply(path: str | os.PathLike) -> np.ndarray:
     Raises:
         RecordingError: The file is missing, no PLY, cut short, or without x, y, z.
     """
-    path = Path(path)
     data = read_bytes(path, RecordingError)
     try:
         encoding, elements, start = _parse_header(data)
@@ -86,11 +79,10 @@ def read_ply(path: str | os.PathLike) -> np.ndarray:
             points = _ascii_vertices(data[start:].split(), elements)
         else:
             points = _binary_vertices(data, start, elements, _BYTE_ORDER[encoding])
-    except _PlyFault as fault:
-        raise RecordingError(
-            str(fault), where=str(path), fix="export the point cloud again as PLY"
-        ) from None
-    return points if points.dtype.kind == "f" else points.astype(np.float64)
+    except CloudError as fault:
+        fix = "export the point cloud again as PLY"
+        raise RecordingError(str(fault), where=str(path), fix=fix) from None
+    return as_float(points)
 
 
 def write_ply(path: str | os.PathLike, points: np.ndarray, *, text: bool = False) -> None:
@@ -106,10 +98,8 @@ def write_ply(path: str | os.PathLike, points: np.ndarray, *, text: bool = False
         GendomError: The place cannot be written.
     """
     points = np.asarray(points)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise RecordingError(
-            f"points have shape {points.shape}", where=str(path), fix="give [n, 3]"
-        )
+    right, what = points.ndim == 2 and points.shape[1] == 3, f"points have shape {points.shape}"
+    require(right, what, where=str(path), fix="give [n, 3]", error=RecordingError)
     name, code = ("double", "<f8") if points.dtype == np.float64 else ("float", "<f4")
     points = points.astype(code)
     header = [
@@ -128,17 +118,13 @@ def write_ply(path: str | os.PathLike, points: np.ndarray, *, text: bool = False
             file.write(points.tobytes())
 
 
-class _PlyFault(Exception):
-    """A fault of a file; the caller adds the file's name."""
-
-
 def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
-    """Encoding, elements and the offset of the first byte of data."""
+    """Encoding, elements up to the vertices, and the offset of the first byte of data."""
     if not re.match(rb"ply[ \t]*\r?\n", data):
-        raise _PlyFault("is not a PLY file (it does not begin with the line 'ply')")
-    end = re.search(rb"\nend_header[ \t]*\r?\n", data[:_MAX_HEADER])
+        raise CloudError("is not a PLY file (it does not begin with the line 'ply')")
+    end = re.search(rb"\nend_header[ \t]*\r?\n", data[:MAX_HEADER])
     if end is None:
-        raise _PlyFault("has no end_header")
+        raise CloudError("has no end_header")
     encoding = None
     elements: list[_Element] = []
     for line in data[: end.start()].decode("latin-1").splitlines()[1:]:
@@ -149,88 +135,78 @@ def _parse_header(data: bytes) -> tuple[str, list[_Element], int]:
             encoding = words[1]
         elif words[0] == "element" and len(words) == 3 and words[2].isdecimal():
             elements.append(_Element(words[1], int(words[2])))
-        elif words[0] == "property" and elements:
-            elements[-1].properties.append(_parse_property(words, line))
+        elif words[0] == "property" and elements and (own := _parse_property(words)):
+            elements[-1].properties.append(own)
         else:
-            raise _PlyFault(f"has the header line {line.strip()!r}, which is not understood")
+            raise CloudError(f"has the header line {line.strip()!r}, which is not understood")
     if encoding not in _BYTE_ORDER:
-        raise _PlyFault(f"has the format {encoding!r}, not one of {', '.join(_BYTE_ORDER)}")
-    vertex = next((e for e in elements if e.name == "vertex"), None)
-    if vertex is None:
-        raise _PlyFault("has no element 'vertex'")
-    scalars = [p.name for p in vertex.properties if p.count_type is None]
+        raise CloudError(f"has the format {encoding!r}, not one of {', '.join(_BYTE_ORDER)}")
+    place = next((k for k, e in enumerate(elements) if e.name == "vertex"), None)
+    if place is None:
+        raise CloudError("has no element 'vertex'")
+    scalars = [p.name for p in elements[place].properties if p.count_type is None]
     for axis in "xyz":
         if scalars.count(axis) != 1:
-            raise _PlyFault(f"has {scalars.count(axis)} vertex properties {axis!r}, not one")
-    return encoding, elements, end.end()
+            raise CloudError(f"has {scalars.count(axis)} vertex properties {axis!r}, not one")
+    return encoding, elements[: place + 1], end.end()
 
 
-def _parse_property(words: list[str], line: str) -> _Property:
+def _parse_property(words: list[str]) -> _Property | None:
+    """The property of a header line; None: it is none."""
     if len(words) == 3 and words[1] in _TYPES:
         return _Property(words[2], _TYPES[words[1]], None)
     if len(words) == 5 and words[1] == "list" and words[2] in _TYPES and words[3] in _TYPES:
         return _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
-    raise _PlyFault(f"has the header line {line.strip()!r}, which is not understood")
+    return None
 
 
 def _ascii_vertices(tokens: list[bytes], elements: list[_Element]) -> np.ndarray:
-    at = 0
+    """[n, 3] vertices, the last of the elements."""
+    at, rows = 0, []
     for element in elements:
-        wanted = element.name == "vertex"
-        width = len(element.properties)
-        if element.has_list:
-            rows = []
-            for _ in range(element.count):
-                row = []
-                for prop in element.properties:
-                    _check_length(len(tokens), at + 1, "numbers")
-                    row.append(tokens[at])
-                    at += 1 if prop.count_type is None else 1 + _count(tokens[at], prop)
-                if wanted:
-                    rows.append(row)
-        elif wanted:
-            _check_length(len(tokens), at + element.count * width, "numbers")
-            rows = np.array(tokens[at : at + element.count * width]).reshape(-1, width)
-        else:
-            at += element.count * width
+        rows, width = [], len(element.properties)
+        if not element.has_list:
+            rows, at = tokens[at : at + element.count * width], at + element.count * width
             continue
-        if wanted:
-            table = np.array(rows).reshape(element.count, width)[:, element.xyz]
-            try:
-                return table.astype(np.float64).astype(element.xyz_type)
-            except ValueError as error:
-                raise _PlyFault(f"has a coordinate that is no number ({error})") from None
-    raise AssertionError("the header was checked to have a vertex element")
+        for _ in range(element.count):
+            for prop in element.properties:
+                check_length(len(tokens), at + 1, "numbers")
+                rows.append(tokens[at])
+                at += 1 if prop.count_type is None else 1 + _count(tokens[at], prop)
+    vertices = elements[-1]
+    check_length(len(tokens), at, "numbers")
+    table = np.array(rows).reshape(vertices.count, len(vertices.properties))
+    return numbers_of(table[:, vertices.xyz], vertices.xyz_type)
 
 
 def _binary_vertices(data: bytes, at: int, elements: list[_Element], order: str) -> np.ndarray:
+    """[n, 3] vertices, the last of the elements; `order` is that of the bytes."""
+    vertices = elements[-1]
     for element in elements:
-        wanted = element.name == "vertex"
         if not element.has_list:
-            row = np.dtype([(f"f{i}", order + p.type) for i, p in enumerate(element.properties)])
-            size = element.count * row.itemsize
-            if wanted:
-                _check_length(len(data), at + size, "bytes")
-                rows = np.frombuffer(data, row, element.count, at)
-                return np.stack([rows[f"f{i}"].astype(element.xyz_type) for i in element.xyz], 1)
+            types = [np.dtype(order + p.type) for p in element.properties]
+            size = element.count * sum(kind.itemsize for kind in types)
+            if element is vertices:
+                check_length(len(data), at + size, "bytes")
+                return columns_of(data, at, types, element.count, element.xyz)
             at += size
             continue
-        _check_length(len(data), at + element.count, "bytes")  # a row has at least one
-        points = np.empty((element.count if wanted else 0, 3), element.xyz_type if wanted else "f4")
-        axis_of = {place: axis for axis, place in enumerate(element.xyz)} if wanted else {}
+        check_length(len(data), at + element.count, "bytes")  # a row has at least one
+        axis_of = {place: a for a, place in enumerate(vertices.xyz)} if element is vertices else {}
+        points = np.empty((element.count if axis_of else 0, 3), vertices.xyz_type)
         for row in range(element.count):
             for place, prop in enumerate(element.properties):
                 first = np.dtype(order + (prop.count_type or prop.type))
-                _check_length(len(data), at + first.itemsize, "bytes")
+                check_length(len(data), at + first.itemsize, "bytes")
                 value = np.frombuffer(data, first, 1, at)[0]
                 at += first.itemsize
                 if prop.count_type is not None:
                     at += _count(value, prop) * np.dtype(prop.type).itemsize
                 elif place in axis_of:
                     points[row, axis_of[place]] = value
-        if wanted:
+        if element is vertices:
             return points
-    raise AssertionError("the header was checked to have a vertex element")
+    raise AssertionError("the last element are the vertices")
 
 
 def _count(value: bytes | np.number, prop: _Property) -> int:
@@ -240,10 +216,5 @@ def _count(value: bytes | np.number, prop: _Property) -> int:
     except ValueError:
         count = -1
     if count < 0:
-        raise _PlyFault(f"has {value!r} as the length of the list {prop.name!r}")
+        raise CloudError(f"has {value!r} as the length of the list {prop.name!r}")
     return count
-
-
-def _check_length(there: int, needed: int, unit: str) -> None:
-    if there < needed:
-        raise _PlyFault(f"is cut short: {there} {unit} where at least {needed} are announced")

@@ -1,25 +1,71 @@
-"""Read, convert and check the arrays and the meta of a recording's file.
+"""The data of a recording, and the conversion of its arrays and `meta` between file and memory.
 
-They are described in `gendom.datasets.recording`.
+Files are described in `gendom.datasets.recording`.
 """
 
 from __future__ import annotations
 
-import json
+import hashlib
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 
-from gendom.datasets.checks import GRASPS, KINDS, SIZES, Fault
-from gendom.datasets.npz import LOAD_ERRORS
-from gendom.datasets.static import FORMAT_STATIC, recording_of_static
-from gendom.errors import RecordingError
+from gendom.arguments import require
+from gendom.errors import RecordingError, one_line
+from gendom.files import to_json
+from gendom.shown import Shown
 
 FORMAT = "gendom-recording/1"
+
+KINDS = ("rope", "cloth")
+GRASPS = ("end", "corner", "center", "both ends")
+NEEDED_SIZES = {"rope": ("length",), "cloth": ("width", "height")}
+_OPTIONAL_SIZES = {"rope": ("diameter",), "cloth": ("thickness",)}
+SIZES = (
+    "length",
+    "diameter",
+    "width",
+    "height",
+    "thickness",
+    "mass",
+    "grasp_radius",
+    "grasp_inset",
+)
+
+# Arrays of a recording: type, shape (a letter is any length, the same wherever it appears).
+ARRAYS = {
+    "points": (np.float32, ("S", 3)),
+    "offsets": (np.int64, ("T + 1",)),
+    "time": (np.float64, ("T",)),
+    "gripper_position": (np.float64, ("T", "G", 3)),
+    "gripper_axis": (np.float64, ("T", "G", 3)),
+    "gripper_closed": (np.bool_, ("T", "G")),
+    "camera_positions": (np.float64, ("K", 3)),
+}
+STORED_ARRAYS = tuple(name for name in ARRAYS if name != "camera_positions")
+_OPTIONAL_ARRAYS = ("gripper_axis", "gripper_closed", "camera_positions")
+# Kinds of NumPy types that are converted to each type.
+_CONVERTED_KINDS = {np.float32: "iuf", np.float64: "iuf", np.int64: "iu", np.bool_: "b"}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault of a recording; `str()` gives it in one line."""
+
+    what: str
+    where: str
+    """The key, and the frame if there is one."""
+    fix: str
+    """How to correct it."""
+    severity: str = "error"
+    """"error" (the recording cannot be used) or "warning"."""
+
+    def __str__(self) -> str:
+        return one_line(self.what, where=self.where, fix=self.fix)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,21 +104,227 @@ class ObjectDescription:
             return None
         return math.hypot(self.width, self.height)
 
+    def meta(self) -> dict[str, Any]:
+        """All fields in the form of the file; unknown sizes only where the kind has them."""
+        kind = self.kind
+        shown = (*NEEDED_SIZES.get(kind, ()), *_OPTIONAL_SIZES.get(kind, ()), "mass")
+        sizes = {name: getattr(self, name) for name in SIZES}
+        sizes = {name: v for name, v in sizes.items() if name in shown or v is not None}
+        return {"kind": kind, **sizes, "grasp": self.grasp, **self.extra}
 
-# Arrays of a recording: type, shape (a letter is any length, the same wherever it appears).
-ARRAYS = {
-    "points": (np.float32, ("S", 3)),
-    "offsets": (np.int64, ("T + 1",)),
-    "time": (np.float64, ("T",)),
-    "gripper_position": (np.float64, ("T", "G", 3)),
-    "gripper_axis": (np.float64, ("T", "G", 3)),
-    "gripper_closed": (np.bool_, ("T", "G")),
-    "camera_positions": (np.float64, ("K", 3)),
-}
-STORED_ARRAYS = tuple(name for name in ARRAYS if name != "camera_positions")
-_OPTIONAL_ARRAYS = ("gripper_axis", "gripper_closed", "camera_positions")
-# Kinds of NumPy types that are converted to each type.
-_CONVERTED_KINDS = {np.float32: "iuf", np.float64: "iuf", np.int64: "iu", np.bool_: "b"}
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class RecordingData(Shown):
+    """T frames of a point cloud, with the motion of G grippers that hold the object.
+
+    World frame, z up, metres and seconds. Arrays are converted to the types below and are
+    read-only; take `.copy()` to change one.
+
+    Raises:
+        RecordingError: An array has the wrong shape or type, or `offsets` does not divide
+            `points`. The values are checked by `validate`, not here.
+    """
+
+    points: np.ndarray
+    """[S, 3] float32: all frames' points, one after another [m]."""
+    offsets: np.ndarray
+    """[T + 1] int64: frame t is points[offsets[t]:offsets[t + 1]]."""
+    time: np.ndarray
+    """[T] float64: strictly increasing [s]."""
+    gripper_position: np.ndarray
+    """[T, G, 3] float64: where each gripper holds the object [m]."""
+    gripper_axis: np.ndarray | None = None
+    """[T, G, 3] float64: unit vector along the object at the clamp; None: unknown."""
+    gripper_closed: np.ndarray | None = None
+    """[T, G] bool: whether each gripper holds the object; None: all do, always."""
+    object: ObjectDescription
+    table_height: float | None = None
+    """z of the table [m]; None: no table."""
+    gripper_source: str = "commanded"
+    """"commanded" or "measured"."""
+    quasi_static: bool = False
+    """True: inertia is negligible, and time may be rescaled."""
+    camera_positions: np.ndarray | None = None
+    """[K, 3] float64 [m]; None: unknown."""
+    cameras_calibrated: bool = True
+    """False: the transform between cameras and gripper is unknown, so points and
+    `camera_positions` are in another frame than the gripper, upright to within a few degrees."""
+    source: str = ""
+    notes: str = ""
+    extra: dict[str, Any] = field(default_factory=dict)
+    """Other keys of the file's `meta`, kept and written back."""
+
+    def __post_init__(self):
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        converted, faults = convert(arrays)
+        if faults:
+            raise RecordingError(faults=faults)
+        for name, array in converted.items():
+            object.__setattr__(self, name, array)
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames, T."""
+        return len(self.time)
+
+    @property
+    def num_grippers(self) -> int:
+        """Number of grippers, G."""
+        return self.gripper_position.shape[1]
+
+    @property
+    def holds(self) -> np.ndarray:
+        """[T, G] bool: `gripper_closed`, all true where that is None."""
+        if self.gripper_closed is None:
+            return np.ones(self.gripper_position.shape[:2], dtype=bool)
+        return self.gripper_closed
+
+    @property
+    def frame_valid(self) -> np.ndarray:
+        """[T] bool: the frame has points."""
+        return np.diff(self.offsets) > 0
+
+    @property
+    def begins_with(self) -> str:
+        """SHA-256 of the first points; a recording and a longer one of the same motion share it."""
+        first = self.frame(int(np.argmax(self.frame_valid)))
+        return hashlib.sha256(np.ascontiguousarray(first, dtype="<f4").tobytes()).hexdigest()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all data that an estimate depends on: all arrays, and `meta` without `source`,
+        `notes` and `extra`. It does not depend on the file format."""
+        found = hashlib.sha256()
+        for name in STORED_ARRAYS:
+            array = getattr(self, name)
+            if array is not None:
+                little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+                found.update(f"{name} {array.dtype.name} {array.shape}".encode())
+                found.update(np.ascontiguousarray(little).tobytes())
+        meta = self.meta()
+        stated = {n: meta[n] for n in sorted(meta.keys() - {"source", "notes", *self.extra})}
+        stated["object"] = asdict(replace(self.object, extra={}))
+        found.update(to_json(stated).encode())
+        return found.hexdigest()
+
+    def frame(self, t: int) -> np.ndarray:
+        """[n, 3] float32: the points of frame t [m]; a negative t counts from the end.
+
+        Raises:
+            IndexError: There is no such frame.
+        """
+        if not -self.num_frames <= t < self.num_frames:
+            raise IndexError(f"frame {t} of a recording with {self.num_frames} frames")
+        t %= self.num_frames
+        return self.points[self.offsets[t] : self.offsets[t + 1]]
+
+    def frames(self, which: Sequence[int] | range | None = None) -> list[np.ndarray]:
+        """The points of the given frames, by default of all."""
+        return [self.frame(t) for t in (range(self.num_frames) if which is None else which)]
+
+    def head(self, n: int) -> Self:
+        """The first n frames.
+
+        Raises:
+            RecordingError: n is not in 1..T.
+        """
+        what = f"cannot take the first {n} of {self.num_frames} frames"
+        fix = f"choose 1 to {self.num_frames}"
+        require(1 <= n <= self.num_frames, what, fix=fix, error=RecordingError)
+        names = ("time", "gripper_position", "gripper_axis", "gripper_closed")
+        arrays = {name: getattr(self, name) for name in names}
+        cut = {name: array[:n] for name, array in arrays.items() if array is not None}
+        points = self.points[: self.offsets[n]]
+        return replace(self, points=points, offsets=self.offsets[: n + 1], **cut)
+
+    def moved(self, T: np.ndarray) -> Self:
+        """Return a copy with points and cameras moved by T [4, 4] [m], and unchanged grippers."""
+        R, shift, cameras = T[:3, :3], T[:3, 3], self.camera_positions
+        cameras = None if cameras is None else cameras @ R.T + shift
+        return replace(self, points=self.points @ R.T + shift, camera_positions=cameras)
+
+    @classmethod
+    def from_frames(
+        cls,
+        frames: Sequence[npt.ArrayLike],
+        *,
+        time: npt.ArrayLike,
+        gripper_position: npt.ArrayLike,
+        gripper_axis: npt.ArrayLike | None = None,
+        gripper_closed: npt.ArrayLike | None = None,
+        object: ObjectDescription,
+        **other: Any,
+    ) -> Self:
+        """Make a recording from one cloud for each frame.
+
+        Args:
+            frames: T arrays [n, 3] [m]; n may differ and may be 0.
+            time: [T] [s].
+            gripper_position: [T, G, 3], or [T, 3] for one gripper [m].
+            gripper_axis: Like `gripper_position`, unit vectors; or None.
+            gripper_closed: [T, G] bool, or [T] for one gripper; None: closed throughout.
+            object: Description of the object.
+            other: The remaining fields, by name.
+
+        Raises:
+            RecordingError: A cloud is not [n, 3], or the lengths do not fit together.
+        """
+        clouds = [np.asarray(cloud) for cloud in frames]
+        for t, cloud in enumerate(clouds):
+            what, right = f"has shape {list(cloud.shape)}", cloud.shape[1:] == (3,)
+            require(right, what, where=f"frame {t}", fix="give [n, 3]", error=RecordingError)
+
+        def for_each_gripper(values: npt.ArrayLike | None, ndim: int) -> Any:
+            """Values [T, G, ...] from these or from those of one gripper, of `ndim` - 1 axes."""
+            array = None if values is None else np.asarray(values)
+            return array[:, None] if array is not None and array.ndim == ndim - 1 else array
+
+        return cls(
+            **joined(clouds),
+            time=np.asarray(time),
+            gripper_position=for_each_gripper(gripper_position, 3),
+            gripper_axis=for_each_gripper(gripper_axis, 3),
+            gripper_closed=for_each_gripper(gripper_closed, 2),
+            object=object,
+            **other,
+        )
+
+    def meta(self) -> dict[str, Any]:
+        """All fields except the arrays, in the form of the file."""
+        meta = {
+            "format": FORMAT,
+            "object": self.object.meta(),
+            "table_height": self.table_height,
+            "gripper_source": self.gripper_source,
+            "quasi_static": self.quasi_static,
+            "source": self.source,
+            "notes": self.notes,
+        }
+        if self.camera_positions is not None:
+            meta["camera_positions"] = self.camera_positions
+        if not self.cameras_calibrated:
+            meta["cameras_calibrated"] = False
+        return {**meta, **{k: v for k, v in self.extra.items() if k not in meta}}
+
+    def _shown(self) -> tuple[str, list[tuple[str, str]]]:
+        counts, held = np.diff(self.offsets), self.object
+        sizes = [f"{n} {v:.4g} m" for n in SIZES if n != "mass" and (v := getattr(held, n))]
+        mass = [] if held.mass is None else [f"mass {held.mass:.4g} kg"]
+        motion = "quasi-static" if self.quasi_static else "dynamic"
+        table = "none" if self.table_height is None else f"at z = {self.table_height:.4g} m"
+        return f"Recording ({held.kind}, {self.num_frames} frames)", [
+            ("object", ", ".join([*sizes, *mass, f"held by: {held.grasp}"])),
+            ("points", f"{counts.min()} to {counts.max()} a frame"),
+            ("time", f"{self.time[0]:.4g} to {self.time[-1]:.4g} s, {motion}"),
+            ("grippers", f"{self.num_grippers} ({self.gripper_source})"),
+            ("table", table),
+        ]
+
+
+def joined(clouds: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """`points` and `offsets` of a recording with one cloud [n, 3] for each frame."""
+    points = np.concatenate([np.zeros((0, 3), np.float32), *clouds])
+    return {"points": points, "offsets": np.cumsum([0, *map(len, clouds)])}
 
 
 def convert(arrays: Mapping[str, Any]) -> tuple[dict[str, np.ndarray | None], list[Fault]]:
@@ -80,165 +332,74 @@ def convert(arrays: Mapping[str, Any]) -> tuple[dict[str, np.ndarray | None], li
     converted: dict[str, np.ndarray | None] = {}
     faults = []
     for name, (dtype, shape) in ARRAYS.items():
-        value = arrays.get(name)
-        if value is None and name in _OPTIONAL_ARRAYS:
-            converted[name] = None
-            continue
+        value, form = arrays.get(name), f"{np.dtype(dtype)} [{', '.join(map(str, shape))}]"
         if value is None:
-            faults.append(Fault("is missing", name, f"add it: {_form(name)}"))
+            converted[name] = None
+            if name not in _OPTIONAL_ARRAYS:
+                faults.append(Fault("is missing", name, f"add it: {form}"))
             continue
         array = np.asarray(value)
+        fits = array.ndim == len(shape) and all(
+            isinstance(want, str) or have == want
+            for have, want in zip(array.shape, shape, strict=True)
+        )
         if array.dtype.kind not in _CONVERTED_KINDS[dtype] and array.size:
-            faults.append(Fault(f"has the type {array.dtype}", name, f"give {_form(name)}"))
-            continue
-        if array.ndim != len(shape) or any(
-            isinstance(want, int) and have != want
-            for have, want in zip(array.shape, shape, strict=False)
-        ):
-            faults.append(Fault(f"has shape {list(array.shape)}", name, f"give {_form(name)}"))
-            continue
-        with np.errstate(over="ignore"):  # becomes infinite, which `validate` finds
-            array = np.ascontiguousarray(array, dtype=dtype).view()
-        array.flags.writeable = False
-        converted[name] = array
-    return converted, faults or _check_lengths(converted)
+            faults.append(Fault(f"has the type {array.dtype}", name, f"give {form}"))
+        elif not fits:
+            faults.append(Fault(f"has shape {list(array.shape)}", name, f"give {form}"))
+        else:
+            with np.errstate(over="ignore"):  # becomes infinite, which `validate` finds
+                array = np.ascontiguousarray(array, dtype=dtype).view()
+            array.flags.writeable = False
+            converted[name] = array
+    return converted, faults or list(_length_faults(converted))
 
 
-def _form(name: str) -> str:
-    dtype, shape = ARRAYS[name]
-    return f"{np.dtype(dtype)} [{', '.join(map(str, shape))}]"
-
-
-def _check_lengths(arrays: Mapping[str, np.ndarray | None]) -> list[Fault]:
-    """Check that arrays, each of which is valid, have matching lengths."""
+def _length_faults(arrays: Mapping[str, np.ndarray | None]) -> Iterator[Fault]:
+    """What does not fit in the lengths of arrays, each of which is valid."""
     points, offsets, time = arrays["points"], arrays["offsets"], arrays["time"]
-    position, axis = arrays["gripper_position"], arrays["gripper_axis"]
+    position = arrays["gripper_position"]
     assert points is not None and offsets is not None and time is not None
     assert position is not None
     frames = len(time)
     if frames == 0:
-        return [Fault("is empty", "time", "give at least one frame")]
-    faults = []
+        yield Fault("is empty", "time", "give at least one frame")
+        return
     if len(offsets) != frames + 1:
-        faults.append(
-            Fault(
-                f"has {len(offsets)} entries for {frames} frames",
-                "offsets",
-                f"give {frames + 1}, one more than time has",
-            )
-        )
+        what = f"has {len(offsets)} entries for {frames} frames"
+        yield Fault(what, "offsets", f"give {frames + 1}, one more than time has")
     else:
-        step = np.diff(offsets)
+        falls = np.diff(offsets) < 0
         if offsets[0] != 0 or offsets[-1] != len(points):
-            faults.append(
-                Fault(
-                    f"runs from {offsets[0]} to {offsets[-1]}, but there are {len(points)} points",
-                    "offsets",
-                    f"let it run from 0 to {len(points)}",
-                )
-            )
-        if (step < 0).any():
-            t = int(np.argmax(step < 0))
-            faults.append(
-                Fault(
-                    f"falls from {offsets[t]} to {offsets[t + 1]}",
-                    f"offsets, frame {t}",
-                    "let it never decrease",
-                )
-            )
+            what = f"runs from {offsets[0]} to {offsets[-1]}, but there are {len(points)} points"
+            yield Fault(what, "offsets", f"let it run from 0 to {len(points)}")
+        if falls.any():
+            t = int(np.argmax(falls))
+            what = f"falls from {offsets[t]} to {offsets[t + 1]}"
+            yield Fault(what, f"offsets, frame {t}", "let it never decrease")
     if len(position) != frames:
-        faults.append(
-            Fault(
-                f"has {len(position)} frames, but time has {frames}",
-                "gripper_position",
-                "give one position a frame",
-            )
-        )
+        what = f"has {len(position)} frames, but time has {frames}"
+        yield Fault(what, "gripper_position", "give one position a frame")
     if position.shape[1] == 0:
-        faults.append(Fault("has no gripper", "gripper_position", "give at least one: [T, 1, 3]"))
-    closed = arrays["gripper_closed"]
-    if closed is not None and closed.shape != position.shape[:2]:
-        faults.append(
-            Fault(
-                f"has shape {list(closed.shape)}, but gripper_position {list(position.shape)}",
-                "gripper_closed",
-                "give true or false for each position, or leave it out",
-            )
-        )
-    if axis is not None and axis.shape != position.shape:
-        faults.append(
-            Fault(
-                f"has shape {list(axis.shape)}, but gripper_position {list(position.shape)}",
-                "gripper_axis",
-                "give one unit vector for each position, or leave it out",
-            )
-        )
-    return faults
-
-
-def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read the arrays and the parsed `meta` of a recording's file."""
-
-    def fault(what: str, fix: str) -> RecordingError:
-        return RecordingError(what, where=str(path), fix=fix)
-
-    if path.suffix.lower() in (".ply", ".pcd"):
-        raise fault("is a single cloud", "give the folder that holds all frames")
-    try:
-        with open(path, "rb") as file:
-            if file.read(2) != b"PK":
-                raise fault("is no .npz file", f"write {FORMAT} with numpy.savez")
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                wanted = (*STORED_ARRAYS, "loops", "meta")
-                names = [name for name in wanted if name in archive.files]
-                stored = {name: archive[name] for name in names}
-    except FileNotFoundError:
-        raise fault("no such file", "check the path") from None
-    except LOAD_ERRORS as error:
-        if isinstance(error, OSError) and error.strerror:
-            raise fault(f"cannot be read ({error.strerror})", "check the file") from None
-        if "allow_pickle" in str(error):
-            raise fault(
-                "holds Python objects (pickles), which are never loaded",
-                "write its arrays as numbers and meta as JSON text",
-            ) from None
-        raise fault(f"is damaged ({_short(error)})", "copy or record it again") from None
-    meta = stored.pop("meta", None)
-    if meta is None:
-        raise fault("meta: is missing", f"add JSON text with format = {FORMAT!r}")
-    try:
-        if meta.size != 1 or meta.dtype.kind not in "US":
-            raise ValueError(f"it is {meta.dtype} {list(meta.shape)}")
-        parsed = json.loads(meta.item())
-    except ValueError as error:
-        raise fault(
-            f"meta: is not JSON text ({_short(error)})", "write it with json.dumps"
-        ) from None
-    if not isinstance(parsed, dict):
-        raise fault("meta: is not a JSON object", "write it with json.dumps from a dict")
-    if parsed.get("format") == FORMAT_STATIC:
-        return recording_of_static(stored, parsed, str(path))
-    if parsed.get("format") != FORMAT:
-        raise fault(
-            f"meta.format: is {parsed.get('format')!r}", f"only {FORMAT!r} can be read here"
-        )
-    return stored, parsed
-
-
-def _short(error: BaseException) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0][:120]
+        yield Fault("has no gripper", "gripper_position", "give at least one: [T, 1, 3]")
+    for name, shape, values in (
+        ("gripper_closed", position.shape[:2], "true or false"),
+        ("gripper_axis", position.shape, "one unit vector"),
+    ):
+        array = arrays[name]
+        if array is not None and array.shape != shape:
+            what = f"has shape {list(array.shape)}, but gripper_position {list(position.shape)}"
+            yield Fault(what, name, f"give {values} for each position, or leave it out")
 
 
 def missing_keys(meta: Mapping[str, Any]) -> list[Fault]:
+    """A fault for each key that the `meta` of a file must have and has not."""
     fixes = {
         "table_height": "add z of the table in metres, or null where there is none",
         "gripper_source": "add 'commanded' or 'measured'",
         "quasi_static": "add true or false",
     }
-    return [
-        Fault("is missing", f"meta.{key}", fix) for key, fix in fixes.items() if key not in meta
-    ]
+    return [Fault("is missing", f"meta.{k}", fix) for k, fix in fixes.items() if k not in meta]
 
 
 def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
@@ -261,24 +422,20 @@ def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
     else:
         table = dict(table)
         kind = take(table, "kind", None, _is_text, " or ".join(map(repr, KINDS)), "object.")
-        sizes = {
-            key: take(table, key, None, _is_number_or_none, "a number, or null", "object.")
-            for key in SIZES
-        }
+        wanted = "a number, or null"
+        sizes = {n: take(table, n, None, _is_number_or_none, wanted, "object.") for n in SIZES}
         default_grasp = "corner" if kind == "cloth" else "end"
         grasp = take(table, "grasp", default_grasp, _is_text, f"one of {GRASPS}", "object.")
         values["object"] = ObjectDescription(kind=kind, grasp=grasp, extra=table, **sizes)
-    values["table_height"] = take(
-        rest, "table_height", None, _is_number_or_none, "metres, or null for no table"
-    )
-    values["gripper_source"] = take(
-        rest, "gripper_source", "commanded", _is_text, "'commanded' or 'measured'"
-    )
-    values["quasi_static"] = take(
-        rest, "quasi_static", False, lambda v: isinstance(v, bool), "true or false"
-    )
-    for key in ("source", "notes"):
-        values[key] = take(rest, key, "", _is_text, "text")
+    for key, default, right, want in (
+        ("table_height", None, _is_number_or_none, "metres, or null for no table"),
+        ("gripper_source", "commanded", _is_text, "'commanded' or 'measured'"),
+        ("quasi_static", False, _is_bool, "true or false"),
+        ("source", "", _is_text, "text"),
+        ("notes", "", _is_text, "text"),
+        ("cameras_calibrated", True, _is_bool, "true or false"),
+    ):
+        values[key] = take(rest, key, default, right, want)
     cameras = rest.pop("camera_positions", None)
     if cameras is not None:
         try:
@@ -286,20 +443,18 @@ def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
         except (TypeError, ValueError):
             cameras = np.empty((0, 0))
         if cameras.ndim != 2 or cameras.shape[1] != 3:
-            faults.append(
-                Fault("is no list of positions", "camera_positions", "give [K, 3] in metres")
-            )
+            what = "is no list of positions"
+            faults.append(Fault(what, "camera_positions", "give [K, 3] in metres"))
             cameras = None
-    values["camera_positions"] = cameras
-    values["cameras_calibrated"] = take(
-        rest, "cameras_calibrated", True, lambda v: isinstance(v, bool), "true or false"
-    )
-    values["extra"] = rest
-    return values, faults
+    return {**values, "camera_positions": cameras, "extra": rest}, faults
 
 
 def _is_text(value: Any) -> bool:
     return isinstance(value, str)
+
+
+def _is_bool(value: Any) -> bool:
+    return isinstance(value, bool)
 
 
 def _is_number_or_none(value: Any) -> bool:

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arguments import require
+from gendom.datasets.recording_form import FORMAT
 from gendom.errors import RecordingError
 
 FORMAT_STATIC = "gendom-static/1"
@@ -37,30 +39,27 @@ def recording_of_static(
     Raises:
         RecordingError: Something is missing or not a number.
     """
+
+    def wanted(holds: bool, what: str, fix: str) -> None:
+        require(holds, what, where=where, fix=fix, error=RecordingError)
+
     loops = np.asarray(arrays.get("loops", np.zeros(0)))
-    if loops.ndim != 3 or loops.shape[1] < 5 or loops.shape[2] != 3:
-        raise RecordingError(
-            f"loops: has shape {list(loops.shape)}",
-            where=where,
-            fix="give [K, n, 3]: K repeats of n points, 5 at least",
-        )
+    right = loops.ndim == 3 and loops.shape[1] >= 5 and loops.shape[2] == 3
+    fix = "give [K, n, 3]: K repeats of n points, 5 at least"
+    wanted(right, f"loops: has shape {list(loops.shape)}", fix)
     loops = loops.astype(float)
-    if not np.isfinite(loops).all():
-        raise RecordingError("loops: holds numbers that are not finite", where=where)
+    finite = bool(np.isfinite(loops).all())
+    wanted(finite, "loops: holds numbers that are not finite", "give metres")
     described = dict(meta.get("object") or {})
-    if described.get("kind") not in ("rope", "wire"):
-        raise RecordingError(
-            f"object.kind: is {described.get('kind')!r}", where=where, fix="give rope or wire"
-        )
+    kind = described.get("kind")
+    wanted(kind in ("rope", "wire"), f"object.kind: is {kind!r}", "give rope or wire")
     described["kind"] = "rope"
     numbers = {}
     for name in ("length", "mass_per_length"):
         value = described.get(name)
-        if not (isinstance(value, int | float) and 0.0 < value < np.inf):
-            raise RecordingError(
-                f"object.{name}: is {value!r}", where=where, fix="give a number above 0, in SI"
-            )
-        numbers[name] = float(value)
+        right = isinstance(value, int | float) and 0.0 < value < np.inf
+        wanted(right, f"object.{name}: is {value!r}", "give a number above 0, in SI")
+        numbers[name] = float(described[name])
     described["mass"] = numbers["length"] * numbers.pop("mass_per_length")
     described["grasp"] = "both ends"
     # the clamped ends are at their mean position over all repeats
@@ -77,7 +76,7 @@ def recording_of_static(
     }
     rest = {k: v for k, v in meta.items() if k not in ("format", "object")}
     return made, {
-        "format": "gendom-recording/1",
+        "format": FORMAT,
         "object": described,
         "table_height": None,
         "gripper_source": "measured",

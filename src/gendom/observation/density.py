@@ -77,33 +77,33 @@ class DensityGrid:
         sums = np.bincount(index.ravel(), weight.ravel(), minlength=total)
         return sums.astype(float).reshape(*lead, self.num_nodes)
 
-    def splat_transpose(self, points: ArrayLike, bar: ArrayLike) -> NDArray[np.floating]:
+    def splat_transpose(self, points: ArrayLike, adjoint: ArrayLike) -> NDArray[np.floating]:
         """Derivative of a loss by the points of clouds, from that by their densities.
 
         Args:
             points: [..., n, 3] clouds [m].
-            bar: [..., X * Y * Z] derivative of the loss by what `splat` makes of them.
+            adjoint: [..., X * Y * Z] derivative of the loss by what `splat` makes of them.
 
         Returns:
             [..., n, 3] [1/m].
         """
         p = np.asarray(points, dtype=float)
         n = p.shape[-2]
-        index, weights, slopes = self._stencil(p.reshape(-1, n, 3))
-        flat = np.asarray(bar, dtype=float).reshape(len(index), self.num_nodes)
-        pulled = np.take_along_axis(flat, index.reshape(len(index), -1), axis=1)
-        pulled = pulled.reshape(index.shape)
+        index, weights, derivatives = self._stencil(p.reshape(-1, n, 3))
+        flat = np.asarray(adjoint, dtype=float).reshape(len(index), self.num_nodes)
+        gathered = np.take_along_axis(flat, index.reshape(len(index), -1), axis=1)
+        gathered = gathered.reshape(index.shape)
         found = np.empty((len(index), n, 3))
         for axis in range(3):
-            x, y, z = ((slopes if a == axis else weights)[:, :, a, :] for a in range(3))
-            found[..., axis] = np.einsum("lnijk,lni,lnj,lnk->ln", pulled, x, y, z, optimize=True)
+            x, y, z = ((derivatives if a == axis else weights)[:, :, a, :] for a in range(3))
+            found[..., axis] = np.einsum("lnijk,lni,lnj,lnk->ln", gathered, x, y, z, optimize=True)
         return (found / (n * self.cell)).reshape(p.shape)
 
     def _stencil(
         self, p: NDArray[np.floating]
     ) -> tuple[NDArray[np.int64], NDArray[np.floating], NDArray[np.floating]]:
         """Nodes [L, n, 3, 3, 3] around points [L, n, 3], the weights [L, n, 3 axes, 3] whose
-        products they take, and their slopes by the position in cells."""
+        products they take, and their derivatives by the position in cells."""
         q = (p - self.origin) / self.cell
         base = np.floor(q - 0.5).astype(np.int64)
         f = q - base

@@ -8,17 +8,17 @@ from scipy.spatial import ConvexHull, QhullError
 
 from gendom.errors import ParameterError
 
-FROM_ABOVE = 20.0
+HEIGHT_FROM_ABOVE = 20.0
 """Height of the viewpoint that stands for "from above", in sizes of the object."""
 
 FLIP_RADIUS = 30.0
 """Radius of the spherical flip, in distances of the farthest point."""
 
-PIXEL = 1.5
+PIXEL_SPACINGS = 1.5
 """Width of the pixels in which parts of a sheet hide others, in the distance of its points: no
 nearer part shows gaps."""
 
-GRAZING = 75.0
+MAX_SIGHT_ANGLE = 75.0
 """Angle of sight to a sheet's normal beyond which depth cameras measure nothing [degrees]."""
 
 
@@ -66,8 +66,10 @@ def visible_on_sheet(
     spacing: float,
     camera_positions: ArrayLike | None = None,
 ) -> NDArray[np.bool_]:
-    """Mark the points on a sheet that lie open to a camera: seen no more aslant than `GRAZING`, and
-    with nothing of the sheet before them, by depth in pixels.
+    """Mark the points on a sheet that a camera sees.
+
+    They are seen no more aslant than `MAX_SIGHT_ANGLE`, and no nearer part of the sheet lies in
+    their pixel.
 
     Args:
         points: [n, 3] [m].
@@ -88,7 +90,7 @@ def visible_on_sheet(
             "points and normals must be [n, 3], the sheet [m > 0, 3], "
             f"got {p.shape}, {n.shape} and {q.shape}"
         )
-    steepest = math.cos(math.radians(GRAZING))
+    steepest = math.cos(math.radians(MAX_SIGHT_ANGLE))
     seen = np.zeros(len(p), dtype=bool)
     for camera in _viewpoints(q, camera_positions):
         middle = q.mean(axis=0) - camera
@@ -97,7 +99,7 @@ def visible_on_sheet(
         to_sheet, to_points = (q - camera) @ axes.T, (p - camera) @ axes.T
         sign = np.sign(to_sheet[:, 0].mean())
         depth, own = sign * to_sheet[:, 0], sign * to_points[:, 0]
-        pixel = PIXEL * spacing / away
+        pixel = PIXEL_SPACINGS * spacing / away
         low = (to_sheet[:, 1:] / depth[:, None]).min(axis=0)
         at = ((to_sheet[:, 1:] / depth[:, None] - low) / pixel).astype(np.int64)
         size = at.max(axis=0) + 1
@@ -110,7 +112,7 @@ def visible_on_sheet(
         cosine = np.abs((ray * n).sum(axis=1)) / np.linalg.norm(ray, axis=1)
         # so much depth has the sheet itself within a pixel
         slope = np.sqrt(1.0 - np.minimum(cosine, 1.0) ** 2) / np.maximum(cosine, steepest)
-        margin = spacing * (1.0 + 1.5 * PIXEL * slope)
+        margin = spacing * (1.0 + 1.5 * PIXEL_SPACINGS * slope)
         open_ = own <= nearest[here[:, 0] * size[1] + here[:, 1]] + margin
         seen |= (open_ | ~inside) & (cosine > steepest)
     return seen
@@ -124,7 +126,7 @@ def _viewpoints(points: NDArray[np.float64], positions: ArrayLike | None) -> NDA
     """
     if positions is None:
         size = max(float(np.ptp(points, axis=0).max()), 1e-6)
-        return np.atleast_2d(points.mean(axis=0) + np.array([0.0, 0.0, FROM_ABOVE * size]))
+        return np.atleast_2d(points.mean(axis=0) + np.array([0.0, 0.0, HEIGHT_FROM_ABOVE * size]))
     cameras = np.atleast_2d(np.asarray(positions, dtype=float))
     if cameras.shape[1] != 3:
         raise ParameterError(f"camera_positions must be [K, 3], got {cameras.shape}")

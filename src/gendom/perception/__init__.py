@@ -2,8 +2,14 @@
 
 from gendom.perception.calibration import Board, BoardView, Calibration, calibrate, find_board
 from gendom.perception.camera import Camera, read_camera, write_camera
-from gendom.perception.cloud import STAGES, CloudSettings, FusedCloud, View, perceive_frame
-from gendom.perception.folder import PngCamera, PngWriter, RobotPath, Sighting, read_sighting
+from gendom.perception.cloud import STAGES, CameraView, CloudSettings, FusedCloud, perceive_frame
+from gendom.perception.folder import (
+    CameraRecording,
+    PngCamera,
+    PngWriter,
+    RobotPath,
+    read_cameras,
+)
 from gendom.perception.frames import (
     Frame,
     FrameSource,
@@ -23,6 +29,8 @@ __all__ = [
     "BoardView",
     "Calibration",
     "Camera",
+    "CameraRecording",
+    "CameraView",
     "CapsulePath",
     "Capsules",
     "CloudSettings",
@@ -40,8 +48,6 @@ __all__ = [
     "RealSenseWriter",
     "RobotPath",
     "RosSettings",
-    "Sighting",
-    "View",
     "calibrate",
     "find_board",
     "is_ros_bag",
@@ -49,9 +55,9 @@ __all__ = [
     "perceive",
     "perceive_frame",
     "read_camera",
+    "read_cameras",
     "read_ros_bag",
     "read_seen_by",
-    "read_sighting",
     "record_cameras",
     "write_camera",
 ]

@@ -8,8 +8,10 @@ import numpy.typing as npt
 from gendom.perception.camera import Camera
 from gendom.perception.frames import Pictures
 
-_NEARER = 0.02  # share of its depth by which what hides a point is nearer, besides what a ...
-_STEEPEST = 5.0  # ... surface's own slope, in pixels' widths a pixel, makes of two cells
+# What hides a point is nearer by this share of its depth, besides the change of depth over two
+# cells of a surface whose slope is this many pixels' widths a pixel.
+_MIN_NEARER_SHARE = 0.02
+_MAX_DEPTH_SLOPE = 5.0
 
 
 class Alignment:
@@ -33,7 +35,7 @@ class Alignment:
         self._shift = T[:3, 3].astype(np.float32)
         # The colour picture in cells of about a depth pixel's size, to find what hides what.
         self._cell = max(1.0, float(colour.K[0, 0] / depth.K[0, 0]))
-        self._nearer = np.float32(1.0 + _NEARER + 2.0 * _STEEPEST / depth.K[0, 0])
+        self._nearer = np.float32(1.0 + _MIN_NEARER_SHARE + 2.0 * _MAX_DEPTH_SLOPE / depth.K[0, 0])
         self._same = (
             np.allclose(T, np.eye(4), atol=1e-6)
             and (depth.width, depth.height) == (colour.width, colour.height)
@@ -90,16 +92,7 @@ class Alignment:
         nearest = np.full(rows * columns, np.inf, np.float32)
         np.minimum.at(nearest, cell, z)
         around = nearest[cell]
-        for step in (
-            -columns - 1,
-            -columns,
-            -columns + 1,
-            -1,
-            1,
-            columns - 1,
-            columns,
-            columns + 1,
-        ):
+        for step in np.add.outer((-columns, 0, columns), (-1, 0, 1)).ravel():
             np.minimum(around, nearest[cell + step], out=around)
         return z > self._nearer * around
 

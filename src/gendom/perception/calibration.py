@@ -12,7 +12,6 @@ then refined by minimising the reprojection error of all corners.
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,10 +24,12 @@ from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from gendom.arguments import require
 from gendom.datasets import Fault
+from gendom.datasets.rows import read_rows
 from gendom.errors import GendomError, RecordingError
 from gendom.files import read_toml
-from gendom.perception.camera import Camera
+from gendom.perception.camera import Camera, rigid
 from gendom.perception.png import read_png
 
 MIN_PICTURES = 5
@@ -62,16 +63,13 @@ class Board:
     """Printed by OpenCV before 4.6, with an even number of rows."""
 
     def __post_init__(self):
-        if self.squares_x < 3 or self.squares_y < 3:
-            raise GendomError(
-                f"{self.squares_x} x {self.squares_y} squares", where="board", fix="use 3 or more"
-            )
-        if not 0.0 < self.marker < self.square < 1.0:
-            raise GendomError(
-                f"square {self.square}, marker {self.marker}",
-                where="board",
-                fix="give metres, the marker smaller than the square",
-            )
+        what = f"{self.squares_x} x {self.squares_y} squares"
+        enough = self.squares_x >= 3 and self.squares_y >= 3
+        require(enough, what, where="board", fix="use 3 or more", error=GendomError)
+        what = f"square {self.square}, marker {self.marker}"
+        fix = "give metres, the marker smaller than the square"
+        right = 0.0 < self.marker < self.square < 1.0
+        require(right, what, where="board", fix=fix, error=GendomError)
 
     def opencv(self) -> Any:
         """The same as cv2.aruco.CharucoBoard.
@@ -83,11 +81,9 @@ class Board:
 
         number = getattr(cv2.aruco, self.dictionary, None)
         if not self.dictionary.startswith("DICT_") or number is None:
-            raise GendomError(
-                f"there is no dictionary {self.dictionary!r}",
-                where="board",
-                fix="use OpenCV's names, such as DICT_4X4_50 or DICT_5X5_100",
-            )
+            what = f"there is no dictionary {self.dictionary!r}"
+            fix = "use OpenCV's names, such as DICT_4X4_50 or DICT_5X5_100"
+            raise GendomError(what, where="board", fix=fix)
         board = cv2.aruco.CharucoBoard(
             (self.squares_x, self.squares_y),
             self.square,
@@ -171,30 +167,12 @@ def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
     """
     import cv2
 
-    if len(views) < MIN_PICTURES:
-        raise GendomError(
-            f"the board is found in {len(views)} pictures, {MIN_PICTURES} are needed",
-            fix="take more, with the board large and sharp in the picture",
-        )
+    what = f"the board is found in {len(views)} pictures, {MIN_PICTURES} are needed"
+    fix = "take more, with the board large and sharp in the picture"
+    require(len(views) >= MIN_PICTURES, what, fix=fix, error=GendomError)
     _check_turns(views)
+    start, hold = _hand_eye(camera, views)
     distortion = np.array(camera.distortion)
-    boards = [_board_pose(camera, view) for view in views]
-    # OpenCV solves for a camera on the gripper. For one that looks at the gripper the roles of
-    # world and gripper change, so the robot's poses go in inverted.
-    inverse = [np.linalg.inv(view.T_world_gripper) for view in views]
-    R, t = cv2.calibrateHandEye(
-        [T[:3, :3] for T in inverse],
-        [T[:3, 3] for T in inverse],
-        [T[:3, :3] for T in boards],
-        [T[:3, 3] for T in boards],
-        method=cv2.CALIB_HAND_EYE_PARK,
-    )
-    start = np.eye(4)
-    start[:3, :3], start[:3, 3] = R, t.ravel()
-    holds = [T @ start @ board for T, board in zip(inverse, boards, strict=True)]
-    hold = np.eye(4)
-    hold[:3, :3] = Rotation.from_matrix([T[:3, :3] for T in holds]).mean().as_matrix()
-    hold[:3, 3] = np.median([T[:3, 3] for T in holds], axis=0)
 
     def residual(change: np.ndarray) -> np.ndarray:
         T_camera_world = np.linalg.inv(_moved(start, change[:6]))
@@ -215,23 +193,19 @@ def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
         for view, part in zip(views, np.split(found.fun, lengths), strict=True)
     }
     rms = float(np.sqrt(2.0 * np.mean(found.fun**2)))
-    if not rms <= MAX_RMS:
-        worst = max(by_picture, key=lambda name: by_picture[name])
-        raise GendomError(
-            f"the corners are {rms:.2g} pixels from where the robot's poses put them, most in "
-            f"{worst} ({by_picture[worst]:.2g})",
-            fix="check that poses belong to the pictures, K to the stream, and the board's sizes",
-        )
+    worst = max(by_picture, key=lambda name: by_picture[name])
+    what = f"the corners are {rms:.2g} pixels from where the robot's poses put them, most in "
+    what += f"{worst} ({by_picture[worst]:.2g})"
+    fix = "check that poses belong to the pictures, K to the stream, and the board's sizes"
+    require(rms <= MAX_RMS, what, fix=fix, error=GendomError)
     sigma = max(rms / np.sqrt(2.0), _MIN_PIXEL_SIGMA)
     singular, V = np.linalg.svd(found.jac, full_matrices=False)[1:]
     with np.errstate(divide="ignore"):
         variance = sigma**2 * ((V / singular[:, None]) ** 2).sum(axis=0)
     position, angle = np.sqrt(variance[3:6].sum()), np.sqrt(variance[:3].sum())
-    if not position <= MAX_SIGMA:
-        raise GendomError(
-            f"the poses leave the camera's place open by {1e3 * position:.3g} mm",
-            fix="take more pictures, with the board turned more and at different places",
-        )
+    what = f"the poses leave the camera's place open by {1e3 * position:.3g} mm"
+    fix = "take more pictures, with the board turned more and at different places"
+    require(position <= MAX_SIGMA, what, fix=fix, error=GendomError)
     return Calibration(
         T_world_camera=_moved(start, found.x[:6]),
         T_gripper_board=_moved(hold, found.x[6:]),
@@ -240,6 +214,27 @@ def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
         sigma_position=float(position),
         sigma_angle=float(np.degrees(angle)),
     )
+
+
+def _hand_eye(camera: Camera, views: Sequence[BoardView]) -> tuple[np.ndarray, np.ndarray]:
+    """First T_world_camera and T_gripper_board, [4, 4] each, in closed form."""
+    import cv2
+
+    boards = [_board_pose(camera, view) for view in views]
+    # OpenCV solves for a camera on the gripper. For one that looks at the gripper the roles of
+    # world and gripper change, so the robot's poses go in inverted.
+    inverse = [np.linalg.inv(view.T_world_gripper) for view in views]
+    R, t = cv2.calibrateHandEye(
+        [T[:3, :3] for T in inverse],
+        [T[:3, 3] for T in inverse],
+        [T[:3, :3] for T in boards],
+        [T[:3, 3] for T in boards],
+        method=cv2.CALIB_HAND_EYE_PARK,
+    )
+    T_world_camera = rigid(R, t)
+    holds = [T @ T_world_camera @ board for T, board in zip(inverse, boards, strict=True)]
+    mean = Rotation.from_matrix([T[:3, :3] for T in holds]).mean()
+    return T_world_camera, rigid(mean.as_matrix(), np.median([T[:3, 3] for T in holds], axis=0))
 
 
 def _moved(T: np.ndarray, change: np.ndarray) -> np.ndarray:
@@ -259,12 +254,10 @@ def _check_turns(views: Sequence[BoardView]) -> None:
     turns = np.concatenate([(R[i].inv() * R[i + 1 :]).as_rotvec() for i in range(len(views) - 1)])
     squares = np.linalg.eigvalsh(turns.T @ turns / len(turns))
     second, first = np.degrees(np.sqrt(np.maximum(squares, 0.0)))[1:]
-    if second < MIN_TURN:
-        how = "hardly turn the board" if first < MIN_TURN else "turn the board about one axis only"
-        raise GendomError(
-            f"the poses {how}: {first:.2g} degrees about one axis, {second:.2g} about a second",
-            fix="tilt it by 20 degrees or more, to the sides as well as forwards and back",
-        )
+    how = "hardly turn the board" if first < MIN_TURN else "turn the board about one axis only"
+    what = f"the poses {how}: {first:.2g} degrees about one axis, {second:.2g} about a second"
+    fix = "tilt it by 20 degrees or more, to the sides as well as forwards and back"
+    require(second >= MIN_TURN, what, fix=fix, error=GendomError)
 
 
 def _board_pose(camera: Camera, view: BoardView) -> np.ndarray:
@@ -274,11 +267,9 @@ def _board_pose(camera: Camera, view: BoardView) -> np.ndarray:
     found, rotation, t = cv2.solvePnP(
         view.points, view.pixels, camera.K, np.array(camera.distortion), flags=cv2.SOLVEPNP_IPPE
     )
-    if not found:
-        raise GendomError("no pose fits the corners", where=view.name, fix="leave it out")
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(rotation.ravel()).as_matrix(), t.ravel()
-    return T
+    what = "no pose fits the corners"
+    require(found, what, where=view.name, fix="leave it out", error=GendomError)
+    return rigid(Rotation.from_rotvec(rotation.ravel()).as_matrix(), t)
 
 
 def read_views(
@@ -308,23 +299,14 @@ def read_views(
         except RecordingError as error:
             on_warning(Fault(f"{error.what}; left out", str(path), error.fix or "", "warning"))
             continue
-        if picture.size != (camera.width, camera.height):
-            raise RecordingError(
-                f"is {picture.width} x {picture.height}, the camera {camera.width} x "
-                f"{camera.height}",
-                where=str(path),
-                fix="take the pictures with the stream whose K is given",
-            )
+        size = camera.width, camera.height
+        what = f"is {picture.width} x {picture.height}, the camera {size[0]} x {size[1]}"
+        fix = "take the pictures with the stream whose K is given"
+        require(picture.size == size, what, where=str(path), fix=fix, error=RecordingError)
         points, pixels = find_board(np.asarray(picture.convert("L")), board)
         if len(points) == 0:
-            on_warning(
-                Fault(
-                    "the board is not found; left out",
-                    str(path),
-                    "have it large, sharp and flat in the picture; check board.toml",
-                    "warning",
-                )
-            )
+            fix = "have it large, sharp and flat in the picture; check board.toml"
+            on_warning(Fault("the board is not found; left out", str(path), fix, "warning"))
             continue
         views.append(BoardView(name, points, pixels, T))
     return views
@@ -350,43 +332,26 @@ def read_board(path: str | os.PathLike) -> Board:
 
 def _read_poses(path: Path) -> list[tuple[str, np.ndarray]]:
     """Pictures and T_world_gripper [4, 4] of poses.csv."""
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            lines = [[text.strip() for text in row] for row in csv.reader(file) if row]
-    except FileNotFoundError:
-        raise RecordingError(
-            "no such file", where=str(path), fix=f"write {','.join(_COLUMNS)}"
-        ) from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(
-            f"cannot be read ({error})", where=str(path), fix="save it as CSV"
-        ) from None
-    if not lines or tuple(lines[0]) != _COLUMNS:
-        raise RecordingError(
-            "has another header", where=str(path), fix=f"write {','.join(_COLUMNS)}"
-        )
+    lines = read_rows(path, header=",".join(_COLUMNS))
+
+    def wanted(holds: Any, what: str, where: str, fix: str) -> None:
+        require(holds, what, where=where, fix=fix, error=RecordingError)
+
+    right = tuple(lines[0][1]) == _COLUMNS
+    wanted(right, "has another header", str(path), f"write {','.join(_COLUMNS)}")
     poses = []
-    for number, row in enumerate(lines[1:], start=2):
+    for number, row in lines[1:]:
         where = f"{path}, line {number}"
         try:
             values = np.array([float(text) for text in row[1:]])
         except ValueError:
             values = np.array([])
-        if len(values) != 7 or not np.isfinite(values).all():
-            raise RecordingError("is no pose", where=where, fix="give a picture and 7 numbers")
-        if abs(np.linalg.norm(values[3:]) - 1.0) > 0.01:
-            raise RecordingError(
-                f"quaternion of length {np.linalg.norm(values[3:]):.3g}",
-                where=where,
-                fix="give a unit quaternion, qx, qy, qz, qw",
-            )
-        if np.linalg.norm(values[:3]) > 20.0:
-            raise RecordingError(
-                f"is {np.linalg.norm(values[:3]):.4g} m from the robot's base",
-                where=where,
-                fix="give metres, not millimetres",
-            )
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = Rotation.from_quat(values[3:]).as_matrix(), values[:3]
-        poses.append((row[0], T))
+        right = len(values) == 7 and np.isfinite(values).all()
+        wanted(right, "is no pose", where, "give a picture and 7 numbers")
+        length, distance = np.linalg.norm(values[3:]), np.linalg.norm(values[:3])
+        fix = "give a unit quaternion, qx, qy, qz, qw"
+        wanted(abs(length - 1.0) <= 0.01, f"quaternion of length {length:.3g}", where, fix)
+        what = f"is {distance:.4g} m from the robot's base"
+        wanted(distance <= 20.0, what, where, "give metres, not millimetres")
+        poses.append((row[0], rigid(Rotation.from_quat(values[3:]).as_matrix(), values[:3])))
     return poses

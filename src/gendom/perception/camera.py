@@ -15,6 +15,7 @@ Axes are OpenCV's: x right, y down, z forward; pixel (0, 0) is centred at u = v 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import require
 from gendom.errors import RecordingError
 from gendom.files import atomic_path, read_toml
 
@@ -54,67 +56,53 @@ class Camera:
     """OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; empty: none."""
 
     def __post_init__(self):
-        for name, shape in (("K", (3, 3)), ("T_world_camera", (4, 4))):
+        for name in ("width", "height"):
+            value, where = getattr(self, name), f"{self.name}: {name}"
+            right = isinstance(value, int)
+            require(right, f"is {value!r}", where=where, fix="give pixels", error=RecordingError)
+        for name, shape in (
+            ("K", (3, 3)),
+            ("T_world_camera", (4, 4)),
+            ("depth_unit", ()),
+            ("distortion", (None,)),
+        ):
             value = getattr(self, name)
             if value is None and name == "T_world_camera":
                 continue
             array = _numbers(value, shape, f"{self.name}: {name}")
             array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
+            object.__setattr__(self, name, array if array.ndim == 2 else array.tolist())
+        object.__setattr__(self, "distortion", tuple(self.distortion))
         for what, where, fix in self._faults():
             raise RecordingError(what, where=f"{self.name}: {where}", fix=fix)
 
-    def _faults(self):
+    def _faults(self) -> Iterator[tuple[str, str, str]]:
         """(what, where, fix) of everything wrong."""
-        if self.width < 1 or self.height < 1:
-            yield f"is {self.width} x {self.height}", "width, height", "give the pictures' size"
-        if not (np.isfinite(self.depth_unit) and self.depth_unit > 0.0):
-            yield (
-                f"is {self.depth_unit}",
-                "depth_unit",
-                "give metres a count: 0.001 for depth in millimetres",
-            )
-        K = self.K
+        K, T, width, height = self.K, self.T_world_camera, self.width, self.height
+        if width < 1 or height < 1:
+            yield f"is {width} x {height}", "width, height", "give the pictures' size"
+        if not self.depth_unit > 0.0:
+            fix = "give metres a count: 0.001 for depth in millimetres"
+            yield f"is {self.depth_unit}", "depth_unit", fix
         if not (K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1])) or K[1, 0] != 0:
-            yield (
-                "is no intrinsic matrix",
-                "K",
-                "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, fx and fy above 0",
-            )
-        elif not (-1 < K[0, 2] < self.width and -1 < K[1, 2] < self.height):
-            yield (
-                f"has its centre ({K[0, 2]:g}, {K[1, 2]:g}) outside {self.width} x {self.height}",
-                "K",
-                "take the intrinsics of the stream with these pictures' size",
-            )
-        if len(self.distortion) not in _DISTORTION_LENGTHS:
-            yield (
-                f"has {len(self.distortion)} numbers",
-                "distortion",
-                "give none, or 4, 5 or 8 of OpenCV's k1, k2, p1, p2, k3, k4, k5, k6",
-            )
-        elif not np.isfinite(self.distortion).all():
-            yield "is not finite", "distortion", "give numbers"
-        T = self.T_world_camera
-        if T is not None:
-            R = T[:3, :3]
-            if (
-                not np.allclose(T[3], [0, 0, 0, 1])
-                or not np.allclose(R @ R.T, np.eye(3), atol=1e-3)
-                or np.linalg.det(R) < 0
-            ):
-                yield (
-                    "is no rigid transform",
-                    "T_world_camera",
-                    "give [[R, t], [0, 0, 0, 1]] with a rotation R and t in metres",
-                )
-            elif np.linalg.norm(T[:3, 3]) > _MAX_DISTANCE:
-                yield (
-                    f"puts the camera {np.linalg.norm(T[:3, 3]):.4g} m from the robot's base",
-                    "T_world_camera",
-                    "give t in metres, not millimetres",
-                )
+            fix = "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, fx and fy above 0"
+            yield "is no intrinsic matrix", "K", fix
+        elif not (-1 < K[0, 2] < width and -1 < K[1, 2] < height):
+            what = f"has its centre ({K[0, 2]:g}, {K[1, 2]:g}) outside {width} x {height}"
+            yield what, "K", "take the intrinsics of the stream with these pictures' size"
+        if (count := len(self.distortion)) not in _DISTORTION_LENGTHS:
+            fix = "give none, or 4, 5 or 8 of OpenCV's k1, k2, p1, p2, k3, k4, k5, k6"
+            yield f"has {count} numbers", "distortion", fix
+        if T is None:
+            return
+        R, distance = T[:3, :3], np.linalg.norm(T[:3, 3])
+        is_rotation = np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) >= 0
+        if not (np.allclose(T[3], [0, 0, 0, 1]) and is_rotation):
+            fix = "give [[R, t], [0, 0, 0, 1]] with a rotation R and t in metres"
+            yield "is no rigid transform", "T_world_camera", fix
+        elif distance > _MAX_DISTANCE:
+            what = f"puts the camera {distance:.4g} m from the robot's base"
+            yield what, "T_world_camera", "give t in metres, not millimetres"
 
     @property
     def position(self) -> npt.NDArray[np.float64]:
@@ -132,11 +120,8 @@ class Camera:
             RecordingError: It is not known.
         """
         if self.T_world_camera is None:
-            raise RecordingError(
-                "is missing",
-                where=f"{self.name}: T_world_camera",
-                fix="measure it with gendom calibrate",
-            )
+            where, fix = f"{self.name}: T_world_camera", "measure it with gendom calibrate"
+            raise RecordingError("is missing", where=where, fix=fix)
         return self.T_world_camera
 
     def rays(self) -> npt.NDArray[np.float64]:
@@ -166,6 +151,13 @@ class Camera:
         return replace(self, T_world_camera=np.asarray(T_world_camera, dtype=np.float64))
 
 
+def rigid(R: npt.ArrayLike, t: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """[4, 4] transform of a rotation [3, 3] and a shift of three numbers [m]."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, np.ravel(t)
+    return T
+
+
 def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
     """The camera of a file camera.toml; see the top of this module.
 
@@ -178,13 +170,9 @@ def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
     """
     path = Path(path)
     # A default depth unit would be wrong by a factor of ten for many cameras.
-    table = _read_table(path, ("width", "height", "K", "depth_unit"))
-    return Camera(
-        name=name or path.resolve().parent.name,
-        T_world_camera=table.get("T_world_camera"),
-        **{key: table[key] for key in ("width", "height", "K", "depth_unit")},
-        distortion=table.get("distortion", ()),
-    )
+    table = _read_table(path, required=("width", "height", "K", "depth_unit"))
+    name = name or path.resolve().parent.name
+    return _made(path, lambda: Camera(**{"name": name, "T_world_camera": None, **table}))
 
 
 def adopt_camera(path: str | os.PathLike, camera: Camera) -> Camera:
@@ -204,27 +192,32 @@ def adopt_camera(path: str | os.PathLike, camera: Camera) -> Camera:
     if not path.exists():
         return camera
     table = _read_table(path)
+    given = _made(path, lambda: replace(camera, **table))
     for key, tolerance in (("width", 0.0), ("height", 0.0), ("K", 0.5), ("distortion", 1e-3)):
-        own = np.atleast_1d(getattr(camera, key))
-        given = np.atleast_1d(table.get(key, own))
+        own, stated = (np.atleast_1d(getattr(c, key)) for c in (camera, given))
         if key == "distortion":  # what is left out is zero
-            own, given = (np.pad(a, (0, 8 - len(a))) for a in (own, given))
-        if np.abs(given - own).max() > tolerance:
-            raise RecordingError(
-                "is not that of the recording beside it",
-                where=f"{path}: {key}",
-                fix="leave it out: the recording's own is taken",
-            )
+            own, stated = (np.pad(a, (0, 8 - len(a))) for a in (own, stated))
+        what, fix = "is not that of the recording beside it", "leave it out: its own is taken"
+        alike = np.abs(stated - own).max() <= tolerance
+        require(alike, what, where=f"{path}: {key}", fix=fix, error=RecordingError)
     kept = {key: table[key] for key in ("depth_unit", "T_world_camera") if key in table}
     return replace(camera, **kept)
 
 
+def _made(path: Path, make: Callable[[], Camera]) -> Camera:
+    """A camera of a file, which messages name in place of the camera."""
+    try:
+        return make()
+    except RecordingError as error:
+        where = f"{path}: {str(error.where).rpartition(': ')[2]}"
+        raise RecordingError(error.what, where=where, fix=error.fix) from None
+
+
 def _read_table(path: Path, required: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The keys of a camera.toml that are there, each of its type.
+    """The keys of a camera.toml that are there; `Camera` checks their values.
 
     Raises:
-        RecordingError: The file is missing, no TOML, lacks a required key, or one is unknown or
-            has a wrong value.
+        RecordingError: The file is missing, no TOML, lacks a required key or has an unknown one.
     """
     table = read_toml(
         path,
@@ -232,40 +225,28 @@ def _read_table(path: Path, required: tuple[str, ...] = ()) -> dict[str, Any]:
         fix="write one with width, height, K, depth_unit, distortion and T_world_camera",
         error=RecordingError,
     )
-    if missing := [key for key in required if key not in table]:
-        raise RecordingError(
-            f"lacks {', '.join(missing)}",
-            where=str(path),
-            fix="copy it from the camera's own settings; depth is useless without",
-        )
-    unknown = [key for key in table if key not in _KEYS]
-    if unknown:
-        raise RecordingError(
-            f"has the unknown key {unknown[0]!r}",
-            where=str(path),
-            fix=f"known are {', '.join(_KEYS)}",
-        )
-    for key in ("width", "height"):
-        if not isinstance(table.get(key, 0), int):
-            raise RecordingError(f"is {table[key]!r}", where=f"{path}: {key}", fix="give pixels")
-    for key, shape in (("K", (3, 3)), ("T_world_camera", (4, 4)), ("distortion", (None,))):
-        if key in table:
-            table[key] = _numbers(table[key], shape, f"{path}: {key}")
-    if (count := len(table.get("distortion", ()))) not in _DISTORTION_LENGTHS:
-        raise RecordingError(
-            f"has {count} numbers", where=f"{path}: distortion", fix="give none, or 4, 5 or 8"
-        )
-    if "depth_unit" in table:
-        table["depth_unit"] = float(_numbers(table["depth_unit"], (), f"{path}: depth_unit"))
+    missing = [key for key in required if key not in table]
+    fix = "copy it from the camera's own settings; depth is useless without"
+    what = f"lacks {', '.join(missing)}"
+    require(not missing, what, where=str(path), fix=fix, error=RecordingError)
+    for key in table:
+        what, fix = f"has the unknown key {key!r}", f"known are {', '.join(_KEYS)}"
+        require(key in _KEYS, what, where=str(path), fix=fix, error=RecordingError)
     return table
 
 
-def write_camera(path: str | os.PathLike, camera: Camera) -> None:
+def write_camera(path: str | os.PathLike, camera: Camera, *, pose_only: bool = False) -> None:
     """Write a camera as camera.toml, atomically; reading it gives the same numbers.
+
+    Args:
+        path: The file.
+        camera: The camera.
+        pose_only: Whether to leave out all but the pose, for a recording that holds the rest.
 
     Raises:
         GendomError: The place cannot be written.
     """
+    T = camera.T_world_camera
     lines = [
         f"width = {camera.width}",
         f"height = {camera.height}",
@@ -273,21 +254,9 @@ def write_camera(path: str | os.PathLike, camera: Camera) -> None:
         f"K = {_rows(camera.K)}  # pixels",
         f"distortion = {list(camera.distortion)}  # OpenCV's k1, k2, p1, p2, k3, ...",
     ]
-    if camera.T_world_camera is not None:
-        lines.append(f"T_world_camera = {_rows(camera.T_world_camera)}  # metres")
+    pose = "# not calibrated" if T is None else f"T_world_camera = {_rows(T)}  # metres"
+    text = "\n".join([pose] if pose_only else [*lines, pose])
     with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def write_pose(path: str | os.PathLike, camera: Camera) -> None:
-    """Write a camera.toml with nothing but the pose, for a recording that holds the rest.
-
-    Raises:
-        GendomError: The place cannot be written.
-    """
-    T = camera.T_world_camera
-    with atomic_path(path) as temporary:
-        text = "# not calibrated" if T is None else f"T_world_camera = {_rows(T)}  # metres"
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
@@ -305,17 +274,14 @@ def _numbers(value: Any, shape: tuple[int | None, ...], where: str) -> np.ndarra
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        array = None
-    if (
-        array is None
-        or array.ndim != len(shape)
-        or any(want is not None and have != want for have, want in zip(array.shape, shape))  # noqa: B905
-        or not np.isfinite(array).all()
-    ):
-        form = "x".join("n" if n is None else str(n) for n in shape)
-        raise RecordingError(
-            "is not " + (f"{form} numbers" if shape else "a number"),
-            where=where,
-            fix="give finite numbers in brackets" if shape else "give one number",
-        )
+        array = np.array(np.nan)
+    same = array.ndim == len(shape) and all(
+        want is None or have == want for have, want in zip(array.shape, shape, strict=True)
+    )
+    form = (
+        f"{'x'.join('n' if n is None else str(n) for n in shape)} numbers" if shape else "a number"
+    )
+    fix = "give finite numbers in brackets" if shape else "give one number"
+    right = same and bool(np.isfinite(array).all())
+    require(right, f"is not {form}", where=where, fix=fix, error=RecordingError)
     return array

@@ -16,25 +16,42 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from gendom.errors import ParameterError, RecordingError
+from gendom.arguments import require
+from gendom.errors import RecordingError
 from gendom.perception.camera import Camera
 from gendom.perception.colour import ObjectColour
 from gendom.perception.frames import Pictures
 from gendom.perception.robot import Capsules
-from gendom.perception.table import Table, fit_table
+from gendom.perception.table import TablePlane, fit_table
 
 STAGES = ("depth", "workspace", "table", "colour", "support", "robot", "voxels", "outliers")
 """What is counted: pixels with depth, then those left after each stage, then fused voxels and
 those left after outlier removal."""
 
-LEAST_DEPTH = 100
+MIN_DEPTH_PIXELS = 100
 """Pictures with fewer valid depth pixels are treated as empty."""
 
-_NEVER = np.uint16(65535)
+TABLE_SIGMAS = 3.0
+"""Depths within so many standard deviations of the table's are on the table."""
+
+TABLE_CLEARANCE = 0.002
+"""Points nearer to the table than this [m] are also removed, for any noise."""
+
+MIN_SUPPORT = 3
+"""Minimum number of a pixel's eight neighbours that must belong to the object at about the same
+depth. This removes mixed pixels at edges, and isolated ones."""
+
+ROBOT_MARGIN = 0.01
+"""Points nearer than this [m] to a capsule are the robot's."""
+
+OUTLIER_RADIUS = 0.015
+"""Points in the same or in touching cubes of this edge [m] are connected."""
+
+_NO_TABLE = np.uint16(65535)  # counts that no depth exceeds
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
-_STEEPEST = 5.0  # a surface's depth may change by this many pixels' width from one to the next
+_MAX_DEPTH_SLOPE = 5.0  # pixels' widths by which a surface's depth changes a pixel, at most
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
-_FAR = 0.5  # [m]; larger settings were not given in metres
+_MAX_VOXEL = 0.5  # [m]; larger ones were not given in metres
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
 _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 
@@ -47,46 +64,25 @@ class CloudSettings:
     """The workspace's lower corner [m]."""
     high: tuple[float, float, float]
     """The workspace's upper corner [m]."""
-    table_sigmas: float = 3.0
-    """Depths within so many standard deviations of the table's are on the table."""
-    table_clearance: float = 0.002
-    """Points nearer to the table than this [m] are also removed, for any noise."""
-    min_support: int = 3
-    """Minimum number of a pixel's eight neighbours that must belong to the object at about the same
-    depth. This removes mixed pixels at edges, and isolated ones. 0: no such test."""
-    robot_margin: float = 0.01
-    """Points nearer than this [m] to a capsule are the robot's."""
     voxel: float = 0.005
     """Edge of the cubes that give one point each, the mean of theirs [m]; 0: keep all points."""
-    outlier_radius: float = 0.015
-    """Points in the same or in touching cubes of this edge [m] are connected."""
     min_cluster: int = 10
     """Connected points fewer than this are outliers."""
 
     def __post_init__(self):
-        if not all(
-            np.isfinite([a, b]).all() and a < b for a, b in zip(self.low, self.high, strict=True)
-        ):
-            raise ParameterError(
-                f"the workspace runs from {self.low} to {self.high}",
-                fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first",
-            )
-        for name in ("table_sigmas", "table_clearance", "robot_margin", "voxel", "outlier_radius"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ParameterError(f"{name} is {value}", fix="give 0 or more")
-            if name != "table_sigmas" and value > _FAR:
-                raise ParameterError(
-                    f"{name} is {value:g} m",
-                    fix=f"give metres: {value:g} mm are {1e-3 * value:g} m",
-                )
-        if not 0 <= self.min_support <= 8:
-            raise ParameterError(f"min_support is {self.min_support}", fix="give 0 to 8")
-        if self.min_cluster < 1:
-            raise ParameterError(f"min_cluster is {self.min_cluster}", fix="give 1 or more")
+        corners = zip(self.low, self.high, strict=True)
+        ordered = all(np.isfinite([a, b]).all() and a < b for a, b in corners)
+        what = f"the workspace runs from {self.low} to {self.high}"
+        require(ordered, what, fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first")
+        voxel, count = self.voxel, self.min_cluster
+        right = np.isfinite(voxel) and voxel >= 0.0
+        require(right, f"voxel is {voxel}", fix="give 0 or more")
+        fix = f"give metres: {voxel:g} mm are {1e-3 * voxel:g} m"
+        require(voxel <= _MAX_VOXEL, f"voxel is {voxel:g} m", fix=fix)
+        require(count >= 1, f"min_cluster is {count}", fix="give 1 or more")
 
 
-class View:
+class CameraView:
     """One camera's pixels in one workspace.
 
     Args:
@@ -100,7 +96,7 @@ class View:
     def __init__(self, camera: Camera, settings: CloudSettings):
         self.camera = camera
         self.settings = settings
-        self.table: Table | None = None
+        self.table: TablePlane | None = None
         T = camera.calibrated()
         directions = camera.rays() @ T[:3, :3].T
         self._position = camera.position.astype(np.float32)
@@ -110,8 +106,8 @@ class View:
         self._near, self._far = self._counts(near, np.ceil), self._counts(far, np.floor)
         self._far[~(near <= far)] = 0  # the ray misses the workspace
         # Depths from `_top` on are on the table or below, those beyond `_bottom` below.
-        self._top = np.full(len(self._near), _NEVER)
-        self._bottom = np.full(len(self._near), _NEVER)
+        self._top = np.full(len(self._near), _NO_TABLE)
+        self._bottom = np.full(len(self._near), _NO_TABLE)
 
     def _counts(self, depth: np.ndarray, to_integer: np.ufunc) -> npt.NDArray[np.uint16]:
         """Depths [m] as counts of the depth unit, 1 to 65535."""
@@ -136,7 +132,7 @@ class View:
         """Check that some depth lies in the workspace.
 
         Args:
-            depth: [height, width]; `LEAST_DEPTH` pixels or more have depth.
+            depth: [height, width]; `MIN_DEPTH_PIXELS` pixels or more have depth.
             table_height: z of the table [m]; None: unknown.
 
         Raises:
@@ -154,24 +150,23 @@ class View:
 
         scales = {s: with_scale(s) for s in (1e-4, 1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4)}
         best = max(scales, key=lambda s: scales[s])
+        median = f"{np.median(raw[raw > 0]) * self.camera.depth_unit:.4g} m"
         if scales[best] >= max(10 * inside, 0.005 * has, 100):
-            unit = self.camera.depth_unit
-            right = self._unit_by_table(depth, table_height) or unit * best
-            raise RecordingError(
-                f"depth of median {np.median(raw[raw > 0]) * unit:.4g} m misses the workspace, "
-                f"but would be in it in another unit",
-                where=f"{where}: depth_unit",
-                fix=f"it is {unit:g} m a count; {right:g} seems right",
-            )
+            what = f"depth of median {median} misses the workspace, but would be in it in another "
+            right = self._unit_by_table(depth, table_height) or self.camera.depth_unit * best
+            raise self._other_unit(f"{what}unit", right)
         if inside < 50:
             self.check_unit(depth, table_height)
-        if inside < 50:
-            raise RecordingError(
-                f"sees nothing of the workspace, {_corners(self.settings)}; "
-                f"median depth {np.median(raw[raw > 0]) * self.camera.depth_unit:.3g} m",
-                where=where,
-                fix="check T_world_camera (camera to world) and --workspace",
+            what = (
+                f"sees nothing of the workspace, {_corners(self.settings)}; median depth {median}"
             )
+            fix = "check T_world_camera (camera to world) and --workspace"
+            raise RecordingError(what, where=where, fix=fix)
+
+    def _other_unit(self, what: str, right: float) -> RecordingError:
+        where = f"camera {self.camera.name!r}: depth_unit"
+        fix = f"it is {self.camera.depth_unit:g} m a count; {right:g} seems right"
+        return RecordingError(what, where=where, fix=fix)
 
     def check_unit(self, depth: npt.NDArray[np.uint16], table_height: float | None) -> None:
         """Check whether the table is at its height only in another depth unit.
@@ -183,13 +178,10 @@ class View:
         Raises:
             RecordingError: It is.
         """
-        unit, right = self.camera.depth_unit, self._unit_by_table(depth, table_height)
+        right = self._unit_by_table(depth, table_height)
         if right is not None:
-            raise RecordingError(
-                f"sees no table at z = {table_height:g} m, but would in another unit",
-                where=f"camera {self.camera.name!r}: depth_unit",
-                fix=f"it is {unit:g} m a count; {right:g} seems right",
-            )
+            what = f"sees no table at z = {table_height:g} m, but would in another unit"
+            raise self._other_unit(what, right)
 
     def _unit_by_table(
         self, depth: npt.NDArray[np.uint16], table_height: float | None
@@ -200,7 +192,7 @@ class View:
         """
         raw, slope = depth.ravel(), -self._directions[2]
         pixels = np.flatnonzero((raw > 0) & (slope > 0.1))
-        if table_height is None or len(pixels) < LEAST_DEPTH:
+        if table_height is None or len(pixels) < MIN_DEPTH_PIXELS:
             return None
         below = np.log(slope[pixels] * raw[pixels])  # of counts
         bins = ((below - below.min()) / 0.02).astype(np.int64)
@@ -233,13 +225,11 @@ class View:
         )
         if self.table is None:
             return
-        table, settings = self.table, self.settings
+        table = self.table
         slope = -(table.normal @ self._directions.astype(np.float64))  # per depth, downwards
         with np.errstate(divide="ignore", invalid="ignore"):
             z = (table.normal @ self.camera.position - table.offset) / slope
-            band = np.maximum(
-                settings.table_sigmas * table.noise * z**2, settings.table_clearance / slope
-            )
+            band = np.maximum(TABLE_SIGMAS * table.noise * z**2, TABLE_CLEARANCE / slope)
             meets = (slope > 1e-6) & (z > 0)
             top = np.where(meets, z - band, np.inf)
             bottom = np.where(meets, z + band, np.inf)
@@ -280,13 +270,12 @@ class View:
         counts.append(len(pixels))
         points = self.points(raw, pixels)
         if capsules is not None and len(points):
-            points = points[~capsules.contain(points, self.settings.robot_margin)]
+            points = points[~capsules.contain(points, ROBOT_MARGIN)]
         return points, [*counts, len(points)]
 
     def _supported(self, raw: npt.NDArray[np.uint16], pixels: np.ndarray) -> np.ndarray:
         """Those of the flat pixel numbers that have enough neighbours among them."""
-        least = self.settings.min_support
-        if least == 0 or len(pixels) == 0:
+        if len(pixels) == 0:
             return pixels
         width = self.camera.width
         # A picture of the object alone, with room for the neighbours of its corners.
@@ -296,12 +285,12 @@ class View:
         alone[at] = own
         z = own * np.float32(self.camera.depth_unit)
         noise = _STEREO_NOISE if self.table is None else self.table.noise
-        apart = 4.0 * noise * z**2 + _STEEPEST / self.camera.K[0, 0] * z
+        apart = 4.0 * noise * z**2 + _MAX_DEPTH_SLOPE / self.camera.K[0, 0] * z
         apart = (apart / self.camera.depth_unit).astype(np.int32) + 1
         support = np.zeros(len(pixels), np.int8)
         for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
             support += np.abs(alone[at + step] - own) <= apart
-        return pixels[support >= least]
+        return pixels[support >= MIN_SUPPORT]
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,21 +320,21 @@ def fuse(
     Raises:
         ParameterError: More cameras than bits.
     """
-    if len(clouds) > _MAX_CAMERAS:
-        raise ParameterError(f"{len(clouds)} cameras", fix=f"use {_MAX_CAMERAS} at most")
+    few = len(clouds) <= _MAX_CAMERAS
+    require(few, f"{len(clouds)} cameras", fix=f"use {_MAX_CAMERAS} at most")
     points = np.concatenate(clouds)
     bits = np.repeat((1 << np.arange(len(clouds))).astype(np.uint8), [len(c) for c in clouds])
     if settings.voxel > 0.0 and len(points):
         points, bits = _voxel_means(points, bits, settings.voxel)
     voxels = len(points)
-    if voxels and settings.min_cluster > 1 and settings.outlier_radius > 0.0:
-        keep = _in_clusters(points, settings.outlier_radius, settings.min_cluster)
+    if voxels and settings.min_cluster > 1:
+        keep = _in_clusters(points, settings.min_cluster)
         points, bits = points[keep], bits[keep]
     return points, bits, voxels
 
 
 def perceive_frame(
-    views: Sequence[View],
+    views: Sequence[CameraView],
     pictures: Sequence[Pictures],
     *,
     colour: ObjectColour | None = None,
@@ -416,13 +405,13 @@ def _unique_cells(points: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarr
     return np.stack(np.unravel_index(keys, tuple(size)), axis=1), place
 
 
-def _in_clusters(points: np.ndarray, radius: float, least: int) -> npt.NDArray[np.bool_]:
+def _in_clusters(points: np.ndarray, least: int) -> npt.NDArray[np.bool_]:
     """[n] points in clusters of `least` or more.
 
-    A cluster is what lies in cells of edge `radius` [m] that touch, by a corner at least.
+    A cluster is what lies in cells of edge `OUTLIER_RADIUS` that touch, by a corner at least.
     Grouping cells instead of points keeps large objects as fast as small ones.
     """
-    cells, place = _unique_cells(points, radius)
+    cells, place = _unique_cells(points, OUTLIER_RADIUS)
     pairs = KDTree(cells).query_pairs(1.8, output_type="ndarray")  # sqrt(3) is a corner away
     n = len(cells)
     graph = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(n, n))

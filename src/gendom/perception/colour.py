@@ -13,17 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gendom.errors import ParameterError
+from gendom.arguments import require
 
 TOLERANCE = 25.0
 """Largest distance from the reference colour in L*a*b*, lightness weighed."""
 LIGHTNESS_WEIGHT = 0.4
 """How much a difference of lightness counts beside one of a* or b*."""
 
-DARKEST = 0.45
+DARKEST_SHADOW = 0.45
 """Of (L* + 16, a*, b*) in shadow: a tenth of the light."""
 
-COLOURED = 0.6
+SHADOW_SATURATION = 0.6
 """How far from it a colour in shadow may be, at most, in the saturation it has there: grey is no
 shadow of a colour."""
 
@@ -75,11 +75,9 @@ class ObjectColour:
         Raises:
             ParameterError: The tolerance is not above 0 or the weight is negative.
         """
-        if not tolerance > 0.0 or not lightness_weight >= 0.0:
-            raise ParameterError(
-                f"colour tolerance {tolerance}, lightness weight {lightness_weight}",
-                fix="give a tolerance above 0 and a weight of 0 or more",
-            )
+        what = f"colour tolerance {tolerance}, lightness weight {lightness_weight}"
+        fix = "give a tolerance above 0 and a weight of 0 or more"
+        require(tolerance > 0.0 and lightness_weight >= 0.0, what, fix=fix)
         middle = (np.arange(1 << _BITS) + 0.5) * (256 >> _BITS) - 0.5
         rgb = np.stack(np.meshgrid(middle, middle, middle, indexing="ij"), axis=-1).reshape(-1, 3)
         at = np.asarray(reference, dtype=np.float64)
@@ -88,8 +86,8 @@ class ObjectColour:
         own = (((colours - at) * weight) ** 2).sum(axis=1) <= tolerance**2
         if lightness_weight < 1.0:
             ray, seen = (at - black) * weight, (colours - black) * weight
-            q = np.clip(seen @ ray / (ray @ ray), DARKEST, 1.0)
-            near = q * min(tolerance, COLOURED * float(np.hypot(at[1], at[2])))
+            q = np.clip(seen @ ray / (ray @ ray), DARKEST_SHADOW, 1.0)
+            near = q * min(tolerance, SHADOW_SATURATION * float(np.hypot(at[1], at[2])))
             own |= np.linalg.norm(seen - q[:, None] * ray, axis=1) < near
         return cls(at, own)
 
@@ -112,11 +110,8 @@ def picked_colour(colour: npt.NDArray[np.uint8], u: int, v: int) -> npt.NDArray[
         ParameterError: The pixel is not in the picture.
     """
     height, width = colour.shape[:2]
-    if not (0 <= u < width and 0 <= v < height):
-        raise ParameterError(
-            f"pixel ({u}, {v}) is not in a picture of {width} x {height}",
-            fix="give column and row, from 0",
-        )
+    what = f"pixel ({u}, {v}) is not in a picture of {width} x {height}"
+    require(0 <= u < width and 0 <= v < height, what, fix="give column and row, from 0")
     patch = colour[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
     return np.median(lab(patch.reshape(-1, 3)), axis=0)
 
@@ -143,31 +138,24 @@ def boxed_colour(
     """
     height, width = colour.shape[:2]
     u0, v0, u1, v1 = box
-    if not (0 <= u0 < u1 <= width and 0 <= v0 < v1 <= height):
-        raise ParameterError(
-            f"box {box} is not in a picture of {width} x {height}",
-            fix="give u0 v0 u1 v1 with u0 < u1 and v0 < v1",
-        )
+    right, fix = 0 <= u0 < u1 <= width and 0 <= v0 < v1 <= height, "give u0 < u1 and v0 < v1"
+    require(right, f"box {box} is not in a picture of {width} x {height}", fix=fix)
     inside = np.zeros((height, width), dtype=bool)
     inside[v0:v1, u0:u1] = True
     looked = np.ones_like(inside) if considered is None else considered
     colours, is_inside = lab(colour[looked]), inside[looked]
-    if not is_inside.any() or is_inside.all():
-        raise ParameterError(
-            f"box {box} has {'nothing' if not is_inside.any() else 'everything'} of the workspace",
-            fix="draw it around the object only",
-        )
+    what = f"box {box} has {'everything' if is_inside.any() else 'nothing'} of the workspace"
+    some = is_inside.any() and not is_inside.all()
+    require(some, what, fix="draw it around the object only")
     cell = np.floor(colours / [16.0, 8.0, 8.0]).astype(np.int64) + 64
     key = (cell[:, 0] << 16) | (cell[:, 1] << 8) | cell[:, 2]
     keys, place = np.unique(key, return_inverse=True)
     within = np.bincount(place[is_inside], minlength=len(keys)) / is_inside.sum()
     around = np.bincount(place[~is_inside], minlength=len(keys)) / (~is_inside).sum()
     own = np.where(within > 3.0 * around, within, 0.0)
-    if own.max() < 0.005:
-        raise ParameterError(
-            f"box {box} holds no colour that is not outside as well",
-            fix="draw it tighter, or give the colour by --colour or --pick",
-        )
+    what = f"box {box} holds no colour that is not outside as well"
+    fix = "draw it tighter, or give the colour by --colour or --pick"
+    require(own.max() >= 0.005, what, fix=fix)
     peak = cell[place == int(own.argmax())][0]
     near = is_inside & (np.abs(cell - peak).max(axis=1) <= 1) & (own[place] > 0.0)
     return np.median(colours[near], axis=0)

@@ -20,7 +20,6 @@ missing frame does not affect others.
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -31,11 +30,13 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.datasets.folder import read_gripper, read_object
+from gendom.datasets.rows import read_rows
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, read_camera, write_camera
-from gendom.perception.frames import Frame, FrameSource, Pictures
+from gendom.perception.frames import Frame, FrameSource, Pictures, interpolate
 from gendom.perception.png import read_png
 from gendom.perception.realsense import RealSenseRecording, find_recording
 from gendom.perception.robot import CapsulePath, cut_off, read_shape
@@ -64,15 +65,11 @@ class RobotPath:
         """
         if not self.time[0] - _ROUNDING <= time <= self.time[-1] + _ROUNDING:
             return None
-        k = int(np.clip(np.searchsorted(self.time, time, side="right"), 1, len(self.time) - 1))
-        k = min(k, len(self.time) - 1)
-        before = max(k - 1, 0)
-        step = self.time[k] - self.time[before]
-        w = 0.0 if step == 0.0 else (time - self.time[before]) / step
-        position = (1.0 - w) * self.position[before] + w * self.position[k]
+        time = float(np.clip(time, self.time[0], self.time[-1]))
+        position = interpolate(self.time, self.position, time)
         if self.axis is None:
             return position, None
-        axis = (1.0 - w) * self.axis[before] + w * self.axis[k]
+        axis = interpolate(self.time, self.axis, time)
         return position, axis / np.linalg.norm(axis, axis=-1, keepdims=True)
 
     def closed_at(self, time: float) -> npt.NDArray[np.bool_] | None:
@@ -85,7 +82,7 @@ class RobotPath:
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
+class CameraRecording:
     """The input of perception: cameras, the robot's path and the object."""
 
     sources: list[FrameSource]
@@ -127,12 +124,9 @@ class PngCamera:
     def _read(self, depth: str, colour: str | None) -> Pictures:
         path = self._folder / depth
         picture = read_png(path)
-        if not picture.mode.startswith("I"):
-            raise RecordingError(
-                f"is a PNG of mode {picture.mode}, not 16 bit grey",
-                where=str(path),
-                fix="store depth as 16 bit counts of depth_unit",
-            )
+        what = f"is a PNG of mode {picture.mode}, not 16 bit grey"
+        fix, is_grey = "store depth as 16 bit counts of depth_unit", picture.mode.startswith("I")
+        require(is_grey, what, where=str(path), fix=fix, error=RecordingError)
         counts = self._sized(np.asarray(picture), path).astype(np.uint16, copy=False)
         if colour is None:
             return Pictures(counts)
@@ -141,12 +135,10 @@ class PngCamera:
 
     def _sized(self, array: np.ndarray, path: Path) -> np.ndarray:
         height, width = self.camera.height, self.camera.width
-        if array.shape[:2] != (height, width):
-            raise RecordingError(
-                f"is {array.shape[1]} x {array.shape[0]}, camera.toml says {width} x {height}",
-                where=str(path),
-                fix="give the intrinsics of these pictures, colour aligned with depth",
-            )
+        what = f"is {array.shape[1]} x {array.shape[0]}, camera.toml says {width} x {height}"
+        fix = "give the intrinsics of these pictures, colour aligned with depth"
+        right = array.shape[:2] == (height, width)
+        require(right, what, where=str(path), fix=fix, error=RecordingError)
         return array
 
 
@@ -195,12 +187,12 @@ class PngWriter:
         self._count += 1
 
 
-def read_sighting(
+def read_cameras(
     folder: str | os.PathLike,
     *,
     cameras: Sequence[str] = (),
     on_warning: Callable[[Fault], None] = lambda _: None,
-) -> Sighting:
+) -> CameraRecording:
     """Read a folder of the layout above; pictures are read later, one by one.
 
     Args:
@@ -212,31 +204,24 @@ def read_sighting(
         RecordingError: A part is missing or cannot be used.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise RecordingError("no such folder", where=str(folder), fix="check the path")
-    place = folder / "cameras"
+    place, path = folder / "cameras", folder / "gripper.csv"
+
+    def wanted(holds: Any, what: str, where: Path, fix: str) -> None:
+        require(holds, what, where=str(where), fix=fix, error=RecordingError)
+
+    wanted(folder.is_dir(), "no such folder", folder, "check the path")
     found = sorted(p.name for p in place.iterdir() if p.is_dir()) if place.is_dir() else []
-    if not found:
-        raise RecordingError(
-            "holds no camera",
-            where=str(place),
-            fix="give each a folder with camera.toml and frames.csv or a RealSense recording",
-        )
-    if unknown := [name for name in cameras if name not in found]:
-        raise RecordingError(
-            f"there is no camera {unknown[0]!r}", where=str(place), fix=f"have {', '.join(found)}"
-        )
+    fix = "give each a folder with camera.toml and frames.csv or a RealSense recording"
+    wanted(found, "holds no camera", place, fix)
+    for name in cameras:
+        wanted(name in found, f"there is no camera {name!r}", place, f"have {', '.join(found)}")
     meta = read_object(folder / "object.toml")
-    path = folder / "gripper.csv"
     arrays = read_gripper(path, on_cut=lambda line: on_warning(cut_off(path, line)))
     time = arrays["time"]
-    if not np.isfinite(time).all() or (np.diff(time) <= 0).any():
-        raise RecordingError(
-            "its times do not increase",
-            where=str(path),
-            fix="give the robot's path in order of time",
-        )
-    return Sighting(
+    increases = np.isfinite(time).all() and (np.diff(time) > 0).all()
+    fix = "give the robot's path in order of time"
+    wanted(increases, "its times do not increase", path, fix)
+    return CameraRecording(
         sources=[_open_camera(place / name, on_warning) for name in cameras or found],
         robot=RobotPath(
             time,
@@ -255,12 +240,9 @@ def _open_camera(folder: Path, on_warning: Callable[[Fault], None]) -> FrameSour
     recording = find_recording(folder)
     if recording is None:
         return PngCamera(folder, on_warning=on_warning)
-    if (folder / "frames.csv").exists():
-        raise RecordingError(
-            f"holds frames.csv and {recording.name}",
-            where=str(folder),
-            fix="leave one of them in the camera's folder",
-        )
+    alone, what = not (folder / "frames.csv").exists(), f"holds frames.csv and {recording.name}"
+    fix = "leave one of them in the camera's folder"
+    require(alone, what, where=str(folder), fix=fix, error=RecordingError)
     return RealSenseRecording(recording, on_warning=on_warning)
 
 
@@ -268,47 +250,27 @@ def _read_frames(
     path: Path, on_warning: Callable[[Fault], None]
 ) -> list[tuple[float, str, str | None]]:
     """Rows (time [s], depth file, colour file or None) of frames.csv."""
-    try:
-        with open(path, newline="", encoding="utf-8-sig", errors="replace") as file:
-            lines = [row for row in csv.reader(file) if row]
-    except FileNotFoundError:
-        raise RecordingError(
-            "no such file", where=str(path), fix=f"write one row a frame under {_HEADER}"
-        ) from None
-    except (OSError, csv.Error) as error:
-        raise RecordingError(
-            f"cannot be read ({error})", where=str(path), fix="save it as CSV"
-        ) from None
-    header = [name.strip() for name in lines[0]] if lines else []
-    if not {"time", "depth"} <= set(header) <= {"time", "depth", "colour"}:
-        raise RecordingError(
-            f"has the header {','.join(header)!r}", where=str(path), fix=f"write {_HEADER}"
-        )
+    lines, fix = read_rows(path, header=_HEADER, damaged=True), f"write {_HEADER}"
+    header = lines[0][1]
+    right = {"time", "depth"} <= set(header) <= {"time", "depth", "colour"}
+    what = f"has the header {','.join(header)!r}"
+    require(right, what, where=str(path), fix=fix, error=RecordingError)
     rows, bad = [], []
-    for number, line in enumerate(lines[1:], start=2):
-        entry = dict(zip(header, (text.strip() for text in line), strict=False))
+    for number, line in lines[1:]:
+        entry = dict(zip(header, line, strict=False))
         try:
             time = float(entry["time"])
-            if len(line) != len(header) or not np.isfinite(time) or not entry["depth"]:
-                raise ValueError
-            if rows and time <= rows[-1][0]:
+            whole = len(line) == len(header) and np.isfinite(time) and entry["depth"]
+            if not whole or (rows and time <= rows[-1][0]):
                 raise ValueError
         except (ValueError, KeyError):
             bad.append(number)
             continue
         rows.append((time, entry["depth"], entry.get("colour") or None))
-    if not rows:
-        raise RecordingError(
-            "holds no usable row", where=str(path), fix=f"write one row a frame under {_HEADER}"
-        )
+    fix = f"write one row a frame under {_HEADER}"
+    require(rows, "holds no usable row", where=str(path), fix=fix, error=RecordingError)
     if bad:
-        on_warning(
-            Fault(
-                f"{len(bad)} of {len(lines) - 1} rows are cut short, no numbers or go back in "
-                f"time, first in line {bad[0]}; they are left out",
-                str(path),
-                "record again if too much is missing",
-                "warning",
-            )
-        )
+        what = f"{len(bad)} of {len(lines) - 1} rows are cut short, no numbers or go back in time, "
+        what += f"first in line {bad[0]}; they are left out"
+        on_warning(Fault(what, str(path), "record again if too much is missing", "warning"))
     return rows

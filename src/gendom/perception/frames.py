@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import require
 from gendom.errors import GendomError
 from gendom.perception.camera import Camera
 
@@ -73,16 +74,16 @@ class Matching:
 
     used: int = 0
     """Sets of frames given."""
-    alone: list[int] | None = None
+    alone: list[int] = field(default_factory=list)
     """Frames of each camera that no other camera's frame belonged to."""
-    span: list[tuple[float, float]] | None = None
+    span: list[tuple[float, float]] = field(default_factory=list)
     """First and last time stamp of each camera [s]."""
 
     def spans(self, names: Sequence[str]) -> str:
         """`span` in words."""
         return ", ".join(
             f"{name} {first:.6g} to {last:.6g} s"
-            for name, (first, last) in zip(names, self.span or [], strict=True)
+            for name, (first, last) in zip(names, self.span, strict=True)
         )
 
 
@@ -112,7 +113,6 @@ def match_frames(
 
     def skip(k: int) -> None:
         streams[k].step()
-        assert count.alone is not None
         count.alone[k] += 1
 
     while all(stream.head is not None for stream in streams):
@@ -160,9 +160,18 @@ class _Lookahead:
             return
         first = self.head.time if np.isnan(self.span[0]) else self.span[0]
         self.span = (first, self.head.time)
-        if self.following is not None and not self.following.time > self.head.time:
-            raise GendomError(
-                f"time goes from {self.head.time:.6g} s to {self.following.time:.6g} s",
-                where=self.following.where,
-                fix="sort the frames and drop repeated ones",
-            )
+        if (after := self.following) is not None:
+            what = f"time goes from {self.head.time:.6g} s to {after.time:.6g} s"
+            increases, fix = after.time > self.head.time, "sort the frames and drop repeated ones"
+            require(increases, what, where=after.where, fix=fix, error=GendomError)
+
+
+def interpolate(
+    times: npt.NDArray[np.float64], values: npt.NDArray[np.float64], time: float
+) -> npt.NDArray[np.float64]:
+    """Values [...] at a time, linear between rows [M, ...] at times [M]; constant outside."""
+    k = int(np.searchsorted(times, time))
+    before, after = max(k - 1, 0), min(k, len(times) - 1)
+    step = times[after] - times[before]
+    share = (time - times[before]) / step if step > 0.0 else 0.0
+    return (1.0 - share) * values[before] + share * values[after]

@@ -7,20 +7,23 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import require
 from gendom.datasets import Fault
-from gendom.errors import DeviceError, GendomError, ParameterError
+from gendom.errors import DeviceError, GendomError
 from gendom.perception.alignment import Alignment
-from gendom.perception.camera import Camera
+from gendom.perception.camera import Camera, rigid
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, FrameSource, FrameWriter, Pictures
 from gendom.perception.realsense import own_clock, realsense_sdk
 
-_LAG = 0.1  # [s]; a colour picture this much behind the depth pictures is lost
-_WAITING = 64  # pictures that may wait to be used: about a second of depth and colour
+_MAX_COLOUR_LAG = 0.1  # [s]; a colour picture this much behind the depth pictures is lost
+_QUEUE_SIZE = 64  # pictures that may wait to be used: about a second of depth and colour
 
 
 class _Arrived(NamedTuple):
@@ -85,33 +88,23 @@ class RealSenseCamera:
             wanted.append((sdk.stream.color, sdk.format.rgb8))
         found = [self._profile(*kind, (width, height, rate)) for kind in wanted]
         sensor, profile = found[0]
-        camera = _camera(name or serial, profile)
-        self.camera: Camera = Camera(
-            name=camera.name,
-            width=width,
-            height=height,
-            K=camera.K,
-            T_world_camera=None if T_world_camera is None else np.asarray(T_world_camera),
-            # The SDK holds it as float32, whose shortest text is the number that was meant.
-            depth_unit=float(str(np.float32(sensor.as_depth_sensor().get_depth_scale()))),
-            distortion=camera.distortion,
-        )
+        stream = _camera(name or serial, profile)
+        # The SDK holds it as float32, whose shortest text is the number that was meant.
+        unit = float(str(np.float32(sensor.as_depth_sensor().get_depth_scale())))
+        pose = None if T_world_camera is None else np.asarray(T_world_camera)
+        self.camera: Camera = replace(stream, T_world_camera=pose, depth_unit=unit)
         self._align = None
         if colour:
             other = found[1][1]
-            self._align = Alignment(
-                self.camera, _camera(f"{name or serial}: colour", other), _between(profile, other)
-            )
+            second = _camera(f"{name or serial}: colour", other)
+            self._align = Alignment(self.camera, second, _between(profile, other))
         # Of cameras whose depth and colour come from one sensor both open at once.
-        self._sensors: list[tuple[Any, list[Any]]] = []
+        by_sensor: dict[str, tuple[Any, list[Any]]] = {}
         for sensor, profile in found:
-            for known, profiles in self._sensors:
-                if _sensor_name(sdk, known) == _sensor_name(sdk, sensor):
-                    profiles.append(profile)
-                    break
-            else:
-                self._sensors.append((sensor, [profile]))
-        self._arrived: queue.Queue[_Arrived | None] = queue.Queue(_WAITING)
+            own = by_sensor.setdefault(sensor.get_info(sdk.camera_info.name), (sensor, []))
+            own[1].append(profile)
+        self._sensors = list(by_sensor.values())
+        self._arrived: queue.Queue[_Arrived | None] = queue.Queue(_QUEUE_SIZE)
         self._dropped = 0
         self._streaming = False
         self._lost = False
@@ -129,11 +122,8 @@ class RealSenseCamera:
                     return sensor, video
         have = ", ".join(f"{w} x {h} at {f}" for w, h, f in sorted(modes)) or "none"
         width, height, rate = mode
-        raise DeviceError(
-            f"has no {kind.name} of {width} x {height} at {rate} a second",
-            where=self._where,
-            fix=f"choose of {have}",
-        )
+        what = f"has no {kind.name} of {width} x {height} at {rate} a second"
+        raise DeviceError(what, where=self._where, fix=f"choose of {have}")
 
     def __enter__(self) -> RealSenseCamera:
         sdk = self._sdk
@@ -147,11 +137,8 @@ class RealSenseCamera:
                 sensor.start(self._take)
         except RuntimeError as error:
             self._stop()
-            raise DeviceError(
-                f"does not start ({error})",
-                where=self._where,
-                fix="close other programs that use it, or plug it in again (USB 3)",
-            ) from None
+            fix = "close other programs that use it, or plug it in again (USB 3)"
+            raise DeviceError(f"does not start ({error})", where=self._where, fix=fix) from None
         self._streaming = True
         return self
 
@@ -164,16 +151,13 @@ class RealSenseCamera:
             return
         self._streaming = False
         self._stop()
-        self._end()
+        self._put(None)
         if self._dropped:
-            self._on_warning(
-                Fault(
-                    f"{self._dropped} pictures were dropped because they were not used in time",
-                    self._where,
-                    "record at a lower rate or to a faster disk",
-                    "warning",
-                )
-            )
+            what = f"{self._dropped} pictures were dropped because they were not used in time"
+            self._warn(what, "record at a lower rate or to a faster disk")
+
+    def _warn(self, what: str, fix: str) -> None:
+        self._on_warning(Fault(what, self._where, fix, "warning"))
 
     def _stop(self) -> None:
         for sensor, _ in self._sensors:
@@ -186,13 +170,10 @@ class RealSenseCamera:
     def _devices_changed(self, changes: Any) -> None:
         if changes.was_removed(self._device):
             self._lost = True
-            self._end()
-
-    def _end(self) -> None:
-        """Wake threads that wait for pictures."""
-        self._put(None)
+            self._put(None)
 
     def _put(self, item: _Arrived | None) -> None:
+        """Queue a picture, or None to wake threads that wait for one; the oldest give way."""
         while True:
             try:
                 self._arrived.put_nowait(item)
@@ -234,31 +215,25 @@ class RealSenseCamera:
                 if count == 0 and depth.own_clock:
                     self._on_warning(own_clock(self._where))
                 count += 1
-                if self._align is None:
-                    read = _reader(Pictures(depth.picture))
+                if (align := self._align) is None:
+                    read = partial(Pictures, depth.picture)
                 else:
                     colour = min(colours, key=lambda c: abs(c.time - depth.time), default=None)
                     if colour is None or abs(colour.time - depth.time) > SYNC_TOLERANCE:
                         alone += 1
                         continue
-                    read = _aligner(self._align, depth.picture, colour.picture)
+                    read = partial(align, depth.picture, colour.picture)
                 yield Frame(depth.time, f"{self._where}: frame {count - 1}", read)
         if alone:
-            self._on_warning(
-                Fault(
-                    f"{alone} of {count} depth pictures have no colour picture within "
-                    f"{SYNC_TOLERANCE:g} s; they are left out",
-                    self._where,
-                    "choose a rate that both streams keep",
-                    "warning",
-                )
-            )
+            what = f"{alone} of {count} depth pictures have no colour picture within "
+            what += f"{SYNC_TOLERANCE:g} s; they are left out"
+            self._warn(what, "choose a rate that both streams keep")
 
     def _ready(self, depths: deque[_Arrived], colours: deque[_Arrived]) -> bool:
         """Whether no better colour picture for the first depth picture can arrive any more."""
         if self._align is None or (colours and colours[-1].time >= depths[0].time):
             return True
-        return depths[-1].time - depths[0].time > _LAG
+        return depths[-1].time - depths[0].time > _MAX_COLOUR_LAG
 
     def _next(self, first: bool) -> _Arrived | None:
         """The next picture; None when there will be none."""
@@ -272,20 +247,8 @@ class RealSenseCamera:
         fix = "check cable and hub: it needs USB 3"
         if first:
             raise DeviceError(what, where=self._where, fix=fix)
-        self._on_warning(Fault(f"{what}; its frames end", self._where, fix, "warning"))
+        self._warn(f"{what}; its frames end", fix)
         return None
-
-
-def _reader(pictures: Pictures) -> Callable[[], Pictures]:
-    return lambda: pictures
-
-
-def _aligner(align: Alignment, depth: np.ndarray, colour: np.ndarray) -> Callable[[], Pictures]:
-    return lambda: align(depth, colour)
-
-
-def _sensor_name(sdk: Any, sensor: Any) -> str:
-    return sensor.get_info(sdk.camera_info.name)
 
 
 def _connected(sdk: Any, context: Any, serial: str) -> Any:
@@ -295,26 +258,21 @@ def _connected(sdk: Any, context: Any, serial: str) -> Any:
         serials.append(device.get_info(sdk.camera_info.serial_number))
         if serials[-1] == serial:
             return device
-    if serials:
-        raise DeviceError(
-            f"no RealSense camera {serial!r} is connected", fix=f"have {', '.join(serials)}"
-        )
-    raise DeviceError(
-        "no RealSense camera is connected",
-        fix="plug it in (USB 3); on Linux install the SDK's udev rules",
-    )
+    what, fix = f"no RealSense camera {serial!r} is connected", f"have {', '.join(serials)}"
+    if not serials:
+        what = "no RealSense camera is connected"
+        fix = "plug it in (USB 3); on Linux install the SDK's udev rules"
+    raise DeviceError(what, fix=fix)
 
 
 def _camera(name: str, profile: Any) -> Camera:
     """Size and intrinsics of a stream."""
     found = profile.get_intrinsics()
     distorted = any(found.coeffs) and found.model.name != "none"
-    if distorted and "brown_conrady" not in found.model.name:
-        raise DeviceError(
-            f"has the distortion {found.model.name}, which is not known here",
-            where=f"camera {name}",
-            fix="use a camera of the D400 series",
-        )
+    known = not distorted or "brown_conrady" in found.model.name
+    what = f"has the distortion {found.model.name}, which is not known here"
+    fix = "use a camera of the D400 series"
+    require(known, what, where=f"camera {name}", fix=fix, error=DeviceError)
     return Camera(
         name=name,
         width=found.width,
@@ -328,10 +286,7 @@ def _camera(name: str, profile: Any) -> Camera:
 def _between(depth: Any, colour: Any) -> npt.NDArray[np.float64]:
     """T_colour_depth [4, 4] [m] of two streams."""
     found = depth.get_extrinsics_to(colour)
-    T = np.eye(4)
-    T[:3, :3] = np.array(found.rotation).reshape(3, 3).T  # column after column
-    T[:3, 3] = found.translation
-    return T
+    return rigid(np.array(found.rotation).reshape(3, 3).T, found.translation)  # column by column
 
 
 def record_cameras(
@@ -359,20 +314,16 @@ def record_cameras(
         ParameterError: There is not one writer for each source.
         GendomError: What a source or writer raised; the other cameras are ended.
     """
-    if len(sources) != len(writers):
-        raise ParameterError(
-            f"{len(sources)} cameras and {len(writers)} writers", fix="give one writer for each"
-        )
+    what = f"{len(sources)} cameras and {len(writers)} writers"
+    require(len(sources) == len(writers), what, fix="give one writer for each")
     counts = [0] * len(sources)
     faults: list[BaseException] = []
     ended = threading.Event()
 
     def run(k: int) -> None:
         try:
-            first = None
-            for frame in sources[k]:
-                first = frame.time if first is None else first
-                if ended.is_set() or frame.time - first > duration:
+            for frame in _frames_for(sources[k], duration):
+                if ended.is_set():
                     return
                 try:
                     pictures = frame.read()
@@ -398,3 +349,13 @@ def record_cameras(
     if faults:
         raise faults[0]
     return counts
+
+
+def _frames_for(source: FrameSource, duration: float) -> Iterator[Frame]:
+    """A source's frames until a duration [s] after the first."""
+    first = None
+    for frame in source:
+        first = frame.time if first is None else first
+        if frame.time - first > duration:
+            return
+        yield frame

@@ -6,24 +6,25 @@ import math
 import os
 import zipfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import require
 from gendom.datasets import Fault, Recording
 from gendom.datasets.recording import check_name
 from gendom.datasets.recording_form import parse_meta
-from gendom.errors import ParameterError, RecordingError
+from gendom.errors import RecordingError
 from gendom.files import atomic_path
 from gendom.perception.camera import Camera
 from gendom.perception.cloud import (
-    LEAST_DEPTH,
+    MIN_DEPTH_PIXELS,
     STAGES,
+    CameraView,
     CloudSettings,
     FusedCloud,
-    View,
     perceive_frame,
 )
 from gendom.perception.colour import (
@@ -34,11 +35,10 @@ from gendom.perception.colour import (
     lab,
     picked_colour,
 )
-from gendom.perception.folder import Sighting
+from gendom.perception.folder import CameraRecording
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Matching, Pictures, match_frames
 from gendom.perception.quality import (
     MAX_DISAGREEMENT,
-    median_distance,
     offset_between,
     seen_share,
     sides_apart,
@@ -49,7 +49,10 @@ _AGREEMENT_STRIDE = 5  # beyond the first of them, one frame of so many is compa
 _AGREEMENT_POINTS = 30
 _AGREEMENT_SHARE = 0.03  # of the pixels that the object would fill; fewer may be the table's noise
 _SHARE_FRAMES = 10  # frames on which the seen share is measured
-_LEVELLED = 0.005, math.radians(1.0)  # [m], [rad]; beyond, a camera ought to be calibrated again
+_MAX_CORRECTION = (
+    0.005,
+    math.radians(1.0),
+)  # [m], [rad]; beyond, a camera ought to be calibrated again
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
 
@@ -81,22 +84,21 @@ class PerceptionSettings:
     object's description says, or where cameras see it in the mean."""
     sync_tolerance: float = SYNC_TOLERANCE
     """Largest difference of the time stamps in a set of frames [s]."""
-    cloud: dict[str, Any] = field(default_factory=dict)
-    """Fields of `CloudSettings` other than the workspace."""
+    voxel: float = 0.005
+    """Edge of the cubes that give one point each [m]; 0: keep all points."""
+    min_cluster: int = 10
+    """Connected points fewer than this are outliers."""
 
     def __post_init__(self):
         given = [n for n in ("colour", "pick", "box") if getattr(self, n) is not None]
-        if len(given) > 1:
-            raise ParameterError(f"{' and '.join(given)} are both given", fix="choose one")
-        if self.colour is not None and not all(0 <= c <= 255 for c in self.colour):
-            raise ParameterError(f"colour {self.colour}", fix="give R G B, each 0 to 255")
-        if not (np.isfinite(self.sync_tolerance) and self.sync_tolerance >= 0.0):
-            raise ParameterError(f"sync_tolerance is {self.sync_tolerance}", fix="give seconds")
-        if self.sync_tolerance > 1.0:
-            raise ParameterError(
-                f"sync_tolerance is {self.sync_tolerance:g} s",
-                fix=f"give seconds: {self.sync_tolerance:g} ms are {1e-3 * self.sync_tolerance:g}",
-            )
+        require(len(given) <= 1, f"{' and '.join(given)} are both given", fix="choose one")
+        right = all(0 <= c <= 255 for c in self.colour or ())
+        require(right, f"colour {self.colour}", fix="give R G B, each 0 to 255")
+        late = self.sync_tolerance
+        right = np.isfinite(late) and late >= 0.0
+        require(right, f"sync_tolerance is {late}", fix="give seconds")
+        fix = f"give seconds: {late:g} ms are {1e-3 * late:g}"
+        require(late <= 1.0, f"sync_tolerance is {late:g} s", fix=fix)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +136,7 @@ class Perceived:
 
 
 def perceive(
-    sighting: Sighting,
+    recorded: CameraRecording,
     settings: PerceptionSettings | None = None,
     *,
     on_warning: Callable[[Fault], None] = lambda _: None,
@@ -146,7 +148,7 @@ def perceive(
     that lie outside of the grippers' path are left out with a warning; all others are kept.
 
     Args:
-        sighting: Cameras, the robot's path and the object's description.
+        recorded: Cameras, the robot's path and the object's description.
         settings: By default the workspace follows from the grippers' path, and all that stands
             above the table is the object.
         on_warning: Called with every fault that does not prevent use.
@@ -158,33 +160,31 @@ def perceive(
             came of it is not valid.
         ParameterError: A setting is out of its range.
     """
-    return _Perception(sighting, settings or PerceptionSettings(), on_warning, on_frame).run()
+    return _Perception(recorded, settings or PerceptionSettings(), on_warning, on_frame).run()
 
 
 class _Perception:
     def __init__(
         self,
-        sighting: Sighting,
+        recorded: CameraRecording,
         settings: PerceptionSettings,
         on_warning: Callable[[Fault], None],
         on_frame: Callable[[float, FusedCloud], None],
     ):
-        self.sighting, self.settings = sighting, settings
+        self.recorded, self.settings = recorded, settings
         self.on_warning, self.on_frame = on_warning, on_frame
-        values, faults = parse_meta(sighting.meta)
+        values, faults = parse_meta(recorded.meta)
         if faults:
-            raise RecordingError(where=f"{sighting.where}/object.toml", faults=faults)
+            raise RecordingError(where=f"{recorded.where}/object.toml", faults=faults)
         self.values = values
         self.object = values["object"]
-        self.names = [source.camera.name for source in sighting.sources]
+        self.names = [source.camera.name for source in recorded.sources]
         if (size := self.object.size) is None or not (math.isfinite(size) and size > 0.0):
-            raise RecordingError(
-                "the object's sizes are missing",
-                where=f"{sighting.where}/object.toml",
-                fix="give length for a rope, width and height for a cloth, in metres",
-            )
+            what, where = "the object's sizes are missing", f"{recorded.where}/object.toml"
+            fix = "give length for a rope, width and height for a cloth, in metres"
+            raise RecordingError(what, where=where, fix=fix)
         self.cloud_settings = self._cloud_settings(size)
-        self.views = [View(source.camera, self.cloud_settings) for source in sighting.sources]
+        self.views = [CameraView(source.camera, self.cloud_settings) for source in recorded.sources]
         self.colour: ObjectColour | None = None
         self.clouds: list[FusedCloud] = []
         self.times: list[float] = []
@@ -201,12 +201,12 @@ class _Perception:
     def run(self) -> Perceived:
         matching = Matching()
         sets = match_frames(
-            self.sighting.sources, tolerance=self.settings.sync_tolerance, matching=matching
+            self.recorded.sources, tolerance=self.settings.sync_tolerance, matching=matching
         )
         ready = False
         for frames in sets:
             time = float(np.mean([frame.time for frame in frames]))
-            gripper = self.sighting.robot.at(time)
+            gripper = self.recorded.robot.at(time)
             if gripper is None:
                 self.off_path += 1
                 continue
@@ -220,7 +220,7 @@ class _Perception:
                 self.views,
                 pictures,
                 colour=self.colour,
-                capsules=self.sighting.capsules and self.sighting.capsules.at(time),
+                capsules=self.recorded.capsules and self.recorded.capsules.at(time),
                 on_clouds=self._compare,
             )
             self.clouds.append(cloud)
@@ -230,21 +230,30 @@ class _Perception:
         self._tell_left_out(matching)
         return self._result()
 
+    def _require(self, holds: Any, what: str, fix: str | None, where: str = "") -> None:
+        where = where or self.recorded.where
+        require(holds, what, where=where, fix=fix, error=RecordingError)
+
+    def _warn(self, what: str, where: str, fix: str) -> None:
+        self.on_warning(Fault(what, where, fix, "warning"))
+
     def _cloud_settings(self, size: float) -> CloudSettings:
-        if self.settings.workspace is not None:
-            corners = self.settings.workspace
-            return CloudSettings(low=corners[:3], high=corners[3:], **self.settings.cloud)
-        path = self.sighting.robot.position.reshape(-1, 3)
-        low = path.min(axis=0) - size - _MARGIN
-        high = path.max(axis=0) + _MARGIN
-        high[:2] += size
-        table = self.values["table_height"]
-        if table is not None and table < high[2]:
-            low[2] = max(low[2], table - _BELOW_TABLE)
+        if (box := self.settings.workspace) is None:
+            path = self.recorded.robot.position.reshape(-1, 3)
+            low = path.min(axis=0) - size - _MARGIN
+            high = path.max(axis=0) + _MARGIN
+            high[:2] += size
+            table = self.values["table_height"]
+            if table is not None and table < high[2]:
+                low[2] = max(low[2], table - _BELOW_TABLE)
+            x0, y0, z0, x1, y1, z1 = (float(x) for x in (*low, *high))
+        else:
+            x0, y0, z0, x1, y1, z1 = box
         return CloudSettings(
-            low=(float(low[0]), float(low[1]), float(low[2])),
-            high=(float(high[0]), float(high[1]), float(high[2])),
-            **self.settings.cloud,
+            low=(x0, y0, z0),
+            high=(x1, y1, z1),
+            voxel=self.settings.voxel,
+            min_cluster=self.settings.min_cluster,
         )
 
     def _fewest(self, camera: Camera) -> float:
@@ -255,7 +264,7 @@ class _Perception:
             if known.kind == "rope"
             else (known.width or 0.0) * (known.height or 0.0)
         )
-        away = np.linalg.norm(self.sighting.robot.position.mean(axis=(0, 1)) - camera.position)
+        away = np.linalg.norm(self.recorded.robot.position.mean(axis=(0, 1)) - camera.position)
         filled = area * camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
         return max(_AGREEMENT_POINTS, _AGREEMENT_SHARE * filled)
 
@@ -264,12 +273,10 @@ class _Perception:
             pictures = [frame.read() for frame in frames]
             for frame, seen in zip(frames, pictures, strict=True):
                 # Sensors give such pictures just after they are switched on.
-                if (has := np.count_nonzero(seen.depth)) < LEAST_DEPTH:
-                    raise RecordingError(
-                        f"only {has} of {seen.depth.size} pixels have depth",
-                        where=frame.where,
-                        fix="check the sensor, and that the depth pictures are 16 bit",
-                    )
+                has = np.count_nonzero(seen.depth)
+                what = f"only {has} of {seen.depth.size} pixels have depth"
+                fix = "check the sensor, and that the depth pictures are 16 bit"
+                self._require(has >= MIN_DEPTH_PIXELS, what, fix, frame.where)
         except RecordingError as error:
             self.unreadable.append(error)
             return None
@@ -298,27 +305,20 @@ class _Perception:
             else:
                 heights[view.camera.name] = view.table.height(middle[0], middle[1])
         known = dict(heights) if expected is None else {"object.toml": expected, **heights}
-        if heights and max(known.values()) - min(known.values()) > MAX_DISAGREEMENT:
-            listed = ", ".join(f"{1e3 * z:.0f} mm by {name}" for name, z in known.items())
-            raise RecordingError(
-                f"the table is at z = {listed}: more than {1e3 * MAX_DISAGREEMENT:.0f} mm apart",
-                where=self.sighting.where,
-                fix="calibrate the cameras again, or correct table_height",
-            )
+        apart = max(known.values()) - min(known.values()) if heights else 0.0
+        listed = ", ".join(f"{1e3 * z:.0f} mm by {name}" for name, z in known.items())
+        what = f"the table is at z = {listed}: more than {1e3 * MAX_DISAGREEMENT:.0f} mm apart"
+        fix = "calibrate the cameras again, or correct table_height"
+        self._require(apart <= MAX_DISAGREEMENT, what, fix)
         if heights and self.settings.level:
             mean = sum(heights.values()) / len(heights)
             self._level(pictures, middle, mean if expected is None else expected)
         lacking = [name for name in self.names if name not in heights]
         if lacking and known:  # neither stated nor seen: there is none
             level = "" if expected is None else f" at z = {expected:g} m"
-            self.on_warning(
-                Fault(
-                    f"no table{level} is seen by {', '.join(lacking)}, so none is removed there",
-                    "table",
-                    "check the workspace and T_world_camera; --no-table if there is none",
-                    "warning",
-                )
-            )
+            what = f"no table{level} is seen by {', '.join(lacking)}, so none is removed there"
+            fix = "check the workspace and T_world_camera; --no-table if there is none"
+            self._warn(what, "table", fix)
 
     def _level(self, pictures: list[Pictures], middle: np.ndarray, height: float) -> None:
         """Move every camera so that its table is level and at this height [m]."""
@@ -328,22 +328,17 @@ class _Perception:
             rise = height - view.table.height(middle[0], middle[1])
             tilt = math.acos(min(float(view.table.normal[2]), 1.0))
             T = view.table.levelled(middle[0], middle[1], height)
-            level = View(view.camera.at(T @ view.camera.calibrated()), self.cloud_settings)
+            level = CameraView(view.camera.at(T @ view.camera.calibrated()), self.cloud_settings)
             level.find_table(seen.depth, height)
             if level.table is None:
                 continue
             self.views[k] = level
             self.levelled[view.camera.name] = {"rise": rise, "turn": tilt}
-            if abs(rise) > _LEVELLED[0] or tilt > _LEVELLED[1]:
-                self.on_warning(
-                    Fault(
-                        f"sees the table {-1e3 * rise:+.0f} mm too high and tilted by "
-                        f"{math.degrees(tilt):.1f} degrees; it is moved to where that is right",
-                        f"camera {view.camera.name!r}",
-                        "calibrate it again (gendom calibrate), or --no-level",
-                        "warning",
-                    )
-                )
+            if abs(rise) > _MAX_CORRECTION[0] or tilt > _MAX_CORRECTION[1]:
+                what = f"sees the table {-1e3 * rise:+.0f} mm too high and tilted by "
+                what += f"{math.degrees(tilt):.1f} degrees; it is moved to where that is right"
+                fix = "calibrate it again (gendom calibrate), or --no-level"
+                self._warn(what, f"camera {view.camera.name!r}", fix)
 
     def _find_colour(self, pictures: list[Pictures]) -> ObjectColour | None:
         chosen = self.settings
@@ -352,10 +347,8 @@ class _Perception:
         elif (place := chosen.pick or chosen.box) is None:
             return None
         else:
-            if place[0] not in self.names:
-                raise ParameterError(
-                    f"there is no camera {place[0]!r}", fix=f"have {', '.join(self.names)}"
-                )
+            what, fix = f"there is no camera {place[0]!r}", f"have {', '.join(self.names)}"
+            require(place[0] in self.names, what, fix=fix)
             k = self.names.index(place[0])
             picture = self._coloured(k, pictures)
             if chosen.pick is not None:
@@ -375,11 +368,9 @@ class _Perception:
     def _coloured(self, k: int, pictures: list[Pictures]) -> np.ndarray:
         colour = pictures[k].colour
         if colour is None:
-            raise RecordingError(
-                "has no colour pictures",
-                where=f"camera {self.names[k]!r}",
-                fix="leave out --colour, --pick and --box, or record colour",
-            )
+            fix = "leave out --colour, --pick and --box, or record colour"
+            where = f"camera {self.names[k]!r}"
+            raise RecordingError("has no colour pictures", where=where, fix=fix)
         return colour
 
     def _compare(self, clouds: list[np.ndarray]) -> None:
@@ -412,131 +403,88 @@ class _Perception:
 
     def _check_agreement(self) -> None:
         latest = self.offsets[-_AGREEMENT_FRAMES:]
-        apart = median_distance(latest)
+        offset = np.median(np.array(latest), axis=0)
+        apart = float(np.linalg.norm(offset))
         self.disagreement = max(apart, self.disagreement or 0.0)
-        if apart > MAX_DISAGREEMENT:
-            x, y, z = 1e3 * np.median(np.array(latest), axis=0)
-            raise RecordingError(
-                f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
-                f"({x:.0f}, {y:.0f}, {z:.0f} mm)",
-                where=self.sighting.where,
-                fix="calibrate them again (gendom calibrate), take the robot out of view "
-                "(--colour, joints.csv, capsules.csv), or use one by --cameras",
-            )
+        x, y, z = 1e3 * offset
+        what = f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
+        what += f"({x:.0f}, {y:.0f}, {z:.0f} mm)"
+        fix = "calibrate them again (gendom calibrate), take the robot out of view "
+        fix += "(--colour, joints.csv, capsules.csv), or use one by --cameras"
+        self._require(apart <= MAX_DISAGREEMENT, what, fix)
 
     def _tell_left_out(self, matching: Matching) -> None:
-        def warn(what: str, where: str, fix: str) -> None:
-            self.on_warning(Fault(what, where, fix, "warning"))
-
-        if matching.used == 0:
-            raise RecordingError(
-                f"no frames of the cameras lie within {self.settings.sync_tolerance:g} s "
-                f"({matching.spans(self.names)})",
-                where=self.sighting.where,
-                fix="put all time stamps on one clock, or raise --sync-tolerance",
-            )
-        for name, alone in zip(self.names, matching.alone or [], strict=True):
+        """Warn of frames that are left out, and refuse if none is left."""
+        late = f"{self.settings.sync_tolerance:g} s"
+        spans = matching.spans(self.names)
+        what = f"no frames of the cameras lie within {late} ({spans})"
+        fix = "put all time stamps on one clock, or raise --sync-tolerance"
+        self._require(matching.used, what, fix)
+        for name, alone in zip(self.names, matching.alone, strict=True):
             if alone:
-                warn(
-                    f"{alone} of {alone + matching.used} frames match no frame of the others "
-                    f"within {self.settings.sync_tolerance:g} s; they are left out",
-                    f"camera {name!r}",
-                    "check the cameras' clocks if there are many",
-                )
+                what = f"{alone} of {alone + matching.used} frames match no frame of the others "
+                what += f"within {late}; they are left out"
+                self._warn(what, f"camera {name!r}", "check the cameras' clocks if there are many")
+        path = self.recorded.robot.time
+        times = f"{path[0]:.6g} to {path[-1]:.6g} s"
         if self.unreadable:
-            first = self.unreadable[0]
-            warn(
-                f"{len(self.unreadable)} of {matching.used} frames cannot be read and are left "
-                f"out; the first: {first.what}",
-                first.where or self.sighting.where,
-                first.fix or "",
-            )
+            first, count = self.unreadable[0], len(self.unreadable)
+            where, fix = first.where or self.recorded.where, first.fix or ""
+            what = f"{count} of {matching.used} frames cannot be read and are left out; the first: "
+            self._warn(f"{what}{first.what}", where, fix)
         if self.off_path:
-            path = self.sighting.robot.time
-            warn(
-                f"{self.off_path} of {matching.used} frames are outside of its times, "
-                f"{path[0]:.6g} to {path[-1]:.6g} s; they are left out",
-                f"{self.sighting.where}/gripper.csv",
-                "put robot and cameras on one clock if there are many",
-            )
-        if not self.clouds:
-            if not self.unreadable:
-                path = self.sighting.robot.time
-                raise RecordingError(
-                    f"the robot's path is at other times, {path[0]:.6g} to {path[-1]:.6g} s, than "
-                    f"the cameras' frames ({matching.spans(self.names)})",
-                    where=self.sighting.where,
-                    fix="put both on one clock",
-                )
+            what = f"{self.off_path} of {matching.used} frames are outside of its times, {times}; "
+            fix = "put robot and cameras on one clock if there are many"
+            self._warn(f"{what}they are left out", f"{self.recorded.where}/gripper.csv", fix)
+        if self.unreadable:
+            what = f"none of {len(self.unreadable)} frames can be read; the first: "
             first = self.unreadable[0]
-            raise RecordingError(
-                f"none of {len(self.unreadable)} frames can be read; the first: {first.what}",
-                where=first.where or self.sighting.where,
-                fix=first.fix,
-            )
+            self._require(self.clouds, f"{what}{first.what}", first.fix, first.where or "")
+        what = f"the robot's path is at other times, {times}, than the cameras' frames ({spans})"
+        self._require(self.clouds, what, "put both on one clock")
 
     def _result(self) -> Perceived:
         counts = np.array([cloud.counts for cloud in self.clouds])
-        if not counts[:, -1].any():
-            lost = next(s for s, n in zip(STAGES, counts.sum(axis=0), strict=True) if n == 0)
-            raise RecordingError(
-                f"no object in view: no points are left after {lost!r} in any of "
-                f"{len(counts)} frames",
-                where=self.sighting.where,
-                fix=_REMEDIES[lost],
-            )
+        lost = next((s for s, n in zip(STAGES, counts.sum(axis=0), strict=True) if n == 0), "")
+        what = f"no object in view: no points are left after {lost!r} in any of {len(counts)} "
+        self._require(counts[:, -1].any(), f"{what}frames", _REMEDIES.get(lost))
         if self.offsets:
             self._check_agreement()
+        recording = self._recording()
+        recording.require_valid(self.recorded.where, on_warning=self.on_warning)
+        for name, count in zip(self.names, self.seen, strict=True):
+            if count == 0:
+                what = "sees nothing of the object in any frame"
+                fix = "check its colour pictures, its T_world_camera and what hides the object"
+                self._warn(what, f"camera {name!r}", fix)
+        share = self._share(recording)
+        if share < 0.5:
+            what = f"only about {100 * share:.0f} % of the object is seen"
+            fix = "check workspace, colour and what hides it; the estimate will be poor"
+            self._warn(what, "points", fix)
+        seen_by = np.concatenate([cloud.seen_by for cloud in self.clouds])
+        return Perceived(recording, seen_by, counts, self.names, share, self.disagreement)
+
+    def _recording(self) -> Recording:
+        """The recording of all frames, not yet validated."""
         positions, axes = zip(*self.grippers, strict=True)
-        closed = [self.sighting.robot.closed_at(time) for time in self.times]
-        extra = {**self.values.pop("extra"), "perception": self._history()}
-        self.values["camera_positions"] = np.array([v.camera.position for v in self.views])
+        closed = [self.recorded.robot.closed_at(time) for time in self.times]
+        values = dict(self.values)
+        extra = {**values.pop("extra"), "perception": self._history()}
+        values["camera_positions"] = np.array([v.camera.position for v in self.views])
         tables = [v.table for v in self.views if v.table is not None]
-        if self.values["table_height"] is None and tables:
+        if values["table_height"] is None and tables:
             x, y, _ = np.mean(positions, axis=(0, 1))
-            self.values["table_height"] = float(np.mean([t.height(x, y) for t in tables]))
-        self.values["source"] = self.values["source"] or self.sighting.where
-        recording = Recording.from_frames(
+            values["table_height"] = float(np.mean([t.height(x, y) for t in tables]))
+        values["source"] = values["source"] or self.recorded.where
+        return Recording.from_frames(
             [cloud.points for cloud in self.clouds],
             time=self.times,
             gripper_position=np.array(positions),
             gripper_axis=None if axes[0] is None else np.array(axes),
             gripper_closed=None if closed[0] is None else np.array(closed),
             extra=extra,
-            **self.values,
-        )
-        faults = recording.validate()
-        if errors := [f for f in faults if f.severity == "error"]:
-            raise RecordingError(where=self.sighting.where, faults=errors)
-        for fault in faults:
-            self.on_warning(fault)
-        for name, count in zip(self.names, self.seen, strict=True):
-            if count == 0:
-                self.on_warning(
-                    Fault(
-                        "sees nothing of the object in any frame",
-                        f"camera {name!r}",
-                        "check its colour pictures, its T_world_camera and what hides the object",
-                        "warning",
-                    )
-                )
-        share = self._share(recording)
-        if share < 0.5:
-            self.on_warning(
-                Fault(
-                    f"only about {100 * share:.0f} % of the object is seen",
-                    "points",
-                    "check workspace, colour and what hides it; the estimate will be poor",
-                    "warning",
-                )
-            )
-        return Perceived(
-            recording,
-            np.concatenate([cloud.seen_by for cloud in self.clouds]),
-            counts,
-            self.names,
-            share,
-            self.disagreement,
+            **values,
         )
 
     def _share(self, recording: Recording) -> float:
@@ -576,6 +524,5 @@ def read_seen_by(path: str | os.PathLike) -> npt.NDArray[np.uint8] | None:
         with np.load(path, allow_pickle=False) as archive:
             return archive[SEEN_BY] if SEEN_BY in archive.files else None
     except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise RecordingError(
-            f"cannot be read ({error})", where=str(path), fix="check the file"
-        ) from None
+        what = f"cannot be read ({error})"
+        raise RecordingError(what, where=str(path), fix="check the file") from None

@@ -23,14 +23,11 @@ def read_png(path: Path) -> Image.Image:
     """
     try:
         data = path.read_bytes()
-    except FileNotFoundError:
-        raise RecordingError(
-            "no such file", where=str(path), fix="the recording was cut off; record it again"
-        ) from None
     except OSError as error:
-        raise RecordingError(
-            f"cannot be read ({error.strerror})", where=str(path), fix="copy it again"
-        ) from None
+        missing = isinstance(error, FileNotFoundError)
+        what = "no such file" if missing else f"cannot be read ({error.strerror})"
+        fix = "the recording was cut off; record it again" if missing else "copy it again"
+        raise RecordingError(what, where=str(path), fix=fix) from None
     return decode_png(data, str(path))
 
 
@@ -52,7 +49,6 @@ def decode_png(data: bytes, where: str) -> Image.Image:
         picture.load()
     except _PNG_ERRORS as error:
         reason = "no PNG" if isinstance(error, Image.UnidentifiedImageError) else str(error)
-        raise RecordingError(
-            f"is damaged ({reason[:80] or type(error).__name__})", where=where, fix="copy it again"
-        ) from None
+        what = f"is damaged ({reason[:80] or type(error).__name__})"
+        raise RecordingError(what, where=where, fix="copy it again") from None
     return picture

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse.csgraph import minimum_spanning_tree
@@ -15,7 +13,7 @@ from gendom.datasets import ObjectDescription
 MAX_DISAGREEMENT = 0.02
 """Two cameras' clouds of one object may be this far apart [m]."""
 
-_PAIRED = 0.6  # share of the points that is paired: each camera also sees what the other cannot
+_PAIRED_SHARE = 0.6  # of the points: each camera also sees what the other cannot
 _MAX_POINTS = 500
 
 
@@ -33,7 +31,7 @@ def offset_between(a: npt.ArrayLike, b: npt.ArrayLike) -> npt.NDArray[np.float64
     shift = np.zeros(3)
     for _ in range(60):
         distance, index = (np.asarray(found) for found in tree.query(p + shift))
-        paired = np.argsort(distance)[: max(1, int(_PAIRED * len(p)))]
+        paired = np.argsort(distance)[: max(1, int(_PAIRED_SHARE * len(p)))]
         step = (q[index[paired]] - p[paired] - shift).mean(axis=0)
         shift += step
         if np.linalg.norm(step) < 1e-5:
@@ -107,8 +105,3 @@ def _spaced(points: np.ndarray, spacing: float) -> np.ndarray:
         chosen.append(left[0])
         left = left[((left - left[0]) ** 2).sum(axis=1) >= spacing**2]
     return np.array(chosen)
-
-
-def median_distance(offsets: Sequence[np.ndarray]) -> float:
-    """Length of the componentwise median of translations [3] [m]."""
-    return float(np.linalg.norm(np.median(np.array(offsets), axis=0)))

@@ -28,11 +28,12 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import DeviceError, RecordingError
 from gendom.installation import how_to_install
 from gendom.perception.alignment import Alignment
-from gendom.perception.camera import Camera, adopt_camera, write_pose
+from gendom.perception.camera import Camera, adopt_camera, write_camera
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
 from gendom.perception.rosbag import Bag, Entry, Stream
 
@@ -52,12 +53,9 @@ def find_recording(folder: str | os.PathLike) -> Path | None:
     """
     folder = Path(folder)
     found = sorted(filter(is_recording, folder.iterdir()))
-    if len(found) > 1:
-        raise RecordingError(
-            f"holds {len(found)} recordings, {', '.join(p.name for p in found)}",
-            where=str(folder),
-            fix="leave one in the camera's folder",
-        )
+    what = f"holds {len(found)} recordings, {', '.join(p.name for p in found)}"
+    fix = "leave one in the camera's folder"
+    require(len(found) <= 1, what, where=str(folder), fix=fix, error=RecordingError)
     return found[0] if found else None
 
 
@@ -88,11 +86,8 @@ class RealSenseRecording:
         where = str(self.path)
         depth = self._bag.stream("Depth")
         if depth is None or not depth.entries:
-            raise RecordingError(
-                "has no depth pictures" if depth is None else "no depth picture can be read",
-                where=where,
-                fix="record the depth stream (Z16)",
-            )
+            what = "has no depth pictures" if depth is None else "no depth picture can be read"
+            raise RecordingError(what, where=where, fix="record the depth stream (Z16)")
         self._depth = depth.entries
         name = name or self.path.resolve().parent.name
         camera = _camera(name, depth, self._unit())
@@ -124,11 +119,8 @@ class RealSenseRecording:
         unit = next((e.depth_unit for e in self._depth if e.depth_unit is not None), None)
         unit = unit or self._bag.depth_unit()
         if unit is None:
-            raise RecordingError(
-                "does not say its depth unit",
-                where=str(self.path),
-                fix="record it with the RealSense SDK",
-            )
+            what, fix = "does not say its depth unit", "record it with the RealSense SDK"
+            raise RecordingError(what, where=str(self.path), fix=fix)
         return unit
 
     def __len__(self) -> int:
@@ -146,12 +138,11 @@ class RealSenseRecording:
             return Pictures(depth)  # pyright: ignore[reportArgumentType]
         nearest = int(np.abs(self._colour_times - entry.time).argmin())
         late = float(abs(self._colour_times[nearest] - entry.time))
-        if late > SYNC_TOLERANCE:
-            raise RecordingError(
-                f"the nearest colour picture is {late:.3g} s away",
-                where=where,
-                fix="record colour at the rate of depth",
-            )
+        what, fix = (
+            f"the nearest colour picture is {late:.3g} s away",
+            "record colour at the rate of depth",
+        )
+        require(late <= SYNC_TOLERANCE, what, where=where, fix=fix, error=RecordingError)
         colour = self._bag.picture(self._colour[nearest], f"{where}: colour")
         size = self._align.colour.height, self._align.colour.width
         _check_size(colour, size, np.uint8, f"{where}: colour")
@@ -159,23 +150,17 @@ class RealSenseRecording:
 
 
 def _check_size(picture: np.ndarray, size: tuple[int, int], kind: type, where: str) -> None:
-    if picture.shape[:2] != size or picture.dtype != kind:
-        raise RecordingError(
-            f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, the stream "
-            f"{size[1]} x {size[0]} of {np.dtype(kind)}",
-            where=where,
-            fix="copy the file again",
-        )
+    right = picture.shape[:2] == size and picture.dtype == kind
+    what = f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, the stream "
+    what += f"{size[1]} x {size[0]} of {np.dtype(kind)}"
+    require(right, what, where=where, fix="copy the file again", error=RecordingError)
 
 
 def own_clock(where: str) -> Fault:
     """Warning that time stamps are relative to the start of a camera."""
-    return Fault(
-        "its time stamps are of the camera's own clock",
-        where,
-        "record with the option Global Time Enabled to compare them with other clocks",
-        "warning",
-    )
+    what = "its time stamps are of the camera's own clock"
+    fix = "record with the option Global Time Enabled to compare them with other clocks"
+    return Fault(what, where, fix, "warning")
 
 
 def _camera(name: str, stream: Stream, unit: float) -> Camera:
@@ -202,11 +187,8 @@ def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) ->
     """
     sdk = realsense_sdk()
     if not hasattr(sdk.context, "convert_bag_to_db3"):
-        raise DeviceError(
-            f"the RealSense SDK {sdk.__version__} cannot convert .bag files",
-            where=str(path),
-            fix="pip install 'pyrealsense2>=2.59'",
-        )
+        what = f"the RealSense SDK {sdk.__version__} cannot convert .bag files"
+        raise DeviceError(what, where=str(path), fix="pip install 'pyrealsense2>=2.59'")
     # The SDK detects the format from the file name, not from the content.
     source, made = path.resolve(), folder / "recording.db3"
     if source.suffix != ".bag":
@@ -216,20 +198,12 @@ def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) ->
     )
     if done.returncode != 0:
         reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-        if not made.exists():
-            raise RecordingError(
-                f"the RealSense SDK cannot read it ({reason[:120]})",
-                where=str(path),
-                fix="copy it again; rosbag reindex mends one that was cut off",
-            )
-        on_warning(
-            Fault(
-                f"is damaged or cut off ({reason[:120]}); what comes before is used",
-                str(path),
-                "copy it again, or record again if too much is missing",
-                "warning",
-            )
-        )
+        what = f"the RealSense SDK cannot read it ({reason[:120]})"
+        fix = "copy it again; rosbag reindex mends one that was cut off"
+        require(made.exists(), what, where=str(path), fix=fix, error=RecordingError)
+        what = f"is damaged or cut off ({reason[:120]}); what comes before is used"
+        fix = "copy it again, or record again if too much is missing"
+        on_warning(Fault(what, str(path), fix, "warning"))
     return made
 
 
@@ -242,15 +216,12 @@ def realsense_sdk() -> Any:
     try:
         import pyrealsense2
     except ModuleNotFoundError:
-        raise DeviceError(
-            "the RealSense SDK is missing",
-            fix=f"{how_to_install('camera')} (Linux and Windows, x86-64)",
-        ) from None
+        fix = f"{how_to_install('camera')} (Linux and Windows, x86-64)"
+        raise DeviceError("the RealSense SDK is missing", fix=fix) from None
     except ImportError as error:
-        raise DeviceError(
-            f"the RealSense SDK does not load ({error})",
-            fix="install the library it names; on Debian: apt install libusb-1.0-0",
-        ) from None
+        what = f"the RealSense SDK does not load ({error})"
+        fix = "install the library it names; on Debian: apt install libusb-1.0-0"
+        raise DeviceError(what, fix=fix) from None
     return pyrealsense2
 
 
@@ -279,23 +250,16 @@ class RealSenseWriter:
         self._written = 0
         self._coloured: bool | None = None
         self._open = False
-        for wrong, key, fix in (
-            (camera.K[0, 1] != 0.0, "K", "give a K without skew"),
-            (len(camera.distortion) > 5, "distortion", "give five coefficients at most"),
-            # The SDK writes the unit with six digits behind the point.
-            (
-                abs(round(camera.depth_unit, 6) - camera.depth_unit) > 1e-9,
-                "depth_unit",
-                "give whole micrometres",
-            ),
+        # The SDK writes the unit with six digits behind the point.
+        whole_unit = abs(round(camera.depth_unit, 6) - camera.depth_unit) <= 1e-9
+        for fits, key, fix in (
+            (camera.K[0, 1] == 0.0, "K", "give a K without skew"),
+            (len(camera.distortion) <= 5, "distortion", "give five coefficients at most"),
+            (whole_unit, "depth_unit", "give whole micrometres"),
         ):
-            if wrong:
-                raise RecordingError(
-                    "does not fit into a RealSense recording",
-                    where=f"{camera.name}: {key}",
-                    fix=f"{fix}, or write PNG",
-                )
-        write_pose(self._path.with_name("camera.toml"), camera)
+            what, where = "does not fit into a RealSense recording", f"{camera.name}: {key}"
+            require(fits, what, where=where, fix=f"{fix}, or write PNG", error=RecordingError)
+        write_camera(self._path.with_name("camera.toml"), camera, pose_only=True)
 
     def __enter__(self) -> RealSenseWriter:
         return self
@@ -312,12 +276,9 @@ class RealSenseWriter:
         coloured = pictures.colour is not None
         if not self._open:
             self._start(coloured)
-        if coloured != self._coloured:
-            raise RecordingError(
-                "only some frames have colour",
-                where=str(self._path),
-                fix="write colour with all frames or with none",
-            )
+        what, fix = "only some frames have colour", "write colour with all frames or with none"
+        alike = coloured == self._coloured
+        require(alike, what, where=str(self._path), fix=fix, error=RecordingError)
         self._written += 1
         for sensor, profile, array in zip(
             self._sensors, self._profiles, (pictures.depth, pictures.colour), strict=False
@@ -352,12 +313,10 @@ class RealSenseWriter:
         faults: list[Fault] = []
         bag = Bag(self._path, on_warning=faults.append)
         kept = [len(s.entries) for s in map(bag.stream, ("Depth", "Color")) if s is not None]
-        if faults or any(count != self._written for count in kept):
-            raise RecordingError(
-                f"{min(kept, default=0)} of {self._written} frames are written",
-                where=str(self._path),
-                fix="record for a shorter time, or write PNG",
-            )
+        whole = not faults and all(count == self._written for count in kept)
+        what = f"{min(kept, default=0)} of {self._written} frames are written"
+        fix = "record for a shorter time, or write PNG"
+        require(whole, what, where=str(self._path), fix=fix, error=RecordingError)
 
     def _start(self, coloured: bool) -> None:
         sdk, camera = self._sdk, self._camera
@@ -385,11 +344,8 @@ class RealSenseWriter:
         try:
             self._recorder = sdk.recorder(str(self._path), self._device)
         except RuntimeError as error:
-            raise RecordingError(
-                f"the RealSense SDK cannot write it ({error})",
-                where=str(self._path),
-                fix="choose another place",
-            ) from None
+            what, where = f"the RealSense SDK cannot write it ({error})", str(self._path)
+            raise RecordingError(what, where=where, fix="choose another place") from None
         self._recorded = self._recorder.query_sensors()
         for sensor, profile in zip(self._recorded, self._profiles, strict=True):
             sensor.open(profile)

@@ -14,7 +14,6 @@ object and a piece below it.
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -25,15 +24,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import require
 from gendom.datasets import Fault
+from gendom.datasets.rows import read_rows
 from gendom.errors import RecordingError, RobotError
+from gendom.perception.frames import interpolate
 from gendom.robot import XARM7, Arm, JointStates, arm_shape, find_arm, read_joints
 
 FINGER_MARGIN = 0.003
 """Largest margin around the fingers [m]: about the depth noise at 0.8 m."""
 
-_TURN = 0.05  # [rad]; joints turn by no more between two rows: ends then sag by 0.3 mm at most
-_LATE = 0.1  # [s]; the joints may begin later and end earlier by so much
+_MAX_JOINT_STEP = 0.05  # [rad]; between two rows: ends then sag by 0.3 mm at most
+_MAX_GAP_AT_ENDS = 0.1  # [s]; the joints may begin later and end earlier by so much
 _COLUMNS = ("time", "capsule", "x0", "y0", "z0", "x1", "y1", "z1", "radius")
 
 
@@ -85,13 +87,8 @@ class CapsulePath:
 
     def at(self, time: float) -> Capsules:
         """The capsules at a time, ends linear between rows and at rest before and after."""
-        rows = np.empty((len(self.tracks), 7))
-        for row, (times, values) in zip(rows, self.tracks.values(), strict=True):
-            k = int(np.searchsorted(times, time))
-            before, after = max(k - 1, 0), min(k, len(times) - 1)
-            step = times[after] - times[before]
-            share = (time - times[before]) / step if step > 0.0 else 0.0
-            row[:] = (1.0 - share) * values[before] + share * values[after]
+        rows = np.array([interpolate(*track, time) for track in self.tracks.values()])
+        rows = rows.reshape(-1, 7)
         most = np.array([self.largest_margin.get(name, np.inf) for name in self.tracks])
         return Capsules(rows[:, :3], rows[:, 3:6], rows[:, 6], most)
 
@@ -115,7 +112,7 @@ def arm_capsules(arm: Arm, states: JointStates, *, held: float = 0.0) -> Capsule
     turns = np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0)
     dense = [time[:1]]
     for k, turn in enumerate(turns):
-        steps = max(1, math.ceil(turn / _TURN))
+        steps = max(1, math.ceil(turn / _MAX_JOINT_STEP))
         dense.append(np.linspace(time[k], time[k + 1], steps + 1)[1:])
     times = np.concatenate(dense)
     angles = np.stack([np.interp(times, time, joint) for joint in q.T], axis=1)
@@ -156,13 +153,7 @@ def read_shape(
     if joints.exists():
         held = meta.get("object")
         held = held if isinstance(held, dict) else {}
-        name = meta.get("robot", held.get("robot", XARM7.name))
-        try:
-            arm = find_arm(name)
-        except RobotError as error:
-            raise RecordingError(
-                error.what, where=f"{folder / 'object.toml'}: robot", fix=error.fix
-            ) from None
+        arm = _arm_named(meta.get("robot", held.get("robot", XARM7.name)), folder)
         try:
             states = read_joints(joints, arm, on_cut=lambda line: on_warning(cut_off(joints, line)))
         except RobotError as error:
@@ -170,30 +161,32 @@ def read_shape(
         sizes = [held.get(size) for size in ("diameter", "thickness")]
         width = next((float(s) for s in sizes if isinstance(s, (int, float))), 0.0)
         shape = arm_capsules(arm, states, held=width)
-        if states.time[0] > span[0] + _LATE or states.time[-1] < span[1] - _LATE:
-            on_warning(
-                Fault(
-                    f"spans {states.time[0]:.6g} to {states.time[-1]:.6g} s of "
-                    f"{span[0]:.6g} to {span[1]:.6g} s: outside, the arm is taken to stand still",
-                    str(joints),
-                    "put joints and gripper on one clock, or record both throughout",
-                    "warning",
-                )
-            )
+        first, last = states.time[0], states.time[-1]
+        if first > span[0] + _MAX_GAP_AT_ENDS or last < span[1] - _MAX_GAP_AT_ENDS:
+            what = f"spans {first:.6g} to {last:.6g} s of {span[0]:.6g} to {span[1]:.6g} s: "
+            what += "outside, the arm is taken to stand still"
+            fix = "put joints and gripper on one clock, or record both throughout"
+            on_warning(Fault(what, str(joints), fix, "warning"))
     if capsules.exists():
         given = read_capsules(capsules)
         shape = given if shape is None else shape.joined(given)
     return shape
 
 
+def _arm_named(name: Any, folder: Path) -> Arm:
+    """The arm that object.toml names."""
+    try:
+        return find_arm(name)
+    except RobotError as error:
+        where = f"{folder / 'object.toml'}: robot"
+        raise RecordingError(error.what, where=where, fix=error.fix) from None
+
+
 def cut_off(path: Path, line: int) -> Fault:
     """Warning that the last row of a file is incomplete."""
-    return Fault(
-        "is cut short, as by an interrupted recording; it is left out",
-        f"{path}, line {line}",
-        "record again if too much is missing",
-        "warning",
-    )
+    what = "is cut short, as by an interrupted recording; it is left out"
+    fix = "record again if too much is missing"
+    return Fault(what, f"{path}, line {line}", fix, "warning")
 
 
 def read_capsules(path: str | os.PathLike) -> CapsulePath:
@@ -203,39 +196,28 @@ def read_capsules(path: str | os.PathLike) -> CapsulePath:
         RecordingError: The file cannot be read, or a row is malformed or out of order.
     """
     path = Path(path)
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(
-            f"cannot be read ({error})", where=str(path), fix="save it as CSV"
-        ) from None
-    if len(lines) < 2 or tuple(lines[0][1]) != _COLUMNS:
-        raise RecordingError(
-            "has no rows under its header" if len(lines) == 1 else "has another header",
-            where=str(path),
-            fix=f"write {','.join(_COLUMNS)}, or remove the file",
-        )
+    lines = read_rows(path, header=",".join(_COLUMNS))
+
+    def wanted(holds: Any, what: str, fix: str, line: str = "") -> None:
+        require(holds, what, where=f"{path}{line}", fix=fix, error=RecordingError)
+
+    fix = f"write {','.join(_COLUMNS)}, or remove the file"
+    wanted(tuple(lines[0][1]) == _COLUMNS, "has another header", fix)
+    wanted(len(lines) > 1, "has no rows under its header", fix)
     tracks: dict[str, list[list[float]]] = {}
     for number, row in lines[1:]:
+        where = f", line {number}"
         try:
             values = [float(text) for i, text in enumerate(row) if i != 1]
-            if len(row) != len(_COLUMNS) or not np.isfinite(values).all() or values[-1] <= 0.0:
-                raise ValueError
         except ValueError:
-            raise RecordingError(
-                f"is no capsule: {','.join(row)[:60]!r}",
-                where=f"{path}, line {number}",
-                fix="give seconds, a name, two ends and a radius above 0 in metres",
-            ) from None
+            values = []
+        right = len(row) == len(_COLUMNS) and values and np.isfinite(values).all()
+        fix = "give seconds, a name, two ends and a radius above 0 in metres"
+        wanted(right and values[-1] > 0.0, f"is no capsule: {','.join(row)[:60]!r}", fix, where)
         track = tracks.setdefault(row[1], [])
-        if track and values[0] <= track[-1][0]:
-            raise RecordingError(
-                f"time of capsule {row[1]!r} goes from {track[-1][0]:g} to {values[0]:g} s",
-                where=f"{path}, line {number}",
-                fix="sort the rows",
-            )
+        last = track[-1][0] if track else -np.inf
+        what = f"time of capsule {row[1]!r} goes from {last:g} to {values[0]:g} s"
+        wanted(values[0] > last, what, "sort the rows", where)
         track.append(values)
     arrays = {name: np.array(track) for name, track in tracks.items()}
     return CapsulePath({name: (a[:, 0], a[:, 1:]) for name, a in arrays.items()})

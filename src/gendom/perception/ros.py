@@ -22,8 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from gendom.arguments import require
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import read_object
+from gendom.datasets.npz import short
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
 
@@ -83,30 +85,17 @@ def read_ros_bag(
     with _opened(path) as bag:
         topics = {c.topic: c.msgtype for c in bag.connections}
         topic = _cloud_topic(topics, settings.points, where)
-        frames = _Frames(where)
-        for name in (name for name, kind in topics.items() if kind == TF):
-            for message in _messages(bag, name):
-                for stated in message.transforms:
-                    frames.add(stated, still=name.endswith("tf_static"))
-        frames.settle()
-        poses = None
+        frames, poses = _read_frames(bag, topics, where), None
         if settings.gripper.startswith("/"):
-            _of_kind(topics, settings.gripper, POSE, where)
-            poses = _Track(f"{where}: {settings.gripper}")
-            for message in _messages(bag, settings.gripper):
-                poses.add(message.header, message.pose.position, message.pose.orientation)
-            poses.settle()
+            poses = _read_poses(bag, topics, settings.gripper, where)
         world, clouds, times, positions, left_out = settings.world or frames.root, [], [], [], 0
         for message in _messages(bag, topic):
             time, frame = _time(message.header), message.header.frame_id
             world = world or frame
             try:
                 turn, shift = frames.between(world, frame, time)
-                if poses is None:
-                    _, held = frames.between(world, settings.gripper, time)
-                else:
-                    base, origin = frames.between(world, poses.frame, time)
-                    held = base.apply(poses.at(time)[1]) + origin
+                base, held = frames.between(world, poses.frame if poses else settings.gripper, time)
+                held = held if poses is None else base.apply(poses.at(time)[1]) + held
             except _OutOfTimeError:
                 left_out += 1
                 continue
@@ -114,38 +103,45 @@ def read_ros_bag(
             clouds.append(_inside(cloud, settings.workspace).astype(np.float32))
             times.append(time)
             positions.append(held)
-    if not clouds:
-        raise RecordingError(
-            f"none of {left_out} clouds lies in the time in which the gripper's place is known",
-            where=where,
-            fix="record /tf, or the gripper's poses, as long as the clouds",
-        )
+    what = f"none of {left_out} clouds lies in the time in which the gripper's place is known"
+    fix = "record /tf, or the gripper's poses, as long as the clouds"
+    require(clouds, what, where=where, fix=fix, error=RecordingError)
     if left_out:
-        on_warning(
-            Fault(
-                f"{left_out} of {left_out + len(clouds)} clouds lie outside of the time in which "
-                "frames are known; they are left out",
-                topic,
-                "record /tf as long as the clouds",
-                "warning",
-            )
-        )
-    source = values.pop("source") or f"ROS bag {Path(path).name}"
-    extra = {**values.pop("extra"), "ros": {"points": topic, "gripper": settings.gripper}}
+        what = f"{left_out} of {left_out + len(clouds)} clouds lie outside of the time in which "
+        what += "frames are known; they are left out"
+        on_warning(Fault(what, topic, "record /tf as long as the clouds", "warning"))
+    values["source"] = values["source"] or f"ROS bag {Path(path).name}"
+    values["extra"] |= {"ros": {"points": topic, "gripper": settings.gripper}}
+    values["extra"] |= {"started": times[0], "world": world}
     made = Recording.from_frames(
         clouds,
         time=np.array(times) - times[0],
         gripper_position=np.array(positions),
         **values,
-        source=source,
-        extra=extra | {"started": times[0], "world": world},
     )
-    found = made.validate()
-    if errors := [fault for fault in found if fault.severity == "error"]:
-        raise RecordingError(where=where, faults=errors)
-    for fault in found:
-        on_warning(fault)
+    made.require_valid(where, on_warning=on_warning)
     return made
+
+
+def _read_frames(bag: Any, topics: dict[str, str], where: str) -> _Frames:
+    """The tree of TF."""
+    frames = _Frames(where)
+    for name in (name for name, kind in topics.items() if kind == TF):
+        for message in _messages(bag, name):
+            for stated in message.transforms:
+                frames.add(stated, still=name.endswith("tf_static"))
+    frames.settle()
+    return frames
+
+
+def _read_poses(bag: Any, topics: dict[str, str], topic: str, where: str) -> _Track:
+    """The gripper's poses of a topic."""
+    _check_type(topics, topic, POSE, where)
+    poses = _Track(f"{where}: {topic}")
+    for message in _messages(bag, topic):
+        poses.add(message.header, message.pose.position, message.pose.orientation)
+    poses.settle()
+    return poses
 
 
 @contextmanager
@@ -162,12 +158,9 @@ def _opened(path: str | os.PathLike) -> Iterator[Any]:
     except (RecordingError, ModuleNotFoundError):
         raise
     except Exception as error:  # the reader's, and whatever its decoders make of damaged data
-        said = (str(error) or type(error).__name__).splitlines()[0][:160]
-        raise RecordingError(
-            f"cannot be read as a ROS 2 bag ({said})",
-            where=str(path),
-            fix="give the bag's folder, whole; ros2 bag reindex may mend it",
-        ) from error
+        what = f"cannot be read as a ROS 2 bag ({short(error)})"
+        fix = "give the bag's folder, whole; ros2 bag reindex may mend it"
+        raise RecordingError(what, where=str(path), fix=fix) from error
 
 
 def _messages(bag: Any, topic: str) -> Iterator[Any]:
@@ -180,31 +173,25 @@ def _messages(bag: Any, topic: str) -> Iterator[Any]:
 
 def _cloud_topic(topics: dict[str, str], wanted: str | None, where: str) -> str:
     if wanted is not None:
-        _of_kind(topics, wanted, CLOUD, where)
+        _check_type(topics, wanted, CLOUD, where)
         return wanted
     own = [name for name, kind in topics.items() if kind == CLOUD]
-    if not own and any(name.startswith("/device_0/") for name in topics):
-        raise RecordingError(
-            "is a recording of the RealSense SDK, of depth pictures",
-            where=where,
-            fix="turn it into clouds with gendom perceive",
-        )
-    if len(own) != 1:
-        raise RecordingError(
-            f"has {len(own)} topics of clouds" + (f": {', '.join(own)}" if own else ""),
-            where=where,
-            fix="name one with --points" if own else f"record a {CLOUD}",
-        )
+    is_realsense = not own and any(name.startswith("/device_0/") for name in topics)
+    what = "is a recording of the RealSense SDK, of depth pictures"
+    fix = "turn it into clouds with gendom perceive"
+    require(not is_realsense, what, where=where, fix=fix, error=RecordingError)
+    what = f"has {len(own)} topics of clouds" + (f": {', '.join(own)}" if own else "")
+    fix = "name one with --points" if own else f"record a {CLOUD}"
+    require(len(own) == 1, what, where=where, fix=fix, error=RecordingError)
     return own[0]
 
 
-def _of_kind(topics: dict[str, str], name: str, kind: str, where: str) -> None:
-    if topics.get(name) != kind:
-        others = ", ".join(n for n, k in topics.items() if k == kind)
-        what = f"has no topic {name} of {kind}" if name not in topics else f"{name} is no {kind}"
-        if not others:
-            raise RecordingError(f"{what}, nor another one", where=where, fix="record one")
-        raise RecordingError(what, where=where, fix=f"give one of: {others}")
+def _check_type(topics: dict[str, str], name: str, kind: str, where: str) -> None:
+    others = ", ".join(n for n, k in topics.items() if k == kind)
+    what = f"{name} is no {kind}" if name in topics else f"has no topic {name} of {kind}"
+    fix = f"give one of: {others}" if others else "record one"
+    what += "" if others else ", nor another one"
+    require(topics.get(name) == kind, what, where=where, fix=fix, error=RecordingError)
 
 
 def _time(header: Any) -> float:
@@ -228,22 +215,22 @@ class _Track:
     places: list[list[float]] = field(default_factory=list)
 
     def add(self, header: Any, at: Any, q: Any) -> None:
-        if self.frame not in ("", header.frame_id):
-            raise RecordingError(
-                f"is in {header.frame_id} after {self.frame}", where=self.where, fix="keep one"
-            )
+        what = f"is in {header.frame_id} after {self.frame}"
+        alike = self.frame in ("", header.frame_id)
+        require(alike, what, where=self.where, fix="keep one", error=RecordingError)
         self.frame = header.frame_id
         self.times.append(_time(header))
         self.places.append([at.x, at.y, at.z, q.x, q.y, q.z, q.w])
 
     def settle(self) -> None:
         """To be called once when all is there."""
-        if not self.times:
-            raise RecordingError("has no message", where=self.where, fix="record it")
+        what = "has no message"
+        require(self.times, what, where=self.where, fix="record it", error=RecordingError)
         times, first = np.unique(self.times, return_index=True)
         places = np.array(self.places)[first]
-        if not np.isfinite(places).all() or (np.linalg.norm(places[:, 3:], axis=1) < 0.5).any():
-            raise RecordingError("has a pose that is none", where=self.where, fix="record it again")
+        right = np.isfinite(places).all() and (np.linalg.norm(places[:, 3:], axis=1) >= 0.5).all()
+        what, fix = "has a pose that is none", "record it again"
+        require(right, what, where=self.where, fix=fix, error=RecordingError)
         self._times, self._x = times, places[:, :3]
         self._turns = Rotation.from_quat(places[:, 3:])
         self._between = Slerp(times, self._turns) if len(times) > 1 else None
@@ -284,12 +271,9 @@ class _Frames:
         """The frame in which all others are; empty without TF."""
         parents = {track.frame.lstrip("/") for track in self.tracks.values()}
         roots = sorted(parents - set(self.tracks))
-        if len(roots) > 1:
-            raise RecordingError(
-                f"TF has several roots: {', '.join(roots)}",
-                where=self.where,
-                fix="name the frame of the recording with --world",
-            )
+        what = f"TF has several roots: {', '.join(roots)}"
+        fix = "name the frame of the recording with --world"
+        require(len(roots) <= 1, what, where=self.where, fix=fix, error=RecordingError)
         return roots[0] if roots else ""
 
     def between(self, to: str, start: str, time: float) -> tuple[Rotation, Array]:
@@ -303,11 +287,9 @@ class _Frames:
         up, down = self._lineage(start), self._lineage(to)
         shared = next((frame for frame in up if frame in down), None)
         if shared is None:
-            raise RecordingError(
-                f"TF does not say where {start} is in {to}",
-                where=self.where,
-                fix=f"give frames of one tree; it has {', '.join(sorted(self.tracks)) or 'none'}",
-            )
+            what = f"TF does not say where {start} is in {to}"
+            fix = f"give frames of one tree; it has {', '.join(sorted(self.tracks)) or 'none'}"
+            raise RecordingError(what, where=self.where, fix=fix)
         turn, shift = self._climb(up[: up.index(shared)], time)
         back, origin = self._climb(down[: down.index(shared)], time)
         inverse = back.inv()
@@ -317,8 +299,8 @@ class _Frames:
         found = [frame]
         while found[-1] in self.tracks:
             parent = self.tracks[found[-1]].frame.lstrip("/")
-            if parent in found:
-                raise RecordingError(f"TF has a loop at {parent}", where=self.where, fix="mend it")
+            what, new = f"TF has a loop at {parent}", parent not in found
+            require(new, what, where=self.where, fix="mend it", error=RecordingError)
             found.append(parent)
         return found
 
@@ -344,12 +326,9 @@ def _points(message: Any, where: str) -> Array:
     last = max(offset + kind.itemsize for offset, kind in at)
     data = np.asarray(message.data, dtype=np.uint8)
     needed = (message.height - 1) * row + message.width * step if count else 0
-    if last > step or row < message.width * step or len(data) < needed:
-        raise RecordingError(
-            f"a cloud has {len(data)} bytes for {count} points of {step}",
-            where=where,
-            fix="record it again",
-        )
+    fits = last <= step and row >= message.width * step and len(data) >= needed
+    what = f"a cloud has {len(data)} bytes for {count} points of {step}"
+    require(fits, what, where=where, fix="record it again", error=RecordingError)
     if not count:
         return np.zeros((0, 3))
     shape, raw = (message.height, message.width), data.tobytes()

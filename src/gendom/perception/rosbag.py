@@ -32,6 +32,7 @@ import numpy.typing as npt
 
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
+from gendom.perception.camera import rigid
 from gendom.perception.png import decode_png
 
 _SQLITE = b"SQLite format 3\0"
@@ -40,7 +41,7 @@ _PNG = b"\x89PNG"
 _ZSTD_FORMAT = re.compile(r"(\w+); zstd; (\d+)x(\d+) step=(\d+)$")
 
 _DATA = re.compile(r"(/device_0/sensor_\d+/(Depth|Color)_\d+)/image/data(/compressed(Depth)?)?$")
-_GAP = 1000  # rows that cannot be read one after the other before the rest is given up
+_MAX_UNREADABLE_ROWS = 1000  # in sequence, before the rest is given up
 
 # Distortion models by the SDK's names. It projects "Inverse Brown Conrady" by OpenCV's formula
 # too, to 0.02 pixels at coefficients of 0.07 (rsutil.h).
@@ -116,14 +117,13 @@ class Bag:
         try:
             with open(self.path, "rb") as file:
                 start = file.read(16)
-        except FileNotFoundError:
-            raise self._error("no such file", "check the path") from None
         except OSError as error:
-            raise self._error(f"cannot be read ({error.strerror})", "check the file") from None
+            missing = isinstance(error, FileNotFoundError)
+            what = "no such file" if missing else f"cannot be read ({error.strerror})"
+            raise self._error(what, "check the path") from None
         if start != _SQLITE:
-            raise self._error(
-                "is no .db3 recording", "record it with the RealSense SDK, or copy it"
-            )
+            fix = "record it with the RealSense SDK, or copy it"
+            raise self._error("is no .db3 recording", fix)
 
     def _index(self) -> dict[int, list[tuple[int, int]]]:
         """(row, bag time) of all messages by topic; warns of those that cannot be read."""
@@ -141,24 +141,17 @@ class Bag:
                 lost += row - last - 1
                 last = row
                 rows.setdefault(entry[0], []).append((row, entry[1]))
-            told = (
-                f"{lost} messages in the middle and all after number {last}"
-                if lost
-                else (f"all after message {last}")
+            middle = f"{lost} messages in the middle and all after number {last}"
+            what = (
+                f"is damaged or cut off: {middle if lost else f'all after message {last}'} are lost"
             )
-            self._on_warning(
-                Fault(
-                    f"is damaged or cut off: {told} are lost",
-                    str(self.path),
-                    "copy it again, or record again if too much is missing",
-                    "warning",
-                )
-            )
+            fix = "copy it again, or record again if too much is missing"
+            self._on_warning(Fault(what, str(self.path), fix, "warning"))
         return rows
 
     def _probe(self, row: int) -> Iterator[tuple[int, tuple[int, int]]]:
         missed = 0
-        while missed < _GAP:
+        while missed < _MAX_UNREADABLE_ROWS:
             try:
                 found = self._database.execute(
                     "SELECT topic_id, timestamp FROM messages WHERE id = ?", (row,)
@@ -192,18 +185,14 @@ class Bag:
             coefficients = tuple(float(k) for k in info["coeffs"].split(","))
             model = info["model"]
         except (KeyError, ValueError) as error:
-            raise self._error(
-                f"{where} is missing or damaged ({error})",
-                "copy the file again, or record again; depth needs intrinsics",
-            ) from None
+            fix = "copy the file again, or record again; depth needs intrinsics"
+            raise self._error(f"{where} is missing or damaged ({error})", fix) from None
         known = _PROJECTED if kind == "Color" else _OPENCV
         if not any(coefficients) or model in _UNDISTORTED:
             coefficients = ()
         elif model not in known:
-            raise self._error(
-                f"{kind} has the distortion {model!r}, which is not known here",
-                f"use a camera whose distortion is one of {', '.join(known)}",
-            )
+            what = f"{kind} has the distortion {model!r}, which is not known here"
+            raise self._error(what, f"use a camera whose distortion is one of {', '.join(known)}")
         return Stream(
             width,
             height,
@@ -214,18 +203,18 @@ class Bag:
         )
 
     def _extrinsics(self, prefix: str) -> npt.NDArray[np.float64]:
-        T = np.eye(4)
         topic = next((name for name in self._topics if name.startswith(f"{prefix}/tf/")), None)
         if topic is None:
-            return T
+            return np.eye(4)
         try:
             found = self._values(topic)
-            rotation = [float(x) for x in found["rotation"].split(",")]
-            T[:3, :3] = np.array(rotation).reshape(3, 3).T  # column after column
-            T[:3, 3] = [float(x) for x in found["translation"].split(",")]
+            rotation, shift = (
+                np.array([float(x) for x in found[name].split(",")])
+                for name in ("rotation", "translation")
+            )
+            return rigid(rotation.reshape(3, 3).T, shift)  # column after column
         except (KeyError, ValueError) as error:
             raise self._error(f"{topic} is damaged ({error})", "record again") from None
-        return T
 
     def _entries(self, prefix: str, topic: str) -> Iterator[Entry]:
         """Pictures whose metadata is there and whose time stamps increase."""
@@ -249,15 +238,11 @@ class Bag:
             last = stamp
             yield Entry(row, compressed, stamp, domain, unit)
         if left_out:
-            self._on_warning(
-                Fault(
-                    f"{left_out} pictures have no time stamp, or one that goes back; they are "
-                    "left out",
-                    f"{self.path}: {prefix}",
-                    "record again if too much is missing",
-                    "warning",
-                )
+            what = (
+                f"{left_out} pictures have no time stamp, or one that goes back; they are left out"
             )
+            fix = "record again if too much is missing"
+            self._on_warning(Fault(what, f"{self.path}: {prefix}", fix, "warning"))
 
     def depth_unit(self) -> float | None:
         """The depth sensor's own setting [m], for pictures that do not say; None: unknown."""
@@ -284,9 +269,8 @@ class Bag:
         try:
             return _picture(self._message(entry.row), entry.compressed, where)
         except (ValueError, sqlite3.DatabaseError) as error:
-            raise RecordingError(
-                f"is damaged ({str(error)[:80]})", where=where, fix="copy the file again"
-            ) from None
+            what = f"is damaged ({str(error)[:80]})"
+            raise RecordingError(what, where=where, fix="copy the file again") from None
 
     def _message(self, row: int) -> bytes:
         """A message's bytes.
@@ -371,9 +355,8 @@ def _pixels(
 ) -> npt.NDArray[np.generic]:
     """A picture of raw rows, `step` bytes apart."""
     if (form := _RAW.get(encoding.lower())) is None:
-        raise RecordingError(
-            f"is stored as {encoding}", where=where, fix="record colour as RGB8, depth as Z16"
-        )
+        fix = "record colour as RGB8, depth as Z16"
+        raise RecordingError(f"is stored as {encoding}", where=where, fix=fix)
     size, places = form
     row = width * size
     if step < row or len(data) < step * height or not 0 < height * width < 2**28:

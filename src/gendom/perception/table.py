@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-_SEARCH = 0.06  # [m]; how far from the expected height the table is looked for
-_WINDOW = 0.03  # [m]; heights around the most frequent one that begin the fit
+_SEARCH_RANGE = 0.06  # [m]; how far from the expected height the table is looked for
+_FIT_RANGE = 0.03  # [m]; heights around the most frequent one that begin the fit
 _MAX_TILT = np.radians(5.0)
 _MIN_POINTS = 300
 _MIN_SHARE = 0.03  # of the points in the workspace
@@ -17,7 +17,7 @@ _MAX_POINTS = 20_000  # more do not make the plane better than its calibration
 
 
 @dataclass(frozen=True)
-class Table:
+class TablePlane:
     """A plane as one camera sees it."""
 
     normal: npt.NDArray[np.float64]
@@ -50,7 +50,7 @@ def fit_table(
     depth: npt.NDArray[np.floating],
     *,
     expected_height: float | None = None,
-) -> Table | None:
+) -> TablePlane | None:
     """The horizontal plane that most points lie on.
 
     Begins at the most frequent height and repeats least squares on the points within 2.5 robust
@@ -76,14 +76,14 @@ def fit_table(
     z = p[:, 2]
     near = np.ones(len(z), bool)
     if expected_height is not None:
-        near = np.abs(z - expected_height) < _SEARCH
+        near = np.abs(z - expected_height) < _SEARCH_RANGE
     if near.sum() < _MIN_POINTS:
         return None
     low = z[near].min()
     counts = np.bincount(((z[near] - low) / 0.01).astype(np.int64))
     counts = np.convolve(counts, [1, 1, 1], mode="same")
     peak = low + (counts.argmax() + 0.5) * 0.01
-    keep = np.abs(z - peak) < _WINDOW
+    keep = np.abs(z - peak) < _FIT_RANGE
     centre = p[keep].mean(axis=0)
     design = np.stack([p[:, 0] - centre[0], p[:, 1] - centre[1], np.ones(len(p))], axis=1)
     coefficients = np.zeros(3)
@@ -102,6 +102,6 @@ def fit_table(
     # The window must not cut the noise that is measured here, so it is wide again.
     residual = p @ normal - offset
     slope = np.abs(directions @ normal)
-    wide = (np.abs(residual) < _WINDOW) & (slope > 0.1)
+    wide = (np.abs(residual) < _FIT_RANGE) & (slope > 0.1)
     scaled = np.abs(residual[wide] / (slope[wide] * depth[wide] ** 2))
-    return Table(normal, offset, float(1.4826 * np.median(scaled)))
+    return TablePlane(normal, offset, float(1.4826 * np.median(scaled)))

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.datasets import Recording
-from gendom.perception import PerceptionSettings, perceive, read_sighting
+from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reality.objects import RealObject
 from gendom.reality.recording import RecordSettings, record
 from gendom.reality.trials import Performance, lift_cameras, lifted_by, predefined_lift
@@ -64,8 +64,8 @@ def record_and_perceive(
                 notes=f"The predefined lift of {item.name}, seed {seed}.",
             ),
         )
-    sighting = read_sighting(folder)
-    perceived = perceive(sighting, PerceptionSettings(colour=item.colour))
+    recorded = read_cameras(folder)
+    perceived = perceive(recorded, PerceptionSettings(colour=item.colour))
     perceived.write(folder / "recording.npz")
     return perceived.recording, halfway(folder)
 
@@ -77,7 +77,7 @@ def halfway(folder: str | os.PathLike) -> list[Sight]:
         RecordingError: The folder or a picture cannot be read.
     """
     sights = []
-    for source in read_sighting(folder).sources:
+    for source in read_cameras(folder).sources:
         frames = list(source)
         pictures = frames[len(frames) // 2].read()
         depth = pictures.depth * source.camera.depth_unit

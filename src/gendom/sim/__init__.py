@@ -4,13 +4,12 @@ from gendom.arguments import check_numbers
 from gendom.materials import AIR_DENSITY
 from gendom.sim.bodies import Body, Weave, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device
-from gendom.sim.equilibria import Equilibria
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import CFL, stable_substep
 from gendom.sim.outlines import outline_of_mesh
 from gendom.sim.rollout import Rollout
-from gendom.sim.scene import GRAVITY, Box, Table
+from gendom.sim.scene import GRAVITY, Table
 from gendom.sim.simulator import ENGINES, Simulator
 
 __all__ = [
@@ -19,8 +18,6 @@ __all__ = [
     "ENGINES",
     "GRAVITY",
     "Body",
-    "Box",
-    "Equilibria",
     "Gradients",
     "Gripper",
     "Grippers",

@@ -19,12 +19,12 @@ from gendom.sim.rollout import Rollout
 from gendom.sim.scene import Table
 from gendom.sim.simulator import Simulator
 from gendom.sim.thin.rotation import left_jacobian_inverse
-from gendom.sim.thin.slopes import WEAVE
+from gendom.sim.thin.types import WEAVE
 
 _AXES = {
     **dict.fromkeys(("E", "nu", "density", "damping", "membrane"), 0),
     **dict.fromkeys(("velocity_damping", "air_density", "friction", "self_friction"), 0),
-    **dict.fromkeys(("thickness", "width"), 0),
+    "thickness": 0,
     **dict.fromkeys(("weave", "gravity", "stiffness", "gripper_radius"), 1),
     **dict.fromkeys(("positions", "velocities"), 2),
     **dict.fromkeys(("gripper_positions", "gripper_rotations"), 3),
@@ -32,7 +32,7 @@ _AXES = {
 """Inputs that may be tensors, and their number of axes in one world."""
 
 _OF_MATERIAL = ("E", "nu", "density", "damping", "membrane")
-_OF_BODY = ("thickness", "width", "weave")
+_OF_BODY = ("thickness", "weave")
 _OF_SIMULATOR = (
     "stiffness", "velocity_damping", "air_density", "self_friction", "gravity", "positions",
 )  # fmt: skip
@@ -66,9 +66,8 @@ def simulate(
             [W, N, 3]; of grippers, with K the knots of each one's own path, ``gripper_positions``
             [G, K, 3] or [W, G, K, 3], ``gripper_rotations`` of the same shape, rotation vectors
             that turn them further, in world axes [rad], and ``gripper_radius`` [G] or [W, G]. For
-            rods and shells also what all worlds share of the body: ``thickness`` (or diameter) and
-            ``width`` [m], and ``weave`` [4] (warp, weft, shear, bending). Tensors that require a
-            gradient get one.
+            rods and shells also what all worlds share of the body: ``thickness`` (or diameter)
+            [m] and ``weave`` [3] (warp, weft, shear). Tensors that require a gradient get one.
 
     Returns:
         [T, W, N, 3] positions [m], in the dtype of the simulation.
@@ -125,7 +124,7 @@ def _spread(
         "gripper_positions": (len(grippers), *_knots(grippers), 3),
         "gripper_rotations": (len(grippers), *_knots(grippers), 3),
         "gripper_radius": (len(grippers),),
-        "weave": (4,),
+        "weave": (3,),
     }
     spread = []
     for n, t in zip(names, tensors, strict=True):
@@ -150,9 +149,10 @@ class _Simulation(torch.autograd.Function):
         W = len(v["E"])
         given = [n for n in _OF_MATERIAL if n in v]
         materials = [Material(**{n: float(v[n][w]) for n in given}) for w in range(W)]
-        own: dict[str, Any] = {n: float(v[n][0]) for n in ("thickness", "width") if n in v}
-        if "thickness" in own:
-            own["contact_radius"] = body.contact_radius * own["thickness"] / body.thickness
+        own: dict[str, Any] = {}
+        if "thickness" in v:
+            h = float(v["thickness"][0])
+            own = {"thickness": h, "contact_radius": body.contact_radius * h / body.thickness}
         if "weave" in v:
             own["weave"] = Weave(**dict(zip(WEAVE, v["weave"][0].tolist(), strict=True)))
         every: Any = [[_changed(g, i, w, v) for i, g in enumerate(grippers)] for w in range(W)]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.arguments import check_integers, check_number, check_numbers, check_type
+from gendom.arguments import check_integers, check_number, check_numbers, check_type, require
 from gendom.errors import ParameterError
 from gendom.sim.cut import Cut, cut
 from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
@@ -40,16 +40,14 @@ class Weave:
     """
 
     warp: float = 1.0
-    """Stretching stiffness along the first axis."""
+    """Bending stiffness along the first axis."""
     weft: float = 1.0
-    """Stretching stiffness along the second axis."""
+    """Bending stiffness along the second axis; that of twist is their geometric mean."""
     shear: float = 1.0
     """In-plane shear stiffness."""
-    bending: float = 1.0
-    """Bending stiffness, in all directions."""
 
     def __post_init__(self) -> None:
-        _check_positive(warp=self.warp, weft=self.weft, shear=self.shear, bending=self.bending)
+        _check_positive(warp=self.warp, weft=self.weft, shear=self.shear)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,13 +85,8 @@ class Body:
     which a cloth with an outline has a part."""
     cut: Cut | None = None
     """That part; None: all of it."""
-    width: float | None = None
-    """Width of a flat rope, horizontal and across it [m]; None: round rope."""
     weave: "Weave" = field(default_factory=lambda: Weave())
     """Stiffness of a cloth's weave relative to an isotropic sheet; for shells."""
-    natural_curvature: NDArray[np.floating] | None = None
-    """[2, 2] curvature of the stress-free shell in its first two axes, positive where it arches
-    towards its third axis [1/m]; None: flat."""
 
     @property
     def num_particles(self) -> int:
@@ -212,7 +205,6 @@ def rope(
     direction: ArrayLike = (1.0, 0.0, 0.0),
     cells_across: float = 2.0,
     points: int | None = None,
-    width: float | None = None,
 ) -> Body:
     """Make a rope, straight or along a centre line.
 
@@ -230,8 +222,6 @@ def rope(
             the MPM.
         points: Number of points of the centre line, for rods; by default they are one diameter
             apart, but at least 25 and at most 49.
-        width: Width of a flat rope (a ribbon), horizontal and across it [m]; its thickness is
-            ``diameter``. For rods.
 
     Raises:
         ParameterError: If an argument is of another type or shape or not finite, sizes are not
@@ -239,75 +229,71 @@ def rope(
             there are fewer than three points or more than ``MOST``.
     """
     _check_positive(diameter=diameter, cells_across=cells_across)
-    if not CELLS_ACROSS[0] <= cells_across <= CELLS_ACROSS[1]:
-        raise ParameterError(
-            f"cells_across must lie between {CELLS_ACROSS[0]:g} and {CELLS_ACROSS[1]:g}, "
-            f"got {cells_across:g}",
-            fix="1.5 is the default of estimates; more cost their fourth power",
-        )
-    if centre_line is None:
-        if length is None:
-            raise ParameterError("a straight rope needs its length [m]")
-        _check_positive(length=length)
-        unit = check_numbers("direction", direction, (3,))
-        norm = np.linalg.norm(unit)
-        if norm == 0.0:
-            raise ParameterError("direction of a rope must not be the zero vector")
-        first = check_numbers("start", start, (3,))
-        line = np.stack([first, first + unit / norm * length])
-    else:
-        line = check_numbers("centre_line", centre_line, ("K", 3))
-        if len(line) < 2:
-            raise ParameterError(f"centre_line must have at least two points, got {len(line)}")
-        if length is not None:
-            _check_positive(length=length)
+    require(
+        CELLS_ACROSS[0] <= cells_across <= CELLS_ACROSS[1],
+        f"cells_across must lie between {CELLS_ACROSS[0]:g} and {CELLS_ACROSS[1]:g}, "
+        f"got {cells_across:g}",
+        fix="1.5 is the default of estimates; more cost their fourth power",
+    )
+    line = _line_of(centre_line, start, direction, length)
     dx = diameter / cells_across
     spacing = dx / 2.0
     total = length if length is not None else float(arc_length(line)[-1])
-    if width is not None:
-        _check_positive(width=width)
     if points is None:
         points = 1 + min(max(round(total / diameter), EDGES[0]), EDGES[1])
     check_integers("points", points, (), least=3, most=MOST)
     _check_many(total / spacing * (diameter / spacing) ** 2, "a larger diameter")
-    count = max(2, round(total / spacing))
-    along = (np.arange(count) + 0.5) * (total / count)
-    centre, tangent = along_line(line, along)
-
-    section, places = round_section(max(2, round(diameter / spacing)), diameter)
-    per_section = len(section)
-
-    side, up = frames(tangent)
-    x = centre[:, None] + side[:, None] * section[None, :, :1] + up[:, None] * section[None, :, 1:]
-    coordinates = np.concatenate(
-        [
-            np.broadcast_to(along[:, None, None], (*x.shape[:2], 1)),
-            np.broadcast_to(section[None], (*x.shape[:2], 2)),
-        ],
-        axis=2,
-    )
-    n = x.shape[0] * x.shape[1]
-    cells = np.concatenate(
-        [
-            np.repeat(np.arange(count), per_section)[:, None],
-            np.tile(places, (count, 1)),
-        ],
-        axis=1,
-    )
+    x, coordinates, cells = _rope_particles(line, total, diameter, spacing)
     return Body(
         kind="rope",
-        x=x.reshape(n, 3),
-        material_coordinates=coordinates.reshape(n, 3).copy(),
+        x=x,
+        material_coordinates=coordinates,
         lattice=_neighbours(cells),
-        volume=math.pi / 4.0 * diameter**2 * total / n,
+        volume=math.pi / 4.0 * diameter**2 * total / len(x),
         dx=dx,
         thickness=diameter,
-        section=per_section,
+        section=max(2, round(diameter / spacing)) ** 2,
         contact_radius=diameter / 2.0,
         points=along_line(line, np.linspace(0.0, total, points))[0],
         shape=(points,),
-        width=width,
     )
+
+
+def _line_of(
+    centre_line: ArrayLike | None, start: ArrayLike, direction: ArrayLike, length: float | None
+) -> NDArray[np.floating]:
+    """[K, 3] the given centre line, or that of a straight rope."""
+    if length is not None:
+        _check_positive(length=length)
+    if centre_line is not None:
+        line = check_numbers("centre_line", centre_line, ("K", 3))
+        require(len(line) >= 2, f"centre_line must have at least two points, got {len(line)}")
+        return line
+    if length is None:
+        raise ParameterError("a straight rope needs its length [m]")
+    unit = check_numbers("direction", direction, (3,))
+    norm = np.linalg.norm(unit)
+    require(norm > 0.0, "direction of a rope must not be the zero vector")
+    first = check_numbers("start", start, (3,))
+    return np.stack([first, first + unit / norm * length])
+
+
+def _rope_particles(
+    line: NDArray[np.floating], total: float, diameter: float, spacing: float
+) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.integer]]:
+    """Particles of a rope along a line: positions, material coordinates and cells, [N, 3] each."""
+    count = max(2, round(total / spacing))
+    along = (np.arange(count) + 0.5) * (total / count)
+    centre, tangent = along_line(line, along)
+    section, places = round_section(max(2, round(diameter / spacing)), diameter)
+    side, up = frames(tangent)
+    x = centre[:, None] + side[:, None] * section[None, :, :1] + up[:, None] * section[None, :, 1:]
+    across = np.tile(section, (count, 1))
+    coordinates = np.column_stack([np.repeat(along, len(section)), across])
+    cells = np.column_stack(
+        [np.repeat(np.arange(count), len(section)), np.tile(places, (count, 1))]
+    )
+    return x.reshape(-1, 3), coordinates, cells
 
 
 def cloth(
@@ -320,7 +306,6 @@ def cloth(
     yaw: float = 0.0,
     points: tuple[int, int] | None = None,
     weave: Weave | None = None,
-    natural_curvature: ArrayLike | None = None,
     outline: Any = None,
 ) -> Body:
     """Make a flat cloth in a horizontal plane: a rectangle, or of any outline.
@@ -342,9 +327,8 @@ def cloth(
         dx: Size of a grid cell [m]. For the MPM.
         points: Numbers of points along the first and second axis, for shells; by default 28 along
             the longer side and the same spacing along the other.
-        weave: Stiffness along threads, in shear and in bending; for shells (default: isotropic).
-        natural_curvature: [2, 2] curvature of the stress-free cloth in its first two axes,
-            positive where it arches towards its third axis [1/m]; for shells (default: flat).
+        weave: Bending stiffness along threads, and shear stiffness; for shells (default:
+            isotropic).
         corner: [3] position of one corner of the mid-plane, from which both axes go, or with an
             outline of the origin of its coordinates [m].
         yaw: Angle of the first axis about z [rad].
@@ -379,13 +363,7 @@ def cloth(
     counts = [max(2.0, size / (dx / 2.0)) for size in (width, height, thickness)]
     _check_many(math.prod(counts), "a larger dx")
     shape = [round(count) for count in counts]
-    ticks = [
-        (np.arange(n) + 0.5) * (size / n)
-        for n, size in zip(shape, (width, height, thickness), strict=True)
-    ]
-    ticks[2] -= thickness / 2.0
-    ticks[2] *= thickness / math.sqrt(12.0 * np.mean(ticks[2] ** 2))
-    local = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    local = _sheet_particles(shape, (width, height, thickness))
     along, across = (
         np.linspace(0.0, size, n) for size, n in zip((width, height), points, strict=True)
     )
@@ -417,8 +395,15 @@ def cloth(
         shape=points[::-1],
         cut=part,
         weave=weave or Weave(),
-        natural_curvature=None if natural_curvature is None else _curvature(natural_curvature),
     )
+
+
+def _sheet_particles(shape: list[int], sizes: tuple[float, float, float]) -> NDArray[np.floating]:
+    """[N, 3] particles of a rectangle from its corner on, in its own frame; see ``cloth``."""
+    ticks = [(np.arange(n) + 0.5) * (size / n) for n, size in zip(shape, sizes, strict=True)]
+    ticks[2] -= sizes[2] / 2.0
+    ticks[2] *= sizes[2] / math.sqrt(12.0 * np.mean(ticks[2] ** 2))
+    return np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def round_section(across: int, diameter: float) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
@@ -454,23 +439,10 @@ def _sizes(
         ParameterError: If a given one is another.
     """
     for name, given, size in (("width", width, box[0]), ("height", height, box[1])):
-        if given is not None and abs(given - size) > 1e-6 * size:
-            raise ParameterError(
-                f"{name} is {given:g} m, and the outline's is {size:g} m", fix=f"leave {name} out"
-            )
+        if given is not None:
+            what = f"{name} is {given:g} m, and the outline's is {size:g} m"
+            require(abs(given - size) <= 1e-6 * size, what, fix=f"leave {name} out")
     return float(box[0]), float(box[1])
-
-
-def _curvature(values: ArrayLike) -> NDArray[np.floating]:
-    """Check a natural curvature and return it as an array [2, 2].
-
-    Raises:
-        ParameterError: If it is not [2, 2], finite and symmetric.
-    """
-    a = check_numbers("natural_curvature", values, (2, 2))
-    if a[0, 1] != a[1, 0]:
-        raise ParameterError(f"natural_curvature must be symmetric, got {a.tolist()}")
-    return a
 
 
 def _check_positive(**values: float) -> None:
@@ -479,10 +451,8 @@ def _check_positive(**values: float) -> None:
 
 
 def _check_many(count: float, fix: str) -> None:
-    if count > MOST:
-        raise ParameterError(
-            f"the body would have {count:.3g} particles or points, at most {MOST:.0e} fit", fix=fix
-        )
+    would = f"the body would have {count:.3g} particles or points, at most {MOST:.0e} fit"
+    require(count <= MOST, would, fix=fix)
 
 
 def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:

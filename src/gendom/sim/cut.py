@@ -27,7 +27,7 @@ angle to the lattice."""
 CLOSEST = 3.0
 """Least distance between parts side by side [spacings]: nearer ones may share points."""
 
-LONG = 4.0
+LEAST_WAY_AROUND = 4.0
 """Way along the outline between two places that are too near, over the least distance, from which
 they lie on two sides of a part or a gap. Else they are at a corner of more than 29 degrees, or a
 small hole or notch."""
@@ -226,7 +226,7 @@ def _check_resolved(outline: Outline, spacing: Array, size: Array) -> None:
     i, j = KDTree(places).query_pairs(reach, output_type="ndarray").T
     way = np.abs(along[i] - along[j])
     way = np.where(of[i] == of[j], np.minimum(way, whole[i] - way), np.inf)
-    across = way > LONG * NARROWEST * widest
+    across = way > LEAST_WAY_AROUND * NARROWEST * widest
     i, j, way = i[across], j[across], way[across]
     distance = np.linalg.norm(places[i] - places[j], axis=1)
     shares = np.linspace(0.1, 0.9, 5)[:, None, None]
@@ -238,7 +238,7 @@ def _check_resolved(outline: Outline, spacing: Array, size: Array) -> None:
         (False, CLOSEST, "parts of the cloth are only {} apart"),
     ):
         d = np.where(part if inside else gap, distance, np.inf)
-        d = np.where(way > LONG * least * widest, d, np.inf)
+        d = np.where(way > LEAST_WAY_AROUND * least * widest, d, np.inf)
         k = int(d.argmin()) if len(d) else 0
         if len(d) and d[k] < (1.0 - 1e-9) * least * widest:
             finer = 1 + np.ceil(least * size / d[k] - 1e-9).astype(int)

@@ -47,16 +47,13 @@ class Gradients:
     gripper_radius: NDArray[np.float64]
     """[W, G] by the radius of the grippers [1/m]."""
     thickness: NDArray[np.float64] | None = None
-    """[W] by the thickness of a cloth or flat rope, or the diameter of a round one, the initial
-    positions unchanged [1/m]. MPM: None."""
-    width: NDArray[np.float64] | None = None
-    """[W] by the width of a flat rope [1/m]; None for other bodies."""
+    """[W] by the thickness of a cloth or the diameter of a rope, the initial positions unchanged
+    [1/m]. MPM: None."""
     membrane: NDArray[np.float64] | None = None
     """[W] by the modulus in a cloth's plane [1/Pa]; None if no material has its own, and 0 for
     those that have not."""
     weave: NDArray[np.float64] | None = None
-    """[W, 4] by the weave's warp, weft, shear and bending; None for other bodies than shells."""
+    """[W, 3] by the weave's warp, weft and shear; None for other bodies than shells."""
     rest_strains: NDArray[np.float64] | None = None
-    """By the stress-free strains. Rods, [W, n, 6]: two shears and the stretch of each edge, two
-    bending angles and the twist of each joint [1/rad]. Shells, [W, n, 3]: second differences along
-    the normal, along rows, along columns and mixed [1/m]. MPM: None."""
+    """[W, n, 6] by a rod's stress-free strains: two shears and the stretch of each edge, two
+    bending angles and the twist of each joint [1/rad]; None for other bodies."""

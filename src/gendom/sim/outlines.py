@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gendom.arguments import check_integers, check_numbers
+from gendom.arguments import check_integers, check_numbers, require
 from gendom.errors import ParameterError
 
 Array = NDArray[np.float64]
@@ -37,22 +37,19 @@ class Outline:
             loops = [np.asarray(loop, dtype=float) for loop in given]
         except (TypeError, ValueError, IndexError, KeyError):
             loops = []
-        if not loops or any(a.ndim != 2 or a.shape[1] != 2 for a in loops):
-            raise ParameterError(
-                "outline must be a polygon [K, 2] [m], or a sequence of them: outside, holes"
-            )
+        require(
+            loops and all(a.ndim == 2 and a.shape[1] == 2 for a in loops),
+            "outline must be a polygon [K, 2] [m], or a sequence of them: outside, holes",
+        )
         cleaned = []
         for k, loop in enumerate(loops):
-            if not np.isfinite(loop).all():
-                raise ParameterError("holds numbers that are not finite", where=_name(k))
+            finite = np.isfinite(loop).all()
+            require(finite, "holds numbers that are not finite", where=_name(k))
             loop = loop[np.any(loop != np.roll(loop, 1, axis=0), axis=1)]
-            if len(loop) < 3:
-                raise ParameterError(
-                    f"has {len(loop)} different points", where=_name(k), fix="give at least three"
-                )
-            area = integrals(loop)[0]
-            if abs(area) <= ROUNDING * float(np.ptp(loop, axis=0).max()) ** 2:
-                raise ParameterError("has no area", where=_name(k))
+            different = f"has {len(loop)} different points"
+            require(len(loop) >= 3, different, where=_name(k), fix="give at least three")
+            area, size = integrals(loop)[0], float(np.ptp(loop, axis=0).max())
+            require(abs(area) > ROUNDING * size**2, "has no area", where=_name(k))
             cleaned.append(loop if (area > 0.0) == (k == 0) else loop[::-1])
         made = cls(tuple(cleaned))
         made._check_crossings()
@@ -168,11 +165,11 @@ class Outline:
 
     def _check_holes(self) -> None:
         for k, hole in enumerate(self.loops[1:], start=1):
-            if not Outline(self.loops[:1]).contains(hole[:1])[0]:
-                raise ParameterError("is not inside of the outline", where=_name(k))
+            inside = Outline(self.loops[:1]).contains(hole[:1])[0]
+            require(inside, "is not inside of the outline", where=_name(k))
             for other in range(1, len(self.loops)):
-                if other != k and Outline((self.loops[other],)).contains(hole[:1])[0]:
-                    raise ParameterError(f"is inside of {_name(other)}", where=_name(k))
+                inside = other != k and Outline((self.loops[other],)).contains(hole[:1])[0]
+                require(not inside, f"is inside of {_name(other)}", where=_name(k))
 
 
 def outline_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> list[Array]:
@@ -195,21 +192,17 @@ def outline_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> list[Array]:
     """
     x = check_numbers("vertices", vertices, ("V", 2), ("V", 3))
     triangles = check_integers("faces", faces, ("F", 3))
-    if len(x) < 3 or not len(triangles):
-        raise ParameterError(
-            f"vertices must be at least three and faces at least one, got {len(x)} and "
-            f"{len(triangles)}"
-        )
+    require(
+        len(x) >= 3 and len(triangles),
+        f"vertices must be at least three and faces at least one, got {len(x)} and "
+        f"{len(triangles)}",
+    )
     out = np.any(triangles >= len(x), axis=1)
-    if out.any():
-        raise ParameterError(
-            f"triangle {int(out.argmax())} has vertices {triangles[out][0].tolist()}, there are "
-            f"{len(x)}",
-            where="faces",
-        )
+    k = int(out.argmax())
+    having = f"triangle {k} has vertices {triangles[k].tolist()}, there are {len(x)}"
+    require(not out.any(), having, where="faces")
     twice = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
-    if twice.any():
-        raise ParameterError(f"triangle {int(twice.argmax())} has no area", where="faces")
+    require(not twice.any(), f"triangle {int(twice.argmax())} has no area", where="faces")
     used = x[np.unique(triangles)]
     size = float(np.ptp(used, axis=0).max())
     if x.shape[1] == 3:
@@ -217,8 +210,7 @@ def outline_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> list[Array]:
     a, b, c = (x[triangles[:, k]] for k in range(3))
     double = cross(b - a, c - a)
     flat = np.abs(double) <= ROUNDING * size**2
-    if flat.any():
-        raise ParameterError(f"triangle {int(flat.argmax())} has no area", where="faces")
+    require(not flat.any(), f"triangle {int(flat.argmax())} has no area", where="faces")
     turned = np.where(double[:, None] > 0.0, triangles, triangles[:, ::-1]).astype(np.int64)
     loops = [x[loop] for loop in _borders(turned)]
     areas = np.array([integrals(loop)[0] for loop in loops])
@@ -231,11 +223,11 @@ def _in_plane(x: Array, used: Array, size: float) -> Array:
     middle = used.mean(axis=0)
     normal = np.linalg.svd(used - middle, full_matrices=False)[2][2]
     off = float(np.abs((used - middle) @ normal).max())
-    if off > 1e-6 * size:
-        raise ParameterError(
-            f"the mesh is not flat: vertices are up to {1e3 * off:.3g} mm out of their plane",
-            where="vertices",
-        )
+    require(
+        off <= 1e-6 * size,
+        f"the mesh is not flat: vertices are up to {1e3 * off:.3g} mm out of their plane",
+        where="vertices",
+    )
     normal = normal * (1.0 if normal[np.abs(normal).argmax()] > 0.0 else -1.0)
     axis = np.eye(3)[0 if abs(normal[0]) < 1.0 - ROUNDING else 1]
     along = axis - (axis @ normal) * normal
@@ -252,32 +244,27 @@ def _borders(triangles: NDArray[np.int64]) -> list[NDArray[np.int64]]:
         np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
     )
     edge = edge.reshape(-1)
-    if count.max() > 2:
-        i, j = edges[count[edge] > 2][0]
-        raise ParameterError(
-            f"more than two triangles share the edge of vertices {i}, {j}", where="faces"
-        )
+    i, j = edges[count[edge].argmax()]
+    shared = f"more than two triangles share the edge of vertices {i}, {j}"
+    require(count.max() <= 2, shared, where="faces")
     beside = coo_matrix((np.ones(3 * F), (of, edge)), shape=(F, len(count))).tocsr()
     parts, _ = connected_components(beside @ beside.T, directed=False)
-    if parts > 1:
-        raise ParameterError(
-            f"the mesh has {parts} parts that share no edge",
-            where="faces",
-            fix="weld vertices that coincide, or make one cloth of each part",
-        )
+    require(
+        parts <= 1,
+        f"the mesh has {parts} parts that share no edge",
+        where="faces",
+        fix="weld vertices that coincide, or make one cloth of each part",
+    )
     border = edges[count[edge] == 1]
-    if not len(border):
-        raise ParameterError(
-            "the mesh has no border: each of its triangles lies on others",
-            where="faces",
-            fix="remove triangles that are given twice",
-        )
+    require(
+        len(border),
+        "the mesh has no border: each of its triangles lies on others",
+        where="faces",
+        fix="remove triangles that are given twice",
+    )
     begins, times = np.unique(border[:, 0], return_counts=True)
-    if times.max(initial=0) > 1:
-        raise ParameterError(
-            f"triangles overlap, or meet only in a point, at vertex {begins[times.argmax()]}",
-            where="faces",
-        )
+    meeting = f"triangles overlap, or meet only in a point, at vertex {begins[times.argmax()]}"
+    require(times.max() <= 1, meeting, where="faces")
     after = dict(border.tolist())
     loops = []
     while after:

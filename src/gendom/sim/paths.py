@@ -2,7 +2,8 @@
 
 Between two knots a gripper moves on a straight line and turns about one axis, at constant rates.
 All is in float64, because a gripper's movement in one substep can be below the resolution of
-float32 far from the origin.
+float32 far from the origin. Functions for kernels (``make_paths``) serve both engines; the host
+evaluates paths by launching them (``HostPaths``).
 
 Shapes: W worlds, G grippers, K path knots.
 """
@@ -13,10 +14,18 @@ Shapes: W worlds, G grippers, K path knots.
 # pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
 
 import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
+
+from gendom.sim.device import making
+
+Array = NDArray[Any]
 
 
 @functools.cache
@@ -40,13 +49,28 @@ def make_path_type(real: Any) -> Any:
     return Paths
 
 
+def paths_on(device: Any, arrays: Mapping[str, Array], real: Any) -> Any:
+    """The struct of paths on a device, from the arrays of ``Grippers``."""
+    paths = make_path_type(real)()
+    kinds = {
+        "time": wp.float64, "position": wp.vec3d, "orientation": wp.quatd, "turn": wp.vec3d,
+        "turns": wp.int32, "hold_from": wp.float64, "hold_until": wp.float64, "radius": real,
+        "may_miss": wp.int32,
+    }  # fmt: skip
+    for name, kind in kinds.items():
+        values = np.ascontiguousarray(arrays[name])
+        setattr(paths, name, wp.array(values, dtype=kind, device=device))
+    return paths
+
+
 @functools.cache
 def make_paths(real: Any) -> SimpleNamespace:
     """Build the functions that evaluate gripper paths, for one scalar type.
 
     Returns:
-        Namespace with ``is_closed``, ``pose`` (of a gripper at a given time), ``pose_adjoint``
-        (its transpose with respect to the path's positions and orientations), and their parts.
+        Namespace with ``is_closed``, ``placed`` and ``pose`` (of a gripper at a given time, with a
+        quaternion or a matrix), ``pose_adjoint`` (their transpose with respect to the path's
+        positions and orientations), and their parts.
     """
     vec3, mat33 = wp.types.vector(3, real), wp.types.matrix((3, 3), real)
     Paths = make_path_type(real)
@@ -95,7 +119,7 @@ def make_paths(real: Any) -> SimpleNamespace:
         return q
 
     @wp.func
-    def pose(w: int, g: int, t: wp.float64, paths: Paths):
+    def placed(w: int, g: int, t: wp.float64, paths: Paths):
         """Centre [m] and orientation of a gripper at time t [s], and the index of the last knot.
 
         Between two knots the gripper moves on a straight line and turns at constant rates.
@@ -103,11 +127,18 @@ def make_paths(real: Any) -> SimpleNamespace:
         knot, u = knot_before(w, g, t, paths)
         a = paths.position[w, g, knot]
         centre = a + u * (paths.position[w, g, knot + 1] - a)
+        q = wp.quatd(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(1.0))
+        if paths.turns[w, g] == 1:
+            q = rotation(u * paths.turn[w, g, knot]) * paths.orientation[w, g, knot]
+        return centre, q, knot
+
+    @wp.func
+    def pose(w: int, g: int, t: wp.float64, paths: Paths):
+        """As ``placed``, with the orientation as a matrix."""
+        centre, q, knot = placed(w, g, t, paths)
         R = wp.identity(n=3, dtype=wp.float64)
         if paths.turns[w, g] == 1:
-            R = wp.quat_to_matrix(
-                rotation(u * paths.turn[w, g, knot]) * paths.orientation[w, g, knot]
-            )
+            R = wp.quat_to_matrix(q)
         return centre, R, knot
 
     @wp.func
@@ -171,6 +202,7 @@ def make_paths(real: Any) -> SimpleNamespace:
 
     return SimpleNamespace(
         is_closed=is_closed,
+        placed=placed,
         pose=pose,
         pose_adjoint=pose_adjoint,
         turn_adjoint=turn_adjoint,
@@ -178,3 +210,131 @@ def make_paths(real: Any) -> SimpleNamespace:
         narrow=narrow,
         narrow_matrix=narrow_matrix,
     )
+
+
+@dataclass
+class Pose:
+    """Pose and velocity of a gripper in each of k worlds."""
+
+    centre: Array
+    """[k, 3] centre [m]."""
+    q: Array
+    """[k, 4] orientation."""
+    velocity: Array
+    """[k, 3] velocity of the centre just before [m/s]."""
+    spin: Array
+    """[k, 3] angular velocity just before [rad/s]."""
+
+
+@dataclass
+class PoseAdjoint:
+    """Derivatives [k, 3] by the parts of a ``Pose``; for q by a rotation in world axes."""
+
+    centre: Array
+    q: Array
+    velocity: Array
+    spin: Array
+
+
+class HostPaths:
+    """Paths on the host, where grippers close and open, and derivatives by their knots.
+
+    Args:
+        arrays: Of ``Grippers``.
+    """
+
+    def __init__(self, arrays: Mapping[str, Array]):
+        self.arrays = arrays
+        self._paths = paths_on("cpu", arrays, wp.float64)
+        self._kernels = _host_kernels()
+        self.position_bar = np.zeros(arrays["position"].shape)
+        """[W, G, K, 3] derivatives by the knots' positions."""
+        self.turn_bar = np.zeros(arrays["position"].shape)
+        """[W, G, K, 3] derivatives by rotations of the knots, in world axes."""
+
+    def pose(self, g: int, w: Array, t: Array) -> Pose:
+        """Pose of gripper g of worlds w [k] at times t [k] [s]."""
+        made = Pose(*(np.empty((len(w), n)) for n in (3, 4, 3, 3)))
+        kinds = (wp.vec3d, wp.quatd, wp.vec3d, wp.vec3d)
+        out = [_view(a, kind) for a, kind in zip(vars(made).values(), kinds, strict=True)]
+        self._launch("pose", g, w, t, out)
+        return made
+
+    def pose_adjoint(self, g: int, w: Array, t: Array, adjoint: PoseAdjoint) -> None:
+        """Transpose of ``pose``: adds to the derivatives by the knots."""
+        adjoints = (*vars(adjoint).values(), self.position_bar, self.turn_bar)
+        self._launch("pose_adjoint", g, w, t, [_view(a, wp.vec3d) for a in adjoints])
+
+    def _launch(self, name: str, g: int, w: Array, t: Array, more: list[Any]) -> None:
+        worlds, times = _view(w, wp.int32), _view(t, wp.float64)
+        inputs = [g, worlds, times, self._paths, *more]
+        wp.launch(getattr(self._kernels, name), dim=len(w), inputs=inputs, device="cpu")
+
+
+def _view(values: Array, kind: Any) -> Any:
+    """Values [k, ...] as an array of the host; shares the memory where type and order fit."""
+    scalar = np.int32 if kind == wp.int32 else np.float64
+    return wp.array(
+        np.ascontiguousarray(values, dtype=scalar), dtype=kind, device="cpu", copy=False
+    )
+
+
+@functools.cache
+def _host_kernels() -> SimpleNamespace:
+    """Kernels that evaluate and transpose paths of many worlds, loaded."""
+    of, Paths = make_paths(wp.float64), make_path_type(wp.float64)
+
+    @wp.func
+    def rate_before(w: int, g: int, t: wp.float64, paths: Paths):
+        """Knot that begins the segment on which the gripper is just before time t, and 1 / the
+        segment's duration [1/s], 0 outside of the path."""
+        knot = int(0)
+        for k in range(1, paths.time.shape[2] - 1):
+            if paths.time[w, g, k] < t:
+                knot = k
+        begin, end = paths.time[w, g, knot], paths.time[w, g, knot + 1]
+        rate = wp.float64(0.0)
+        if begin < t and t <= end:
+            rate = wp.float64(1.0) / (end - begin)
+        return knot, rate
+
+    @wp.kernel(module="unique")
+    def pose(
+        g: int, worlds: wp.array(dtype=wp.int32), times: wp.array(dtype=wp.float64), paths: Paths,
+        centre: wp.array(dtype=wp.vec3d), q: wp.array(dtype=wp.quatd),
+        velocity: wp.array(dtype=wp.vec3d), spin: wp.array(dtype=wp.vec3d),
+    ):  # fmt: skip
+        i = wp.tid()
+        w, t = worlds[i], times[i]
+        here, turned, _knot = of.placed(w, g, t, paths)
+        centre[i] = here
+        q[i] = turned
+        k, rate = rate_before(w, g, t, paths)
+        velocity[i] = rate * (paths.position[w, g, k + 1] - paths.position[w, g, k])
+        spin[i] = wp.vec3d()
+        if paths.turns[w, g] == 1:
+            spin[i] = rate * paths.turn[w, g, k]
+
+    @wp.kernel(module="unique")
+    def pose_adjoint(
+        g: int, worlds: wp.array(dtype=wp.int32), times: wp.array(dtype=wp.float64), paths: Paths,
+        centre_bar: wp.array(dtype=wp.vec3d), q_bar: wp.array(dtype=wp.vec3d),
+        velocity_bar: wp.array(dtype=wp.vec3d), spin_bar: wp.array(dtype=wp.vec3d),
+        position_bars: wp.array3d(dtype=wp.vec3d), turn_bars: wp.array3d(dtype=wp.vec3d),
+    ):  # fmt: skip
+        i = wp.tid()
+        w, t = worlds[i], times[i]
+        of.pose_adjoint(w, g, t, centre_bar[i], q_bar[i], paths, position_bars, turn_bars)
+        k, rate = rate_before(w, g, t, paths)
+        moved = rate * velocity_bar[i]
+        wp.atomic_add(position_bars, w, g, k, -moved)
+        wp.atomic_add(position_bars, w, g, k + 1, moved)
+        if paths.turns[w, g] == 1:
+            of.turn_adjoint(
+                w, g, k, wp.float64(0.0), wp.vec3d(), rate * spin_bar[i], paths, turn_bars
+            )
+
+    with making:
+        for kernel in (pose, pose_adjoint):
+            wp.load_module(kernel.module, device="cpu")
+    return SimpleNamespace(pose=pose, pose_adjoint=pose_adjoint)

@@ -19,8 +19,7 @@ class Rollout:
     positions and returns its derivatives with respect to all inputs. Where recording every substep
     of the MPM would need more than ``memory``, states are stored every few substeps and the
     substeps between them are recomputed (checkpointing). Rods and shells always do so, whatever
-    ``memory`` is, and store about twice the square root of their number of steps; of implicit steps
-    all are recorded.
+    ``memory`` is, and store about twice the square root of their number of steps.
 
     Args:
         simulator: A simulator that has not been run.

@@ -1,12 +1,10 @@
-"""Surroundings of a body: a table and walls."""
+"""Surroundings of a body: gravity and a table."""
 
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from gendom.arguments import check_number, check_numbers
-from gendom.errors import ParameterError
 from gendom.materials import STANDARD_GRAVITY
 
 GRAVITY = (0.0, 0.0, -STANDARD_GRAVITY)
@@ -29,21 +27,3 @@ class Table:
     def __post_init__(self) -> None:
         check_number("table height", self.height)
         check_numbers("friction", self.friction, (), ("W",), least=0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Box:
-    """Walls: an axis-aligned box [m] that particles cannot leave.
-
-    Raises:
-        ParameterError: If a number is not finite, or ``lower`` is not below ``upper``.
-    """
-
-    lower: tuple[float, float, float]
-    upper: tuple[float, float, float]
-
-    def __post_init__(self) -> None:
-        lower = check_numbers("box lower", self.lower, (3,))
-        upper = check_numbers("box upper", self.upper, (3,))
-        if np.any(lower >= upper):
-            raise ParameterError(f"box must have lower < upper, got {self.lower}, {self.upper}")

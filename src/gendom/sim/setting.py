@@ -11,7 +11,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Grippers
-from gendom.sim.scene import Box, Table
+from gendom.sim.scene import Table
 
 DRAG = {"rope": 1.1, "cloth": 1.2}
 """Drag coefficients of a cylinder across the flow at Reynolds numbers of 1e3 to 1e5 and of a plate
@@ -42,7 +42,6 @@ class Setting:
     materials: Sequence[Material]
     grippers: Grippers
     table: Table | None
-    box: Box | None
     gravity: ArrayLike
     velocity_damping: ArrayLike
     air_density: ArrayLike

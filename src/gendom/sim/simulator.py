@@ -16,6 +16,7 @@ from gendom.arguments import (
     check_number,
     check_numbers,
     check_type,
+    require,
 )
 from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
@@ -23,25 +24,19 @@ from gendom.materials import AIR_DENSITY, Material
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
-from gendom.sim.equilibria import Equilibria
 from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.scene import GRAVITY, Box, Table
+from gendom.sim.scene import GRAVITY, Table
 from gendom.sim.setting import Frames, Setting, spread
-from gendom.sim.thin import thin_engine
-from gendom.sim.thin.engine import ThinEngine
-from gendom.sim.thin.statics import Search
+from gendom.sim.thin import THIN_ENGINES
 
 ENGINES = ("mpm", "thin")
 """``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
 
-INTEGRATORS = ("explicit", "implicit")
-"""How steps are taken; see ``docs/thin.md``."""
-
 START_INSIDE = 0.1
-"""Greatest initial depth of a body in a table or wall [cells, or diameters of a rod]; contact
-pushes it out."""
+"""Greatest initial depth of a body in a table [cells, or diameters of a rod]; contact pushes it
+out."""
 
 
 class Simulator(Shown):
@@ -55,8 +50,6 @@ class Simulator(Shown):
         materials: One material for each world.
         engine: ``thin`` (a rope as a rod, a cloth as a shell), the default for ropes and cloths, or
             ``mpm`` (particles on a grid), the default for all other bodies.
-        integrator: ``explicit``, or ``implicit`` for rods: steps of 2 ms or ``substep``, whatever
-            the stiffness (L-stable, of second order; no self-contact, in float64).
         grippers: Grippers shared by all worlds, or one sequence of them for each world, or all as
             arrays (``Grippers``).
         table: Table, or None for open space.
@@ -65,7 +58,6 @@ class Simulator(Shown):
             inside the material see ``Material.damping``.
         air_density: Density of the air, which exerts drag on ropes and cloths, one number or [W]
             [kg/m^3].
-        box: Walls, or None.
         self_contact: Whether rods and shells keep their thickness where they meet themselves. The
             MPM resolves self-contact through its grid in any case.
         self_friction: Coefficient of friction at self-contact, one number or [W].
@@ -92,13 +84,11 @@ class Simulator(Shown):
         materials: Sequence[Material],
         *,
         engine: str | None = None,
-        integrator: str = "explicit",
         grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
         table: Table | None = None,
         gravity: ArrayLike = GRAVITY,
         velocity_damping: float | ArrayLike = 0.0,
         air_density: float | ArrayLike = AIR_DENSITY,
-        box: Box | None = None,
         self_contact: bool = False,
         self_friction: float | ArrayLike = 0.3,
         substep: float | None = None,
@@ -113,31 +103,22 @@ class Simulator(Shown):
         check_type("body", body, Body)
         check_list("materials", materials, Material)
         check_type("table", table, Table, optional=True)
-        check_type("box", box, Box, optional=True)
         check_type("self_contact", self_contact, bool)
-        if not materials:
-            raise ParameterError("a simulation needs at least one material (one a world)")
+        require(materials, "a simulation needs at least one material (one a world)")
         if engine is None:
             engine = "thin" if body.kind in ("rope", "cloth") else "mpm"
-        if engine not in ENGINES:
-            raise ParameterError(
-                f"unknown engine {engine!r}", fix=f"choose one of {', '.join(ENGINES)}"
-            )
+        choice = f"choose one of {', '.join(ENGINES)}"
+        require(engine in ENGINES, f"unknown engine {engine!r}", fix=choice)
         thin = engine == "thin"
-        if not (thin and body.kind == "cloth") and any(m.membrane is not None for m in materials):
-            raise ParameterError(
-                f"only shells have a membrane's modulus, not a {body.kind} of the {engine} engine",
-                where="materials",
-                fix="leave membrane out, or take engine='thin' for a cloth",
-            )
-        if integrator not in INTEGRATORS:
-            raise ParameterError(
-                f"unknown integrator {integrator!r}",
-                fix=f"choose one of {', '.join(INTEGRATORS)}",
-            )
+        require(
+            (thin and body.kind == "cloth") or all(m.membrane is None for m in materials),
+            f"only shells have a membrane's modulus, not a {body.kind} of the {engine} engine",
+            where="materials",
+            fix="leave membrane out, or take engine='thin' for a cloth",
+        )
         dtype = dtype or ("float64" if thin else "float32")
-        if dtype not in ("float32", "float64"):
-            raise ParameterError(f"dtype must be float32 or float64, got {dtype!r}")
+        known = dtype in ("float32", "float64")
+        require(known, f"dtype must be float32 or float64, got {dtype!r}")
         check_numbers("velocity_damping", velocity_damping, (), ("W",), least=0.0)
         check_numbers("air_density", air_density, (), ("W",), least=0.0)
         check_numbers("gravity", gravity, (3,), ("W", 3))
@@ -150,16 +131,14 @@ class Simulator(Shown):
             check_integers("threads", threads, (), least=1)
         W = len(materials)
         rest = body.points if thin else body.x
-        if not len(rest):
-            raise ParameterError(
-                "the outline is narrower than the particles", fix="a smaller dx, or engine='thin'"
-            )
+        narrow = "the outline is narrower than the particles"
+        require(len(rest), narrow, fix="a smaller dx, or engine='thin'")
         N = len(rest)
         check_numbers("stiffness", stiffness, (), (N,), ("W", N), above=0.0)
         x = rest if positions is None else positions
         x = check_numbers("positions", x, (N, 3), ("W", N, 3))
         unit = body.thickness if thin else body.dx
-        _check_clear(body, x, 1 if thin else body.section, START_INSIDE * unit, table, box)
+        _check_clear(body, x, 1 if thin else body.section, START_INSIDE * unit, table)
         self.body = body
         self.materials = tuple(materials)
         self.time = start_time
@@ -170,7 +149,6 @@ class Simulator(Shown):
             materials=self.materials,
             grippers=_grippers_of_worlds(grippers, W),
             table=table,
-            box=box,
             self_contact=self_contact,
             self_friction=self_friction,
             gravity=gravity,
@@ -183,10 +161,7 @@ class Simulator(Shown):
             device=self.device,
             threads=threads or cores(),
         )
-        implicit = integrator == "implicit"
-        if implicit and not thin:
-            raise ParameterError("the MPM has no implicit steps", fix="integrator='explicit'")
-        kind = thin_engine(body, implicit=implicit) if thin else MpmEngine
+        kind = THIN_ENGINES[body.kind] if thin else MpmEngine
         with making:
             self.engine = kind(setting, substep=substep, cfl=cfl)
 
@@ -247,8 +222,11 @@ class Simulator(Shown):
         return self.engine.positions()
 
     def velocities(self) -> NDArray[Any]:
-        """Velocities of particles now, or of points half a step ago (after implicit steps now),
-        [W, N, 3] [m/s]."""
+        """Velocities, [W, N, 3] [m/s].
+
+        Those of particles are of now, those of points half a step ago; held points of rods and
+        shells have the speed at which their gripper has come here.
+        """
         return self.engine.velocities()
 
     def affine_velocities(self) -> NDArray[Any]:
@@ -342,75 +320,6 @@ class Simulator(Shown):
         self.time = float(t[-1])
         return x
 
-    def equilibria(
-        self,
-        times: ArrayLike,
-        *,
-        tolerance: float | None = None,
-        most_steps: int = 100_000,
-        increments: int = 1,
-        keep_going: bool = False,
-        derivatives: Sequence[str] = (),
-    ) -> Equilibria:
-        """Compute static equilibria of rods and shells, frame by frame (quasi-static motion).
-
-        Each frame starts from the previous equilibrium. A point that touches the table sticks to
-        its position in the previous frame, or slides with the friction mu N against its
-        displacement since then. Velocities, damping, air and the substep have no influence;
-        velocities are 0 afterwards. Grippers close and open on bodies in equilibrium. Where
-        several equilibria exist, the result is the one that the body reaches without momentum.
-
-        Args:
-            times: [T] not decreasing, not before ``self.time`` [s].
-            tolerance: Largest residual, see ``Equilibria.residual`` (default: 1e-6, with
-                self-contact 0.02; never below the rounding error). The search is in float64.
-            most_steps: Maximum number of relaxation steps for one equilibrium.
-            increments: Equilibria computed for each frame; only the last is returned. More
-                increments follow the path more closely where friction or folds depend on it.
-            keep_going: Stop only the worlds that fail, and mark frames that did not converge,
-                instead of raising an error.
-            derivatives: Names of the parameters with respect to which positions are
-                differentiated: ``E`` [Pa], ``nu``, ``density`` [kg/m^3], ``thickness`` (or
-                diameter, initial positions unchanged) [m], ``width`` of a flat rope [m],
-                ``membrane`` [Pa], ``weave`` ([.., 4]: warp, weft, shear, bending), ``friction`` of
-                the table, ``gravity`` ([.., 3]) [m/s^2], ``gripper_radius`` ([.., G]) [m],
-                ``gripper_offset`` ([.., G, 3]: a shift of a gripper's whole path, which also
-                shifts where it holds the body) [m]; and by many numbers, with as many linear
-                systems' right sides: ``stiffness`` ([.., N]), ``rest_strains`` ([.., N, 6] or
-                [.., N, 3], see ``Gradients``), initial ``positions`` ([.., N, 3]) [m],
-                ``gripper_positions`` and ``gripper_rotations`` ([.., G, K, 3], of each knot,
-                see ``Gradients``) [m] and [rad].
-
-        Raises:
-            ParameterError: If the times decrease, the engine is the MPM, an argument is of another
-                type or range, or a derivative is unknown or not available with self-contact.
-            SimulationError: If nothing holds a body, a world is stretched beyond its limits, a
-                frame does not converge, or derivatives are not determined, unless ``keep_going``
-                is set. The error names world, time, residual and parameters.
-        """
-        if not isinstance(self.engine, ThinEngine):
-            raise ParameterError("only rods and shells come to rest so", fix="engine='thin'")
-        if tolerance is not None:
-            check_number("tolerance", tolerance, above=0.0)
-        check_integers("most_steps", most_steps, (), least=1)
-        check_integers("increments", increments, (), least=1)
-        check_type("keep_going", keep_going, bool)
-        check_list("derivatives", derivatives, str)
-        t = self.checked(times)
-        search = Search(
-            self.engine,
-            t,
-            self.time,
-            tolerance=tolerance,
-            most_steps=most_steps,
-            increments=increments,
-            keep_going=keep_going,
-            derivatives=derivatives,
-        )
-        found = search.run()
-        self.time = float(t[-1])
-        return found
-
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:
         """Return ``times`` as an array [T], after checking that the simulator can be run to them.
 
@@ -427,37 +336,30 @@ class Simulator(Shown):
 
 
 def _check_clear(
-    body: Body,
-    x: NDArray[np.floating],
-    section: int,
-    least: float,
-    table: Table | None,
-    box: Box | None,
+    body: Body, x: NDArray[np.floating], section: int, least: float, table: Table | None
 ) -> None:
-    """Check that positions [..., N, 3] do not lie deeper than ``least`` [m] in the table or a wall.
+    """Check that positions [..., N, 3] do not lie deeper than ``least`` [m] in the table.
 
     Each ``section`` consecutive positions form one cross-section.
 
     Raises:
         ParameterError: If they do; the error names the depth, and the world if they differ.
     """
+    if table is None:
+        return
     n = x.shape[-2] // section
     centres = x.reshape(*x.shape[:-2], n, section, 3).mean(axis=-2).reshape(-1, n, 3)
     lowest, highest = centres.min(axis=1), centres.max(axis=1)
-    planes = [] if table is None else [("the table", table.height - lowest[:, 2])]
-    if box is not None:
-        planes += [("a wall", d) for d in (*(box.lower - lowest).T, *(highest - box.upper).T)]
-    for name, beyond in planes:
-        w = int(beyond.argmax())
-        depth = beyond[w] + body.contact_radius
-        if depth > least:
-            raise ParameterError(
-                f"the object begins {1e3 * depth:.3g} mm inside {name}",
-                where=f"{f'world {w}, ' if len(beyond) > 1 else ''}centres of its cross-sections "
-                f"lie between {lowest[w].round(4).tolist()} and {highest[w].round(4).tolist()} m, "
-                f"half its thickness is {body.contact_radius:.4g} m",
-                fix="move the object, or the table or wall",
-            )
+    w = int(lowest[:, 2].argmin())
+    depth = table.height + body.contact_radius - lowest[w, 2]
+    require(
+        depth <= least,
+        f"the object begins {1e3 * depth:.3g} mm inside the table",
+        where=f"{f'world {w}, ' if len(lowest) > 1 else ''}centres of its cross-sections "
+        f"lie between {lowest[w].round(4).tolist()} and {highest[w].round(4).tolist()} m, "
+        f"half its thickness is {body.contact_radius:.4g} m",
+        fix="move the object, or the table",
+    )
 
 
 def _worlds(n: int) -> str:

@@ -75,22 +75,6 @@ def strips_sag(settings: Settings) -> list[Check]:
     return _sag_checks(settings, "strips", points, most)
 
 
-def ribbons_fall_over(settings: Settings) -> list[Check]:
-    """Ribbons that stand on their edge, clamped at one end, and fall over under their weight."""
-    sizes = ((10.0, 17),) if settings.quick else ((10.0, 17), (10.0, 33), (5.0, 33))
-    return [
-        Check.within_share(
-            f"critical weight of a ribbon {ratio:g} times as wide as thick, {points} points",
-            "E I / L^3",
-            ribbon_load(ratio),
-            ribbon_load(ratio) * ribbon_falls(settings, ratio, points),
-            0.03,
-            LATERAL,
-        )
-        for ratio, points in sizes
-    ]
-
-
 def strip_falls_over(settings: Settings) -> list[Check]:
     """A strip of cloth that stands on its edge; fifteen times as long as wide."""
     return [
@@ -180,26 +164,6 @@ def sags(settings: Settings, of: str, loads: ArrayLike, points: int) -> NDArray[
     )  # fmt: skip
     tip = s.run([14.0 / omega])[0][:, points - 1].astype(float)
     return -tip[:, 2] / tip[:, 0]
-
-
-def ribbon_load(ratio: float) -> float:
-    """Gamma at which a ribbon, ``ratio`` times as wide as thick, falls over, E I its weak one.
-
-    Raises:
-        SimulationError: If none was found.
-    """
-    bending, torsion = _ribbon(ratio)
-    classical = 12.85 * math.sqrt(bending * torsion)
-    load = critical_load((0.9 * classical, 1.4 * classical), bending=bending, torsion=torsion)
-    return load / bending
-
-
-def ribbon_falls(settings: Settings, ratio: float, points: int) -> float:
-    """Weight under which such a ribbon falls over, over ``ribbon_load``."""
-    thickness = LENGTH / 150.0
-    body, hand = clamped_rope(thickness, points, width=ratio * thickness)
-    # it lies flat: what pulls at it pulls along its width
-    return _falls(settings, body, hand, MATERIAL, thickness, ribbon_load(ratio), points)
 
 
 def strip_falls(settings: Settings, aspect: float, points: int) -> tuple[float, float]:
@@ -312,7 +276,6 @@ def clamped_rope(
     *,
     curvature: float = 0.0,
     angle: float = 0.0,
-    width: float | None = None,
 ) -> tuple[Body, Gripper]:
     """A rope whose first edge is held, at ``angle``, and whose rest, of ``LENGTH``, begins at 0.
 
@@ -321,7 +284,6 @@ def clamped_rope(
         points: Of the whole rope.
         curvature: That is free of stress, upwards [1 / L].
         angle: [rad].
-        width: Of a ribbon, along y [m].
     """
     back = LENGTH / (points - 2)
     ds = LENGTH / 4000.0
@@ -329,7 +291,7 @@ def clamped_rope(
     along = np.array([math.cos(angle), 0.0, math.sin(angle)])
     line = np.cumsum(ds * np.stack([np.cos(theta), 0.0 * theta, np.sin(theta)], axis=1), axis=0)
     line = np.concatenate([[-back * along, [0.0, 0.0, 0.0]], line])
-    body = rope(diameter=thickness, centre_line=line, points=points, width=width)
+    body = rope(diameter=thickness, centre_line=line, points=points)
     return body, Gripper.still(-0.5 * back * along, radius=0.5 * back)
 
 
@@ -359,7 +321,7 @@ def _falls(
     settings: Settings, body: Body, hand: Gripper, material: Material, thickness: float,
     load: float, points: int,
 ) -> float:  # fmt: skip
-    """Weight along y, over ``load`` [E I / L^3], under which a level ribbon or strip falls over."""
+    """Weight along y, over ``load`` [E I / L^3], under which a level strip falls over."""
     shares = np.array([0.95, 1.0, 1.05])
     k = thickness / math.sqrt(12.0)
     omega = _frequency(k, material)
@@ -374,18 +336,6 @@ def _falls(
     s.set_velocities(np.outer(bent, (0.0, 0.0, 1e-5)))
     t = (3.0 + np.linspace(6.0, 9.0, 7)) / omega
     return _critical(shares, _squared_rates(t, s.run(t)[:, :, points - 1, 2], 2.0 * omega))
-
-
-def _ribbon(ratio: float) -> tuple[float, float]:
-    """Stiffness of a ribbon across and in torsion, over that along its width b = ratio h.
-
-    G J with J = b h^3 / 3 (1 - 192 / pi^5 h / b sum of tanh(n pi b / (2 h)) / n^5), n odd. Source:
-    Timoshenko and Goodier, Theory of Elasticity.
-    """
-    n = np.arange(1.0, 40.0, 2.0)
-    edges = 192.0 / math.pi**5 * float(np.sum(np.tanh(0.5 * n * math.pi * ratio) / n**5)) / ratio
-    bending = ratio**-2
-    return bending, 4.0 * bending * (1.0 - edges) / (2.0 * (1.0 + MATERIAL.nu))
 
 
 def _seam(edges: int, l: float, times: tuple[float, float], twist: float) -> Gripper:

@@ -20,7 +20,6 @@ from gendom.validation import (
     free_motion,
     friction,
     grip,
-    implicit,
     layers,
     master_curves,
     outlines,
@@ -29,7 +28,6 @@ from gendom.validation import (
     rods,
     shells,
     stability,
-    statics,
     torsion,
 )
 from gendom.validation.check import Case, Check, Settings
@@ -73,14 +71,12 @@ CASES = {
                 ("rod-free-flight", "a rope in space", rods.free_flight),
                 ("rod-precision", "single and double precision", rods.precision),
                 ("rod-order", "finer and finer ropes", convergence.rods_sag),
-                ("rod-implicit", "implicit steps", implicit.steps),
                 ("rod-batch", "ropes together and alone", consistency.rods_together),
                 ("rod-falls", "a rope in air", air.rope_falls),
                 ("rod-swing", "a swing's energy", energy.rod_swings),
                 ("rod-graded", "ropes stiffer or softer at their tip", rods.graded),
                 ("rod-layers", "a doubled rope that rubs", layers.rope_on_itself),
                 ("rod-cantilever", "ropes' sags over four decades", master_curves.rods_sag),
-                ("rod-lateral", "ribbons on their edge", master_curves.ribbons_fall_over),
                 ("rod-bend-twist", "curls that leave their plane", master_curves.curls_leave_plane),
                 ("rod-stick-slip", "tips on the table", master_curves.tips_slip),
                 ("rod-ring", "a twisted ring", master_curves.ring_writhes),
@@ -97,32 +93,9 @@ CASES = {
                 ("shell-layers", "a folded cloth that rubs", layers.cloth_on_itself),
                 ("shell-plates", "strips and squares that bend two ways", plates.plates),
                 ("shell-weave", "strips of a weave", fabrics.weave),
-                ("shell-curl", "strips that curl", fabrics.curls),
                 ("shell-cantilever", "strips' sags over decades", master_curves.strips_sag),
                 ("shell-lateral", "a strip on its edge", master_curves.strip_falls_over),
                 ("shell-discs", "discs cut out of a lattice", outlines.discs),
-            )
-        ),
-        Case(
-            name="static-hanging", title="a rope's own weight", run=statics.hanging, engine="thin"
-        ),
-        *(
-            Case(name=name, title=title, run=statics.at_rest(run), engine="thin")
-            for name, title, run in (
-                ("static-held", "ropes in grippers, at rest", rods.held),
-                ("static-elastica", "a rope's large sag, at rest", rods.elastica),
-                ("static-catenary", "a rope between two hands, at rest", rods.catenary),
-                ("static-twist", "a twisted rope, at rest", rods.twist),
-                ("static-graded", "ropes stiffer or softer at their tip, at rest", rods.graded),
-                ("static-rods", "ropes' sags over four decades, at rest", master_curves.rods_sag),
-                ("static-stick-slip", "tips on the table, at rest", statics.tips_slip),
-                ("static-strips", "strips' sags, at rest", shells.strips),
-                ("static-shells", "strips' sags over decades, at rest", master_curves.strips_sag),
-                ("static-plates", "strips and squares that bend two ways, at rest", plates.plates),
-                ("static-weave", "strips of a weave, at rest", fabrics.weave),
-                ("static-curl", "strips that curl, at rest", fabrics.curls),
-                ("static-discs", "discs held in their middle, at rest", outlines.held_discs),
-                ("static-cut-strips", "strips cut at an angle, at rest", outlines.cut_strips),
             )
         ),
     )

@@ -3,9 +3,9 @@
 Takes plain arrays and dictionaries, so it needs neither estimation nor policies.
 """
 
-from gendom.viz.animation import encode_gif, write_gif
+from gendom.viz.animation import write_gif
 from gendom.viz.clouds import CloudSequence
-from gendom.viz.filmstrip import encode_filmstrip, write_filmstrip
+from gendom.viz.palette import encode_camera_views
 from gendom.viz.report import (
     ActionSummary,
     CameraViews,
@@ -18,7 +18,6 @@ from gendom.viz.report import (
     ReportContent,
     write_report,
 )
-from gendom.viz.sights import encode_sights
 
 __all__ = [
     "ActionSummary",
@@ -31,10 +30,7 @@ __all__ = [
     "Provenance",
     "ReachOutcome",
     "ReportContent",
-    "encode_filmstrip",
-    "encode_gif",
-    "encode_sights",
-    "write_filmstrip",
+    "encode_camera_views",
     "write_gif",
     "write_report",
 ]

@@ -1,15 +1,21 @@
-"""What pictures of a lift are drawn from: a recorded cloud and perhaps a simulated one."""
+"""What pictures of a lift are drawn from: a recorded cloud and perhaps a simulated one, and from
+where they are seen."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from gendom.errors import GendomError
+from gendom.arguments import check_numbers, require
+
+VIEWS = ("auto", "xz", "yz", "xy", "oblique")
+
+OBLIQUE_TILT = 25.0
+"""How far the view "oblique" looks downwards [degrees]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +25,7 @@ class CloudSequence:
     World frame, z up. Arrays are converted to float64.
 
     Raises:
-        GendomError: Lengths differ, an array has another shape, or a number is not finite.
+        ParameterError: Lengths differ, an array has another shape, or a number is not finite.
     """
 
     recorded: Sequence[np.ndarray]
@@ -44,44 +50,36 @@ class CloudSequence:
     """[1, 3] a point to be reached, or [2, 3] the ends of a line [m]."""
 
     def __post_init__(self):
-        times = _array(self.times, "times", (None,))
-        frames = len(times)
-        if frames == 0:
-            raise GendomError("is empty", where="times", fix="give at least one frame")
-        if (np.diff(times) <= 0.0).any():
-            raise GendomError("does not increase", where="times", fix="sort the frames")
+        times = check_numbers("times", self.times, ("T",))
+        T = len(times)
+        require(T > 0, "is empty", where="times", fix="give at least one frame")
+        require((np.diff(times) > 0.0).all(), "does not increase", where="times", fix="sort it")
         values: dict[str, Any] = {"times": times}
         for name in ("recorded", "simulated"):
             clouds = getattr(self, name)
             if clouds is not None:
-                _check_count(clouds, name, frames)
+                what = f"has {len(clouds)} frames, but times has {T}"
+                require(len(clouds) == T, what, where=name, fix="give one each")
                 values[name] = tuple(
-                    _array(cloud, f"{name}[{t}]", (None, 3)) for t, cloud in enumerate(clouds)
+                    check_numbers(f"{name}[{t}]", cloud, ("n", 3)) for t, cloud in enumerate(clouds)
                 )
-        if self.gripper is not None:
-            gripper = np.asarray(self.gripper, dtype=np.float64)
-            if gripper.ndim == 2:
-                gripper = gripper[:, None]
-            _check_count(gripper, "gripper", frames)
-            values["gripper"] = _array(gripper, "gripper", (None, None, 3))
-        if self.arm is not None:
-            _check_count(self.arm, "arm", frames)
-            values["arm"] = _array(self.arm, "arm", (None, None, 2, 3))
-            radius = _array(
-                () if self.arm_radius is None else self.arm_radius, "arm_radius", (None,)
-            )
-            if len(radius) != values["arm"].shape[1]:
-                raise GendomError(
-                    f"has {len(radius)} numbers", where="arm_radius", fix="give one of each capsule"
-                )
-            values["arm_radius"] = radius
-        if self.goal is not None:
-            values["goal"] = _array(self.goal, "goal", (None, 3))
-        if self.chamfer is not None:
-            _check_count(self.chamfer, "chamfer", frames)
-            values["chamfer"] = _array(self.chamfer, "chamfer", (None,))
-        if self.table_height is not None:
-            values["table_height"] = float(_array(self.table_height, "table_height", ()))
+        shapes = {
+            "gripper": ((T, "G", 3), (T, 3)),
+            "table_height": ((),),
+            "chamfer": ((T,),),
+            "arm": ((T, "C", 2, 3),),
+            "goal": (("n", 3),),
+        }
+        for name, allowed in shapes.items():
+            if getattr(self, name) is not None:
+                values[name] = check_numbers(name, getattr(self, name), *allowed)
+        if "gripper" in values:
+            values["gripper"] = values["gripper"].reshape(T, -1, 3)
+        if "arm" in values:
+            shape = (values["arm"].shape[1],)
+            values["arm_radius"] = check_numbers("arm_radius", self.arm_radius, shape)
+        if "table_height" in values:
+            values["table_height"] = float(values["table_height"])
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -94,10 +92,9 @@ class CloudSequence:
         """Indices of at most `max_frames` frames, evenly spaced, with the first and the last.
 
         Raises:
-            GendomError: `max_frames` is below 1.
+            ParameterError: `max_frames` is below 1.
         """
-        if max_frames < 1:
-            raise GendomError(f"is {max_frames}", where="max_frames", fix="give 1 or more")
+        require(max_frames >= 1, f"is {max_frames}", where="max_frames", fix="give 1 or more")
         if max_frames == 1:
             return [self.num_frames - 1]
         count = min(max_frames, self.num_frames)
@@ -107,7 +104,7 @@ class CloudSequence:
         """[2, 3] lowest and highest corner of all that is drawn, without stray points [m].
 
         Raises:
-            GendomError: There are no points at all.
+            ParameterError: There are no points at all.
         """
         return self.extent(np.eye(3))
 
@@ -115,7 +112,7 @@ class CloudSequence:
         """[2, K] lowest and highest coordinate along K axes [K, 3], without stray points [m].
 
         Raises:
-            GendomError: There are no points at all.
+            ParameterError: There are no points at all.
         """
         ends = []
         for clouds in (self.recorded, self.simulated or ()):
@@ -123,32 +120,54 @@ class CloudSequence:
                 if len(cloud):
                     # A depth camera's flying pixels would shrink everything else.
                     ends.append(np.quantile(cloud @ axes.T, (0.005, 0.995), axis=0))
-        if not ends:
-            raise GendomError("has no points at all", where="recorded", fix="record it again")
+        require(ends, "has no points at all", where="recorded", fix="record it again")
         if self.gripper is not None:
             ends.append(self.gripper.reshape(-1, 3) @ axes.T)
         ends = np.concatenate(ends)
         return np.stack([ends.min(axis=0), ends.max(axis=0)])
 
 
-def _array(value: npt.ArrayLike, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    """`value` as finite float64 of a shape in which None stands for any length."""
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise GendomError("is no array of numbers", where=name, fix="give numbers") from None
-    wanted = f"[{', '.join('n' if n is None else str(n) for n in shape)}]"
-    if array.ndim != len(shape) or any(
-        n is not None and n != m for n, m in zip(shape, array.shape, strict=False)
-    ):
-        raise GendomError(f"has shape {list(array.shape)}", where=name, fix=f"give {wanted}")
-    if not np.isfinite(array).all():
-        raise GendomError("holds NaN or infinity", where=name, fix="leave those points out")
-    return array
+@dataclass(frozen=True, kw_only=True)
+class Projection:
+    """An orthographic projection."""
+
+    turn: float
+    """Angle about z from x to the direction that points right in the picture [rad]."""
+    tilt: float
+    """Angle by which the picture looks downwards [rad]: 0 from the side, pi / 2 from above."""
+    names: tuple[str, str] | None
+    """Names of the two axes; None: the picture shows all three."""
+
+    @property
+    def axes(self) -> np.ndarray:
+        """[2, 3] unit vectors in the world that point right and up in the picture."""
+        (c, s), (cos_tilt, sin_tilt) = ((math.cos(a), math.sin(a)) for a in (self.turn, self.tilt))
+        return np.array([[c, s, 0.0], [-s * sin_tilt, c * sin_tilt, cos_tilt]])
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """[..., 2] right and up [m] of points [..., 3] [m]."""
+        return points @ self.axes.T
 
 
-def _check_count(values: Sequence | np.ndarray, name: str, frames: int) -> None:
-    if len(values) != frames:
-        raise GendomError(
-            f"has {len(values)} frames, but times has {frames}", where=name, fix="give one each"
-        )
+def choose_view(sequence: CloudSequence, view: str = "auto") -> Projection:
+    """A view by name, or the side view that shows most.
+
+    "auto" has z upwards and the longer of x and y to the right; if the object hardly rises it
+    looks from above. "oblique" shows all three axes, from 25 degrees above.
+
+    Raises:
+        ParameterError: There is no view of this name.
+    """
+    require(view in VIEWS, f"is {view!r}", where="view", fix=f"choose from {', '.join(VIEWS)}")
+    if view == "auto":
+        low, high = sequence.box()
+        x, y, z = (high - low).tolist()
+        view = "xy" if z < 0.25 * min(x, y) else "xz" if x >= y else "yz"
+    turn, tilt = {
+        "xz": (0.0, 0.0),
+        "yz": (90.0, 0.0),
+        "xy": (0.0, 90.0),
+        "oblique": (30.0, OBLIQUE_TILT),
+    }[view]
+    names = None if view == "oblique" else (view[0], view[1])
+    return Projection(turn=math.radians(turn), tilt=math.radians(tilt), names=names)

@@ -1,15 +1,23 @@
-"""The colours of clouds, and the fixed palette that their pictures are stored with."""
+"""Colours of all pictures, round steps of axes, and what cameras saw as one picture."""
 
 from __future__ import annotations
 
-from functools import cache
+import io
+import math
+from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image
+
+from gendom.arguments import require
 
 # From Okabe and Ito's palette, told apart with every common form of colour blindness.
 RECORDED_COLOR = "#0072B2"
 SIMULATED_COLOR = "#E69F00"
+
+DEPTH_COLORS = ("#fde725", "#5ec962", "#21918c", "#3b528b", "#440154")
+"""From near to far: five of the colours of matplotlib's viridis."""
 
 INK = (34, 34, 34)
 SOFT_INK = (110, 110, 110)
@@ -25,34 +33,43 @@ def rgb(color: str) -> tuple[int, int, int]:
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
-def with_palette(image: Image.Image) -> Image.Image:
-    """The image with the colours that a `Stage` can mix; one palette for all frames.
+def nice_step(at_least: float) -> float:
+    """The smallest of 1, 2 and 5 times a power of ten that is not below `at_least`."""
+    power = 10.0 ** math.floor(math.log10(at_least))
+    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= at_least * (1.0 - 1e-9))
 
-    A fixed palette keeps frames from flickering and the file small.
+
+def encode_camera_views(
+    views: Sequence[tuple[npt.NDArray[np.uint8], npt.NDArray[np.floating]]],
+    *,
+    width: int = 1280,
+    near: float = 0.5,
+    far: float = 1.3,
+) -> bytes:
+    """One JPEG: a row for each camera, colour on the left and depth on the right.
+
+    Args:
+        views: Colour [height, width, 3] and depth [height, width] [m], 0 where there is none,
+            of each camera; pictures of one size.
+        width: Of the whole [pixels].
+        near, far: Depths of the ends of the colour scale [m]; black is no depth.
+
+    Raises:
+        ParameterError: There is no picture, or their sizes differ.
     """
-    return image.quantize(palette=_palette(), dither=Image.Dither.NONE)
-
-
-@cache
-def _palette() -> Image.Image:
-    white = np.array([255.0, 255.0, 255.0])
-    table = np.array(TABLE_FILL, dtype=float)
-    blue, orange = (np.array(rgb(c), dtype=float) for c in (RECORDED_COLOR, SIMULATED_COLOR))
-    ink = np.array(INK, dtype=float)
-    orange_mix = white + SIMULATED_OPACITY * (orange - white)
-    ramps = [
-        (white, ink, 14),
-        (white, orange_mix, 7),
-        (white, white + RECORDED_OPACITY * (blue - white), 8),
-        (orange_mix, orange_mix + RECORDED_OPACITY * (blue - orange_mix), 7),
-        (table, table, 1),
-        (orange, orange, 1),  # the legend's dots are opaque
-        (blue, blue, 1),
-        (np.array(GRID, dtype=float), np.array(GRID, dtype=float), 1),
-        (orange_mix, ink, 4),
-    ]
-    colors = np.concatenate([a + np.linspace(0.0, 1.0, n)[:, None] * (b - a) for a, b, n in ramps])
-    colors = np.unique(colors.round().astype(np.uint8), axis=0)
-    holder = Image.new("P", (1, 1))
-    holder.putpalette(colors.tobytes())
-    return holder
+    sizes = {colour.shape[:2] for colour, _ in views} | {depth.shape for _, depth in views}
+    what, fix = f"has pictures of {len(sizes)} sizes", "give pictures of one size"
+    require(len(sizes) == 1, what, where="views", fix=fix)
+    scale = np.transpose([rgb(color) for color in DEPTH_COLORS])
+    rows = []
+    for colour, depth in views:
+        share = np.clip((depth - near) / (far - near), 0.0, 1.0)
+        channels = [np.interp(share, np.linspace(0.0, 1.0, len(c)), c) for c in scale]
+        painted = np.stack(channels, axis=-1).astype(np.uint8)
+        painted[depth <= 0.0] = 0
+        rows.append(np.concatenate([colour, painted], axis=1))
+    whole = Image.fromarray(np.concatenate(rows))
+    size = width, round(whole.height * width / whole.width)
+    buffer = io.BytesIO()
+    whole.resize(size, Image.Resampling.LANCZOS).save(buffer, "JPEG", quality=80, optimize=True)
+    return buffer.getvalue()

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Table, cloth, rope
-from gendom.sim.thin.crossing import check_cloth
+from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.shell_model import ShellModel
 
 

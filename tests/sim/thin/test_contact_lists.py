@@ -8,7 +8,7 @@ import warp as wp
 
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Table, cloth, rope
-from gendom.sim.thin.crossing import edge_distance, triangle_distance
+from gendom.sim.thin.contact import edge_distance, triangle_distance
 from gendom.sim.thin.types import MARGIN
 
 SOFT = Material(E=1e5, density=400.0, damping=0.01)
@@ -50,7 +50,7 @@ def heap_with_hole(device):
 def listed(s):
     """Pairs that the engine has listed: of edges, and of a point and a triangle, as sets of the
     lattice's places; and the points [slots, 3] that it had listed them for."""
-    b = s.engine.body
+    b = s.engine.device_model
     front, back = b.near_count.numpy()[0]
     every = b.near.numpy()[0]
     codes = np.concatenate([every[:front], every[len(every) - back :]])
@@ -75,7 +75,7 @@ def edge(p, kind, pitch):
 def features(s):
     """Points, edges and triangles by their slots, counted from the first."""
     e = s.engine
-    at, pitch = e.slots - MARGIN, e.body.pitch
+    at, pitch = e.slots - MARGIN, e.device_model.pitch
     there = set(at.tolist())
     if pitch == 0:
         return [], [(p, p + 1) for p in at[:-1].tolist()], []
@@ -93,7 +93,7 @@ def features(s):
 
 def by_search(s, x):
     """All pairs nearer than the list reaches that share no point."""
-    b = s.engine.body
+    b = s.engine.device_model
     far = b.contact_distance + b.contact_margin
     points, edges, triangles = features(s)
     E, pairs = np.array(edges), set()
@@ -116,7 +116,7 @@ def by_search(s, x):
 
 def apart(pair, s):
     """How far its points are from each other along the body, in columns or rows."""
-    pitch = s.engine.body.pitch
+    pitch = s.engine.device_model.pitch
     parts = list(pair) if isinstance(pair, frozenset) else [{pair[0]}, pair[1]]
     if pitch == 0:
         first, second = sorted(min(part) for part in parts)
@@ -138,7 +138,7 @@ def test_listed_are_all_pairs_that_are_near(scene, device):
     s = scene(device)
     pairs, x = listed(s)
     expected = by_search(s, x)
-    rod = s.engine.body.pitch == 0
+    rod = s.engine.device_model.pitch == 0
     # neighbours along the body are left out unless they fold; other tests are for those
     sure = {p for p in expected if apart(p, s) >= (s.engine.apart if rod else 3)}
     assert len(sure) > 20

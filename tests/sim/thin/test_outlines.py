@@ -12,10 +12,9 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Table, cloth, outline_of_mesh
 from gendom.sim.outlines import Outline
-from gendom.sim.thin.crossing import check_cloth
+from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.shell_model import ShellModel
 from gendom.sim.thin.shells import Shells
-from gendom.sim.thin.tangent import Tangent
 from gendom.validation.outlines import circle
 from gendom.validation.shells import bending_energy, membrane_energy
 
@@ -159,65 +158,46 @@ def test_a_stretched_sheet_has_the_energy_of_a_membrane(outline):
     assert found == pytest.approx(0.5 * MATERIAL.E * strain**2 * area * 0.002, rel=1e-3)
 
 
+def fastest_squared(body, axes):
+    """Squared angular frequency of the body's fastest small vibration along some axes [1/s^2].
+
+    One world a point and axis: accelerations of all points where that one is displaced.
+    """
+    n, far, h = len(body.points), 1e-8, 1e-7
+    x = np.tile(body.points, (n, len(axes), 1, 1))
+    for k, axis in enumerate(axes):
+        x[np.arange(n), k, np.arange(n), axis] += far
+    s = Simulator(
+        body, [MATERIAL] * (n * len(axes)), positions=x.reshape(-1, n, 3), gravity=(0, 0, 0),
+        air_density=0.0,
+    )  # fmt: skip
+    s.run([h])
+    a = s.velocities()[:, :, axes] / (0.5 * h)  # the first step begins at rest
+    m = np.sqrt(np.repeat(engine_of(s).mass[0], len(axes)))
+    K = -a.reshape(len(m), len(m)) / far
+    K = K * m / m[:, None]
+    return eigvalsh(0.5 * (K + K.T), subset_by_index=[len(m) - 1, len(m) - 1])[0]
+
+
 @pytest.mark.parametrize("thickness", [0.0005, 0.003])
 @pytest.mark.parametrize("points", [14, 16])
 def test_steps_are_stable(points, thickness):
     """Against the fastest vibration of the whole sheet. Discs have points of very little mass."""
     body = cloth(outline=circle(0.1), points=(points, points), thickness=thickness, dx=0.02)
-    s = Simulator(body, [MATERIAL])
-    e, n = engine_of(s), len(body.points)
-    K = -Tangent(e, e.body).stiffness(0).toarray()
-    m = np.sqrt(np.repeat(e.mass[0], 3))
-    fastest = math.sqrt(eigvalsh(K / m / m[:, None], subset_by_index=[3 * n - 1, 3 * n - 1])[0])
+    e, fastest = engine_of(Simulator(body, [MATERIAL])), math.sqrt(fastest_squared(body, (0, 1, 2)))
     longest = e.model.longest_step([MATERIAL], np.ones((1, 1)))[0]
     assert 0.3 * 2.0 / fastest < longest < 2.0 / fastest
 
 
 def test_bending_of_light_points_shortens_the_step():
     """Beside the factor that joints at a gripper's border need."""
-    for points in (14, 15, 28):
+    for points in (14, 15, 20):
         body = cloth(outline=circle(0.1), points=(points, points), thickness=0.003, dx=0.02)
-        s = Simulator(body, [MATERIAL])
-        e = engine_of(s)
-        K = -Tangent(e, e.body).stiffness(0).toarray()[2::3, 2::3]
-        m = np.sqrt(e.mass[0])
-        fastest = eigvalsh(K / m / m[:, None])[-1]
+        e, fastest = engine_of(Simulator(body, [MATERIAL])), fastest_squared(body, (2,))
         lx, ly = e.model.spacing
         usual = MATERIAL.E * 0.003**2 / 12.0 / (1.0 - MATERIAL.nu**2) / MATERIAL.density
         usual *= (4.0 / lx**2 + 4.0 / ly**2) ** 2
         assert fastest < usual * e.model.faster[1]
-
-
-def test_equilibria_are_differentiated():
-    body = cloth(outline=RING, points=(11, 11), corner=(0, 0, 0.03), **SHEET)
-    first = body.points[0]
-
-    def rest(p, derivatives=()):
-        lifted = first + p["gripper_offset"] + np.array([[0, 0, 0], [0.01, 0.005, 0.06]])
-        s = Simulator(
-            body,
-            [Material(E=p["E"], nu=p["nu"], density=p["density"])],
-            grippers=[Gripper(time=[0, 1], position=lifted, radius=p["gripper_radius"])],
-            gravity=p["gravity"],
-            table=Table(height=0.0, friction=p["friction"]),
-        )
-        return s.equilibria([0.5, 1.0], tolerance=1e-10, derivatives=derivatives)
-
-    p: dict[str, Any] = {
-        "E": 2e5, "nu": 0.25, "density": 400.0, "gravity": np.array([0.2, 0.1, -9.0]),
-        "friction": 0.4, "gripper_radius": 0.036, "gripper_offset": np.zeros(3),
-    }  # fmt: skip
-    found = rest(p, tuple(p)).derivatives
-    rng = np.random.default_rng(0)
-    weights = rng.normal(size=(2, 1, len(body.points), 3))
-    for name, value in p.items():
-        direction = rng.normal(size=np.shape(value))
-        h = 1e-5 * max(float(np.abs(value).max()), 0.01)
-        up, down = (
-            np.sum(weights * rest(p | {name: value + k * h * direction}).positions) for k in (1, -1)
-        )
-        by = np.tensordot(weights, found[name].reshape(*weights.shape, -1), 4)
-        assert by @ np.ravel(direction) == pytest.approx((up - down) / (2.0 * h), rel=2e-5), name
 
 
 def test_a_dropped_ring_keeps_clear_of_itself():

@@ -21,6 +21,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from gendom.arguments import require
 from gendom.datasets.demonstrations import GOAL, load, read_description, succeeded
 from gendom.datasets.lerobot.format import ACTION, STATE, Units, write_lerobot
 from gendom.errors import DatasetError
@@ -49,13 +50,9 @@ def export_demonstrations(folder: str | os.PathLike, out: str | os.PathLike) -> 
     apart = {*names, "demonstration", "youngs_modulus", "ok", "fault"}
     others = [name for name in table.column_names if name not in apart]
     columns = succeeded(table, ["demonstration", *names, *others], where=where)
-    count = len(columns["demonstration"])
-    if not count:
-        raise DatasetError(
-            "holds no demonstration that did not fail",
-            where=where,
-            fix="simulate more with gendom dataset",
-        )
+    count, fix = len(columns["demonstration"]), "simulate more with gendom dataset"
+    what = "holds no demonstration that did not fail"
+    require(count, what, where=where, fix=fix, error=DatasetError)
     frames = _frames(columns, quantities, where)
     extra = {f"outcome/{name}": pa.array(columns[name]) for name in others}
     extra["demonstration"] = pa.array(columns["demonstration"].astype(np.int64))
@@ -76,13 +73,10 @@ def _frames(
     """State and action [N, K], one row for each frame."""
     frames: dict[str, NDArray[Any]] = {}
     for feature, units in quantities.items():
-        frames[feature] = np.stack([columns[name] for name in units], axis=1).astype(np.float32)
-        if not np.isfinite(frames[feature]).all():
-            raise DatasetError(
-                f"{feature} holds numbers that are not finite",
-                where=where,
-                fix="simulate the demonstrations again",
-            )
+        values = np.stack([columns[name] for name in units], axis=1).astype(np.float32)
+        what, fix = f"{feature} holds numbers that are not finite", "simulate the set again"
+        require(np.isfinite(values).all(), what, where=where, fix=fix, error=DatasetError)
+        frames[feature] = values
     return frames
 
 
@@ -93,11 +87,9 @@ def _quantities(about: Mapping[str, Any], where: str) -> dict[str, dict[str, str
         goals = dict(zip(about["goal_names"], about["goal_units"], strict=True))
         actions = dict(zip(about["action_names"], about["action_units"], strict=True))
     except (KeyError, TypeError, ValueError):
-        raise DatasetError(
-            "does not say what its actions and goals are",
-            where=where,
-            fix="make it again with this version of gendom dataset",
-        ) from None
+        what = "does not say what its actions and goals are"
+        fix = "make it again with this version of gendom dataset"
+        raise DatasetError(what, where=where, fix=fix) from None
     state = {GOAL + name: unit for name, unit in goals.items()}
     state |= dict.fromkeys(kind.sizes, "m")
     state |= {parameter.column: parameter.unit for parameter in PARAMETERS.values()}

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -28,21 +28,20 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from gendom.datasets.lerobot.format import ABOUT, ACTION, INFO, STATE, statistics, write_lerobot
+from gendom.datasets.npz import short
+from gendom.datasets.recording_form import RecordingData
 from gendom.errors import GendomError, RecordingError
 from gendom.files import read_json
-
-if TYPE_CHECKING:
-    from gendom.datasets.recording import Recording
 
 POINTS, NUM_POINTS, TIME = "observation.points", "observation.num_points", "observation.time"
 _DATA = Path("data/chunk-000/file-000.parquet")
 
 
-def export_recording(recording: Recording, out: str | os.PathLike) -> dict[str, Any]:
+def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[str, Any]:
     """Write a recording as a LeRobot data set of one episode.
 
     Args:
-        recording: Recording of T frames and G grippers.
+        recording: RecordingData of T frames and G grippers.
         out: Folder to create; it is written completely or not at all.
 
     Returns:
@@ -84,7 +83,7 @@ def export_recording(recording: Recording, out: str | os.PathLike) -> dict[str, 
     )
 
 
-def _task(recording: Recording) -> str:
+def _task(recording: RecordingData) -> str:
     return f"move a {recording.object.kind} that is held by: {recording.object.grasp}"
 
 
@@ -97,7 +96,7 @@ def _closed(G: int) -> dict[str, str]:
     return {f"gripper{g}.closed": "1" for g in range(G)}
 
 
-def _state_units(recording: Recording) -> dict[str, str]:
+def _state_units(recording: RecordingData) -> dict[str, str]:
     G = recording.num_grippers
     units = _named("position", G, "m")
     units |= {} if recording.gripper_axis is None else _named("axis", G, "1")
@@ -129,10 +128,8 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
         return RecordingError(what, where=str(folder), fix=fix)
 
     if not (folder / ABOUT).is_file():
-        raise fault(
-            "is a LeRobot data set that was not made of a recording",
-            "give one that gendom export wrote: others lack the object's sizes",
-        )
+        what = "is a LeRobot data set that was not made of a recording"
+        raise fault(what, "give one that gendom export wrote: others lack the object's sizes")
     try:
         info, meta = read_json(folder / INFO), read_json(folder / ABOUT)
     except GendomError as error:
@@ -144,14 +141,12 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
     try:
         names = info["features"][STATE]["names"]
         table = pq.read_table(folder / _DATA)
-        points, counts = table[POINTS], table[NUM_POINTS].to_numpy()
-        state = np.array(table[STATE].to_pylist(), dtype=np.float64)
+        counts, state = table[NUM_POINTS].to_numpy(), np.array(table[STATE].to_pylist(), float)
         time, order = table[TIME].to_numpy(), table["frame_index"].to_numpy()
-        flat = points.combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
+        flat = table[POINTS].combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
         padded = np.asarray(flat, dtype=np.float32).reshape(len(table), -1, 3)
     except (FileNotFoundError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
-        said = (str(error) or type(error).__name__).splitlines()[0][:120]
-        raise fault(f"is incomplete or damaged ({said})") from None
+        raise fault(f"is incomplete or damaged ({short(error)})") from None
     if len(table) != info.get("total_frames") or (order != np.arange(len(table))).any():
         raise fault(f"has not the {info.get('total_frames')} frames in order that are announced")
     if state.ndim != 2 or state.shape[1] != len(names):
@@ -159,21 +154,16 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
     if (counts < 0).any() or (counts > padded.shape[1]).any():
         raise fault(f"{NUM_POINTS} is {counts.max()} of {padded.shape[1]} points")
 
-    def columns(what: str) -> NDArray[np.float64] | None:
-        own = [n for n, name in enumerate(names) if f".{what}" in name]
-        return state[:, own] if own else None
-
-    position, axis, closed = (columns(what) for what in ("position", "axis", "closed"))
-    if position is None:
-        raise fault(f"{STATE} has no positions of grippers")
     arrays = {
         "points": padded[np.arange(padded.shape[1]) < counts[:, None]],
         "offsets": np.concatenate([[0], np.cumsum(counts)]),
         "time": time,
-        "gripper_position": position.reshape(len(table), -1, 3),
     }
-    if axis is not None:
-        arrays["gripper_axis"] = axis.reshape(len(table), -1, 3)
-    if closed is not None:
-        arrays["gripper_closed"] = closed == 1.0
+    for what, width in (("position", 3), ("axis", 3), ("closed", 1)):
+        own = [n for n, name in enumerate(names) if f".{what}" in name]
+        if own:
+            values = state[:, own].reshape(len(table), -1, width)
+            arrays[f"gripper_{what}"] = values if width == 3 else values[..., 0] == 1.0
+    if "gripper_position" not in arrays:
+        raise fault(f"{STATE} has no positions of grippers")
     return arrays, meta

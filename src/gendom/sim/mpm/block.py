@@ -45,11 +45,11 @@ def make_block(real: Any) -> Namespace:
     @wp.func_native("return gendom::resident_at(byte);")
     def resident_at(byte: int) -> wp.uint64: ...
 
-    @wp.func_native("gendom::meet();")
+    @wp.func_native("gendom::block_sync();")
     def sync(): ...
 
-    @wp.func_native("return gendom::any_of(value);")
-    def any_of(value: int) -> int: ...
+    @wp.func_native("return gendom::block_any(value);")
+    def block_any(value: int) -> int: ...
 
     @wp.func_native("return gendom::largest(value);")
     def largest(value: real) -> real: ...
@@ -60,7 +60,7 @@ def make_block(real: Any) -> Namespace:
     @wp.func_native("return gendom::sum_before(value);")
     def sum_before(value: int) -> int: ...
 
-    return Namespace(resident_at, sync, largest, sum_before, add_by_warp, any=any_of)
+    return Namespace(resident_at, sync, largest, sum_before, add_by_warp, any=block_any)
 
 
 @functools.cache

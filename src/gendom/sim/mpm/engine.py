@@ -32,11 +32,6 @@ class MpmEngine:
     """
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
-        require(
-            setting.body.width is None,
-            "the MPM knows round ropes only, this one is flat",
-            fix="engine='thin'",
-        )
         N, W = setting.body.num_particles, len(setting.materials)
         require(
             not setting.device.is_cuda or N <= MOST_PARTICLES,

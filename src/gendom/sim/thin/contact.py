@@ -1,12 +1,27 @@
-"""Arrays for contact of thin bodies with themselves, see ``native/contact.h`` and its adjoint."""
+"""Contact of thin bodies with themselves: functions for kernels, arrays, and checks of a start.
 
+See ``native/contact.h`` and its adjoint.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+
+import functools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
-from gendom.sim.setting import spread
+from gendom.arguments import require
+from gendom.errors import ParameterError
+from gendom.sim.setting import Setting, spread
+from gendom.sim.thin.native import make_native
+from gendom.sim.thin.shell_model import ShellModel
+from gendom.sim.thin.types import make_types
 
 MARGIN_OF_LISTS = 0.3
 """Margin of the list of pairs that may come into contact [spacings]."""
@@ -21,7 +36,7 @@ MOST_TURNS = 12
 """Maximum number of turns: after those they go on until one finds nothing nearer than enough. Where
 a hand presses layers on a table there is no room for all of them, and turns are in vain."""
 
-ENOUGH = 0.9
+DISTANCE_ENOUGH = 0.9
 """Distance that is enough [thicknesses]."""
 
 CLOSE = 1.25
@@ -31,49 +46,256 @@ LISTED = 3
 """Components of a kept state that hold where points were when pairs were listed."""
 
 
-def fill_contact(engine: Any, body: Any) -> None:
-    """Set what the kernels' body needs for contact.
+LEAST_BETWEEN_EDGES = 0.8
+"""Smallest initial distance between centre lines of a rope's parts, in diameters: contact keeps
+0.9."""
+
+LEAST_BETWEEN_LAYERS = 0.5
+"""The same between a cloth's layers, in thicknesses: what a hand presses comes nearer."""
+
+NEIGHBOURS = 2
+"""Columns and rows between a point and a cell of a cloth that are not layers."""
+
+
+@functools.cache
+def make_contact(real: Any, kind: str) -> SimpleNamespace:
+    """Build ``resolve``, which applies contact at the end of a step, its transpose, and
+    ``rebuild_lists``."""
+    types, native = make_types(real), make_native(real, kind)
+    ThinModel, ModelAdjoint, rows = types.ThinModel, types.ModelAdjoint, wp.array3d(dtype=real)
+
+    @wp.func
+    def rebuild_lists(model: ThinModel, w: int, state: rows, row: int, c: int, far: real):
+        """List pairs anew if a point of components c to c + 2 has moved farther than this."""
+        if native.block_any(native.moved_on(model, w, state, row, c, far)) != 0:
+            native.begin_list(model, w, state, row, c)
+            native.block_sync()
+            native.list_pairs(model, w)
+            native.block_sync()
+
+    @wp.func
+    def choose_close(model: ThinModel, w: int, state: rows, row: int):
+        """List those of the pairs that a step's turns go over."""
+        native.begin_close(model, w)
+        native.block_sync()
+        native.list_close(model, w, state, row)
+        native.block_sync()
+
+    @wp.func
+    def turn_once(model: ThinModel, w: int, state: rows, row: int, dt: real, turn: int) -> int:
+        """Push apart what is too near; tells whether another turn is needed."""
+        native.count_contacts(model, w, state, row)
+        native.block_sync()
+        again = native.block_any(native.contact_impulses(model, w, state, row, dt, turn))
+        native.end_turn(model, w, state, row)
+        native.block_sync()
+        return again
+
+    @wp.func
+    def resolve(model: ThinModel, w: int, state: rows, row: int, dt: real):
+        """Apply contact of the body with itself at the end of a step."""
+        rebuild_lists(model, w, state, row, 0, real(0.5) * model.contact_margin)
+        if native.number_near(model, w) > 0:
+            choose_close(model, w, state, row)
+            for turn in range(model.contact_most_turns):
+                if turn_once(model, w, state, row, dt, turn) == 0:
+                    break
+
+    @wp.func
+    def resolve_adjoint(
+        model: ThinModel, adjoint: ModelAdjoint, turns_kept: rows, w: int, at: int, state: rows,
+        row: int, dt: real,
+    ):  # fmt: skip
+        """Transpose of ``resolve``; the row is as that found it, with the list it kept."""
+        rebuild_lists(model, w, state, row, state.shape[1] - LISTED, real(0.0))
+        if native.number_near(model, w) > 0:
+            choose_close(model, w, state, row)
+            turns = int(0)
+            for turn in range(model.contact_most_turns):
+                native.keep_turn(model, turns_kept, at, state, row, turn)
+                turns += 1
+                if turn_once(model, w, state, row, dt, turn) == 0:
+                    break
+            for back in range(turns):
+                turn = turns - 1 - back
+                native.end_turn_adjoint(model, adjoint, w, state, row)
+                native.block_sync()
+                native.put_back(model, turns_kept, at, state, row, turn)
+                native.block_sync()
+                native.count_contacts(model, w, state, row)
+                native.block_sync()
+                native.contact_impulses_adjoint(model, adjoint, w, state, row, dt, turn)
+                native.block_sync()
+                native.take_impulses(model, w, adjoint.state, w)
+                native.block_sync()
+
+    return SimpleNamespace(
+        rebuild_lists=rebuild_lists, resolve=resolve, resolve_adjoint=resolve_adjoint
+    )
+
+
+def contact_arrays(setting: Setting, n: int, spacing: float, rows: Any) -> dict[str, Any]:
+    """What the kernels' model needs for contact, by name: numbers, and arrays by dtype.
 
     Args:
-        engine: A thin engine.
-        body: The kernels' body.
+        setting: Of the simulation.
+        n: Number of points.
+        spacing: Largest distance between neighbouring points [m].
+        rows: Arranges values [..., n] in rows [..., P].
     """
-    e, s = engine, engine.setting
-    W, n, P = e.num_worlds, e.num_points, e.row_length
-    on = int(s.self_contact)
-    thickness, spacing = s.body.thickness, e.spacing
-    body.contact = on
-    body.contact_distance = thickness
-    body.contact_margin = MARGIN_OF_LISTS * spacing
-    body.contact_turns = TURNS
-    body.contact_most_turns = MOST_TURNS
-    body.contact_enough = ENOUGH * thickness
-    body.self_friction = e.array(spread(s.self_friction, (W,), "self_friction"))
-    body.push = e.zeros((W * on, 7, P))
+    on = int(setting.self_contact)
+    W, thickness = len(setting.materials), setting.body.thickness
     # where nothing is near: the first step lists pairs
-    nowhere = np.broadcast_to(1e6 * (1.0 + np.arange(n)), (W * on, 3, n))
-    body.listed = e.array(e.rows(nowhere))
-    body.boxes = e.zeros((W * on, 6, P))
-    body.near = e.zeros((W * on, PAIRS * n, 2), wp.int32)
-    body.near_count = e.zeros((W * on, 2), wp.int32)
-    body.close = e.zeros((W * on, PAIRS * n, 2), wp.int32)
-    body.close_count = e.zeros((W * on, 2), wp.int32)
-    body.touching = e.zeros((W * on, PAIRS * n), wp.int32)
-    body.touching_count = e.zeros(W * on, wp.int32)
-    body.contact_close = CLOSE * thickness
-    body.loose = e.array(loose(e, np.arange(W * on)))
+    nowhere = rows(np.broadcast_to(1e6 * (1.0 + np.arange(n)), (W * on, 3, n)))
+    P = nowhere.shape[-1]
+    pairs = (W * on, PAIRS * n)
+    return {
+        "contact": on,
+        "contact_distance": thickness,
+        "contact_margin": MARGIN_OF_LISTS * spacing,
+        "contact_turns": TURNS,
+        "contact_most_turns": MOST_TURNS,
+        "contact_enough": DISTANCE_ENOUGH * thickness,
+        "contact_close": CLOSE * thickness,
+        "self_friction": spread(setting.self_friction, (W,), "self_friction"),
+        "push": np.zeros((W * on, 7, P)),
+        "listed": nowhere,
+        "boxes": np.zeros((W * on, 6, P)),
+        "near": np.zeros((*pairs, 2), np.int32),
+        "near_count": np.zeros((W * on, 2), np.int32),
+        "close": np.zeros((*pairs, 2), np.int32),
+        "close_count": np.zeros((W * on, 2), np.int32),
+        "touching": np.zeros(pairs, np.int32),
+        "touching_count": np.zeros(W * on, np.int32),
+    }
 
 
-def loose(engine: Any, worlds: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, P] [1/kg]."""
-    e = engine
-    free = 1.0 - np.any(e.holds[worlds] & 1, axis=1)
-    per_mass = np.broadcast_to(e.per_mass, (e.num_worlds, e.num_points))[worlds]
-    return e.rows(per_mass * free)[:, None]
+def check_rope(x: NDArray[np.floating], diameter: float, apart: int) -> None:
+    """Check that edges of a rope [n, 3] [m] do not overlap if they are ``apart`` points apart.
+
+    Raises:
+        ParameterError: If two edges overlap; the error names them.
+    """
+    i, j = np.triu_indices(len(x) - 1, apart)
+    distance = edge_distance(x[i], x[i + 1] - x[i], x[j], x[j + 1] - x[j])
+    if not len(i):
+        return
+    k = int(distance.argmin())
+    require(
+        distance[k] >= LEAST_BETWEEN_EDGES * diameter,
+        f"the rope begins in itself: two parts of it are {1e3 * distance[k]:.3g} mm apart",
+        where=f"edges {i[k]} and {j[k]}, {1e3 * diameter:.3g} mm thick",
+        fix="give other positions, or no self_contact",
+    )
 
 
-def kept_turns(engine: Any, worlds: int) -> wp.array:
-    """Memory for points in the turns of a step of so many worlds, for the reverse pass."""
-    rows = worlds * int(engine.setting.self_contact)
-    shape = (rows, 6 * engine.body.contact_most_turns, engine.row_length)
-    return wp.empty(shape, dtype=engine.real, device=engine.setting.device)
+def check_cloth(x: NDArray[np.floating], model: ShellModel) -> None:
+    """Check that a cloth of points [n, 3] [m] does not cross itself, nor lie in itself.
+
+    Raises:
+        ParameterError: If it does; the error names the place.
+    """
+    edges, triangles = _edges_and_triangles(model)
+    middles, centres = x[edges].mean(axis=1), x[triangles].mean(axis=1)
+    reach = np.linalg.norm(x[edges] - middles[:, None], axis=2).max()
+    reach += np.linalg.norm(x[triangles] - centres[:, None], axis=2).max()
+    fix = "give other positions, or no self_contact"
+    places = np.stack(np.unravel_index(model.at, model.shape), axis=1)
+
+    near = KDTree(middles).sparse_distance_matrix(KDTree(centres), reach, output_type="ndarray")
+    e, t = edges[near["i"]], triangles[near["j"]]
+    apart = ~(e[:, :, None] == t[:, None]).any(axis=(1, 2))
+    e, t = e[apart], t[apart]
+    crosses = np.flatnonzero(_crosses(x[e], x[t]))
+    if len(crosses):
+        rows, columns = places[[e[crosses[0], 0], t[crosses[0], 0]]].T.tolist()
+        raise ParameterError(
+            "the cloth begins crossing itself",
+            where=f"at its points (row, column) {tuple(rows)} and {tuple(columns)}",
+            fix=fix,
+        )
+
+    layers = KDTree(x).sparse_distance_matrix(
+        KDTree(centres), reach + model.thickness, output_type="ndarray"
+    )
+    p, t = layers["i"], layers["j"]
+    along = np.abs(places[p][:, None] - places[triangles[t]]).min(axis=1).max(axis=1)
+    p, t = p[along > NEIGHBOURS], t[along > NEIGHBOURS]
+    far = triangle_distance(x[p], x[triangles[t]])
+    if len(far) and far.min() < LEAST_BETWEEN_LAYERS * model.thickness:
+        k = int(far.argmin())
+        here, there = (places[of].tolist() for of in (p[k], triangles[t[k], 0]))
+        raise ParameterError(
+            f"the cloth begins in itself: two layers of it are {1e3 * far[k]:.3g} mm apart",
+            where=f"at its points (row, column) {tuple(here)} and {tuple(there)}, "
+            f"{1e3 * model.thickness:.3g} mm thick",
+            fix=fix,
+        )
+
+
+def _edges_and_triangles(model: ShellModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Points of a cloth's edges [E, 2], with one diagonal of each cell, and triangles [F, 3]."""
+    g = model.on_lattice(np.arange(len(model.at))[None], fill=-1)[0]
+    has = model.on_lattice(model.exists, fill=0.0) > 0.0
+    corners = (g[:-1, :-1], g[:-1, 1:], g[1:, :-1], g[1:, 1:])
+    a, b, c, d = (of[has[2, :-1, :-1]] for of in corners)
+    after, below = has[0, :, :-1], has[1, :-1]
+    ends = ((g[:, :-1][after], g[:, 1:][after]), (g[:-1][below], g[1:][below]), (b, c))
+    edges = np.concatenate([np.stack(pair, axis=1) for pair in ends])
+    return edges, np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, b, c], axis=1)])
+
+
+def _crosses(ends: NDArray[np.floating], corners: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """[k] whether edges with ends [k, 2, 3] go through triangles with corners [k, 3, 3]."""
+    start, way = ends[:, 0], ends[:, 1] - ends[:, 0]
+    corner, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(u, v)
+    level = np.sum(way * normal, axis=1)
+    s = np.sum((corner - start) * normal, axis=1) / np.where(level == 0.0, 1.0, level)
+    at = start + s[:, None] * way - corner
+    square = np.sum(normal**2, axis=1)
+    along = np.sum(np.cross(at, v) * normal, axis=1) / square
+    across = np.sum(np.cross(u, at) * normal, axis=1) / square
+    inside = (along > 0.0) & (across > 0.0) & (along + across < 1.0)
+    return (level != 0.0) & (s > 0.0) & (s < 1.0) & inside
+
+
+def triangle_distance(
+    x: NDArray[np.floating], corners: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """[F] smallest distances between points [3] or [F, 3] and triangles [F, 3, 3] [m]."""
+    a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal, at = np.cross(u, v), x - a
+    square = np.maximum(np.sum(normal**2, axis=1), 1e-300)
+    along = np.sum(np.cross(at, v) * normal, axis=1) / square
+    across = np.sum(np.cross(u, at) * normal, axis=1) / square
+    above = (along >= 0.0) & (across >= 0.0) & (along + across <= 1.0)
+    level = np.abs(np.sum(at * normal, axis=1)) / np.sqrt(square)
+    step = np.roll(corners, -1, axis=1) - corners
+    from_corner = np.broadcast_to(x, a.shape)[:, None] - corners
+    share = np.sum(from_corner * step, axis=2) / np.maximum(np.sum(step**2, axis=2), 1e-300)
+    foot = np.clip(share, 0.0, 1.0)[..., None] * step
+    sides = np.linalg.norm(from_corner - foot, axis=2).min(axis=1)
+    return np.where(above, np.minimum(level, sides), sides)
+
+
+def edge_distance(
+    p: NDArray[np.floating],
+    u: NDArray[np.floating],
+    q: NDArray[np.floating],
+    v: NDArray[np.floating],
+) -> NDArray[np.float64]:
+    """Smallest distances [k] between edges from points p along u and from q along v [k, 3].
+
+    Source: Ericson (2005), "Real-Time Collision Detection", section 5.1.9.
+    """
+    r = p - q
+    uu, vv, uv = np.sum(u * u, axis=1), np.sum(v * v, axis=1), np.sum(u * v, axis=1)
+    ur, vr = np.sum(u * r, axis=1), np.sum(v * r, axis=1)
+    square = uu * vv - uv**2
+    level = square <= 1e-12 * uu * vv
+    f = np.clip((uv * vr - ur * vv) / np.where(level, 1.0, square), 0.0, 1.0)
+    g = (uv * np.where(level, 0.0, f) + vr) / vv
+    f = np.where(g < 0.0, -ur / uu, np.where(g > 1.0, (uv - ur) / uu, np.where(level, 0.0, f)))
+    f, g = np.clip(f, 0.0, 1.0)[:, None], np.clip(g, 0.0, 1.0)[:, None]
+    return np.linalg.norm(r + f * u - g * v, axis=1)

@@ -10,19 +10,24 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from gendom.arguments import require
 from gendom.errors import SimulationError
 from gendom.sim.device import making
-from gendom.sim.paths import make_path_type
+from gendom.sim.paths import HostPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
-from gendom.sim.thin.contact import fill_contact, loose
-from gendom.sim.thin.grips import Grip, released
-from gendom.sim.thin.poses import Paths, Pose
-from gendom.sim.thin.run import Event, Job, Round, put_worlds
+from gendom.sim.thin.contact import PAIRS, contact_arrays
+from gendom.sim.thin.grips import (
+    LOCAL_STRETCH,
+    STRETCH,
+    Grip,
+    Overstretch,
+    overstretch_times,
+    released,
+)
+from gendom.sim.thin.run import Event, Held, Round, Run, put, put_worlds
 from gendom.sim.thin.schedule import Schedule, make_schedule
-from gendom.sim.thin.slopes import Slopes
-from gendom.sim.thin.stepping import make_stepping
-from gendom.sim.thin.tears import LOCAL_STRETCH, STRETCH, Tear, find_tears
-from gendom.sim.thin.types import V, X, make_types
+from gendom.sim.thin.step import make_kernels
+from gendom.sim.thin.types import SPIN, ParameterDerivatives, V, X, make_types
 
 CFL = 0.8
 """Default share of the longest stable step of small vibrations, of damped bodies and rods."""
@@ -32,6 +37,9 @@ SHORTEST_SUBSTEP = 1e-9
 
 GROUP = 16
 """Maximum number of worlds that a CPU thread simulates at a time."""
+
+AT_ONCE = 4096
+"""Worlds whose grippers' paths are looked at together, for the memory that takes."""
 
 
 class ThinEngine(ABC):
@@ -43,51 +51,64 @@ class ThinEngine(ABC):
 
     kind: ClassVar[str]
     """Name of the kind of body in the kernels."""
+    directed: ClassVar[bool]
+    """Whether edges have directions of their own."""
     state_rows: ClassVar[int]
     state_bars: ClassVar[int]
     scratch_rows: ClassVar[int]
     scratch_bars: ClassVar[int]
     """Numbers of components of states, of derivatives by states, and of their scratch arrays."""
-    lanes_on_cuda: ClassVar[int]
+    threads_on_cuda: ClassVar[int]
+    """Of a world."""
     undamped_cfl: ClassVar[float] = CFL
     """As ``CFL``, of worlds without damping."""
     stiffened: ClassVar[tuple[slice, ...]]
     """Components of the stiffness that change at a gripper's border, see ``Grip.stiffer``."""
-    natural: ClassVar[slice]
-    """Components of the kernels' ``rest`` that are stress-free strains."""
+
+    spacing: float
+    """Largest distance between neighbouring points [m]."""
+    per_mass: NDArray[np.float64]
+    """[W, n] inverse masses of points [1/kg]."""
+    per_turn: NDArray[np.float64]
+    """[W, n] inverse moments of inertia of edges [1/(kg m^2)]; 0 where they have no directions."""
+    drag_by_air: NDArray[np.float64]
+    """[n] drag of points over the density of the air."""
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         self.check_suits(setting)
-        s = setting
-        self.setting = s
-        W, n, G = len(s.materials), len(s.body.points), len(s.grippers[0])
-        self.share = spread(s.stiffness, (W, n), "stiffness")
-        self.longest = self.prepare(setting)
+        W, n, G = len(setting.materials), len(setting.body.points), len(setting.grippers[0])
         self.num_worlds, self.num_points = W, n
-        limits = np.broadcast_to(self.substeps(substep, cfl), W)
-        self.setting = s = replace(setting, substep=limits)
+        self.share = spread(setting.stiffness, (W, n), "stiffness")
+        self.air_density = spread(setting.air_density, (W,), "air_density")
+        longest = self.prepare(setting)
+        damped = np.array([m.damping > 0.0 for m in setting.materials])
+        limits = substep or (cfl or np.where(damped, CFL, self.undamped_cfl)) * longest
+        self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
         s.check_substep(
             SHORTEST_SUBSTEP, fix="a softer or denser material, fewer points, or a longer substep"
         )
         self.real = wp.float32 if s.dtype == "float32" else wp.float64
         self.types = make_types(self.real)
-        self.kernels = make_stepping(self.real, self.kind)
-        self.lanes = self.lanes_on_cuda if s.device.is_cuda else 1
+        self.kernels = make_kernels(self.real, self.kind)
+        self.threads = self.threads_on_cuda if s.device.is_cuda else 1
         self.slots, self.row_length = self.layout()
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
         self.stacked = dict(s.grippers.arrays)
         self.stacked["position"] = self.stacked["position"] - self.origin
-        self.paths = self._paths()
+        self.paths = HostPaths(self.stacked)
+        self.device_paths = paths_on(s.device, self.stacked, self.real)
         self.closed = np.zeros((W, G), dtype=int)
         """[W, G] 0: not yet closed, 1: closed, 2: opened."""
-        self.torn: dict[int, Tear] = {}
+        self.overstretched: dict[int, Overstretch] = {}
         """How grippers will pull worlds apart."""
         self.holds = np.zeros((W, G, n), dtype=np.int32)
         self.stiffer = np.ones((W, G, len(self.stiffened), n))
-        self.body = self._body()
+        self.device_model = self._device_model()
         self.state = self.zeros((W, self.state_rows, self.row_length))
         self.kept_state = self.zeros(self.state.shape)
         self.kept_time = np.full(W, s.start_time)
+        self.now = np.full(W, s.start_time)
+        """[W] time of the state [s]."""
         self.failures: dict[int, SimulationError] = {}
         self.used = False
         self.last_dt = np.zeros(W)
@@ -99,12 +120,7 @@ class ThinEngine(ABC):
             for one in x[: 1 if x.strides[0] == 0 else W]:
                 self.check_apart(one)
         self.load("begin", "advance")
-        self.launch(self.kernels.begin, slice(0, W), [self.body, self.state])
-
-    def substeps(self, substep: float | None, cfl: float | None) -> Any:
-        """Longest steps of each world [s], of a simulator's arguments."""
-        damped = np.array([m.damping > 0.0 for m in self.setting.materials])
-        return substep or (cfl or np.where(damped, CFL, self.undamped_cfl)) * self.longest
+        self.launch(self.kernels.begin, slice(0, W), [self.device_model, self.state])
 
     # ---- defined by each kind of body ------------------------------------------------------------
 
@@ -126,8 +142,8 @@ class ThinEngine(ABC):
         """Positions of points in a row [n], and the length of a row."""
 
     @abstractmethod
-    def fill(self, body: Any) -> None:
-        """Set shape, stiffness and inertia of the kernels' body."""
+    def fill(self, model: Any) -> None:
+        """Set shape, stiffness and inertia of the kernels' model."""
 
     @abstractmethod
     def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -137,14 +153,6 @@ class ThinEngine(ABC):
     def between(self, g: NDArray[np.int64], h: NDArray[np.int64]) -> tuple[int, int, float]:
         """The points i of g [k] and j of h [l] that have least of the body at rest between them,
         and how much [m]; infinite where that is not known."""
-
-    spacing: float
-    """Largest distance between neighbouring points [m]."""
-    per_mass: NDArray[np.float64]
-    """[W, n] inverse masses of points [1/kg]."""
-
-    @abstractmethod
-    def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None: ...
 
     @abstractmethod
     def check_apart(self, x: NDArray[np.floating]) -> None:
@@ -160,24 +168,49 @@ class ThinEngine(ABC):
         states [k, ., P]."""
 
     @abstractmethod
-    def stiffen(self, body: Any, worlds: NDArray[np.int64]) -> None:
-        """Copy the stiffness at the borders of grippers to the kernels' body."""
+    def stiffen(self, model: Any, worlds: NDArray[np.int64]) -> None:
+        """Copy the stiffness at the borders of grippers to the kernels' model."""
 
     @abstractmethod
     def parameters(self) -> tuple[str, ...]:
         """Parameters of this body's model beside E, nu and density."""
 
     @abstractmethod
-    def slopes(self, name: str) -> Slopes:
+    def derivatives(self, name: str) -> ParameterDerivatives:
         """Derivatives of the model by ``E``, ``nu``, ``density`` or one of ``parameters``."""
 
     @abstractmethod
-    def stiffness_by_share(self, w: int, i: int) -> NDArray[np.float64]:
-        """Derivative [R, n] of world w's stiffness by the share of E at point i."""
+    def border_adjoint(
+        self, event: Event, stiffer_bar: NDArray[np.floating]
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Transpose of ``Grip.stiffer`` of a gripper that closed: derivatives by points [k, n, 3],
+        by centres [k, 3] and by radii [k]."""
+
+    @abstractmethod
+    def unstiffened(
+        self, group: slice, stiffer: NDArray[np.floating], found: NDArray[np.floating]
+    ) -> NDArray[np.floating]:
+        """Convert derivatives ``found`` by the stiffness with borders to those by the stiffness
+        without borders, in place; return the derivatives by ``stiffer`` [k, M, n]."""
+
+    @abstractmethod
+    def by_shares(self, model_bar: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Derivatives by the share of E at each point, [W, n]."""
+
+    @abstractmethod
+    def by_start(
+        self, x: NDArray[np.floating], v: NDArray[np.floating], bar: NDArray[np.floating]
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Derivatives by initial positions and velocities [W, n, 3], given those by the first state
+        [W, n, .]."""
+
+    def spins_of(self, v: NDArray[np.floating]) -> NDArray[np.floating] | None:
+        """Spins [W, n - 1, 3] of edges whose points have velocities v, if edges have any."""
+        return None
 
     @abstractmethod
     def tape(self, memory: float) -> Any:
-        """Make the tape that records a run for its reverse pass."""
+        """Make the tape that records a run for its reverse pass; it takes what memory it needs."""
 
     # ---- state -----------------------------------------------------------------------------------
 
@@ -200,112 +233,120 @@ class ThinEngine(ABC):
         return (self.component(X) + self.origin).astype(self.setting.dtype)
 
     def velocities(self) -> NDArray[Any]:
-        """Velocities of points, [W, n, 3] [m/s]; 0 for held points."""
-        return self.component(V).astype(self.setting.dtype)
+        """Velocities of points, [W, n, 3] [m/s]; held ones have their gripper's."""
+        return self._velocities(self.state, self.now).astype(self.setting.dtype)
+
+    def _velocities(self, rows: wp.array, now: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, v = self.component(X, rows), self.component(V, rows)
+        for g in range(self.closed.shape[1]):
+            w = np.flatnonzero(self.closed[:, g] == 1)
+            with_hand, _ = released(x[w], self.paths.pose(g, w, now[w]), self.holds[w, g])
+            v[w] = np.where((self.holds[w, g] & 1)[..., None] > 0, with_hand, v[w])
+        return v
+
+    def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
+        """Set points' velocities [W, n, 3] [m/s]; edges of rods rotate with them, not twisting."""
+        require(
+            not np.any(np.asarray(affine)),
+            f"{self.kind}s have no affine velocities",
+            fix="engine='mpm'",
+        )
+        v = spread(v, (self.num_worlds, self.num_points, 3), "velocities")
+        rows = self.state.numpy()
+        rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
+        spins = self.spins_of(v)
+        if spins is not None:
+            rows[:, SPIN, self.slots[:-1]] = np.swapaxes(spins, 1, 2)
+        self.state.assign(rows)
+        self.last_dt[:] = 0.0
 
     def kept(self, *, last_good: bool) -> dict[str, NDArray[Any]]:
         """Return x [m], v [m/s] and all components of the state.
 
         With ``last_good`` they are those of the last valid state, and its time is added.
         """
-        state = self.kept_state if last_good else self.state
+        state, time = (self.kept_state, self.kept_time) if last_good else (self.state, self.now)
         kept: dict[str, Any] = {
             "x": self.component(X, state) + self.origin,
-            "v": self.component(V, state),
+            "v": self._velocities(state, time),
             "state": self.component(slice(0, self.state_rows), state),
         }
-        if last_good:
-            kept["time"] = self.kept_time
-        return kept
+        return kept | ({"time": self.kept_time} if last_good else {})
 
     # ---- running ---------------------------------------------------------------------------------
 
-    def run(self, frames: Frames) -> None:
+    def run(
+        self,
+        frames: Frames,
+        *,
+        after: Callable[[slice, Round], None] | None = None,
+        most_steps: int | None = None,
+        kept: Any = None,
+    ) -> Schedule:
         """Simulate all worlds to all times.
+
+        Args:
+            frames: Frames to record.
+            after: Called from the threads for each group of worlds and each round between events.
+            most_steps: Maximum number of steps in a piece.
+            kept: [S, W, ...] array that receives the states at the start of pieces; by default
+                only the last one is kept.
 
         Raises:
             SimulationError: If a world diverges, unless ``keep_going`` is set.
         """
-        self.run_rounds(frames, lambda group, round: None)
-
-    def run_rounds(
-        self,
-        frames: Frames,
-        after: Callable[[slice, Round], None],
-        *,
-        most_steps: int | None = None,
-        kept: Any = None,
-    ) -> Schedule:
-        """Simulate, and call ``after`` for each group of worlds and each round between events.
-
-        Args:
-            frames: Frames to record.
-            after: Called from the threads.
-            most_steps: Maximum number of steps in a piece.
-            kept: [S, W, ...] array that receives the states at the start of pieces; by default
-                only the last one is kept.
-        """
         self.used = True
-        plan = self.schedule(frames, most_steps)
-        job = Job(self, plan, frames, kept)
-        groups = list(self.groups())
+        run = self._prepared(frames, self.schedule(frames, most_steps), kept)
 
-        def one(group: slice) -> None:
-            for round in self._rounds(group, plan):
-                job.advance(group, round)
-                after(group, round)
+        def simulate(group: slice) -> None:
+            for round in self._rounds(group, run.plan):
+                self._advance(run, group, round)
+                if after is not None:
+                    after(group, round)
 
-        with ThreadPoolExecutor(max_workers=self.setting.threads) as pool:
-            for done in [pool.submit(one, group) for group in groups]:
-                done.result()
-        job.finish()
-        self.last_dt = self.ended(plan)
+        self.each_group(simulate)
+        frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
+        alive = [w for w in range(self.num_worlds) if w not in self.failures]
+        self.kept_time[alive] = run.plan.time(alive, run.plan.count[alive] - 1)
+        self.last_dt = run.plan.last_dt()
+        self.now[:] = frames.times[-1]
         if frames.on_frame is not None:
             frames.on_frame(len(frames.times))
         if self.failures and not frames.keep_going:
             raise self.failures[min(self.failures)]
-        return plan
+        return run.plan
 
-    def advance(self, job: Job, group: slice) -> None:
-        """Take the steps of a group's pieces."""
-        self.launch(
-            self.kernels.advance,
-            group,
-            [
-                self.body, self.paths, job.on_device, job.pieces, 0, 0, self.state, job.kept,
-                job.every, LOCAL_STRETCH**2, STRETCH, job.stopped, job.stopped_at, job.x,
-                job.points,
-            ],
-        )  # fmt: skip
-
-    def end_error(self, w: int, time: float, dt: float) -> SimulationError:
-        """What to say of a world that steps of dt [s] could not go on with."""
-        return self.setting.error(
-            w,
-            time,
-            f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "
-            f"mean, or somewhere by more than {100 * LOCAL_STRETCH:.0f} %",
-            where=f"substep {dt:.3g} s",
-            fix="slower grippers or velocities, or a smaller substep",
-        )
-
-    def ended(self, plan: Schedule) -> NDArray[np.float64]:
-        """Length of each world's last step [W] [s]; 0 if velocities are those at its end."""
-        taken = plan.steps[:, -1] > 0
-        return np.where(taken, plan.dt[:, -1], plan.before[:, -1])
-
-    def groups(self) -> Iterator[slice]:
-        """Groups of worlds that are launched together."""
+    def each_group(self, job: Callable[[slice], None]) -> None:
+        """Call ``job`` for each group of worlds that are launched together, in threads."""
         W = self.num_worlds
-        size = W if self.lanes > 1 else max(1, min(GROUP, -(-W // self.setting.threads)))
-        for first in range(0, W, size):
-            yield slice(first, min(first + size, W))
+        size = W if self.threads > 1 else max(1, min(GROUP, -(-W // self.setting.threads)))
+        groups = [slice(first, min(first + size, W)) for first in range(0, W, size)]
+        with ThreadPoolExecutor(max_workers=self.setting.threads) as pool:
+            for done in [pool.submit(job, group) for group in groups]:
+                done.result()
 
     def schedule(self, frames: Frames, most_steps: int | None) -> Schedule:
         """Schedule of all worlds up to the last frame."""
         switches = [self.stacked["hold_from"], self.stacked["hold_until"]]
         switches = np.concatenate(switches, axis=1)
         return make_schedule(frames, switches, self.setting.substep, most_steps, self.last_dt)
+
+    def _prepared(self, frames: Frames, plan: Schedule, kept: Any) -> Run:
+        W, device = self.num_worlds, self.setting.device
+        vec3, nan = self.types.vec3, np.nan
+        shape = (len(frames.times), W, len(frames.particles))
+        return Run(
+            plan=plan,
+            frames=frames,
+            on_device=self.plan_on_device(plan),
+            pieces=self.zeros((W, 2), wp.int32),
+            stopped=wp.full(W, -1, dtype=wp.int32, device=device),
+            stopped_at=self.zeros(W, wp.float64),
+            points=self.array(frames.particles, wp.int32),
+            x=wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device),
+            kept=self.kept_state if kept is None else kept,
+            every=0 if kept is None else W,
+        )
 
     def _rounds(self, group: slice, plan: Schedule) -> Iterator[Round]:
         worlds = np.arange(group.start, group.stop)
@@ -316,11 +357,50 @@ class ThinEngine(ABC):
             now = plan.time(worlds, np.minimum(at, np.maximum(count - 1, 0)))
             events = self.switch(worlds[going], now[going])
             until = np.where(going, plan.until(group, at), at)
-            pieces = np.stack([at, until], axis=1).astype(np.int32)
-            yield Round(events, pieces)
+            yield Round(events, np.stack([at, until], axis=1).astype(np.int32))
             failed = [w - group.start for w in list(self.failures) if w in worlds]
             count[failed] = 0
             at = until
+
+    def _advance(self, run: Run, group: slice, round: Round) -> None:
+        """Take the steps of a group's round."""
+        pieces = round.pieces.copy()
+        failed = [w - group.start for w in list(self.failures) if group.start <= w < group.stop]
+        pieces[failed, 1] = pieces[failed, 0]
+        put(run.pieces, group, pieces)
+        self.launch(
+            self.kernels.advance,
+            group,
+            [
+                self.device_model, self.device_paths, run.on_device, run.pieces, 0, 0, self.state,
+                run.kept, run.every, LOCAL_STRETCH**2, STRETCH, run.stopped, run.stopped_at, run.x,
+                run.points,
+            ],
+        )  # fmt: skip
+        stopped, stopped_at = run.stopped.numpy()[group], run.stopped_at.numpy()[group]
+        for k in np.flatnonzero(stopped >= 0).tolist():
+            w, s = group.start + k, int(stopped[k])
+            if w not in self.failures:
+                self.kept_time[w] = run.plan.time(w, s)
+                self.failures[w] = self._failure(w, s, float(stopped_at[k]), run.plan)
+
+    def _failure(self, w: int, s: int, time: float, plan: Schedule) -> SimulationError:
+        """Why world w stopped in piece s at a time [s]."""
+        error, model = self.setting.error, self.device_model
+        if self.setting.self_contact and model.near_count.numpy()[w].sum() > model.near.shape[1]:
+            return error(
+                w, float(plan.time(w, s)), f"more than {PAIRS} pairs a point are about to meet",
+                where="contact of the body with itself", fix="fewer points, or a thinner body",
+            )  # fmt: skip
+        if w in self.overstretched and time > self.overstretched[w].time:
+            return self.overstretched[w].error(self.setting, w)
+        return error(
+            w, time,
+            f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "
+            f"mean, or somewhere by more than {100 * LOCAL_STRETCH:.0f} %",
+            where=f"substep {plan.dt[w, s]:.3g} s",
+            fix="slower grippers or velocities, or a smaller substep",
+        )  # fmt: skip
 
     # ---- grippers --------------------------------------------------------------------------------
 
@@ -340,7 +420,7 @@ class ThinEngine(ABC):
 
     def _close(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
         state = self.state.numpy()[worlds]
-        pose = Paths(self.stacked).pose(g, worlds, now)
+        pose = self.paths.pose(g, worlds, now)
         given = (state, self.holds[worlds], self.stacked["radius"][worlds, g], *vars(pose).values())
         if all((values == values[:1]).all() for values in given):  # as worlds that begin alike
             first = Pose(*(values[:1] for values in vars(pose).values()))
@@ -362,18 +442,21 @@ class ThinEngine(ABC):
             )
         self.holds[worlds, g] = grip.holds
         self.stiffer[worlds, g] = grip.stiffer
-        put_worlds(self.body.place, worlds * self.closed.shape[1] + g, self.rows(grip.place))
-        find_tears(self, g, worlds, now)
+        rows = worlds * self.closed.shape[1] + g
+        put_worlds(self.device_model.place, rows, self.rows(grip.place))
+        self._find_overstretch(g, worlds, now)
         self.hold(worlds)
         return Event(g, True, worlds, now, pose, grip, self.pick(X, state))
 
     def _open(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
         rows = self.state.numpy()[worlds]
         x = self.pick(X, rows)
-        pose = Paths(self.stacked).pose(g, worlds, now)
+        pose = self.paths.pose(g, worlds, now)
         grip = Grip(self.holds[worlds, g].copy(), np.empty(0), self.stiffer[worlds, g].copy(), ())
-        for which, values in self.let_go(*released(x, pose, grip)):
-            rows[:, which] += self.rows(np.swapaxes(values, 1, 2))
+        v, spin = released(x, pose, grip.holds)
+        rows[:, V] += self.rows(np.swapaxes(v, 1, 2))
+        if self.directed:
+            rows[:, SPIN] += self.rows(np.swapaxes(spin, 1, 2))
         put_worlds(self.state, worlds, rows)
         self.closed[worlds, g] = 2
         self.holds[worlds, g] = 0
@@ -381,20 +464,71 @@ class ThinEngine(ABC):
         self.hold(worlds)
         return Event(g, False, worlds, now, pose, grip, x)
 
-    def let_go(
-        self, v: NDArray[np.floating], spin: NDArray[np.floating]
-    ) -> list[tuple[slice, NDArray[np.floating]]]:
-        """Components of the state that receive velocities and spins [W, n, 3] on release."""
-        return [(V, v)]
+    def _find_overstretch(
+        self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]
+    ) -> None:
+        """Find when gripper g, which closes, and others will have pulled worlds [k] apart."""
+        for h in range(self.closed.shape[1]):
+            both = (self.closed[worlds, h] == 1) & (h != g)
+            if not both.any():
+                continue
+            w, since = worlds[both], now[both]
+            held = self.holds[w][:, [h, g]] & 1
+            alike, which = np.unique(held, axis=0, return_inverse=True)
+            which = which.reshape(-1)  # of the few ways of holding
+            for k, (theirs, mine) in enumerate(alike):
+                if not (theirs.any() and mine.any()):
+                    continue
+                i, j, rest = self.between(np.flatnonzero(mine), np.flatnonzero(theirs))
+                if np.isfinite(rest):
+                    of = np.flatnonzero(which == k)
+                    for some in np.array_split(of, -(-len(of) // AT_ONCE)):
+                        self._keep_overstretch((h, g), (j, i), w[some], since[some], rest)
+
+    def _keep_overstretch(
+        self, grippers: tuple[int, int], points: tuple[int, int], worlds: NDArray[np.int64],
+        now: NDArray[np.float64], rest: float,
+    ) -> None:  # fmt: skip
+        """Keep when two grippers will have pulled points apart that are ``rest`` [m] apart in the
+        body at rest, where that is sooner than what is known."""
+        rows, (first, second) = worlds * self.closed.shape[1], grippers
+        places = self.device_model.place.numpy()[:, :3][..., self.slots[list(points)]]
+        ends = places[rows + first, :, 0], places[rows + second, :, 1]
+        most = (1.0 + STRETCH) * rest
+        times, far = overstretch_times(self.paths, worlds, grippers, ends, now, most)
+        for k in np.flatnonzero(np.isfinite(times)).tolist():
+            w, found = int(worlds[k]), Overstretch(float(times[k]), grippers, float(far[k]))
+            if w not in self.overstretched or found.time < self.overstretched[w].time:
+                self.overstretched[w] = found
+
+    def held(self, group: slice) -> Held:
+        """Copy what grippers hold in a group of worlds."""
+        G = self.closed.shape[1]
+        place = self.device_model.place.numpy()[group.start * G : group.stop * G]
+        return Held(self.holds[group].copy(), self.stiffer[group].copy(), place.copy())
+
+    def hold_again(self, group: slice, held: Held) -> None:
+        """Let grippers hold what they held."""
+        G = self.closed.shape[1]
+        self.holds[group], self.stiffer[group] = held.holds, held.stiffer
+        put(self.device_model.place, slice(group.start * G, group.stop * G), held.place)
+        self.hold(np.arange(group.start, group.stop))
 
     def hold(self, worlds: NDArray[np.int64]) -> None:
-        """Copy the held points of worlds [k] to the kernels' body."""
-        put_worlds(self.body.holds, worlds, self.holds[worlds])
-        torn = [self.torn[w].time if w in self.torn else np.inf for w in worlds.tolist()]
-        put_worlds(self.body.torn_from, worlds, np.array(torn))
-        self.stiffen(self.body, worlds)
+        """Copy the held points of worlds [k] to the kernels' model."""
+        model, known = self.device_model, self.overstretched
+        put_worlds(model.holds, worlds, self.holds[worlds])
+        since = [known[w].time if w in known else np.inf for w in worlds.tolist()]
+        put_worlds(model.overstretched_from, worlds, np.array(since))
+        self.stiffen(model, worlds)
         if self.setting.self_contact:
-            put_worlds(self.body.loose, worlds, loose(self, worlds))
+            put_worlds(model.loose, worlds, self._loose(worlds))
+
+    def _loose(self, worlds: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, P] [1/kg]."""
+        free = 1.0 - np.any(self.holds[worlds] & 1, axis=1)
+        per_mass = np.broadcast_to(self.per_mass, (self.num_worlds, self.num_points))[worlds]
+        return self.rows(per_mass * free)[:, None]
 
     # ---- arrays ----------------------------------------------------------------------------------
 
@@ -411,57 +545,54 @@ class ThinEngine(ABC):
         with making:
             for name in names:
                 module = getattr(self.kernels, name).module
-                wp.load_module(module, device=self.setting.device, block_dim=self.block)
+                wp.load_module(module, device=self.setting.device, block_dim=self._block)
 
     @property
-    def block(self) -> int:
+    def _block(self) -> int:
         """Number of threads in a CUDA block."""
-        return self.lanes if self.lanes > 1 else 256
+        return self.threads if self.threads > 1 else 256
 
     def launch(self, kernel: Any, group: slice, inputs: list[Any]) -> None:
         """Launch a kernel with one block of threads for each world of the group."""
         wp.launch(
             kernel,
-            dim=(group.stop - group.start) * self.lanes,
-            inputs=[group.start, self.lanes, *inputs],
+            dim=(group.stop - group.start) * self.threads,
+            inputs=[group.start, self.threads, *inputs],
             device=self.setting.device,
-            block_dim=self.block,
+            block_dim=self._block,
         )
 
-    def _paths(self) -> Any:
-        stacked = self.stacked
-        paths = make_path_type(self.real)()
-        kinds = {
-            "time": wp.float64, "position": wp.vec3d, "orientation": wp.quatd, "turn": wp.vec3d,
-            "turns": wp.int32, "hold_from": wp.float64, "hold_until": wp.float64,
-            "radius": self.real, "may_miss": wp.int32,
-        }  # fmt: skip
-        for name, kind in kinds.items():
-            setattr(paths, name, self.array(stacked[name], kind))
-        return paths
+    def plan_on_device(self, plan: Schedule, *, record: bool = True) -> Any:
+        """Convert a schedule to the kernels' struct, without frames if they are not recorded."""
+        made = self.types.FramePlan()
+        made.begins = self.array(plan.begins, wp.float64)
+        made.done = self.array(plan.done, wp.int32)
+        made.steps = self.array(plan.steps, wp.int32)
+        made.dt = self.array(plan.dt, wp.float64)
+        made.before = self.array(plan.before, wp.float64)
+        made.frame = self.array(plan.frame if record else 0 * plan.frame - 1, wp.int32)
+        return made
 
-    def _body(self) -> Any:
+    def _device_model(self) -> Any:
         s, W, n = self.setting, self.num_worlds, self.num_points
         friction = s.table.friction if s.table is not None else 0.0
-        body = self.types.Body()
-        body.points = n
-        body.slot = self.array(self.slots, wp.int32)
-        body.scratch = self.zeros((W, self.scratch_rows, self.row_length))
-        body.damping = self.array([material.damping for material in s.materials])
-        body.velocity_damping = self.array(spread(s.velocity_damping, (W,), "velocity_damping"))
-        body.friction = self.array(spread(friction, (W,), "friction"))
-        body.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
-        body.table = int(s.table is not None)
-        body.radius = s.body.thickness / 2.0
-        body.anchor = self.zeros((0, 3, self.row_length))
-        body.walls = int(s.box is not None)
-        if s.box is not None:
-            body.box_lower = self.types.vec3(*(s.box.lower - self.origin))
-            body.box_upper = self.types.vec3(*(s.box.upper - self.origin))
-        body.holds = self.array(self.holds, wp.int32)
-        body.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
-        body.torn_from = self.array(np.full(W, np.inf), wp.float64)
-        self.air_density = spread(s.air_density, (W,), "air_density")
-        self.fill(body)
-        fill_contact(self, body)
-        return body
+        model = self.types.ThinModel()
+        model.points = n
+        model.slot = self.array(self.slots, wp.int32)
+        model.scratch = self.zeros((W, self.scratch_rows, self.row_length))
+        model.damping = self.array([material.damping for material in s.materials])
+        model.velocity_damping = self.array(spread(s.velocity_damping, (W,), "velocity_damping"))
+        model.friction = self.array(spread(friction, (W,), "friction"))
+        model.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
+        model.table = int(s.table is not None)
+        model.radius = s.body.thickness / 2.0
+        model.holds = self.array(self.holds, wp.int32)
+        model.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
+        model.overstretched_from = self.array(np.full(W, np.inf), wp.float64)
+        self.fill(model)
+        for name, value in contact_arrays(s, n, self.spacing, self.rows).items():
+            if isinstance(value, np.ndarray):
+                value = self.array(value, wp.int32 if value.dtype == np.int32 else None)
+            setattr(model, name, value)
+        model.loose = self.array(self._loose(np.arange(W * int(s.self_contact))))
+        return model

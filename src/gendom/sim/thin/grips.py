@@ -1,4 +1,5 @@
-"""Points held by grippers: selected when they close, released when they open; and transposes.
+"""Points held by grippers: selected when they close, released when they open; and transposes. When
+grippers will have pulled a body apart.
 
 A gripper holds the edges whose midpoints lie inside its sphere, with both their points; of a rod
 that it touches, at least one edge. Between a held and a free edge, the free part of the rod begins
@@ -16,9 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.errors import SimulationError
+from gendom.sim.paths import HostPaths, Pose, PoseAdjoint
+from gendom.sim.setting import Setting
 from gendom.sim.thin import rotation
-from gendom.sim.thin.crossing import triangle_distance
-from gendom.sim.thin.poses import Pose, PoseBars
+from gendom.sim.thin.contact import triangle_distance
 from gendom.sim.thin.shell_model import ShellModel
 
 Array = NDArray[Any]
@@ -29,9 +32,16 @@ SHORTEST = 0.02
 SHORTEST_OF_SHELL = 0.125
 """The same for shells, where no added inertia compensates for the stiffness."""
 
+STRETCH = 0.2
+"""Largest mean stretch or compression of a body, and stretch of what two grippers have between
+them."""
+
+LOCAL_STRETCH = 1.0
+"""Largest momentary stretch of one edge: a soft rope that cracks like a whip stretches by 25 %."""
+
 
 @dataclass
-class Cut:
+class BorderCut:
     """Intersections of spheres with lines of points between held and free edges."""
 
     stiffer: Array
@@ -58,7 +68,7 @@ class Grip:
     stiffer: Array
     """[W, M, n] factor on the stiffness of joints at its border: of a rod, or of a shell along
     rows and along columns."""
-    cuts: tuple[Cut, ...]
+    cuts: tuple[BorderCut, ...]
 
     def repeated(self, worlds: int) -> "Grip":
         """This grip of one world in many."""
@@ -66,7 +76,7 @@ class Grip:
             np.repeat(values, worlds, axis=0) for values in (self.holds, self.place, self.stiffer)
         )
         cuts = (
-            Cut(
+            BorderCut(
                 *(
                     np.tile(values, (worlds, *[1] * (values.ndim - 1)))
                     for values in vars(c).values()
@@ -202,7 +212,7 @@ def _held_edges(x: Array, centre: Array, radius: Array) -> NDArray[np.bool_]:
 def _cut(
     x: Array, centre: Array, radius: Array, length: Array, inside: NDArray[np.bool_], least: float,
     exist: NDArray[np.bool_] | None = None,
-) -> Cut:  # fmt: skip
+) -> BorderCut:  # fmt: skip
     """Cut lines of points [L, n, 3] with spheres [L] between held and free edges that ``exist``
     [L, n - 1] (default: all).
 
@@ -236,7 +246,7 @@ def _cut(
     own = 0.5 * (length[i - 1] + length[i])
     beyond_outer = np.where(shared, length[after], 0.0)
     first, second, by_border = _divided(edge, beyond_outer, border, least * own)
-    cut = Cut(
+    cut = BorderCut(
         stiffer=np.ones((L, n)),
         between=np.full((L, n, 2), -1),
         share=np.zeros((L, n)),
@@ -295,7 +305,7 @@ def _leaves(offset: Array, step: Array, radius: Array) -> Array:
 
 
 def _cut_adjoint(
-    cut: Cut, x: Array, centre: Array, length: Array, stiffer_bar: Array
+    cut: BorderCut, x: Array, centre: Array, length: Array, stiffer_bar: Array
 ) -> tuple[Array, Array, Array]:
     """Transpose of ``_cut``: derivatives by points [L, n, 3], centres [L, 3], and radii [L]."""
     w, i = np.nonzero(cut.between[..., 0] >= 0)
@@ -318,7 +328,7 @@ def _cut_adjoint(
 
 def close_adjoint(
     grip: Grip, x: Array, pose: Pose, place_bar: Array
-) -> tuple[Array, Array, PoseBars]:
+) -> tuple[Array, Array, PoseAdjoint]:
     """Transpose of the computation of ``Grip.place`` when a gripper closes.
 
     Args:
@@ -336,7 +346,7 @@ def close_adjoint(
     # places are R^T (x - c): a rotation of R by d changes them by R^T ((x - c) x d)
     turned = -np.cross(x - pose.centre[:, None], by_place).sum(axis=1) - q_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
-    return by_place, q_bar, PoseBars(-by_place.sum(axis=1), turned, none, none)
+    return by_place, q_bar, PoseAdjoint(-by_place.sum(axis=1), turned, none, none)
 
 
 def border_of_rod_adjoint(
@@ -357,10 +367,10 @@ def border_of_shell_adjoint(
     for k, (axis, step) in enumerate(((1, model.spacing[0]), (0, model.spacing[1]))):
         lines = _lines(at, axis)
         many = shape[0] if axis == 1 else shape[1]
-        bars = _lines(model.on_lattice(stiffer_bar[:, k]), axis)
+        line_bar = _lines(model.on_lattice(stiffer_bar[:, k]), axis)
         by_x, by_centre, by_radius = _cut_adjoint(
             grip.cuts[k], lines, np.repeat(pose.centre, many, axis=0),
-            np.full(lines.shape[1] - 1, step), bars,
+            np.full(lines.shape[1] - 1, step), line_bar,
         )  # fmt: skip
         x_bar += model.of_lattice(_unlines(by_x, W, shape, axis))
         centre_bar += by_centre.reshape(W, many, 3).sum(axis=1)
@@ -368,21 +378,96 @@ def border_of_shell_adjoint(
     return x_bar, centre_bar, radius_bar
 
 
-def released(x: Array, pose: Pose, grip: Grip) -> tuple[Array, Array]:
-    """Velocities [m/s] and spins [rad/s] of held points, [W, n, 3] each; 0 for others."""
+def released(x: Array, pose: Pose, holds: NDArray[np.integer]) -> tuple[Array, Array]:
+    """Velocities [m/s] and spins [rad/s] of held points, [W, n, 3] each; 0 for others.
+
+    Args:
+        x: [W, n, 3] points [m].
+        pose: Of the gripper.
+        holds: [W, n] see ``Grip.holds``.
+    """
     v = pose.velocity[:, None] + np.cross(pose.spin[:, None], x - pose.centre[:, None])
-    v = np.where((grip.holds & 1)[..., None] > 0, v, 0.0)
-    spin = np.where((grip.holds & 2)[..., None] > 0, pose.spin[:, None], 0.0)
+    v = np.where((holds & 1)[..., None] > 0, v, 0.0)
+    spin = np.where((holds & 2)[..., None] > 0, pose.spin[:, None], 0.0)
     return v, spin
 
 
 def released_adjoint(
-    x: Array, pose: Pose, grip: Grip, v_bar: Array, spin_bar: Array
-) -> tuple[Array, PoseBars]:
+    x: Array, pose: Pose, holds: NDArray[np.integer], v_bar: Array, spin_bar: Array
+) -> tuple[Array, PoseAdjoint]:
     """Transpose of ``released``: derivatives by x [W, n, 3] and by the pose."""
-    v_bar = np.where((grip.holds & 1)[..., None] > 0, v_bar, 0.0)
-    spin_bar = np.where((grip.holds & 2)[..., None] > 0, spin_bar, 0.0)
+    v_bar = np.where((holds & 1)[..., None] > 0, v_bar, 0.0)
+    spin_bar = np.where((holds & 2)[..., None] > 0, spin_bar, 0.0)
     x_bar = np.cross(v_bar, pose.spin[:, None])
     turned = np.cross(x - pose.centre[:, None], v_bar).sum(axis=1) + spin_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
-    return x_bar, PoseBars(-x_bar.sum(axis=1), none, v_bar.sum(axis=1), turned)
+    return x_bar, PoseAdjoint(-x_bar.sum(axis=1), none, v_bar.sum(axis=1), turned)
+
+
+# ---- grippers that pull a body apart -------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Overstretch:
+    """How two grippers will pull a body apart."""
+
+    time: float
+    """From when on [s]."""
+    grippers: tuple[int, int]
+    far: float
+    """How far what they hold is apart then [m]."""
+
+    def error(self, setting: Setting, w: int) -> SimulationError:
+        """The error of world w, which they pull apart."""
+        return setting.error(
+            w,
+            self.time,
+            f"grippers {self.grippers[0]} and {self.grippers[1]} pull the body apart: what they "
+            f"hold is {self.far:.4g} m apart, {100 * STRETCH:.0f} % more than the body between it "
+            "is long",
+            where="grippers",
+            fix="paths that stay closer together, or a gripper that opens before",
+        )
+
+
+def overstretch_times(
+    paths: HostPaths, w: Array, grippers: tuple[int, int], ends: tuple[Array, Array], now: Array,
+    most: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """When two grippers of worlds w [k] have a point each farther apart than ``most`` [m].
+
+    Between knots both move straight on, so that without turns their distance is largest at a knot.
+
+    Args:
+        paths: Of all grippers.
+        w: The worlds.
+        grippers: The two, both closed.
+        ends: The points in the grippers' frames, [k, 3] each [m].
+        now: When the second one closes, [k] [s].
+        most: [m].
+
+    Returns:
+        The times [k] [s], infinite where they never are, and how far apart they are then [k] [m].
+    """
+    of = paths.arrays
+    until = np.minimum(*(of["hold_until"][w, g] for g in grippers))
+    times = np.concatenate([until[:, None], *(of["time"][w, g] for g in grippers)], axis=1)
+    late = np.isfinite(times) & (times > now[:, None]) & (times <= until[:, None])
+    times = np.sort(np.where(late, times, now[:, None]), axis=1)
+    times = np.concatenate([now[:, None], times], axis=1)
+    shape = times.shape
+    worlds = np.repeat(w, shape[1])
+    places = []
+    for g, end in zip(grippers, ends, strict=True):
+        pose = paths.pose(g, worlds, times.reshape(-1))
+        place = pose.centre + rotation.turned(pose.q, np.repeat(end, shape[1], axis=0))
+        places.append(place.reshape(*shape, 3))
+    far = np.linalg.norm(places[1] - places[0], axis=2)
+    beyond = far > most
+    k, rows = beyond.argmax(axis=1), np.arange(len(w))
+    before = np.maximum(k - 1, 0)
+    step = far[rows, k] - far[rows, before]
+    share = np.where(k > 0, (most - far[rows, before]) / np.where(k > 0, step, 1.0), 1.0)
+    time = times[rows, before] + share * (times[rows, k] - times[rows, before])
+    found = beyond.any(axis=1)
+    return np.where(found, time, np.inf), np.where(k > 0, most, far[:, 0])

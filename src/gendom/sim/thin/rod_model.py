@@ -14,81 +14,33 @@ from numpy.typing import NDArray
 from gendom.materials import Material
 from gendom.sim.bodies import Body
 from gendom.sim.thin import rotation
-from gendom.sim.thin.slopes import Slopes
+from gendom.sim.thin.types import ParameterDerivatives
 
 
 @dataclass(frozen=True)
 class Section:
-    """Geometry of a rod's cross-section, a disc or a rectangle, or its derivatives by a size; axes
-    1 and 2 lie in it, 3 along the rod. A rectangle's width is along axis 1.
-
-    Source: Gere and Timoshenko, Mechanics of Materials (torsion of rectangles); Cowper (1966), "The
-    shear coefficient in Timoshenko's beam theory".
-    """
+    """A round cross-section, or its derivatives by the diameter."""
 
     area: float
     """[m^2]."""
-    bending: tuple[float, float]
-    """Second moments of area about both axes [m^4]."""
-    torsion: float
-    """Torsion constant [m^4]."""
+    bending: float
+    """Second moment of area about an axis in it [m^4]; half the torsion constant."""
     breadth: float
     """Width exposed to the air [m]."""
-    flat: bool
-    wider: int
-    """The axis about which the second moment is larger."""
 
     @classmethod
-    def of(cls, body: Body) -> "Section":
-        """Section of a body, whose thickness is the diameter of a round one."""
-        h, b = body.thickness, body.width
-        if b is None:
-            A = math.pi / 4.0 * h**2
-            inertia = A * h**2 / 16.0
-            return cls(A, (inertia, inertia), 2.0 * inertia, h, False, 0)
-        short, long = sorted((h, b))
-        torsion = long * short**3 * (1.0 / 3.0 - 0.21 * _of_ratio(short / long)[0])
-        bending = (b * h**3 / 12.0, h * b**3 / 12.0)
-        return cls(b * h, bending, torsion, b, True, int(b > h))
+    def of(cls, diameter: float) -> "Section":
+        area = math.pi / 4.0 * diameter**2
+        return cls(area, area * diameter**2 / 16.0, diameter)
 
     @classmethod
-    def slopes(cls, body: Body, name: str) -> "Section":
-        """Derivatives of the section by the body's ``thickness`` or ``width``."""
-        h, b = body.thickness, body.width
-        if b is None:
-            inertia = math.pi / 16.0 * h**3
-            return cls(math.pi / 2.0 * h, (inertia, inertia), 2.0 * inertia, 1.0, False, 0)
-        by_h = name == "thickness"
-        short, long = sorted((h, b))
-        ratio = short / long
-        of, of_slope = (0.21 * value for value in _of_ratio(ratio))
-        if by_h == (h < b):  # the shorter side
-            torsion = long * short**2 * (1.0 - 3.0 * of) - short**3 * of_slope
-        else:
-            torsion = short**3 * (1.0 / 3.0 - of + ratio * of_slope)
-        bending = (b * h**2 / 4.0, b**3 / 12.0) if by_h else (h**3 / 12.0, h * b**2 / 4.0)
-        return cls(b if by_h else h, bending, torsion, float(not by_h), True, int(b > h))
-
-    def shear_coefficient(self, nu: float) -> float:
-        """Shear coefficient kappa in the shear stiffness kappa G A."""
-        return (
-            10.0 * (1.0 + nu) / (12.0 + 11.0 * nu)
-            if self.flat
-            else (6.0 * (1.0 + nu) / (7.0 + 6.0 * nu))
-        )
-
-    def shear_coefficient_slope(self, nu: float) -> float:
-        """Derivative d kappa / d nu."""
-        return 10.0 / (12.0 + 11.0 * nu) ** 2 if self.flat else 6.0 / (7.0 + 6.0 * nu) ** 2
+    def derivatives(cls, diameter: float) -> "Section":
+        """Derivatives by the diameter."""
+        return cls(math.pi / 2.0 * diameter, math.pi / 16.0 * diameter**3, 1.0)
 
     def turning(self, length: NDArray[np.float64]) -> NDArray[np.float64]:
         """Moment of inertia of stiff edges over density and length, [m^4]."""
-        return self.bending[self.wider] + self.area * length**2 / 12.0
-
-
-def _of_ratio(ratio: float) -> tuple[float, float]:
-    """What the ratio of a rectangle's sides takes of its torsion constant, and its derivative."""
-    return ratio * (1.0 - ratio**4 / 12.0), 1.0 - 5.0 * ratio**4 / 12.0
+        return self.bending + self.area * length**2 / 12.0
 
 
 @dataclass(frozen=True)
@@ -117,7 +69,7 @@ class RodModel:
         cls, body: Body, materials: Sequence[Material], share: NDArray[np.floating]
     ) -> "RodModel":
         """Make the model of a rope; ``share`` [W, n] is E at each point over its material's E."""
-        section = Section.of(body)
+        section = Section.of(body.thickness)
         step = np.diff(body.points, axis=0)
         length = np.linalg.norm(step, axis=1)
         rest_q = rotation.transported(rotation.first_frame(step[0]), step)
@@ -144,37 +96,31 @@ class RodModel:
             tributary=tributary,
         )
 
-    def slopes(
+    def derivatives(
         self, name: str, body: Body, materials: Sequence[Material], share: NDArray[np.floating]
-    ) -> Slopes:
-        """Derivatives by ``E``, ``nu``, ``density``, ``thickness`` (or diameter) or ``width``."""
+    ) -> ParameterDerivatives:
+        """Derivatives by ``E``, ``nu``, ``density`` or ``thickness``, the diameter."""
         if name == "E":
             E = np.array([m.E for m in materials])
-            return Slopes(stiffness=self.stiffness / E[:, None, None])
+            return ParameterDerivatives(stiffness=self.stiffness / E[:, None, None])
         shares = _shares(share, self.length)
         if name == "nu":
-            return Slopes(stiffness=_moduli(self.section, materials)[1][:, :, None] * shares)
+            return ParameterDerivatives(
+                stiffness=_moduli(self.section, materials)[1][:, :, None] * shares
+            )
         if name == "density":
             per_density = 1.0 / np.array([[m.density] for m in materials])
-            return Slopes(mass=per_density, inertia=per_density)
-        by = Section.slopes(body, name)
+            return ParameterDerivatives(mass=per_density, inertia=per_density)
+        by = Section.derivatives(body.thickness)
         inertia = np.zeros((1, len(self.tributary)))
         inertia[:, :-1] = by.turning(self.length) / self.section.turning(self.length)
-        return Slopes(
+        return ParameterDerivatives(
             stiffness=_moduli(by, materials)[0][:, :, None] * shares,
             mass=np.full((len(materials), 1), by.area / self.section.area),
             inertia=inertia,
             drag=by.breadth / self.section.breadth,
-            thickness=float(name == "thickness"),
+            thickness=1.0,
         )
-
-    def stiffness_by_share(
-        self, materials: Sequence[Material], w: int, i: int
-    ) -> NDArray[np.float64]:
-        """Derivative [6, n] of world w's stiffness by the share of E at point i."""
-        moduli, _ = _moduli(self.section, materials[w : w + 1])
-        one = np.eye(len(self.tributary))[i : i + 1]
-        return moduli[0][:, None] * _shares(one, self.length)[0]
 
     def share_bar(
         self, materials: Sequence[Material], stiffness_bar: NDArray[np.floating]
@@ -231,15 +177,18 @@ def _moduli(
     section: Section, materials: Sequence[Material]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Stiffness [W, 6] for shear, shear, stretch [N], bending, bending, twist [N m^2], and its
-    derivative with respect to nu."""
+    derivative with respect to nu.
+
+    Source of the shear coefficient kappa: Cowper (1966), "The shear coefficient in Timoshenko's
+    beam theory".
+    """
     E = np.array([m.E for m in materials])
     nu = np.array([m.nu for m in materials])
     G, G_slope = E / (2.0 * (1.0 + nu)), -E / (2.0 * (1.0 + nu) ** 2)
-    kappa = np.array([section.shear_coefficient(m.nu) for m in materials])
-    kappa_slope = np.array([section.shear_coefficient_slope(m.nu) for m in materials])
-    A, (I1, I2), J = section.area, section.bending, section.torsion
+    kappa, kappa_slope = 6.0 * (1.0 + nu) / (7.0 + 6.0 * nu), 6.0 / (7.0 + 6.0 * nu) ** 2
+    A, I, J = section.area, section.bending, 2.0 * section.bending
     none = np.zeros_like(E)
-    values = [kappa * G * A, kappa * G * A, E * A, E * I1, E * I2, G * J]
+    values = [kappa * G * A, kappa * G * A, E * A, E * I, E * I, G * J]
     shear = (kappa_slope * G + kappa * G_slope) * A
-    slopes = [shear, shear, none, none, none, G_slope * J]
-    return np.stack(values, axis=1), np.stack(slopes, axis=1)
+    by_nu = [shear, shear, none, none, none, G_slope * J]
+    return np.stack(values, axis=1), np.stack(by_nu, axis=1)

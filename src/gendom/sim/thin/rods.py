@@ -3,69 +3,73 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.sim.lines import arc_length
-from gendom.sim.setting import DRAG, Setting, spread
+from gendom.sim.paths import Pose
+from gendom.sim.setting import DRAG, Setting
 from gendom.sim.thin import rotation
-from gendom.sim.thin.crossing import check_rope
+from gendom.sim.thin.contact import check_rope
 from gendom.sim.thin.engine import ThinEngine
-from gendom.sim.thin.grips import Grip, close_rod
-from gendom.sim.thin.poses import Pose
+from gendom.sim.thin.grips import STRETCH, Grip, border_of_rod_adjoint, close_rod
 from gendom.sim.thin.rod_model import RodModel
-from gendom.sim.thin.run import put_worlds
-from gendom.sim.thin.slopes import Slopes
-from gendom.sim.thin.tears import STRETCH
-from gendom.sim.thin.types import MARGIN, V, X
-
-Q, SPIN = slice(6, 10), slice(10, 13)
-"""Components of a state: directions (quaternions, scalar last) and spins [rad/s]."""
+from gendom.sim.thin.run import Event, put_worlds
+from gendom.sim.thin.tape import ThinTape
+from gendom.sim.thin.types import (
+    MARGIN,
+    PER_TURN,
+    SPIN_BAR,
+    TURN_BAR,
+    ParameterDerivatives,
+    Q,
+    V,
+    X,
+)
 
 
 class Rods(ThinEngine):
     """W rods of one shape."""
 
-    kind = "rod"
+    kind, directed = "rod", True
     state_rows, state_bars, scratch_rows, scratch_bars = 19, 18, 12, 18
-    lanes_on_cuda = 32
+    threads_on_cuda = 32
     stiffened = (slice(3, 6),)
-    natural = slice(1, 7)
     apart: int
     """Smallest number of points along the rod between parts that can be in self-contact."""
 
     @staticmethod
     def check_suits(setting: Setting) -> None:
         length, diameter = arc_length(setting.body.points)[-1], setting.body.thickness
-        if diameter > length:
-            raise ParameterError(
-                f"a diameter of {diameter:g} m and a length of {length:g} m are not those of a rod",
-                fix="give metres, or engine='mpm'",
-            )
+        require(
+            diameter <= length,
+            f"a diameter of {diameter:g} m and a length of {length:g} m are not those of a rod",
+            fix="give metres, or engine='mpm'",
+        )
 
     def prepare(self, setting: Setting) -> NDArray[np.float64]:
-        self.model = RodModel.of(setting.body, setting.materials, self.share)
-        return self.model.longest_step(np.array([m.damping > 0.0 for m in setting.materials]))
+        self.model = m = RodModel.of(setting.body, setting.materials, self.share)
+        self.drag_by_air = 0.5 * DRAG["rope"] * m.section.breadth * m.tributary
+        self.per_turn = np.zeros_like(m.inertia)
+        self.per_turn[:, :-1] = 1.0 / m.inertia[:, :-1]
+        self.per_mass = 1.0 / m.mass
+        self.spacing = float(m.length.max())
+        self.apart = 2 + int(np.ceil(setting.body.thickness / m.length.min()))
+        return m.longest_step(np.array([m.damping > 0.0 for m in setting.materials]))
 
     def layout(self) -> tuple[NDArray[np.int64], int]:
         n = self.num_points
         return MARGIN + np.arange(n), MARGIN + -(-n // 8) * 8 + MARGIN
 
-    def fill(self, body: Any) -> None:
-        m = self.model
-        self.drag_by_air = 0.5 * DRAG["rope"] * m.section.breadth * m.tributary
-        self.per_turn = np.zeros_like(m.inertia)
-        self.per_turn[:, :-1] = 1.0 / m.inertia[:, :-1]
+    def fill(self, model: Any) -> None:
         drag = self.air_density[:, None] * self.drag_by_air
-        self.per_mass = 1.0 / m.mass
-        self.spacing = float(m.length.max())
-        self.apart = 2 + int(np.ceil(self.setting.body.thickness / m.length.min()))
-        body.contact_apart = self.apart
-        body.pitch, body.first, body.end = 0, 0, self.num_points
         inertia = np.stack([self.per_mass, self.per_turn, drag, np.ones_like(drag)], axis=1)
-        body.rest = self.array(self.rows(m.rest)[None])
-        body.stiffness = self.array(self.rows(m.stiffness))
-        body.inertia = self.array(self.rows(inertia))
+        model.contact_apart = self.apart
+        model.pitch, model.first, model.end = 0, 0, self.num_points
+        model.rest = self.array(self.rows(self.model.rest)[None])
+        model.stiffness = self.array(self.rows(self.model.stiffness))
+        model.inertia = self.array(self.rows(inertia))
 
     def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
         """State [W, ., P] at rest with directions that have the twist of the rest shape."""
@@ -87,18 +91,9 @@ class Rods(ThinEngine):
         state[:, Q, self.slots[:-1]] = np.swapaxes(q, 1, 2)
         return state
 
-    def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
-        """Set points' velocities [W, n, 3] [m/s]; edges rotate with them, without twisting."""
-        if np.any(np.asarray(affine)):
-            raise ParameterError("rods have no affine velocities", fix="engine='mpm'")
-        v = spread(v, (self.num_worlds, self.num_points, 3), "velocities")
+    def spins_of(self, v: NDArray[np.floating]) -> NDArray[np.floating]:
         d, dv = np.diff(self.component(X), axis=1), np.diff(v, axis=1)
-        spin = np.cross(d, dv) / np.sum(d**2, axis=2, keepdims=True)
-        rows = self.state.numpy()
-        rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
-        rows[:, SPIN, self.slots[:-1]] = np.swapaxes(spin, 1, 2)
-        self.state.assign(rows)
-        self.last_dt[:] = 0.0
+        return np.cross(d, dv) / np.sum(d**2, axis=2, keepdims=True)
 
     def between(self, g: NDArray[np.int64], h: NDArray[np.int64]) -> tuple[int, int, float]:
         along = np.concatenate([[0.0], np.cumsum(self.model.length)])
@@ -114,32 +109,65 @@ class Rods(ThinEngine):
         taken = np.any(self.holds[worlds][:, :, :-1] & 2, axis=1)
         return close_rod(x, q, pose, self.stacked["radius"][worlds, g], self.model.length, taken)
 
-    def let_go(
-        self, v: NDArray[np.floating], spin: NDArray[np.floating]
-    ) -> list[tuple[slice, NDArray[np.floating]]]:
-        return [(V, v), (SPIN, spin)]
-
-    def stiffen(self, body: Any, worlds: NDArray[np.int64]) -> None:
+    def stiffen(self, model: Any, worlds: NDArray[np.int64]) -> None:
         stiffer = self.stiffer[worlds, :, 0].prod(axis=1)
-        inertia = body.inertia.numpy()[worlds]
+        inertia = model.inertia.numpy()[worlds]
         inertia[:, 1, self.slots] = self.per_turn[worlds] / slower(stiffer)
         inertia[:, 3, self.slots] = stiffer
-        put_worlds(body.inertia, worlds, inertia)
+        put_worlds(model.inertia, worlds, inertia)
 
     def parameters(self) -> tuple[str, ...]:
-        return ("thickness",) if self.setting.body.width is None else ("thickness", "width")
+        return ("thickness",)
 
-    def slopes(self, name: str) -> Slopes:
+    def derivatives(self, name: str) -> ParameterDerivatives:
         s = self.setting
-        return self.model.slopes(name, s.body, s.materials, self.share)
+        return self.model.derivatives(name, s.body, s.materials, self.share)
 
-    def stiffness_by_share(self, w: int, i: int) -> NDArray[np.float64]:
-        return self.model.stiffness_by_share(self.setting.materials, w, i)
+    # ---- reverse mode ----------------------------------------------------------------------------
 
-    def tape(self, memory: float) -> Any:
-        from gendom.sim.thin.tape import RodTape
+    def tape(self, memory: float) -> ThinTape:
+        return ThinTape(self)
 
-        return RodTape(self)
+    def unstiffened(
+        self, group: slice, stiffer: NDArray[np.floating], found: NDArray[np.floating]
+    ) -> NDArray[np.floating]:
+        one = stiffer[:, 0]
+        bar = np.sum(found[:, 3:6] * self.model.stiffness[group, 3:], axis=1)
+        found[:, 3:6] *= stiffer
+        # edges beside stiffer joints have more inertia, according to the stiffer joint
+        slow = slower(one)
+        by_slow = -found[:, PER_TURN] * self.per_turn[group] / slow**2
+        found[:, PER_TURN] /= slow
+        at = (one == slow) & (slow > 1.0)
+        bar += np.where(at, by_slow, 0.0)
+        after = (one[:, 1:] == slow[:, :-1]) & (slow[:, :-1] > 1.0) & ~at[:, :-1]
+        bar[:, 1:] += np.where(after, by_slow[:, :-1], 0.0)
+        return bar[:, None]
+
+    def border_adjoint(
+        self, event: Event, stiffer_bar: NDArray[np.floating]
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        length = self.model.length
+        return border_of_rod_adjoint(event.grip, event.x, event.pose, length, stiffer_bar)
+
+    def by_shares(self, model_bar: NDArray[np.floating]) -> NDArray[np.float64]:
+        return self.model.share_bar(self.setting.materials, model_bar[:, :6])
+
+    def by_start(
+        self, x: NDArray[np.floating], v: NDArray[np.floating], bar: NDArray[np.floating]
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        x_bar, v_bar = bar[..., X].copy(), bar[..., V].copy()
+        q_bar, spin_bar = bar[:, :-1, TURN_BAR], bar[:, :-1, SPIN_BAR]
+        # initial spins are those of edges that rotate with their points
+        d, dv = np.diff(x, axis=1), np.diff(v, axis=1)
+        square = np.sum(d**2, axis=2, keepdims=True)
+        spin = np.cross(d, dv) / square
+        _to_ends(v_bar, np.cross(spin_bar, d) / square)
+        turned = np.cross(dv, spin_bar) - 2.0 * np.sum(spin * spin_bar, 2, keepdims=True) * d
+        _to_ends(x_bar, turned / square)
+        first = np.broadcast_to(self.model.rest_q[0], (len(x_bar), 4))
+        _to_ends(x_bar, rotation.transported_adjoint(first, d, q_bar))
+        return x_bar, v_bar
 
 
 def slower(stiffer: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -147,3 +175,9 @@ def slower(stiffer: NDArray[np.floating]) -> NDArray[np.floating]:
     increased, so that the substep stays stable."""
     after = np.concatenate([stiffer[:, 1:], np.ones_like(stiffer[:, :1])], axis=1)
     return np.maximum(1.0, np.maximum(stiffer, after))
+
+
+def _to_ends(points: NDArray[np.floating], edges: NDArray[np.floating]) -> None:
+    """Add derivatives by edges x_(e+1) - x_e [W, n - 1, 3] to the derivatives by points."""
+    points[:, 1:] += edges
+    points[:, :-1] -= edges

@@ -34,6 +34,10 @@ class Schedule:
         """Start times of pieces s of worlds w [s]."""
         return self.begins[w, s] + self.done[w, s] * self.dt[w, s]
 
+    def last_dt(self) -> NDArray[np.float64]:
+        """Length of each world's last step, [W] [s]."""
+        return np.where(self.steps[:, -1] > 0, self.dt[:, -1], self.before[:, -1])
+
     def until(self, worlds: slice, at: NDArray[np.int64]) -> NDArray[np.int64]:
         """Next pieces after ``at`` [k] that begin with a gripper event, or the end, [k]."""
         index, count = np.arange(self.due.shape[1]), self.count[worlds]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gendom.materials import Material
 from gendom.sim.bodies import Body, Weave
 from gendom.sim.cut import Cut
-from gendom.sim.thin.slopes import WEAVE, Slopes
+from gendom.sim.thin.types import WEAVE, ParameterDerivatives
 
 MOST_COUPLED = 1.5
 """Largest area that couples both curvatures of a point, over the geometric mean of the areas that
@@ -33,8 +33,6 @@ class ShellModel:
     """[n] area represented by each point [m^2]."""
     exists: NDArray[np.float64]
     """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
-    rest_bend: NDArray[np.float64]
-    """[3, n] stress-free second differences along the normal [m]."""
     weave: Weave
     shares: NDArray[np.float64]
     """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
@@ -91,10 +89,8 @@ class ShellModel:
         faster = (1.0, 1.0) if body.cut is None else _faster(body.cut, area, shares[4:])
         weave = body.weave
         coupled = math.sqrt(weave.warp * weave.weft)
-        membrane = [weave.warp, weave.weft, coupled, weave.shear]
-        shares *= np.array(membrane + 4 * [weave.bending])[:, None, None]
-        k = np.zeros((2, 2)) if body.natural_curvature is None else -body.natural_curvature
-        rest = [k[0, 0] * lx**2, k[1, 1] * ly**2, k[0, 1] * lx * ly]
+        bending = [weave.warp, weave.weft, coupled, coupled]
+        shares *= np.array([1.0, 1.0, 1.0, weave.shear, *bending])[:, None, None]
         return cls(
             shape=(ny, nx),
             at=at,
@@ -102,7 +98,6 @@ class ShellModel:
             thickness=body.thickness,
             area=area.reshape(-1)[at],
             exists=np.stack([after, below, there]).reshape(3, -1)[:, at],
-            rest_bend=np.array(rest)[:, None] * np.ones((1, len(at))),
             weave=weave,
             shares=shares.reshape(8, -1)[:, at],
             alone=np.stack(alone).reshape(2, -1)[:, at],
@@ -132,38 +127,38 @@ class ShellModel:
         shear, shear_nu = 0.5 / (1.0 + nu), -0.5 / (1.0 + nu) ** 2
         twist, twist_nu = 2.0 * shear, 2.0 * shear_nu  # D (1 - nu) = E h^3 / 12 / (1 + nu)
         values = np.stack([plane, plane, both, shear, plane, plane, both, twist], axis=1)
-        slopes = np.stack(
+        by_nu = np.stack(
             [plane_nu, plane_nu, both_nu, shear_nu, plane_nu, plane_nu, both_nu, twist_nu], axis=1
         )
         free = np.zeros((8, len(self.area)), dtype=bool)
         free[4:6] = self.alone > 0.0
-        return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, slopes[:, :, None])
+        return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, by_nu[:, :, None])
 
-    def slopes(
+    def derivatives(
         self, name: str, materials: Sequence[Material], share: NDArray[np.floating]
-    ) -> Slopes:
+    ) -> ParameterDerivatives:
         """Derivatives by ``E``, ``nu``, ``density``, ``thickness``, ``membrane`` or a parameter of
         the weave; ``share`` [W, n] is E at each point over its material's E."""
         if name == "density":
-            return Slopes(mass=1.0 / np.array([[m.density] for m in materials]))
+            return ParameterDerivatives(mass=1.0 / np.array([[m.density] for m in materials]))
         values, by_nu = self.factors(np.array([m.nu for m in materials]))
         scale = self.scales(materials) * self.shares * share[:, None]
         if name == "nu":
-            return Slopes(stiffness=by_nu * scale)
+            return ParameterDerivatives(stiffness=by_nu * scale)
         stiffness = values * scale
         if name == "thickness":
             per = np.repeat([1.0, 3.0], 4)[:, None] / self.thickness
             mass = np.full((len(materials), 1), 1.0 / self.thickness)
-            return Slopes(stiffness=stiffness * per, mass=mass, thickness=1.0)
+            return ParameterDerivatives(stiffness=stiffness * per, mass=mass, thickness=1.0)
         if name in WEAVE:
             per = np.array(_powers(name)) / getattr(self.weave, name)
-            return Slopes(stiffness=stiffness * per[:, None])
+            return ParameterDerivatives(stiffness=stiffness * per[:, None])
         # a separate modulus of the membrane does not depend on E
         own = [m.membrane for m in materials]
         per = np.array([[0.0 if k is None else 1.0 / k, 0.0] for k in own])
         if name == "E":
             per = np.array([[k is None, True] for k in own]) / np.array([[m.E] for m in materials])
-        return Slopes(stiffness=stiffness * np.repeat(per, 4, axis=1)[:, :, None])
+        return ParameterDerivatives(stiffness=stiffness * np.repeat(per, 4, axis=1)[:, :, None])
 
     def scales(self, materials: Sequence[Material]) -> NDArray[np.float64]:
         """Scales [W, 8, 1] of the stiffness: E h with the in-plane modulus, and E h^3 / 12."""
@@ -184,11 +179,11 @@ class ShellModel:
         nu = np.array([m.nu for m in materials])
         density = np.array([m.density for m in materials])
         weave = self.weave
-        stiffest = max(weave.warp, weave.weft, weave.shear)
+        stiffest, stiffest_bending = max(1.0, weave.shear), max(weave.warp, weave.weft)
         # joints at a gripper's border can be eight times as stiff
         across = 8.0 * self.faster[1] * self.thickness**2 / 12.0 * k2**2
         along = self.faster[0] * k2
-        fastest = np.maximum(in_plane * stiffest * along, E * weave.bending * across)
+        fastest = np.maximum(in_plane * stiffest * along, E * stiffest_bending * across)
         fastest = fastest / (1.0 - nu**2) / density
         damped = np.array([m.damping > 0.0 for m in materials])
         return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
@@ -196,8 +191,9 @@ class ShellModel:
 
 def _powers(name: str) -> list[float]:
     """Powers of a weave's parameter in the stiffness, [8]."""
-    membrane = {"warp": [1.0, 0.0, 0.5, 0.0], "weft": [0.0, 1.0, 0.5, 0.0], "shear": [0, 0, 0, 1.0]}
-    return membrane.get(name, [0.0] * 4) + [float(name == "bending")] * 4
+    if name == "shear":
+        return [0.0, 0.0, 0.0, 1.0] + 4 * [0.0]
+    return 4 * [0.0] + [float(name == "warp"), float(name == "weft"), 0.5, 0.5]
 
 
 def _to_corners(cells: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -9,10 +9,12 @@ are named in ``native/rod.h``, ``native/shell.h`` and their adjoints.
 # pyright: reportInvalidTypeForm=false
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 MARGIN = 8
 """Length of the margin at the start of a row."""
@@ -20,12 +22,45 @@ MARGIN = 8
 X, V = slice(0, 3), slice(3, 6)
 """Components of states and of derivatives by states: positions [m] and velocities [m/s]."""
 
+Q, SPIN = slice(6, 10), slice(10, 13)
+"""Components of a rod's state: directions (quaternions, scalar last) and spins [rad/s]."""
+
 PER_MASS, DRAG, GRAVITY, DAMPING, FRICTION, VELOCITY_DAMPING = 12, 13, slice(15, 18), 18, 19, 20
 SELF_FRICTION, RADIUS, DISTANCE = 21, 22, 23
 """Components of derivatives by the model that are common to rods and shells."""
 
-MODEL_BARS = 24
+REST, PER_TURN = slice(6, 12), 14
+"""Those of rods only: by stress-free strains, and by 1 / inertia of edges."""
+
+TURN_BAR, SPIN_BAR = slice(6, 9), slice(9, 12)
+"""Components of derivatives by a rod's state: by rotations of directions, and by spins."""
+
+MODEL_ROWS = 24
 """Components of derivatives by the model."""
+
+
+WEAVE = ("warp", "weft", "shear")
+"""Parameters of a shell's weave, in the order of the derivatives by it."""
+
+
+def _none() -> NDArray[np.float64]:
+    return np.zeros(())
+
+
+@dataclass(frozen=True)
+class ParameterDerivatives:
+    """Derivatives of a model's numbers by one parameter, of W worlds with n points."""
+
+    stiffness: NDArray[np.float64] = field(default_factory=_none)
+    """[W, R, n] of the stiffness without grippers, or 0."""
+    mass: NDArray[np.float64] = field(default_factory=_none)
+    """[W, 1] of points' masses, over them, or 0."""
+    inertia: NDArray[np.float64] = field(default_factory=_none)
+    """[W, n] of edges' moments of inertia, over them, or 0."""
+    drag: float = 0.0
+    """Of the area that is exposed to the air, over it."""
+    thickness: float = 0.0
+    """Of the thickness at which the body touches."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +70,9 @@ class Types:
     real: Any
     vec3: Any
     quat: Any
-    Body: Any
-    Bars: Any
-    Plan: Any
+    ThinModel: Any
+    ModelAdjoint: Any
+    FramePlan: Any
 
 
 @functools.cache
@@ -47,11 +82,10 @@ def make_types(real: Any) -> Types:
     quat = wp.quatf if real == wp.float32 else wp.quatd
 
     @wp.struct
-    class Body:
+    class ThinModel:
         """W rods or shells, and their surroundings."""
 
         points: int
-        implicit: int  # whether steps are implicit
         slot: wp.array(dtype=wp.int32)  # [n] of each point in a row
         # for shells: stride between rows, 0 for rods; index of the first point, and after the last
         pitch: int
@@ -69,14 +103,9 @@ def make_types(real: Any) -> Types:
         gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
         table: int  # at height 0
         radius: real  # height of a point on the table [m]
-        anchored: int  # whether slip is measured from anchors instead of a step's start
-        anchor: wp.array3d(dtype=real)  # [W, 3, P] of a search for equilibria [m]
-        walls: int
-        box_lower: vec3
-        box_upper: vec3
         holds: wp.array3d(dtype=wp.int32)  # [W, G, n] 1: a point is held, 2: an edge's direction is
         place: wp.array3d(dtype=real)  # [W G, 7, P] of those, in the gripper's frame
-        torn_from: wp.array(dtype=wp.float64)  # [W] when grippers are too far apart for it [s]
+        overstretched_from: wp.array(dtype=wp.float64)  # [W] when grippers are too far apart [s]
         # contact with itself
         contact: int
         contact_distance: real  # between centre lines or middle surfaces [m]
@@ -103,11 +132,11 @@ def make_types(real: Any) -> Types:
         contact_close: real
 
     @wp.struct
-    class Bars:
+    class ModelAdjoint:
         """Derivatives of a loss; those by the model are for each point's contribution."""
 
         state: wp.array3d(dtype=real)  # [W, ., P]
-        model: wp.array3d(dtype=real)  # [W, MODEL_BARS, P]
+        model: wp.array3d(dtype=real)  # [W, MODEL_ROWS, P]
         scratch: wp.array3d(dtype=real)  # [W, ., P]
         place: wp.array3d(dtype=real)  # [W G, 6, P]
         position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by grippers' knots
@@ -116,7 +145,7 @@ def make_types(real: Any) -> Types:
         turn: wp.array2d(dtype=vec3)  # [W, G] of one step
 
     @wp.struct
-    class Plan:
+    class FramePlan:
         """Schedule of W worlds: pieces of equal steps."""
 
         begins: wp.array2d(dtype=wp.float64)  # [W, S] start of the piece's interval [s]
@@ -126,4 +155,7 @@ def make_types(real: Any) -> Types:
         before: wp.array2d(dtype=wp.float64)  # [W, S] length of the step before; 0 at a start [s]
         frame: wp.array2d(dtype=wp.int32)  # [W, S] recorded at its end; -1: none
 
-    return Types(real=real, vec3=vec3, quat=quat, Body=Body, Bars=Bars, Plan=Plan)
+    return Types(
+        real=real, vec3=vec3, quat=quat, ThinModel=ThinModel, ModelAdjoint=ModelAdjoint,
+        FramePlan=FramePlan,
+    )  # fmt: skip

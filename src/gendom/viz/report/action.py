@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gendom.errors import GendomError
+from gendom.arguments import check_numbers, require
 from gendom.viz.charts import Swing, goal_chart, swing_chart
 from gendom.viz.clouds import CloudSequence
-from gendom.viz.report.markup import DASH, cell, chart_figure, escaped, number, table
-from gendom.viz.report.page import Section
-from gendom.viz.report.quantities import length_text, place_text, with_minus
-from gendom.viz.report.viewer import viewer
+from gendom.viz.report.lift import viewer
+from gendom.viz.report.markup import DASH, Section, cell, chart_figure, escaped, number, table
+from gendom.viz.report.summary import length_text, place_text, with_minus
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +20,7 @@ class PolicyRun:
     """One action, and what it reached. Arrays are converted to float64.
 
     Raises:
-        GendomError: An array has another shape, or a number is not finite.
+        ParameterError: An array has another shape, or a number is not finite.
     """
 
     action: np.ndarray
@@ -36,14 +35,11 @@ class PolicyRun:
     """[n, 3] points along the rope when its tip is farthest [m]."""
 
     def __post_init__(self):
-        for name in ("action", "reached"):
-            _convert(self, name, 1, np.atleast_1d(np.asarray(getattr(self, name), dtype=float)))
-        for name in ("tip_path", "shape_at_release", "shape_at_farthest"):
-            value = getattr(self, name)
+        for name in ("action", "reached", "tip_path", "shape_at_release", "shape_at_farthest"):
+            value, flat = getattr(self, name), name in ("action", "reached")
             if value is not None:
-                _convert(self, name, 2, np.asarray(value, dtype=float))
-                if getattr(self, name).shape[1] != 3:
-                    raise GendomError("is no [n, 3]", where=name, fix="give points in metres")
+                value = check_numbers(name, np.atleast_1d(value), ("n",) if flat else ("n", 3))
+                object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +47,7 @@ class ReachOutcome:
     """One goal, and what both policies reached.
 
     Raises:
-        GendomError: Goal and place reached differ in shape, or the goal is not 1-D or 2-D.
+        ParameterError: Goal and place reached differ in shape, or the goal is not 1-D or 2-D.
     """
 
     goal: np.ndarray
@@ -64,19 +60,11 @@ class ReachOutcome:
     """What else was tried for this goal, by what it is called."""
 
     def __post_init__(self):
-        _convert(self, "goal", 1, np.atleast_1d(np.asarray(self.goal, dtype=float)))
-        if self.goal.shape not in ((1,), (2,)):
-            raise GendomError(
-                f"has shape {list(self.goal.shape)}", where="goal", fix="give [1] or [2]"
-            )
-        runs = {"ours": self.ours, "without": self.without, **self.further}
-        for name, run in runs.items():
-            if run is not None and run.reached.shape != self.goal.shape:
-                raise GendomError(
-                    f"has shape {list(run.reached.shape)}, the goal {list(self.goal.shape)}",
-                    where=f"{name}.reached",
-                    fix="give both in the same coordinates",
-                )
+        goal = check_numbers("goal", np.atleast_1d(self.goal), (1,), (2,))
+        object.__setattr__(self, "goal", goal)
+        for name, run in {"ours": self.ours, "without": self.without, **self.further}.items():
+            if run is not None:
+                check_numbers(f"{name}.reached", run.reached, goal.shape)
 
     def error(self, run: PolicyRun) -> float:
         """Distance between the place reached and the goal [m]."""
@@ -88,46 +76,31 @@ class ActionSummary:
     """The task carried out for one or several goals.
 
     Raises:
-        GendomError: There is no outcome, or goals or actions differ in shape.
+        ParameterError: There is no outcome, or goals or actions differ in shape.
     """
 
     outcomes: Sequence[ReachOutcome]
     goal_name: str = "farthest distance of the tip"
     action_names: Sequence[str] = ()
     """One for each number of an action, with its unit: "release x [m]"."""
-    note: str = ""
-    """Text below the heading: what was done, and where."""
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where a goal's distance is measured from [m]."""
-    direction: tuple[float, float, float] = (1.0, 0.0, 0.0)
-    """Horizontal unit vector along which a goal's distance is measured."""
-    table_height: float | None = None
-    """z of the table [m], or None."""
     motion: CloudSequence | None = None
     """One motion as it was carried out, and perhaps as our simulator predicts it."""
-    shown: int | None = None
-    """The outcome whose swing is drawn; None: the first that has a path."""
 
     def __post_init__(self):
-        if not self.outcomes:
-            raise GendomError("is empty", where="outcomes", fix="give one goal or leave it out")
+        fix = "give one goal or leave it out"
+        require(self.outcomes, "is empty", where="outcomes", fix=fix)
         sizes = {
             (len(o.goal), len(run.action))
             for o in self.outcomes
             for run in (o.ours, o.without, *o.further.values())
             if run is not None
         }
-        if len(sizes) > 1:
-            raise GendomError("differ in shape", where="goals and actions", fix="give one task's")
-        actions = next(iter(sizes))[1]
-        if self.action_names and len(self.action_names) != actions:
-            raise GendomError(
-                f"has {len(self.action_names)} names for {actions} numbers",
-                where="action_names",
-                fix="give one each",
-            )
-        if self.shown is not None and not 0 <= self.shown < len(self.outcomes):
-            raise GendomError(f"is {self.shown}", where="shown", fix="give an outcome's index")
+        where, fix = "goals and actions", "give one task's"
+        require(len(sizes) == 1, "differ in shape", where=where, fix=fix)
+        actions, names = next(iter(sizes))[1], len(self.action_names)
+        what = f"has {names} names for {actions} numbers"
+        where, fix = "action_names", "give one each"
+        require(names in (0, actions), what, where=where, fix=fix)
 
     def mean_errors(self) -> tuple[float, float | None]:
         """Mean distance from the goals [m], of our policy and of the one without parameters.
@@ -139,15 +112,10 @@ class ActionSummary:
         others = [o.error(o.without) for o in self.outcomes if o.without is not None]
         return ours, float(np.mean(others)) if len(others) == len(self.outcomes) else None
 
-    def drawn(self) -> ReachOutcome | None:
-        """The outcome whose swing is drawn."""
-        chosen = self.outcomes if self.shown is None else [self.outcomes[self.shown]]
-        return next((o for o in chosen if o.ours.tip_path is not None), None)
-
 
 def action_section(action: ActionSummary) -> Section:
     """One motion to look at, what was reached of each goal, charts of goals and of one swing."""
-    parts = [f"<p>{escaped(action.note)}</p>"] if action.note else []
+    parts: list[str] = []
     ours, without = action.mean_errors()
     if without is not None:
         parts.append(f"<p>{_verdict(ours, without, len(action.outcomes))}</p>")
@@ -169,9 +137,9 @@ def action_section(action: ActionSummary) -> Section:
         names += f" Action: {', '.join(action.action_names)}."
     parts.append(f'<p class="soft">{escaped(names)}</p>')
     figures = [_goal_figure(action)] if len(action.outcomes) > 1 else []
-    drawn = action.drawn()
+    drawn = next((o for o in action.outcomes if o.ours.tip_path is not None), None)
     if drawn is not None:
-        figures.append(_swing_figure(action, drawn))
+        figures.append(_swing_figure(drawn))
     if figures:
         parts.append(f'<div class="pair">{"".join(figures)}</div>')
     return Section(title="The action", body="\n".join(parts))
@@ -241,12 +209,7 @@ def _verdict(ours: float, without: float, goals: int) -> str:
     return f"{text}: here the estimate did not help."
 
 
-def _swing_figure(action: ActionSummary, outcome: ReachOutcome) -> str:
-    direction = np.array(action.direction) / np.linalg.norm(action.direction)
-
-    def flat(points: np.ndarray) -> np.ndarray:
-        return np.stack([(points - np.array(action.origin)) @ direction, points[:, 2]], axis=1)
-
+def _swing_figure(outcome: ReachOutcome) -> str:
     swings = []
     for run, label, kind in (
         (outcome.without, "without parameters", "without"),
@@ -258,11 +221,11 @@ def _swing_figure(action: ActionSummary, outcome: ReachOutcome) -> str:
         for shape in (run.shape_at_release, run.shape_at_farthest):
             if shape is not None and len(shape):
                 # A few hundred dots show the rope as well as thousands, in a smaller file.
-                shapes.append(flat(shape[:: max(1, len(shape) // 250)]))
+                shapes.append(shape[:: max(1, len(shape) // 250), ::2])
         dashed = run is outcome.without
-        path = flat(run.tip_path)
+        path = run.tip_path[:, ::2]
         swings.append(Swing(label=label, kind=kind, dashed=dashed, tip_path=path, shapes=shapes))
-    plot = swing_chart(swings, outcome.goal, table_height=action.table_height)
+    plot = swing_chart(swings, outcome.goal)
     return chart_figure(
         "Paths of the rope's tip: height [m]",
         [plot],
@@ -277,14 +240,3 @@ def _motion_viewer(motion: CloudSequence) -> str:
     if motion.simulated is not None:
         text += f" and as the simulator {motion.labels[1]} it with the estimate (orange)"
     return f"<p>{escaped(text)}.</p>{viewer(motion, name='motion', subject='The motion')}"
-
-
-def _convert(target: object, name: str, dimensions: int, array: np.ndarray) -> None:
-    """Set a field of a frozen dataclass to an array, after a look at it."""
-    if array.ndim != dimensions or array.size == 0:
-        raise GendomError(
-            f"has shape {list(array.shape)}", where=name, fix=f"give {dimensions} dimensions"
-        )
-    if not np.isfinite(array).all():
-        raise GendomError("holds NaN or infinity", where=name, fix="check what made it")
-    object.__setattr__(target, name, array)

@@ -2,24 +2,43 @@
 
 from __future__ import annotations
 
+import base64
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from gendom.files import atomic_path
+from gendom.viz.charts import Axis, Plot
 from gendom.viz.report.action import ActionSummary, action_section
-from gendom.viz.report.beliefs import beliefs_section
-from gendom.viz.report.cameras import CameraViews, cameras_section
+from gendom.viz.report.estimate import (
+    beliefs_section,
+    parameters_section,
+    refusal_banner,
+    verdict_banner,
+)
 from gendom.viz.report.lift import LiftPictures, lift_section
-from gendom.viz.report.markup import escaped
-from gendom.viz.report.next_steps import NextStep, next_section
-from gendom.viz.report.page import Section, render_page
-from gendom.viz.report.parameters import parameters_section
-from gendom.viz.report.provenance import Provenance, provenance_section
-from gendom.viz.report.quantities import interval_text, length_text, quantity_text
+from gendom.viz.report.markup import (
+    Section,
+    cell,
+    chart_figure,
+    escaped,
+    facts_list,
+    number,
+    render_page,
+    table,
+)
 from gendom.viz.report.search import search_section
-from gendom.viz.report.summary import EstimateSummary
-from gendom.viz.report.verdict import refusal_banner, verdict_banner
+from gendom.viz.report.summary import (
+    EstimateSummary,
+    interval_text,
+    length_text,
+    quantity_text,
+)
+
+LINES = 4
+"""Colours of curves, by `start-1` and so on of the style sheet; then they begin again."""
 
 SUMMARY = (
     "GenDOM watched one lift of this object and found the elasticity with which its simulator "
@@ -29,6 +48,42 @@ SUMMARY = (
     "This page shows how well the simulated lift matches the recorded one, how sure the estimate "
     "is, and what the policy's action reached."
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraViews:
+    """Both cameras' pictures of one moment of the lift."""
+
+    picture: bytes
+    """A JPEG, see `gendom.viz.encode_camera_views`."""
+    note: str = ""
+    """Text below the heading: which cameras, where, when."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextStep:
+    """A command to try."""
+
+    command: str
+    """As typed into a shell where the report was made."""
+    purpose: str
+    """What it does; plain text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """How a result was made, so that it can be made again."""
+
+    commands: Sequence[str] = ()
+    version: str = ""
+    date: str = ""
+    device: str = ""
+    seeds: Mapping[str, int] = field(default_factory=dict)
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of each stage, in order."""
+    facts: Mapping[str, str] = field(default_factory=dict)
+    """Anything else worth knowing, by name."""
+    warnings: Sequence[str] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,3 +218,119 @@ def _mean_chamfer(content: ReportContent) -> float | None:
     if content.lift is not None and content.lift.clouds.chamfer is not None:
         return float(content.lift.clouds.chamfer.mean())
     return None
+
+
+def cameras_section(views: CameraViews) -> Section:
+    """Colour and depth of each camera."""
+    parts = [f"<p>{escaped(views.note)}</p>"] if views.note else []
+    caption = "A row for each camera: colour, and depth (yellow: near, black: none measured)."
+    code = base64.b64encode(views.picture).decode("ascii")
+    picture = f'<img src="data:image/jpeg;base64,{code}" alt="What both cameras see">'
+    parts.append(f"<figure>{picture}<figcaption>{caption}</figcaption></figure>")
+    return Section(title="What the cameras saw", body="\n".join(parts))
+
+
+def next_section(steps: Sequence[NextStep]) -> Section:
+    """What each command does, and the command."""
+    items = "\n".join(
+        f"<li><p>{escaped(step.purpose)}</p><pre>{escaped(step.command)}</pre></li>"
+        for step in steps
+    )
+    return Section(title="What to try next", body=f'<ol class="steps">\n{items}\n</ol>')
+
+
+def provenance_section(made: Provenance) -> Section:
+    """Warnings, commands, versions and seeds, and how long each stage took."""
+    parts = [
+        f'<p class="warning"><strong>Warning.</strong> {escaped(text)}</p>'
+        for text in made.warnings
+    ]
+    if made.commands:
+        parts.append(f"<pre>{escaped(chr(10).join(made.commands))}</pre>")
+    facts = [("GenDOM", made.version), ("date", made.date), ("device", made.device)]
+    if made.seeds:
+        facts.append(("seeds", ", ".join(f"{k} {v}" for k, v in made.seeds.items())))
+    facts += list(made.facts.items())
+    parts.append(facts_list([(name, value) for name, value in facts if value]))
+    if made.stage_seconds:
+        stages = [(name, f"{s:.1f} s") for name, s in made.stage_seconds.items()]
+        rows = [f"<tr>{cell(escaped(name))}{number(value)}</tr>" for name, value in stages]
+        total = sum(made.stage_seconds.values())
+        rows.append(f'<tr class="total">{cell("all")}{number(f"{total:.1f} s")}</tr>')
+        parts.append(table(["<th>Stage</th>", '<th class="number">Time</th>'], rows, "narrow"))
+    return Section(title="How this was made", body="\n".join(part for part in parts if part))
+
+
+def table_section(
+    title: str, head: Sequence[str], rows: Mapping[str, Sequence[str]], note: str = ""
+) -> Section:
+    """A table of plain text: names in the first column, numbers in the others.
+
+    Args:
+        title: Of the section.
+        head: [C] of all columns but the first.
+        rows: [C] texts by name.
+        note: Below it.
+    """
+    below = f'<p class="note">{escaped(note)}</p>' if note else ""
+    cells = ["<th></th>", *(f'<th class="number">{escaped(text)}</th>' for text in head)]
+    body = [
+        "<tr>"
+        + cell(escaped(name))
+        + "".join(number(text, label) for text, label in zip(texts, head, strict=True))
+        + "</tr>"
+        for name, texts in rows.items()
+    ]
+    return Section(title=title, body=table(cells, body) + below)
+
+
+def curves_section(
+    title: str,
+    x_label: str,
+    y_label: str,
+    lines: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    *,
+    log: bool = False,
+) -> Section:
+    """Lines over a common axis.
+
+    Args:
+        title: Of the section.
+        x_label: With the unit; plain text.
+        y_label: The same.
+        lines: Places and values by name.
+        log: Whether both axes are logarithmic.
+    """
+    every_x = np.concatenate([np.asarray(x, dtype=float) for x, _ in lines.values()])
+    every_y = np.concatenate([np.asarray(y, dtype=float) for _, y in lines.values()])
+    plot = Plot(
+        x=Axis.around(every_x, log=log, label=x_label),
+        y=Axis.around(every_y if log else [0.0, *every_y], log=log, label=y_label),
+    )
+    for k, (name, (x, y)) in enumerate(lines.items()):
+        plot.line(x, y, f"start-{k % LINES + 1}", name, dots=True)
+    return Section(title=title, body=chart_figure(y_label, [plot]))
+
+
+def ranks_section(
+    title: str, counts: Sequence[int], band: tuple[int, int], band_label: str
+) -> Section:
+    """A histogram of ranks between 0 and 1, and a band in which its bars should end.
+
+    Args:
+        title: Of the section.
+        counts: [B] heights of the bars.
+        band: Its lower and upper end.
+        band_label: What it is; plain text.
+    """
+    edges = np.repeat(np.linspace(0.0, 1.0, len(counts) + 1), 2)[1:-1]
+    heights = np.repeat(np.asarray(counts, dtype=float), 2)
+    plot = Plot(
+        x=Axis(low=0.0, high=1.0, label="share of the posterior below the truth"),
+        y=Axis(low=0.0, high=1.1 * max(*counts, band[1])),
+    )
+    plot.area(edges, heights, "posterior", "lifts")
+    plot.line(edges, heights, "posterior")
+    plot.level(band[0], "truth", band_label)
+    plot.level(band[1], "truth")
+    return Section(title=title, body=chart_figure("lifts by rank", [plot]))

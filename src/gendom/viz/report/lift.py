@@ -1,20 +1,26 @@
-"""The section that shows the recorded and the simulated lift."""
+"""The section of the lift: a film and a view that turns, driven by one slider (`viewer.js` brings
+them to life), residuals over time, and frames side by side."""
 
 from __future__ import annotations
 
+import base64
+import json
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from gendom.viz.clouds import CloudSequence
-from gendom.viz.playable import thinned
-from gendom.viz.report.markup import escaped
-from gendom.viz.report.page import Section
-from gendom.viz.report.quantities import length_text
-from gendom.viz.report.residuals import residual_charts
-from gendom.viz.report.summary import EstimateSummary
-from gendom.viz.report.viewer import scene_id, viewer
-from gendom.viz.views import choose_view
+from gendom.viz.charts import distance_chart
+from gendom.viz.clouds import CloudSequence, choose_view
+from gendom.viz.report.markup import Section, chart_figure, escaped
+from gendom.viz.report.summary import EstimateSummary, length_text
+
+# Bytes of all points before base64; two viewers then fit into a report of 2 MB.
+_BUDGET = 420_000
+_BYTES_A_POINT = 6
+
+_UNHURRIED = 3.0  # seconds; a shorter motion is played slowly at first
+_SPEEDS = (("1", "real time"), ("0.5", "half speed"), ("0.25", "quarter speed"))
 
 _NAME = "lift"
 _STRIP_FRAMES = 6
@@ -28,7 +34,7 @@ class LiftPictures:
 
     clouds: CloudSequence
     view: str = "auto"
-    """One of `gendom.viz.views.VIEWS`; "oblique" suits cloths."""
+    """One of `gendom.viz.clouds.VIEWS`; "oblique" suits cloths."""
     note: str = ""
     """Text below the heading."""
 
@@ -105,3 +111,181 @@ def _filmstrip(clouds: CloudSequence, view: str) -> str:
         f'<h3>Frame by frame</h3><figure><ul class="strip">{"".join(frames)}</ul>'
         f"<figcaption>{escaped(caption)}</figcaption></figure>"
     )
+
+
+def scene_id(name: str) -> str:
+    """Id of the data of the viewer with this name, by which charts follow its time."""
+    return f"{name}-scene"
+
+
+def viewer(clouds: CloudSequence, *, name: str, subject: str, view: str = "auto") -> str:
+    """Hidden until the script runs, so that a page without scripts has no dead buttons.
+
+    Args:
+        clouds: What is played.
+        name: Of this viewer in the page, a word.
+        subject: What is seen; plain text.
+        view: From where the film looks, one of `gendom.viz.clouds.VIEWS`.
+
+    Raises:
+        GendomError: The clouds have no points, or the view is unknown.
+    """
+    duration = float(clouds.times[-1] - clouds.times[0])
+    first = next((v for v, _ in _SPEEDS if duration / float(v) >= _UNHURRIED), _SPEEDS[-1][0])
+    speeds = "".join(
+        f'<option value="{value}"{" selected" if value == first else ""}>{said}</option>'
+        for value, said in _SPEEDS
+    )
+    layers = [("recorded", clouds.labels[0], "dot")]
+    if clouds.simulated is not None:
+        layers.append(("simulated", clouds.labels[1], "dot"))
+    if clouds.arm is not None:
+        layers.append(("arm", "arm", "area"))
+    if clouds.goal is not None:
+        layers.append(("goal", "goal", "ring"))
+    toggles = "".join(
+        f'<label><input type="checkbox" data-layer="{kind}" checked>'
+        f'<i class="{kind} key {shape}"></i>{escaped(label)}</label>'
+        for kind, label, shape in layers
+    )
+    both = ""
+    if clouds.simulated is not None:
+        recorded, simulated = map(escaped, clouds.labels)
+        both = (
+            f'<label>{recorded} <input type="range" class="fade" min="-1" max="1" step="0.05" '
+            f'value="0" aria-label="Fade from {recorded} to {simulated}"> {simulated}</label>'
+            '<label>Clouds <select class="layout"><option value="over">overlaid</option>'
+            '<option value="beside">side by side</option></select></label>'
+        )
+    where = "from above at an angle" if view == "oblique" else "from the side"
+    said = escaped(subject)
+    kind = "viewer" if clouds.num_frames > 1 else "viewer still"
+    return (
+        f'<div class="{kind}" id="{name}" data-scene="{scene_id(name)}" hidden>'
+        '<div class="screens">'
+        f'<figure><canvas class="film" role="img" aria-label="{said}, {where}"></canvas>'
+        f"<figcaption>Film {where}</figcaption></figure>"
+        f'<figure><canvas class="turning" tabindex="0" role="img" aria-label="{said}; drag or use '
+        'the arrow keys to turn it"></canvas>'
+        "<figcaption>3D view: drag it, or use the arrow keys, to turn it</figcaption></figure>"
+        '</div><div class="controls"><button type="button" class="play">Play</button>'
+        '<input type="range" class="time" min="0" value="0" aria-label="Time"><output></output>'
+        f'<select class="speed" aria-label="Speed">{speeds}</select></div>'
+        f'<div class="options"><div class="layers">{toggles}</div>{both}</div></div>'
+        f'<script type="application/json" id="{scene_id(name)}">'
+        f"{encode_scene(clouds, view=view)}</script>"
+    )
+
+
+def encode_scene(sequence: CloudSequence, *, view: str = "auto", max_frames: int = 60) -> str:
+    """What `viewer.js` draws, as JSON that is safe inside a script element.
+
+    Points are thinned to a few hundred kilobytes and rounded to 1 / 65535 of their box. The
+    simulated particles that are left are the same in every frame. The arm is rounded to
+    millimetres.
+
+    Args:
+        sequence: The clouds.
+        view: From where the film looks, one of `gendom.viz.clouds.VIEWS`.
+        max_frames: With more frames than these, evenly spaced ones are shown.
+
+    Raises:
+        GendomError: The sequence has no points, or the view is unknown.
+    """
+    chosen = sequence.spread(max_frames)
+    low, high = sequence.box()
+    if sequence.goal is not None:
+        low = np.minimum(low, sequence.goal.min(axis=0))
+        high = np.maximum(high, sequence.goal.max(axis=0))
+    high = np.maximum(high, low + 1e-3)
+    clouds, points = _packed(sequence, chosen, low, high)
+    side, grippers, chamfer = choose_view(sequence, view), sequence.gripper, sequence.chamfer
+    arm = None
+    if sequence.arm is not None and sequence.arm_radius is not None:
+        ends = (1e3 * sequence.arm[chosen]).round().astype(int)
+        arm = {
+            "radius": (1e3 * sequence.arm_radius).round().astype(int).tolist(),
+            "ends": ends.reshape(len(chosen), -1).tolist(),
+        }
+    scene = {
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "times": sequence.times[chosen].round(5).tolist(),
+        "frames": [t + 1 for t in chosen],
+        "of": sequence.num_frames,
+        "chamfer": None if chamfer is None else chamfer[chosen].tolist(),
+        "table": sequence.table_height,
+        "view": {"turn": side.turn, "tilt": side.tilt, "names": side.names},
+        "grippers": [] if grippers is None else grippers[chosen].round(5).tolist(),
+        "arm": arm,
+        "goal": None if sequence.goal is None else sequence.goal.round(5).tolist(),
+        "clouds": clouds,
+        "points": base64.b64encode(points.tobytes()).decode("ascii"),
+    }
+    return json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _packed(
+    sequence: CloudSequence, chosen: list[int], low: np.ndarray, high: np.ndarray
+) -> tuple[list[dict[str, Any]], np.ndarray]:
+    """What each cloud is and where its frames begin, and the points [n, 3] of all, 0 to 65535
+    between two corners."""
+    per_frame = _BUDGET // (_BYTES_A_POINT * len(chosen))
+    # Points are few in a recording and many in a simulation: what one leaves the other may use.
+    counts = [len(sequence.recorded[t]) for t in chosen]
+    keep_recorded = min(max(counts), per_frame if sequence.simulated is None else per_frame // 2)
+    dot = 3.2 if keep_recorded < 400 else 2.2  # small, or a dense cloud would hide the other
+    layers = [("recorded", sequence.labels[0], sequence.recorded, keep_recorded, dot)]
+    if sequence.simulated is not None:
+        keep = per_frame - keep_recorded
+        layers.insert(0, ("simulated", sequence.labels[1], sequence.simulated, keep, 4.4))
+    packed, clouds, total = [], [], 0
+    for kind, label, frames, keep, size in layers:
+        offsets = [total]
+        for t in chosen:
+            points = np.clip((thinned(frames[t], keep) - low) / (high - low), 0.0, 1.0)
+            packed.append((65535.0 * points).round().astype("<u2"))
+            total += len(points)
+            offsets.append(total)
+        clouds.append({"kind": kind, "label": label, "size": size, "offsets": offsets})
+    return clouds, np.concatenate(packed)
+
+
+def thinned(points: np.ndarray, keep: int) -> np.ndarray:
+    """At most `keep` of the points; the same ones for the same number of points."""
+    if len(points) <= keep:
+        return points
+    return points[np.sort(np.random.default_rng(0).permutation(len(points))[:keep])]
+
+
+def residual_charts(clouds: CloudSequence, summary: EstimateSummary | None, scene: str) -> str:
+    """HTML; empty where nothing is known.
+
+    Args:
+        clouds: Both clouds at the frames that were compared.
+        summary: The estimate, or None.
+        scene: Id of the data of the viewer whose time is marked.
+    """
+    residuals = [
+        (
+            [] if summary is None else summary.values.get("rms_by_frame") or [],
+            "Points to simulated surface [mm]",
+            "Distance of recorded points from the simulated surface, root mean square in each "
+            "frame that was compared.",
+        ),
+        (
+            [] if clouds.chamfer is None else clouds.chamfer,
+            "Chamfer distance of both clouds [mm]",
+            "Mean distance from each recorded point to the nearest simulated one, plus the mean "
+            "distance the other way round. Cameras see one side of the object only, so it is not "
+            "zero even for a perfect fit.",
+        ),
+    ]
+    figures = [
+        chart_figure(name, [distance_chart(clouds.times, values, scene=scene)], said)
+        for values, name, said in residuals
+        if len(values) == clouds.num_frames > 1
+    ]
+    if not figures:
+        return ""
+    return f'<h3>Residuals over time</h3><div class="pair">{"".join(figures)}</div>'

@@ -1,12 +1,14 @@
-"""Pieces of HTML: escaped text, tables, lists of facts, figures, charts."""
+"""The page of a report, and its pieces: escaped text, tables, lists of facts, figures, charts."""
 
 from __future__ import annotations
 
-import base64
 import html
+import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib import resources
 
-from gendom.viz.plot import Plot, legend
+from gendom.viz.charts import Plot, legend
 
 DASH = "–"
 """Stands where a table has no value."""
@@ -62,24 +64,6 @@ def folded(summary: str, inner: str) -> str:
     return f"<details><summary>{escaped(summary)}</summary>{inner}</details>"
 
 
-def figure(data: bytes, description: str, caption: str = "", *, kind: str) -> str:
-    """A picture with plain text below it; arguments as `image`."""
-    below = f"<figcaption>{escaped(caption)}</figcaption>" if caption else ""
-    return f"<figure>{image(data, kind, description)}{below}</figure>"
-
-
-def image(data: bytes, kind: str, description: str) -> str:
-    """A picture inside the page.
-
-    Args:
-        data: The file.
-        kind: "png", "jpeg" or "gif".
-        description: For those who do not see it; plain text.
-    """
-    code = base64.b64encode(data).decode("ascii")
-    return f'<img src="data:image/{kind};base64,{code}" alt="{escaped(description)}">'
-
-
 def chart_figure(title: str, plots: Sequence[Plot], note: str = "") -> str:
     """Charts below each other under one heading, with their legends and a note; plain text."""
     parts = [f'<figcaption class="title">{escaped(title)}</figcaption>']
@@ -88,3 +72,65 @@ def chart_figure(title: str, plots: Sequence[Plot], note: str = "") -> str:
     if note:
         parts.append(f'<p class="note">{escaped(note)}</p>')
     return f'<figure class="chart">{"".join(parts)}</figure>'
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """One part of a report, under a heading of its own."""
+
+    title: str
+    """Plain text."""
+    body: str
+    """HTML."""
+
+    @property
+    def name(self) -> str:
+        """The section's id in the page."""
+        return "-".join(re.findall("[a-z]+", self.title.lower()))
+
+    @property
+    def html(self) -> str:
+        return f'<section id="{self.name}"><h2>{escaped(self.title)}</h2>\n{self.body}\n</section>'
+
+
+def render_page(title: str, opening: str, sections: Sequence[Section]) -> str:
+    """A whole HTML document, with contents, style and script inside.
+
+    Args:
+        title: Plain text, for the browser and the heading.
+        opening: HTML between the heading and the sections.
+        sections: In the order of the page.
+    """
+    body = "\n".join([f"<h1>{escaped(title)}</h1>", opening, *(s.html for s in sections)])
+    links = "".join(f'<li><a href="#{s.name}">{escaped(s.title)}</a></li>' for s in sections)
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; \
+style-src 'unsafe-inline'; script-src 'unsafe-inline'">
+<title>{escaped(title)}</title>
+<style>
+{_asset("report.css")}</style>
+</head>
+<body>
+<div class="page">
+<nav class="contents" aria-label="Contents">
+<div class="bar"><strong>Contents</strong><button type="button" id="theme" hidden></button></div>
+<ol>{links}</ol>
+</nav>
+<main>
+{body}
+</main>
+</div>
+<script>
+{_asset("report.js")}{_asset("viewer.js")}</script>
+</body>
+</html>
+"""
+
+
+def _asset(name: str) -> str:
+    return resources.files("gendom.viz.report").joinpath(name).read_text(encoding="utf-8")

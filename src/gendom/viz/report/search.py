@@ -9,6 +9,7 @@ import numpy as np
 from gendom.viz.charts import SearchLine, search_chart
 from gendom.viz.report.markup import (
     DASH,
+    Section,
     cell,
     chart_figure,
     facts_list,
@@ -16,15 +17,14 @@ from gendom.viz.report.markup import (
     number,
     table,
 )
-from gendom.viz.report.page import Section
-from gendom.viz.report.quantities import (
+from gendom.viz.report.summary import (
+    EstimateSummary,
     finite,
     length_text,
     pascal_unit,
     property_text,
     quantity_text,
 )
-from gendom.viz.report.summary import EstimateSummary
 
 
 def search_section(summary: EstimateSummary) -> Section | None:

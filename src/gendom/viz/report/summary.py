@@ -1,17 +1,30 @@
-"""What a report is given of an estimate."""
+"""What a report reads of an estimate, and its numbers as people read them: four digits at the most,
+with their unit."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from gendom.errors import GendomError
-from gendom.viz.report.quantities import finite
+from gendom.arguments import require
 
 ESTIMATE_FORMAT = "gendom-estimate/1"
+
+RATIOS = ("poissons_ratio", "friction", "stiffness_slope")
+"""Quantities without a unit, on a linear scale."""
+
+_UNITS = {
+    "density": (1.0, "kg/m³"),
+    "specific_modulus": (1.0, "m²/s²"),
+    "damping": (1e3, "ms"),
+    "bending_length": (1e3, "mm"),
+    "thickness": (1e3, "mm"),
+}
+"""What others are multiplied by, and the unit, to be read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +32,7 @@ class EstimateSummary:
     """What was estimated, and what is known besides.
 
     Raises:
-        GendomError: `values` has another format, or no Young's modulus or Poisson's ratio; or
+        ParameterError: `values` has another format, or no Young's modulus or Poisson's ratio; or
             an interval or a range that was searched is not a pair of numbers.
     """
 
@@ -28,23 +41,20 @@ class EstimateSummary:
     truth: Mapping[str, float] | None = None
     """True values under the keys of `values`, as far as known."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """Of the unknowns of the estimate's posterior, by name."""
+    """Unit of each unknown of the posterior, by name."""
 
     def __post_init__(self):
         found = self.values.get("format", ESTIMATE_FORMAT)
-        if found != ESTIMATE_FORMAT:
-            raise GendomError(
-                f"is {found!r}", where="estimate.format", fix=f"give {ESTIMATE_FORMAT!r}"
-            )
+        fix = f"give {ESTIMATE_FORMAT!r}"
+        require(found == ESTIMATE_FORMAT, f"is {found!r}", where="estimate.format", fix=fix)
         for key in ("youngs_modulus", "poissons_ratio"):
-            if finite(self.values.get(key)) is None:
-                raise GendomError("is no number", where=f"estimate.{key}", fix="estimate again")
+            known = finite(self.values.get(key)) is not None
+            require(known, "is no number", where=f"estimate.{key}", fix="estimate again")
         for name in ("intervals", "bounds"):
             for key, ends in (self.values.get(name) or {}).items():
-                if key != "level" and ends is not None and len(np.atleast_1d(ends)) != 2:
-                    raise GendomError(
-                        f"is {ends!r}", where=f"estimate.{name}.{key}", fix="give [low, high]"
-                    )
+                pair = key == "level" or ends is None or len(np.atleast_1d(ends)) == 2
+                where = f"estimate.{name}.{key}"
+                require(pair, f"is {ends!r}", where=where, fix="give [low, high]")
 
     def value(self, key: str) -> float | None:
         """What was estimated, in the unit of `values`."""
@@ -92,3 +102,83 @@ class EstimateSummary:
     def determined(self, key: str) -> bool | None:
         """Whether the lift determines a parameter; None: not said."""
         return (self.values.get("identifiable") or {}).get(key)
+
+
+def finite(value: Any) -> float | None:
+    """A finite float, or None."""
+    if value is None or isinstance(value, (bool, str)):
+        return None
+    try:
+        value = float(value)
+    except (TypeError, ValueError):
+        return None
+    return value if math.isfinite(value) else None
+
+
+def quantity_text(key: str, value: float) -> str:
+    """A value with its unit."""
+    if key in RATIOS:
+        return with_minus(f"{value:.3f}")
+    if key in ("bending_length", "thickness"):
+        return length_text(value)
+    factor, unit = pascal_unit(value) if key == "youngs_modulus" else _UNITS[key]
+    return with_minus(f"{factor * value:.{3 if key == 'damping' else 4}g} {unit}")
+
+
+def interval_text(key: str, interval: tuple[float, float]) -> str:
+    """Both ends in one unit."""
+    factor, unit = (
+        pascal_unit(interval[1]) if key == "youngs_modulus" else _UNITS.get(key, (1.0, ""))
+    )
+    low, high = factor * interval[0], factor * interval[1]
+    decimals = 3
+    if key not in RATIOS:
+        decimals = max(0, 3 - math.floor(math.log10(max(abs(high), 1e-9))))
+    return with_minus(f"{low:.{decimals}f} to {high:.{decimals}f} {unit}".rstrip())
+
+
+def difference_text(key: str, value: float, true: float) -> str:
+    """Relative, but absolute for ratios, whose zero means nothing special."""
+    if key in RATIOS or true == 0.0:
+        return with_minus(f"{value - true:+.3f}")
+    return with_minus(f"{100.0 * (value / true - 1.0):+.1f} %")
+
+
+def pascal_unit(value: float) -> tuple[float, str]:
+    """What to multiply pascals by, and the unit, in which a value is at least 1."""
+    for factor, unit in ((1e-9, "GPa"), (1e-6, "MPa"), (1e-3, "kPa")):
+        if abs(value) * factor >= 1.0:
+            return factor, unit
+    return 1.0, "Pa"
+
+
+def length_text(value: float) -> str:
+    """Metres from 1 m on, millimetres below; never finer than a tenth, but for tiny ones."""
+    if abs(value) >= 1.0:
+        return with_minus(f"{value:.2f} m")
+    form = ".0f" if abs(value) >= 0.1 else ".1f" if abs(value) >= 1e-4 else ".2g"
+    return with_minus(f"{1e3 * value:{form}} mm")
+
+
+def property_text(name: str, value: float | str) -> str:
+    """A property of the object by its name in a recording, to four digits and with its unit."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (str, int)):
+        return str(value)
+    if name == "mass":
+        return with_minus(f"{value:.4g} kg")
+    if name in ("length", "width", "height", "diameter", "thickness"):
+        text = f"{value:.4g} m" if abs(value) >= 1.0 else f"{1e3 * value:.4g} mm"
+        return with_minus(text)
+    return with_minus(f"{value:.4g}")
+
+
+def place_text(coordinates: np.ndarray) -> str:
+    """Coordinates [D] [m]."""
+    return with_minus(", ".join(f"{c:.3f}" for c in coordinates) + " m")
+
+
+def with_minus(text: str) -> str:
+    """`text` with minus signs for its hyphens."""
+    return text.replace("-", "\N{MINUS SIGN}")

@@ -22,7 +22,7 @@
     return [1, 2, 5, 10].map((m) => m * power).find((s) => s >= atLeast * (1 - 1e-9));
   }
 
-  // Orthographic, z up; as `gendom.viz.views.View`. Depth grows away from the eye.
+  // Orthographic, z up; as `gendom.viz.clouds.Projection`. Depth grows away from the eye.
   function projection({ turn, tilt }) {
     const [c, s, ct, st] = [Math.cos(turn), Math.sin(turn), Math.cos(tilt), Math.sin(tilt)];
     return ([x, y, z]) => {

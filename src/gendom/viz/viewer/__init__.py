@@ -1,24 +1,2 @@
-"""An interactive viewer: what is shown (`scene`, `model`), in a browser (`server`, on viser) or in
-a file (`rerun_file`).
-
-Takes plain arrays and a `Model`, so it needs neither estimation nor tasks. Nothing here imports
-viser or rerun; `server`, `painter` and `rerun_file` do.
-"""
-
-from gendom.viz.viewer.meshes import capsules, tube_faces
-from gendom.viz.viewer.model import ACTION, MATERIAL, SETUP, Model, Parameter
-from gendom.viz.viewer.scene import Layer, MeshLayer, PointLayer, ViewerScene
-
-__all__ = [
-    "ACTION",
-    "MATERIAL",
-    "SETUP",
-    "Layer",
-    "MeshLayer",
-    "Model",
-    "Parameter",
-    "PointLayer",
-    "ViewerScene",
-    "capsules",
-    "tube_faces",
-]
+"""An interactive viewer: what is shown (`layers`), recordings and demonstrations (`models`), and
+the page in a browser (`server`, which alone needs viser)."""

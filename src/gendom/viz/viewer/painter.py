@@ -7,19 +7,20 @@ import math
 import numpy as np
 import viser
 
-from gendom.viz.palette import TABLE_FILL, TABLE_LINE, rgb
-from gendom.viz.plot import nice_step
-from gendom.viz.viewer.scene import Array, Layer, MeshLayer, PointLayer, ViewerScene
+from gendom.viz.palette import TABLE_FILL, TABLE_LINE, nice_step, rgb
+from gendom.viz.viewer.layers import Array, Layer, MeshLayer, PointLayer, ViewerScene
 
 FIELD_OF_VIEW = math.radians(35.0)
-"""Of the camera, upwards."""
+"""The camera's field of view, upwards."""
 
 _TURN, _TILT = math.radians(25.0), math.radians(18.0)
+"""From where the camera looks, around and down."""
+
 _NARROW = 0.8
 """Width over height of a window below which the panel lies below what is shown."""
 
 _SQUARES = 10
-"""Of the table's grid along the longer side of what is shown."""
+"""Squares of the table's grid along the longer side of what is shown."""
 
 
 class Painter:
@@ -29,7 +30,7 @@ class Painter:
         self._canvas = canvas
         self._handles: dict[str, viser.PointCloudHandle | viser.MeshHandle] = {}
         self._drawn: dict[str, Layer] = {}
-        self._table: tuple[float, ...] | None = None
+        self._table: tuple[Array, Array, float] | None = None
         self._hidden: set[str] = set()
 
     def paint(self, scene: ViewerScene, frame: int) -> None:
@@ -96,39 +97,33 @@ class Painter:
 
     def _lay_table(self, scene: ViewerScene) -> None:
         """A table as large as what was shown of it first, in squares of a round size."""
-        if scene.table_height is None:
+        z = scene.table_height
+        if z is None:
             if self._table is not None:
                 self._canvas.remove_by_name("/table")
                 self._table = None
             return
-        low, high = scene.box
-        step = nice_step(float((high - low)[:2].max()) / _SQUARES)
-        low, high = np.floor(low / step - 2.0) * step, np.ceil(high / step + 2.0) * step
-        wanted = (*low[:2], *high[:2], scene.table_height)
-        if self._table is not None and _holds(self._table, wanted):
-            return
-        self._table = wanted
-        width, depth = (high - low)[:2]
-        middle = 0.5 * (low + high)
+        step = square_size(scene)
+        low = np.floor(scene.box[0, :2] / step - 2.0) * step
+        high = np.ceil(scene.box[1, :2] / step + 2.0) * step
+        if self._table is not None:
+            old_low, old_high, old_z = self._table
+            if old_z == z and (old_low <= low + 1e-9).all() and (old_high >= high - 1e-9).all():
+                return
+        self._table = low, high, z
+        (width, depth), (x, y) = (high - low).tolist(), (0.5 * (low + high)).tolist()
         self._canvas.add_grid(
             "/table",
-            width=float(width),
-            height=float(depth),
+            width=width,
+            height=depth,
             cell_size=step,
             cell_color=(214, 214, 214),
             section_size=5.0 * step,
             section_color=TABLE_LINE,
             plane_color=TABLE_FILL,
             plane_opacity=0.7,
-            position=(float(middle[0]), float(middle[1]), scene.table_height),
+            position=(x, y, z),
         )
-
-
-def _holds(table: tuple[float, ...], other: tuple[float, ...]) -> bool:
-    """Whether a table [x, y, x, y, z] is at the height of another one and no smaller."""
-    low = all(a <= b + 1e-9 for a, b in zip(table[:2], other[:2], strict=True))
-    high = all(a >= b - 1e-9 for a, b in zip(table[2:4], other[2:4], strict=True))
-    return low and high and table[4] == other[4]
 
 
 def square_size(scene: ViewerScene) -> float:

@@ -1,35 +1,39 @@
-"""A viewer in a browser, on viser: this machine's own address, and nothing from elsewhere."""
+"""A viewer in a browser, on viser: this machine's own address, and nothing from elsewhere.
+
+A `Viewer` has a page with sliders, a `Painter` that draws the scene, and a `Resimulation` that
+simulates in a thread of its own as sliders move.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import html
 import io
+import logging
 import math
-import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import viser
 from viser import uplot
 
+from gendom.arguments import require
 from gendom.errors import GendomError
-from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR, rgb
-from gendom.viz.plot import nice_step
-from gendom.viz.viewer.model import Model, Parameter
+from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR, nice_step, rgb
+from gendom.viz.viewer.layers import Model, Parameter, ViewerScene
 from gendom.viz.viewer.painter import FIELD_OF_VIEW, Painter, camera_of, square_size
-from gendom.viz.viewer.resimulation import Resimulation
-from gendom.viz.viewer.scene import ViewerScene
 
 HOST = "127.0.0.1"
-PORTS = 20
-"""That are tried, one after another."""
 
 SPEEDS = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 """Times faster than life, as people write it."""
+
+PATIENCE = 1.0
+"""Time after which a simulation is given up for a newer request [s]. Shorter ones are shown, so
+that the object follows a slider that is dragged."""
 
 _SHORTEST = 3.0
 """Time that playing takes at first [s], at least if a speed allows it."""
@@ -38,12 +42,12 @@ _RATE = 25.0
 """Frames that are played in a second, at most."""
 
 _POSITIONS = 200
-"""Of a parameter's slider, at least."""
-
-_SIMULATED = "simulated"
+"""Least number of positions of a parameter's slider."""
 
 _DIGIT = 0.01
 """Step of a logarithmic slider [decades]."""
+
+_log = logging.getLogger(__name__)
 
 
 class _Server(viser.ViserServer):
@@ -63,10 +67,11 @@ class Viewer:
         port: Of its address; 0: any that is free. Where it is taken one of the next is.
 
     Raises:
-        GendomError: No port is free, or there is no such port.
+        GendomError: There is no such port.
     """
 
     def __init__(self, model: Model, *, case: int = 0, port: int = 8080):
+        require(0 <= port < 65536, f"is {port}", where="port", fix="give 0 to 65535")
         self._model, self._case = model, case
         self._lock = threading.RLock()
         self._scene = model.initial
@@ -74,14 +79,17 @@ class Viewer:
         self._setting = False
         self._closed = threading.Event()
         with _silent():
-            self._server = _Server(HOST, free_port(port), label=model.title, verbose=False)
+            self._server = _Server(HOST, port, label=model.title, verbose=False)
         self._painter = Painter(self._server.scene)
         self._server.initial_camera.fov = FIELD_OF_VIEW
         self._camera_set = False
         self._build()
         self._server.on_client_connect(self._place_camera)
         self._resimulation = Resimulation(
-            model, on_begin=self._begin, on_scene=self._take, on_fault=self._refuse
+            model,
+            on_begin=lambda: self._say("simulating …"),
+            on_scene=self._take,
+            on_fault=lambda why: self._say(why, fault=True),
         )
         if self._scene is not None:
             self._take(self._scene, 0.0)
@@ -93,12 +101,12 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Its address."""
+        """The page's address."""
         return f"http://{HOST}:{self._server.get_port()}"
 
     @property
     def port(self) -> int:
-        """Of its address."""
+        """The address's port."""
         return self._server.get_port()
 
     @property
@@ -225,7 +233,7 @@ class Viewer:
         return slider
 
     def _value(self, name: str) -> float:
-        """Of a parameter; exactly that which it began with where its slider was not moved."""
+        """A parameter's value: exactly its first one while its slider was not moved."""
         p, position = self._parameters[name], self._sliders[name].value
         return p.value if position == _start(p) else p.at(position)
 
@@ -233,12 +241,6 @@ class Viewer:
         self._resimulation.ask(self._case, {name: self._value(name) for name in self._sliders})
 
     # ---- what simulations say --------------------------------------------------------------------
-
-    def _begin(self) -> None:
-        self._say("simulating …")
-
-    def _refuse(self, why: str) -> None:
-        self._say(why, fault=True)
 
     def _take(self, scene: ViewerScene, seconds: float) -> None:
         """Show a scene in place of another one, at the same time if it has that."""
@@ -266,12 +268,9 @@ class Viewer:
                 for client in self._server.get_clients().values():
                     self._place_camera(client)
         if seconds > 0.0:
-            done = self._status_text.startswith(_SIMULATED)
-            self._say(
-                f"{self._status_text}, the rest after {seconds:.2f} s"
-                if done
-                else f"{_SIMULATED} in {seconds:.2f} s"
-            )
+            done = self._status_text.startswith("simulated")
+            said = f"{self._status_text}, the rest after" if done else "simulated in"
+            self._say(f"{said} {seconds:.2f} s")
 
     def _offer_layers(self, scene: ViewerScene) -> None:
         for layer in scene.layers:
@@ -287,7 +286,7 @@ class Viewer:
             box.visible = name in names
 
     def _draw_curves(self, scene: ViewerScene) -> None:
-        """Those of before stay until there are others."""
+        """Draw a scene's curves; earlier ones stay while it has none."""
         if not scene.curves:
             return
         self._curves = tuple(scene.curves)
@@ -387,17 +386,16 @@ class Viewer:
             client.camera.position, client.camera.look_at = where, at
 
 
-def encode_html(scene: ViewerScene) -> str:
-    """A page that plays a scene by itself, with viser's own player.
-
-    Args:
-        scene: What is shown.
+def encode_html(model: Model, case: int = 0) -> str:
+    """A page that plays a case's most complete scene by itself, with viser's own player.
 
     Raises:
-        GendomError: No port is free; one is needed while the page is made.
+        GendomError: It cannot be simulated.
     """
+    values = {p.name: p.value for p in model.parameters(case)}
+    *_, scene = model.simulate(case, values, lambda: None)
     with _silent():
-        server = _Server(HOST, free_port(0), verbose=False)
+        server = _Server(HOST, 0, verbose=False)  # gone when the page is made
     try:
         painter = Painter(server.scene)
         where, at = camera_of(scene)
@@ -415,33 +413,89 @@ def encode_html(scene: ViewerScene) -> str:
             server.stop()
 
 
-def free_port(first: int) -> int:
-    """The first free port from a number on; 0: any.
+class _DroppedError(Exception):
+    """Ends a simulation whose result is not needed any more."""
 
-    Raises:
-        GendomError: There is none, or the number is no port.
+
+class Resimulation:
+    """Simulates a model in a thread of its own; the last request wins, older ones are dropped.
+
+    Args:
+        model: What is simulated.
+        on_begin: Called when a request is taken up.
+        on_scene: Called with every scene that a request gives, and the time since then [s].
+        on_fault: Called with one line if it cannot be simulated.
     """
-    if not 0 <= first < 65536:
-        raise GendomError(f"is {first}", where="port", fix="give 0 to 65535")
-    if first == 0:
-        return 0
-    for port in range(first, min(first + PORTS, 65536)):
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((HOST, port))
-            except PermissionError as error:
-                raise GendomError(
-                    f"{port} is not allowed ({error.strerror})",
-                    where="port",
-                    fix="give 1024 or more",
-                ) from None
-            except OSError:
-                continue
-            return port
-    raise GendomError(
-        f"{first} and the {PORTS - 1} that follow are taken", where="port", fix="give another one"
-    )
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        on_begin: Callable[[], None],
+        on_scene: Callable[[ViewerScene, float], None],
+        on_fault: Callable[[str], None],
+    ):
+        self._model = model
+        self._on_begin, self._on_scene, self._on_fault = on_begin, on_scene, on_fault
+        self._changed = threading.Condition()
+        self._request: tuple[int, Mapping[str, float]] | None = None
+        self._busy = self._closed = False
+        self._thread = threading.Thread(target=self._run, name="resimulation", daemon=True)
+        self._thread.start()
+
+    def ask(self, case: int, values: Mapping[str, float]) -> None:
+        """Simulate a case with parameters by name, as soon as possible."""
+        with self._changed:
+            self._request = (case, dict(values))
+            self._changed.notify_all()
+
+    def wait(self, timeout: float) -> bool:
+        """Whether all that was asked for is done within a time [s]."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._request is None and not self._busy, timeout)
+
+    def close(self) -> None:
+        """Drop everything, and end the thread."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._request is not None or self._closed)
+                if self._closed or self._request is None:
+                    return
+                case, values = self._request
+                self._request, self._busy = None, True
+            self._simulate(case, values)
+
+    def _simulate(self, case: int, values: Mapping[str, float]) -> None:
+        began = time.monotonic()
+
+        def go_on() -> None:
+            late = time.monotonic() - began > PATIENCE
+            if self._closed or (late and self._request is not None):
+                raise _DroppedError
+
+        self._on_begin()
+        try:
+            for scene in self._model.simulate(case, values, go_on):
+                if self._closed:
+                    return
+                self._on_scene(scene, time.monotonic() - began)
+                if self._request is not None:
+                    return
+        except _DroppedError:
+            return
+        except GendomError as error:
+            self._on_fault(str(error))
+        except Exception as error:  # the page must not stop following its sliders
+            _log.exception("cannot simulate")
+            self._on_fault(f"internal error: {type(error).__name__}: {error}")
 
 
 def _range(p: Parameter) -> tuple[float, float, float]:

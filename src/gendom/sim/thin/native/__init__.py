@@ -1,11 +1,123 @@
-"""The thin engine's native code."""
+"""The thin engine's native code, and how kernels call it."""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportReturnType=false
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
 
 from gendom.sim.native import module_options
+from gendom.sim.thin.types import make_types
 
 MODULE_OPTIONS = module_options(
     __name__,
     "vectors.h", "ground.h", "hold.h", "contact_lists.h", "contact.h", "contact_adjoint.h",
-    "rod.h", "rod_adjoint.h", "rod_implicit.h", "rod_implicit_adjoint.h",
-    "shell.h", "shell_adjoint.h", "relax.h",
+    "rod.h", "rod_adjoint.h", "shell.h", "shell_adjoint.h",
 )  # fmt: skip
 """Options of every Warp module of the engine."""
+
+
+@functools.cache
+def make_native(real: Any, kind: str) -> SimpleNamespace:
+    """Declare the native functions of steps for one scalar type and one kind of body, ``rod`` or
+    ``shell``; the headers say what they do."""
+    types = make_types(real)
+    ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
+    vec3, quat = types.vec3, types.quat
+    rows = wp.array3d(dtype=real)
+
+    @wp.func_native("gendom::block_sync();")
+    def block_sync(): ...
+
+    @wp.func_native("return gendom::block_any(value);")
+    def block_any(value: int) -> int: ...
+
+    @wp.func_native(f"return gendom::{kind}_forces(model, w, state, row, next, dt);")
+    def forces(model: ThinModel, w: int, state: rows, row: int, next: int, dt: real) -> real: ...
+
+    @wp.func_native(f"gendom::{kind}_forces_adjoint(model, adjoint, w, state, row, dt);")
+    def forces_adjoint(
+        model: ThinModel, adjoint: ModelAdjoint, w: int, state: rows, row: int, dt: real
+    ): ...
+
+    @wp.func_native(f"gendom::{kind}_gather_adjoint(model, adjoint, w);")
+    def gather_adjoint(model: ThinModel, adjoint: ModelAdjoint, w: int): ...
+
+    @wp.func_native(f"gendom::{kind}_move(model, w, state, row, next, dt, kick);")
+    def move(model: ThinModel, w: int, state: rows, row: int, next: int, dt: real, kick: real): ...
+
+    @wp.func_native(f"gendom::{kind}_move_adjoint(model, adjoint, w, state, row, dt, kick);")
+    def move_adjoint(
+        model: ThinModel, adjoint: ModelAdjoint, w: int, state: rows, row: int, dt: real, kick: real
+    ): ...
+
+    @wp.func_native(f"return gendom::{kind}_stretch(model, state, row);")
+    def mean_stretch(model: ThinModel, state: rows, row: int) -> real: ...
+
+    @wp.func_native("gendom::hold(model, w, g, centre, turned, state, next);")
+    def hold(
+        model: ThinModel, w: int, g: int, centre: vec3, turned: quat, state: rows, next: int
+    ): ...
+
+    @wp.func_native("gendom::hold_adjoint(model, adjoint, w, g, turned);")
+    def hold_adjoint(model: ThinModel, adjoint: ModelAdjoint, w: int, g: int, turned: quat): ...
+
+    # contact of a body with itself
+
+    @wp.func_native("return gendom::moved_on(model, w, state, row, c, far);")
+    def moved_on(model: ThinModel, w: int, state: rows, row: int, c: int, far: real) -> int: ...
+
+    @wp.func_native("gendom::begin_list(model, w, state, row, c);")
+    def begin_list(model: ThinModel, w: int, state: rows, row: int, c: int): ...
+
+    @wp.func_native("gendom::list_pairs(model, w);")
+    def list_pairs(model: ThinModel, w: int): ...
+
+    @wp.func_native("gendom::keep_list(model, w, state, row, c);")
+    def keep_list(model: ThinModel, w: int, state: rows, row: int, c: int): ...
+
+    @wp.func_native("return gendom::near_pairs(model, w).number();")
+    def number_near(model: ThinModel, w: int) -> int: ...
+
+    @wp.func_native("gendom::begin_close(model, w);")
+    def begin_close(model: ThinModel, w: int): ...
+
+    @wp.func_native("gendom::list_close(model, w, state, row);")
+    def list_close(model: ThinModel, w: int, state: rows, row: int): ...
+
+    @wp.func_native("gendom::count_contacts(model, w, state, row);")
+    def count_contacts(model: ThinModel, w: int, state: rows, row: int): ...
+
+    @wp.func_native("return gendom::contact_impulses(model, w, state, row, dt, turn);")
+    def contact_impulses(
+        model: ThinModel, w: int, state: rows, row: int, dt: real, turn: int
+    ) -> int: ...
+
+    @wp.func_native("gendom::contact_impulses_adjoint(model, adjoint, w, state, row, dt, turn);")
+    def contact_impulses_adjoint(
+        model: ThinModel, adjoint: ModelAdjoint, w: int, state: rows, row: int, dt: real, turn: int
+    ): ...
+
+    @wp.func_native("gendom::take_impulses(model, w, state, row);")
+    def take_impulses(model: ThinModel, w: int, state: rows, row: int): ...
+
+    @wp.func_native("gendom::end_turn(model, w, state, row);")
+    def end_turn(model: ThinModel, w: int, state: rows, row: int): ...
+
+    @wp.func_native("gendom::end_turn_adjoint(model, adjoint, w, state, row);")
+    def end_turn_adjoint(
+        model: ThinModel, adjoint: ModelAdjoint, w: int, state: rows, row: int
+    ): ...
+
+    @wp.func_native("gendom::keep_turn(model, kept, at, state, row, turn);")
+    def keep_turn(model: ThinModel, kept: rows, at: int, state: rows, row: int, turn: int): ...
+
+    @wp.func_native("gendom::put_back(model, kept, at, state, row, turn);")
+    def put_back(model: ThinModel, kept: rows, at: int, state: rows, row: int, turn: int): ...
+
+    return SimpleNamespace(
+        **{name: f for name, f in locals().items() if isinstance(f, wp.Function)}
+    )

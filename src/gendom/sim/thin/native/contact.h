@@ -6,7 +6,7 @@
 // taken at once (Jacobi): each has its part of a point's mass, and the point takes the mean of what its parts do,
 // so that impulses stay equal and opposite (Tonge et al. (2012), "Mass splitting for jitter-free parallel rigid
 // body simulation"). One after the other (Gauss and Seidel) they throw points out of places that are too narrow
-// for them; a search for equilibria, which has no velocities, converges only so.
+// for them.
 #pragma once
 
 namespace gendom {
@@ -21,15 +21,6 @@ template <typename real> CUDA_CALLABLE inline void add_to(const rows_of<real>& r
 template <typename real>
 CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, const vec<real>& a) {
     add_to(rows, c, i, a.x), add_to(rows, c + 1, i, a.y), add_to(rows, c + 2, i, a.z);
-}
-
-// Whether contacts are taken one after the other: in a CPU's search for equilibria.
-template <typename Body> CUDA_CALLABLE inline bool takes_in_order(const Body& body) {
-#if defined(__CUDA_ARCH__)
-    return false;
-#else
-    return body.anchored != 0;
-#endif
 }
 
 // Two places that are too near, and what pushes them apart.
@@ -48,8 +39,8 @@ template <typename real> struct contact {
 };
 
 // The close pairs of a world in one state.
-template <typename Body, typename real> struct contacts {
-    const Body& body;
+template <typename Model, typename real> struct contacts {
+    const Model& model;
     const int w;
     const pairs_of close;
     const rows_of<real> s, push, loose;
@@ -57,19 +48,17 @@ template <typename Body, typename real> struct contacts {
     // Points that take the mean of many pushes go less far than each asks for. Where the first turns do not suffice,
     // over-relaxation takes fewer further ones. From 2 on it may diverge.
     const real over;
-    const bool in_order;
 
-    CUDA_CALLABLE inline contacts(const Body& body, int w, const wp::array_t<real>& state, int row,
+    CUDA_CALLABLE inline contacts(const Model& model, int w, const wp::array_t<real>& state, int row,
                                   real dt, int turn)
-        : body(body), w(w), close(close_pairs(body, w)), s(state, row), push(body.push, w),
-          loose(body.loose, w), dt(dt), per_dt(real(1) / dt), mu(wp::index(body.self_friction, w)),
-          over(turn < body.contact_turns || takes_in_order(body) ? real(1) : real(1.8)),
-          in_order(takes_in_order(body)) {}
+        : model(model), w(w), close(close_pairs(model, w)), s(state, row), push(model.push, w),
+          loose(model.loose, w), dt(dt), per_dt(real(1) / dt), mu(wp::index(model.self_friction, w)),
+          over(turn < model.contact_turns ? real(1) : real(1.8)) {}
 
     CUDA_CALLABLE inline meeting<real> pair(int k) const {
         int one, other;
         close.read(k, one, other);
-        return pair_meets(s, one, other, body.pitch);
+        return pair_meets(s, one, other, model.pitch);
     }
     CUDA_CALLABLE inline bool has_point(int k) const {
         int one, other;
@@ -77,17 +66,17 @@ template <typename Body, typename real> struct contacts {
         return one % 4 == 3;
     }
     // The pairs that `count_contacts` found to touch.
-    CUDA_CALLABLE inline int number() const { return wp::index(body.touching_count, w); }
-    CUDA_CALLABLE inline int at(int j) const { return wp::index(body.touching, w, j); }
+    CUDA_CALLABLE inline int number() const { return wp::index(model.touching_count, w); }
+    CUDA_CALLABLE inline int at(int j) const { return wp::index(model.touching, w, j); }
     // The number of contacts among which the mass of point p is divided.
     CUDA_CALLABLE inline real split(int p) const {
-        return in_order ? real(1) : push.template get<real>(6, p);
+        return push.template get<real>(6, p);
     }
     // Whether pair k is pushed apart, and how.
     CUDA_CALLABLE inline bool find(int k, contact<real>& c) const {
         c.places = pair(k);
         const meeting<real>& m = c.places;
-        c.depth = body.contact_distance - m.distance;
+        c.depth = model.contact_distance - m.distance;
         if (c.depth <= real(0) || m.distance < real(1e-12)) return false;
         c.n = (real(1) / m.distance) * m.away;
         c.v = {real(0), real(0), real(0)};
@@ -109,13 +98,13 @@ template <typename Body, typename real> struct contacts {
 };
 
 // Finds the pairs that touch, and counts those of every point that share in it.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void count_contacts(const Body& body, int w, const wp::array_t<real>& state, int row) {
-    const contacts<Body, real> all(body, w, state, row, real(1), 0);
+template <typename Model, typename real>
+CUDA_CALLABLE inline void count_contacts(const Model& model, int w, const wp::array_t<real>& state, int row) {
+    const contacts<Model, real> all(model, w, state, row, real(1), 0);
     for (EACH_ONE_IN(k, 0, all.close.number())) {
         const meeting<real> m = all.pair(k);
-        if (m.distance >= body.contact_distance) continue;
-        wp::index(body.touching, w, count_on(wp::index(body.touching_count, w))) = k;
+        if (m.distance >= model.contact_distance) continue;
+        wp::index(model.touching, w, count_on(wp::index(model.touching_count, w))) = k;
         for (int i = 0; i < 4; ++i)
             if (m.share[i] != real(0)) add_to(all.push, 6, m.point[i], real(1));
     }
@@ -123,11 +112,11 @@ CUDA_CALLABLE inline void count_contacts(const Body& body, int w, const wp::arra
 
 // One turn over the contacts of a step; tells whether one of this thread's was nearer than the distance
 // that asks for another turn.
-template <typename Body, typename real>
-CUDA_CALLABLE inline int push_apart(const Body& body, int w, const wp::array_t<real>& state, int row,
+template <typename Model, typename real>
+CUDA_CALLABLE inline int contact_impulses(const Model& model, int w, const wp::array_t<real>& state, int row,
                                     real dt, int turn) {
-    const contacts<Body, real> all(body, w, state, row, dt, turn);
-    const real enough = turn + 1 < body.contact_turns ? body.contact_distance : body.contact_enough;
+    const contacts<Model, real> all(model, w, state, row, dt, turn);
+    const real enough = turn + 1 < model.contact_turns ? model.contact_distance : model.contact_enough;
     contact<real> c;
     int again = 0;
     for (EACH_ONE_IN(j, 0, all.number())) {
@@ -137,20 +126,19 @@ CUDA_CALLABLE inline int push_apart(const Body& body, int w, const wp::array_t<r
         for (int i = 0; i < 4; ++i) {
             const int p = c.places.point[i];
             const real by = c.places.share[i] * all.loose.template get<real>(0, p);
-            if (all.in_order) all.s.add3(3, p, by * impulse), all.s.add3(0, p, by * shift);
-            else add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
+            add_to(all.push, 0, p, by * impulse), add_to(all.push, 3, p, by * shift);
         }
     }
     return again;
 }
 
 // Velocities and positions take the impulses of a turn, which are then 0 again; none is known to touch any more.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void take_push(const Body& body, int w, const wp::array_t<real>& state, int row) {
+template <typename Model, typename real>
+CUDA_CALLABLE inline void take_impulses(const Model& model, int w, const wp::array_t<real>& state, int row) {
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), push(body.push, w);
-    for (EACH_ONE_IN(k, 0, 1)) wp::index(body.touching_count, w) = k;
-    for (EACH_IN(p, body.first, body.end)) {
+    const rows_of<real> s(state, row), push(model.push, w);
+    for (EACH_ONE_IN(k, 0, 1)) wp::index(model.touching_count, w) = k;
+    for (EACH_IN(p, model.first, model.end)) {
         s.add3(3, p, push.template get3<T>(0, p));
         s.add3(0, p, push.template get3<T>(3, p));
         for (int c = 0; c < 7; ++c) push.put(c, p, T(real(0)));
@@ -158,15 +146,14 @@ CUDA_CALLABLE inline void take_push(const Body& body, int w, const wp::array_t<r
 }
 
 // What a turn pushed beyond the table or a wall goes back to it; left there, it would be thrown out by the next
-// step's velocities. In a search for equilibria only places tell the table what rests on it, and its friction.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void end_turn(const Body& body, int w, const wp::array_t<real>& state, int row) {
+// step's velocities.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void end_turn(const Model& model, int w, const wp::array_t<real>& state, int row) {
     typedef typename several<real>::lanes T;
-    take_push(body, w, state, row);
-    if (body.anchored) return;
-    const ground<T> around(body, w, real(1));
-    const rows_of<real> s(state, row), loose(body.loose, w);
-    for (EACH_IN(p, body.first, body.end)) {
+    take_impulses(model, w, state, row);
+    const ground<T> around(model, w, real(1));
+    const rows_of<real> s(state, row), loose(model.loose, w);
+    for (EACH_IN(p, model.first, model.end)) {
         const vec<T> x = s.template get3<T>(0, p);
         const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
         s.put3(0, p, moves * around.brought_back(x) + (T(real(1)) - moves) * x);

@@ -14,41 +14,41 @@ namespace gendom {
 enum { CONTACT_X_BAR = 0, CONTACT_V_BAR = 3, CONTACT_PER_MASS_BAR = 12, SELF_FRICTION_BAR = 21, CONTACT_RADIUS_BAR = 22, DISTANCE_BAR = 23 };
 
 // A row keeps where points were when pairs were listed.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void keep_list(const Body& body, int w, const wp::array_t<real>& state, int row, int c) {
+template <typename Model, typename real>
+CUDA_CALLABLE inline void keep_list(const Model& model, int w, const wp::array_t<real>& state, int row, int c) {
     typedef typename several<real>::lanes T;
-    const rows_of<real> to(state, row), listed(body.listed, w);
-    for (EACH_IN(p, body.first, body.end)) to.put3(c, p, listed.template get3<T>(0, p));
+    const rows_of<real> to(state, row), listed(model.listed, w);
+    for (EACH_IN(p, model.first, model.end)) to.put3(c, p, listed.template get3<T>(0, p));
 }
 
 // Before a turn all points are kept, [worlds, turns * 6, P].
-template <typename Body, typename real>
-CUDA_CALLABLE inline void keep_turn(const Body& body, const wp::array_t<real>& kept, int at,
+template <typename Model, typename real>
+CUDA_CALLABLE inline void keep_turn(const Model& model, const wp::array_t<real>& kept, int at,
                                     const wp::array_t<real>& state, int row, int turn) {
     typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), to(kept, at);
-    for (EACH_IN(p, body.first, body.end))
+    for (EACH_IN(p, model.first, model.end))
         for (int c = 0; c < 6; ++c) to.put(6 * turn + c, p, s.template get<T>(c, p));
 }
 
 // All points as they were before a turn.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void put_back(const Body& body, const wp::array_t<real>& kept, int at,
+template <typename Model, typename real>
+CUDA_CALLABLE inline void put_back(const Model& model, const wp::array_t<real>& kept, int at,
                                    const wp::array_t<real>& state, int row, int turn) {
     typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), from(kept, at);
-    for (EACH_IN(p, body.first, body.end))
+    for (EACH_IN(p, model.first, model.end))
         for (int c = 0; c < 6; ++c) s.put(c, p, from.template get<T>(6 * turn + c, p));
 }
 
-// Of `end_turn`, but for `take_push`; the row is as the turn left it.
-template <typename Body, typename Bars, typename real>
-CUDA_CALLABLE inline void end_turn_adjoint(const Body& body, const Bars& bars, int w,
+// Of `end_turn`, but for `take_impulses`; the row is as the turn left it.
+template <typename Model, typename Adjoint, typename real>
+CUDA_CALLABLE inline void end_turn_adjoint(const Model& model, const Adjoint& adjoint, int w,
                                            const wp::array_t<real>& state, int row) {
     typedef typename several<real>::lanes T;
-    const ground<T> around(body, w, real(1));
-    const rows_of<real> s(state, row), b(bars.state, w), by(bars.model, w), loose(body.loose, w);
-    for (EACH_IN(p, body.first, body.end)) {
+    const ground<T> around(model, w, real(1));
+    const rows_of<real> s(state, row), b(adjoint.state, w), by(adjoint.model, w), loose(model.loose, w);
+    for (EACH_IN(p, model.first, model.end)) {
         const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
         const vec<T> x_bar = b.template get3<T>(0, p);
         vec<T> moved_bar = moves * x_bar;
@@ -135,10 +135,10 @@ template <typename real> struct contact_bar {
     }
 };
 
-// Of one push. What it adds to derivatives by positions and velocities adds up in `push`, from where `take_push`
+// Of one push. What it adds to derivatives by positions and velocities adds up in `push`, from where `take_impulses`
 // takes it.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real>& all, int k, const contact<real>& c,
+template <typename Model, typename real>
+CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, const contact<real>& c,
                                        const rows_of<real>& b, const rows_of<real>& by) {
     const meeting<real>& m = c.places;
     const vec<real> impulse = c.impulse(), shift = c.shift(all.dt), none = {real(0), real(0), real(0)};
@@ -187,12 +187,12 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Body, real>& all, int k, c
 }
 
 // Of one turn.
-template <typename Body, typename Bars, typename real>
-CUDA_CALLABLE inline void push_apart_adjoint(const Body& body, const Bars& bars, int w,
+template <typename Model, typename Adjoint, typename real>
+CUDA_CALLABLE inline void contact_impulses_adjoint(const Model& model, const Adjoint& adjoint, int w,
                                              const wp::array_t<real>& state, int row, real dt, int turn) {
-    const rows_of<real> b(bars.state, w), by(bars.model, w);
+    const rows_of<real> b(adjoint.state, w), by(adjoint.model, w);
     contact<real> c;
-    const contacts<Body, real> all(body, w, state, row, dt, turn);
+    const contacts<Model, real> all(model, w, state, row, dt, turn);
     for (EACH_ONE_IN(j, 0, all.number())) {
         const int k = all.at(j);
         if (all.find(k, c)) push_adjoint(all, k, c, b, by);

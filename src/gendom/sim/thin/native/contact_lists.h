@@ -161,38 +161,38 @@ struct pairs_of {
         wp::index(counts, w, 0) = 0, wp::index(counts, w, 1) = 0;
     }
 };
-template <typename Body> CUDA_CALLABLE inline pairs_of near_pairs(const Body& body, int w) {
-    return pairs_of(body.near, body.near_count, w);
+template <typename Model> CUDA_CALLABLE inline pairs_of near_pairs(const Model& model, int w) {
+    return pairs_of(model.near, model.near_count, w);
 }
-template <typename Body> CUDA_CALLABLE inline pairs_of close_pairs(const Body& body, int w) {
-    return pairs_of(body.close, body.close_count, w);
+template <typename Model> CUDA_CALLABLE inline pairs_of close_pairs(const Model& model, int w) {
+    return pairs_of(model.close, model.close_count, w);
 }
 
-template <typename Body, typename real>
-CUDA_CALLABLE inline void list_pair(const Body& body, int w, const rows_of<real>& s, int one, int other) {
-    const meeting<real> m = pair_meets(s, one, other, body.pitch);
+template <typename Model, typename real>
+CUDA_CALLABLE inline void list_pair(const Model& model, int w, const rows_of<real>& s, int one, int other) {
+    const meeting<real> m = pair_meets(s, one, other, model.pitch);
     const int* i = m.point;
     const int own = one % 4 == 3 ? 1 : 2;  // points of the first feature; the rest are the second's
     for (int a = 0; a < own; ++a)
         for (int b = own; b < 4; ++b)
             if (i[a] == i[b]) return;
-    if (m.distance >= body.contact_distance + body.contact_margin) return;
-    near_pairs(body, w).append(one, other);
+    if (m.distance >= model.contact_distance + model.contact_margin) return;
+    near_pairs(model, w).append(one, other);
 }
 
 // Whether a point of rows c to c + 2 is farther than this from where it was when pairs were listed. What the
 // middle of the body has moved by, all have in common, and no pair comes nearer by it.
-template <typename Body, typename real>
-CUDA_CALLABLE inline int moved_on(const Body& body, int w, const wp::array_t<real>& state, int row, int c,
+template <typename Model, typename real>
+CUDA_CALLABLE inline int moved_on(const Model& model, int w, const wp::array_t<real>& state, int row, int c,
                                   real far) {
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), then(body.listed, w), m(body.inertia, w);
-    const int middle = wp::index(body.slot, body.points / 2) - margin;
+    const rows_of<real> s(state, row), then(model.listed, w), m(model.inertia, w);
+    const int middle = wp::index(model.slot, model.points / 2) - margin;
     vec<real> common = s.template get3<real>(c, middle) - then.template get3<real>(0, middle);
     if (far <= real(0)) common = {real(0), real(0), real(0)};
     const vec<T> shift = {T(common.x), T(common.y), T(common.z)};
     T most = T(real(0));
-    for (EACH_IN(p, body.first, body.end)) {
+    for (EACH_IN(p, model.first, model.end)) {
         const vec<T> d = s.template get3<T>(c, p) - then.template get3<T>(0, p) - shift;
         most = larger(most, dot(d, d) * is_above(m.template get<T>(0, p), T(real(0))));
     }
@@ -201,14 +201,14 @@ CUDA_CALLABLE inline int moved_on(const Body& body, int w, const wp::array_t<rea
 
 // Begins a list of points in rows c to c + 2, with the box of each one's features, which of a shell lie in the
 // cell that it is the first of; the threads meet before `list_pairs`.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void begin_list(const Body& body, int w, const wp::array_t<real>& state, int row,
+template <typename Model, typename real>
+CUDA_CALLABLE inline void begin_list(const Model& model, int w, const wp::array_t<real>& state, int row,
                                      int c) {
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), then(body.listed, w), rest(body.rest, 0), m(body.inertia, w);
-    for (EACH_IN(p, body.first, body.end)) then.put3(0, p, s.template get3<T>(c, p));
-    const int pitch = body.pitch;
-    for (EACH_ONE_IN(p, body.first, body.end)) {
+    const rows_of<real> s(state, row), then(model.listed, w), rest(model.rest, 0), m(model.inertia, w);
+    for (EACH_IN(p, model.first, model.end)) then.put3(0, p, s.template get3<T>(c, p));
+    const int pitch = model.pitch;
+    for (EACH_ONE_IN(p, model.first, model.end)) {
         const auto has = [&](int kind) { return pitch > 0 && rest.template get<real>(kind, p) > real(0); };
         const auto is_point = [&](int i) { return m.template get<real>(0, i) > real(0); };
         const real nowhere = real(1e15);
@@ -218,20 +218,20 @@ CUDA_CALLABLE inline void begin_list(const Body& body, int w, const wp::array_t<
             b.include(s.template get3<real>(c, p + 1));
         if (has(1) || has(2)) b.include(s.template get3<real>(c, p + pitch));
         if (has(2)) b.include(s.template get3<real>(c, p + pitch + 1));
-        rows_of<real>(body.boxes, w).put3(0, p, b.low), rows_of<real>(body.boxes, w).put3(3, p, b.high);
+        rows_of<real>(model.boxes, w).put3(0, p, b.low), rows_of<real>(model.boxes, w).put3(3, p, b.high);
     }
-    near_pairs(body, w).clear();
+    near_pairs(model, w).clear();
 }
 
 // Features of two points make so many pairs.
 enum { PAIRS_OF_EDGES = 9, PAIRS_OF_CELLS = 13 };
 
 // The k-th of them, in numbers of the list; tells whether it is there. Of a rod there is one.
-template <typename Body, typename real>
-CUDA_CALLABLE inline bool pair_of(const Body& body, const rows_of<real>& rest, const rows_of<real>& inertia,
+template <typename Model, typename real>
+CUDA_CALLABLE inline bool pair_of(const Model& model, const rows_of<real>& rest, const rows_of<real>& inertia,
                                   int p, int q, int k, int& one, int& other) {
     const auto has = [&](int i, int kind) { return rest.template get<real>(kind, i) > real(0); };
-    if (body.pitch == 0) {
+    if (model.pitch == 0) {
         one = 4 * p, other = 4 * q;
         const auto is_point = [&](int i) { return inertia.template get<real>(0, i) > real(0); };
         return k == 0 && is_point(p + 1) && is_point(q + 1);
@@ -247,62 +247,62 @@ CUDA_CALLABLE inline bool pair_of(const Body& body, const rows_of<real>& rest, c
     return has(cell, 2);
 }
 
-template <typename Body> CUDA_CALLABLE inline int pairs_of_points(const Body& body) {
-    return body.pitch == 0 ? 1 : PAIRS_OF_CELLS;
+template <typename Model> CUDA_CALLABLE inline int pairs_of_points(const Model& model) {
+    return model.pitch == 0 ? 1 : PAIRS_OF_CELLS;
 }
 
 // Whether corners of two neighbouring cells are much nearer than at rest; only there neighbours meet.
-template <typename Body, typename real>
-CUDA_CALLABLE inline bool is_folded(const Body& body, const rows_of<real>& s, int p, int q, int columns,
+template <typename Model, typename real>
+CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, int p, int q, int columns,
                                     int rows) {
-    const real lx2 = real(0.64) / (body.per_x * body.per_x), ly2 = real(0.64) / (body.per_y * body.per_y);
+    const real lx2 = real(0.64) / (model.per_x * model.per_x), ly2 = real(0.64) / (model.per_y * model.per_y);
     for (int a = 0; a < 4; ++a) {
-        const vec<real> x = s.template get3<real>(0, p + a % 2 + a / 2 * body.pitch);
+        const vec<real> x = s.template get3<real>(0, p + a % 2 + a / 2 * model.pitch);
         for (int b = 0; b < 4; ++b) {
             const int along = columns + a % 2 - b % 2, across = rows + a / 2 - b / 2;
-            const vec<real> d = s.template get3<real>(0, q + b % 2 + b / 2 * body.pitch) - x;
+            const vec<real> d = s.template get3<real>(0, q + b % 2 + b / 2 * model.pitch) - x;
             if (dot(d, d) < real(along * along) * lx2 + real(across * across) * ly2) return true;
         }
     }
     return false;
 }
 
-template <typename Body> CUDA_CALLABLE inline void begin_close(const Body& body, int w) {
-    close_pairs(body, w).clear();
+template <typename Model> CUDA_CALLABLE inline void begin_close(const Model& model, int w) {
+    close_pairs(model, w).clear();
 }
 
 // The listed pairs that are close; `begin_close` and a meeting of the threads come before.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void list_close(const Body& body, int w, const wp::array_t<real>& state, int row) {
+template <typename Model, typename real>
+CUDA_CALLABLE inline void list_close(const Model& model, int w, const wp::array_t<real>& state, int row) {
     const rows_of<real> s(state, row);
-    const pairs_of near = near_pairs(body, w), close = close_pairs(body, w);
+    const pairs_of near = near_pairs(model, w), close = close_pairs(model, w);
     for (EACH_ONE_IN(k, 0, near.number())) {
         int one, other;
         near.read(k, one, other);
-        if (pair_meets(s, one, other, body.pitch).distance < body.contact_close) close.append(one, other);
+        if (pair_meets(s, one, other, model.pitch).distance < model.contact_close) close.append(one, other);
     }
 }
 
 // Whether features of p and of q > p never meet: those of a rod's neighbours, and of a shell's whose cells are
 // not folded.
-template <typename Body, typename real>
-CUDA_CALLABLE inline bool is_neighbour(const Body& body, const rows_of<real>& s, int p, int q) {
-    const int pitch = body.pitch;
-    if (pitch == 0) return q - p < body.contact_apart;
+template <typename Model, typename real>
+CUDA_CALLABLE inline bool is_neighbour(const Model& model, const rows_of<real>& s, int p, int q) {
+    const int pitch = model.pitch;
+    if (pitch == 0) return q - p < model.contact_apart;
     const int columns = p % pitch - q % pitch, rows = p / pitch - q / pitch;
-    return columns <= 2 && columns >= -2 && rows >= -2 && !is_folded(body, s, p, q, columns, rows);
+    return columns <= 2 && columns >= -2 && rows >= -2 && !is_folded(model, s, p, q, columns, rows);
 }
 
 // A cell that is folded on its diagonal.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void list_folded_cells(const Body& body, int w, const rows_of<real>& s,
+template <typename Model, typename real>
+CUDA_CALLABLE inline void list_folded_cells(const Model& model, int w, const rows_of<real>& s,
                                             const rows_of<real>& rest) {
-    const real whole = real(1) / (body.per_x * body.per_x) + real(1) / (body.per_y * body.per_y);
-    for (EACH_ONE_IN(p, body.first, body.end)) {
+    const real whole = real(1) / (model.per_x * model.per_x) + real(1) / (model.per_y * model.per_y);
+    for (EACH_ONE_IN(p, model.first, model.end)) {
         if (!(rest.template get<real>(2, p) > real(0))) continue;
         const vec<real> across =
-            s.template get3<real>(0, p + body.pitch + 1) - s.template get3<real>(0, p);
-        if (dot(across, across) < real(0.64) * whole) list_pair(body, w, s, 4 * p + 3, 4 * p + 1);
+            s.template get3<real>(0, p + model.pitch + 1) - s.template get3<real>(0, p);
+        if (dot(across, across) < real(0.64) * whole) list_pair(model, w, s, 4 * p + 3, 4 * p + 1);
     }
 }
 
@@ -322,26 +322,26 @@ template <typename real> struct may_meet {
 
 // A warp takes a point. Its lanes compare that one's box with those of 32 others; each half of them then looks at
 // the pairs of features of one hit. What may meet waits until there are enough for all lanes.
-template <typename Body> CUDA_CALLABLE inline void list_pairs(const Body& body, int w) {
-    typedef decltype(Body::radius) real;
-    const rows_of<real> s(body.listed, w), rest(body.rest, 0), m(body.inertia, w), boxes(body.boxes, w);
+template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& model, int w) {
+    typedef decltype(Model::radius) real;
+    const rows_of<real> s(model.listed, w), rest(model.rest, 0), m(model.inertia, w), boxes(model.boxes, w);
     constexpr int lanes = 32, most_warps = 32, half = lanes / 2;
     constexpr unsigned all = 0xffffffffu;
     __shared__ int waiting[most_warps][2 * lanes][2];
     const int lane = threadIdx.x % lanes, warp = threadIdx.x / lanes, warps = blockDim.x / lanes;
-    const real far = body.contact_distance + body.contact_margin;
-    const may_meet<real> may = {s, body.pitch, far * far};
+    const real far = model.contact_distance + model.contact_margin;
+    const may_meet<real> may = {s, model.pitch, far * far};
     const auto box_at = [&](int i) -> box<real> {
         return {boxes.template get3<real>(0, i), boxes.template get3<real>(3, i)};
     };
     int count = 0;
-    for (int p = body.first + warp; p < body.end; p += warps) {
+    for (int p = model.first + warp; p < model.end; p += warps) {
         if (!(m.template get<real>(0, p) > real(0))) continue;
         const box<real> b = box_at(p);
-        for (int q0 = p + 1; q0 < body.end; q0 += lanes) {
+        for (int q0 = p + 1; q0 < model.end; q0 += lanes) {
             const int q = q0 + lane;
-            const bool is_near = q < body.end && gap_between(b, box_at(q)) < far * far &&
-                                 !is_neighbour(body, s, p, q);
+            const bool is_near = q < model.end && gap_between(b, box_at(q)) < far * far &&
+                                 !is_neighbour(model, s, p, q);
             unsigned hits = __ballot_sync(all, is_near);
             while (hits != 0) {
                 const int first = __ffs(hits) - 1;
@@ -350,8 +350,8 @@ template <typename Body> CUDA_CALLABLE inline void list_pairs(const Body& body, 
                 hits &= hits - 1;
                 const int mine = lane < half ? first : second, k = lane % half;
                 int one = 0, other = 0;
-                const bool may_touch = mine >= 0 && k < pairs_of_points(body) &&
-                                       pair_of(body, rest, m, p, q0 + mine, k, one, other) &&
+                const bool may_touch = mine >= 0 && k < pairs_of_points(model) &&
+                                       pair_of(model, rest, m, p, q0 + mine, k, one, other) &&
                                        may(one, other);
                 const unsigned found = __ballot_sync(all, may_touch);
                 if (may_touch) {
@@ -363,48 +363,48 @@ template <typename Body> CUDA_CALLABLE inline void list_pairs(const Body& body, 
                 if (count >= lanes) {
                     count -= lanes;
                     const int* from = waiting[warp][count + lane];
-                    list_pair(body, w, s, from[0], from[1]);
+                    list_pair(model, w, s, from[0], from[1]);
                     __syncwarp();
                 }
             }
         }
     }
-    if (lane < count) list_pair(body, w, s, waiting[warp][lane][0], waiting[warp][lane][1]);
-    if (body.pitch > 0) list_folded_cells(body, w, s, rest);
+    if (lane < count) list_pair(model, w, s, waiting[warp][lane][0], waiting[warp][lane][1]);
+    if (model.pitch > 0) list_folded_cells(model, w, s, rest);
 }
 
 #else
 
-template <typename Body> CUDA_CALLABLE inline void list_pairs(const Body& body, int w) {
-    typedef decltype(Body::radius) real;
+template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& model, int w) {
+    typedef decltype(Model::radius) real;
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(body.listed, w), rest(body.rest, 0), m(body.inertia, w), boxes(body.boxes, w);
+    const rows_of<real> s(model.listed, w), rest(model.rest, 0), m(model.inertia, w), boxes(model.boxes, w);
     const int width = sizeof(T) / sizeof(real);
-    const real far = body.contact_distance + body.contact_margin;
-    const may_meet<real> may = {s, body.pitch, far * far};
+    const real far = model.contact_distance + model.contact_margin;
+    const may_meet<real> may = {s, model.pitch, far * far};
     const T limit = T(far * far);
     const auto everywhere = [](const vec<real>& x) -> vec<T> { return {T(x.x), T(x.y), T(x.z)}; };
-    for (int p = body.first; p < body.end; ++p) {
+    for (int p = model.first; p < model.end; ++p) {
         if (!(m.template get<real>(0, p) > real(0))) continue;
         const box<T> b = {everywhere(boxes.template get3<real>(0, p)),
                           everywhere(boxes.template get3<real>(3, p))};
-        for (int q0 = (p + 1) / width * width; q0 < body.end; q0 += width) {
+        for (int q0 = (p + 1) / width * width; q0 < model.end; q0 += width) {
             const box<T> others = {boxes.template get3<T>(0, q0), boxes.template get3<T>(3, q0)};
             const T is_near = is_above(limit, gap_between(b, others));
             if (largest_of(is_near) == real(0)) continue;
             for (int l = 0; l < width; ++l) {
                 const int q = q0 + l;
-                if (((const real*)&is_near)[l] == real(0) || q <= p || q >= body.end ||
-                    is_neighbour(body, s, p, q))
+                if (((const real*)&is_near)[l] == real(0) || q <= p || q >= model.end ||
+                    is_neighbour(model, s, p, q))
                     continue;
                 int one, other;
-                for (int k = 0; k < pairs_of_points(body); ++k)
-                    if (pair_of(body, rest, m, p, q, k, one, other) && may(one, other))
-                        list_pair(body, w, s, one, other);
+                for (int k = 0; k < pairs_of_points(model); ++k)
+                    if (pair_of(model, rest, m, p, q, k, one, other) && may(one, other))
+                        list_pair(model, w, s, one, other);
             }
         }
     }
-    if (body.pitch > 0) list_folded_cells(body, w, s, rest);
+    if (model.pitch > 0) list_folded_cells(model, w, s, rest);
 }
 
 #endif

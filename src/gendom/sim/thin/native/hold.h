@@ -7,17 +7,17 @@ namespace gendom {
 enum { HELD_X = 0, HELD_V = 3, HELD_Q = 6, HELD_W = 10, HELD_Q_BAR = 6, HELD_W_BAR = 9 };
 
 // At the end of a step, by a gripper's pose.
-template <typename Body, typename real>
-CUDA_CALLABLE inline void hold(const Body& body, int w, int g, const wp::vec_t<3, real>& centre,
+template <typename Model, typename real>
+CUDA_CALLABLE inline void hold(const Model& model, int w, int g, const wp::vec_t<3, real>& centre,
                                const wp::quat_t<real>& turned, const wp::array_t<real>& state,
                                int next) {
-    const int W_G = w * body.holds.shape[1] + g;
-    const rows_of<real> to(state, next), place(body.place, W_G);
+    const int W_G = w * model.holds.shape[1] + g;
+    const rows_of<real> to(state, next), place(model.place, W_G);
     const quat<real> by = {{turned.x, turned.y, turned.z}, turned.w};
     const directors<real> R(by);
     const vec<real> c = {centre[0], centre[1], centre[2]}, still = {real(0), real(0), real(0)};
-    for (EACH_ONE(i, body.points)) {
-        const int holds = wp::index(body.holds, w, g, i), p = wp::index(body.slot, i) - margin;
+    for (EACH_ONE(i, model.points)) {
+        const int holds = wp::index(model.holds, w, g, i), p = wp::index(model.slot, i) - margin;
         if (holds & 1) {
             to.put3(HELD_X, p, c + R.to_world(place.template get3<real>(0, p)));
             to.put3(HELD_V, p, still);
@@ -34,16 +34,16 @@ CUDA_CALLABLE inline void hold(const Body& body, int w, int g, const wp::vec_t<3
 }
 
 // Its transpose: to the gripper's pose (six numbers) and to where things stand in it. One thread.
-template <typename Body, typename Bars, typename real>
-CUDA_CALLABLE inline void hold_adjoint(const Body& body, const Bars& bars, int w, int g,
+template <typename Model, typename Adjoint, typename real>
+CUDA_CALLABLE inline void hold_adjoint(const Model& model, const Adjoint& adjoint, int w, int g,
                                        const wp::quat_t<real>& turned) {
-    const int W_G = w * body.holds.shape[1] + g;
-    const rows_of<real> b(bars.state, w), place(body.place, W_G), place_bar(bars.place, W_G);
+    const int W_G = w * model.holds.shape[1] + g;
+    const rows_of<real> b(adjoint.state, w), place(model.place, W_G), place_bar(adjoint.place, W_G);
     const directors<real> R(quat<real>{{turned.x, turned.y, turned.z}, turned.w});
     const vec<real> none = {real(0), real(0), real(0)};
     vec<real> centre = none, turn = none;
-    for (int i = 0; i < body.points; ++i) {
-        const int holds = wp::index(body.holds, w, g, i), p = wp::index(body.slot, i) - margin;
+    for (int i = 0; i < model.points; ++i) {
+        const int holds = wp::index(model.holds, w, g, i), p = wp::index(model.slot, i) - margin;
         if (holds & 1) {
             const vec<real> x_bar = b.template get3<real>(HELD_X, p);
             centre = centre + x_bar;
@@ -60,8 +60,8 @@ CUDA_CALLABLE inline void hold_adjoint(const Body& body, const Bars& bars, int w
             b.put3(HELD_W_BAR, p, none);
         }
     }
-    wp::index(bars.centre, w, g) = wp::vec_t<3, real>(centre.x, centre.y, centre.z);
-    wp::index(bars.turn, w, g) = wp::vec_t<3, real>(turn.x, turn.y, turn.z);
+    wp::index(adjoint.centre, w, g) = wp::vec_t<3, real>(centre.x, centre.y, centre.z);
+    wp::index(adjoint.turn, w, g) = wp::vec_t<3, real>(turn.x, turn.y, turn.z);
 }
 
 }  // namespace gendom

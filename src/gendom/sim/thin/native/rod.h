@@ -77,13 +77,9 @@ enum { ALONG = 0, PULL = 3, TURN = 6, MOMENT = 9 };
 template <typename real> struct viscosity {
     real follows, share;  // a of the lagged strain in a step; c, the viscous stiffness over the elastic
     real follows_slope, share_slope;  // derivatives by the damping
-    CUDA_CALLABLE inline viscosity(real damping, real dt, bool implicit = false)
+    CUDA_CALLABLE inline viscosity(real damping, real dt)
         : follows(real(1)), share(real(0)), follows_slope(real(0)), share_slope(real(1) / dt) {
-        if (implicit) {
-            const real per = real(1) / (damping + dt);
-            follows = dt * per, share = damping * per;
-            share_slope = dt * per * per, follows_slope = -share_slope;
-        } else if (damping > real(0)) {
+        if (damping > real(0)) {
             const real left = wp::exp(-dt / damping);
             follows = real(1) - left;
             share = follows * damping / dt;
@@ -95,14 +91,14 @@ template <typename real> struct viscosity {
 
 // Forces and torques in the scratch; the lagged strains go on. Returns the largest squared stretch,
 // not a number if any is not.
-template <typename Rod, typename real>
-CUDA_CALLABLE inline real rod_forces(const Rod& rod, int w, const wp::array_t<real>& state, int row,
+template <typename Model, typename real>
+CUDA_CALLABLE inline real rod_forces(const Model& model, int w, const wp::array_t<real>& state, int row,
                                      int next, real dt) {
     typedef typename several<real>::lanes T;
-    const int n = rod.points;
-    const rows_of<real> s(state, row), to(state, next), rest(rod.rest, 0), k(rod.stiffness, w),
-        m(rod.inertia, w), out(rod.scratch, w);
-    const viscosity<real> visc(wp::index(rod.damping, w), dt);
+    const int n = model.points;
+    const rows_of<real> s(state, row), to(state, next), rest(model.rest, 0), k(model.stiffness, w),
+        m(model.inertia, w), out(model.scratch, w);
+    const viscosity<real> visc(wp::index(model.damping, w), dt);
     const T c = T(visc.share), a = T(visc.follows);
     T worst = T(real(0)), sum = T(real(0));
     for (EACH(i, n)) {
@@ -140,29 +136,29 @@ template <typename T> CUDA_CALLABLE inline vec<T> across(const vec<T>& v, const 
 }
 
 // Mean of how much edges are stretched or compressed; every thread finds it.
-template <typename Body, typename real>
-CUDA_CALLABLE inline real rod_stretch(const Body& rod, const wp::array_t<real>& state, int row) {
-    const rows_of<real> s(state, row), rest(rod.rest, 0);
+template <typename Model, typename real>
+CUDA_CALLABLE inline real rod_stretch(const Model& model, const wp::array_t<real>& state, int row) {
+    const rows_of<real> s(state, row), rest(model.rest, 0);
     real sum = real(0);
-    for (int i = 0; i + 1 < rod.points; ++i) {
+    for (int i = 0; i + 1 < model.points; ++i) {
         const vec<real> d = s.template get3<real>(X, i + 1) - s.template get3<real>(X, i);
         const real stretch = wp::sqrt(dot(d, d)) * rest.template get<real>(PER_LENGTH, i) - real(1);
         sum += stretch < real(0) ? -stretch : stretch;
     }
-    return sum / real(rod.points - 1);
+    return sum / real(model.points - 1);
 }
 
 // Velocities, positions and directions at the end of a step, of what nobody holds.
-template <typename Rod, typename real>
-CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real>& state, int row,
+template <typename Model, typename real>
+CUDA_CALLABLE inline void rod_move(const Model& model, int w, const wp::array_t<real>& state, int row,
                                    int next, real dt, real kick) {
     typedef typename several<real>::lanes T;
-    const int n = rod.points;
-    const rows_of<real> s(state, row), to(state, next), m(rod.inertia, w), in(rod.scratch, w);
+    const int n = model.points;
+    const rows_of<real> s(state, row), to(state, next), m(model.inertia, w), in(model.scratch, w);
     const T h = T(dt), one = T(real(1)), half = T(real(0.5));
-    const T keep = T(wp::exp(-kick * wp::index(rod.velocity_damping, w)));
-    const vec<T> g = gravity_of<T>(rod, w);
-    const ground<T> around(rod, w, dt);
+    const T keep = T(wp::exp(-kick * wp::index(model.velocity_damping, w)));
+    const vec<T> g = gravity_of<T>(model, w);
+    const ground<T> around(model, w, dt);
     for (EACH(i, n)) {
         const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
         const vec<T> along = in.template get3<T>(ALONG, i - 1) + in.template get3<T>(ALONG, i);
@@ -170,7 +166,7 @@ CUDA_CALLABLE inline void rod_move(const Rod& rod, int w, const wp::array_t<real
         const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
                          m.template get<T>(DRAG, i) * root(dot(vn, vn)) * vn;
         vec<T> v = keep * (v0 + T(kick) * (m.template get<T>(PER_MASS, i) * f + g));
-        v = around.stopped(rod, w, i, x, v);
+        v = around.stopped(x, v);
         to.put3(V, i, v);
         to.put3(X, i, x + h * v);
 

@@ -14,17 +14,17 @@ enum {
 enum { PULL_BAR = 0, TORQUE_BAR = 3, ALONG_BAR = 6, D_BAR = 9, JOINT_H = 12, JOINT_G = 15 };
 
 // Of `rod_move`; the scratch is as `rod_forces` left it.
-template <typename Rod, typename Bars, typename real>
-CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int w,
+template <typename Model, typename Adjoint, typename real>
+CUDA_CALLABLE inline void rod_move_adjoint(const Model& model, const Adjoint& adjoint, int w,
                                            const wp::array_t<real>& state, int row, real dt,
                                            real kick) {
     typedef typename several<real>::lanes T;
-    const int n = rod.points;
-    const rows_of<real> s(state, row), m(rod.inertia, w), in(rod.scratch, w), b(bars.state, w), by(bars.model, w), out(bars.scratch, w);
+    const int n = model.points;
+    const rows_of<real> s(state, row), m(model.inertia, w), in(model.scratch, w), b(adjoint.state, w), by(adjoint.model, w), out(adjoint.scratch, w);
     const T h = T(dt), by_kick = T(kick), one = T(real(1)), half = T(real(0.5));
     const T tiny = T(real(1e-12));
-    const T keep = T(wp::exp(-kick * wp::index(rod.velocity_damping, w)));
-    const vec<T> g = gravity_of<T>(rod, w);
+    const T keep = T(wp::exp(-kick * wp::index(model.velocity_damping, w)));
+    const vec<T> g = gravity_of<T>(model, w);
     for (EACH(i, n)) {
         // as in the step
         const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
@@ -38,7 +38,7 @@ CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int
 
         vec<T> x_bar = b.template get3<T>(X_BAR, i);
         vec<T> v_bar = b.template get3<T>(V_BAR, i) + h * x_bar;
-        const ground_bar<T> stopped = ground<T>(rod, w, dt).stopped_adjoint(x, v1, x_bar, v_bar);
+        const ground_bar<T> stopped = ground<T>(model, w, dt).stopped_adjoint(x, v1, x_bar, v_bar);
         by.add(FRICTION_BAR, i, stopped.mu);
         by.add(RADIUS_BAR, i, stopped.radius);
         by.add(VELOCITY_DAMPING_BAR, i, -by_kick * dot(v1, v_bar));
@@ -74,14 +74,14 @@ CUDA_CALLABLE inline void rod_move_adjoint(const Rod& rod, const Bars& bars, int
 }
 
 // Of `rod_forces`, first half: every edge and joint for itself.
-template <typename Rod, typename Bars, typename real>
-CUDA_CALLABLE inline void rod_forces_adjoint(const Rod& rod, const Bars& bars, int w,
+template <typename Model, typename Adjoint, typename real>
+CUDA_CALLABLE inline void rod_forces_adjoint(const Model& model, const Adjoint& adjoint, int w,
                                              const wp::array_t<real>& state, int row, real dt) {
     typedef typename several<real>::lanes T;
-    const int n = rod.points;
-    const rows_of<real> s(state, row), rest(rod.rest, 0), k(rod.stiffness, w), m(rod.inertia, w),
-        b(bars.state, w), by(bars.model, w), at(bars.scratch, w);
-    const viscosity<real> visc(wp::index(rod.damping, w), dt, rod.implicit);
+    const int n = model.points;
+    const rows_of<real> s(state, row), rest(model.rest, 0), k(model.stiffness, w), m(model.inertia, w),
+        b(adjoint.state, w), by(adjoint.model, w), at(adjoint.scratch, w);
+    const viscosity<real> visc(wp::index(model.damping, w), dt);
     const T c = T(visc.share), a = T(visc.follows), whole = T(real(1)) + c, left = T(real(1)) - a;
     for (EACH(i, n)) {
         const quat<T> q = s.template get4<T>(Q, i);
@@ -125,12 +125,12 @@ CUDA_CALLABLE inline void rod_forces_adjoint(const Rod& rod, const Bars& bars, i
 }
 
 // Second half: points and edges gather what edges and joints have for them.
-template <typename Rod, typename Bars>
-CUDA_CALLABLE inline void rod_gather_adjoint(const Rod& rod, const Bars& bars, int w) {
-    typedef decltype(Rod::radius) real;
+template <typename Model, typename Adjoint>
+CUDA_CALLABLE inline void rod_gather_adjoint(const Model& model, const Adjoint& adjoint, int w) {
+    typedef decltype(Model::radius) real;
     typedef typename several<real>::lanes T;
-    const rows_of<real> b(bars.state, w), at(bars.scratch, w);
-    const int n = rod.points;
+    const rows_of<real> b(adjoint.state, w), at(adjoint.scratch, w);
+    const int n = model.points;
     for (EACH(i, n)) {
         b.add3(X_BAR, i, at.template get3<T>(D_BAR, i - 1) - at.template get3<T>(D_BAR, i));
         b.add3(Q_BAR, i, at.template get3<T>(JOINT_H, i) + at.template get3<T>(JOINT_G, i) -

@@ -13,15 +13,15 @@
 //
 //     D / 2 (|x_xx|^2 + 2 nu x_xx.x_yy + |x_yy|^2) of points, D (1 - nu) |x_xy|^2 of cells.
 //
-// Where an edge of the sheet is free, so is the curvature across it. Curvatures free of stress and
-// those that lag behind (a standard linear solid) go along the normal n: kappa = n.x_xx.
+// Where an edge of the sheet is free, so is the curvature across it. Curvatures that lag behind (a
+// standard linear solid) go along the normal n: kappa = n.x_xx.
 #pragma once
 
 namespace gendom {
 
 // Rows of a state, of what all worlds share, of stiffness, of inertia, of the scratch.
 enum { SHELL_X = 0, SHELL_V = 3, LAG_ROW = 6, LAG_COLUMN = 8, LAG_SHEAR = 10, LAG_BEND = 11 };
-enum { NEXT = 0, BELOW = 1, CELL = 2, REST_BEND = 3 };
+enum { NEXT = 0, BELOW = 1, CELL = 2 };
 enum { C11 = 0, C22 = 1, C12 = 2, G12 = 3, BXX = 4, BYY = 5, BXY = 6, TWIST = 7 };
 enum { POINT_PER_MASS = 0, POINT_DRAG = 1, STIFFER_X = 2, STIFFER_Y = 3 };
 enum { F_BOTTOM = 0, F_TOP = 3, F_LEFT = 6, F_RIGHT = 9, M_XX = 12, M_YY = 15, M_XY = 18, NORMAL = 21 };
@@ -49,7 +49,7 @@ template <typename T> struct shell_cell {
         }
         mean_u = half * (u[0] + u[1]), mean_v = half * (v[0] + v[1]), twist = v[1] - v[0];
         const T F = dot(mean_u, mean_v), free = half * half * dot(twist, twist);
-        is_sheared = is_above(larger(F, -F), free);
+        is_sheared = one - is_above(free, larger(F, -F));  // a flat cell resists shear at once
         sign = is_sheared * (T(real(2)) * is_above(F, T(real(0))) - one);
         shear = half * lxy * (is_sheared * F - sign * free);
     }
@@ -136,18 +136,18 @@ template <typename T> struct bend_stiffness {
 
 // Forces of edges and moments of points in the scratch; the lagged strains go on. Returns the largest
 // squared stretch, not a number if any is not.
-template <typename Body, typename real>
-CUDA_CALLABLE inline real shell_forces(const Body& body, int w, const wp::array_t<real>& state,
+template <typename Model, typename real>
+CUDA_CALLABLE inline real shell_forces(const Model& model, int w, const wp::array_t<real>& state,
                                        int row, int next, real dt) {
     typedef typename several<real>::lanes T;
-    const int pitch = body.pitch;
-    const rows_of<real> s(state, row), to(state, next), shape(body.rest, 0), k(body.stiffness, w),
-        m(body.inertia, w), out(body.scratch, w);
-    const viscosity<real> visc(wp::index(body.damping, w), dt);
+    const int pitch = model.pitch;
+    const rows_of<real> s(state, row), to(state, next), shape(model.rest, 0), k(model.stiffness, w),
+        m(model.inertia, w), out(model.scratch, w);
+    const viscosity<real> visc(wp::index(model.damping, w), dt);
     const T c = T(visc.share), a = T(visc.follows);
     T worst = T(real(0)), sum = T(real(0));
-    for (EACH_IN(p, body.first, body.end)) {
-        const shell_cell<T> cell(s, p, pitch, body.per_x, body.per_y);
+    for (EACH_IN(p, model.first, model.end)) {
+        const shell_cell<T> cell(s, p, pitch, model.per_x, model.per_y);
         const T exists = shape.template get<T>(CELL, p);
         T row_e[2], column_e[2];
         const auto stressed = [&](const T& strain, int lag) {
@@ -175,7 +175,7 @@ CUDA_CALLABLE inline real shell_forces(const Body& body, int w, const wp::array_
         const shell_bend<T> bend(s, shape, p, pitch);
         const bend_stiffness<T> B(k, m, p);
         const vec<T> kappa = bend.curvatures(), lag = s.template get3<T>(LAG_BEND, p);
-        const vec<T> along = B(c * (kappa - lag) - shape.template get3<T>(REST_BEND, p));
+        const vec<T> along = B(c * (kappa - lag));
         to.put3(LAG_BEND, p, lag + a * (kappa - lag));
         out.put3(M_XX, p, B.xx * bend.xx + B.both * bend.yy + along.x * bend.n);
         out.put3(M_YY, p, B.yy * bend.yy + B.both * bend.xx + along.y * bend.n);
@@ -188,17 +188,17 @@ CUDA_CALLABLE inline real shell_forces(const Body& body, int w, const wp::array_
 
 // Mean of how much edges along rows, or along columns, are stretched or compressed, the larger one;
 // every thread finds it.
-template <typename Body, typename real>
-CUDA_CALLABLE inline real shell_stretch(const Body& body, const wp::array_t<real>& state, int row) {
-    const rows_of<real> s(state, row), shape(body.rest, 0);
+template <typename Model, typename real>
+CUDA_CALLABLE inline real shell_stretch(const Model& model, const wp::array_t<real>& state, int row) {
+    const rows_of<real> s(state, row), shape(model.rest, 0);
     real sum[2] = {real(0), real(0)}, count[2] = {real(0), real(0)};
-    for (int p = body.first; p < body.end; ++p) {
+    for (int p = model.first; p < model.end; ++p) {
         for (int k = 0; k < 2; ++k) {
             const real exists = shape.template get<real>(k == 0 ? NEXT : BELOW, p);
             if (exists == real(0)) continue;
-            const vec<real> d = s.template get3<real>(SHELL_X, p + (k == 0 ? 1 : body.pitch)) -
+            const vec<real> d = s.template get3<real>(SHELL_X, p + (k == 0 ? 1 : model.pitch)) -
                                 s.template get3<real>(SHELL_X, p);
-            const real stretch = wp::sqrt(dot(d, d)) * (k == 0 ? body.per_x : body.per_y) - real(1);
+            const real stretch = wp::sqrt(dot(d, d)) * (k == 0 ? model.per_x : model.per_y) - real(1);
             sum[k] += stretch < real(0) ? -stretch : stretch;
             count[k] += real(1);
         }
@@ -222,23 +222,23 @@ CUDA_CALLABLE inline vec<T> shell_pull(const Rows& in, const Rows& shape, int p,
     return pull - bent;
 }
 
-template <typename Body, typename real>
-CUDA_CALLABLE inline void shell_move(const Body& body, int w, const wp::array_t<real>& state, int row,
+template <typename Model, typename real>
+CUDA_CALLABLE inline void shell_move(const Model& model, int w, const wp::array_t<real>& state, int row,
                                      int next, real dt, real kick) {
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), to(state, next), shape(body.rest, 0), m(body.inertia, w),
-        in(body.scratch, w);
-    const T h = T(dt), keep = T(wp::exp(-kick * wp::index(body.velocity_damping, w)));
-    const vec<T> g = gravity_of<T>(body, w);
-    const ground<T> around(body, w, dt);
-    for (EACH_IN(p, body.first, body.end)) {
+    const rows_of<real> s(state, row), to(state, next), shape(model.rest, 0), m(model.inertia, w),
+        in(model.scratch, w);
+    const T h = T(dt), keep = T(wp::exp(-kick * wp::index(model.velocity_damping, w)));
+    const vec<T> g = gravity_of<T>(model, w);
+    const ground<T> around(model, w, dt);
+    for (EACH_IN(p, model.first, model.end)) {
         const vec<T> x = s.template get3<T>(SHELL_X, p), v0 = s.template get3<T>(SHELL_V, p);
         const vec<T> normal = in.template get3<T>(NORMAL, p);
         const T vn = dot(v0, normal);
-        const vec<T> f = shell_pull<T>(in, shape, p, body.pitch) -
+        const vec<T> f = shell_pull<T>(in, shape, p, model.pitch) -
                          m.template get<T>(POINT_DRAG, p) * root(vn * vn) * vn * normal;
         const vec<T> free = keep * (v0 + T(kick) * (m.template get<T>(POINT_PER_MASS, p) * f + g));
-        const vec<T> v = around.stopped(body, w, p, x, free);
+        const vec<T> v = around.stopped(x, free);
         to.put3(SHELL_V, p, v);
         to.put3(SHELL_X, p, x + h * v);
     }

@@ -6,26 +6,26 @@ namespace gendom {
 enum { SHELL_X_BAR = 0, SHELL_V_BAR = 3, LAG_ROW_BAR = 6, LAG_COLUMN_BAR = 8, LAG_SHEAR_BAR = 10, LAG_BEND_BAR = 11 };
 enum {
     C11_BAR = 0, C22_BAR = 1, C12_BAR = 2, G12_BAR = 3, BXX_BAR = 4, BYY_BAR = 5, BXY_BAR = 6,
-    TWIST_BAR = 7, REST_BEND_BAR = 8, POINT_PER_MASS_BAR = 12, POINT_DRAG_BAR = 13, SHELL_GRAVITY_BAR = 15, SHELL_DAMPING_BAR = 18, SHELL_FRICTION_BAR = 19,
+    TWIST_BAR = 7, POINT_PER_MASS_BAR = 12, POINT_DRAG_BAR = 13, SHELL_GRAVITY_BAR = 15, SHELL_DAMPING_BAR = 18, SHELL_FRICTION_BAR = 19,
     SHELL_VELOCITY_DAMPING_BAR = 20, SHELL_RADIUS_BAR = 22
 };
 enum { F_BAR = 0, N_BAR = 3, U_BAR = 6, V_EDGE_BAR = 12, XX_BAR = 18, YY_BAR = 21, XY_BAR = 24, TX_BAR = 27, TY_BAR = 30 };
 
-template <typename Body, typename Bars, typename real>
-CUDA_CALLABLE inline void shell_move_adjoint(const Body& body, const Bars& bars, int w,
+template <typename Model, typename Adjoint, typename real>
+CUDA_CALLABLE inline void shell_move_adjoint(const Model& model, const Adjoint& adjoint, int w,
                                              const wp::array_t<real>& state, int row, real dt,
                                              real kick) {
     typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), shape(body.rest, 0), m(body.inertia, w), in(body.scratch, w),
-        b(bars.state, w), by(bars.model, w), out(bars.scratch, w);
-    const T h = T(dt), by_kick = T(kick), keep = T(wp::exp(-kick * wp::index(body.velocity_damping, w)));
-    const vec<T> g = gravity_of<T>(body, w);
-    const ground<T> around(body, w, dt);
-    for (EACH_IN(p, body.first, body.end)) {
+    const rows_of<real> s(state, row), shape(model.rest, 0), m(model.inertia, w), in(model.scratch, w),
+        b(adjoint.state, w), by(adjoint.model, w), out(adjoint.scratch, w);
+    const T h = T(dt), by_kick = T(kick), keep = T(wp::exp(-kick * wp::index(model.velocity_damping, w)));
+    const vec<T> g = gravity_of<T>(model, w);
+    const ground<T> around(model, w, dt);
+    for (EACH_IN(p, model.first, model.end)) {
         const vec<T> x = s.template get3<T>(SHELL_X, p), v0 = s.template get3<T>(SHELL_V, p);
         const vec<T> normal = in.template get3<T>(NORMAL, p);
         const T vn = dot(v0, normal), size = root(vn * vn), drag = m.template get<T>(POINT_DRAG, p);
-        const vec<T> f = shell_pull<T>(in, shape, p, body.pitch) - drag * size * vn * normal;
+        const vec<T> f = shell_pull<T>(in, shape, p, model.pitch) - drag * size * vn * normal;
         const T per_mass = m.template get<T>(POINT_PER_MASS, p);
         const vec<T> v1 = keep * (v0 + by_kick * (per_mass * f + g));
         vec<T> x_bar = b.template get3<T>(SHELL_X_BAR, p);
@@ -48,22 +48,22 @@ CUDA_CALLABLE inline void shell_move_adjoint(const Body& body, const Bars& bars,
 }
 
 // Every cell and point for itself.
-template <typename Body, typename Bars, typename real>
-CUDA_CALLABLE inline void shell_forces_adjoint(const Body& body, const Bars& bars, int w,
+template <typename Model, typename Adjoint, typename real>
+CUDA_CALLABLE inline void shell_forces_adjoint(const Model& model, const Adjoint& adjoint, int w,
                                                const wp::array_t<real>& state, int row, real dt) {
     typedef typename several<real>::lanes T;
-    const int pitch = body.pitch;
-    const rows_of<real> s(state, row), shape(body.rest, 0), k(body.stiffness, w), m(body.inertia, w),
-        b(bars.state, w), by(bars.model, w), at(bars.scratch, w);
-    const viscosity<real> visc(wp::index(body.damping, w), dt);
+    const int pitch = model.pitch;
+    const rows_of<real> s(state, row), shape(model.rest, 0), k(model.stiffness, w), m(model.inertia, w),
+        b(adjoint.state, w), by(adjoint.model, w), at(adjoint.scratch, w);
+    const viscosity<real> visc(wp::index(model.damping, w), dt);
     const T c = T(visc.share), a = T(visc.follows), whole = T(real(1)) + c, left = T(real(1)) - a;
-    for (EACH_IN(p, body.first, body.end)) {
+    for (EACH_IN(p, model.first, model.end)) {
         const auto pulled = [&](int q) { return at.template get3<T>(F_BAR, q); };
         const vec<T> fa = pulled(p), fb = pulled(p + 1), fc = pulled(p + pitch), fd = pulled(p + pitch + 1);
         T damping_bar = T(real(0));
 
         // the forces by_u, by_v pull the first ends of edges along, and second ends back
-        const shell_cell<T> cell(s, p, pitch, body.per_x, body.per_y);
+        const shell_cell<T> cell(s, p, pitch, model.per_x, model.per_y);
         const vec<T> u_bar[2] = {fa - fb, fc - fd}, v_bar[2] = {fa - fc, fb - fd};
         T row_e[2], column_e[2], row_late[2], column_late[2];
         for (int e = 0; e < 2; ++e) {
@@ -128,14 +128,13 @@ CUDA_CALLABLE inline void shell_forces_adjoint(const Body& body, const Bars& bar
         const vec<T> mxx_bar = two_f - pulled(p - 1) - fb, myy_bar = two_f - pulled(p - pitch) - fc;
         const vec<T> mxy_bar = fb + fc - fa - fd;
         const vec<T> kappa = bend.curvatures(), late = kappa - s.template get3<T>(LAG_BEND, p);
-        const vec<T> rest = shape.template get3<T>(REST_BEND, p), lagging = c * late - rest;
+        const vec<T> lagging = c * late;
         const vec<T> along = B(lagging);
         const vec<T> along_bar = {dot(mxx_bar, bend.n), dot(myy_bar, bend.n), dot(mxy_bar, bend.n)};
         const vec<T> lagging_bar = B(along_bar), lag_bar = b.template get3<T>(LAG_BEND_BAR, p);
         const vec<T> late_bar = c * lagging_bar + a * lag_bar;
         b.put3(LAG_BEND_BAR, p, lag_bar - late_bar);
         damping_bar += T(visc.share_slope) * dot(lagging_bar, late) + T(visc.follows_slope) * dot(lag_bar, late);
-        by.add3(REST_BEND_BAR, p, -lagging_bar);
         vec<T> n_bar = at.template get3<T>(N_BAR, p) + along.x * mxx_bar + along.y * myy_bar +
                        along.z * mxy_bar + late_bar.x * bend.xx + late_bar.y * bend.yy +
                        late_bar.z * bend.xy;
@@ -157,13 +156,13 @@ CUDA_CALLABLE inline void shell_forces_adjoint(const Body& body, const Bars& bar
 }
 
 // Points gather what edges, differences and tangents have for them.
-template <typename Body, typename Bars>
-CUDA_CALLABLE inline void shell_gather_adjoint(const Body& body, const Bars& bars, int w) {
-    typedef decltype(Body::radius) real;
+template <typename Model, typename Adjoint>
+CUDA_CALLABLE inline void shell_gather_adjoint(const Model& model, const Adjoint& adjoint, int w) {
+    typedef decltype(Model::radius) real;
     typedef typename several<real>::lanes T;
-    const rows_of<real> b(bars.state, w), at(bars.scratch, w), shape(body.rest, 0);
-    const int pitch = body.pitch;
-    for (EACH_IN(p, body.first, body.end)) {
+    const rows_of<real> b(adjoint.state, w), at(adjoint.scratch, w), shape(model.rest, 0);
+    const int pitch = model.pitch;
+    for (EACH_IN(p, model.first, model.end)) {
         const int last = p - 1, next = p + 1, above = p - pitch, below = p + pitch, corner = above - 1;
         const auto of = [&](int c, int q) { return at.template get3<T>(c, q); };
         const auto has = [&](int c, int q) { return shape.template get<T>(c, q); };

@@ -1,40 +1,51 @@
-"""A set of demonstrations for the viewer: each one's object, action and goal, simulated again."""
+"""Recordings and demonstrations for the viewer: shown, and simulated with any parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from gendom.cli.pictures import goal_mark
-from gendom.cli.view_layers import arm_layer, gripper_layer, object_layer
-from gendom.datasets.demonstrations import GOAL, load, read_description
+from gendom.datasets import Recording
 from gendom.errors import DatasetError, RobotError, SimulationError
+from gendom.estimation import UNKNOWNS, Scene, Theta, chamfers, replay
+from gendom.estimation.replay import lattice, middle
 from gendom.materials import PARAMETERS, Item, from_columns, size_of, thickness_of, to_columns
-from gendom.robot import XARM7, JointMotion, TcpPath, follow
+from gendom.robot import ARMS, DOWN, XARM7, JointMotion, TcpPath, follow, inverse_kinematics
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
-from gendom.viz.report.quantities import quantity_text
-from gendom.viz.viewer import (
+from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
+from gendom.viz.report.summary import length_text, quantity_text
+from gendom.viz.sources import goal_mark
+from gendom.viz.viewer.layers import (
     ACTION,
     MATERIAL,
+    SETUP,
     Layer,
     MeshLayer,
     Parameter,
+    PointLayer,
     ViewerScene,
+    arm_layer,
     capsules,
+    gripper_layer,
+    object_layer,
 )
 
+CHAMFER = "Chamfer distance [mm]"
+
 FRAMES = 160
-"""That are shown of a motion, at most."""
+"""Most frames shown of a demonstration."""
 
 GOAL_COLOR = "#009E73"
 
 _RANGES = {"nu": (0.05, 0.45), "friction": (0.0, 1.5)}
-"""Of parameters that a task does not draw, where differences count."""
+"""Ranges of parameters that a task does not draw, where differences count."""
 
 _FACTOR = 3.0
 """How far from its value such a parameter goes, where ratios count."""
@@ -42,7 +53,150 @@ _FACTOR = 3.0
 _LATE = 1.02
 """How many times longer than asked for the arm may take and still be shown."""
 
-_Array = NDArray[np.float64]
+_Array = NDArray[np.floating]
+
+
+class RecordingModel:
+    """A recording that is replayed with the parameters of sliders.
+
+    Args:
+        scene: What was recorded, with all frames that are shown.
+        theta: Parameters at first.
+        title: One line.
+    """
+
+    cases = ("recording", 1)
+
+    def __init__(self, scene: Scene, theta: Theta, title: str):
+        self.scene, self.theta, self.title = scene, theta, title
+        notes = list(scene.notes)
+        if scene.kind == "cloth" or not scene.thin:
+            notes.insert(0, "This takes longer to simulate than a rope as a rod.")
+        self._arm = arm_of(scene)
+        if self._arm is not None:
+            notes.append("The arm is drawn with its fingers pointing down.")
+        self.notes = tuple(notes)
+        self.initial = self._shown(())
+        self._parameters = _parameters(scene, theta)
+
+    @classmethod
+    def of(cls, recording: Recording, title: str) -> RecordingModel:
+        """With the middle of the priors of an unknown object's parameters.
+
+        Raises:
+            RecordingError: The recording shows too little to place the object.
+        """
+        scene = Scene.of(recording)
+        theta = scene.prior()[1].with_values(scene.guesses[len(scene.guesses) // 2])
+        every = tuple(np.flatnonzero(recording.frame_valid).tolist())
+        return cls(replace(scene, recording=recording, frames=every), theta, title)
+
+    def parameters(self, case: int) -> tuple[Parameter, ...]:
+        """The object's parameters, and those of how it is held."""
+        return self._parameters
+
+    def simulate(
+        self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
+    ) -> Iterator[ViewerScene]:
+        """The simulated object, then with its distance from the clouds."""
+        scene, theta = self.scene, self.theta.with_values(values)
+        x = replay(scene, [theta], on_frame=lambda _: go_on())[:, 0]
+        columns, rows = lattice(scene)
+        counts = None if scene.kind == "rope" else (len(rows), len(columns))
+        body, points = scene.body_of(theta), middle(scene, x)
+        simulated = object_layer("simulated", body, points, counts, SIMULATED_OPACITY)
+        facts = _facts(scene, theta)
+        yield self._shown((simulated,), facts=facts)
+        distance = 1e3 * chamfers(scene, x, theta)[0]
+        yield self._shown((simulated,), facts=facts, curves={CHAMFER: distance})
+
+    def _shown(self, layers: tuple[Layer, ...], **other: Any) -> ViewerScene:
+        scene, frames = self.scene, list(self.scene.frames)
+        recording = self.scene.recording
+        counts = np.diff(recording.offsets)[frames]
+        # small, or a dense cloud would hide the object
+        dot = scene.size * (0.006 if np.median(counts) < 400 else 0.003)
+        points = recording.frames(frames)
+        recorded = PointLayer(name="recorded", color=RECORDED_COLOR, points=points, radius=dot)
+        axis = None if recording.gripper_axis is None else recording.gripper_axis[frames]
+        return ViewerScene(
+            times=recording.time[frames],
+            layers=(
+                recorded,
+                *layers,
+                gripper_layer(recording.gripper_position[frames], scene.size, axis),
+                *([] if self._arm is None else [self._arm]),
+            ),
+            table_height=recording.table_height,
+            **other,
+        )
+
+
+def arm_of(scene: Scene) -> MeshLayer | None:
+    """The arm that a recording names, its fingers pointing down where the gripper was.
+
+    Recordings have the place of the gripper, not how it is turned.
+
+    Args:
+        scene: What was recorded.
+
+    Returns:
+        None where the recording names no known arm, has several grippers, or the arm cannot reach.
+    """
+    recording = scene.recording
+    arm = ARMS.get(str(recording.extra.get("robot")))
+    if arm is None or recording.num_grippers != 1:
+        return None
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(DOWN).as_matrix()
+    q: list[_Array] = []
+    try:
+        for position in recording.gripper_position[list(scene.frames), 0]:
+            T[:3, 3] = position
+            near = q[-1] if q else None
+            q.append(inverse_kinematics(arm, T, near=near, starts=2 if q else 24))
+    except RobotError:
+        return None
+    return arm_layer(arm, np.array(q), scene.body.thickness)
+
+
+def _parameters(scene: Scene, theta: Theta) -> tuple[Parameter, ...]:
+    """All unknowns that change what is simulated, within the ranges that are searched."""
+    searched = scene.prior()[0].names
+    names = [
+        u.name
+        for u in UNKNOWNS.values()
+        if scene.kind in u.kinds and (u.material or u.name in searched)
+    ]
+    if scene.recording.table_height is None:
+        names.remove("friction")
+    prior = scene.prior(tuple(names))[0]
+    made = []
+    for u, low, high in zip(prior.unknowns, prior.low, prior.high, strict=True):
+        value = getattr(theta, u.name)
+        made.append(
+            Parameter(
+                name=u.name,
+                label=u.symbol,
+                unit=u.unit,
+                meaning=u.meaning,
+                group=MATERIAL if u.material else SETUP,
+                low=min(u.value(low), value),
+                high=max(u.value(high), value),
+                value=value,
+                log=u.log,
+            )
+        )
+    return tuple(made)
+
+
+def _facts(scene: Scene, theta: Theta) -> tuple[tuple[str, str], ...]:
+    modulus = theta.specific_modulus
+    bending = scene.bending_length(modulus, theta.thickness)
+    facts = [("bending length", length_text(bending))]
+    if scene.recording.object.mass is not None:
+        facts.insert(0, ("E", quantity_text("youngs_modulus", modulus * scene.density_of(theta))))
+    return tuple(facts)
 
 
 class DatasetModel:
@@ -59,6 +213,8 @@ class DatasetModel:
     initial = None
 
     def __init__(self, folder: Path):
+        from gendom.datasets.demonstrations import load, read_description
+
         about = read_description(folder)
         made = dict(about["simulation"])
         if made.pop("world", None) is not None:
@@ -121,8 +277,8 @@ class DatasetModel:
     ) -> Iterator[ViewerScene]:
         """The object under that action, then with the arm that would do it."""
         task, item = self.task, self._item(case, values)
-        wanted = np.array([values[q.name] for q in task.actions])
-        action = task.nearest(item, wanted)
+        asked = np.array([values[q.name] for q in task.actions])
+        action = task.nearest(item, asked)
         (outcome,) = self._world.carry_out(
             task, [item], [action], keep=True, on_frame=lambda _: go_on()
         )
@@ -133,7 +289,7 @@ class DatasetModel:
             )
         seen = _thinned(outcome.seen)
         facts = self._facts(case, item, outcome.values)
-        if not np.allclose(action, wanted):
+        if not np.allclose(action, asked):
             numbers = ", ".join(f"{a:.4g}" for a in action)
             facts.append(("action", f"{numbers}: the nearest that is allowed"))
         layers = self._layers(case, item, seen)
@@ -162,8 +318,10 @@ class DatasetModel:
         names = to_columns(self.task.item)
         return from_columns(self.task.kind, {name: float(columns[name]) for name in names})
 
-    def _goal(self, case: int) -> _Array | None:
+    def _goal(self, case: int) -> NDArray[np.float64] | None:
         """[G] what that demonstration reached; None: it failed, or there are no goals."""
+        from gendom.datasets.demonstrations import GOAL
+
         values = [self._rows[case].get(GOAL + q.name) for q in self.task.goals]
         return None if not values or None in values else np.array(values, dtype=float)
 

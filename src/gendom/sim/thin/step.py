@@ -1,0 +1,301 @@
+"""A step of rods and shells, its transpose, and the kernels that take many.
+
+The integrator is leapfrog (Stoermer-Verlet): forces at the start of a step advance velocities from
+the middle of the previous step to the middle of this one, and velocities advance positions and
+directions to its end. Contact with the table changes velocities so that no point ends beyond it,
+with Coulomb friction (Moreau 1988). Held points are moved with their gripper. Each world uses one
+block of threads on CUDA, and one thread with SIMD lanes on the CPU.
+"""
+
+# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
+# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportReturnType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from gendom.sim.paths import make_path_type, make_paths
+from gendom.sim.thin.contact import LISTED, make_contact
+from gendom.sim.thin.native import MODULE_OPTIONS, make_native
+from gendom.sim.thin.types import make_types
+
+CHECKED = 256
+"""Steps between two checks of a body's mean stretch."""
+
+
+@functools.cache
+def make_steps(real: Any, kind: str) -> SimpleNamespace:
+    """Build ``step`` and its transpose for one scalar type and one kind of body, ``rod`` or
+    ``shell``."""
+    types, native, contact = make_types(real), make_native(real, kind), make_contact(real, kind)
+    grips = _make_holding(real, kind)
+    ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
+    Paths, rows = make_path_type(real), wp.array3d(dtype=real)
+
+    @wp.func
+    def step(
+        model: ThinModel, paths: Paths, w: int, state: rows, row: int, next: int,
+        began: wp.float64, t: wp.float64, dt: real, kick: real,
+    ) -> real:  # fmt: skip
+        """Take a step of dt from one row of the state to the next; it ends at time t.
+
+        Args:
+            began: When the piece of the schedule began, for the grippers that are closed [s].
+            kick: Time from the middle of the previous step to the middle of this one [s].
+
+        Returns:
+            The largest squared stretch of an edge, NaN if any is.
+        """
+        stretch = native.forces(model, w, state, row, next, dt)
+        native.block_sync()
+        native.move(model, w, state, row, next, dt, kick)
+        native.block_sync()
+        grips.hold_all(model, w, began, t, paths, state, next)
+        if model.contact == 1:
+            contact.resolve(model, w, state, next, dt)
+        return stretch
+
+    @wp.func
+    def step_adjoint(
+        model: ThinModel, adjoint: ModelAdjoint, paths: Paths, turns_kept: rows, w: int, at: int,
+        thread: int, state: rows, row: int, next: int, began: wp.float64, t: wp.float64, dt: real,
+        kick: real,
+    ):  # fmt: skip
+        """Transpose of ``step``, which is repeated: the next row is rewritten."""
+        native.forces(model, w, state, row, next, dt)
+        native.block_sync()
+        if model.contact == 1:
+            # the next row as contacts found it; steps from there have been transposed
+            native.move(model, w, state, row, next, dt, kick)
+            native.block_sync()
+            grips.hold_all(model, w, began, t, paths, state, next)
+            contact.resolve_adjoint(model, adjoint, turns_kept, w, at, state, next, dt)
+        grips.hold_all_adjoint(model, adjoint, w, thread, began, t, paths)
+        native.move_adjoint(model, adjoint, w, state, row, dt, kick)
+        native.block_sync()
+        native.forces_adjoint(model, adjoint, w, state, row, dt)
+        native.block_sync()
+        native.gather_adjoint(model, adjoint, w)
+        native.block_sync()
+
+    return SimpleNamespace(step=step, step_adjoint=step_adjoint)
+
+
+@functools.cache
+def _make_holding(real: Any, kind: str) -> SimpleNamespace:
+    """Build what moves held points with their grippers, and its transpose."""
+    types, native, paths_of = make_types(real), make_native(real, kind), make_paths(real)
+    ThinModel, ModelAdjoint, quat = types.ThinModel, types.ModelAdjoint, types.quat
+    vec3, Paths = types.vec3, make_path_type(real)
+
+    @wp.func
+    def narrow(q: wp.quatd):
+        return quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))
+
+    @wp.func
+    def wide(a: vec3):
+        return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
+
+    @wp.func
+    def hold_all(
+        model: ThinModel, w: int, began: wp.float64, t: wp.float64, paths: Paths,
+        state: wp.array3d(dtype=real), row: int,
+    ):  # fmt: skip
+        """Move held points to the poses at time t of the grippers that were closed at ``began``."""
+        for g in range(model.holds.shape[1]):
+            if paths_of.is_closed(w, g, began, paths):
+                centre, q, _knot = paths_of.placed(w, g, t, paths)
+                native.hold(model, w, g, paths_of.narrow(centre), narrow(q), state, row)
+                native.block_sync()
+
+    @wp.func
+    def hold_all_adjoint(
+        model: ThinModel, adjoint: ModelAdjoint, w: int, thread: int, began: wp.float64,
+        t: wp.float64, paths: Paths,
+    ):  # fmt: skip
+        """Transpose of ``hold_all``."""
+        for before in range(model.holds.shape[1]):
+            g = model.holds.shape[1] - 1 - before
+            if thread == 0 and paths_of.is_closed(w, g, began, paths):
+                _centre, q, _knot = paths_of.placed(w, g, t, paths)
+                native.hold_adjoint(model, adjoint, w, g, narrow(q))
+                paths_of.pose_adjoint(
+                    w, g, t, wide(adjoint.centre[w, g]), wide(adjoint.turn[w, g]), paths,
+                    adjoint.position, adjoint.path_turn,
+                )  # fmt: skip
+        native.block_sync()
+
+    return SimpleNamespace(hold_all=hold_all, hold_all_adjoint=hold_all_adjoint)
+
+
+@functools.cache
+def make_kernels(real: Any, kind: str) -> SimpleNamespace:
+    """Build the kernels for one scalar type and one kind of body.
+
+    Returns:
+        Namespace with ``begin`` (lagged strains from the first state), ``advance`` (pieces of equal
+        steps) and their transposes ``begin_adjoint`` and ``reverse``.
+    """
+    types, native, contact = make_types(real), make_native(real, kind), make_contact(real, kind)
+    steps = make_steps(real, kind)
+    ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
+    FramePlan, vec3, Paths = types.FramePlan, types.vec3, make_path_type(real)
+    rows = wp.array3d(dtype=real)
+
+    @wp.func
+    def kick_of(plan: FramePlan, w: int, p: int, k: int):
+        """Time from the middle of the previous step to the middle of step k of a piece [s]."""
+        kick = plan.dt[w, p]
+        if k == 0:
+            kick = wp.float64(0.5) * (plan.before[w, p] + kick)
+        return real(kick)
+
+    @wp.func
+    def end_of(plan: FramePlan, w: int, p: int, k: int):
+        """When step k of a piece ends [s]."""
+        return plan.begins[w, p] + wp.float64(plan.done[w, p] + k + 1) * plan.dt[w, p]
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def begin(first: int, threads: int, model: ThinModel, state: rows):
+        w = first + wp.tid() // threads
+        native.forces(model, w, state, w, w, real(1.0e30))
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def begin_adjoint(
+        first: int, threads: int, model: ThinModel, state: rows, offset: int, adjoint: ModelAdjoint
+    ):
+        """Transpose of ``begin``; the scratch of the derivatives is 0."""
+        w = first + wp.tid() // threads
+        native.forces_adjoint(model, adjoint, w, state, w - offset, real(1.0e30))
+        native.block_sync()
+        native.gather_adjoint(model, adjoint, w)
+
+    @wp.func
+    def keep(
+        model: ThinModel, w: int, thread: int, threads: int, state: rows, row: int, kept: rows,
+        to: int,
+    ):  # fmt: skip
+        """Keep a state, and what its list of pairs was made from if there is room for that."""
+        for c in range(state.shape[1]):
+            for i in range(thread, state.shape[2], threads):
+                kept[to, c, i] = state[row, c, i]
+        if kept.shape[1] > state.shape[1]:
+            native.keep_list(model, w, kept, to, state.shape[1])
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def advance(
+        first: int,  # world
+        threads: int,  # of a world
+        model: ThinModel,
+        paths: Paths,
+        plan: FramePlan,
+        piece: wp.array2d(dtype=wp.int32),  # [W, 2] first piece, and the one after the last
+        # step k of the call goes from row w + k stride - offset to the next; stride 0: in place
+        offset: int,
+        stride: int,
+        state: rows,
+        # [W + pieces * every] states at the start of pieces; with LISTED more components they, and
+        # the states of a stride, tell what the list of pairs was made from
+        kept: rows,
+        every: int,  # -1: none are kept
+        limit: real,  # of the squared stretch of an edge
+        mean_limit: real,  # of the mean stretch, every CHECKED steps and where pieces end
+        stopped: wp.array(dtype=wp.int32),  # [W] the piece in which a world exceeded a limit, or -1
+        stopped_at: wp.array(dtype=wp.float64),  # [W] when [s]
+        frames: wp.array3d(dtype=vec3),  # [T, W, K]
+        points: wp.array(dtype=wp.int32),  # [K] recorded
+    ):
+        w = first + wp.tid() // threads
+        thread = wp.tid() % threads
+        row = w - offset
+        for p in range(piece[w, 0], piece[w, 1]):
+            if stopped[w] < 0:
+                if every >= 0:
+                    keep(model, w, thread, threads, state, row, kept, w + p * every)
+                if model.contact * stride > 0:
+                    contact.rebuild_lists(model, w, state, row, state.shape[1] - LISTED, real(0.0))
+                began = plan.begins[w, p]
+                h = real(plan.dt[w, p])
+                t = end_of(plan, w, p, -1)
+                bad = int(0)
+                for k in range(plan.steps[w, p]):
+                    t = end_of(plan, w, p, k)
+                    kick = kick_of(plan, w, p, k)
+                    next = row + stride
+                    if not steps.step(
+                        model, paths, w, state, row, next, began, t, h, kick
+                    ) <= limit:  # fmt: skip
+                        bad = 1
+                    row = next
+                    if model.contact * stride > 0:
+                        native.keep_list(model, w, state, row, state.shape[1] - LISTED)
+                    if (k + 1) % CHECKED == 0:
+                        if not native.mean_stretch(model, state, row) <= mean_limit:
+                            bad = 1
+                        if native.block_any(bad) != 0:
+                            break
+                    if t > model.overstretched_from[w]:
+                        bad = 1
+                        break
+                if not native.mean_stretch(model, state, row) <= mean_limit:
+                    bad = 1
+                if model.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
+                    if model.near_count[w, 0] + model.near_count[w, 1] > model.near.shape[1]:
+                        bad = 1
+                if native.block_any(bad) != 0:
+                    stopped[w] = p
+                    stopped_at[w] = t
+                else:
+                    f = plan.frame[w, p]
+                    if f >= 0:
+                        for k in range(thread, points.shape[0], threads):
+                            i = model.slot[points[k]]
+                            frames[f, w, k] = vec3(
+                                state[row, 0, i], state[row, 1, i], state[row, 2, i]
+                            )
+                native.block_sync()
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def reverse(
+        first: int,
+        threads: int,
+        model: ThinModel,
+        paths: Paths,
+        plan: FramePlan,
+        s: wp.array(dtype=wp.int32),  # [W] the piece, recorded in rows as by ``advance``; -1: none
+        offset: int,
+        stride: int,
+        state: rows,
+        frames_bar: wp.array3d(dtype=vec3),  # [T, W, n]
+        adjoint: ModelAdjoint,
+        turns_kept: rows,  # [., 6 turns, P] points before each of a step's turns
+    ):
+        w = first + wp.tid() // threads
+        thread = wp.tid() % threads
+        p = s[w]
+        if p < 0:
+            return
+        f = plan.frame[w, p]
+        if f >= 0:
+            for k in range(thread, model.points, threads):
+                i = model.slot[k]
+                for c in range(3):
+                    adjoint.state[w, c, i] = adjoint.state[w, c, i] + frames_bar[f, w, k][c]
+        native.block_sync()
+        count = plan.steps[w, p]
+        for back in range(count):
+            k = count - 1 - back
+            row = w - offset + k * stride
+            steps.step_adjoint(
+                model, adjoint, paths, turns_kept, w, w - offset, thread, state, row, row + stride,
+                plan.begins[w, p], end_of(plan, w, p, k), real(plan.dt[w, p]),
+                kick_of(plan, w, p, k),
+            )  # fmt: skip
+
+    return SimpleNamespace(
+        begin=begin, begin_adjoint=begin_adjoint, advance=advance, reverse=reverse
+    )

@@ -1,0 +1,313 @@
+"""The sections of the estimate: whether it can be used, its parameters with what the lift says of
+them, and every unknown's density before and after the lift."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from statistics import NormalDist
+from typing import Any
+
+from gendom.viz.charts import BeliefCurve, belief_chart
+from gendom.viz.report.markup import (
+    DASH,
+    Section,
+    cell,
+    chart_figure,
+    escaped,
+    folded,
+    number,
+    table,
+)
+from gendom.viz.report.summary import (
+    RATIOS,
+    EstimateSummary,
+    difference_text,
+    interval_text,
+    pascal_unit,
+    quantity_text,
+    with_minus,
+)
+
+# Key of an estimate, its name, and what to say about it.
+_ROWS = (
+    ("youngs_modulus", "Young's modulus <i>E</i>"),
+    ("poissons_ratio", "Poisson's ratio <i>ν</i>"),
+    ("friction", "Friction on the table <i>μ</i>"),
+    ("damping", "Damping"),
+    ("stiffness_slope", "d ln <i>E</i> / d(<i>s</i> / <i>L</i>)"),
+    ("thickness", "Diameter or thickness"),
+    ("density", "Density <i>ρ</i>"),
+    ("specific_modulus", "Specific modulus <i>E</i> / <i>ρ</i>"),
+    ("bending_length", "Bending length"),
+)
+
+_NAMES = {
+    "youngs_modulus": "Young's modulus",
+    "poissons_ratio": "Poisson's ratio",
+    "damping": "damping",
+    "friction": "friction",
+    "stiffness_slope": "the change of stiffness along the rope",
+    "thickness": "the thickness",
+}
+
+# Name in a posterior -> key of its truth, and what people call it. Others are of the recording.
+_MATERIAL = {
+    "specific_modulus": ("youngs_modulus", "Young's modulus"),
+    "nu": ("poissons_ratio", "Poisson's ratio"),
+    "damping": ("damping", "Damping"),
+    "friction": ("friction", "Friction on the table"),
+    "stiffness_slope": ("stiffness_slope", "d ln E / d(s / L)"),
+    "thickness": ("", "Thickness over the stated one"),
+}
+
+_RECORDING = {
+    "delay": "Delay of the clouds",
+    "grip_height": "Grip height, correction",
+    "grip_along": "Grip along the object, correction",
+    "grip_aside": "Grip beside the diagonal, correction",
+    "grip_tilt": "Tilt of the held corner",
+    "grip_reach": "Reach of the grip, correction",
+    "yaw": "Turn of the lying cloth, correction",
+}
+
+_SHOWN_UNITS = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (180.0 / math.pi, "°"), "1": (1.0, "")}
+
+
+def verdict_banner(summary: EstimateSummary) -> str:
+    """HTML; empty where the estimate's file has no verdict."""
+    if summary.usable is None:
+        return ""
+    if not summary.usable:
+        return refusal_banner(
+            summary.reasons, "What follows is the best fit, not an estimate of the object."
+        )
+    names = {True: [], False: []}
+    for key, name in _NAMES.items():
+        known = summary.determined(key)
+        if known is not None and summary.value(key) is not None:
+            names[known].append(name)
+    text = "The recording and the fit pass every check."
+    if names[True]:
+        text += f" The lift determines {_listed(names[True])}."
+    if names[False]:
+        text += f" It does not determine {_listed(names[False])}: there the interval is mostly the "
+        text += "prior."
+    return f'<div class="verdict good"><p><strong>Usable.</strong> {escaped(text)}</p></div>'
+
+
+def refusal_banner(reasons: Sequence[str], text: str = "") -> str:
+    """What is wrong with a recording or its fit; plain text."""
+    items = "".join(f"<li>{escaped(reason)}</li>" for reason in reasons)
+    return (
+        f'<div class="verdict bad"><p><strong>Not usable.</strong> {escaped(text)}</p>'
+        f"<ul>{items}</ul></div>"
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def parameters_section(summary: EstimateSummary) -> Section:
+    """A row for each quantity, and how to read the bars if there are any."""
+    knows_truth = any(summary.true(key) is not None for key, _ in _ROWS)
+    has_interval = any(summary.interval(key) is not None for key, _ in _ROWS)
+    rows, bars = [], False
+    for key, name in _ROWS:
+        value = summary.value(key)
+        if value is None:
+            continue
+        interval, true = summary.interval(key), summary.true(key)
+        cells = [cell(name, "name"), number(quantity_text(key, value), "estimate")]
+        if has_interval:
+            shown = escaped(interval_text(key, interval)) if interval else DASH
+            bar = _bar(key, value, interval, true, summary.searched(key))
+            bars = bars or bool(bar)
+            label = f"{summary.level_text} interval"
+            kind = "interval" if interval else "interval none"
+            cells.append(cell(f"<span>{shown}{bar}</span>", kind, label=label))
+        if knows_truth:
+            shown = DASH if true is None else quantity_text(key, true)
+            cells.append(number(shown, "true value"))
+            shown = DASH if true is None else difference_text(key, value, true)
+            cells.append(number(shown, "off by"))
+        cells.append(cell(escaped(_remark(key, summary)), "remark"))
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    head = ["<th>Quantity</th>", '<th class="number">Estimate</th>']
+    if has_interval:
+        head.append(f'<th class="interval">{escaped(summary.level_text)} interval</th>')
+    if knows_truth:
+        head += ['<th class="number">True value</th>', '<th class="number">Off by</th>']
+    head.append("<th>What the lift says</th>")
+    text = table(head, rows)
+    if bars:
+        text += (
+            '\n<p class="soft">Bars: the grey range was searched, the blue part is the interval, '
+            "the thick mark the estimate"
+            + (", the thin mark the true value" if knows_truth else "")
+            + ". Scales are logarithmic, but for ratios.</p>"
+        )
+    return Section(title="The estimate", body=text)
+
+
+def _remark(key: str, summary: EstimateSummary) -> str:
+    """How far a value can be trusted, in words."""
+    if key == "density":
+        assumed = summary.values.get("density_assumed")
+        if assumed is None:
+            return ""
+        if assumed:
+            return "Assumed, not measured: the motion shows only E / ρ, so E scales with this."
+        return "From the object's mass and size."
+    if summary.usable is False:
+        return ""
+    texts = []
+    known = summary.determined("youngs_modulus" if key == "specific_modulus" else key)
+    if known is False:
+        said = (
+            "a usual value" if summary.interval(key) is None else "the interval is mostly the prior"
+        )
+        texts.append(f"The lift does not determine this: {said}.")
+    elif key == "specific_modulus":
+        texts.append("What a motion under gravity depends on, whatever the density.")
+    elif key == "bending_length":
+        texts.append("About the length over which the object bends under its own weight.")
+    elif known:
+        texts.append("Determined by the lift.")
+    interval, true = summary.interval(key), summary.true(key)
+    if interval is not None and true is not None:
+        inside = interval[0] <= true <= interval[1]
+        texts.append(f"The true value lies {'inside' if inside else 'outside'} the interval.")
+    return " ".join(texts)
+
+
+def _bar(
+    key: str,
+    value: float,
+    interval: tuple[float, float] | None,
+    true: float | None,
+    bounds: tuple[float, float] | None,
+) -> str:
+    """The interval inside the range that was searched, drawn with boxes."""
+    linear = key in RATIOS
+    if interval is None or bounds is None or not bounds[0] < bounds[1]:
+        return ""
+    if not linear and min(*bounds, *interval, value) <= 0.0:
+        return ""
+    scale = float if linear else math.log  # moduli are searched over decades
+    low, high = scale(bounds[0]), scale(bounds[1])
+
+    def percent(x: float) -> float:
+        # what is not positive has no place on a logarithmic scale but its lower end
+        at = scale(x) if linear or x > 0.0 else low
+        return 100.0 * min(max((at - low) / (high - low), 0.0), 1.0)
+
+    left, right = percent(interval[0]), percent(interval[1])
+    marks = (
+        f'<span class="interval" style="left:{left:.2f}%;width:{right - left:.2f}%"></span>'
+        f'<span class="estimate" style="left:{percent(value):.2f}%"></span>'
+    )
+    if true is not None:
+        marks += f'<span class="truth" style="left:{percent(true):.2f}%"></span>'
+    return f'<div class="range">{marks}</div>'
+
+
+def beliefs_section(summary: EstimateSummary) -> Section | None:
+    """Densities of the material's unknowns, then those of grip and clock; of usable estimates."""
+    posterior = summary.values.get("posterior")
+    if not posterior or summary.level is None:
+        return None
+    material, recording = [], []
+    for k, name in enumerate(posterior["names"]):
+        (material if name in _MATERIAL else recording).append(_chart(summary, posterior, k))
+    parts = [
+        '<p class="soft">Grey: what was assumed before the lift (prior). Blue: what is known after '
+        "it (posterior). Areas are probabilities; a scale with unequal steps is logarithmic.</p>",
+        f'<div class="pair">{"".join(material)}</div>',
+    ]
+    if recording:
+        parts.append(
+            folded(
+                "Grip and clock of the recording", f'<div class="pair">{"".join(recording)}</div>'
+            )
+        )
+    parts.append(folded("The same in numbers", _numbers_table(summary, posterior)))
+    return Section(title="Prior and posterior", body="\n".join(parts))
+
+
+def _chart(summary: EstimateSummary, posterior: Mapping[str, Any], k: int) -> str:
+    name = str(posterior["names"][k])
+    title: str = _RECORDING.get(name, name.replace("_", " ")) + _of_which(posterior, k)
+    key, title = _MATERIAL.get(name, ("", title))
+    unit = summary.units.get(name, "")
+    factor, unit = _SHOWN_UNITS.get(unit, (1.0, unit))
+    true = summary.true(key)
+    density = summary.value("density")
+    if name == "specific_modulus" and density is not None:
+        scale, unit = pascal_unit(summary.values["youngs_modulus"])
+        factor, true = scale * density, None if true is None else scale * true
+    elif name == "specific_modulus":
+        title, true = "Specific modulus E / ρ", summary.true(name)
+    elif true is not None:
+        true *= factor
+    ends = _interval(summary, posterior, k)
+    belief = BeliefCurve(
+        log=bool(posterior["log"][k]),
+        prior=NormalDist(posterior["prior_mean"][k], posterior["prior_sd"][k]),
+        posterior=NormalDist(posterior["mean"][k], math.sqrt(posterior["covariance"][k][k])),
+        low=posterior["low"][k],
+        high=posterior["high"][k],
+        interval=(factor * ends[0], factor * ends[1]),
+        level_text=summary.level_text,
+        truth=true,
+        factor=factor,
+    )
+    main, strip = belief_chart(belief, f"{title} [{unit}]" if unit else title)
+    times = belief.narrowed
+    if times < 1.25:
+        note = "As wide as the prior: the lift says next to nothing about it."
+    else:
+        shown = f"{times:.0f}" if times >= 9.5 else f"{times:.1f}"
+        note = f"{shown} times as narrow as the prior."
+    return chart_figure(title, [main] if strip is None else [main, strip], note)
+
+
+def _of_which(posterior: Mapping[str, Any], k: int) -> str:
+    """Which recording an unknown is of, where there are several."""
+    owners = posterior.get("recordings") or [None]
+    several, owner = (
+        any(other not in (None, 0) for other in owners),
+        owners[min(k, len(owners) - 1)],
+    )
+    return f", recording {owner + 1}" if several and owner is not None else ""
+
+
+def _interval(
+    summary: EstimateSummary, posterior: Mapping[str, Any], k: int, stage: str = ""
+) -> tuple[float, float]:
+    """Ends in the unknown's unit, cut at what was searched; stage "prior_" for those before."""
+    assert summary.level is not None
+    z = NormalDist().inv_cdf(0.5 + summary.level / 2.0)
+    sd = posterior["prior_sd"][k] if stage else math.sqrt(posterior["covariance"][k][k])
+    mean = posterior[f"{stage}mean"][k]
+    low = max(mean - z * sd, posterior["low"][k])
+    high = min(mean + z * sd, posterior["high"][k])
+    return (math.exp(low), math.exp(high)) if posterior["log"][k] else (low, high)
+
+
+def _numbers_table(summary: EstimateSummary, posterior: Mapping[str, Any]) -> str:
+    rows = []
+    for k, name in enumerate(posterior["names"]):
+        unit = summary.units.get(name, "")
+        label = name.replace("_", " ") + (f" [{unit}]" if unit not in ("", "1") else "")
+        label = label.replace("^2", "²") + _of_which(posterior, k)
+        cells = [cell(escaped(label), "name")]
+        for stage, said in (("prior_", "prior"), ("", "posterior")):
+            low, high = _interval(summary, posterior, k, stage)
+            cells.append(number(with_minus(f"{low:.3g} to {high:.3g}"), said))
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    head = ["<th>Unknown</th>", '<th class="number">Prior</th>']
+    head.append('<th class="number">Posterior</th>')
+    return table(head, rows) + f'<p class="soft">{escaped(summary.level_text)} intervals.</p>'
