@@ -1,9 +1,9 @@
 # Everything from a fresh checkout. Each target makes .venv when it is missing.
 #
-#   make demo    the whole pipeline on the recorded lift    make bench   speed of the simulator
-#   make test    the tests (make test ARGS="-m slow")       make docs    the site, in docs/_build
-#   make check   ruff and pyright                           make clean   remove .venv, caches, demo/
-#                                                                        and docs/_build
+#   make demo    the whole pipeline on the recorded lift    make bench     speed of the simulator
+#   make test    the tests (make test ARGS="-m slow")       make validate  it, beside mechanics
+#   make check   ruff and pyright                           make docs      the site, in docs/_build
+#   make clean   remove .venv, caches, demo/ and docs/_build
 #
 # PYTHON chooses the interpreter (3.11 or newer): make demo PYTHON=python3.12
 
@@ -29,7 +29,7 @@ else ifeq ($(shell $(BIN)/python -c "print(1)" 2>/dev/null),)
 .PHONY: $(PLACE)
 endif
 
-.PHONY: demo test check bench docs clean
+.PHONY: demo test check validate bench docs clean
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 
@@ -44,6 +44,9 @@ check: $(FULL)
 	@$(BIN)/ruff format --check
 	@$(BIN)/pyright
 
+validate: $(CORE)
+	@$(BIN)/python -m validation $(ARGS)
+
 bench: $(CORE)
 	@$(BIN)/gendom bench $(ARGS)
 
@@ -54,7 +57,7 @@ docs: $(FULL)
 
 clean:
 	rm -rf $(VENV) build dist demo docs/_build .pytest_cache .ruff_cache
-	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests validation -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PLACE):
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \

@@ -15,8 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from gendom.validation import Settings, elastica
-from gendom.validation import master_curves as curves
+from validation import Bench, bending, buckling, elastica
 
 # From Okabe and Ito's palette.
 ROD_COLOR, STRIP_COLOR, INK, SOFT_INK = "#009E73", "#D55E00", "#222222", "#6e6e6e"
@@ -42,7 +41,7 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "gendom",  # otherwise random names inside the file
 }
 
-TORSION = 1.0 / (1.0 + curves.MATERIAL.nu)
+TORSION = 1.0 / (1.0 + bending.STIFF.nu)
 HANGING = -math.pi / 2.0
 
 RODS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5, "color": ROD_COLOR}
@@ -51,19 +50,19 @@ SQUARES: dict[str, Any] = RODS | {"marker": "s"}
 THEORY: dict[str, Any] = {"color": INK, "linewidth": 1.2}
 
 
-def sags(axes: Axes, settings: Settings) -> None:
+def sags(axes: Axes, bench: Bench) -> None:
     loads = np.geomspace(0.1, 1000.0, 60)
     axes.loglog(loads, elastica.sag(loads), **THEORY, label="theory")
     loads = np.geomspace(0.1, 1000.0, 13)
-    axes.loglog(loads, curves.sags(settings, "rods", loads, 65), **RODS, label="rods")
+    axes.loglog(loads, bending.sags(bench, "rods", loads, 65), **RODS, label="rods")
     loads = np.geomspace(0.16, 300.0, 12)
-    found = curves.sags(settings, "strips", loads, 49)
+    found = bending.sags(bench, "strips", loads, 49)
     axes.loglog(loads, found, **STRIPS, label="shells", fillstyle="none")
     axes.set(title="Level cantilever: drop over reach of the tip", xlabel="weight [E I / L³]")
     axes.legend(loc="upper left")
 
 
-def curls(axes: Axes, settings: Settings) -> None:
+def curls(axes: Axes, bench: Bench) -> None:
     tests = (
         (0.0, "clamped level", "-", RODS, (3.7, 6.3), (4.0, 4.5, 5.0, 5.5, 6.0)),
         (HANGING, "hanging", (0, (4, 2)), SQUARES, (5.8, 6.3), (5.95, 6.0, 6.1, 6.2)),
@@ -84,7 +83,7 @@ def curls(axes: Axes, settings: Settings) -> None:
                 load = elastica.critical_load(
                     between, curvature=curvature, angle=angle, torsion=TORSION
                 )
-                share = curves.curl_leaves(settings, load, curvature, angle, 65)
+                share = buckling.curl_leaves(bench, load, curvature, angle, 65)
                 found.append((curvature, load * share))
         axes.plot(*np.array(found).T, **points, label=f"rods, {name}")
     axes.set(
@@ -100,20 +99,20 @@ def plane(curvature: float, angle: float, loads: np.ndarray) -> np.ndarray:
     shapes = elastica.hung(loads, curvature=curvature, angle=angle)
     return np.array(
         [
-            elastica.leaves_plane(shape, load, curvature, 1.0, TORSION)
+            elastica.leaves_plane(shape, load, curvature, TORSION)
             for shape, load in zip(shapes, loads, strict=True)
         ]
     )
 
 
-def tips(axes: Axes, settings: Settings) -> None:
+def tips(axes: Axes, bench: Bench) -> None:
     lowered = np.linspace(0.005, 0.32, 64)
     friction = np.array([0.08, 0.1, 0.13, 0.16, 0.2, 0.24, 0.28, 0.32])
     for load, dashes, points in ((0.0, "-", RODS), (10.0, (0, (4, 2)), SQUARES)):
         label = f"weight {load:g} E I / L³"
         theory = elastica.tip_friction(load, lowered)
         axes.plot(lowered, theory, linestyle=dashes, **THEORY, label=f"theory, {label}")
-        found = curves.slips(settings, load, friction)
+        found = buckling.slips(bench, load, friction)
         axes.plot(found, friction, **points, label=f"rods, {label}")
     axes.set(
         title="Upright rope let down: friction at which its tip slips",
@@ -123,12 +122,12 @@ def tips(axes: Axes, settings: Settings) -> None:
 
 
 @matplotlib.rc_context(STYLE)
-def draw(settings: Settings) -> bytes:
-    figure = Figure(figsize=(15.0, 4.5), layout="constrained")
+def draw(bench: Bench) -> bytes:
+    figure = Figure(figsize=(15.0, 4.2), layout="constrained")
     panels = figure.subplots(1, 3)
     for axes, panel in zip(panels.flat, (sags, curls, tips), strict=True):
         axes.spines[["top", "right"]].set_visible(False)
-        panel(axes, settings)
+        panel(axes, bench)
     buffer = io.BytesIO()
     # Date and program version would make the same chart another file each time.
     FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
@@ -140,7 +139,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--threads", type=int)
     args = parser.parse_args()
-    args.out.write_bytes(draw(Settings(threads=args.threads)))
+    args.out.write_bytes(draw(Bench(engine="thin", threads=args.threads)))
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ import warp as wp
 from gendom.materials import Material
 from gendom.robot import TcpPaths
 from gendom.sim import Body, Simulator, Table, cloth
+from gendom.sim.mpm.runner import MOST_PARTICLES
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
 
@@ -57,6 +58,8 @@ def memory(device: Any) -> float:
 
 def by_particles(device: str, most: int, substeps: int) -> list[dict[str, Any]]:
     rows = []
+    if device.startswith("cuda"):
+        most = min(most, MOST_PARTICLES)
     for exponent in np.arange(3.0, math.log10(most) + 0.01, 0.5):
         body = block(round(10.0**exponent))
         before = memory(wp.get_device(device))

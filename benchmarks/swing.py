@@ -13,7 +13,7 @@ import numpy as np
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, cloth
 from gendom.sim.thin.shells import Shells
-from gendom.validation.shells import bending_energy, membrane_energy
+from validation.readings import bending_energy, membrane_energy
 
 PULL = np.array([0.0, 0.0, -9.81])
 CASES = ((0.8, 0.0), (0.6, 0.0), (0.4, 0.0), (0.2, 0.0), (0.8, 1e-5))

@@ -51,12 +51,10 @@ PACKAGES = (
     "gendom.estimation",
     "gendom.tasks",
     "gendom.policies",
-    "gendom.evaluation",
     "gendom.observation",
     "gendom.perception",
     "gendom.robot",
     "gendom.reality",
-    "gendom.validation",
     "gendom.viz",
 )
 """Packages with a page in docs/api: what their `__all__` names is public."""

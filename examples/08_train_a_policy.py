@@ -14,8 +14,8 @@ import tyro
 
 from gendom import Policy, RopeCasting
 from gendom.datasets import generate
-from gendom.evaluation import draw_cases, score
 from gendom.policies import Demonstrations, Training, train
+from gendom.policies.evaluation import draw_cases, score
 from gendom.tasks import Demonstrator
 
 

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments import __main__ as experiments
 from gendom import cli, tasks
 from gendom.cli.parsing import parse
 from gendom.errors import GendomError
@@ -48,11 +49,9 @@ NOT_STARTED = {
 EXPENSIVE = {
     r"gendom demo( .*)?": "a minute; tests/cli/test_demo.py",
     r"gendom bench( .*)?": "minutes of timing; tests/cli/test_main.py",
-    r"gendom reproduce .*": "minutes to hours",
     r"gendom evaluate .*": "tests/policies/test_commands.py",
-    r"gendom plan-lift .*": "two minutes; tests/evaluation/test_lift_plan.py",
+    r"gendom plan-lift .*": "two minutes; tests/estimation/test_lift_plan.py",
     r"gendom record .*": "needs OpenGL; tests/reality/test_recording.py",
-    r"gendom validate( .*)?": "seconds to minutes a case; tests/validation has small ones",
     r"gendom dataset .*": "minutes; the tutorial makes a small one",
     r"gendom estimate rope_red_lift.npz.*|gendom estimate wire_white_loop.npz": "real recordings; "
     "tests/estimation/test_real.py",
@@ -104,7 +103,9 @@ def inline(page: Path) -> Iterator[str]:
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     for code in re.findall(r"`([^`\n]+(?:\n[^`\n]+)?)`", text):
         words = " ".join(code.split())
-        if re.match(r"(gendom [a-z]|python (examples|benchmarks)/|make( |$))", words):
+        if re.match(
+            r"(gendom [a-z]|python (examples|benchmarks)/|python -m experiments |make( |$))", words
+        ):
             yield words
 
 
@@ -164,6 +165,11 @@ def fault_of(command: str, *, whole: bool = True) -> str | None:
     if program == "gendom":
         return fault_of_gendom(command, whole=whole)
     if program == "python":
+        if rest[:2] == ["-m", "experiments"]:
+            try:
+                experiments.parser().parse_args(["sim2sim"] if rest[2:] == ["TABLE"] else rest[2:])
+            except SystemExit:
+                return "does not parse"
         if rest[:1] == ["-m"]:
             return None
         script = ROOT / rest[0]
@@ -215,6 +221,7 @@ def test_wrong_commands_are_found(monkeypatch):
         "python examples/03_estimate.py --into here",
         "make everything",
         "pytest tests/test_nothing.py",
+        "python -m experiments ablations",
         "frobnicate",
     ):
         assert fault_of(wrong) is not None, wrong

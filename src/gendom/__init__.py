@@ -4,7 +4,7 @@ A recording of one lift gives Young's modulus and Poisson's ratio through a diff
 simulator; one policy, trained in simulation, takes them as an input.
 
 What most programs need is here; the rest is one level below, in `gendom.datasets`, `estimation`,
-`evaluation`, `materials`, `perception`, `policies`, `reality`, `robot`, `sim`, `tasks` and `viz`.
+`materials`, `perception`, `policies`, `reality`, `robot`, `sim`, `tasks` and `viz`.
 Names are imported when first used, so `import gendom` stays fast.
 """
 

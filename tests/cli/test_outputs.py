@@ -12,7 +12,6 @@ FOLDERS = {
     "record": ["--reality", "absent"],
     "dataset": ["rope-casting", "--size", "4"],
     "export": ["absent"],
-    "reproduce": ["coverage"],
 }
 FILES = {
     "replay": (["absent.npz", "--params", "absent.json"], ".json"),

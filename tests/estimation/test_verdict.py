@@ -6,12 +6,12 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
+from experiments.verdict import CORRUPTED
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation import EstimateSettings, estimate
 from gendom.estimation.placing import lying_rectangle
 from gendom.estimation.verdict import recording_faults
-from gendom.evaluation.spoiled import SPOILED
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,7 @@ def one_frame(recording):
 )
 def test_what_cannot_be_used_is_said(lifted, settings, spoiled, reason):
     """With the reason in words, and without intervals."""
-    spoil = SPOILED[spoiled] if isinstance(spoiled, str) else spoiled
+    spoil = CORRUPTED[spoiled] if isinstance(spoiled, str) else spoiled
     found = estimate(spoil(lifted), settings)
     assert not found.usable
     assert any(reason in said for said in found.verdict.reasons), found.verdict.reasons

@@ -40,7 +40,6 @@ def test_wave_speed_without_lateral_contraction():
         ("E", [0.0, -1.0, math.nan, math.inf]),
         ("nu", [0.5, -1.0, 0.7, math.nan]),
         ("density", [0.0, -5.0, math.nan, math.inf]),
-        ("yield_stress", [0.0, -1.0, math.nan]),
     ],
 )
 def test_out_of_range_is_refused_by_name(field, values):

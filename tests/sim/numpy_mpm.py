@@ -8,8 +8,7 @@ Sources:
         and Berzins (2008).
     Lagrangian forces: Jiang, Gast and Teran (2017), "Anisotropic elastoplasticity for cloth, knit
         and hair frictional contact".
-    Laws: neo-Hookean, Bonet and Wood (2008), chapter 6; fixed-corotated, Stomakhin et al. (2012).
-    Radial return: Klar et al. (2016), section 6, with a von Mises surface.
+    Law: neo-Hookean, Bonet and Wood (2008), chapter 6.
     Material damping: Simo and Hughes (1998), "Computational Inelasticity", chapter 10.
 
 Shapes: N particles, S sections of N / S particles each, K knots of a gripper's path, n grid nodes.
@@ -28,12 +27,10 @@ from gendom.sim import GRAVITY, Body, Gripper, Table
 
 Array = NDArray[np.floating]
 
-SMALLEST_STRETCH = 0.05
-"""Principal stretches are kept above this before their logarithm is taken [-]."""
 DRAG = {"rope": 1.1, "cloth": 1.2}
 """Drag coefficients: of a cylinder, of a plate, across the flow [-]."""
 SPRING, DASHPOT = 0.1, 0.85
-"""Of table and walls: what they make good of depth and of velocity inwards in a substep [-]."""
+"""Of the table: what it makes good of depth and of velocity inwards in a substep [-]."""
 BEYOND, STIFFNESS = 1.22, 1.4
 """Where a gripper's weights fall to 0, in spacings beyond its surface; stiffness of the spring on
 what is held in part, for the material's own [-]."""
@@ -55,8 +52,6 @@ class State:
     """[N, 3, 3] affine velocities [1/s]."""
     Z: Array
     """[N, 3, 3] second Piola-Kirchhoff stress, low-pass filtered [Pa]."""
-    G: Array
-    """[N, 3, 3] inverse of the plastic deformation: the elastic one is F G [-]."""
 
 
 @dataclass
@@ -80,7 +75,6 @@ class NumpyMPM:
         gravity: [3] [m/s^2].
         velocity_damping: Rate at which the grid's velocities decay [1/s].
         air_density: Of the air that is at rest around the body [kg/m^3].
-        law: ``neo-hookean`` or ``fixed-corotated``.
         stiffness: Share of its material's E that each particle has, one number or [N] [-].
         positions: [N, 3] initial positions, if not the body's own [m].
         start_time: Time of the initial state [s].
@@ -96,16 +90,14 @@ class NumpyMPM:
         gravity: ArrayLike = GRAVITY,
         velocity_damping: float = 0.0,
         air_density: float = 0.0,
-        law: str = "neo-hookean",
         stiffness: ArrayLike = 1.0,
         positions: ArrayLike | None = None,
         start_time: float = 0.0,
     ):
-        self.body, self.material, self.law = body, material, law
+        self.body, self.material = body, material
         self.grippers, self.table = grippers, table
         self.gravity = np.asarray(gravity, dtype=float)
         self.velocity_damping, self.air_density = velocity_damping, air_density
-        self.yields = math.isfinite(material.yield_stress)
         share = np.broadcast_to(np.asarray(stiffness, dtype=float), body.num_particles)
         mu, lam = material.lame_of(body.lateral_constraint)
         self.mu, self.lam = (p * share[:, None, None] for p in (mu, lam))
@@ -113,11 +105,11 @@ class NumpyMPM:
         self.grips: list[Grip | None] = [None] * len(grippers)
         self.time = start_time
         x = np.array(body.x if positions is None else positions, dtype=float)
-        zeros, ones = np.zeros((len(x), 3, 3)), np.tile(np.eye(3), (len(x), 1, 1))
-        self.state = State(x=x, v=np.zeros_like(x), C=zeros, Z=zeros, G=ones)
+        zeros = np.zeros((len(x), 3, 3))
+        self.state = State(x=x, v=np.zeros_like(x), C=zeros, Z=zeros)
         if material.damping > 0.0:
-            Fe = self.differences() @ body.rest_frames
-            self.state.Z = np.linalg.solve(Fe, self.elastic_stress(Fe))
+            F = self.differences() @ body.rest_frames
+            self.state.Z = np.linalg.solve(F, self.elastic_stress(F))
 
     def run(self, times: ArrayLike, substep: float) -> Array:
         """[T, N, 3] positions at times [T] [s]; each interval in equal substeps of at most
@@ -147,7 +139,7 @@ class NumpyMPM:
         self.state.C = np.where(grid[:, None, None], C, turning)
         self.state.x = x + dt * self.state.v
 
-    # ---- table, walls, grippers -----------------------------------------------------------------
+    # ---- table, grippers ------------------------------------------------------------------------
 
     def contact(self, x: Array, u: Array, dt: float) -> Array:
         """[S, 3] change of the velocities u of sections at x by a spring, a dashpot and
@@ -223,23 +215,20 @@ class NumpyMPM:
         return np.swapaxes(self.state.x[near[:, :, 1]] - self.state.x[near[:, :, 0]], 1, 2)
 
     def internal_impulse(self, dt: float) -> Array:
-        """[N, 3] impulses of the stress [kg m/s]; Z and G move on to the end of the substep."""
+        """[N, 3] impulses of the stress [kg m/s]; Z moves on to the end of the substep."""
         B, near, state = self.body.rest_frames, self.body.lattice, self.state
         F = self.differences() @ B
-        if self.yields:
-            state.G = self.returned(F, state.G)
-        Fe = F @ state.G
-        P = self.elastic_stress(Fe)
+        P = self.elastic_stress(F)
         if self.material.damping > 0.0:
             # the branch's stress S - Z falls to a (S - Z) in dt; its mean acts
             # it cannot be faster than the substep: it is softer instead
             tau = max(self.material.damping, dt)
             a = math.exp(-dt / tau)
             g = self.material.damping / tau * (1.0 + a) / 2.0
-            S = np.linalg.solve(Fe, P)
-            P = (1.0 + g) * P - g * Fe @ state.Z
+            S = np.linalg.solve(F, P)
+            P = (1.0 + g) * P - g * F @ state.Z
             state.Z = state.Z + (1.0 - a) * (S - state.Z)
-        pull = dt * self.body.volume * P @ np.swapaxes(B @ state.G, 1, 2)
+        pull = dt * self.body.volume * P @ np.swapaxes(B, 1, 2)
         impulse = np.zeros_like(state.x)
         for k in range(3):
             np.add.at(impulse, near[:, k, 0], pull[:, :, k])
@@ -256,21 +245,7 @@ class NumpyMPM:
         if not (J > 0.0).all():
             raise FloatingPointError(f"particle {np.argmin(J > 0.0)} is turned inside out")
         F_invT = np.swapaxes(np.linalg.inv(F), 1, 2)
-        if self.law == "neo-hookean":
-            return self.mu * (F - F_invT) + self.lam * np.log(J) * F_invT
-        U, _, Vt = np.linalg.svd(F)
-        return 2.0 * self.mu * (F - U @ Vt) + self.lam * (J - 1.0) * J * F_invT
-
-    def returned(self, F: Array, G: Array) -> Array:
-        """[N, 3, 3] G after radial return of F G: |2 mu dev(log s)| <= yield stress."""
-        U, s, Vt = np.linalg.svd(F @ G)
-        eps = np.log(np.maximum(s, SMALLEST_STRETCH))
-        dev = eps - eps.mean(axis=1, keepdims=True)
-        norm = np.linalg.norm(dev, axis=1, keepdims=True)
-        reach = self.material.yield_stress / (2.0 * self.mu[:, :, 0])
-        flows = norm > reach
-        kept = np.exp(eps - dev * (1.0 - reach / np.where(flows, norm, reach)))
-        return np.where(flows[..., None], np.linalg.solve(F, U @ (kept[:, :, None] * Vt)), G)
+        return self.mu * (F - F_invT) + self.lam * np.log(J) * F_invT
 
     def drag_impulse(self, dt: float) -> Array:
         """[N, 3] impulses of the air, c_d rho_a / 2 |v|^2 A against the velocity v across a rope or

@@ -20,7 +20,6 @@ from gendom.sim import (
     cloth,
     open_device,
     outline_of_mesh,
-    preset,
     rope,
 )
 
@@ -106,12 +105,7 @@ def test_weaves(name, value):
     assert named(name, refused(Weave, **{name: value}))
 
 
-@cases(
-    {
-        name: ["much", [1.0, 2.0]]
-        for name in ("E", "nu", "density", "damping", "yield_stress", "membrane")
-    }
-)
+@cases({name: ["much", [1.0, 2.0]] for name in ("E", "nu", "density", "damping", "membrane")})
 def test_materials(name, value):
     assert named(name, refused(Material, **{name: value}))
 
@@ -326,9 +320,8 @@ def test_objects_in_the_table_name_the_world():
     s(positions=x[:1])
 
 
-def test_paths_surfaces_and_presets():
+def test_paths_and_surfaces():
     s = Simulator(ROPE, [MATERIAL])
     assert named("path", refused(s.save_state, path=3))
     for x in ("here", RAGGED, np.zeros((5, 3)), np.zeros(3)):
         assert named("x", refused(ROPE.surface, x=x))
-    assert "there is no preset" in refused(preset, name=[])

@@ -1,17 +1,15 @@
-"""All worlds together, as a GPU runs them, against each by itself: the same code, on the CPU."""
+"""All worlds in blocks, as a GPU runs them, against each by itself: the same code, on the CPU."""
 
 import numpy as np
 import pytest
 import warp as wp
 
+from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Table, cloth, rope
-from gendom.sim.mpm.runners import block_per_world
-from gendom.sim.mpm.runners.block_per_world import Blocks
-from gendom.sim.mpm.runners.graph import Batch
+from gendom.sim.mpm import runner
 
 SOFT = Material(E=2.0e4, nu=0.3, density=1000.0)
-TOGETHER = pytest.mark.parametrize("together", [Batch, Blocks])
 
 
 def simulator(body, materials, **options):
@@ -20,10 +18,10 @@ def simulator(body, materials, **options):
     )
 
 
-def run_together(s, together, times, **options):
-    """[T, W, N, 3] what ``run`` would give on a GPU."""
-    setattr(s.engine, "_runner", together(s.worlds))  # noqa: B010
-    return s.run(times, **options)
+def in_blocks(s):
+    """The simulator, which runs as a GPU would."""
+    s.engine.in_blocks = True
+    return s
 
 
 def scene(**options):
@@ -43,8 +41,8 @@ def scene(**options):
     materials = [
         SOFT,
         Material(E=5.0e4, nu=0.2, density=1200.0, damping=0.003),
-        Material(E=1.0e4, nu=0.4, density=900.0, yield_stress=300.0),
-        Material(E=1.0e4, nu=0.4, density=900.0, yield_stress=300.0, damping=1e-5),
+        Material(E=1.0e4, nu=0.4, density=900.0),
+        Material(E=1.0e4, nu=0.4, density=900.0, damping=1e-5),
     ]
     return simulator(
         body,
@@ -58,24 +56,23 @@ def scene(**options):
     )
 
 
-@TOGETHER
-def test_worlds_together_move_as_each_alone(together):
+def test_worlds_in_blocks_move_as_each_alone():
     times = [0.1, 0.17, 0.25]
-    expected, s = scene().run(times), scene()
-    x = run_together(s, together, times)
+    expected, s = scene().run(times), in_blocks(scene())
+    x = s.run(times)
     assert np.abs(x - expected).max() < 1e-12
     assert len(set(s.substeps_done())) == 4
     assert np.ptp(expected[-1], axis=0).max() > 1e-3
 
 
-@pytest.mark.parametrize("together", [None, Batch, Blocks])
-def test_motion_below_the_last_bit_is_not_lost(together):
+@pytest.mark.parametrize("prepared", [lambda s: s, in_blocks], ids=["rows", "blocks"])
+def test_motion_below_the_last_bit_is_not_lost(prepared):
     """In float32 a substep of 1e-8 m vanishes beside 1 m; a hundred together must not."""
     body = rope(diameter=0.02, length=0.06, start=(1.0, 1.0, 1.0), cells_across=1.5)
-    s = simulator(body, [SOFT], gravity=(0, 0, 0), dtype="float32")
+    s = prepared(simulator(body, [SOFT], gravity=(0, 0, 0), dtype="float32"))
     drift = np.array([1e-5, -1e-5, 2e-5])
     s.set_velocities(drift)
-    x = s.run([0.5]) if together is None else run_together(s, together, [0.5])
+    x = s.run([0.5])
     assert s.substeps_done()[0] > 100
     moved = x[0, 0].mean(axis=0, dtype=float) - body.x.mean(axis=0)
     np.testing.assert_allclose(moved, 0.5 * drift, rtol=0.02)
@@ -83,50 +80,41 @@ def test_motion_below_the_last_bit_is_not_lost(together):
 
 @pytest.mark.gpu
 @pytest.mark.parametrize(("dtype", "bound"), [("float32", 5e-6), ("float64", 1e-12)])
-@TOGETHER
-def test_cuda_moves_worlds_as_the_cpu(together, dtype, bound):
+def test_cuda_moves_worlds_as_the_cpu(dtype, bound):
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
     times = [0.1, 0.17, 0.25]
-    x = run_together(scene(dtype=dtype, device="cuda"), together, times)
+    x = scene(dtype=dtype, device="cuda").run(times)
     assert np.abs(x - scene(dtype=dtype).run(times)).max() < bound
+
+
+@pytest.mark.gpu
+def test_bodies_that_cuda_cannot_take_are_refused():
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    large = cloth(width=0.3, height=0.3, thickness=0.02, dx=0.004, corner=(0.0, 0.0, 0.1))
+    assert large.num_particles > runner.MOST_PARTICLES
+    with pytest.raises(ParameterError, match=r"at most 32767.*a larger dx, or device='cpu'"):
+        simulator(large, [SOFT], device="cuda")
 
 
 def test_launches_and_recordings_may_end_anywhere(monkeypatch):
     """A run in many launches, a few frames recorded at a time, is that in one launch."""
     times = [0.0, *np.linspace(0.01, 0.12, 12), 0.12]
-    whole = run_together(scene(), Blocks, times)
+    whole = in_blocks(scene()).run(times)
     alone = scene()
     assert np.abs(whole - alone.run(times)).max() < 1e-12
-    monkeypatch.setattr(Blocks, "substeps_a_slice", 5)
-    monkeypatch.setattr(block_per_world, "SLICES", 2)
-    monkeypatch.setattr(block_per_world, "RECORDED", 5 * whole[0].nbytes)
-    s, counts = scene(), []
-    parts = run_together(s, Blocks, times, on_frame=counts.append)
+    monkeypatch.setattr(runner, "SUBSTEPS_A_SLICE", 5)
+    monkeypatch.setattr(runner, "SLICES", 2)
+    monkeypatch.setattr(runner, "RECORDED", 5 * whole[0].nbytes)
+    s, counts = in_blocks(scene()), []
+    parts = s.run(times, on_frame=counts.append)
     assert np.abs(parts - whole).max() < 1e-12
     assert counts == sorted(set(counts)) and counts[-1] == len(times) and len(counts) > 4
     assert np.abs(s.run([0.15]) - alone.run([0.15])).max() < 1e-12
 
 
-@pytest.mark.parametrize("together", [None, Batch, Blocks])
-def test_a_neighbour_that_yields_changes_no_bit_of_the_others(together):
-    body = rope(diameter=0.02, length=0.12, start=(0.0, 0.0, 0.02), cells_across=1.5)
-    clay = Material(E=2.0e4, nu=0.3, density=1000.0, yield_stress=300.0)
-
-    def dropped(materials):
-        s = simulator(body, materials, table=Table(height=0.0), dtype="float32")
-        s.set_velocities(np.cross([0.0, 3.0, 4.0], body.x))
-        if together is not None:
-            setattr(s.engine, "_runner", together(s.worlds))  # noqa: B010
-        return s.run([0.02, 0.05, 0.1])
-
-    alone, beside = dropped([SOFT, SOFT]), dropped([SOFT, clay])
-    assert np.array_equal(alone[:, 0], beside[:, 0])
-    assert np.abs(alone[-1, 1] - beside[-1, 1]).max() > 1e-4
-
-
-@TOGETHER
-def test_the_grid_grows(together):
+def test_the_grid_grows():
     body = rope(diameter=0.02, length=0.4, start=(0, 0, -0.2), direction=(0, 0, 1))
 
     def tipping():
@@ -135,14 +123,13 @@ def test_the_grid_grows(together):
         s.set_velocities(np.cross([3.0, 4.0, 0.0], body.x))
         return s
 
-    s = tipping()
-    x = run_together(s, together, [0.15, 0.3])
+    s = in_blocks(tipping())
+    x = s.run([0.15, 0.3])
     assert s.worlds.room[0] > 20 and s.worlds.room[2] > 400
     assert np.abs(x - tipping().run([0.15, 0.3])).max() < 1e-12
 
 
-@TOGETHER
-def test_a_world_that_diverges_leaves_the_others_alone(together):
+def test_a_world_that_diverges_leaves_the_others_alone():
     body = cloth(width=0.04, height=0.04, thickness=0.04, dx=0.01, corner=(0.003, 0.001, 0.022))
     kick = 0.1 * np.random.default_rng(0).standard_normal((body.num_particles, 3))
     stiff = Material(E=2.0e7, nu=0.3, density=1000.0)
@@ -153,9 +140,9 @@ def test_a_world_that_diverges_leaves_the_others_alone(together):
         return s
 
     times = [0.02, 0.04, 0.06]
-    one_by_one, s = kicked(), kicked()
+    one_by_one, s = kicked(), in_blocks(kicked())
     expected = one_by_one.run(times, keep_going=True)
-    x = run_together(s, together, times, keep_going=True)
+    x = s.run(times, keep_going=True)
     assert list(s.failures) == [1]
     assert str(s.failures[1]) == str(one_by_one.failures[1])
     assert np.isnan(x[:, 1]).all()
@@ -165,25 +152,23 @@ def test_a_world_that_diverges_leaves_the_others_alone(together):
     assert np.array_equal(s.positions()[1], stopped)
 
 
-@TOGETHER
 @pytest.mark.parametrize("what", ["closed on nothing", "turned inside out"])
-def test_the_failed_substep_is_not_counted(together, what):
+def test_the_failed_substep_is_not_counted(what):
     """Time and positions are those at which the substep began that could not be done."""
     body = rope(diameter=0.02, length=0.06, start=(0.0, 0.0, 0.0), cells_across=1.5)
     pushes = Gripper(time=[0.0, 0.1], position=[(0.06, 0, 0), (-0.44, 0, 0)], radius=0.015)
     misses = Gripper.still((0.5, 0.0, 0.0), radius=0.01, hold_from=0.0051)
 
-    def failed(together):
+    def failed(prepared):
         gripper = misses if what == "closed on nothing" else pushes
         jelly = Material(E=1.0, nu=0.3, density=1000.0)
         s = simulator(body, [jelly], grippers=[gripper], substep=1e-3, gravity=(0, 0, 0))
-        if together is not None:
-            setattr(s.engine, "_runner", together(s.worlds))  # noqa: B010
+        prepared(s)
         s.run([0.002, 0.03], keep_going=True)
         assert what in str(s.failures[0])
         return s.failures[0].time, s.positions()
 
-    (time, x), (expected_time, expected) = failed(together), failed(None)
+    (time, x), (expected_time, expected) = failed(in_blocks), failed(lambda s: s)
     assert time == pytest.approx(expected_time, abs=1e-9)
     assert np.abs(x - expected).max() < 1e-12
     if what == "closed on nothing":

@@ -35,7 +35,6 @@ COMMANDS = {
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
     "policies": ("gendom.cli.policies", "the shipped policies"),
     "materials": ("gendom.cli.materials", "ropes, cables and cloths with parameters and sources"),
-    "reproduce": ("gendom.cli.reproduce", "the paper's tables and the intervals' coverage"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
     "calibrate": ("gendom.cli.calibrate", "a camera's pose, from pictures of a board"),
     "plan-lift": ("gendom.cli.plan_lift", "which lift shows an object's parameters best"),
@@ -43,9 +42,14 @@ COMMANDS = {
     "perceive": ("gendom.cli.perceive", "from depth pictures to a recording"),
     "import": ("gendom.cli.import_", "from a ROS 2 bag, clouds or LeRobot to a recording"),
     "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
-    "validate": ("gendom.cli.validate", "measure the simulator against analytic mechanics"),
     "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
 }
+
+MOVED = {
+    "validate": "run make validate in a clone of the repository",
+    "reproduce": "run python -m experiments TABLE in a clone of the repository",
+}
+"""Commands that are gone, with what takes their place."""
 
 # Import name -> the extra that brings it.
 _EXTRAS = {
@@ -136,7 +140,7 @@ def _usage() -> str:
 
 def _unknown(name: str) -> str:
     kind = "flag" if name.startswith("-") else "command"
-    advice = did_you_mean(name, COMMANDS) or "see gendom --help"
+    advice = MOVED.get(name) or did_you_mean(name, COMMANDS) or "see gendom --help"
     return f"there is no {kind} {name!r}; {advice}"
 
 

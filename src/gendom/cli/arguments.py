@@ -26,7 +26,7 @@ TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|F
 
 ESTIMATE_FORMAT = "gendom-estimate/1"
 
-METHODS_HELP = "gauss-newton|adam|differential-evolution|pointnet"
+METHODS_HELP = "gauss-newton|adam|differential-evolution"
 
 
 def _name(metavar: str, known: Callable[[str], str]) -> Any:

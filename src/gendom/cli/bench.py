@@ -6,8 +6,8 @@ import logging
 from dataclasses import asdict, dataclass
 from typing import Literal
 
+from gendom.cli.speed import Speed, measure_speed
 from gendom.errors import ParameterError
-from gendom.evaluation.speed import Speed, measure_speed
 from gendom.files import to_json
 
 log = logging.getLogger(__name__)

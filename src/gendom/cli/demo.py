@@ -126,8 +126,8 @@ class Command:
     def _rope_and_goals(self) -> tuple[RealRope, tuple[Policy, ...], np.ndarray]:
         """The rope, the policies with and without parameters, and goals [K, G], which are drawn
         before anything is estimated."""
-        from gendom.evaluation import draw_cases
         from gendom.policies import Policy
+        from gendom.policies.evaluation import draw_cases
         from gendom.reality import RealRope, find_object
 
         rope = find_object(self.reality)

@@ -73,8 +73,6 @@ class Command:
     """Print the estimate as JSON."""
     method: MethodName = "gauss-newton"
     """Method of the search (docs/estimation.md)."""
-    network: Path | None = None
-    """With pointnet: an ONNX file for another kind of lift, which benchmarks/pointnet.py trains."""
     frames: Literal["all", "last"] = "all"
     """Frames that are compared."""
     starts: int = 3
@@ -139,7 +137,6 @@ class Command:
 
         return EstimateSettings(
             method=self.method,
-            network=self.network,
             starts=self.starts,
             unknowns=self.unknowns,
             frames=self.frames,
@@ -289,7 +286,6 @@ class Command:
         if self.unknowns:
             words += ["--unknowns", *self.unknowns]
         optional = {
-            "--network": self.network,
             "--camera-pose": self.camera_pose,
             "--material": self.material,
             "--points": self.points,

@@ -51,8 +51,8 @@ class Command:
     """Print JSON."""
 
     def run(self) -> int:
-        from gendom.evaluation import draw_cases, score
         from gendom.policies import Policy
+        from gendom.policies.evaluation import draw_cases, score
         from gendom.tasks.world import Simulation
 
         began = time.monotonic()

@@ -1,11 +1,29 @@
-"""Messages about written files."""
+"""Messages about written files, and tables of text."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 
 def tell_written(path: Path, *, json: bool) -> None:
     """Name a file that was written: on stdout, or on stderr where stdout holds JSON."""
     print(f"written: {path}", file=sys.stderr if json else sys.stdout)
+
+
+def columns(title: str, head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
+    """A table of text: names in the first column, numbers in the others.
+
+    Args:
+        title: Head of the first column.
+        head: Of all others.
+        rows: Their texts by that of the first column.
+    """
+    lines = [(title, *head), *((name, *texts) for name, texts in rows.items())]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        f"{name:<{widths[0]}}"
+        + "".join(f"  {text:>{w}}" for text, w in zip(texts, widths[1:], strict=True))
+        for name, *texts in lines
+    )

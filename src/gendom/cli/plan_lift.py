@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gendom.cli.outputs import tell_written
+from gendom.cli.outputs import columns, tell_written
 from gendom.errors import ParameterError
 from gendom.files import check_folder, to_json, write_json
 from gendom.progress import bar
 
 if TYPE_CHECKING:
-    from gendom.evaluation.lift_plan import LiftPlan, ObjectClass
+    from gendom.estimation.lift_plan import LiftPlan, ObjectClass
 
 OPEN = 0.08
 """Of the gripper, as joints.csv states it where it holds nothing [m]."""
@@ -66,7 +66,7 @@ class Command:
     """Print JSON."""
 
     def run(self) -> int:
-        from gendom.evaluation.lift_plan import LiftPlanSettings, plan_lift
+        from gendom.estimation.lift_plan import LiftPlanSettings, plan_lift
 
         if self.out is not None:
             check_folder(self.out)
@@ -88,7 +88,7 @@ class Command:
         return 0
 
     def _objects(self) -> ObjectClass:
-        from gendom.evaluation.lift_plan import ObjectClass
+        from gendom.estimation.lift_plan import ObjectClass
         from gendom.materials import KINDS
 
         names = KINDS[self.kind].sizes
@@ -143,8 +143,7 @@ class Command:
 
 def plan_text(plan: LiftPlan) -> str:
     """A plan for people."""
-    from gendom.evaluation.lift_plan import rolls
-    from gendom.evaluation.sheet import Sheet
+    from gendom.estimation.lift_plan import rolls
 
     level, drawn = plan.settings.level, plan.settings.draws
 
@@ -162,12 +161,8 @@ def plan_text(plan: LiftPlan) -> str:
             f"{plan.gain(row):.2f}",
             "*" if rolls(row.motion) else "",
         )
-    sheet = Sheet(
-        title=f"Half width of {100.0 * level:g} % intervals",
-        head=("E [%]", "damping [%]", "friction", "carried out", "gain", ""),
-        rows=rows,
-    )
-    lines = [str(sheet)]
+    head = ("E [%]", "damping [%]", "friction", "carried out", "gain", "")
+    lines = [columns(f"Half width of {100.0 * level:g} % intervals", head, rows)]
     if any(rolls(row.motion) for row in plan.rows):
         lines.append(
             "* the rope moves fast on the table, where a round one rolls and the simulator's "

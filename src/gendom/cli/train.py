@@ -69,7 +69,7 @@ class Command:
     """Print JSON."""
 
     def run(self) -> int:
-        from gendom.evaluation import draw_cases, score
+        from gendom.policies.evaluation import draw_cases, score
         from gendom.policies.training import Training, annotate, train
         from gendom.sim.device import open_device
         from gendom.tasks.world import Simulation

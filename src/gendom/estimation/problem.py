@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,8 +40,6 @@ class EstimateSettings:
     """Names of the `UNKNOWNS` to estimate; by default those that the recording may determine."""
     frames: str = "all"
     """``all`` or ``last``: the frames that are compared."""
-    network: Path | None = None
-    """Of `pointnet`: an ONNX file for another kind of lift than the shipped one's."""
     camera_pose: str | None = None
     """``stated``: the cameras' errors are those of a calibration; ``unknown``: their poses are
     estimated, too. None: as each recording says."""
@@ -57,9 +54,6 @@ class EstimateSettings:
     noise: NoiseModel = field(default_factory=NoiseModel)
 
     def __post_init__(self) -> None:
-        if self.network is not None:
-            what, fix = f"is not used by {self.method}", "give method pointnet"
-            require(self.method == "pointnet", what, where="network", fix=fix)
         require(
             self.frames in ("all", "last"), f"frames must be 'all' or 'last', got {self.frames!r}"
         )

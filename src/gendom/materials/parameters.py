@@ -10,7 +10,7 @@ from gendom.shown import Shown
 
 @dataclass(frozen=True, kw_only=True)
 class Material(Shown):
-    """An isotropic elastic material, with an optional yield stress.
+    """An isotropic elastic material.
 
     Motion under gravity depends on E / density, so two materials of equal ``E_over_rho``
     and ``nu`` move alike.
@@ -29,13 +29,11 @@ class Material(Shown):
     """Viscous over elastic stress in slow motion [s]: the time tau of a standard linear solid whose
     Maxwell branch is as stiff as the elastic law. Free motion at a frequency w well below 1 / tau
     is damped at the ratio w tau / 2; static shapes are not changed."""
-    yield_stress: float = math.inf
-    """Von Mises yield stress of the deviatoric Hencky stress [Pa]; infinite means elastic."""
     membrane: float | None = None
     """Young's modulus of a shell in its plane [Pa]; E is then that of its bending. None: E."""
 
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
-        pascals = dict.fromkeys(("E", "yield_stress", "membrane"), "Pa")
+        pascals = dict.fromkeys(("E", "membrane"), "Pa")
         units = {"density": "kg/m^3", "damping": "s", **pascals}
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         rows = [(n, f"{v:g} {units.get(n, '')}") for n, v in values.items() if v is not None]
@@ -44,7 +42,6 @@ class Material(Shown):
     def __post_init__(self) -> None:
         for name in ("E", "nu", "density", "damping"):
             check_number(name, getattr(self, name))
-        check_number("yield_stress", self.yield_stress, finite=False)
         if self.membrane is not None:
             check_number("membrane", self.membrane, above=0.0)
         if self.E <= 0.0:
@@ -58,8 +55,6 @@ class Material(Shown):
                 f"damping must be at least 0 [s], got {self.damping}",
                 fix="ropes and cloths have 0.001 to 0.02 s; 0 means none",
             )
-        if not self.yield_stress > 0.0:
-            raise ParameterError(f"yield_stress must be positive [Pa], got {self.yield_stress}")
 
     @property
     def in_plane(self) -> float:

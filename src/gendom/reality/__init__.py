@@ -21,7 +21,6 @@ from gendom.reality.trials import (
     lift_cameras,
     lifted_by,
     observe,
-    predefined_lift,
     task_trial,
 )
 from gendom.reality.world import Reality
@@ -53,7 +52,6 @@ __all__ = [
     "lifted_by",
     "looking_at",
     "observe",
-    "predefined_lift",
     "record",
     "task_trial",
 ]

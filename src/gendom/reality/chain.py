@@ -13,8 +13,8 @@ from gendom.datasets import Recording
 from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reality.objects import RealObject
 from gendom.reality.recording import RecordSettings, record
-from gendom.reality.trials import Performance, lift_cameras, lifted_by, predefined_lift
-from gendom.robot import LiftMotion
+from gendom.reality.trials import Performance, lift_cameras, lifted_by
+from gendom.robot import LiftMotion, predefined_lift
 
 Sight = tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]
 """Colour [height, width, 3] and depth [height, width] [m], 0 where there is none."""

@@ -34,16 +34,11 @@ from gendom.robot import (
     follow,
     motions,
     pointing_down,
+    predefined_lift,
 )
 from gendom.tasks import Observed, Task
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import check_actions
-
-ROPE_LIFT_SPEED, CLOTH_LIFT_SPEED = 0.05, 0.1
-"""Speed of the predefined lift [m/s]: of a rope so slow that inertia plays no part."""
-
-RISE = 0.75
-"""Height of a rope's lift, in its lengths; of a cloth's, in its sides."""
 
 ROPE_TIMESTEP = 0.00025
 """MuJoCo's timestep in trials with ropes [s]: at its default of 1 ms a rope of 2.5 ms is damped
@@ -56,10 +51,6 @@ of it is slow (`gendom.reality.world.CALM`), the default is taken."""
 
 TIP_HEIGHT = 0.002
 """The lowest that the tool point goes above the table [m]: the pads reach 1.1 mm below it."""
-
-FREE_RISE = 1.0
-"""The same of a rope that is to swing: no part of it touches the table then, whose friction and the
-rope's rolling would hide its damping."""
 
 START = 0.32
 """How far in front of the base the nearest point of a lying object is [m]."""
@@ -241,21 +232,6 @@ def end_of(trial: Trial, motion: JointMotion | None) -> float:
     return max(end, motion.end - 0.5 * motion.blend)
 
 
-def predefined_lift(kind: str, end: str = "hold") -> LiftMotion:
-    """Default end of the lift for a kind of object.
-
-    Raises:
-        RobotError: There is no such end.
-    """
-    rope = kind == "rope"
-    return LiftMotion(
-        kind=kind,
-        rise=FREE_RISE if rope and end == "swing" else RISE,
-        speed=ROPE_LIFT_SPEED if rope else CLOTH_LIFT_SPEED,
-        end=end,
-    )
-
-
 def lift(
     item: RealObject,
     *,
@@ -271,9 +247,8 @@ def lift(
 
     Args:
         item: The object.
-        rise: How high [m]; by default `RISE` lengths or sides, `FREE_RISE` lengths of a rope that
-            swings.
-        speed: [m/s]; by default `ROPE_LIFT_SPEED` or `CLOTH_LIFT_SPEED`.
+        rise: How high [m]; by default that of `gendom.robot.predefined_lift`.
+        speed: [m/s]; by default as well.
         end: One of `gendom.robot.LIFT_ENDS`.
 
     Raises:
@@ -306,7 +281,7 @@ def lift(
         # A corner's vertices are farther from its middle than an end's.
         reach=_rope_reach(item) if rope else FINGER_WIDTH,
         end=path.end,
-        quasi_static=rope and end == "hold" and speed <= ROPE_LIFT_SPEED,
+        quasi_static=rope and end == "hold" and speed <= motions.ROPE_LIFT_SPEED,
         timestep=ROPE_TIMESTEP if rope else None,
         quick=end != "hold",
     )
@@ -338,7 +313,7 @@ def _rope_reach(item: RealRope) -> float:
 def lift_cameras(item: RealObject, **settings: Any) -> list[Camera]:
     """Two cameras on opposite sides of the predefined lift; settings as `default_cameras`."""
     size = size_of(item) * (1.0 if isinstance(item, RealRope) else np.sqrt(2.0))
-    return default_cameras((START + size / 2.0, 0.0, RISE * size / 2.0), **settings)
+    return default_cameras((START + size / 2.0, 0.0, motions.RISE * size / 2.0), **settings)
 
 
 def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:

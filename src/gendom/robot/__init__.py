@@ -34,7 +34,7 @@ from gendom.robot.kinematics import (
     tcp_pose,
 )
 from gendom.robot.motion import JointMotion, LimitUse
-from gendom.robot.motions import LIFT_ENDS, MOTION_FORMAT, LiftMotion, lift
+from gendom.robot.motions import LIFT_ENDS, MOTION_FORMAT, LiftMotion, lift, predefined_lift
 from gendom.robot.path import (
     DOWN,
     Deviation,
@@ -108,6 +108,7 @@ __all__ = [
     "pointing",
     "pointing_down",
     "pose_error",
+    "predefined_lift",
     "read_joints",
     "solutions",
     "tcp_pose",

@@ -38,6 +38,19 @@ SWING_STROKE = 0.25
 LIVELY_REST = 1.0
 """Time for which the arm stands still while the object swings or falls [s]."""
 
+ROPE_LIFT_SPEED, CLOTH_LIFT_SPEED = 0.05, 0.1
+"""Speed of the predefined lift [m/s]: of a rope so slow that inertia plays no part."""
+
+RISE = 0.75
+"""Height of a rope's lift, in its lengths; of a cloth's, in its sides."""
+
+FREE_RISE = 1.0
+"""The same of a rope that is to swing: no part of it touches the table then, whose friction and the
+rope's rolling would hide its damping."""
+
+LIFT_FRAME_RATE = {"hold": 10.0, "swing": 30.0, "drop": 30.0}
+"""Of cameras that record a lift, by its end [1/s]."""
+
 
 MOTION_FORMAT = "gendom-motion/1"
 """Format of files that hold a `LiftMotion`."""
@@ -104,6 +117,25 @@ class LiftMotion:
             ) from None
         except RobotError as error:
             raise RobotError(error.what, where=f"{path}: lift", fix=error.fix) from None
+
+
+def predefined_lift(kind: str, end: str = "hold") -> LiftMotion:
+    """The default lift of a kind of object.
+
+    Args:
+        kind: ``rope`` or ``cloth``.
+        end: One of `LIFT_ENDS`.
+
+    Raises:
+        RobotError: There is no such end.
+    """
+    rope = kind == "rope"
+    return LiftMotion(
+        kind=kind,
+        rise=FREE_RISE if rope and end == "swing" else RISE,
+        speed=ROPE_LIFT_SPEED if rope else CLOTH_LIFT_SPEED,
+        end=end,
+    )
 
 
 def lift(

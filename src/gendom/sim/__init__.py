@@ -8,7 +8,6 @@ from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import CFL, stable_substep
 from gendom.sim.outlines import outline_of_mesh
-from gendom.sim.presets import METRIC, PAPER, Preset, preset
 from gendom.sim.rollout import Rollout
 from gendom.sim.scene import GRAVITY, Table
 from gendom.sim.simulator import ENGINES, Simulator
@@ -18,13 +17,10 @@ __all__ = [
     "CFL",
     "ENGINES",
     "GRAVITY",
-    "METRIC",
-    "PAPER",
     "Body",
     "Gradients",
     "Gripper",
     "Grippers",
-    "Preset",
     "Rollout",
     "Simulator",
     "Table",
@@ -35,7 +31,6 @@ __all__ = [
     "list_devices",
     "open_device",
     "outline_of_mesh",
-    "preset",
     "rope",
     "stable_substep",
 ]

@@ -22,7 +22,7 @@ from gendom.sim.thin.rotation import left_jacobian_inverse
 from gendom.sim.thin.types import WEAVE
 
 _AXES = {
-    **dict.fromkeys(("E", "nu", "density", "yield_stress", "damping", "membrane"), 0),
+    **dict.fromkeys(("E", "nu", "density", "damping", "membrane"), 0),
     **dict.fromkeys(("velocity_damping", "air_density", "friction", "self_friction"), 0),
     "thickness": 0,
     **dict.fromkeys(("weave", "gravity", "stiffness", "gripper_radius"), 1),
@@ -31,7 +31,7 @@ _AXES = {
 }
 """Inputs that may be tensors, and their number of axes in one world."""
 
-_OF_MATERIAL = ("E", "nu", "density", "yield_stress", "damping", "membrane")
+_OF_MATERIAL = ("E", "nu", "density", "damping", "membrane")
 _OF_BODY = ("thickness", "weave")
 _OF_SIMULATOR = (
     "stiffness", "velocity_damping", "air_density", "self_friction", "gravity", "positions",
@@ -57,12 +57,12 @@ def simulate(
             ``gripper_radius`` change them.
         table: Table; ``friction``, if given, replaces its coefficient.
         memory: Limit on memory for the backward pass [bytes] (default: as ``Rollout``).
-        options: Further arguments of ``Simulator`` (``engine``, by default ``mpm``; ``law``,
+        options: Further arguments of ``Simulator`` (``engine``, by default ``mpm``;
             ``self_contact``, ``substep``, ``dtype``, ``threads``).
-        given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and optionally ``yield_stress`` [Pa],
-            ``damping`` [s] (``Material.damping``), ``membrane`` [Pa], ``velocity_damping`` [1/s],
-            ``air_density`` [kg/m^3], ``friction``, ``self_friction``: numbers or [W]; ``gravity``
-            [3] or [W, 3]; ``stiffness`` [N] or [W, N]; ``positions`` and ``velocities`` [N, 3] or
+        given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and optionally ``damping`` [s]
+            (``Material.damping``), ``membrane`` [Pa], ``velocity_damping`` [1/s], ``air_density``
+            [kg/m^3], ``friction``, ``self_friction``: numbers or [W]; ``gravity`` [3] or [W, 3];
+            ``stiffness`` [N] or [W, N]; ``positions`` and ``velocities`` [N, 3] or
             [W, N, 3]; of grippers, with K the knots of each one's own path, ``gripper_positions``
             [G, K, 3] or [W, G, K, 3], ``gripper_rotations`` of the same shape, rotation vectors
             that turn them further, in world axes [rad], and ``gripper_radius`` [G] or [W, G]. For

@@ -20,8 +20,6 @@ class Gradients:
     """[W] by Poisson's ratio."""
     density: NDArray[np.float64]
     """[W] by density [m^3/kg]."""
-    yield_stress: NDArray[np.float64]
-    """[W] by yield stress [1/Pa]; 0 where nothing yields."""
     stiffness: NDArray[np.float64]
     """[W, N] by the ratio of each particle's or point's E to its material's E."""
     damping: NDArray[np.float64]

@@ -47,7 +47,6 @@ class Setting:
     air_density: ArrayLike
     self_contact: bool
     self_friction: ArrayLike
-    law: str
     stiffness: ArrayLike
     positions: ArrayLike
     start_time: float

@@ -21,7 +21,6 @@ from gendom.arguments import (
 from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
 from gendom.materials import AIR_DENSITY, Material
-from gendom.materials.laws import LAWS
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
@@ -49,9 +48,8 @@ class Simulator(Shown):
     Args:
         body: The body to simulate, at rest.
         materials: One material for each world.
-        engine: ``thin`` (a rope as a rod, a cloth as a shell), the default for elastic ropes and
-            cloths, or ``mpm`` (particles on a grid), the default for all other bodies and for
-            materials with a yield stress.
+        engine: ``thin`` (a rope as a rod, a cloth as a shell), the default for ropes and cloths, or
+            ``mpm`` (particles on a grid), the default for all other bodies.
         grippers: Grippers shared by all worlds, or one sequence of them for each world, or all as
             arrays (``Grippers``).
         table: Table, or None for open space.
@@ -63,7 +61,6 @@ class Simulator(Shown):
         self_contact: Whether rods and shells keep their thickness where they meet themselves. The
             MPM resolves self-contact through its grid in any case.
         self_friction: Coefficient of friction at self-contact, one number or [W].
-        law: Elastic law of the MPM, see ``gendom.materials.laws.LAWS``.
         substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
         cfl: Share of that limit (default: the engine's ``CFL``).
         stiffness: E of each particle or point over E of its material, [N] or [W, N] [-].
@@ -94,7 +91,6 @@ class Simulator(Shown):
         air_density: float | ArrayLike = AIR_DENSITY,
         self_contact: bool = False,
         self_friction: float | ArrayLike = 0.3,
-        law: str = "neo-hookean",
         substep: float | None = None,
         cfl: float | None = None,
         stiffness: ArrayLike = 1.0,
@@ -110,8 +106,7 @@ class Simulator(Shown):
         check_type("self_contact", self_contact, bool)
         require(materials, "a simulation needs at least one material (one a world)")
         if engine is None:
-            yields = any(np.isfinite(m.yield_stress) for m in materials)
-            engine = "mpm" if yields or body.kind not in ("rope", "cloth") else "thin"
+            engine = "thin" if body.kind in ("rope", "cloth") else "mpm"
         choice = f"choose one of {', '.join(ENGINES)}"
         require(engine in ENGINES, f"unknown engine {engine!r}", fix=choice)
         thin = engine == "thin"
@@ -135,10 +130,6 @@ class Simulator(Shown):
         if threads is not None:
             check_integers("threads", threads, (), least=1)
         W = len(materials)
-        if law not in LAWS:
-            raise ParameterError(
-                f"unknown elastic law {law!r}", fix=f"choose one of {', '.join(LAWS)}"
-            )
         rest = body.points if thin else body.x
         narrow = "the outline is narrower than the particles"
         require(len(rest), narrow, fix="a smaller dx, or engine='thin'")
@@ -163,7 +154,6 @@ class Simulator(Shown):
             gravity=gravity,
             velocity_damping=velocity_damping,
             air_density=air_density,
-            law=law,
             stiffness=stiffness,
             positions=x,
             start_time=start_time,
@@ -273,7 +263,7 @@ class Simulator(Shown):
     def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
         """Write the state, the time and the parameters of all worlds to an ``.npz`` file.
 
-        The state is x and v; for the MPM also C and F (and Z and G if present); for rods and
+        The state is x and v; for the MPM also C and F (and Z if present); for rods and
         shells all components of their state.
 
         Args:

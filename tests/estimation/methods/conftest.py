@@ -2,7 +2,7 @@
 
 import pytest
 
-from gendom.estimation.sim2sim import scene_settings, sim2sim_problem, sim2sim_recording
+from experiments.sim2sim import scene_settings, sim2sim_problem, sim2sim_recording
 
 TRUTH = (4000.0, 0.3)
 """E in the paper's units, and nu."""

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from experiments.sim2sim import truth_of
 from gendom.estimation.methods.adam import DensityLoss, _Descent
 from gendom.estimation.problem import Start
-from gendom.estimation.sim2sim import truth_of
 
 
 @pytest.mark.parametrize("markers", [True, False])

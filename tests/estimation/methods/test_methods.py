@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gendom.errors import ParameterError
+from experiments.sim2sim import paper_E
 from gendom.estimation.methods import METHODS
 from gendom.estimation.methods.adam import AdamSettings, DensityLoss, adam
 from gendom.estimation.methods.differential_evolution import (
@@ -11,8 +11,6 @@ from gendom.estimation.methods.differential_evolution import (
     differential_evolution,
 )
 from gendom.estimation.methods.gauss_newton import gauss_newton
-from gendom.estimation.methods.pointnet import pointnet
-from gendom.estimation.sim2sim import paper_E
 
 E, NU = 4000.0, 0.3
 
@@ -95,10 +93,5 @@ def test_adam_stays_within_the_prior(short_lift, monkeypatch):
     assert any((low == v).any() or (v == high).any() for v in been)
 
 
-def test_the_network_refuses_another_lift(short_lift):
-    with pytest.raises(ParameterError, match="knows lifts with rise"):
-        pointnet(short_lift(markers=False, shows="last"))
-
-
 def test_methods_go_by_the_names_of_the_command_line():
-    assert list(METHODS) == ["gauss-newton", "adam", "differential-evolution", "pointnet"]
+    assert list(METHODS) == ["gauss-newton", "adam", "differential-evolution"]

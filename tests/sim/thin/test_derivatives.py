@@ -351,8 +351,6 @@ def test_bad_input_is_named(body):
         make(positions=1.5 * body.points)
     with pytest.raises(ParameterError, match="mm inside the table"):
         make(table=Table(height=0.1))
-    with pytest.raises(ParameterError, match="do not yield"):
-        Simulator(body, [Material(yield_stress=1e3)], engine="thin")
     with pytest.raises(ParameterError, match="unknown engine 'fem'"):
         Simulator(body, [Material()], engine="fem")
     with pytest.raises(ParameterError, match="only the MPM has particles"):

@@ -15,8 +15,8 @@ from gendom.sim.outlines import Outline
 from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.shell_model import ShellModel
 from gendom.sim.thin.shells import Shells
-from gendom.validation.outlines import circle
-from gendom.validation.shells import bending_energy, membrane_energy
+from validation.readings import bending_energy, membrane_energy
+from validation.specimens import circle
 
 SHEET: dict[str, Any] = {"thickness": 0.002, "dx": 0.02}
 MATERIAL = Material(E=1.0e6, nu=0.3, density=500.0)

@@ -10,7 +10,7 @@ from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import Simulator, Weave, cloth, rope
 from gendom.sim.thin.shells import Shells
-from gendom.validation.shells import bending_energy, membrane_energy
+from validation.readings import bending_energy, membrane_energy
 
 MATERIAL = Material(E=1.0e6, nu=0.0)
 SIZES: dict[str, Any] = {"width": 0.2, "height": 0.15, "thickness": 0.002, "dx": 0.02}

@@ -5,12 +5,10 @@ from collections.abc import Callable
 from gendom.estimation.methods.adam import adam
 from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import gauss_newton
-from gendom.estimation.methods.pointnet import pointnet
 from gendom.estimation.problem import Found, Problem
 
 METHODS: dict[str, Callable[[Problem], Found]] = {
     "gauss-newton": gauss_newton,
     "adam": adam,
     "differential-evolution": differential_evolution,
-    "pointnet": pointnet,
 }

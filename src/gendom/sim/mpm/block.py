@@ -1,7 +1,7 @@
 """What the threads of a CUDA block do together; on the CPU a block is one thread.
 
 A kernel that gives each world a block reads the same on both devices: its loops take every
-``lanes``-th particle or node from ``lane`` on, and the threads meet between them.
+``threads``-th particle or node from ``thread`` on, and threads synchronise between them.
 """
 
 import functools
@@ -25,9 +25,9 @@ ROOM_ALONE = 192_000
 """The same of a block that has a multiprocessor to itself."""
 
 
-def bounds(lanes: int) -> tuple[int, int]:
+def bounds(threads: int) -> tuple[int, int]:
     """Launch bounds of a block: two on a multiprocessor where registers allow."""
-    return lanes, 2 if lanes <= 192 else 1
+    return threads, 2 if threads <= 192 else 1
 
 
 @functools.cache
@@ -36,20 +36,20 @@ def make_block(real: Any) -> Namespace:
 
     Returns:
         Namespace with ``resident_at``, the address of a byte of a block's memory for particles;
-        ``meet``, after which every thread sees what the others have written;
-        ``any``, whether a thread's value is not 0, which meets too; ``largest``, the largest of all
-        threads' values (no NaN), which meets too, and wants another meeting before it is called
-        again; ``before``, the sum of the values of the threads before this one.
+        ``sync``, after which every thread sees what the others have written; ``any``, whether a
+        thread's value is not 0, and ``largest``, the largest of all threads' values (no NaN), which
+        synchronise too (before ``largest`` is called again, another ``sync`` is needed);
+        ``sum_before``, the sum of the values of the threads before this one; and ``add_by_warp``.
     """
 
     @wp.func_native("return gendom::resident_at(byte);")
     def resident_at(byte: int) -> wp.uint64: ...
 
     @wp.func_native("gendom::block_sync();")
-    def meet(): ...
+    def sync(): ...
 
     @wp.func_native("return gendom::block_any(value);")
-    def any_of(value: int) -> int: ...
+    def block_any(value: int) -> int: ...
 
     @wp.func_native("return gendom::largest(value);")
     def largest(value: real) -> real: ...
@@ -58,9 +58,9 @@ def make_block(real: Any) -> Namespace:
     def add_by_warp(to: wp.array2d(dtype=wp.vec3d), i: int, j: int, value: wp.vec3d): ...
 
     @wp.func_native("return gendom::sum_before(value);")
-    def before(value: int) -> int: ...
+    def sum_before(value: int) -> int: ...
 
-    return Namespace(resident_at, meet, largest, before, add_by_warp, any=any_of)
+    return Namespace(resident_at, sync, largest, sum_before, add_by_warp, any=block_any)
 
 
 @functools.cache

@@ -1,14 +1,14 @@
-"""What acts on particles besides each other: the table, walls, grippers.
+"""What acts on particles besides each other: the table and grippers.
 
 All of it acts on particles, section by section (the particles of a rope's cross-section, or those
 through a cloth's thickness, ``Body.section``), so that no cell of the grid shows in where a body
 rests or is held.
 
-- **Table and walls** push a section whose centre is nearer than the body's contact radius: with a
+- **The table** pushes a section whose centre is nearer than the body's contact radius: with a
   spring as stiff as substeps allow (k = m ``SPRING`` / dt^2; what lies at rest is 1e-7 m deep in
-  it) and a dashpot, and never pull. Coulomb friction takes as much of the velocity along the table,
-  with all other impulses of the substep, as that push allows. These impulses go to the grid with
-  the others; at rest every section is then in balance by itself, and the grid has nothing to say.
+  it) and a dashpot, and never pulls. Coulomb friction takes as much of the velocity along the
+  table, with all other impulses of the substep, as that push allows. These impulses go to the grid
+  with the others; at rest every section is then in balance by itself.
 - **Grippers**: when one closes, each particle keeps its place in the gripper's frame, with a weight
   f that falls from 1 to 0 over one lattice spacing about the surface of the gripper's sphere,
   measured to the centre of its section. From then on a spring and a dashpot that are stiffer the
@@ -34,17 +34,17 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.bodies import Body
-from gendom.sim.mpm.particles import Particles
+from gendom.sim.mpm.particles import Variant, make_adjoint, make_moving, make_taped
 from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
 
 SPRING = 0.1
-"""Of table and walls, for the mass of a section and the square of a substep."""
+"""Of the table, for the mass of a section and the square of a substep."""
 
 BEYOND = 1.22
 """Where the weight of what is held falls to 0, in lattice spacings beyond the gripper's surface:
 half a spacing for the ramp, and 0.72 because differences between neighbours span two spacings, so
-that what is held bends a little. Free lengths then are those of beams, see ``gendom validate``."""
+that what is held bends a little. Free lengths then are those of beams, see ``make validate``."""
 
 STIFFNESS = 1.4
 """Of the spring on what is held in part, for the material's own."""
@@ -58,7 +58,7 @@ FOLLOWS = 0.5
 most."""
 
 DASHPOT = 0.85
-"""Share of the velocity into table or walls that they take in a substep."""
+"""Share of the velocity into the table that it takes in a substep."""
 
 
 def grip_constants(body: Body) -> tuple[float, float]:
@@ -67,55 +67,43 @@ def grip_constants(body: Body) -> tuple[float, float]:
 
 
 @functools.cache
-def make_boundary(real: Any, particles: Particles) -> Namespace:
-    """Build what acts on particles, for one scalar type and one way to store them.
+def make_boundary(variant: Variant) -> Namespace:
+    """Build what acts on particles, for one way to store them.
 
     Returns:
         Namespace with ``contact`` (of a section's mean position and velocity), ``near_table``,
-        ``follow``, ``guided`` and ``carried`` (a held particle), ``grasp`` (grippers that open and
-        close) and ``hold_as_at``.
+        ``modulus_of``, ``spring``, ``follow`` (a held particle) and ``grasp`` (grippers that open
+        and close).
     """
+    real = variant.real
     types = make_types(real)
     vec3 = types.vec3
-    Matter, Scene, Paths, Grips = types.Matter, types.Scene, types.Paths, types.Grips
-    Stored = particles.Struct
-    x_of = particles.x
+    Matter, Conditions, Paths, Grips = types.Matter, types.Conditions, types.Paths, types.Grips
+    stored = make_moving(variant)
+    Stored, x_of = stored.Struct, stored.x_of
     paths_of = make_paths(real)
+    hold_on = make_grips(real).hold_on
+    pushed = _pushed(real)
+    section_centre = _section_centre(variant, taped=False)
 
     @wp.func
-    def push(gap: real, outwards: real, dt: real):
-        """Velocity that a plane gives to what is so near to it and would move away at
-        ``outwards``."""
-        given = real(0.0)
-        if gap < real(0.0):
-            given = wp.max(real(0.0), real(-SPRING) / dt * gap - real(DASHPOT) * outwards)
-        return given
-
-    @wp.func
-    def contact(w: int, x: vec3, u: vec3, dt: real, radius: real, scene: Scene):
-        """What table and walls change of the velocity of a section whose centre is at x, and which
-        would move at u with all other impulses of the substep."""
+    def contact(w: int, x: vec3, u: vec3, dt: real, radius: real, conditions: Conditions):
+        """Change of the velocity u of a section at x by the table, where all other impulses of the
+        substep are in u."""
         change = vec3()
-        if scene.table == 1:
-            given = push(x[2] - radius, u[2], dt)
-            if given > real(0.0):
-                slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])
-                lost = real(1.0)
-                if slip > scene.friction[w] * given:
-                    lost = scene.friction[w] * given / slip
-                change = vec3(-lost * u[0], -lost * u[1], given)
-        if scene.walls == 1:
-            for a in range(3):
-                change[a] = change[a] + push(x[a] - scene.box_lower[a] - radius, u[a], dt)
-                change[a] = change[a] - push(scene.box_upper[a] - x[a] - radius, -u[a], dt)
+        given = pushed(x[2] - radius, u[2], dt)
+        if given > real(0.0):
+            slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])
+            lost = real(1.0)
+            if slip > conditions.friction[w] * given:
+                lost = conditions.friction[w] * given / slip
+            change = vec3(-lost * u[0], -lost * u[1], given)
         return change
 
     @wp.func
-    def near_table(x: vec3, matter: Matter, scene: Scene):
-        """Whether a particle's section may touch table or walls before the grid is rebuilt."""
-        return scene.walls == 1 or (
-            scene.table == 1 and x[2] < real(2.0) * matter.contact_radius + real(2.0) * scene.dx
-        )
+    def near_table(x: vec3, matter: Matter, conditions: Conditions):
+        """Whether a particle's section may touch the table before the grid is rebuilt."""
+        return conditions.table == 1 and x[2] < real(2.0) * (matter.contact_radius + conditions.dx)
 
     @wp.func
     def modulus_of(w: int, p: int, matter: Matter):
@@ -145,37 +133,9 @@ def make_boundary(real: Any, particles: Particles) -> Namespace:
         return V + (b / dt) * behind, spin, behind / dt
 
     @wp.func
-    def carried(w: int, p: int, grip_row: int, x: vec3, b: real, dt: real, grips: Grips):
-        """``follow`` of a particle that is held."""
-        N = grips.held_by.shape[1]
-        g = grips.held_by[w, p] // N
-        v, spin, by_b = follow(
-            g, grips.place[w, g, grips.held_by[w, p] % N], grip_row, x, b, dt, grips
-        )
-        return v, spin, by_b
-
-    @wp.func
-    def guided(
-        w: int, p: int, grip_row: int, x: vec3, u: vec3, dt: real, dx: real, matter: Matter,
-        grips: Grips,
-    ):  # fmt: skip
-        """Velocity w of a particle that is held in part, from its place and its own u."""
-        b, _slope = spring(w, modulus_of(w, p, matter), dt, matter, dx)
-        v, _spin, _by_b = carried(w, p, grip_row, x, b, dt, grips)
-        return u + (real(1.0) - grips.free[w, p]) * (v - u)
-
-    @wp.func
-    def section_centre(row: int, p: int, matter: Matter, particles: Stored):
-        first = p - p % matter.section
-        x = vec3()
-        for n in range(matter.section):
-            x += x_of(particles, row, first + n)
-        return x / real(matter.section)
-
-    @wp.func
     def attach(
-        w: int, g: int, t: wp.float64, age: int, row: int, N: int, matter: Matter, scene: Scene,
-        paths: Paths, grips: Grips, particles: Stored,
+        w: int, g: int, t: wp.float64, age: int, row: int, N: int, matter: Matter,
+        conditions: Conditions, paths: Paths, grips: Grips, particles: Stored,
     ):  # fmt: skip
         """Close gripper g on what lies inside its sphere; returns how many particles it holds.
 
@@ -184,7 +144,7 @@ def make_boundary(real: Any, particles: Particles) -> Namespace:
         centre, orientation, _knot = paths_of.pose(w, g, t, paths)
         c = paths_of.narrow(centre)
         R = paths_of.narrow_matrix(orientation)
-        spacing = real(0.5) * scene.dx
+        spacing = real(0.5) * conditions.dx
         count = int(0)
         f = real(0.0)
         for p in range(N):
@@ -205,6 +165,39 @@ def make_boundary(real: Any, particles: Particles) -> Namespace:
         return count
 
     @wp.func
+    def grasp(
+        w: int, t: wp.float64, age: int, row: int, N: int, matter: Matter, conditions: Conditions,
+        paths: Paths, grips: Grips, particles: Stored,
+    ):  # fmt: skip
+        """Let the grippers of a world open and close before substep ``age``, which begins at t.
+
+        By one thread; once more does the same. Returns a gripper that closed on nothing, or -1.
+        """
+        empty = int(-1)
+        for g in range(paths.radius.shape[1]):
+            since = grips.since[w, g]
+            until = grips.until[w, g]
+            if paths_of.is_closed(w, g, t, paths):
+                if since < 0 or since == age:
+                    count = attach(
+                        w, g, t, age, row, N, matter, conditions, paths, grips, particles
+                    )
+                    if count == 0 and paths.may_miss[w, g] == 0:
+                        empty = g
+            elif since >= 0 and since < age and (until < 0 or until == age):
+                grips.until[w, g] = age
+                hold_on(w, g, real(0.0), grips)
+        return empty
+
+    return Namespace(contact, near_table, modulus_of, spring, follow, grasp)
+
+
+@functools.cache
+def make_grips(real: Any) -> Namespace:
+    """Build ``hold_on`` and ``hold_as_at``, which set what grippers hold, for one scalar type."""
+    Grips = make_types(real).Grips
+
+    @wp.func
     def hold_on(w: int, g: int, share: real, grips: Grips):
         """Let gripper g hold its particles again (share 1) or not (0)."""
         for n in range(grips.count[w, g]):
@@ -223,30 +216,187 @@ def make_boundary(real: Any, particles: Particles) -> Namespace:
             if since >= 0 and since < age and (until < 0 or until >= age):
                 hold_on(w, g, real(1.0), grips)
 
-    @wp.func
-    def grasp(
-        w: int, t: wp.float64, age: int, row: int, N: int, matter: Matter, scene: Scene,
-        paths: Paths, grips: Grips, particles: Stored,
-    ):  # fmt: skip
-        """Let the grippers of a world open and close before substep ``age``, which begins at t.
+    return Namespace(hold_on, hold_as_at)
 
-        By one thread; once more does the same. Returns a gripper that closed on nothing, or -1.
+
+def _section_centre(variant: Variant, *, taped: bool) -> Any:
+    types = make_types(variant.real)
+    real, vec3, Matter = types.real, types.vec3, types.Matter
+    stored = make_taped(variant) if taped else make_moving(variant)
+    Stored, x_of = stored.Struct, stored.x_of
+
+    @wp.func
+    def section_centre(row: int, p: int, matter: Matter, particles: Stored):
+        first = p - p % matter.section
+        x = vec3()
+        for n in range(matter.section):
+            x += x_of(particles, row, first + n)
+        return x / real(matter.section)
+
+    return section_centre
+
+
+@functools.cache
+def _pushed(real: Any) -> Any:
+    @wp.func
+    def pushed(gap: real, outwards: real, dt: real):
+        """Velocity that the table gives to what is at a height ``gap`` and would move away at
+        ``outwards``."""
+        given = real(0.0)
+        if gap < real(0.0):
+            given = wp.max(real(0.0), real(-SPRING) / dt * gap - real(DASHPOT) * outwards)
+        return given
+
+    return pushed
+
+
+@functools.cache
+def make_boundary_adjoint(variant: Variant) -> Namespace:
+    """Build the transposes for one way to store particles.
+
+    Returns:
+        Namespace with ``wide`` (to float64), ``contact_adjoint`` (of a section's mean motion),
+        ``follow_adjoint``, ``turned_adjoint`` and ``driven_adjoint`` (of a held particle) and
+        ``grasp_adjoint``.
+    """
+    real = variant.real
+    types = make_types(real)
+    vec3, mat33 = types.vec3, types.mat33
+    Matter, Conditions, Paths, Grips = types.Matter, types.Conditions, types.Paths, types.Grips
+    ConditionsAdjoint = types.ConditionsAdjoint
+    taped, adjoint_of = make_taped(variant), make_adjoint(variant)
+    Tape, Adjoint, x_of = taped.Struct, adjoint_of.Struct, taped.x_of
+    fields, place = adjoint_of.fields, adjoint_of.place
+    boundary = make_boundary(variant)
+    section_centre, pushed = _section_centre(variant, taped=True), _pushed(real)
+    paths_of, hold_on = make_paths(real), make_grips(real).hold_on
+
+    @wp.func
+    def add_x(adjoint: Adjoint, w: int, p: int, value: vec3):
+        i = place(adjoint, w, p)
+        fields.put_x(adjoint, w, i, fields.x(adjoint, w, i) + value)
+
+    @wp.func
+    def wide(a: vec3):
+        return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
+
+    @wp.func
+    def contact_adjoint(
+        w: int, x: vec3, u: vec3, dt: real, radius: real, conditions: Conditions, change_bar: vec3,
+        by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Derivatives by x and u from that by the change that ``contact`` makes."""
+        x_bar = vec3()
+        u_bar = vec3()
+        stiff = real(-SPRING) / dt
+        loss = real(-DASHPOT)
+        given = pushed(x[2] - radius, u[2], dt)
+        if given > real(0.0):
+            given_bar = change_bar[2]
+            slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])
+            lost = real(1.0)
+            if slip > conditions.friction[w] * given:
+                lost = conditions.friction[w] * given / slip
+                lost_bar = -(change_bar[0] * u[0] + change_bar[1] * u[1])
+                given_bar += lost_bar * conditions.friction[w] / slip
+                wp.atomic_add(by.friction, w, wp.float64(lost_bar * given / slip))
+                slip_bar = -lost_bar * lost / slip
+                u_bar[0] = u_bar[0] + slip_bar * u[0] / slip
+                u_bar[1] = u_bar[1] + slip_bar * u[1] / slip
+            u_bar[0] = u_bar[0] - lost * change_bar[0]
+            u_bar[1] = u_bar[1] - lost * change_bar[1]
+            x_bar[2] = x_bar[2] + stiff * given_bar
+            u_bar[2] = u_bar[2] + loss * given_bar
+        return x_bar, u_bar
+
+    @wp.func
+    def follow_adjoint(
+        w: int, g: int, n: int, grip_row: int, b: real, dt: real, v_bar: vec3, spin_bar: vec3,
+        grips: Grips, by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Transpose of ``follow`` for the n-th particle of gripper g.
+
+        Returns derivatives by the gripper's centre (less those by x), velocity, spin and rotation.
         """
-        empty = int(-1)
+        arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
+        centre_bar = (b / dt) * v_bar
+        V_bar = (real(1.0) - b) * v_bar
+        arm_bar = centre_bar + wp.cross(V_bar, grips.spin[grip_row, g])
+        by.place[w, g, n] = (
+            by.place[w, g, n] + wp.transpose(grips.orientation[grip_row, g]) * arm_bar
+        )
+        return centre_bar, V_bar, spin_bar + wp.cross(arm, V_bar), wp.cross(arm, arm_bar)
+
+    @wp.func
+    def turned_adjoint(C_bar: mat33):
+        """Derivative by a spin from that by its matrix."""
+        return vec3(C_bar[2, 1] - C_bar[1, 2], C_bar[0, 2] - C_bar[2, 0], C_bar[1, 0] - C_bar[0, 1])
+
+    @wp.func
+    def driven_adjoint(
+        w: int, g: int, n: int, modulus: real, f: real, grip_row: int, x: vec3, u: vec3, dt: real,
+        dx: real, matter: Matter, w_bar: vec3, grips: Grips, by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Of the velocity w that the n-th particle of gripper g, held with weight f, is given.
+
+        Returns derivatives by lam and mass, and those of ``follow_adjoint``.
+        """
+        b, slope = boundary.spring(w, modulus, dt, matter, dx)
+        v, _spin, by_b = boundary.follow(g, grips.place[w, g, n], grip_row, x, b, dt, grips)
+        b_bar = f * wp.dot(w_bar, by_b)
+        mass_bar = real(0.0)
+        if slope > real(0.0):
+            mass_bar = -b_bar * b / matter.mass[w]
+        by.weight[w, g, n] = by.weight[w, g, n] + wp.dot(w_bar, v - u)
+        centre_bar, V_bar, spin_bar, R_bar = follow_adjoint(
+            w, g, n, grip_row, b, dt, f * w_bar, vec3(), grips, by
+        )
+        return b_bar * b * slope, mass_bar, centre_bar, V_bar, spin_bar, R_bar
+
+    @wp.func
+    def attach_adjoint(
+        w: int, g: int, t: wp.float64, row: int, matter: Matter, conditions: Conditions,
+        paths: Paths, grips: Grips, tape: Tape, adjoint: Adjoint, by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Transpose of ``attach``: to the positions at that moment, and to the gripper's pose."""
+        centre, orientation, _knot = paths_of.pose(w, g, t, paths)
+        c = paths_of.narrow(centre)
+        R = paths_of.narrow_matrix(orientation)
+        spacing = real(0.5) * conditions.dx
+        centre_bar = wp.vec3d()
+        R_bar = wp.vec3d()
+        for n in range(grips.count[w, g]):
+            p = grips.particle[w, g, n]
+            back = R * by.place[w, g, n]
+            add_x(adjoint, w, p, back)
+            centre_bar -= wide(back)
+            R_bar -= wide(wp.cross(x_of(tape, row, p) - c, back))
+            f = grips.weight[w, g, n]
+            if f < real(1.0):
+                f_bar = by.weight[w, g, n] / spacing
+                by.radius[w, g] = by.radius[w, g] + wp.float64(f_bar)
+                outwards = -f_bar * wp.normalize(section_centre(row, p, matter, tape) - c)
+                centre_bar -= wide(outwards)
+                first = p - p % matter.section
+                for q in range(first, first + matter.section):
+                    add_x(adjoint, w, q, outwards / real(matter.section))
+            by.weight[w, g, n] = real(0.0)
+            by.place[w, g, n] = vec3()
+        paths_of.pose_adjoint(w, g, t, centre_bar, R_bar, paths, by.position, by.turn)
+
+    @wp.func
+    def grasp_adjoint(
+        w: int, t: wp.float64, age: int, row: int, matter: Matter, conditions: Conditions,
+        paths: Paths, grips: Grips, tape: Tape, adjoint: Adjoint, by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Go back over grippers that opened or closed before substep ``age``; by one thread."""
         for g in range(paths.radius.shape[1]):
-            since = grips.since[w, g]
-            until = grips.until[w, g]
-            if paths_of.is_closed(w, g, t, paths):
-                if since < 0 or since == age:
-                    count = attach(w, g, t, age, row, N, matter, scene, paths, grips, particles)
-                    if count == 0 and paths.may_miss[w, g] == 0:
-                        empty = g
-            elif since >= 0 and since < age and (until < 0 or until == age):
-                grips.until[w, g] = age
+            if grips.until[w, g] == age:
+                hold_on(w, g, real(1.0), grips)
+            if grips.since[w, g] == age:
+                attach_adjoint(w, g, t, row, matter, conditions, paths, grips, tape, adjoint, by)
                 hold_on(w, g, real(0.0), grips)
-        return empty
 
     return Namespace(
-        push, contact, near_table, modulus_of, spring, carried, follow, guided, section_centre,
-        hold_on, hold_as_at, grasp,
-    )  # fmt: skip
+        wide, contact_adjoint, follow_adjoint, turned_adjoint, driven_adjoint, grasp_adjoint
+    )

@@ -5,10 +5,7 @@ its neighbours in the rest lattice say, F = D B with the inverse B of the same a
 energy is a function of positions alone, and its derivatives are the forces (Lagrangian forces:
 Jiang, Gast and Teran 2017). No energy comes from nowhere, and what has come to rest stays.
 
-- **Elastic law**: P(F), see ``gendom.materials.laws``.
-- **Yield**: F G is elastic, G the inverse of the plastic F that each particle keeps; where the
-  elastic part passes the yield surface it is returned, and G changes (Simo and Hughes 1998, chapter
-  9).
+- **Elastic law**: neo-Hookean, P(F), see ``gendom.materials.laws``.
 - **Material damping**: a standard linear solid with one Maxwell branch as stiff as the elastic law
   (Simo and Hughes 1998, chapter 10). The branch's stress is Q = S - Z, S the second Piola-Kirchhoff
   stress and Z the same filtered with the branch's time tau: per substep, with
@@ -25,7 +22,8 @@ Jiang, Gast and Teran 2017). No energy comes from nowhere, and what has come to 
 
 Forces go to particles as impulses of a substep: each particle pulls the neighbour behind it along a
 lattice axis back and the one before it forth. Each function has its transpose beside it;
-``internal_forces`` calls them for the particles of a body.
+``internal_forces`` calls them for the particles of a body on CUDA; ``native/simd_elasticity.h``
+does the same for several particles at once on the CPU.
 """
 
 import functools
@@ -33,7 +31,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.materials.laws import make_law
+from gendom.materials.laws import make_neo_hookean
 from gendom.sim.mpm.types import Namespace, make_types
 
 FILLS = 1.0e-30
@@ -78,13 +76,11 @@ def make_maxwell_branch(real: Any) -> Namespace:
 
 
 @functools.cache
-def make_elasticity(real: Any, law_name: str, *, yields: bool, damped: bool = True) -> Namespace:
-    """Build the forces of one particle, for one scalar type and one material.
+def make_elasticity(real: Any, *, damped: bool) -> Namespace:
+    """Build the forces of one particle, for one scalar type.
 
     Args:
         real: ``wp.float32`` or ``wp.float64``.
-        law_name: Elastic law, see ``gendom.materials.laws``.
-        yields: Whether particles yield.
         damped: Whether any material has damping.
 
     Returns:
@@ -92,113 +88,58 @@ def make_elasticity(real: Any, law_name: str, *, yields: bool, damped: bool = Tr
     """
     types = make_types(real)
     vec3, mat33 = types.vec3, types.mat33
-    law = make_law(law_name, real, plastic=yields)
-    plastic = wp.constant(int(yields))
+    law = make_neo_hookean(real)
     maxwell = wp.constant(int(damped))
 
     @wp.func
-    def elastic_part(F: mat33, G: mat33, mu: real, yield_stress: real):
-        """Elastic part of F and the new G."""
-        elastic = F
-        if plastic == 1:
-            tried = F * G
-            elastic = law.return_map(tried, mu, yield_stress)
-            if wp.ddot(elastic - tried, elastic - tried) > real(0.0):
-                G = wp.inverse(F) * elastic
-        return elastic, G
-
-    @wp.func
     def pull(
-        D: mat33, B: mat33, mu: real, lam: real, yield_stress: real, keep: real, share: real,
-        Z: mat33, G: mat33, impulse: real,
+        D: mat33, B: mat33, mu: real, lam: real, keep: real, share: real, Z: mat33, impulse: real,
     ):  # fmt: skip
         """Impulses [3, axis] by which a particle draws its neighbours together.
 
         ``impulse`` is the substep times the particle's volume.
 
         Returns:
-            The pulls, Z and G after the substep, and whether the particle is upright (J > 0).
+            The impulses, Z after the substep, and whether the particle is not inverted (J > 0).
         """
         F = D * B
-        elastic, G_after = elastic_part(F, G, mu, yield_stress)
-        P = law.stress(elastic, mu, lam)
+        P = law.stress(F, mu, lam)
         Z_after = Z
         if maxwell == 1 and share > real(0.0):
-            S = wp.inverse(elastic) * P
-            P = (real(1.0) + share) * P - share * (elastic * Z)
+            S = wp.inverse(F) * P
+            P = (real(1.0) + share) * P - share * (F * Z)
             Z_after = Z + (real(1.0) - keep) * (S - Z)
-        frame = B
-        if plastic == 1:
-            frame = B * G_after
-        return (
-            impulse * (P * wp.transpose(frame)), Z_after, G_after, wp.determinant(F) > real(0.0)
-        )  # fmt: skip
+        return impulse * (P * wp.transpose(B)), Z_after, wp.determinant(F) > real(0.0)
 
     @wp.func
     def pull_adjoint(
-        D: mat33, B: mat33, mu: real, lam: real, yield_stress: real, keep: real, share: real,
-        Z: mat33, G: mat33, impulse: real, pull_bar: mat33, Z_bar: mat33, G_bar: mat33,
+        D: mat33, B: mat33, mu: real, lam: real, keep: real, share: real, Z: mat33, impulse: real,
+        pull_bar: mat33, Z_bar: mat33,
     ):  # fmt: skip
         """Transpose of ``pull``; Z_bar are derivatives by the six numbers of Z, as a matrix.
 
         Returns:
-            Derivatives by D, mu, lam, yield stress, keep, share, Z and G.
+            Derivatives by D, mu, lam, keep, share and Z.
         """
         F = D * B
-        elastic, G_after = elastic_part(F, G, mu, yield_stress)
-        frame = B
-        if plastic == 1:
-            frame = B * G_after
-        P_bar = impulse * (pull_bar * frame)
+        P_bar = impulse * (pull_bar * B)
         law_bar = P_bar
-        elastic_bar = mat33()
+        F_bar = mat33()
         keep_bar = real(0.0)
         share_bar = real(0.0)
-        P = mat33()
-        damps = maxwell == 1 and share > real(0.0)
-        if damps or plastic == 1:
-            P = law.stress(elastic, mu, lam)
-        total = P
-        if damps:
-            inverse = wp.inverse(elastic)
+        if maxwell == 1 and share > real(0.0):
+            P = law.stress(F, mu, lam)
+            inverse = wp.inverse(F)
             S = inverse * P
-            keep_bar = -sum_of(Z_bar, S - Z)
-            share_bar = wp.ddot(P_bar, P - elastic * Z)
-            total = (real(1.0) + share) * P - share * (elastic * Z)
+            keep_bar = -wp.ddot(halved(Z_bar), S - Z)
+            share_bar = wp.ddot(P_bar, P - F * Z)
             # S = F^-1 P: dS = F^-1 (dP - dF S); off the diagonal a number stands for two
-            S_bar = (real(1.0) - keep) * halved(Z_bar)
-            through = wp.transpose(inverse) * S_bar
+            through = wp.transpose(inverse) * ((real(1.0) - keep) * halved(Z_bar))
             law_bar = (real(1.0) + share) * P_bar + through
-            elastic_bar = -share * (P_bar * Z) - through * wp.transpose(S)
-            twice = wp.transpose(elastic) * P_bar
-            Z_bar = keep * Z_bar - share * doubled(twice)
-        by_F, mu_bar, lam_bar = law.stress_back(elastic, mu, lam, law_bar)
-        elastic_bar += by_F
-        F_bar = elastic_bar
-        yield_bar = real(0.0)
-        if plastic == 1:
-            tried = F * G
-            G_bar += wp.transpose(B) * (impulse * (wp.transpose(pull_bar) * total))
-            by_tried = elastic_bar
-            F_bar = mat33()
-            if wp.ddot(elastic - tried, elastic - tried) > real(0.0):
-                through = wp.transpose(wp.inverse(F)) * G_bar
-                F_bar = -through * wp.transpose(G_after)
-                G_bar = mat33()
-                by_tried, mu_more, yield_bar = law.return_map_back(
-                    tried, mu, yield_stress, elastic_bar + through
-                )
-                mu_bar += mu_more
-            F_bar += by_tried * wp.transpose(G)
-            G_bar += wp.transpose(F) * by_tried
-        return (
-            F_bar * wp.transpose(B), mu_bar, lam_bar, yield_bar, keep_bar, share_bar, Z_bar, G_bar
-        )  # fmt: skip
-
-    @wp.func
-    def sum_of(bar: mat33, A: mat33):
-        """Sum of derivatives by six numbers times these, both as symmetric matrices."""
-        return wp.ddot(halved(bar), A)
+            F_bar = -share * (P_bar * Z) - through * wp.transpose(S)
+            Z_bar = keep * Z_bar - share * doubled(wp.transpose(F) * P_bar)
+        by_F, mu_bar, lam_bar = law.stress_adjoint(F, mu, lam, law_bar)
+        return (F_bar + by_F) * wp.transpose(B), mu_bar, lam_bar, keep_bar, share_bar, Z_bar
 
     @wp.func
     def halved(bar: mat33):

@@ -2,19 +2,18 @@
 
 # pyright: basic
 
-import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.errors import ParameterError, SimulationError
+from gendom.arguments import require
+from gendom.errors import SimulationError
 from gendom.materials import Material
-from gendom.sim.device import making
-from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.runners.cpu import Threads
+from gendom.sim.mpm.runner import MOST_PARTICLES, Program, run
+from gendom.sim.mpm.tape import Tape
 from gendom.sim.setting import Frames, Setting, spread
 
 CFL = 0.6
@@ -34,23 +33,29 @@ class MpmEngine:
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         N, W = setting.body.num_particles, len(setting.materials)
+        require(
+            not setting.device.is_cuda or N <= MOST_PARTICLES,
+            f"the body has {N} particles, on CUDA the MPM takes at most {MOST_PARTICLES}",
+            fix="a larger dx, or device='cpu'",
+        )
         share = np.sqrt(spread(setting.stiffness, (W, N), "stiffness").max(axis=1))
         limits = [stable_substep(m, setting.body.dx, cfl=cfl or CFL) for m in setting.materials]
         limits = np.full(W, substep) if substep else np.array(limits) / share
-        if limits.min() < SHORTEST_SUBSTEP:
-            w = int(limits.argmin())
-            m = setting.materials[w]
-            raise ParameterError(
-                f"substeps of {limits[w]:.2g} s would be needed, the shortest are 1e-06 s",
-                where=f"world {w} (E {m.E:.6g} Pa, nu {m.nu:.4g}, density {m.density:.6g} kg/m^3, "
-                f"damping {m.damping:.4g} s, cells of {setting.body.dx:.4g} m)",
-                fix="a softer or denser material, larger cells, or engine='thin'",
-            )
+        w = int(limits.argmin())
+        m = setting.materials[w]
+        require(
+            limits[w] >= SHORTEST_SUBSTEP,
+            f"substeps of {limits[w]:.2g} s would be needed, the shortest are 1e-06 s",
+            where=f"world {w} (E {m.E:.6g} Pa, nu {m.nu:.4g}, density {m.density:.6g} kg/m^3, "
+            f"damping {m.damping:.4g} s, cells of {setting.body.dx:.4g} m)",
+            fix="a softer or denser material, larger cells, or engine='thin'",
+        )
         self.setting = setting = replace(setting, substep=limits)
         self.worlds = Worlds(setting)
         self.threads, self.dtype, self.device = setting.threads, setting.dtype, setting.device
-        self.body, self.materials, self.time = setting.body, setting.materials, setting.start_time
-        self._runner: Any = None
+        self.in_blocks = setting.device.is_cuda
+        """Whether a block of threads runs each world; tests set it on the CPU."""
+        self._program: Program | None = None
 
     @property
     def num_points(self) -> int:
@@ -59,10 +64,6 @@ class MpmEngine:
     @property
     def num_worlds(self) -> int:
         return self.worlds.num_worlds
-
-    @property
-    def stiffness(self) -> NDArray[np.floating]:
-        return self.worlds.stiffness
 
     @property
     def used(self) -> bool:
@@ -86,7 +87,7 @@ class MpmEngine:
         self.worlds.state.C.assign(C.astype(dtype))
 
     def kept(self, *, last_good: bool) -> dict[str, NDArray[Any]]:
-        """x, v, C, F and, where there are some, Z and G; of the last good state with its time."""
+        """x, v, C, F and, where there is one, Z; of the last good state with its time."""
         worlds, dtype = self.worlds, self.dtype
         state = worlds.last_good if last_good else worlds.state
         kept = {name: getattr(state, name).numpy() for name in worlds.carried}
@@ -96,67 +97,26 @@ class MpmEngine:
             kept["time"] = worlds.last_good_time
         return kept
 
+    @property
+    def program(self) -> Program:
+        """The kernels and what they share, made when first needed."""
+        if self._program is None:
+            self._program = Program(self.worlds, in_blocks=self.in_blocks)
+        return self._program
+
     def run(self, frames: Frames) -> None:
-        if self._runner is None:
-            with making:
-                self._runner = self._make_runner()
-        self._runner.run(frames)
+        run(self.program, frames, self.threads)
         frames.x[...] += self.worlds.origin.astype(self.dtype)
 
-    def tape(self, memory: float) -> "Tape":
+    def tape(self, memory: float) -> Tape:
         """Make the tape that records a run for its reverse pass."""
-        return Tape(self, memory)
-
-    def _make_runner(self) -> Any:
-        if not self.worlds.device.is_cuda:
-            return Threads(self.worlds, self.threads)
-        from gendom.sim.mpm.runners.block_per_world import Blocks, suits_blocks
-        from gendom.sim.mpm.runners.graph import Batch
-
-        return (Blocks if suits_blocks(self.worlds) else Batch)(self.worlds)
-
-
-class Tape:
-    """A run of the MPM that can be differentiated."""
-
-    def __init__(self, engine: MpmEngine, memory: float):
-        self.engine = engine
-        self.tape = _tape_of(engine)(engine, memory)
-
-    def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
-        """[T, W, N, 3] particles at the given times [m], from the time ``began`` [s]."""
-        self.engine.time = began
-        x = self.tape.forward(times)
-        return x + self.engine.worlds.origin.astype(self.engine.dtype)
-
-    def backward(self, bar: NDArray[np.floating]) -> Gradients:
-        """Derivatives by all inputs, given those by the particles of ``forward``."""
-        from gendom.sim.mpm.adjoint.sums import Sums
-
-        sums = Sums(self.engine)
-        self.tape.backward(bar, sums)
-        return sums.gradients(self.engine)
-
-
-def _tape_of(engine: MpmEngine) -> Any:
-    if not engine.device.is_cuda:
-        from gendom.sim.mpm.adjoint.cpu import WorldTape
-
-        return WorldTape
-    from gendom.sim.mpm.adjoint.block_per_world import BlockTape
-    from gendom.sim.mpm.adjoint.graph import BatchTape
-    from gendom.sim.mpm.runners.block_per_world import suits_blocks
-
-    return BlockTape if suits_blocks(engine.worlds) else BatchTape
+        return Tape(self.program, memory, self.threads)
 
 
 def stable_substep(material: Material, dx: float, *, cfl: float = CFL) -> float:
     """Longest substep [s] at a share ``cfl`` of the Courant limit dx / wave speed.
 
     The wave speed is that of small strains; ``CFL`` leaves room for stiffening under compression.
-    Materials that yield get a quarter of it, so that the strain in a substep does not exceed the
-    yield strain by much.
     Source: Courant, Friedrichs and Lewy (1928).
     """
-    share = 0.25 if math.isfinite(material.yield_stress) else 1.0
-    return share * cfl * dx / material.wave_speed
+    return cfl * dx / material.wave_speed

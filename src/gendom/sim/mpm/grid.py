@@ -17,7 +17,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.mpm.block import make_block
-from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.mpm.types import make_types
 
 MARGIN = 0.5
 """Largest distance [cells] that a particle may travel before the grid is rebuilt."""
@@ -49,8 +49,6 @@ class Grid:
 
     layouts: Any
     """``SparseGrid`` of L layouts."""
-    layout_of: wp.array
-    """[S] the layout of each recorded substep."""
     momentum: wp.array
     """[S, M] momentum and mass."""
 
@@ -117,27 +115,20 @@ def make_grid(
     for name in ("low", "high", "start"):
         setattr(grid, name, array((layouts, X, Y)))
     grid.count = array(layouts)
-    return Grid(grid, array(rows), array((rows, M), node))
+    return Grid(grid, array((rows, M), node))
 
 
 @functools.cache
-def make_rebuild(real: Any) -> Namespace:
-    """Build the functions that number the nodes, for one scalar type.
+def make_rebuild(real: Any, particles: Any) -> Any:
+    """Build ``rebuild``, with which the threads of a block rebuild a world's layout.
 
-    Returns:
-        Namespace with ``reset``, ``reach`` (lowest and highest node of a particle), ``widen``,
-        ``clear_column``, ``mark``, ``number_column``, to be called in this order over all particles
-        or columns.
+    Args:
+        real: ``wp.float32`` or ``wp.float64``.
+        particles: How particles are stored, see ``particles.Stored``.
     """
+    position, Particles = particles.fields.x, particles.Struct
+    sync = make_block(real).sync
     vec3 = make_types(real).vec3
-
-    @wp.func
-    def reset(layout: int, grid: SparseGrid):
-        grid.count[layout] = 0
-        grid.bounds[layout, 0] = EMPTY_BELOW
-        grid.bounds[layout, 1] = EMPTY_BELOW
-        grid.bounds[layout, 2] = -EMPTY_BELOW
-        grid.bounds[layout, 3] = -EMPTY_BELOW
 
     @wp.func
     def reach(x: vec3, inv_dx: real):
@@ -156,13 +147,6 @@ def make_rebuild(real: Any) -> Namespace:
         return lower, upper
 
     @wp.func
-    def widen(layout: int, lower: wp.vec3i, upper: wp.vec3i, grid: SparseGrid):
-        wp.atomic_min(grid.bounds, layout, 0, lower[0])
-        wp.atomic_min(grid.bounds, layout, 1, lower[1])
-        wp.atomic_max(grid.bounds, layout, 2, upper[0])
-        wp.atomic_max(grid.bounds, layout, 3, upper[1])
-
-    @wp.func
     def mark(layout: int, lower: wp.vec3i, upper: wp.vec3i, grid: SparseGrid):
         """Let columns hold all nodes of a box, unless the layout has no room for it."""
         i0 = lower[0] - grid.bounds[layout, 0]
@@ -176,75 +160,54 @@ def make_rebuild(real: Any) -> Namespace:
                     wp.atomic_max(grid.high, layout, i, j, upper[2])
 
     @wp.func
-    def clear_column(layout: int, i: int, j: int, grid: SparseGrid):
-        grid.low[layout, i, j] = EMPTY_BELOW
-        grid.high[layout, i, j] = -EMPTY_BELOW
-
-    @wp.func
-    def number_column(layout: int, i: int, j: int, grid: SparseGrid):
-        """Number a column's nodes, in any order of columns: sums do not depend on it.
-
-        The count may exceed the room.
-        """
-        k0 = grid.low[layout, i, j]
-        k1 = grid.high[layout, i, j]
-        first = wp.atomic_add(grid.count, layout, wp.max(0, k1 - k0 + 1))
-        grid.start[layout, i, j] = first - k0
-
-    return Namespace(reset, reach, widen, mark, clear_column, number_column)
-
-
-@functools.cache
-def make_rebuild_world(real: Any, particles: Any) -> Any:
-    """Build ``rebuild``, with which the threads of a block rebuild a world's layout.
-
-    Args:
-        real: ``wp.float32`` or ``wp.float64``.
-        particles: How particles are stored, see ``particles``.
-    """
-    one = make_rebuild(real)
-    position, Particles = particles.position, particles.Struct
-    meet = make_block(real).meet
-
-    @wp.func
     def rebuild(
-        row: int, lane: int, lanes: int, N: int, layout: int, room: int, inv_dx: real,
+        row: int, thread: int, threads: int, N: int, layout: int, room: int, inv_dx: real,
         particles: Particles, grid: SparseGrid,
     ):  # fmt: skip
         """Return whether the layout has room for the particles of a row."""
-        if lane == 0:
-            one.reset(layout, grid)
-        meet()
-        lower, upper = one.reach(position(particles, row, lane % N), inv_dx)
-        for i in range(lane, N, lanes):
-            low, high = one.reach(position(particles, row, i), inv_dx)
+        if thread == 0:
+            grid.count[layout] = 0
+            for a in range(2):
+                grid.bounds[layout, a] = EMPTY_BELOW
+                grid.bounds[layout, a + 2] = -EMPTY_BELOW
+        sync()
+        lower, upper = reach(position(particles, row, thread % N), inv_dx)
+        for i in range(thread, N, threads):
+            low, high = reach(position(particles, row, i), inv_dx)
             lower = wp.min(lower, low)
             upper = wp.max(upper, high)
-        one.widen(layout, lower, upper, grid)
-        meet()
+        for a in range(2):
+            wp.atomic_min(grid.bounds, layout, a, lower[a])
+            wp.atomic_max(grid.bounds, layout, a + 2, upper[a])
+        sync()
         X = grid.bounds[layout, 2] - grid.bounds[layout, 0] + 1
         Y = grid.bounds[layout, 3] - grid.bounds[layout, 1] + 1
         fits = X <= grid.low.shape[1] and Y <= grid.low.shape[2]
         if fits:
-            for n in range(lane, X * Y, lanes):
-                one.clear_column(layout, n // Y, n % Y, grid)
-            meet()
+            for n in range(thread, X * Y, threads):
+                grid.low[layout, n // Y, n % Y] = EMPTY_BELOW
+                grid.high[layout, n // Y, n % Y] = -EMPTY_BELOW
+            sync()
             # particles that follow each other mostly stand in one column
-            begin = lane * N // lanes
-            lower, upper = one.reach(position(particles, row, begin % N), inv_dx)
-            for i in range(begin, (lane + 1) * N // lanes):
-                low, high = one.reach(position(particles, row, i), inv_dx)
+            begin = thread * N // threads
+            lower, upper = reach(position(particles, row, begin % N), inv_dx)
+            for i in range(begin, (thread + 1) * N // threads):
+                low, high = reach(position(particles, row, i), inv_dx)
                 if wp.abs(low[0] - lower[0]) + wp.abs(low[1] - lower[1]) > 1:
-                    one.mark(layout, lower, upper, grid)
+                    mark(layout, lower, upper, grid)
                     lower = low
                     upper = high
                 lower = wp.min(lower, low)
                 upper = wp.max(upper, high)
-            one.mark(layout, lower, upper, grid)
-            meet()
-            for n in range(lane, X * Y, lanes):
-                one.number_column(layout, n // Y, n % Y, grid)
-            meet()
+            mark(layout, lower, upper, grid)
+            sync()
+            # columns are numbered in any order: sums do not depend on it; the count may exceed room
+            for n in range(thread, X * Y, threads):
+                k0 = grid.low[layout, n // Y, n % Y]
+                k1 = grid.high[layout, n // Y, n % Y]
+                first = wp.atomic_add(grid.count, layout, wp.max(0, k1 - k0 + 1))
+                grid.start[layout, n // Y, n % Y] = first - k0
+            sync()
             fits = grid.count[layout] <= room
         return fits
 

@@ -2,7 +2,6 @@
 
 # pyright: basic
 
-import math
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,8 @@ from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
 from gendom.sim.mpm.boundary import grip_constants
-from gendom.sim.mpm.grid import Grid, grown_room, make_grid, room_for
+from gendom.sim.mpm.grid import Grid, GridExhausted, grown_room, make_grid, room_for
+from gendom.sim.mpm.poses import AHEAD
 from gendom.sim.mpm.step import INVERTED, NOTHING_HELD
 from gendom.sim.mpm.types import make_types
 from gendom.sim.setting import DRAG, Setting, spread
@@ -21,18 +21,12 @@ CLOCK = (
 )  # fmt: skip
 """The arrays of a clock."""
 
-POSE = ("closed", "centre", "orientation", "velocity", "spin")
-"""The arrays of grippers' poses."""
-
-REBUILD = 1e30
-"""Distance travelled [m] after which every world rebuilds its grid."""
-
 
 class Worlds:
     """Arrays of W worlds of one body, in the form required by kernels.
 
     Raises:
-        ParameterError: If shapes do not fit or the law is unknown.
+        ParameterError: If shapes do not fit.
     """
 
     def __init__(self, setting: Setting):
@@ -43,8 +37,6 @@ class Worlds:
         self.numpy_type = np.dtype(s.dtype)
         self.real = wp.float32 if s.dtype == "float32" else wp.float64
         self.types = make_types(self.real)
-        # elastic worlds run kernels of their own: what the others do does not show in them
-        self.yields = np.array([math.isfinite(m.yield_stress) for m in s.materials])
         self.damped = any(m.damping > 0.0 for m in s.materials)
         W, N = len(s.materials), s.body.num_particles
         self.num_worlds, self.num_particles = W, N
@@ -54,18 +46,16 @@ class Worlds:
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, N, 3), "positions")
         self.room = room_for(_distinct(x), s.body.dx)
         self.matter = self._matter()
-        self.scene = self._scene()
+        self.conditions = self._conditions()
         self.paths = self._paths()
         self.grips = self._grips()
         self.clock = self.allocate(self.types.Clock, **dict.fromkeys(CLOCK, W))
-        self.carried: tuple[str, ...] = ("x", "v", "C")
-        self.carried += ("Z",) * self.damped + ("G",) * bool(self.yields.any())
+        self.carried = ("x", "v", "C", *("Z",) * self.damped)
         self.low = self.zeros((W, N) if s.dtype == "float32" else (0, 0), self.types.vec3)
         self.state = self.make_state(W, wp.zeros)
         wp.copy(self.state.x, self.array(x, self.types.vec3))
-        if self.yields.any():
-            self.state.G.fill_(self.types.mat33(np.eye(3)))
-        self.pulls = self.zeros((W, N), self.types.pull)
+        if not s.device.is_cuda:
+            self.state.impulses = self.zeros((W, N), self.types.impulses)
         self.touched = self.zeros((W, N // s.body.section), self.types.vec3)
         self.last_good = self.make_state(W)
         for name in self.carried:
@@ -86,7 +76,6 @@ class Worlds:
             self.types.Matter,
             mu=np.broadcast_to(lame[:, :1] * share, self.stiffness.shape),
             lam=np.broadcast_to(lame[:, 1:] * share, self.stiffness.shape),
-            yield_stress=np.minimum([m.yield_stress for m in s.materials], 1e30),
             mass=np.array([m.density for m in s.materials]) * s.body.volume,
             damping=np.array([m.damping for m in s.materials]),
             drag=self.drag_by_air * air,
@@ -102,17 +91,16 @@ class Worlds:
             per_span=np.where(alone, 1.0, 0.5).T[:2],
         )
 
-    def _scene(self) -> Any:
+    def _conditions(self) -> Any:
         s, W = self.setting, self.num_worlds
         friction = s.table.friction if s.table is not None else 0.0
         return self.filled(
-            self.types.Scene,
+            self.types.Conditions,
             dx=s.body.dx,
             gravity=spread(s.gravity, (W, 3), "gravity"),
             velocity_damping=spread(s.velocity_damping, (W,), "velocity_damping"),
             friction=spread(friction, (W,), "friction"),
             table=int(s.table is not None),
-            walls=0,
         )
 
     def _paths(self) -> Any:
@@ -123,38 +111,27 @@ class Worlds:
     def _grips(self) -> Any:
         W, G, N = self.num_worlds, len(self.setting.grippers[0]), self.num_particles
         lists = dict.fromkeys(("particle", "weight", "place"), (W, G, N))
-        grips = self.allocate(self.types.Grips, count=(W, G), held_by=(W, N), **lists)
-        self.place_grippers(grips, W)
+        poses = ("closed", "centre", "orientation", "velocity", "spin")
+        grips = self.allocate(
+            self.types.Grips,
+            count=(W, G),
+            held_by=(W, N),
+            **lists,
+            **dict.fromkeys(poses, (AHEAD * W, G)),
+        )
         grips.since = wp.full((W, G), -1, dtype=wp.int32, device=self.device)
         grips.until = wp.full((W, G), -1, dtype=wp.int32, device=self.device)
         grips.free = wp.full((W, N), 1.0, dtype=self.real, device=self.device)
         return grips
 
-    def place_grippers(self, grips: Any, rows: int) -> None:
-        """Allocate the poses of all grippers for ``rows`` times."""
-        shapes = dict.fromkeys(POSE, (rows, len(self.setting.grippers[0])))
-        made = self.allocate(self.types.Grips, **shapes)
-        for name in POSE:
-            setattr(grips, name, getattr(made, name))
-
     def make_state(self, rows: int, make: Any = wp.empty) -> Any:
         """Room for states, as ``carried`` names them; all have the worlds' own ``low``."""
         N, State = self.num_particles, self.types.State
-        have = {name: rows if name in self.carried else 0 for name in ("x", "v", "C", "Z", "G")}
+        have = {name: rows if name in self.carried else 0 for name in ("x", "v", "C", "Z")}
         shapes = {name: (n, 6, N) if name == "Z" else (n, N) for name, n in have.items()}
         state = self.allocate(State, make, **shapes)
         state.low = self.low
         return state
-
-    @property
-    def state_bytes(self) -> int:
-        """Size of one world's state [bytes]."""
-        numbers = {"x": 3, "v": 3, "C": 9, "Z": 6, "G": 9}
-        return (
-            sum(map(numbers.__getitem__, self.carried))
-            * self.num_particles
-            * self.numpy_type.itemsize
-        )
 
     def deformation_at(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
         """[..., N, 3, 3] deformation gradients F of particles at [..., N, 3] [-]."""
@@ -167,13 +144,20 @@ class Worlds:
         """A grid with the room that worlds are known to need."""
         return make_grid(self.room, layouts, self.types.vec4, self.device, rows=rows, make=make)
 
-    def make_room(self, grid: Grid, layouts: int | None = None) -> None:
-        """Let later grids hold what did not fit into the (first) layouts of this one.
+    def make_room(self, grid: Grid, layouts: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Let later grids hold what did not fit into the given layouts of this one.
 
-        Raises:
-            GridExhausted: If no real object needs so much.
+        Returns:
+            [len(layouts)] whether no real object needs so much: the world has diverged.
         """
-        self.room = grown_room(self.room, grid.layouts.bounds.numpy()[:layouts], grid)
+        bounds = grid.layouts.bounds.numpy()
+        exhausted = np.zeros(len(layouts), dtype=bool)
+        for n, layout in enumerate(layouts):
+            try:
+                self.room = grown_room(self.room, bounds[layout][None], grid)
+            except GridExhausted:
+                exhausted[n] = True
+        return exhausted
 
     def divide(self, w: int | slice, interval: float) -> tuple[Any, Any]:
         """Number and length [s] of a frame's equal substeps, no longer than each world's limit."""

@@ -1,8 +1,14 @@
-"""How particles are stored, for functions that do not care.
+"""How particles are stored: one code for both devices, two ways to reach their numbers.
 
-The CPU and the graph of stages have a row of vectors for each world (``State``); a block of threads
-has records by components, in the order of their nodes (``runners.records``). Both offer the
-same functions on a particle p in a row.
+- **Rows** (CPU): the vectors of ``State``, particle by particle.
+- **Records** (CUDA): component by component, in the order of the particles' lowest nodes. Threads
+  then access neighbouring numbers, and contributions of neighbouring particles to the same nodes
+  are summed before they are added to the grid.
+
+Each offers the same functions on the i-th particle of a row: of particles while they move, of a
+tape with recorded substeps, and of derivatives.
+
+Shapes: W worlds, N particles, L layouts of the grid, M nodes.
 """
 
 import functools
@@ -11,27 +17,372 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.types import make_types
+from gendom.sim.mpm.block import make_block, make_store, put_near
+from gendom.sim.mpm.grid import SparseGrid
+from gendom.sim.mpm.transfer import make_transfer
+from gendom.sim.mpm.types import Namespace, make_types
+
+ORDERLY = 1.0
+"""Largest distance [cells] that a particle may travel before the records are sorted again."""
+
+X, V, AFFINE, IMPULSES, MOMENTUM, LOW, STRESS = 0, 3, 6, 15, 15, 24, 27
+"""First components of a record: position, velocity, affine velocity, impulses on the neighbours (on
+a tape: momentum with all impulses but the table's), what rounding leaves out, filtered stress. Of
+derivatives: those by the differences between neighbours in place of impulses, and what the air adds
+to those by v in place of what rounding leaves out."""
+
+TAPED_STRESS = 18
+"""First component of the filtered stress on a tape."""
+
+MU, LAM, MASS, DRAG = range(4)
+"""Sums of derivatives by a particle's parameters."""
 
 
 @dataclass(frozen=True)
-class Particles:
-    """A struct of particles and the Warp functions that read it."""
+class Variant:
+    """Parameters for which kernels are compiled."""
+
+    real: Any
+    damped: bool
+    """Whether any material has damping."""
+    rows: bool
+    """Particles in rows, one thread a world (CPU); otherwise in records, by a block of threads."""
+    room: int = 0
+    """Shared memory in which a block's records stay [bytes]; 0: in arrays."""
+    threads: int = 1
+    """Threads of a block."""
+
+    @property
+    def components(self) -> int:
+        """Components of a record."""
+        return STRESS + 6 * self.damped
+
+    @property
+    def taped(self) -> int:
+        """Components of a record on a tape."""
+        return TAPED_STRESS + 6 * self.damped
+
+    @property
+    def numbers(self) -> int:
+        """Numbers that the room holds."""
+        return max(1, self.room // (4 if self.real == wp.float32 else 8))
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A struct of particles, the functions that read and write it, and which particle is where."""
 
     Struct: Any
-    position: Any
-    """(particles, row, i) -> x of the i-th particle in memory."""
-    x: Any
-    """(particles, row, p) -> x of particle p."""
+    fields: Namespace
+    """``x``, ``v``, ``C`` and ``put_x`` and so on of the i-th particle of a row."""
+    particle: Any
+    """(stored, row, i) -> p, the number in the body of the i-th particle."""
+    place: Any
+    """(stored, row, p) -> i."""
+    x_of: Any
+    """(stored, row, p) -> x of particle p."""
+
+
+def make_moving(variant: Variant) -> Stored:
+    """Particles while they move."""
+    return _rows(variant.real).moving if variant.rows else _records(variant).moving
+
+
+def make_taped(variant: Variant) -> Stored:
+    """Particles on a tape; row n * W + w is substep n of world w."""
+    return _rows(variant.real).taped if variant.rows else _records(variant).taped
+
+
+def make_adjoint(variant: Variant) -> Stored:
+    """Derivatives by particles."""
+    return _rows(variant.real).adjoint if variant.rows else _records(variant).adjoint
 
 
 @functools.cache
-def make_rows(real: Any) -> Particles:
-    """Particles in rows of vectors, ``State``."""
-    State = make_types(real).State
+def _rows(real: Any) -> Namespace:
+    types = make_types(real)
+    State, StateAdjoint = types.State, types.StateAdjoint
+    vec3, mat33 = types.vec3, types.mat33
+
+    @wp.struct
+    class RowTape:
+        """S recorded substeps of a world, the state before each."""
+
+        x: wp.array2d(dtype=vec3)  # [S, N]
+        v: wp.array2d(dtype=vec3)
+        C: wp.array2d(dtype=mat33)
+        Z: wp.array3d(dtype=real)  # [S, 6, N]
+        q: wp.array2d(dtype=vec3)  # momentum with all impulses but the table's
+        layout_of: wp.array(dtype=wp.int32)  # [S] layout of each substep
 
     @wp.func
-    def x_of(particles: State, row: int, p: int):
-        return particles.x[row, p]
+    def x(s: Any, row: int, i: int):
+        return s.x[row, i]
 
-    return Particles(State, x_of, x_of)
+    @wp.func
+    def v(s: Any, row: int, i: int):
+        return s.v[row, i]
+
+    @wp.func
+    def C(s: Any, row: int, i: int):
+        return s.C[row, i]
+
+    @wp.func
+    def q(s: Any, row: int, i: int):
+        return s.q[row, i]
+
+    @wp.func
+    def low(s: State, row: int, i: int):
+        return s.low[row, i]
+
+    @wp.func
+    def put_x(s: Any, row: int, i: int, value: vec3):
+        s.x[row, i] = value
+
+    @wp.func
+    def put_v(s: Any, row: int, i: int, value: vec3):
+        s.v[row, i] = value
+
+    @wp.func
+    def put_C(s: Any, row: int, i: int, value: mat33):
+        s.C[row, i] = value
+
+    @wp.func
+    def put_q(s: Any, row: int, i: int, value: vec3):
+        s.q[row, i] = value
+
+    @wp.func
+    def put_low(s: State, row: int, i: int, value: vec3):
+        s.low[row, i] = value
+
+    @wp.func
+    def get_Z(s: Any, row: int, c: int, i: int):
+        return s.Z[row, c, i]
+
+    @wp.func
+    def put_Z(s: Any, row: int, c: int, i: int, value: real):
+        s.Z[row, c, i] = value
+
+    @wp.func
+    def same(s: Any, row: int, i: int):
+        return i
+
+    fields = Namespace(
+        x, v, C, q, low, put_x, put_v, put_C, put_q, put_low, get_Z, put_Z
+    )  # fmt: skip
+
+    return Namespace(
+        moving=Stored(State, fields, same, same, x),
+        taped=Stored(RowTape, fields, same, same, x),
+        adjoint=Stored(StateAdjoint, fields, same, same, x),
+    )
+
+
+@functools.cache
+def _records(variant: Variant) -> Namespace:
+    real = variant.real
+
+    @wp.struct
+    class Records:
+        """Particles of W worlds in order."""
+
+        of: wp.array3d(dtype=real)  # [W, components, N], or [1, ...] in shared memory
+        moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
+        order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
+        place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
+        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
+        unsorted: wp.array(dtype=real)  # [W] distance travelled since they were sorted [m]
+        # scratch
+        spare: wp.array3d(dtype=real)  # [W, components + 2, N]
+        spare_order: wp.array2d(dtype=wp.int32)  # [W, N]
+        tally: wp.array2d(dtype=wp.int32)  # [W, M]
+
+    @wp.struct
+    class RecordTape:
+        """S recorded substeps of W worlds; layouts may be fewer than substeps."""
+
+        of: wp.array3d(dtype=real)  # [S * W, taped, N] records before the substep
+        order: wp.array2d(dtype=wp.int32)  # [L, N] of each layout
+        place: wp.array2d(dtype=wp.int32)  # [L, N]
+        layout_of: wp.array(dtype=wp.int32)  # [S * W] layout of each substep
+
+    @wp.struct
+    class RecordAdjoint:
+        """Derivatives by W worlds' particles in order."""
+
+        of: wp.array3d(dtype=real)  # [W, components, N], or [1, ...] in shared memory
+        sums: wp.array3d(dtype=real)  # [W, 4, N] by mu, lam, mass and drag
+        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
+        order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
+        place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
+        spare: wp.array3d(dtype=real)  # [W, components + 4, N] scratch
+
+    @wp.func
+    def particle(s: Any, row: int, i: int):
+        return s.order[row, i]
+
+    @wp.func
+    def place(s: Any, row: int, p: int):
+        return s.place[row, p]
+
+    @wp.func
+    def taped_particle(s: RecordTape, row: int, i: int):
+        return s.order[s.layout_of[row], i]
+
+    @wp.func
+    def taped_place(s: RecordTape, row: int, p: int):
+        return s.place[s.layout_of[row], p]
+
+    own = _record_fields(real, STRESS, resident=variant.room > 0)
+    taped = _record_fields(real, TAPED_STRESS, resident=False)
+    own_x, taped_x = own.x, taped.x
+
+    @wp.func
+    def x_of(s: Any, row: int, p: int):
+        return own_x(s, row, s.place[row, p])
+
+    @wp.func
+    def taped_x_of(s: RecordTape, row: int, p: int):
+        return taped_x(s, row, taped_place(s, row, p))
+
+    return Namespace(
+        moving=Stored(Records, own, particle, place, x_of),
+        taped=Stored(RecordTape, taped, taped_particle, taped_place, taped_x_of),
+        adjoint=Stored(RecordAdjoint, own, particle, place, x_of),
+    )
+
+
+def _record_fields(real: Any, stress: int, *, resident: bool) -> Namespace:
+    """Access to records whose filtered stress begins at component ``stress``."""
+    store = make_store(real, resident=resident)
+    types = make_types(real)
+    vec3, mat33 = types.vec3, types.mat33
+    STRESS_AT = wp.constant(stress)
+
+    def vector(first: int) -> tuple[Any, Any]:
+        FIRST = wp.constant(first)
+
+        @wp.func
+        def get(s: Any, row: int, i: int):
+            return store.vector(s.of, row, FIRST, i)
+
+        @wp.func
+        def put(s: Any, row: int, i: int, value: vec3):
+            store.put_vector(s.of, row, FIRST, i, value)
+
+        return get, put
+
+    @wp.func
+    def C(s: Any, row: int, i: int):
+        return store.matrix(s.of, row, AFFINE, i)
+
+    @wp.func
+    def put_C(s: Any, row: int, i: int, value: mat33):
+        store.put_matrix(s.of, row, AFFINE, i, value)
+
+    @wp.func
+    def get_Z(s: Any, row: int, c: int, i: int):
+        return store.get(s.of, row, STRESS_AT + c, i)
+
+    @wp.func
+    def put_Z(s: Any, row: int, c: int, i: int, value: real):
+        store.put(s.of, row, STRESS_AT + c, i, value)
+
+    vectors: dict[str, Any] = {}
+    for name, first in (("x", X), ("v", V), ("q", MOMENTUM), ("low", LOW)):
+        vectors[name], vectors[f"put_{name}"] = vector(first)
+    return Namespace(C, put_C, get_Z, put_Z, store=store, **vectors)
+
+
+@functools.cache
+def make_loading(variant: Variant) -> Namespace:
+    """Build ``load`` and ``unload`` between a ``State`` (or its adjoint) and what is stored."""
+    fields = make_moving(variant).fields
+    damped = wp.constant(int(variant.damped))
+
+    @wp.func
+    def load(stored: Any, w: int, i: int, p: int, state: Any):
+        """Set the i-th of the stored particles from particle p."""
+        fields.put_x(stored, w, i, state.x[w, p])
+        fields.put_v(stored, w, i, state.v[w, p])
+        fields.put_C(stored, w, i, state.C[w, p])
+        if damped == 1:
+            for c in range(6):
+                fields.put_Z(stored, w, c, i, state.Z[w, c, p])
+
+    @wp.func
+    def unload(stored: Any, w: int, i: int, p: int, state: Any):
+        """Set particle p from the i-th of the stored ones."""
+        state.x[w, p] = fields.x(stored, w, i)
+        state.v[w, p] = fields.v(stored, w, i)
+        state.C[w, p] = fields.C(stored, w, i)
+        if damped == 1:
+            for c in range(6):
+                state.Z[w, c, p] = fields.get_Z(stored, w, c, i)
+
+    return Namespace(load, unload)
+
+
+@functools.cache
+def make_sorting(variant: Variant) -> Any:
+    """Build ``sort``, which puts a world's records in the order of their lowest nodes."""
+    real = variant.real
+    Matter = make_types(real).Matter
+    moving = make_moving(variant)
+    Records, fields = moving.Struct, moving.fields
+    store = fields.store
+    locate = make_transfer(real).locate
+    block = make_block(real)
+    COMPONENTS = wp.constant(variant.components)
+
+    @wp.func
+    def node_of(w: int, i: int, layout: int, inv_dx: real, grid: SparseGrid, records: Records):
+        node, _f = locate(layout, fields.x(records, w, i), inv_dx, grid)
+        return grid.start[layout, node[0], node[1]] + node[2]
+
+    @wp.func
+    def sort(
+        w: int, thread: int, threads: int, layout: int, inv_dx: real, matter: Matter,
+        grid: SparseGrid, records: Records,
+    ):  # fmt: skip
+        of = records.of
+        N = of.shape[2]
+        nodes = grid.count[layout]
+        begin = thread * nodes // threads
+        end = (thread + 1) * nodes // threads
+        for n in range(begin, end):
+            records.tally[w, n] = 0
+        block.sync()
+        for i in range(thread, N, threads):
+            wp.atomic_add(records.tally, w, node_of(w, i, layout, inv_dx, grid, records), 1)
+        block.sync()
+        total = int(0)
+        for n in range(begin, end):
+            total += records.tally[w, n]
+        first = block.sum_before(total)
+        for n in range(begin, end):
+            here = records.tally[w, n]
+            records.tally[w, n] = first
+            first += here
+        block.sync()
+        for i in range(thread, N, threads):
+            j = wp.atomic_add(records.tally, w, node_of(w, i, layout, inv_dx, grid, records), 1)
+            p = records.order[w, i]
+            records.spare_order[w, j] = p
+            records.place[w, p] = j
+            for c in range(COMPONENTS):
+                records.spare[w, c, j] = store.get(of, w, c, i)
+            for c in range(2):
+                records.spare[w, COMPONENTS + c, j] = records.moduli[w, c, i]
+        block.sync()
+        for i in range(thread, N, threads):
+            p = records.spare_order[w, i]
+            records.order[w, i] = p
+            for c in range(COMPONENTS):
+                store.put(of, w, c, i, records.spare[w, c, i])
+            for c in range(2):
+                records.moduli[w, c, i] = records.spare[w, COMPONENTS + c, i]
+            put_near(records.near, w, i, p, matter.lattice, records.place, w)
+        block.sync()
+
+    return sort

@@ -17,7 +17,7 @@ def make_poses(real: Any) -> Namespace:
     """Build ``pose_gripper``, ``pose_ahead`` (many substeps, by the threads of a block) and their
     transposes ``pose_gripper_adjoint`` and ``close_poses``, for one scalar type."""
     types = make_types(real)
-    Paths, Grips, SceneBars = types.Paths, types.Grips, types.SceneBars
+    Paths, Grips, ConditionsAdjoint = types.Paths, types.Grips, types.ConditionsAdjoint
     paths_of = make_paths(real)
 
     @wp.func
@@ -40,51 +40,49 @@ def make_poses(real: Any) -> Namespace:
 
     @wp.func
     def pose_gripper_adjoint(
-        row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, bars: SceneBars
+        row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, by: ConditionsAdjoint
     ):
         """Transpose of ``pose_gripper``; resets the row's sums."""
-        moved = bars.velocity[row, g] / dt
+        moved = by.velocity[row, g] / dt
         _here, _R, knot = paths_of.pose(w, g, t, paths)
         _there, _R_end, end = paths_of.pose(w, g, t + dt, paths)
-        paths_of.pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, bars.position, bars.turn)
+        paths_of.pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, by.position, by.turn)
         paths_of.pose_adjoint(
-            w, g, t + dt, bars.centre[row, g] + moved, bars.rotation[row, g], paths,
-            bars.position, bars.turn,
+            w, g, t + dt, by.centre[row, g] + moved, by.rotation[row, g], paths,
+            by.position, by.turn,
         )  # fmt: skip
         if paths.turns[w, g] == 1:
             for k in range(knot, end + 1):
-                by_turn = (paths_of.share_of(w, g, k, t, dt, paths) / dt) * bars.spin[row, g]
-                paths_of.turn_adjoint(
-                    w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, bars.turn
-                )
-        bars.centre[row, g] = wp.vec3d()
-        bars.rotation[row, g] = wp.vec3d()
-        bars.velocity[row, g] = wp.vec3d()
-        bars.spin[row, g] = wp.vec3d()
+                by_turn = (paths_of.share_of(w, g, k, t, dt, paths) / dt) * by.spin[row, g]
+                paths_of.turn_adjoint(w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, by.turn)
+        by.centre[row, g] = wp.vec3d()
+        by.rotation[row, g] = wp.vec3d()
+        by.velocity[row, g] = wp.vec3d()
+        by.spin[row, g] = wp.vec3d()
 
     @wp.func
     def pose_ahead(
-        w: int, lane: int, lanes: int, first: int, count: int, t: wp.float64, dt: wp.float64,
+        w: int, thread: int, threads: int, first: int, count: int, t: wp.float64, dt: wp.float64,
         paths: Paths, grips: Grips,
     ):  # fmt: skip
         """Poses in ``count`` substeps from ``first`` on, side by side; substep 0 begins at t."""
         grippers = grips.closed.shape[1]
-        for n in range(lane, count * grippers, lanes):
+        for n in range(thread, count * grippers, threads):
             ahead = n // grippers
             at = t + wp.float64(first + ahead) * dt
             pose_gripper(w * AHEAD + ahead, w, n % grippers, at, dt, paths, grips)
 
     @wp.func
     def close_poses(
-        w: int, lane: int, lanes: int, first: int, count: int, t: wp.float64, dt: wp.float64,
-        paths: Paths, grips: Grips, bars: SceneBars,
+        w: int, thread: int, threads: int, first: int, count: int, t: wp.float64, dt: wp.float64,
+        paths: Paths, grips: Grips, by: ConditionsAdjoint,
     ):  # fmt: skip
         """Transpose of ``pose_ahead``."""
         grippers = grips.closed.shape[1]
-        for n in range(lane, count * grippers, lanes):
+        for n in range(thread, count * grippers, threads):
             row = w * AHEAD + n // grippers
             if grips.closed[row, n % grippers] == 1:
                 at = t + wp.float64(first + n // grippers) * dt
-                pose_gripper_adjoint(row, w, n % grippers, at, dt, paths, bars)
+                pose_gripper_adjoint(row, w, n % grippers, at, dt, paths, by)
 
     return Namespace(pose_gripper, pose_gripper_adjoint, pose_ahead, close_poses)

@@ -1,16 +1,15 @@
 """The substep of the material point method, forward and transposed: the algorithm at a glance.
 
-    1. grasp             grippers open and close                          (boundary)
-    2. internal forces   pulls between particles, damping, air            (internal_forces)
-    3. touch             table and walls change momenta                   (boundary)
-    4. p2g               mass and momentum of particles that are not held, to the grid
-    5. nodes             velocity = momentum / mass                       (transfer)
-    6. g2p               velocity and affine velocity, from the grid or a gripper; x += dt v
+    1. forces          impulses between particles, damping, air      (internal_forces, elasticity)
+    2. touch           the table changes velocities                  (boundary)
+    3. p2g             mass and momentum of particles to the grid    (transfer)
+    4. normalise       velocity of a node = momentum / mass          (transfer)
+    5. move gripped    what grippers hold firmly goes with them      (gripped)
+    6. g2p             velocity and affine velocity from the grid; x += dt v
 
-``make_stages`` has each as a function of one particle, section or node in rows of particles
-(``types.State``); ``make_step`` puts them together for one thread and one world, as the CPU runs
-it. CUDA runs the same stages as kernels over all worlds (``runners.graph``), or the same functions
-on particles in the memory of a block (``runners.block_kernels``). Symplectic Euler.
+Both devices run this code: a block of threads on CUDA, one thread on the CPU, each for one world.
+Loops take every ``threads``-th particle from ``thread`` on. How particles are stored differs, see
+``particles``. Symplectic Euler.
 
 Shapes: W worlds, N particles, G grippers, L layouts of the grid, M nodes.
 """
@@ -20,16 +19,15 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.adjoint.boundary import make_boundary_adjoint, make_row_bars
-from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
-from gendom.sim.mpm.compensated_sum import make_compensated_sum
+from gendom.sim.mpm.block import make_block
+from gendom.sim.mpm.boundary import FOLLOWS, make_boundary, make_boundary_adjoint
 from gendom.sim.mpm.elasticity import make_maxwell_branch
 from gendom.sim.mpm.grid import SparseGrid
+from gendom.sim.mpm.gripped import make_gripped_adjoint, make_gripped_type, make_listing
 from gendom.sim.mpm.internal_forces import make_internal_forces
-from gendom.sim.mpm.particles import make_rows
-from gendom.sim.mpm.poses import make_poses
+from gendom.sim.mpm.particles import MASS, Variant, make_adjoint, make_moving, make_taped
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
-from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.mpm.types import make_types
 
 OK = 0
 GRID_FULL = 1
@@ -42,418 +40,457 @@ NOTHING_HELD = 5
 
 
 @functools.cache
-def make_stages(real: Any, law_name: str, *, yields: bool) -> Namespace:
-    """Build the stages of a substep on rows of particles.
+def make_substep(variant: Variant, *, taped: bool) -> Any:
+    """Build ``substep`` of one world.
 
     Args:
-        real: ``wp.float32`` or ``wp.float64``.
-        law_name: Elastic law, see ``gendom.materials.laws``.
-        yields: Whether the worlds that run it yield.
-
-    Returns:
-        Namespace with ``touch``, ``scatter``, ``move`` and their transposes, and with what it has
-        them from: ``types``, ``transfer``, ``branch``, ``forces``, ``boundary`` and
-        ``boundary_adjoint``.
+        variant: What kernels are compiled for.
+        taped: Whether what the reverse needs is recorded.
     """
+    real = variant.real
     types = make_types(real)
-    Nodes, Pulls, Vectors = types.Nodes, types.Pulls, types.Vectors
-    vec3 = types.vec3
-    Matter, Scene, State, Grips = types.Matter, types.Scene, types.State, types.Grips
-    MatterBars, SceneBars = types.MatterBars, types.SceneBars
-    forces = make_internal_forces(real, law_name, yields=yields)
-    bspline, transfer = make_bspline(real), make_transfer(real)
-    rows, row_bars = make_rows(real), make_row_bars(real)
-    boundary = make_boundary(real, rows)
-    boundary_adjoint = make_boundary_adjoint(real, rows, row_bars)
+    Nodes = types.Nodes
+    vec3, mat33 = types.vec3, types.mat33
+    Matter, Conditions, Grips, Clock = types.Matter, types.Conditions, types.Grips, types.Clock
+    moving, recorded = make_moving(variant), make_taped(variant)
+    Particles, Tape = moving.Struct, recorded.Struct
+    fields, kept = moving.fields, recorded.fields
+    forces_of = make_internal_forces(variant)
+    bspline, transfer = make_bspline(real, windowed=not variant.rows), make_transfer(real)
+    window_type = bspline.window
+    boundary, drive = make_boundary(variant), make_listing(variant).drive
+    Gripped = make_gripped_type(real)
+    block, branch = make_block(real), make_maxwell_branch(real).branch
     compensates = wp.constant(int(types.compensates))
-    compensated_sum = make_compensated_sum(real)
+    damped, keeps = wp.constant(int(variant.damped)), wp.constant(int(taped))
+    # the CPU divides momenta in place, and CUDA empties what it has divided
+    clears = wp.constant(int(taped or variant.rows))
+    empties = wp.constant(int(not taped and not variant.rows))
+
+    # while, not range: with range the CPU's compiler cannot tell that indices are not negative, and
+    # checks every array index (a fifth slower)
 
     @wp.func
     def momentum_of(
-        w: int, p: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
-        pulls: Pulls,
-    ):  # fmt: skip
-        """Momentum of a particle with the impulses of the substep, but for the table's."""
-        v = state.v[row, p] + dt * scene.gravity[w]
-        return matter.mass[w] * v + forces.impulse_on(p, matter, pulls, w)
+        w: int, i: int, h: real, mass: real, gravity: vec3, matter: Matter, particles: Particles
+    ):
+        """Momentum of a particle with all impulses of the substep but the table's."""
+        own = mass * (fields.v(particles, w, i) + h * gravity)
+        return own + forces_of.impulse_on(w, i, matter, particles)
 
     @wp.func
-    def section_motion(
-        w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
-        pulls: Pulls,
+    def record_state(
+        w: int, thread: int, threads: int, slot: int, N: int, particles: Particles, tape: Tape
+    ):
+        i = int(thread)
+        while i < N:
+            kept.put_x(tape, slot, i, fields.x(particles, w, i))
+            kept.put_v(tape, slot, i, fields.v(particles, w, i))
+            kept.put_C(tape, slot, i, fields.C(particles, w, i))
+            if damped == 1:
+                for c in range(6):
+                    kept.put_Z(tape, slot, c, i, fields.get_Z(particles, w, c, i))
+            i += threads
+
+    @wp.func
+    def record_momenta(
+        w: int, thread: int, threads: int, slot: int, N: int, h: real, mass: real, gravity: vec3,
+        matter: Matter, particles: Particles, tape: Tape,
     ):  # fmt: skip
+        i = int(thread)
+        while i < N:
+            kept.put_q(tape, slot, i, momentum_of(w, i, h, mass, gravity, matter, particles))
+            i += threads
+
+    @wp.func
+    def touch(
+        w: int, thread: int, threads: int, N: int, h: real, mass: real, gravity: vec3,
+        matter: Matter, conditions: Conditions, particles: Particles,
+    ):  # fmt: skip
+        """Add to velocities what the table changes of each section's."""
+        size = matter.section
+        share = real(1.0) / real(size)
+        s = int(thread)
+        while s < N // size:
+            first = moving.x_of(particles, w, s * size)
+            if boundary.near_table(first, matter, conditions):
+                x = vec3()
+                q = vec3()
+                for p in range(s * size, (s + 1) * size):
+                    i = moving.place(particles, w, p)
+                    x += fields.x(particles, w, i)
+                    q += momentum_of(w, i, h, mass, gravity, matter, particles)
+                change = boundary.contact(
+                    w, share * x, (share / mass) * q, h, matter.contact_radius, conditions
+                )
+                if wp.length_sq(change) > real(0.0):
+                    for p in range(s * size, (s + 1) * size):
+                        i = moving.place(particles, w, p)
+                        fields.put_v(particles, w, i, fields.v(particles, w, i) + change)
+            s += threads
+
+    @wp.func
+    def p2g(
+        w: int, thread: int, threads: int, N: int, h: real, mass: real, gravity: vec3, layout: int,
+        slot: int, inv_dx: real, matter: Matter, gripped: Gripped, particles: Particles,
+        grid: SparseGrid, momentum: Nodes,
+    ):  # fmt: skip
+        """Add to the grid mass and momentum of particles that are not held firmly."""
+        window = window_type()
+        held = wp.vec3i(-1, -1, -1)
+        end = (thread + 1) * N // threads
+        i = thread * N // threads - 1
+        while i < end - 1:
+            i += 1
+            free = gripped.free[w, i]
+            if free == real(0.0):
+                continue
+            q = momentum_of(w, i, h, mass, gravity, matter, particles)
+            if free < real(1.0):
+                q += (real(1.0) - free) * (mass * gripped.driven[w, i] - q)
+            node, f, given = transfer.given_by(
+                fields.x(particles, w, i), q, fields.C(particles, w, i), mass, layout, inv_dx, grid
+            )
+            window = bspline.scatter(
+                window, held, node, f, given, momentum, slot, grid.start, layout
+            )
+            held = node
+        bspline.flush(window, held, momentum, slot, grid.start, layout)
+
+    @wp.func
+    def move(w: int, i: int, x: vec3, v: vec3, affine: mat33, h: real, dx: real, of: Particles):
+        """Advance a particle from x; return the square of its way [m^2], too long a one for a NaN.
+
+        In float32, x rounded alone loses what is smaller than its last bit: slow bodies stand
+        still. What rounding leaves out is kept and added with the next step. Source: Kahan (1965),
+        "Further remarks on reducing truncation errors".
+        """
+        if compensates == 1:
+            more = h * v + fields.low(of, w, i)
+            there = x + more
+            fields.put_x(of, w, i, there)
+            fields.put_low(of, w, i, more - (there - x))
+        else:
+            fields.put_x(of, w, i, x + h * v)
+        fields.put_v(of, w, i, v)
+        fields.put_C(of, w, i, affine)
+        far = wp.length_sq(v) * h * h
+        if not (far <= dx * dx):
+            far = real(4.0) * dx * dx
+        return far
+
+    @wp.func
+    def move_gripped(
+        w: int, thread: int, threads: int, holding: int, grip_row: int, h: real, dx: real,
+        grips: Grips, gripped: Gripped, particles: Particles,
+    ):  # fmt: skip
+        """Move what grippers hold firmly; return the square of a thread's longest way."""
+        far = real(0.0)
+        for n in range(thread, holding, threads):
+            if gripped.share[w, n] == real(0.0):
+                i = gripped.index[w, n]
+                x = fields.x(particles, w, i)
+                v, spin, _by_b = boundary.follow(
+                    gripped.gripper[w, n], gripped.place[w, n], grip_row, x, real(FOLLOWS), h, grips
+                )
+                far = wp.max(far, move(w, i, x, v, wp.skew(spin), h, dx, particles))
+        return far
+
+    @wp.func
+    def g2p(
+        w: int, thread: int, threads: int, N: int, h: real, dx: real, layout: int, row: int,
+        gripped: Gripped, particles: Particles, grid: SparseGrid, velocity: Nodes,
+    ):  # fmt: skip
+        """Move all others with the grid; return the square of a thread's longest way."""
+        far = real(0.0)
+        inv_dx = real(1.0) / dx
+        i = int(thread)
+        while i < N:
+            if gripped.free[w, i] > real(0.0):
+                x = fields.x(particles, w, i)
+                v, affine = transfer.g2p(layout, row, x, inv_dx, grid, velocity)
+                far = wp.max(far, move(w, i, x, v, affine, h, dx, particles))
+            i += threads
+        return far
+
+    @wp.func
+    def substep(
+        w: int, thread: int, threads: int, h: real, age: int, layout: int, slot: int,
+        near_table: int, holding: int, grip_row: int, mass: real, gravity: vec3,
+        keep_velocity: real, matter: Matter, conditions: Conditions, clock: Clock, grips: Grips,
+        gripped: Gripped, particles: Particles, tape: Tape, grid: SparseGrid, momentum: Nodes,
+        velocity: Nodes,
+    ):  # fmt: skip
+        """Take a world's particles from one state to the next.
+
+        Returns the status and the square of the longest way of a thread's particles [m^2]. Nothing
+        moves if a particle is inverted.
+        """
+        N = gripped.free.shape[1]
+        dx = conditions.dx
+        nodes = grid.count[layout]
+        for n in range(thread, holding, threads):
+            if gripped.share[w, n] > real(0.0):
+                x = fields.x(particles, w, gripped.index[w, n])
+                drive(w, n, x, grip_row, h, matter, conditions, grips, gripped)
+        if keeps == 1:
+            tape.layout_of[slot] = layout
+            record_state(w, thread, threads, slot, N, particles, tape)
+        if clears == 1:
+            bspline.clear(momentum, slot, thread, threads, nodes)
+        keep, share = branch(matter.damping[w], h, age)
+        inverted = forces_of.forces(
+            w, thread, threads, h, keep, share, mass, matter, clock, particles
+        )
+        if inverted == 1:
+            return INVERTED, real(0.0)
+        if keeps == 1:
+            record_momenta(w, thread, threads, slot, N, h, mass, gravity, matter, particles, tape)
+            block.sync()
+        if near_table == 1:
+            touch(w, thread, threads, N, h, mass, gravity, matter, conditions, particles)
+            block.sync()
+        p2g(
+            w, thread, threads, N, h, mass, gravity, layout, slot, real(1.0) / dx, matter, gripped,
+            particles, grid, momentum,
+        )  # fmt: skip
+        block.sync()
+        far = move_gripped(w, thread, threads, holding, grip_row, h, dx, grips, gripped, particles)
+        bspline.normalise(
+            momentum, slot, velocity, 0, thread, threads, nodes, keep_velocity, empties
+        )
+        block.sync()
+        far = wp.max(
+            far,
+            g2p(w, thread, threads, N, h, dx, layout, 0, gripped, particles, grid, velocity),
+        )
+        return OK, far
+
+    return substep
+
+
+@functools.cache
+def make_substep_adjoint(variant: Variant) -> Any:
+    """Build ``substep_adjoint``, which carries derivatives over one recorded substep backwards."""
+    real = variant.real
+    types = make_types(real)
+    Nodes = types.Nodes
+    vec3, mat33 = types.vec3, types.mat33
+    Matter, Conditions, Grips = types.Matter, types.Conditions, types.Grips
+    ConditionsAdjoint, Gripped = types.ConditionsAdjoint, make_gripped_type(real)
+    taped, adjoint_of = make_taped(variant), make_adjoint(variant)
+    Tape, Adjoint = taped.Struct, adjoint_of.Struct
+    before, fields = taped.fields, adjoint_of.fields
+    forces_of = make_internal_forces(variant)
+    bspline, transfer = make_bspline(real, windowed=not variant.rows), make_transfer(real)
+    window_type = bspline.window
+    boundary, contact = make_boundary_adjoint(variant), make_boundary(variant).contact
+    gripped_adjoint, drive = make_gripped_adjoint(variant), make_listing(variant).drive
+    block, branch = make_block(real), make_maxwell_branch(real).branch
+    largest = 1.0e37 if real == wp.float32 else 1.0e300
+
+    @wp.func
+    def section_motion(s: int, slot: int, mass: real, matter: Matter, tape: Tape):
         """Mean position of section s, and its mean velocity without contact."""
         size = matter.section
         x = vec3()
         q = vec3()
         for p in range(s * size, (s + 1) * size):
-            x += state.x[row, p]
-            q += momentum_of(w, p, row, dt, matter, scene, state, pulls)
+            i = taped.place(tape, slot, p)
+            x += before.x(tape, slot, i)
+            q += before.q(tape, slot, i)
         share = real(1.0) / real(size)
-        return share * x, (share / matter.mass[w]) * q
+        return share * x, (share / mass) * q
 
     @wp.func
-    def touch(
-        w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
-        pulls: Pulls, touched: Vectors,
+    def g2p_adjoint(
+        w: int, row: int, thread: int, threads: int, N: int, slot: int, h: real, layout: int,
+        inv_dx: real, gripped: Gripped, tape: Tape, adjoint: Adjoint, grid: SparseGrid,
+        velocity: Nodes, nodes_bar: Nodes,
     ):  # fmt: skip
-        """Set the change of a section's velocity by table and walls."""
-        change = vec3()
-        if boundary.near_table(state.x[row, s * matter.section], matter, scene):
-            x, u = section_motion(w, s, row, dt, matter, scene, state, pulls)
-            change = boundary.contact(w, x, u, dt, matter.contact_radius, scene)
-        touched[w, s] = change
+        """Set derivatives by the nodes' velocities, add to those by x."""
+        window = window_type()
+        held = wp.vec3i(-1, -1, -1)
+        end = (thread + 1) * N // threads
+        i = thread * N // threads - 1
+        while i < end - 1:
+            i += 1
+            if gripped.free[w, i] == real(0.0):
+                continue
+            node, f, taken = transfer.taken_by(
+                before.x(tape, slot, i), fields.v(adjoint, w, i) + h * fields.x(adjoint, w, i),
+                fields.C(adjoint, w, i), layout, inv_dx, grid,
+            )  # fmt: skip
+            window = bspline.scatter(
+                window, held, node, f, taken, nodes_bar, row, grid.start, layout
+            )
+            held = node
+        bspline.flush(window, held, nodes_bar, row, grid.start, layout)
+        block.sync()
+        i = int(thread)
+        while i < N:
+            if gripped.free[w, i] > real(0.0):
+                x_bar = fields.x(adjoint, w, i)
+                x_bar += transfer.g2p_adjoint(
+                    before.x(tape, slot, i), fields.v(adjoint, w, i) + h * x_bar,
+                    fields.C(adjoint, w, i), layout, row, inv_dx, grid, velocity,
+                )  # fmt: skip
+                fields.put_x(adjoint, w, i, x_bar)
+            i += threads
+
+    @wp.func
+    def p2g_adjoint(
+        w: int, row: int, thread: int, threads: int, N: int, slot: int, gone: int, mass: real,
+        layout: int, inv_dx: real, matter: Matter, conditions: Conditions, gripped: Gripped,
+        tape: Tape, touched: wp.array2d(dtype=vec3), adjoint: Adjoint, grid: SparseGrid,
+        nodes_bar: Nodes, by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Set derivatives by C and by v (as found in those by momentum), add to those by x, m."""
+        per_mass = real(1.0) / mass
+        sums = adjoint.sums
+        i = int(thread)
+        while i < N:
+            free = gripped.free[w, i]
+            x_bar = vec3()
+            u_bar = vec3()
+            C_bar = mat33()
+            mass_bar = real(0.0)
+            if free > real(0.0):
+                own = per_mass * before.q(tape, slot, i)
+                u = own
+                if conditions.table == 1:
+                    u += touched[w, adjoint_of.particle(adjoint, w, i) // matter.section]
+                v = u
+                if free < real(1.0):
+                    v += (real(1.0) - free) * (gripped.driven[w, i] - u)
+                x_bar, q_bar, C_bar, mass_bar = transfer.p2g_adjoint(
+                    before.x(tape, slot, i), mass * v, before.C(tape, slot, i), mass, layout, row,
+                    inv_dx, grid, nodes_bar,
+                )  # fmt: skip
+                mass_bar += wp.dot(q_bar, v)
+                u_bar = (free * mass) * q_bar
+                # its own velocity is momentum over mass
+                mass_bar -= per_mass * wp.dot(u_bar, own)
+            fields.put_x(adjoint, w, i, fields.x(adjoint, w, i) + x_bar)
+            fields.put_v(adjoint, w, i, u_bar)
+            fields.put_C(adjoint, w, i, C_bar)
+            sums[w, MASS, i] = sums[w, MASS, i] + mass_bar
+            # the first one found is named; a NaN is not below anything
+            size = wp.length_sq(x_bar) + wp.length_sq(u_bar)
+            if not (size < real(largest)) and wp.atomic_max(by.status, w, NOT_FINITE) == OK:
+                by.failed_particle[w] = adjoint_of.particle(adjoint, w, i)
+                by.failed_slot[w] = gone
+            i += threads
 
     @wp.func
     def touch_adjoint(
-        w: int, s: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
-        pulls: Pulls, touched: Vectors, bars: MatterBars, scene_bars: SceneBars,
+        w: int, thread: int, threads: int, N: int, slot: int, h: real, mass: real, matter: Matter,
+        conditions: Conditions, tape: Tape, touched: wp.array2d(dtype=vec3), adjoint: Adjoint,
+        by: ConditionsAdjoint,
     ):  # fmt: skip
-        """Transpose of ``touch``: adds to the derivatives by x and by momenta, which are found in
-        those by v."""
-        if wp.length_sq(touched[w, s]) > real(0.0):
-            size = matter.section
-            change_bar = vec3()
-            for p in range(s * size, (s + 1) * size):
-                change_bar += bars.v[w, p]
-            x, u = section_motion(w, s, row, dt, matter, scene, state, pulls)
-            x_bar, u_bar = boundary_adjoint.contact_adjoint(
-                w, x, u, dt, matter.contact_radius, scene, change_bar, scene_bars
-            )
-            for p in range(s * size, (s + 1) * size):
-                bars.x[w, p] = bars.x[w, p] + x_bar / real(size)
-                bars.v[w, p] = bars.v[w, p] + u_bar / real(size)
-            # u is momentum over mass
-            first = s * size
-            bars.mass[w, first] = bars.mass[w, first] - wp.dot(u_bar, u) / matter.mass[w]
-
-    @wp.func
-    def scatter(
-        w: int, p: int, row: int, grip_row: int, layout: int, slot: int, dt: real, near: int,
-        matter: Matter, scene: Scene, grips: Grips, state: State, pulls: Pulls, touched: Vectors,
-        grid: SparseGrid, momentum: Nodes,
-    ):  # fmt: skip
-        """Add a particle's mass and momentum to its 27 nodes, unless a gripper carries it."""
-        free = grips.free[w, p]
-        if free > real(0.0):
-            mass = matter.mass[w]
-            x = state.x[row, p]
-            q = momentum_of(w, p, row, dt, matter, scene, state, pulls)
-            if near == 1:
-                q += mass * touched[w, p // matter.section]
-            if free < real(1.0):
-                q = mass * boundary.guided(w, p, grip_row, x, q / mass, dt, scene.dx, matter, grips)
-            inv_dx = real(1.0) / scene.dx
-            node, f, c = transfer.given_by(x, q, state.C[row, p], mass, layout, inv_dx, grid)
-            bspline.scatter(momentum, slot, grid.start, layout, node, f, c)
-
-    @wp.func
-    def scatter_adjoint(
-        w: int, p: int, row: int, grip_row: int, layout: int, slot: int, dt: real, near: int,
-        matter: Matter, scene: Scene, grips: Grips, state: State, pulls: Pulls, touched: Vectors,
-        grid: SparseGrid, nodes_bar: Nodes, bars: MatterBars, scene_bars: SceneBars,
-    ):  # fmt: skip
-        """Transpose of ``scatter``: sets the derivatives by v (as found in those by momentum)
-        and C, adds to those by x and mass. Returns the square of what it found."""
-        free = grips.free[w, p]
-        mass = matter.mass[w]
-        x_bar = vec3()
-        u_bar = vec3()
-        C_bar = types.mat33()
-        mass_bar = real(0.0)
-        if free > real(0.0):
-            x = state.x[row, p]
-            own = momentum_of(w, p, row, dt, matter, scene, state, pulls) / mass
-            u = own
-            if near == 1:
-                u += touched[w, p // matter.section]
-            v = u
-            if free < real(1.0):
-                v = boundary.guided(w, p, grip_row, x, u, dt, scene.dx, matter, grips)
-            x_bar, q_bar, C_bar, mass_bar = transfer.p2g_adjoint(
-                x, mass * v, state.C[row, p], mass, layout, slot, real(1.0) / scene.dx, grid,
-                nodes_bar,
-            )  # fmt: skip
-            u_bar = mass * q_bar
-            mass_bar += wp.dot(q_bar, v)
-            if free < real(1.0):
-                by_x, u_bar_own, lam_bar, by_mass = boundary_adjoint.guided_adjoint(
-                    w, p, grip_row, x, u, dt, scene.dx, matter, u_bar, grips, scene_bars
+        """Add to derivatives by x, by momenta (as found in those by v) and by mass."""
+        size = matter.section
+        sums = adjoint.sums
+        s = int(thread)
+        while s < N // size:
+            if wp.length_sq(touched[w, s]) > real(0.0):
+                change_bar = vec3()
+                for p in range(s * size, (s + 1) * size):
+                    change_bar += fields.v(adjoint, w, adjoint_of.place(adjoint, w, p))
+                x, u = section_motion(s, slot, mass, matter, tape)
+                by_x, by_u = boundary.contact_adjoint(
+                    w, x, u, h, matter.contact_radius, conditions, change_bar, by
                 )
-                x_bar += by_x
-                mass_bar += by_mass
-                bars.lam[w, p] = bars.lam[w, p] + lam_bar
-                bars.mu[w, p] = bars.mu[w, p] + real(2.0) * lam_bar
-                u_bar = u_bar_own
-            # its own velocity is momentum over mass
-            mass_bar -= wp.dot(u_bar, own) / mass
-        bars.x[w, p] = bars.x[w, p] + x_bar
-        bars.v[w, p] = u_bar
-        bars.C[w, p] = C_bar
-        bars.mass[w, p] = bars.mass[w, p] + mass_bar
-        return wp.length_sq(x_bar) + wp.length_sq(u_bar)
+                # u is momentum over mass
+                first = adjoint_of.place(adjoint, w, s * size)
+                sums[w, MASS, first] = sums[w, MASS, first] - wp.dot(by_u, u) / mass
+                by_x = by_x / real(size)
+                by_u = by_u / real(size)
+                for p in range(s * size, (s + 1) * size):
+                    i = adjoint_of.place(adjoint, w, p)
+                    fields.put_x(adjoint, w, i, fields.x(adjoint, w, i) + by_x)
+                    fields.put_v(adjoint, w, i, fields.v(adjoint, w, i) + by_u)
+            s += threads
 
     @wp.func
-    def momentum_adjoint(
-        w: int, p: int, row: int, dt: real, matter: Matter, scene: Scene, state: State,
-        bars: MatterBars, stretches: Pulls,
+    def momenta_adjoint(
+        w: int, thread: int, threads: int, N: int, slot: int, h: real, mass: real, gravity: vec3,
+        matter: Matter, tape: Tape, adjoint: Adjoint, by: ConditionsAdjoint,
     ):  # fmt: skip
-        """Transpose of ``momentum_of``; returns the derivative by gravity."""
-        v_bar = bars.v[w, p]
-        speed = state.v[row, p] + dt * scene.gravity[w]
-        bars.mass[w, p] = bars.mass[w, p] + wp.dot(v_bar, speed) / matter.mass[w]
-        forces.impulse_on_adjoint(w, p, matter, bars, stretches)
-        return dt * v_bar
-
-    @wp.func
-    def move(
-        w: int, p: int, row: int, row_out: int, grip_row: int, layout: int, slot: int, dt: real,
-        scene: Scene, grips: Grips, grid: SparseGrid, velocity: Nodes, state: State,
-        state_out: State,
-    ):  # fmt: skip
-        """Advance a particle to the next state; return its squared speed."""
-        x = state.x[row, p]
-        v = vec3()
-        C = types.mat33()
-        if grips.free[w, p] > real(0.0):
-            v, C = transfer.g2p(layout, slot, x, real(1.0) / scene.dx, grid, velocity)
-        else:
-            v, spin, _by_b = boundary.carried(w, p, grip_row, x, real(FOLLOWS), dt, grips)
-            C = wp.skew(spin)
-        if compensates == 1:
-            there, low = compensated_sum(x, dt * v, state.low[w, p])
-            state_out.x[row_out, p] = there
-            state.low[w, p] = low
-        else:
-            state_out.x[row_out, p] = x + dt * v
-        state_out.v[row_out, p] = v
-        state_out.C[row_out, p] = C
-        return wp.length_sq(v)
-
-    @wp.func
-    def move_adjoint(
-        w: int, p: int, row: int, grip_row: int, layout: int, slot: int, dt: real, scene: Scene,
-        grips: Grips, grid: SparseGrid, velocity: Nodes, state: State, nodes_bar: Nodes,
-        bars: MatterBars, scene_bars: SceneBars,
-    ):  # fmt: skip
-        """Transpose of ``move``; derivatives by v and C are not needed afterwards."""
-        x = state.x[row, p]
-        x_bar = bars.x[w, p]
-        v_bar = bars.v[w, p] + dt * x_bar
-        C_bar = bars.C[w, p]
-        if grips.free[w, p] > real(0.0):
-            inv_dx = real(1.0) / scene.dx
-            node, f, c = transfer.taken_by(x, v_bar, C_bar, layout, inv_dx, grid)
-            bspline.scatter(nodes_bar, slot, grid.start, layout, node, f, c)
-            x_bar += transfer.g2p_adjoint(x, v_bar, C_bar, layout, slot, inv_dx, grid, velocity)
-        else:
-            spin_bar = boundary_adjoint.turned_adjoint(C_bar)
-            x_bar += boundary_adjoint.carried_adjoint(
-                w, p, grip_row, real(FOLLOWS), dt, v_bar, spin_bar, grips, scene_bars
-            )
-        bars.x[w, p] = x_bar
-
-    return Namespace(
-        touch, touch_adjoint, scatter, scatter_adjoint, momentum_adjoint, move, move_adjoint,
-        types=types, bspline=bspline, transfer=transfer, branch=make_maxwell_branch(real).branch,
-        forces=forces, boundary=boundary, boundary_adjoint=boundary_adjoint, paths=make_poses(real),
-        largest=1.0e37 if real == wp.float32 else 1.0e300,
-    )  # fmt: skip
-
-
-@functools.cache
-def make_step(real: Any, law_name: str, *, yields: bool) -> Namespace:
-    """Build ``substep`` and ``substep_adjoint`` of one world by one thread (CPU); see above."""
-    k = make_stages(real, law_name, yields=yields)
-    types = k.types
-    Nodes, Pulls, Vectors = types.Nodes, types.Pulls, types.Vectors
-    vec3 = types.vec3
-    Matter, Scene, State = types.Matter, types.Scene, types.State
-    Paths, Grips, Clock = types.Paths, types.Grips, types.Clock
-    MatterBars, SceneBars = types.MatterBars, types.SceneBars
-    forces, boundary, boundary_adjoint = k.forces, k.boundary, k.boundary_adjoint
-    close_substep, largest = make_closing(real).close_substep, k.largest
-
-    # while, not range: with range the compiler cannot tell that indices are not negative, and
-    # checks every array index (a fifth slower)
-
-    @wp.func
-    def substep(
-        w: int, t: wp.float64, dt: wp.float64, age: int, row: int, row_out: int, layout: int,
-        slot: int, clock: Clock, matter: Matter, scene: Scene, paths: Paths, grips: Grips,
-        pulls: Pulls, touched: Vectors, state: State, grid: SparseGrid, momentum: Nodes,
-        velocity: Nodes,
-    ):  # fmt: skip
-        """Advance a row of particles from t to the next row; return the largest squared speed and
-        the status. The grid's momentum is left in ``slot``. Nothing moves in a substep in which a
-        gripper closes on nothing or a particle turns inside out."""
-        N = state.x.shape[1]
-        G = grips.closed.shape[1]
-        h = real(dt)
-        if G > 0:
-            empty = boundary.grasp(w, t, age, row, N, matter, scene, paths, grips, state)
-            if empty >= 0:
-                clock.failed_particle[w] = empty
-                return real(0.0), NOTHING_HELD
-        for g in range(G):
-            k.paths.pose_gripper(w, w, g, t, dt, paths, grips)
-        keep, share = k.branch(matter.damping[w], h, age)
-        inverted = forces.body_forces(w, row, row_out, h, keep, share, matter, state, state, pulls)
-        if inverted >= 0:
-            clock.failed_particle[w] = inverted
-            return real(0.0), INVERTED
-        near = clock.near_table[w]
-        if near == 1:
-            for s in range(N // matter.section):
-                k.touch(w, s, row, h, matter, scene, state, pulls, touched)
-        nodes = grid.count[layout]
-        k.bspline.clear(momentum, slot, nodes)
-        p = int(0)
-        while p < N:
-            k.scatter(
-                w, p, row, w, layout, slot, h, near, matter, scene, grips, state, pulls, touched,
-                grid, momentum,
-            )  # fmt: skip
-            p += 1
-        k.bspline.normalise(
-            momentum, slot, velocity, 0, nodes, wp.exp(-scene.velocity_damping[w] * h)
-        )
-        fastest = real(0.0)
-        total = real(0.0)
-        p = int(0)
-        while p < N:
-            speed = k.move(
-                w, p, row, row_out, w, layout, 0, h, scene, grips, grid, velocity, state, state
-            )
-            fastest = wp.max(fastest, speed)
-            total += speed
-            p += 1
-        # a sum keeps a NaN, a maximum may drop it
-        if not (total < real(1.0e30)) or h * wp.sqrt(fastest) > scene.dx:
-            return fastest, DIVERGED
-        return fastest, OK
+        """From derivatives by momenta to those by x, v, mass and gravity."""
+        sums = adjoint.sums
+        gravity_sum = vec3()
+        i = int(thread)
+        while i < N:
+            x_bar, wind_bar = forces_of.impulse_on_adjoint(w, i, matter, adjoint)
+            fields.put_x(adjoint, w, i, fields.x(adjoint, w, i) + x_bar)
+            v_bar = fields.v(adjoint, w, i)
+            gravity_sum += h * v_bar
+            speed = before.v(tape, slot, i) + h * gravity
+            sums[w, MASS, i] = sums[w, MASS, i] + wp.dot(v_bar, speed) / mass
+            fields.put_v(adjoint, w, i, v_bar + wind_bar)
+            i += threads
+        wp.atomic_add(by.gravity, w, boundary.wide(gravity_sum))
 
     @wp.func
     def substep_adjoint(
-        w: int, t: wp.float64, dt: wp.float64, age: int, row: int, layout: int, slot: int,
-        matter: Matter, scene: Scene, paths: Paths, grips: Grips, pulls: Pulls, touched: Vectors,
-        state: State, grid: SparseGrid, momentum: Nodes, velocity: Nodes, nodes_bar: Nodes,
-        bars: MatterBars, scene_bars: SceneBars,
+        w: int, row: int, thread: int, threads: int, h: real, age: int, layout: int, slot: int,
+        gone: int, holding: int, grip_row: int, mass: real, gravity: vec3, keep_velocity: real,
+        matter: Matter, conditions: Conditions, grips: Grips, gripped: Gripped, tape: Tape,
+        touched: wp.array2d(dtype=vec3), adjoint: Adjoint, grid: SparseGrid, momentum: Nodes,
+        velocity: Nodes, nodes_bar: Nodes, by: ConditionsAdjoint,
     ):  # fmt: skip
-        """Propagate derivatives by the state after a recorded substep to the state before it.
-
-        Return a particle whose derivatives are not finite, or -1.
-        """
-        N = state.x.shape[1]
-        G = grips.closed.shape[1]
-        h = real(dt)
+        """From derivatives by the state after substep ``gone`` of a recording to those by the state
+        before it. ``row`` is the world's of ``velocity`` and ``nodes_bar``, which are scratch."""
+        N = gripped.free.shape[1]
+        inv_dx = real(1.0) / conditions.dx
         nodes = grid.count[layout]
-        damping_factor = wp.exp(-scene.velocity_damping[w] * h)
-        keep, share = k.branch(matter.damping[w], h, age)
-        # what the substep had besides the recorded momentum; Z and G after it are not asked for
-        for g in range(G):
-            k.paths.pose_gripper(w, w, g, t, dt, paths, grips)
-        forces.body_forces(w, row, row + 1, h, keep, share, matter, state, state, pulls)
-        near = int(0)
-        if scene.table == 1 or scene.walls == 1:
-            near = 1
-            for s in range(N // matter.section):
-                k.touch(w, s, row, h, matter, scene, state, pulls, touched)
-        k.bspline.normalise(momentum, slot, velocity, 0, nodes, damping_factor)
-        k.bspline.clear(nodes_bar, 0, nodes)
-        # 6
-        p = int(0)
-        while p < N:
-            k.move_adjoint(
-                w, p, row, w, layout, 0, h, scene, grips, grid, velocity, state, nodes_bar, bars,
-                scene_bars,
-            )  # fmt: skip
-            p += 1
-        # 5
-        by_factor = wp.float64(0.0)
-        n = int(0)
-        while n < nodes:
-            q_bar, factor_bar = k.transfer.node_velocity_adjoint(
-                momentum[slot, n], nodes_bar[0, n], damping_factor
+        for n in range(thread, holding, threads):
+            if gripped.share[w, n] > real(0.0):
+                x = before.x(tape, slot, gripped.index[w, n])
+                drive(w, n, x, grip_row, h, matter, conditions, grips, gripped)
+        if conditions.table == 1:
+            for s in range(thread, N // matter.section, threads):
+                x, u = section_motion(s, slot, mass, matter, tape)
+                touched[w, s] = contact(w, x, u, h, matter.contact_radius, conditions)
+        bspline.normalise(momentum, slot, velocity, row, thread, threads, nodes, keep_velocity, 0)
+        bspline.clear(nodes_bar, row, thread, threads, nodes)
+        block.sync()
+        g2p_adjoint(
+            w, row, thread, threads, N, slot, h, layout, inv_dx, gripped, tape, adjoint, grid,
+            velocity, nodes_bar,
+        )  # fmt: skip
+        if holding > 0:
+            gripped_adjoint.firm_adjoint(
+                w, thread, threads, holding, grip_row, h, grips, gripped, adjoint, by
             )
-            nodes_bar[0, n] = q_bar
-            by_factor += wp.float64(factor_bar)
-            n += 1
-        scene_bars.damping_factor[w] = scene_bars.damping_factor[w] + by_factor
-        # 4, 3, 2
-        failed = int(-1)
-        p = int(0)
-        while p < N:
-            size = k.scatter_adjoint(
-                w, p, row, w, layout, 0, h, near, matter, scene, grips, state, pulls, touched, grid,
-                nodes_bar, bars, scene_bars,
-            )  # fmt: skip
-            if not (size < real(largest)) and failed < 0:
-                failed = p
-            p += 1
-
-        if near == 1:
-            for s in range(N // matter.section):
-                k.touch_adjoint(
-                    w, s, row, h, matter, scene, state, pulls, touched, bars, scene_bars
-                )
-        forces.body_forces_adjoint(w, row, h, keep, share, matter, state, bars, scene_bars, pulls)
-        by_gravity = vec3()
-        p = int(0)
-        while p < N:
-            by_gravity += k.momentum_adjoint(w, p, row, h, matter, scene, state, bars, pulls)
-            p += 1
-        scene_bars.gravity[w] = scene_bars.gravity[w] + boundary_adjoint.wide(by_gravity)
-        # 1
-        close_substep(w, w, t, dt, age, matter, scene, paths, grips, scene_bars)
-        if G > 0:
-            boundary_adjoint.grasp_adjoint(
-                w, t, age, row, matter, scene, paths, grips, state, bars, scene_bars
-            )
-        return failed
-
-    return Namespace(substep, substep_adjoint)
-
-
-@functools.cache
-def make_closing(real: Any) -> Namespace:
-    """Build what adds the sums of substeps to derivatives by paths and rates.
-
-    Returns:
-        Namespace with ``close_substep``, for one, and ``close_rates``, for the rates of several
-        equally long ones.
-    """
-    types = make_types(real)
-    Matter, Scene, Paths, Grips = types.Matter, types.Scene, types.Paths, types.Grips
-    SceneBars = types.SceneBars
-    pose_gripper_adjoint = make_poses(real).pose_gripper_adjoint
-    branch_adjoint = make_maxwell_branch(real).branch_adjoint
-
-    @wp.func
-    def close_rates(
-        w: int, dt: wp.float64, age: int, matter: Matter, scene: Scene, bars: SceneBars
-    ):
-        """Add derivatives by damping rates; reset their sums."""
-        h = real(dt)
-        slope = wp.float64(-h * wp.exp(-scene.velocity_damping[w] * h))
-        bars.velocity_damping[w] = bars.velocity_damping[w] + slope * bars.damping_factor[w]
-        by_damping = branch_adjoint(
-            matter.damping[w], h, age, real(bars.branch_factor[w]), real(bars.branch_share[w])
+        by_keep = bspline.normalise_adjoint(
+            momentum, slot, nodes_bar, row, thread, threads, nodes, keep_velocity
         )
-        bars.damping[w] = bars.damping[w] + wp.float64(by_damping)
-        bars.damping_factor[w] = wp.float64(0.0)
-        bars.branch_factor[w] = wp.float64(0.0)
-        bars.branch_share[w] = wp.float64(0.0)
+        wp.atomic_add(by.damping_factor, w, by_keep)
+        block.sync()
+        p2g_adjoint(
+            w, row, thread, threads, N, slot, gone, mass, layout, inv_dx, matter, conditions,
+            gripped, tape, touched, adjoint, grid, nodes_bar, by,
+        )  # fmt: skip
+        block.sync()
+        if holding > 0:
+            gripped_adjoint.partial_adjoint(
+                w, thread, threads, holding, grip_row, slot, h, mass, matter, conditions, grips,
+                gripped, tape, touched, adjoint, by,
+            )  # fmt: skip
+            block.sync()
+        if conditions.table == 1:
+            touch_adjoint(
+                w, thread, threads, N, slot, h, mass, matter, conditions, tape, touched, adjoint, by
+            )
+            block.sync()
+        keep, share = branch(matter.damping[w], h, age)
+        forces_of.forces_adjoint(
+            w, thread, threads, slot, age, h, keep, share, mass, matter, tape, adjoint, by
+        )
+        block.sync()
+        momenta_adjoint(w, thread, threads, N, slot, h, mass, gravity, matter, tape, adjoint, by)
+        block.sync()
 
-    @wp.func
-    def close_substep(
-        w: int, grip_row: int, t: wp.float64, dt: wp.float64, age: int, matter: Matter,
-        scene: Scene, paths: Paths, grips: Grips, bars: SceneBars,
-    ):  # fmt: skip
-        """Add a substep's derivatives by gripper paths and damping rates; reset the sums."""
-        for g in range(grips.closed.shape[1]):
-            if grips.closed[grip_row, g] == 1:
-                pose_gripper_adjoint(grip_row, w, g, t, dt, paths, bars)
-        close_rates(w, dt, age, matter, scene, bars)
-
-    return Namespace(close_substep, close_rates)
+    return substep_adjoint

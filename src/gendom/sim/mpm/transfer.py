@@ -23,7 +23,7 @@ from gendom.sim.mpm.types import Namespace, make_types
 
 
 @functools.cache
-def make_bspline(real: Any) -> Namespace:
+def make_bspline(real: Any, *, windowed: bool) -> Namespace:
     """The sums over 27 nodes of ``native/bspline.h`` for one scalar type.
 
     All take a grid's array, its row and its layout (see ``grid``), the particle's lowest node
@@ -31,10 +31,9 @@ def make_bspline(real: Any) -> Namespace:
 
     Returns:
         Namespace with ``sums``, the matrix of coefficients; ``scatter``, ``gather`` and
-        ``gather_with_slope``; ``collect`` and ``hand_over``, which add to a ``window`` of 27 nodes,
-        and what is left behind of it to the grid; ``get_node`` and ``put_node``, whole on CUDA;
-        ``row_at``, the address of a row; and
-        for the CPU ``clear`` and ``normalise`` of all nodes.
+        ``gather_with_slope``; ``window``, what ``scatter`` holds back on CUDA, and ``flush``, which
+        gives it to the grid; ``clear``, ``normalise`` and ``normalise_adjoint`` of all nodes; and
+        ``row_at``, the address of a row.
     """
     types = make_types(real)
     vec3, vec4 = types.vec3, types.vec4
@@ -42,11 +41,17 @@ def make_bspline(real: Any) -> Namespace:
     columns = wp.array3d(dtype=wp.int32)
     sums = wp.types.matrix((4, 4), real)
     sums_and_slope = wp.types.matrix((5, 4), real)
-    window_type = wp.types.matrix((27, 4), real)
+    window_type = wp.types.matrix((27 if windowed else 1, 4), real)
 
-    @wp.func_native("gendom::scatter(grid, row, start, layout, node, f, c);")
+    @wp.func_native("return gendom::scatter(window, held, node, f, c, grid, row, start, layout);")
     def scatter(
-        grid: nodes, row: int, start: columns, layout: int, node: wp.vec3i, f: vec3, c: sums
+        window: window_type, held: wp.vec3i, node: wp.vec3i, f: vec3, c: sums, grid: nodes,
+        row: int, start: columns, layout: int,
+    ) -> window_type: ...  # fmt: skip
+
+    @wp.func_native("gendom::flush(window, held, grid, row, start, layout);")
+    def flush(
+        window: window_type, held: wp.vec3i, grid: nodes, row: int, start: columns, layout: int
     ): ...
 
     @wp.func_native("return gendom::gather<4>(grid, row, start, layout, node, f);")
@@ -59,44 +64,32 @@ def make_bspline(real: Any) -> Namespace:
         grid: nodes, row: int, start: columns, layout: int, node: wp.vec3i, f: vec3, c: sums
     ) -> sums_and_slope: ...
 
-    @wp.func_native("return gendom::collect(window, f, c);")
-    def collect(window: window_type, f: vec3, c: sums) -> window_type: ...
-
-    @wp.func_native("return gendom::hand_over(window, held, node, grid, row, start, layout);")
-    def hand_over(
-        window: window_type,
-        held: wp.vec3i,
-        node: wp.vec3i,
-        grid: nodes,
-        row: int,
-        start: columns,
-        layout: int,
-    ) -> window_type: ...
-
-    @wp.func_native("return gendom::get_node(grid, row, n);")
-    def get_node(grid: nodes, row: int, n: int) -> vec4: ...
-
-    @wp.func_native("gendom::put_node(grid, row, n, h);")
-    def put_node(grid: nodes, row: int, n: int, h: vec4): ...
-
     @wp.func_native("return (wp::uint64)&wp::index(grid, row, 0);")
     def row_at(grid: nodes, row: int) -> wp.uint64: ...
 
-    cpu_only = "\n#if !defined(__CUDA_ARCH__)\n{}\n#endif\n"
-
-    @wp.func_native(cpu_only.format("gendom::clear(grid, row, count);"))
-    def clear(grid: nodes, row: int, count: int): ...
+    @wp.func_native("gendom::clear(grid, row, thread, threads, count);")
+    def clear(grid: nodes, row: int, thread: int, threads: int, count: int): ...
 
     @wp.func_native(
-        cpu_only.format("gendom::normalise(momentum, row, velocity, row_out, count, keep);")
+        "gendom::normalise(momentum, row, velocity, row_out, thread, threads, count, keep, empty);"
     )
     def normalise(
-        momentum: nodes, row: int, velocity: nodes, row_out: int, count: int, keep: real
-    ): ...
+        momentum: nodes, row: int, velocity: nodes, row_out: int, thread: int, threads: int,
+        count: int, keep: real, empty: int,
+    ): ...  # fmt: skip
+
+    @wp.func_native(
+        "return gendom::normalise_adjoint(momentum, row, adjoint, row_out, thread, threads, count,"
+        " keep);"
+    )
+    def normalise_adjoint(
+        momentum: nodes, row: int, adjoint: nodes, row_out: int, thread: int, threads: int,
+        count: int, keep: real,
+    ) -> wp.float64: ...  # fmt: skip
 
     return Namespace(
-        scatter, gather, gather_with_slope, collect, hand_over, get_node, put_node, row_at, clear,
-        normalise, sums=sums, window=window_type,
+        scatter, flush, gather, gather_with_slope, row_at, clear, normalise, normalise_adjoint,
+        sums=sums, window=window_type,
     )  # fmt: skip
 
 
@@ -106,13 +99,13 @@ def make_transfer(real: Any) -> Namespace:
 
     Returns:
         Namespace with ``locate``, ``given_by`` (what a particle gives to the grid),
-        ``p2g_adjoint``, ``g2p``, ``taken_by`` (what its derivatives give to the grid's),
-        ``g2p_adjoint``, and for nodes ``node_velocity`` and its transpose.
+        ``p2g_adjoint``, ``g2p``, ``taken_by`` (what its derivatives give to the grid's) and
+        ``g2p_adjoint``.
     """
     types = make_types(real)
     Nodes = types.Nodes
-    vec3, vec4, mat33 = types.vec3, types.vec4, types.mat33
-    bspline = make_bspline(real)
+    vec3, mat33 = types.vec3, types.mat33
+    bspline = make_bspline(real, windowed=False)
 
     @wp.func
     def locate(layout: int, x: vec3, inv_dx: real, grid: SparseGrid):
@@ -198,28 +191,4 @@ def make_transfer(real: Any) -> Namespace:
         v = vec3(R[0, 0], R[0, 1], R[0, 2])
         return inv_dx * (place_of(R) - (real(4.0) * inv_dx) * (wp.transpose(C_bar) * v))
 
-    @wp.func
-    def node_velocity(q: vec4, damping_factor: real):
-        """Velocity and mass of a node from momentum and mass; of none: 0."""
-        u = vec4()
-        if q[3] > real(0.0):
-            share = damping_factor / q[3]
-            u = vec4(share * q[0], share * q[1], share * q[2], q[3])
-        return u
-
-    @wp.func
-    def node_velocity_adjoint(q: vec4, u_bar: vec4, damping_factor: real):
-        """Derivatives by momentum and mass, and by the damping factor."""
-        q_bar = vec4()
-        factor_bar = real(0.0)
-        if q[3] > real(0.0):
-            share = damping_factor / q[3]
-            along = (u_bar[0] * q[0] + u_bar[1] * q[1] + u_bar[2] * q[2]) / q[3]
-            factor_bar = along
-            q_bar = vec4(share * u_bar[0], share * u_bar[1], share * u_bar[2], -share * along)
-        return q_bar, factor_bar
-
-    return Namespace(
-        locate, given_by, p2g_adjoint, g2p, taken_by, g2p_adjoint, node_velocity,
-        node_velocity_adjoint,
-    )  # fmt: skip
+    return Namespace(locate, given_by, p2g_adjoint, g2p, taken_by, g2p_adjoint)

@@ -29,25 +29,22 @@ class Types:
     vec3: Any
     vec4: Any
     mat33: Any
-    pull: Any
-    """A particle's pulls: a row for each lattice axis, padded with the air's impulse."""
-    Vectors: Any
-    """Array [W, N] or [W, sections]."""
-    Pulls: Any
-    """Array [W, N]."""
+    impulses: Any
+    """A particle's impulses on its neighbours: a row for each lattice axis, padded with the air's
+    impulse on itself."""
     Nodes: Any
     """Array [rows, M] of the grid's nodes: vectors and mass."""
     compensates: bool
     """Whether positions keep what rounding leaves out (float32)."""
     Matter: Any
-    Scene: Any
+    Conditions: Any
     Paths: Any
     Grips: Any
     State: Any
     Clock: Any
-    Plan: Any
-    MatterBars: Any
-    SceneBars: Any
+    FramePlan: Any
+    StateAdjoint: Any
+    ConditionsAdjoint: Any
 
 
 @functools.cache
@@ -56,7 +53,7 @@ def make_types(real: Any) -> Types:
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
     mat33 = wp.types.matrix((3, 3), real)
-    pull = wp.types.matrix((3, 4), real)
+    impulse_rows = wp.types.matrix((3, 4), real)
 
     @wp.struct
     class Matter:
@@ -66,7 +63,6 @@ def make_types(real: Any) -> Types:
         lam: wp.array2d(dtype=real)  # [W, N] [Pa]
         mass: wp.array(dtype=real)  # [W] of a particle [kg]
         damping: wp.array(dtype=real)  # [W] viscous over elastic stress in slow motion [s]
-        yield_stress: wp.array(dtype=real)  # [W] [Pa]; infinite: elastic
         drag: wp.array(dtype=real)  # [W] see ``elasticity``; 0: no air
         volume: real  # of a particle [m^3]
         sheet: int  # 1: a cloth, 0: a rope
@@ -80,7 +76,7 @@ def make_types(real: Any) -> Types:
         per_span: wp.array2d(dtype=real)  # [2, N] 1 / spacings between neighbours along two axes
 
     @wp.struct
-    class Scene:
+    class Conditions:
         """What surrounds W bodies."""
 
         dx: real
@@ -88,9 +84,6 @@ def make_types(real: Any) -> Types:
         velocity_damping: wp.array(dtype=real)  # [W] [1/s]
         table: int  # at height 0
         friction: wp.array(dtype=real)  # [W]
-        walls: int
-        box_lower: vec3
-        box_upper: vec3
 
     @wp.struct
     class Grips:
@@ -119,9 +112,9 @@ def make_types(real: Any) -> Types:
         v: wp.array2d(dtype=vec3)  # [rows, N] [m/s]
         C: wp.array2d(dtype=mat33)  # [rows, N] [1/s]
         Z: wp.array3d(dtype=real)  # [rows, 6, N] filtered stress, of bodies with damping [Pa]
-        G: wp.array2d(dtype=mat33)  # [rows, N] inverse plastic F, of bodies that yield
-        # [W, N] what x leaves out of the position by rounding [m], in float32; not by rows
-        low: wp.array2d(dtype=vec3)
+        # [W, N], not by rows
+        low: wp.array2d(dtype=vec3)  # what x leaves out of the position by rounding [m], in float32
+        impulses: wp.array2d(dtype=impulse_rows)  # on neighbours in this substep; on the CPU
 
     @wp.struct
     class Clock:
@@ -135,10 +128,10 @@ def make_types(real: Any) -> Types:
         near_table: wp.array(dtype=wp.int32)  # [W] whether the table may be touched before then
         status: wp.array(dtype=wp.int32)  # [W]
         failed_particle: wp.array(dtype=wp.int32)  # [W] or gripper
-        frame: wp.array(dtype=wp.int32)  # [W] of a ``Plan``
+        frame: wp.array(dtype=wp.int32)  # [W] of a ``FramePlan``
 
     @wp.struct
-    class Plan:
+    class FramePlan:
         """T frames that W worlds go through, each at its own pace."""
 
         time: wp.array(dtype=wp.float64)  # [T + 1] where each begins, and the last one's end [s]
@@ -147,23 +140,20 @@ def make_types(real: Any) -> Types:
         x: wp.array3d(dtype=vec3)  # [T, W, P] [m]
 
     @wp.struct
-    class MatterBars:
-        """Derivatives by each particle's state, and by its parameters, summed up."""
+    class StateAdjoint:
+        """Derivatives by the particles' state, and sums of those by their parameters."""
 
         x: wp.array2d(dtype=vec3)  # [W, N]
         v: wp.array2d(dtype=vec3)
         C: wp.array2d(dtype=mat33)
         Z: wp.array3d(dtype=real)  # [W, 6, N]
-        G: wp.array2d(dtype=mat33)
-        mu: wp.array2d(dtype=real)  # [W, N]
-        lam: wp.array2d(dtype=real)
-        mass: wp.array2d(dtype=real)
-        yield_stress: wp.array2d(dtype=real)
-        drag: wp.array2d(dtype=real)
+        sums: wp.array3d(dtype=real)  # [W, 4, N] by mu, lam, mass and drag of each particle
+        # [W, N] by the differences between neighbours, and by v through the air; on the CPU
+        impulses: wp.array2d(dtype=impulse_rows)
 
     @wp.struct
-    class SceneBars:
-        """Derivatives by scene and grippers, summed up."""
+    class ConditionsAdjoint:
+        """Derivatives by conditions and grippers, summed up."""
 
         friction: wp.array(dtype=wp.float64)  # [W]
         velocity_damping: wp.array(dtype=wp.float64)  # [W]
@@ -174,19 +164,24 @@ def make_types(real: Any) -> Types:
         radius: wp.array2d(dtype=wp.float64)  # [W, G]
         weight: wp.array3d(dtype=real)  # [W, G, N]
         place: wp.array3d(dtype=vec3)  # [W, G, N]
-        # by the poses of ``Grips``, row by row, until they are closed
+        # by the poses of ``Grips``, row by row, until they are added to the paths'
         centre: wp.array2d(dtype=wp.vec3d)  # [rows, G]
         rotation: wp.array2d(dtype=wp.vec3d)
         velocity: wp.array2d(dtype=wp.vec3d)
         spin: wp.array2d(dtype=wp.vec3d)
-        # of substeps until they are closed
+        # of substeps until they are added to the rates'
         damping_factor: wp.array(dtype=wp.float64)  # [W] share of velocity that damping leaves
         branch_factor: wp.array(dtype=wp.float64)  # [W] share of Z that stays
         branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``elasticity``
+        # where a derivative overflowed
+        status: wp.array(dtype=wp.int32)  # [W]
+        failed_slot: wp.array(dtype=wp.int32)  # [W] recorded substep
+        failed_particle: wp.array(dtype=wp.int32)  # [W]
 
     return Types(
-        real=real, vec3=vec3, vec4=vec4, mat33=mat33, pull=pull, Vectors=wp.array2d(dtype=vec3),
-        Pulls=wp.array2d(dtype=pull), Nodes=wp.array2d(dtype=vec4), compensates=real == wp.float32,
-        Matter=Matter, Scene=Scene, Paths=make_path_type(real), Grips=Grips, State=State,
-        Clock=Clock, Plan=Plan, MatterBars=MatterBars, SceneBars=SceneBars,
+        real=real, vec3=vec3, vec4=vec4, mat33=mat33, impulses=impulse_rows,
+        Nodes=wp.array2d(dtype=vec4), compensates=real == wp.float32,
+        Matter=Matter, Conditions=Conditions, Paths=make_path_type(real), Grips=Grips, State=State,
+        Clock=Clock, FramePlan=FramePlan, StateAdjoint=StateAdjoint,
+        ConditionsAdjoint=ConditionsAdjoint,
     )  # fmt: skip

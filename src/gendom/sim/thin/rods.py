@@ -41,10 +41,6 @@ class Rods(ThinEngine):
 
     @staticmethod
     def check_suits(setting: Setting) -> None:
-        require(
-            not any(np.isfinite(m.yield_stress) for m in setting.materials),
-            "rods do not yield", fix="engine='mpm', or no yield_stress",
-        )  # fmt: skip
         length, diameter = arc_length(setting.body.points)[-1], setting.body.thickness
         require(
             diameter <= length,

@@ -31,10 +31,6 @@ class Shells(ThinEngine):
     @staticmethod
     def check_suits(setting: Setting) -> None:
         thickness, cut = setting.body.thickness, setting.body.cut
-        require(
-            not any(np.isfinite(m.yield_stress) for m in setting.materials),
-            "shells do not yield", fix="engine='mpm', or no yield_stress",
-        )  # fmt: skip
         least = -1.0 if cut is None else -1.0 / MOST_COUPLED
         require(
             all(m.nu >= least for m in setting.materials),

@@ -222,7 +222,6 @@ class ThinTape:
             E=self._by_parameter("E"),
             nu=self._by_parameter("nu"),
             density=self._by_parameter("density"),
-            yield_stress=np.zeros(e.num_worlds),
             stiffness=e.by_shares(m),
             damping=m[:, DAMPING].sum(axis=1),
             velocity_damping=m[:, VELOCITY_DAMPING].sum(axis=1),

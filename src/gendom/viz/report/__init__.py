@@ -12,11 +12,8 @@ from gendom.viz.report.content import (
     NextStep,
     Provenance,
     ReportContent,
-    curves_section,
     provenance_section,
-    ranks_section,
     render_report,
-    table_section,
     write_report,
 )
 from gendom.viz.report.lift import LiftPictures
@@ -36,11 +33,8 @@ __all__ = [
     "ReachOutcome",
     "ReportContent",
     "Section",
-    "curves_section",
     "provenance_section",
-    "ranks_section",
     "render_page",
     "render_report",
-    "table_section",
     "write_report",
 ]

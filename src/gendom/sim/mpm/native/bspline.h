@@ -70,4 +70,24 @@ struct nine_columns {
     }
 };
 
+// Transpose of `normalise`: derivatives by momentum and mass in place of those by velocity; returns
+// that by `keep`.
+template <typename real>
+GENDOM_INLINE double normalise_adjoint(const nodes_of<real>& momentum, int row,
+                                       const nodes_of<real>& adjoint, int row_out, int thread,
+                                       int threads, int count, real keep) {
+    const vec4<real>* nodes = &wp::index(momentum, row, 0);
+    vec4<real>* by = &wp::index(adjoint, row_out, 0);
+    double by_keep = 0.0;
+    for (int n = thread; n < count; n += threads) {
+        const vec4<real> q = load(nodes + n), u = load(by + n);
+        const bool full = q[3] > real(0);
+        const real share = full ? keep / q[3] : real(0);
+        const real along = full ? (u[0] * q[0] + u[1] * q[1] + u[2] * q[2]) / q[3] : real(0);
+        by_keep += along;
+        store(by + n, vec4<real>(share * u[0], share * u[1], share * u[2], -share * along));
+    }
+    return by_keep;
+}
+
 }  // namespace gendom

@@ -89,9 +89,12 @@ template <typename real> struct stencil {
     }
 };
 
-template <typename real>
-inline void scatter(const nodes_of<real>& grid, int row, const wp::array_t<int>& start, int layout,
-                    const lowest_node& node, const vec3<real>& f, const sums<4, real>& c) {
+// No window is needed: it is returned as it was.
+template <unsigned rows, typename real>
+inline wp::mat_t<rows, 4, real> scatter(const wp::mat_t<rows, 4, real>& window, const lowest_node&,
+                                        const lowest_node& node, const vec3<real>& f,
+                                        const sums<4, real>& c, const nodes_of<real>& grid, int row,
+                                        const wp::array_t<int>& start, int layout) {
     typedef stencil<real> S;
     typedef typename S::four four;
     const S at(start, layout, node, f);
@@ -102,7 +105,12 @@ inline void scatter(const nodes_of<real>& grid, int row, const wp::array_t<int>&
     // nodes 0 and 1 of each column together, node 2 by itself
     at.spread(S::join(Q, Q + A2) * wz01, S::join(A0, A0) * wz01, S::join(A1, A1) * wz01, nodes);
     at.spread((Q + A2 + A2) * wz2, A0 * wz2, A1 * wz2, nodes + 8);
+    return window;
 }
+
+template <unsigned rows, typename real>
+inline void flush(const wp::mat_t<rows, 4, real>&, const lowest_node&, const nodes_of<real>&, int,
+                  const wp::array_t<int>&, int) {}
 
 template <int rows, typename real>
 inline sums<rows, real> gather(const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
@@ -137,10 +145,11 @@ inline sums<rows, real> gather(const nodes_of<real>& grid, int row, const wp::ar
     return out;
 }
 
-// Velocity and mass of so many nodes from momentum and mass, a share `keep` of it; without mass: 0.
+// Velocity and mass of the nodes, a share `keep` of momentum / mass; without mass 0. Empties the
+// momentum if told to.
 template <typename real>
 inline void normalise(const nodes_of<real>& momentum, int row, const nodes_of<real>& velocity,
-                      int row_out, int count, real keep) {
+                      int row_out, int, int, int count, real keep, int empty) {
     typedef typename simd<real>::four four;
     const four* q = (const four*)&wp::index(momentum, row, 0);
     four* u = (four*)&wp::index(velocity, row_out, 0);
@@ -150,9 +159,11 @@ inline void normalise(const nodes_of<real>& momentum, int row, const nodes_of<re
         v.w = mass;
         u[n] = v;
     }
+    if (empty) __builtin_memset((void*)q, 0, count * sizeof(four));
 }
 
-template <typename real> inline void clear(const nodes_of<real>& grid, int row, int count) {
+template <typename real>
+inline void clear(const nodes_of<real>& grid, int row, int, int, int count) {
     __builtin_memset(&wp::index(grid, row, 0), 0, count * sizeof(vec4<real>));
 }
 

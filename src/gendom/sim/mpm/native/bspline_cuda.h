@@ -1,4 +1,5 @@
-// ``scatter`` and ``gather`` of bspline.h on CUDA: node by node.
+// ``scatter`` and ``gather`` of bspline.h on CUDA: node by node. What neighbouring particles give to
+// the same nodes is summed in a window of 27 nodes first.
 #pragma once
 
 #if defined(__CUDA_ARCH__)
@@ -47,14 +48,58 @@ template <typename real> struct stencil {
     }
 };
 
+template <typename real> using window_of = wp::mat_t<27, 4, real>;
+
+// Give to the grid what a window at `held` holds beyond one at `node`, and move it there.
 template <typename real>
-GENDOM_INLINE void scatter(const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
-                               int layout, const lowest_node& node, const vec3<real>& f,
-                               const sums<4, real>& c) {
-    const nine_columns columns(start, layout, node);
+GENDOM_INLINE window_of<real> hand_over(window_of<real> window, const lowest_node& held,
+                                        const lowest_node& node, const nodes_of<real>& grid,
+                                        int row, const wp::array_t<int>& start, int layout) {
+    const int up = node[2] - held[2];
+    const bool along = node[0] == held[0] && node[1] == held[1] && up >= 0 && up < 3;
+    const int leaving = along ? up : 3;
+    if (leaving == 0 || held[0] < 0) return window;
     vec4<real>* nodes = &wp::index(grid, row, 0);
-    stencil<real>(f).spread(
-        c, [&](int n, const vec4<real>& h) { add(nodes + columns.n[n / 3] + n % 3, h); });
+    const auto give = [&](int n, const real* h) { add(nodes + n, vec4<real>(h[0], h[1], h[2], h[3])); };
+    const nine_columns columns(start, layout, held);
+    #pragma unroll
+    for (int c = 0; c < 9; ++c) {
+        const int n = columns.n[c];
+        real* h = window.data[3 * c];
+        give(n, h);
+        if (leaving > 1) give(n + 1, h + 4);
+        if (leaving > 2) give(n + 2, h + 8);
+        #pragma unroll
+        for (int a = 0; a < 4; ++a) {
+            h[a] = leaving == 1 ? h[4 + a] : leaving == 2 ? h[8 + a] : real(0);
+            h[4 + a] = leaving == 1 ? h[8 + a] : real(0);
+            h[8 + a] = real(0);
+        }
+    }
+    return window;
+}
+
+// Add a particle's contribution to the window at its lowest node; what the window leaves goes to the
+// grid.
+template <typename real>
+GENDOM_INLINE window_of<real> scatter(window_of<real> window, const lowest_node& held,
+                                      const lowest_node& node, const vec3<real>& f,
+                                      const sums<4, real>& c, const nodes_of<real>& grid, int row,
+                                      const wp::array_t<int>& start, int layout) {
+    window = hand_over(window, held, node, grid, row, start, layout);
+    stencil<real>(f).spread(c, [&](int n, const vec4<real>& h) {
+        #pragma unroll
+        for (int a = 0; a < 4; ++a) window.data[n][a] += h[a];
+    });
+    return window;
+}
+
+// Give all of a window to the grid.
+template <typename real>
+GENDOM_INLINE void flush(const window_of<real>& window, const lowest_node& held,
+                         const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
+                         int layout) {
+    hand_over(window, held, lowest_node(-1, -1, -1), grid, row, start, layout);
 }
 
 // Sums over all nodes; with the coefficients c also the derivative of P by the place, as last row.
@@ -146,6 +191,31 @@ GENDOM_INLINE sums<rows, real> gather(const nodes_of<real>& grid, int row,
         out.data[4][3] = real(0);
     }
     return out;
+}
+
+// Velocity and mass of the nodes, a share `keep` of momentum / mass; without mass 0. Empties the
+// momentum if told to.
+template <typename real>
+GENDOM_INLINE void normalise(const nodes_of<real>& momentum, int row, const nodes_of<real>& velocity,
+                             int row_out, int thread, int threads, int count, real keep, int empty) {
+    vec4<real>* nodes = &wp::index(momentum, row, 0);
+    vec4<real>* u = &wp::index(velocity, row_out, 0);
+    vec4<real> next = thread < count ? load(nodes + thread) : vec4<real>();
+    for (int n = thread; n < count; n += threads) {
+        const vec4<real> q = next;
+        // on its way while this one is updated
+        if (n + threads < count) next = load(nodes + n + threads);
+        const bool full = q[3] > real(0);
+        if (full && empty) store(nodes + n, vec4<real>());
+        const real share = full ? keep / q[3] : real(0);
+        store(u + n, vec4<real>(share * q[0], share * q[1], share * q[2], q[3]));
+    }
+}
+
+template <typename real>
+GENDOM_INLINE void clear(const nodes_of<real>& grid, int row, int thread, int threads, int count) {
+    vec4<real>* nodes = &wp::index(grid, row, 0);
+    for (int n = thread; n < count; n += threads) store(nodes + n, vec4<real>());
 }
 
 }  // namespace gendom

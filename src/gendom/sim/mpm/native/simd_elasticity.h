@@ -1,8 +1,8 @@
-// Internal forces of several neighbouring particles side by side, a SIMD lane for each (CPU).
+// Internal forces of several neighbouring particles side by side, one in each part of a SIMD register (CPU).
 //
-// What gendom.sim.mpm.elasticity does one particle at a time, for any law and on any device, is done
-// here for the neo-Hookean law: P = mu (F - F^-T) + lam log(J) F^-T and, of materials with damping,
-// (1 + g) P - g F Z with the filtered stress Z (a standard linear solid).
+// What gendom.sim.mpm.elasticity does one particle at a time, on CUDA: P = mu (F - F^-T)
+// + lam log(J) F^-T and, of materials with damping, (1 + g) P - g F Z with the filtered stress Z (a
+// standard linear solid).
 //
 // A rotation of the rest frame changes nothing for an isotropic body: of the frame B = U Q only the
 // triangular U is needed, F = D U, and the pulls on the neighbours are P U^T. Vectors are kept by
@@ -22,23 +22,23 @@ template <typename real> CUDA_CALLABLE inline real log_volume(real J) {
     return sum * s;
 }
 
-template <typename real> using pull_of = wp::mat_t<3, 4, real>;  // a row for each axis, padded
+template <typename real> using impulses_of = wp::mat_t<3, 4, real>;  // a row for each axis, padded
 
 #if !defined(__CUDA_ARCH__)
 
-template <typename real> struct lanes;
-template <> struct lanes<float> {
+template <typename real> struct registers;
+template <> struct registers<float> {
     static constexpr int width = 8;
     typedef float wide __attribute__((ext_vector_type(8), aligned(4)));
 };
-template <> struct lanes<double> {
+template <> struct registers<double> {
     static constexpr int width = 4;
     typedef double wide __attribute__((ext_vector_type(4), aligned(8)));
 };
 
 template <typename real> struct side_by_side {
-    static constexpr int width = lanes<real>::width;
-    typedef typename lanes<real>::wide wide;
+    static constexpr int width = registers<real>::width;
+    typedef typename registers<real>::wide wide;
     typedef typename simd<real>::four four;
     struct columns {
         wide of[3][3];
@@ -104,7 +104,7 @@ template <typename real> struct side_by_side {
     }
     // Only of particles from `fresh` on: others have been done before.
     void put_unframed(const columns& P, const wide (&padding)[3],
-                      const wp::array_t<pull_of<real>>& pulls, int fresh) const {
+                      const wp::array_t<impulses_of<real>>& impulses, int fresh) const {
         const int begin = fresh > first ? fresh - first : 0;
         #pragma unroll
         for (int axis = 0; axis < 3; ++axis) {
@@ -114,7 +114,7 @@ template <typename real> struct side_by_side {
                 h[n] = axis == 0 ? P.of[0][n] * U00 + P.of[1][n] * U01 + P.of[2][n] * U02
                      : axis == 1 ? P.of[1][n] * U11 + P.of[2][n] * U12 : P.of[2][n] * U22;
             for (int l = begin; l < width; ++l)
-                *(four*)wp::index(pulls, w, first + l).data[axis] =
+                *(four*)wp::index(impulses, w, first + l).data[axis] =
                     four{h[0][l], h[1][l], h[2][l], padding[axis][l]};
         }
     }
@@ -213,22 +213,21 @@ template <typename real> struct side_by_side {
     }
 };
 
-// Set the pulls of several particles on their neighbours, the impulses of the air on them, and the
+// Set the impulses of several particles on their neighbours, those of the air on them, and the
 // filtered stress after the substep; returns one whose J <= 0, or -1. `keep` is what Z keeps in a
-// substep and `share` is g; both 0 without damping. Structs are those of gendom.sim.mpm.types.
+// substep and `share` is g; both 0 without damping. Structs are those of gendom.sim.mpm.
 template <typename real, typename Matter, typename State>
-inline int internal_forces(int w, int first, int fresh, int row, int row_out, real dt, real keep,
-                           real share, const Matter& matter, const State& state,
-                           const State& state_out, const wp::array_t<pull_of<real>>& pulls) {
+inline int internal_forces(int w, int first, int fresh, real dt, real keep, real share,
+                           const Matter& matter, const State& state) {
     typedef side_by_side<real> S;
     typedef typename S::wide wide;
     const S at(w, first, matter.frame);
-    const auto D = at.differences(state.x, row, matter.lattice);
+    const auto D = at.differences(state.x, w, matter.lattice);
     const real impulse = dt * matter.volume, strength = -dt * wp::index(matter.drag, w);
     const auto F = at.framed(D);
     wide wind[3] = {wide(real(0)), wide(real(0)), wide(real(0))};
     if (strength != real(0))
-        at.air(D, state.v, row, matter.per_span, matter.sheet, strength, wind);
+        at.air(D, state.v, w, matter.per_span, matter.sheet, strength, wind);
     auto C = S::cofactors(F);
     const wide J = S::dot(F.of[0], C.of[0]);
     const wide mus = S::numbers(wp::index(matter.mu, w, first));
@@ -240,7 +239,7 @@ inline int internal_forces(int w, int first, int fresh, int row, int row_out, re
         P = F * by_F + C * by_C;
     } else {
         C = C * (real(1) / J);
-        auto filtered = at.load(state.Z, row);
+        auto filtered = at.load(state.Z, w);
         const auto FZ = S::times(F, filtered);
         const auto stress = S::second_piola(C, mus, pressure);
         const wide by_F = mus * (impulse * (real(1) + share));
@@ -250,9 +249,9 @@ inline int internal_forces(int w, int first, int fresh, int row, int row_out, re
         const wide* now = &stress.xx;
         #pragma unroll
         for (int c = 0; c < 6; ++c) old[c] += (real(1) - keep) * (now[c] - old[c]);
-        at.put(filtered, state_out.Z, row_out, fresh);
+        at.put(filtered, state.Z, w, fresh);
     }
-    at.put_unframed(P, wind, pulls, fresh);
+    at.put_unframed(P, wind, state.impulses, fresh);
     int inverted = -1;
     for (int l = 0; l < S::width; ++l)
         if (!(J[l] > real(0))) inverted = first + l;
@@ -261,21 +260,21 @@ inline int internal_forces(int w, int first, int fresh, int row, int row_out, re
 
 // Transpose of internal_forces. Sums up only what particles from `fresh` on add; returns their
 // derivative by the share g and by `keep`.
-template <typename real, typename Matter, typename State, typename Bars>
-inline wp::vec_t<2, real> internal_forces_adjoint(
-    int w, int first, int fresh, int row, real dt, real keep, real share, const Matter& matter,
-    const State& state, const Bars& bars, const wp::array_t<pull_of<real>>& stretches) {
+template <typename real, typename Matter, typename Tape, typename Adjoint>
+inline wp::vec_t<2, real> internal_forces_adjoint(int w, int first, int fresh, int row, real dt,
+                                                  real keep, real share, const Matter& matter,
+                                                  const Tape& tape, const Adjoint& adjoint) {
     typedef side_by_side<real> S;
     typedef typename S::wide wide;
     const S at(w, first, matter.frame);
     const real by_difference = -(dt * matter.volume) / wp::index(matter.mass, w);
-    const auto F = at.framed(at.differences(state.x, row, matter.lattice));
+    const auto F = at.framed(at.differences(tape.x, row, matter.lattice));
     auto B = S::cofactors(F);
     const wide J = S::dot(F.of[0], B.of[0]);
     const wide mus = S::numbers(wp::index(matter.mu, w, first));
     const wide lams = S::numbers(wp::index(matter.lam, w, first));
     const wide log_J = S::log_volumes(J), pressure = lams * log_J - mus;
-    const auto P = at.framed(at.differences(bars.v, w, matter.lattice)) * by_difference;
+    const auto P = at.framed(at.differences(adjoint.v, w, matter.lattice)) * by_difference;
     B = S::columns::each([&](int j, int n) { return B.of[j][n] / J; });
     typename S::columns back;
     wide by_mu, by_lam;
@@ -298,8 +297,8 @@ inline wp::vec_t<2, real> internal_forces_adjoint(
     if (share == real(0)) {
         elastic(P);
     } else {
-        const auto filtered = at.load(state.Z, row);
-        auto after = at.load(bars.Z, w);
+        const auto filtered = at.load(tape.Z, row);
+        auto after = at.load(adjoint.Z, w);
         const auto S_now = S::second_piola(B, mus, pressure);
         const auto FZ = S::times(F, filtered);
         const auto PZ = S::times(P, filtered);
@@ -337,28 +336,28 @@ inline wp::vec_t<2, real> internal_forces_adjoint(
         const wide* fp = &FP.xx;
         #pragma unroll
         for (int c = 0; c < 6; ++c) bar[c] = bar[c] * keep - fp[c] * share;
-        at.put(after, bars.Z, w, fresh);
+        at.put(after, adjoint.Z, w, fresh);
         for (int l = fresh > first ? fresh - first : 0; l < S::width; ++l) {
             sums[0] += by_share[l];
             sums[1] += by_keep[l];
         }
     }
     const wide none[3] = {wide(real(0)), wide(real(0)), wide(real(0))};
-    at.put_unframed(back, none, stretches, fresh);
+    at.put_unframed(back, none, adjoint.impulses, fresh);
     for (int l = fresh > first ? fresh - first : 0; l < S::width; ++l) {
-        wp::index(bars.mu, w, first + l) += by_mu[l];
-        wp::index(bars.lam, w, first + l) += by_lam[l];
+        wp::index(adjoint.sums, w, 0, first + l) += by_mu[l];
+        wp::index(adjoint.sums, w, 1, first + l) += by_lam[l];
     }
     return sums;
 }
 
 #endif
 
-// Sum of the pulls on a particle: the transpose, but for its sign, of the differences between
+// Sum of the impulses on a particle: the transpose, but for its sign, of the differences between
 // neighbours.
 template <typename real>
 CUDA_CALLABLE inline vec3<real> pulled(int p, const wp::array_t<int>& lattice,
-                                       const wp::array_t<pull_of<real>>& pulls, int w) {
+                                       const wp::array_t<impulses_of<real>>& impulses, int w) {
     const int* near = &wp::index(lattice, p, 0, 0);
 #if defined(__CUDA_ARCH__)
     typedef vec4<real> four;
@@ -370,8 +369,8 @@ CUDA_CALLABLE inline vec3<real> pulled(int p, const wp::array_t<int>& lattice,
     #pragma unroll
     for (int axis = 0; axis < 3; ++axis) {
         const int a = near[2 * axis], b = near[2 * axis + 1];
-        const four back = *(const four*)wp::index(pulls, w, a).data[axis];
-        const four forth = *(const four*)wp::index(pulls, w, b).data[axis];
+        const four back = *(const four*)wp::index(impulses, w, a).data[axis];
+        const four forth = *(const four*)wp::index(impulses, w, b).data[axis];
         // where the lattice ends a particle stands in for the neighbour that it lacks
         total = total + forth * real(b == p ? -1 : 1) - back * real(a == p ? -1 : 1);
     }

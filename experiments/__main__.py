@@ -1,0 +1,136 @@
+"""`python -m experiments TABLE`: make a table, print it, and write it with its figures."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+from experiments.runs import Runs
+from gendom.errors import GendomError
+from gendom.files import check_folder
+from gendom.installation import how_to_install
+
+TABLES = {
+    "sim2sim": "errors of estimators on simulated lifts with exact clouds",
+    "real2sim": "three ropes and two cloths of the MuJoCo test scene, each lifted once and "
+    "estimated by every method; Chamfer distances beside the paper's",
+    "ablation": "policies that see both parameters, one or none, on goals of random ropes",
+    "generalization": "the default policy and R2S2R on the paper's three ropes and on softer ones",
+    "rope-real": "three ropes of the MuJoCo test scene, each lifted once; policies, baselines, "
+    "polished and adapted actions, carried out by the arm",
+    "cloth-real": "two cloths of that scene, each lifted once, spread by policies and by the A "
+    "that spreads most in our simulator",
+    "coverage": "random objects of that scene are lifted, recorded and estimated: errors, share of "
+    "intervals that hold the truth, refused lifts; a lift takes about a minute on a core",
+    "verdict": "the same lifts, each recording corrupted in 48 ways, and what estimates say: "
+    "refused, right or wrong; a lift of a rope takes about five minutes on a core",
+}
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags of all tables."""
+    every = argparse.ArgumentParser(
+        prog="python -m experiments",
+        description="Make one of the paper's tables, or measure estimates. Results in --out are "
+        "kept, so an interrupted table continues. Tables of policies need the extra train, charts "
+        "the extra docs.",
+        epilog="\n".join(f"{name}: {about}." for name, about in TABLES.items()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = every.add_argument
+    add("table", choices=TABLES)
+    add(
+        "--scale",
+        choices=("small", "full"),
+        default="small",
+        help="small: minutes on two cores; full: the paper's counts and more, for a GPU",
+    )
+    add(
+        "--task",
+        choices=("rope-reaching", "rope-casting"),
+        default="rope-reaching",
+        help="of ablation, generalization and rope-real",
+    )
+    add(
+        "--method",
+        nargs="*",
+        default=(),
+        choices=("gauss-newton", "adam", "differential-evolution", "pointnet"),
+        help="of sim2sim and real2sim: only these rows; by default all, but of sim2sim not "
+        "differential-evolution",
+    )
+    add(
+        "--objects",
+        nargs="*",
+        default=(),
+        help="of real2sim and cloth-real: only these, by the names of gendom record --reality",
+    )
+    add(
+        "--engine",
+        choices=("thin", "mpm"),
+        default="thin",
+        help="of sim2sim, ablation and generalization; mpm: the paper's, slower",
+    )
+    add(
+        "--kind",
+        choices=("rope", "cloth"),
+        default="rope",
+        help="of coverage and verdict: what is lifted",
+    )
+    add(
+        "--end",
+        choices=("hold", "swing", "drop"),
+        default="hold",
+        help="of coverage and verdict: how lifts end",
+    )
+    add("--lifts", type=int, default=40, help="of coverage and verdict: how many")
+    add("--jobs", type=int, default=2, help="processes of the MuJoCo test scene and of training")
+    add(
+        "--out",
+        type=Path,
+        help="folder that keeps all that a table is made from (default: its name)",
+    )
+    add("--seed", type=int, default=0, help="of all random draws")
+    add("--device", default="cpu", help="cpu, cuda or cuda:0 and so on")
+    add("--json", action="store_true", help="print JSON")
+    return every  # fmt: skip
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Make a table; returns the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    flags = parser().parse_args(words)
+    if min(flags.lifts, flags.jobs) < 1 or flags.seed < 0:
+        parser().error("--lifts and --jobs must be at least 1, --seed at least 0")
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger("experiments").setLevel(logging.INFO)
+    folder = flags.out or Path(flags.table)
+    runs = Runs(folder=folder, device=flags.device, jobs=flags.jobs, seed=flags.seed)
+    began = time.monotonic()
+    try:
+        check_folder(folder)
+        module = import_module(f"experiments.{flags.table.replace('-', '_')}")
+        result = module.run(runs, flags)
+        about = {"table": flags.table, "scale": flags.scale, "seed": flags.seed}
+        seconds = {"seconds": time.monotonic() - began}
+        command = f"python -m experiments {shlex.join(words)}"
+        runs.publish(result, about, seconds, command=command, json=flags.json)
+    except GendomError as error:
+        print(f"experiments {flags.table}: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        extra = {"mujoco": "reality", "matplotlib": "docs"}.get(error.name or "", "train")
+        advice = f"install it with: {how_to_install(extra)}"
+        print(f"experiments {flags.table}: needs {error.name}; {advice}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,396 @@
+"""What tables share: lifts, demonstrations and policies kept in a folder, and printing."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.cli.outputs import columns, tell_written
+from gendom.datasets import Recording
+from gendom.datasets.demonstrations import generate
+from gendom.errors import GendomError, PolicyError
+from gendom.files import atomic_path, read_json, to_json, write_json
+from gendom.installation import version
+from gendom.materials import Item, to_columns
+from gendom.materials.estimate import Estimate
+from gendom.policies import Policy
+from gendom.policies.belief import believed
+from gendom.policies.demonstrations import Demonstrations
+from gendom.policies.evaluation import Cases
+from gendom.policies.polishing import PolishSettings, polishing
+from gendom.policies.rollouts import side_by_side
+from gendom.progress import bar
+from gendom.robot import LiftMotion, predefined_lift
+from gendom.robot.motions import LIFT_FRAME_RATE
+from gendom.tasks import Task
+from gendom.tasks.demonstrator import Demonstrator
+from gendom.tasks.task import World
+from gendom.tasks.world import Simulation
+
+if TYPE_CHECKING:
+    from gendom.policies.fitting import Training
+    from gendom.reality import RealObject
+
+_log = logging.getLogger(__name__)
+
+FEW = 1000
+"""Sets of demonstrations below this are trained on in batches of `SMALL_BATCH`."""
+
+SMALL_BATCH = 32
+
+STARTS = {"rope": 3, "cloth": 1}
+"""Of the estimate that a policy is given, by kind; one of a cloth takes minutes."""
+
+ENDS = {"rope": "swing", "cloth": "hold"}
+"""How its lift ends, by kind: a swing shows a rope's damping."""
+
+Array = NDArray[np.float64]
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingJob:
+    """A policy to be trained."""
+
+    demonstrations: Demonstrations
+    training: Training
+    finetune: Demonstrations | None = None
+    world: World | None = None
+    """Where a policy that is refined acts (default: our simulator)."""
+
+    @classmethod
+    def of_steps(
+        cls, demonstrations: Demonstrations, training: Training, steps: int, **other: Any
+    ) -> TrainingJob:
+        """With batches for the number of demonstrations, and as many more passes over them as
+        `steps` of the optimiser need; `other` are further fields."""
+        size = SMALL_BATCH if len(demonstrations) < FEW else training.batch_size
+        fitted = (1.0 - training.validation_share) * len(demonstrations)
+        epochs = max(training.epochs, math.ceil(steps / max(fitted / size, 1.0)))
+        training = replace(training, batch_size=size, epochs=epochs)
+        return cls(demonstrations=demonstrations, training=training, **other)
+
+    def train(self, path: str) -> None:
+        """Train it and write its file."""
+        from gendom.policies.training import train
+
+        train(self.demonstrations, path, self.training, finetune=self.finetune, world=self.world)
+
+    def trained(self, path: Path) -> Policy | None:
+        """The policy in a file if it was trained in this way."""
+        try:
+            policy = Policy.read(path)
+        except PolicyError:
+            return None
+        about = policy.description.training
+        own = {
+            **asdict(self.training),
+            "demonstrations": len(self.demonstrations),
+            "finetuned_on": len(self.finetune) if self.finetune else 0,
+        }
+        own = {k: list(v) if isinstance(v, tuple) else v for k, v in own.items()}
+        return policy if all(about.get(k) == v for k, v in own.items()) else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Runs:
+    """A folder that keeps everything a table is made from, so that an interrupted one continues.
+
+    Results have readable names; file names follow from them.
+    """
+
+    folder: Path
+    device: str = "cpu"
+    """Of our simulator."""
+    jobs: int = 1
+    """Processes of the second reality, and trainings side by side."""
+    seed: int = 0
+
+    def training_world(self, engine: str = "thin") -> World:
+        """Where policies are refined, which are trained side by side."""
+        threads = 1 if self.jobs > 1 else None
+        return Simulation(engine=engine, device=self.device, threads=threads)
+
+    def each(self, work: Callable[[T], R], inputs: Sequence[T], label: str) -> Iterator[R]:
+        """What a function, which can be pickled, gives for inputs, by processes side by side."""
+        with bar(label, len(inputs), "run") as show:
+            jobs = min(self.jobs, len(inputs))
+            if jobs == 1:
+                for done, given in enumerate(inputs, 1):
+                    yield work(given)
+                    show(done)
+                return
+            with get_context("spawn").Pool(jobs) as pool:
+                for done, found in enumerate(pool.imap(work, inputs), 1):
+                    yield found
+                    show(done)
+
+    def kept(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """The content of a JSON file, made if it is missing."""
+        path = self._path(name, ".json")
+        if not path.exists():
+            _log.info(name)
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_json(path, make())
+        return read_json(path)
+
+    def demonstrations(
+        self, name: str, source: Demonstrator, size: int, *, device: str | None = None
+    ) -> Demonstrations:
+        """A set, simulated as far as it is missing."""
+        _log.info("%s: %d demonstrations", name, size)
+        folder = self._path(name)
+        generate(source, size, folder, seed=self.seed, device=device or self.device)
+        return Demonstrations.read(folder)
+
+    def policies(self, jobs: Mapping[str, TrainingJob], *, prefix: str = "") -> dict[str, Policy]:
+        """Policies by name, trained side by side unless they are there.
+
+        Args:
+            jobs: By name.
+            prefix: Of their files' names.
+        """
+        paths = {name: self._path(f"{prefix}{name}", ".onnx") for name in jobs}
+        found = {name: job.trained(paths[name]) for name, job in jobs.items()}
+        if missing := [name for name, policy in found.items() if policy is None]:
+            _log.info("training %s", ", ".join(missing))
+            work = [(jobs[name], str(paths[name])) for name in missing]
+            for _ in self.each(_train, work, "training"):
+                pass
+        return {name: found[name] or Policy.read(paths[name]) for name in jobs}
+
+    def best(self, name: str, jobs: Mapping[str, TrainingJob]) -> tuple[Policy, dict[str, float]]:
+        """The policy whose action is nearest to that of demonstrations it has not seen, and the
+        errors of all: the search for a baseline's settings."""
+        policies = self.policies(jobs, prefix=f"{name}-")
+        errors = {
+            which: float(policy.description.training["errors"]["action_rms"])
+            for which, policy in policies.items()
+        }
+        return policies[min(errors, key=lambda which: errors[which])], errors
+
+    def recorded(
+        self, label: str, item: RealObject, motion: LiftMotion, most: int | None = None
+    ) -> Recording:
+        """A lift before two noisy cameras, recorded unless it is there.
+
+        Args:
+            label: Name of its file.
+            item: What is lifted.
+            motion: How.
+            most: Points of a frame that are kept; None: all.
+
+        Raises:
+            DeviceError: The second reality cannot be simulated or rendered here.
+        """
+        from gendom.reality.chain import record_and_perceive
+
+        path = self._path(label, ".npz")
+        if not path.exists():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            rate = LIFT_FRAME_RATE[motion.end]
+            with TemporaryDirectory(dir=self.folder) as pictures:
+                recording, _ = record_and_perceive(
+                    item, pictures, frame_rate=rate, seed=self.seed, motion=motion
+                )
+            if most is not None:
+                recording = _thinned(recording, most, self.seed)
+            recording.write(path)
+        return Recording.read(path, on_warning=lambda _: None)
+
+    def lifted(self, name: str, task: Task) -> Estimate:
+        """Distribution of an object's parameters for a task, after one lift seen by two cameras.
+
+        Raises:
+            GendomError: The estimate is not usable.
+        """
+        from gendom.estimation import EstimateSettings, estimate
+        from gendom.reality import find_object
+
+        item = find_object(name)
+
+        def make() -> dict[str, Any]:
+            motion = predefined_lift(item.kind, ENDS[item.kind])
+            recording = self.recorded(f"lift-{name}", item, motion)
+            settings = EstimateSettings(starts=STARTS[item.kind], seed=self.seed)
+            return estimate(recording, settings).record
+
+        record = self.kept(f"estimate-{name}", make)
+        if not record["verdict"]["usable"]:
+            raise GendomError(", ".join(record["verdict"]["reasons"]), where=f"the lift of {name}")
+        where = f"the lift of {name}"
+        return believed(Estimate.from_dict(record, where), task, where)
+
+    def publish(
+        self,
+        result: Result,
+        about: dict[str, Any],
+        took: dict[str, Any],
+        *,
+        command: str,
+        json: bool,
+    ) -> None:
+        """Print a table, and write it as JSON, as text and, where it has charts, as a picture.
+
+        Args:
+            result: The table.
+            about, took: First and last entries of the JSON.
+            command: That made it.
+            json: Whether JSON is printed in place of the text.
+        """
+        figures = {**about, **result.figures, **took}
+        text = "\n\n".join([str(s) for s in result.shown if isinstance(s, Table)] + result.notes)
+        print(to_json(figures) if json else text)
+        path = self._path(result.name, ".json")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_json(path, figures)
+        made = f"{command}\ngendom {version()}, {took['seconds']:.3g} s"
+        with atomic_path(path.with_suffix(".txt")) as temporary:
+            temporary.write_text(f"{text}\n\n{made}\n", encoding="utf-8")
+        written = [path, path.with_suffix(".txt")]
+        if charts := [s for s in result.shown if isinstance(s, Chart)]:
+            written.append(path.with_suffix(".png"))
+            _draw(charts, written[-1])
+        for one in written:
+            tell_written(one, json=json)
+
+    def _path(self, name: str, suffix: str = "") -> Path:
+        slug = name.lower().replace(", ", "-").replace(" ", "-").replace("+", "-and-")
+        return self.folder / f"{slug}{suffix}"
+
+
+def _train(work: tuple[TrainingJob, str]) -> None:
+    work[0].train(work[1])
+
+
+def _thinned(recording: Recording, most: int, seed: int) -> Recording:
+    """The recording with at most so many points a frame."""
+    rng = np.random.default_rng(seed)
+    clouds = []
+    for cloud in recording.frames():
+        if len(cloud) > most:
+            cloud = cloud[np.sort(rng.choice(len(cloud), most, replace=False))]
+        clouds.append(cloud)
+    offsets = np.cumsum([0, *map(len, clouds)])
+    return replace(recording, points=np.concatenate(clouds), offsets=offsets)
+
+
+def polished(
+    cases: Cases,
+    items: Sequence[Sequence[Item]],
+    start: Array,
+    world: World,
+    *,
+    seed: int = 0,
+    discrepancies: Sequence[Any] | None = None,
+) -> Array:
+    """[W, A] actions polished without a limit of time.
+
+    Args:
+        cases: Goals.
+        items: [W] the objects that each action is for.
+        start: [W, A].
+        world: Where they are simulated.
+        seed: Of the search.
+        discrepancies: [W] between world and simulation, as `adapting` finds them.
+    """
+    patient = PolishSettings(seconds=math.inf, seed=seed)
+    searches = [
+        polishing(
+            cases.task,
+            goal,
+            items[w],
+            start[w],
+            settings=patient,
+            discrepancy=None if discrepancies is None else discrepancies[w],
+        )
+        for w, goal in enumerate(cases.goal)
+    ]
+    return np.array([found.action for found in side_by_side(cases.task, world, searches)])
+
+
+def stated(belief: Estimate) -> dict[str, Any]:
+    """Means and 90 % intervals by parameter, for JSON."""
+    columns = to_columns(belief.most_likely)
+    return {
+        name: {"mean": columns[name], "interval_90": belief.posterior.interval(name, 0.9)}
+        for name in belief.names
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table of text: names in the first column, numbers in the others."""
+
+    title: str
+    head: tuple[str, ...]
+    """Of all columns but the first."""
+    rows: Mapping[str, tuple[str, ...]]
+    """By the text of the first column."""
+
+    def __str__(self) -> str:
+        """Columns set below each other."""
+        return columns(self.title, self.head, self.rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chart:
+    """Lines over a common axis, or a histogram of ranks between 0 and 1."""
+
+    title: str
+    x: str
+    """What the axis has."""
+    y: str
+    log: bool = False
+    """Whether both axes are logarithmic."""
+    lines: Mapping[str, tuple[Sequence[float], Sequence[float]]] | None = None
+    """Places and values by name."""
+    counts: Sequence[int] = ()
+    """Heights of a histogram's bars."""
+    band: tuple[int, int] | None = None
+    """Between which all bars should end."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A table that was made."""
+
+    name: str
+    """Of its files."""
+    figures: dict[str, Any]
+    """For JSON."""
+    shown: Sequence[Table | Chart]
+    notes: list[str] = field(default_factory=list)
+    """Printed below the tables."""
+
+
+def _draw(charts: Sequence[Chart], path: Path) -> None:
+    """Write charts as one picture; needs matplotlib."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.0, 4.0 * len(charts)), layout="constrained")
+    for chart, axes in zip(charts, np.ravel(figure.subplots(len(charts))), strict=True):
+        axes.set(title=chart.title, xlabel=chart.x, ylabel=chart.y)
+        for name, (x, y) in (chart.lines or {}).items():
+            axes.plot(x, y, marker=".", label=name)
+        if chart.lines:
+            axes.legend()
+        if chart.log:
+            axes.loglog()
+        if chart.counts:
+            axes.stairs(chart.counts, np.linspace(0.0, 1.0, len(chart.counts) + 1), fill=True)
+        if chart.band:
+            axes.axhspan(*chart.band, alpha=0.2, color="grey")
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=150)

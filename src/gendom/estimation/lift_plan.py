@@ -1,0 +1,452 @@
+"""Experimental design: which predefined lift determines an object's parameters best.
+
+Objects are drawn from their prior, and each lift of each is simulated as the arm
+carries it out and as noisy cameras show it. The expected posterior of an estimate from those clouds
+follows from the estimator's likelihood, priors, noise and calibration, at the true parameters
+(Bayesian experimental design with a Gaussian posterior; Chaloner and Verdinelli 1995).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm, truncnorm
+
+from gendom.datasets import ObjectDescription, Recording
+from gendom.datasets.checks import MAX_DENSITY
+from gendom.errors import ParameterError, RobotError
+from gendom.estimation import (
+    UNKNOWNS,
+    EstimateSettings,
+    IntervalCalibration,
+    LiftScene,
+    Problem,
+    SceneSettings,
+    replay,
+)
+from gendom.estimation.methods.search import estimated_noise
+from gendom.estimation.problem import Start
+from gendom.materials import KINDS, Item, Material, Rope, catalogue, size_of, thickness_of
+from gendom.observation import visible
+from gendom.reality import (
+    Trial,
+    arm_motion,
+    as_real,
+    end_of,
+    lift_cameras,
+    lifted_by,
+)
+from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion, predefined_lift
+from gendom.robot.motions import FREE_RISE, LIFT_FRAME_RATE, RISE
+
+Array = NDArray[np.floating]
+
+SHOWN = {"E": "E_over_rho", "damping": "damping", "friction": "friction"}
+"""Parameters whose information is compared: names of `UNKNOWNS`. Density is known, or only E /
+density counts."""
+
+AIMS = (*SHOWN, "all")
+"""Parameters that a motion can be chosen for."""
+
+CLOUD_POINTS = {"rope": 320, "cloth": 1400}
+"""Points of a frame, twice what an estimate compares."""
+
+CLOTH_POINTS = 15
+"""Along a cloth's longer side: few points are enough to compare motions."""
+
+FASTER = 2.0
+"""How much faster than predefined an object is also lifted, where no speeds are given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectClass:
+    """Objects to lift: sizes within ranges, all other parameters from the estimator's priors.
+
+    Raises:
+        ParameterError: A range is invalid, or there is no such kind or material.
+    """
+
+    kind: str
+    """``rope`` or ``cloth``."""
+    size: tuple[float, float]
+    """Length of a rope, side of a cloth, from and to [m]."""
+    thickness: tuple[float, float]
+    """Diameter of a rope, thickness of a cloth [m]."""
+    mass: tuple[float, float] | None = None
+    """[kg]; None: the material's typical density, or 1,000 kg/m^3."""
+    material: str | None = None
+    """A name of `gendom.materials.catalogue`; None: unknown."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ParameterError(f"is {self.kind!r}", where="kind", fix="give rope or cloth")
+        ranges = (self.size, self.thickness, self.mass)
+        for where, ends in zip((*KINDS[self.kind].sizes, "mass"), ranges, strict=True):
+            if ends is not None and not 0.0 < ends[0] <= ends[1] < math.inf:
+                raise ParameterError(
+                    f"is {ends[0]:g} to {ends[1]:g}",
+                    where=where,
+                    fix="give one number above 0, or the lower end and then the higher one",
+                )
+        if self.material is not None and catalogue.get(self.material).kind != self.kind:
+            raise ParameterError(
+                f"{self.material} is no material of a {self.kind}",
+                where="material",
+                fix=f"gendom materials lists each {self.kind}",
+            )
+        for share in (0.0, 1.0):
+            self.at(share)
+
+    def at(self, share: float) -> Item:
+        """The object whose sizes and mass lie at one share of all ranges.
+
+        Raises:
+            ParameterError: There is no such object.
+        """
+        return self._made([share] * 3)
+
+    def draw(self, rng: np.random.Generator) -> Item:
+        """One with sizes and mass drawn evenly; of its material only the density counts."""
+        return self._made(rng.random(3))
+
+    def _made(self, shares: Sequence[float] | Array) -> Item:
+        size, thickness = (
+            low + share * (high - low)
+            for (low, high), share in zip((self.size, self.thickness), shares, strict=False)
+        )
+        listed = None if self.material is None else catalogue.get(self.material)
+        density = 1000.0 if listed is None else listed.density.typical
+        kind = KINDS[self.kind]
+        sizes: dict[str, Any] = dict(zip(kind.sizes, (size, thickness), strict=True))
+        made = kind(**sizes)
+        if self.mass is not None:
+            mass = self.mass[0] + shares[2] * (self.mass[1] - self.mass[0])
+            density = made.material.density * mass / made.mass
+            if density > MAX_DENSITY:
+                raise ParameterError(
+                    f"is {mass:g} kg, a density of {density:.3g} kg/m^3",
+                    where="mass",
+                    fix="it looks like grams; divide by 1000",
+                )
+        return replace(made, material=Material(density=density))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiftPlanSettings:
+    """Motions to compare, parameters that count, and the number of objects.
+
+    Raises:
+        ParameterError: A value is out of its range.
+    """
+
+    aim: str = "all"
+    """One of `AIMS`."""
+    ends: tuple[str, ...] = LIFT_ENDS
+    rises: tuple[float, ...] = (RISE, FREE_RISE)
+    """In lengths of a rope or sides of a cloth."""
+    speeds: tuple[float, ...] = ()
+    """[m/s]; by default that of the predefined lift, and `FASTER` times that."""
+    draws: int = 4
+    """Objects."""
+    seed: int = 0
+    """Of objects and noise."""
+    level: float = 0.9
+    """Probability of the intervals."""
+
+    def __post_init__(self) -> None:
+        if self.aim not in AIMS:
+            raise ParameterError(
+                f"is {self.aim!r}", where="for", fix=f"choose from {', '.join(AIMS)}"
+            )
+        if self.draws < 1:
+            raise ParameterError(f"is {self.draws}", where="draws", fix="give 1 or more")
+        if not 0.0 < self.level < 1.0:
+            raise ParameterError(f"is {self.level}", where="level", fix="give 0 to 1, as 0.9")
+
+    @property
+    def aims(self) -> tuple[str, ...]:
+        """Keys of `SHOWN` that count."""
+        return tuple(SHOWN) if self.aim == "all" else (self.aim,)
+
+    def motions(self, kind: str) -> list[LiftMotion]:
+        """All motions that are compared, the plain hold first.
+
+        Raises:
+            RobotError: There is no such end, or a rise or speed is not above 0.
+        """
+        plain = predefined_lift(kind)
+        speeds = self.speeds or (plain.speed, FASTER * plain.speed)
+        every = (
+            LiftMotion(kind=kind, rise=rise, speed=speed, end=end)
+            for end in self.ends
+            for rise in self.rises
+            for speed in speeds
+        )
+        return list(dict.fromkeys((plain, *every)))
+
+
+def rolls(motion: LiftMotion) -> bool:
+    """Whether a rope moves fast on the table: a round one rolls there and the simulator's slides,
+    so that estimates are wrong by more than their intervals say (docs/reality.md)."""
+    if motion.kind != "rope" or motion.end == "hold":
+        return False
+    return motion.end == "drop" or motion.rise < FREE_RISE
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionForecast:
+    """The information that one motion is expected to give about D drawn objects."""
+
+    motion: LiftMotion
+    sd: tuple[Mapping[str, float] | None, ...]
+    """[D] deviations of the posterior by keys of `SHOWN`, transformed; None: no information."""
+    carried_out: int
+    """Number of objects that the arm can lift in this way."""
+    faults: tuple[str, ...]
+    """Why other objects give no information, without repetitions."""
+
+    def half_width(self, name: str, level: float) -> float:
+        """Of the expected interval, in transformed units; NaN without information."""
+        deviations = [sd[name] for sd in self.sd if sd is not None]
+        return float(norm.ppf(0.5 + level / 2.0) * np.mean(deviations)) if deviations else math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiftPlan:
+    """Motions compared."""
+
+    objects: ObjectClass
+    settings: LiftPlanSettings
+    prior_sd: Mapping[str, float]
+    """By keys of `SHOWN`, transformed."""
+    rows: tuple[MotionForecast, ...]
+    """The plain hold first."""
+    middle: Item = field(repr=False)
+    """The object in the middle of the class."""
+
+    def score(self, row: MotionForecast) -> float:
+        """Mean logarithm of the ratio of prior to posterior deviation, over objects and the
+        parameters aimed at; 0 for a motion that cannot be carried out."""
+        gains = [
+            0.0 if sd is None else math.log(self.prior_sd[name] / sd[name])
+            for sd in row.sd
+            for name in self.settings.aims
+        ]
+        return float(np.mean(gains))
+
+    def gain(self, row: MotionForecast) -> float:
+        """By how much intervals are narrower than after the plain hold, the geometric mean."""
+        return math.exp(self.score(row) - self.score(self.rows[0]))
+
+    @property
+    def chosen(self) -> MotionForecast:
+        """The row with the highest score; one after which ropes roll only if there is no other."""
+        done = [row for row in self.rows if row.carried_out]
+        asked = [row for row in done if row.motion.end in self.settings.ends] or done
+        steady = [row for row in asked if not rolls(row.motion)]
+        return max(steady or asked, key=self.score)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; half widths of ln E, ln damping and friction."""
+        level = self.settings.level
+
+        def finite(value: float) -> float | None:
+            return value if math.isfinite(value) else None
+
+        return {
+            "format": "gendom-lift-plan/1",
+            "objects": self.objects,
+            "settings": self.settings,
+            "prior_sd": self.prior_sd,
+            "chosen": self.rows.index(self.chosen),
+            "rows": [
+                {
+                    "lift": row.motion.to_dict(),
+                    "half_width": {n: finite(row.half_width(n, level)) for n in SHOWN},
+                    "sd": row.sd,
+                    "carried_out": row.carried_out,
+                    "gain": self.gain(row),
+                    "rolls": rolls(row.motion),
+                    "faults": row.faults,
+                }
+                for row in self.rows
+            ],
+        }
+
+
+def plan_lift(
+    objects: ObjectClass,
+    settings: LiftPlanSettings | None = None,
+    *,
+    on_done: Callable[[int, int], None] = lambda done, total: None,
+) -> LiftPlan:
+    """Compare predefined lifts by the expected posterior of an estimate.
+
+    Args:
+        objects: What may be lifted.
+        settings: Which motions, and for what.
+        on_done: Called with the number of lifts done, and of all.
+
+    Raises:
+        ParameterError: The material is of another kind, or there is no object of it so large.
+        RobotError: The arm can carry out none of the motions with any object.
+    """
+    settings = settings or LiftPlanSettings()
+    motions = settings.motions(objects.kind)
+    drawn = [objects.draw(np.random.default_rng([settings.seed, n])) for n in range(settings.draws)]
+    rows, prior_sd, arms = [], {}, {}
+    for motion in motions:
+        found: list[Mapping[str, float] | None] = []
+        faults: dict[str, None] = {}
+        carried_out = 0
+        for n, item in enumerate(drawn):
+            trial = lifted_by(as_real(item), motion)
+            sizes = motion, size_of(item), thickness_of(item)
+            if sizes not in arms:
+                arms[sizes] = _tried(trial)
+            arm = arms[sizes]
+            sd = None
+            if isinstance(arm, RobotError):
+                faults[str(arm)] = None
+            else:
+                carried_out += 1
+                lying = recorded_lift(trial, arm, LIFT_FRAME_RATE[motion.end])
+                prior_sd, sd = forecast(lying, objects.material, [settings.seed, n])
+                if sd is None:
+                    faults[f"a drawn {objects.kind} could not be simulated"] = None
+            found.append(sd)
+            on_done(len(rows) * len(drawn) + n + 1, len(motions) * len(drawn))
+        rows.append(
+            MotionForecast(
+                motion=motion, sd=tuple(found), carried_out=carried_out, faults=tuple(faults)
+            )
+        )
+    if not any(row.carried_out for row in rows):
+        raise RobotError(
+            f"no object can be lifted by any of {len(rows)} motions: {rows[0].faults[0]}",
+            where="plan",
+            fix="lift smaller objects, or less high",
+        )
+    return LiftPlan(
+        objects=objects,
+        settings=settings,
+        prior_sd=prior_sd,
+        rows=tuple(rows),
+        middle=objects.at(0.5),
+    )
+
+
+def _tried(trial: Trial) -> JointMotion | RobotError:
+    """The arm's motion beside the cameras, or why there is none."""
+    try:
+        return arm_motion(trial, lift_cameras(trial.item))
+    except RobotError as error:
+        return error
+
+
+def forecast(
+    lying: Recording, material: str | None, seed: Sequence[int]
+) -> tuple[dict[str, float], dict[str, float] | None]:
+    """Expected posterior of an estimate from one lift of an object drawn from the prior.
+
+    Args:
+        lying: The lift, as `recorded_lift` has it.
+        material: Of the catalogue; None: unknown.
+        seed: Of parameters and noise; the same ones give like objects for other lifts.
+
+    Returns:
+        Standard deviations before and after by keys of `SHOWN`, transformed, and calibrated as the
+        estimator's; None in place of the latter where the drawn object cannot be simulated.
+
+    Raises:
+        ParameterError: The object cannot be of that material.
+    """
+    coarse = CLOTH_POINTS if lying.object.kind == "cloth" else None
+    settings = EstimateSettings(scene=SceneSettings(material=material, points=coarse, threads=1))
+    scene = LiftScene.of(lying, settings.scene)
+    prior, base = scene.prior()
+    believed = {name: float(scene.prior((unknown,))[0].sd[0]) for name, unknown in SHOWN.items()}
+    rng = np.random.default_rng([*seed, 1])
+    # drawn by name, so that other lifts of this object are drawn alike
+    drawn = dict(zip(UNKNOWNS, rng.random(len(UNKNOWNS)), strict=True))
+    ends = (prior.low - prior.mean) / prior.sd, (prior.high - prior.mean) / prior.sd
+    shares = [drawn[name] for name in prior.names]
+    truth = truncnorm.ppf(shares, *ends, loc=prior.mean, scale=prior.sd)
+    x = replay(scene, [prior.theta(truth, base)], keep_going=True)[:, 0]
+    if not np.isfinite(x).all():
+        return believed, None
+    shown = _seen(scene, x, settings.noise.sensor, rng)
+    problem = Problem([replace(scene, recording=_showing(lying, scene.frames, shown))], settings)
+    comparison = problem.compare([truth])[0]
+    if comparison is None:
+        return believed, None
+    start = Start(initial=truth, vector=truth, comparison=comparison)
+    noise = estimated_noise(comparison, problem.first_noise())
+    covariance = np.linalg.inv(problem.slopes(start, noise)[1])
+    calibration = IntervalCalibration.of(scene.kind)
+    posterior = calibration.posterior(prior, truth, covariance, problem.bases)
+    # unknowns that such a recording does not determine keep their priors
+    return believed, {
+        name: posterior.sd(unknown) if unknown in prior.names else believed[name]
+        for name, unknown in SHOWN.items()
+    }
+
+
+def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recording:
+    """The recording of a lift by the arm, its clouds as if the object had stayed on the table.
+
+    Args:
+        trial: The lift.
+        arm: How the arm carries it out.
+        frame_rate: [1/s].
+    """
+    item, layout = trial.item, trial.layout
+    closes = next(e.time for e in arm.events if e.closed)
+    seconds = end_of(trial, arm) - closes
+    times = np.arange(int(seconds * frame_rate + 1e-9) + 1) / frame_rate
+    ticks = size_of(item) * np.linspace(0.0, 1.0, 40)
+    along, across = np.asarray(layout.along), np.asarray(layout.across)
+    lying = np.asarray(layout.origin) + np.outer(ticks, along)
+    if not isinstance(item, Rope):
+        lying = (lying[:, None] + np.outer(ticks, across)).reshape(-1, 3)
+    lying[:, 2] = thickness_of(item)
+    return Recording.from_frames(
+        [lying] * len(times),
+        time=times,
+        gripper_position=arm.tcp_at(XARM7, closes + times)[:, :3, 3],
+        gripper_closed=[bool(arm.closed_at(closes + t)) for t in times],
+        object=ObjectDescription(
+            **item.description(),
+            grasp=trial.grasp,
+            grasp_radius=trial.reach,
+            grasp_inset=trial.inset,
+        ),
+        table_height=0.0,
+        gripper_source="measured",
+        quasi_static=trial.quasi_static,
+        camera_positions=np.array([c.position for c in lift_cameras(item)]),
+        source="gendom.estimation.lift_plan",
+    )
+
+
+def _showing(lying: Recording, frames: Sequence[int], clouds: Sequence[Array]) -> Recording:
+    """A recording with other clouds in some frames."""
+    shown = dict(zip(frames, clouds, strict=True))
+    every = [shown.get(t, lying.frame(t)) for t in range(lying.num_frames)]
+    return replace(lying, points=np.concatenate(every), offsets=np.cumsum([0, *map(len, every)]))
+
+
+def _seen(scene: LiftScene, x: Array, noise: float, rng: np.random.Generator) -> list[Array]:
+    """T clouds of an object at [T, N, 3] [m] that the scene's cameras see with some noise [m]."""
+    most, clouds = CLOUD_POINTS[scene.kind], []
+    for skin in scene.body.surface(x):
+        if scene.kind == "rope":
+            skin = skin[visible(skin, camera_positions=scene.recording.camera_positions)]
+        skin = skin[rng.choice(len(skin), size=min(most, len(skin)), replace=False)]
+        clouds.append(skin + noise * rng.standard_normal(skin.shape))
+    return clouds

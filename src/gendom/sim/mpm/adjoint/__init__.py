@@ -1,2 +1,0 @@
-"""Derivatives of whole simulations by reverse mode: what each runner keeps, and how it goes
-back."""

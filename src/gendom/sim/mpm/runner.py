@@ -1,0 +1,376 @@
+"""Running worlds: groups of them, which share a grid and advance by themselves.
+
+On the CPU every world is a group, and threads take the groups in turn. On CUDA all worlds are one
+group, with a block of threads for each world.
+"""
+
+# pyright: basic
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gendom.sim.device import making
+from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
+from gendom.sim.mpm.gripped import LIST, make_gripped_type
+from gendom.sim.mpm.kernels import make_advance, make_hold_as_at
+from gendom.sim.mpm.model import Worlds
+from gendom.sim.mpm.particles import Variant, make_moving, make_taped
+from gendom.sim.mpm.step import DIVERGED, GRID_FULL, OK
+from gendom.sim.setting import Frames
+
+MOST_PARTICLES = 32_767
+"""Of a body on CUDA: indices of neighbours have 15 bits there."""
+
+MANY_WORLDS = 132
+"""Above, two blocks share a multiprocessor, which wants them small."""
+
+LARGE_BODY = 2048
+"""Particles above which blocks are wide however many there are."""
+
+WIDE = 256
+"""Threads of a block that has a multiprocessor to itself."""
+
+NARROW = 128
+"""Threads of one of two blocks that share one; more leave too few registers for each."""
+
+SUBSTEPS_A_SLICE = 128
+"""Of a world of median speed in one launch."""
+
+SLICES = 16
+"""Launches on CUDA between two looks at how the worlds do."""
+
+RECORDED = 1 << 30
+"""Bound on the recorded positions that wait on a GPU [bytes]."""
+
+REBUILD = 1e30
+"""Distance travelled [m] after which every world rebuilds its grid."""
+
+ANY_THREADS = 256
+"""Threads of a block of kernels that do little."""
+
+ALL = 1 << 30
+
+
+class Program:
+    """The kernels that worlds run, and the arrays that these share.
+
+    Args:
+        worlds: On any device.
+        in_blocks: Whether as on CUDA. On the CPU, where tests do so, a block is one thread.
+    """
+
+    def __init__(self, worlds: Worlds, *, in_blocks: bool):
+        self.worlds = worlds
+        W, N = worlds.num_worlds, worlds.num_particles
+        cuda = worlds.device.is_cuda
+        self.variant = Variant(worlds.real, worlds.damped, rows=not in_blocks)
+        self.crowded = W > MANY_WORLDS and N <= LARGE_BODY
+        if in_blocks:
+            room = self._shared_room() if cuda else 0
+            threads = NARROW if self.crowded and room != ROOM_ALONE else WIDE
+            self.variant = Variant(
+                worlds.real, worlds.damped, rows=False, room=room, threads=threads if cuda else 1
+            )
+        self.particles = worlds.state if self.variant.rows else self._records()
+        self.gripped = worlds.allocate(
+            make_gripped_type(worlds.real), count=W, **dict.fromkeys(LIST, (W, N))
+        )
+        self.unsorted = worlds.zeros(W, worlds.real)
+        self.load(make_advance(self.variant, taped=False))
+        self.load(make_hold_as_at(worlds.real), ANY_THREADS)
+
+    def _shared_room(self) -> int:
+        """Shared memory of a block in which its particles fit [bytes]; 0 if they do not."""
+        worlds = self.worlds
+        taken = self.variant.components * worlds.num_particles * worlds.numpy_type.itemsize
+        for room in (*ROOMS_OF_TWO, ROOM_ALONE):
+            blocks = 2 if room in ROOMS_OF_TWO else 1
+            if taken <= room and blocks * room <= worlds.device.max_shared_memory_per_block:
+                return room
+        return 0
+
+    def _records(self) -> Any:
+        W, N = self.worlds.num_worlds, self.worlds.num_particles
+        components = self.variant.components
+        return self.worlds.allocate(
+            make_moving(self.variant).Struct,
+            of=(1 if self.variant.room else W, components, N),
+            moduli=(W, 2, N),
+            near=(W, 3, N),
+            spare=(W, components + 2, N),
+            **dict.fromkeys(("order", "place", "spare_order"), (W, N)),
+        )
+
+    def load(self, kernel: Any, threads: int | None = None) -> None:
+        """Compile a kernel, or load it from Warp's cache, before threads call it."""
+        with making:
+            block = self.variant.threads if threads is None else threads
+            device = self.worlds.device
+            wp.load_module(kernel.module, device=device, block_dim=block if device.is_cuda else 1)
+
+    def groups(self) -> list["Group"]:
+        """The groups of worlds, the slowest first."""
+        slowest = np.argsort(self.worlds.substep)
+        if self.variant.rows:
+            return [Group(self, slowest[n : n + 1]) for n in range(len(slowest))]
+        return [Group(self, slowest)]
+
+    def plan(self, began: float, times: NDArray[np.float64], particles: Any, x: Any) -> "Plan":
+        """Set all worlds to go from ``began`` to each of the times [T] [s].
+
+        The positions of the particles [P] are recorded at each into x [T, W, P].
+        """
+        s, clock = self.worlds, self.worlds.clock
+        time = np.concatenate([[began], times])
+        steps = np.stack([s.divide(slice(None), span)[0] for span in np.diff(time)])
+        plan = s.filled(s.types.FramePlan, time=time, steps=steps, particles=particles)
+        plan.x = x
+        # worlds that failed are through
+        frame = np.zeros(s.num_worlds, dtype=np.int32)
+        frame[list(s.failures)] = len(times)
+        clock.frame.assign(frame)
+        clock.steps.assign(steps[0])
+        clock.dt.assign(s.divide(slice(None), times[0] - began)[1])
+        clock.step.zero_()
+        clock.status.zero_()
+        return Plan(time, steps, plan)
+
+    def launch(
+        self, kernel: Any, order: wp.array, inputs: list[Any], *, stream: Any = None,
+        threads: int | None = None,
+    ) -> None:  # fmt: skip
+        """Launch a block for each of the worlds ``order``."""
+        threads = self.variant.threads if threads is None else threads
+        wp.launch(
+            kernel,
+            dim=(len(order), threads) if threads else len(order),
+            inputs=[order, *([threads] if threads else []), *inputs],
+            device=None if stream else self.worlds.device,
+            stream=stream,
+            block_dim=threads or ANY_THREADS,
+        )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The frames that worlds go through."""
+
+    time: NDArray[np.float64]
+    """[T + 1] where each frame begins, and the last one's end [s]."""
+    steps: NDArray[np.int32]
+    """[T, W] substeps."""
+    arrays: Any
+    """``FramePlan``."""
+
+
+class Group:
+    """Worlds that share a grid.
+
+    Args:
+        program: What they run.
+        own: [n] which worlds they are: one, or all.
+    """
+
+    def __init__(self, program: Program, own: NDArray[np.integer]):
+        self.program, self.worlds, self.own = program, program.worlds, own
+        self.shared = len(own)
+        self.layouts = own % self.shared
+        self.order = self.worlds.array(own, wp.int32)
+        self._streams: list[Any] = [None]
+        if program.crowded and self.worlds.device.is_cuda:
+            # two halves take turns: one fills the multiprocessors that the other leaves idle
+            self._streams = [wp.Stream(self.worlds.device) for _ in range(2)]
+        self._span = SUBSTEPS_A_SLICE * float(np.median(self.worlds.substep[own]))
+
+    def begin(self) -> None:
+        """Make a grid, which the worlds will build first."""
+        s = self.worlds
+        self.grid = s.make_grid(self.shared)
+        self.velocity = self.grid.momentum
+        if not self.program.variant.rows:
+            self.velocity = wp.zeros_like(self.grid.momentum)
+            self.program.particles.tally = s.zeros(self.grid.momentum.shape, wp.int32)
+        self.set_clock("travel", REBUILD)
+
+    def end(self) -> None:
+        """Let go of the grid."""
+        del self.grid, self.velocity
+
+    def set_clock(self, name: str, values: Any) -> None:
+        """Set these worlds' numbers of an array of the clock."""
+        array = getattr(self.worlds.clock, name)
+        numbers = array.numpy()
+        numbers[self.own] = values
+        if self.worlds.device.is_cuda:
+            array.assign(numbers)
+
+    def read(self, name: str) -> NDArray[Any]:
+        """[n] a copy of an array of these worlds' clock."""
+        return getattr(self.worlds.clock, name).numpy()[self.own]
+
+    def run(
+        self, plan: Plan, *, keep_going: bool, stopped: Callable[[], bool],
+        report: Callable[[], None],
+    ) -> None:  # fmt: skip
+        """Take the worlds through all frames, or until one fails that is not to be left behind."""
+        self.begin()
+        slices = SLICES if self.worlds.device.is_cuda else 1
+        now, more = plan.time[0], True
+        while more and not stopped():
+            pauses = now + self._span * np.arange(1, slices + 1)
+            now = pauses[-1]
+            # the last of all is without bound
+            ends = int((pauses < plan.time[-1]).sum())
+            self.advance(plan, pauses=[*pauses[:ends], *([np.inf] if ends < slices else [])])
+            more = self.look(plan, keep_going=keep_going)
+            report()
+        self.end()
+
+    def advance(
+        self, plan: Plan, *, pauses: Sequence[float] = (np.inf,), most: int = ALL,
+        frames: int | None = None,
+    ) -> None:  # fmt: skip
+        """Take the worlds further, launch by launch: by ``most`` substeps at most, none from the
+        launch's pause [s] on, through the first ``frames`` of the plan (default: all)."""
+        frames = len(plan.steps) if frames is None else frames
+        several = len(self._streams) > 1
+        if several:
+            wp.synchronize_device(self.worlds.device)
+        for pause in pauses:
+            for n, stream in enumerate(self._streams):
+                order: Any = self.order[n :: len(self._streams)] if several else self.order
+                self._launch(
+                    plan, order, most, pause, frames, self.grid, self.velocity, None, stream
+                )
+        if several:
+            wp.synchronize_device(self.worlds.device)
+
+    def record(self, plan: Plan, recording: Any, *, most: int, frames: int) -> None:
+        """Take the worlds further and keep everything that the reverse needs."""
+        grid, velocity, tape = recording.grid, recording.velocity, recording.tape
+        self._launch(plan, self.order, most, np.inf, frames, grid, velocity, tape, None)
+
+    def _launch(
+        self, plan: Plan, order: Any, most: int, pause: float, frames: int, grid: Any,
+        velocity: wp.array, tape: Any, stream: Any,
+    ) -> None:  # fmt: skip
+        s, program = self.worlds, self.program
+        kernel = make_advance(program.variant, taped=tape is not None)
+        program.launch(kernel, order, [
+            self.shared, most, pause, frames, plan.arrays, s.clock, program.unsorted, s.matter,
+            s.conditions, s.paths, s.grips, s.state, s.last_good, grid.layouts, grid.momentum,
+            velocity, program.particles, program.gripped,
+            make_taped(program.variant).Struct() if tape is None else tape,
+        ], stream=stream)  # fmt: skip
+
+    def look(self, plan: Plan, *, keep_going: bool) -> bool:
+        """See to worlds that found no room or failed; return whether there is more to do."""
+        s = self.worlds
+        status, frame = self.read("status"), self.read("frame")
+        full = status == GRID_FULL
+        if full.any():
+            diverged = s.make_room(self.grid, self.layouts[full])
+            status[full] = np.where(diverged, DIVERGED, OK)
+            self.set_clock("status", status)
+            self.begin()
+        last = len(plan.steps) - 1
+        begins = plan.time[np.minimum(frame, last)]
+        for n in np.flatnonzero(status != OK):
+            w = int(self.own[n])
+            if w not in s.failures:
+                s.last_good_time[w] = begins[n]
+                s.failures[w] = s.failure(w, begins[n])
+        ok = status == OK
+        s.last_good_time[self.own[ok]] = begins[ok]
+        if not ok.all() and not keep_going:
+            return False
+        return bool((ok & (frame <= last)).any())
+
+    def hold_as_at(self, age: wp.array) -> None:
+        """Hold in each world what was held before substep ``age`` [W] of all."""
+        s = self.worlds
+        if s.grips.count.shape[1]:
+            self.program.launch(make_hold_as_at(s.real), self.order, [age, s.grips], threads=0)
+
+
+def for_groups(groups: list[Group], count: int, work: Callable[[Group], None]) -> None:
+    """Do the work for every group, ``count`` at once; the first failure is raised."""
+    if len(groups) == 1:
+        work(groups[0])
+        return
+    with ThreadPoolExecutor(max_workers=count) as pool:
+        for job in [pool.submit(work, group) for group in groups]:
+            job.result()
+
+
+def run(program: Program, frames: Frames, threads: int) -> None:
+    """Simulate all worlds to all times.
+
+    Raises:
+        SimulationError: If a world diverges, unless told to keep going.
+    """
+    s = program.worlds
+    row = s.num_worlds * len(frames.particles) * 3 * s.numpy_type.itemsize
+    together = max(1, RECORDED // max(1, row)) if s.device.is_cuda else len(frames.times)
+    now, groups = frames.began, program.groups()
+    for first in range(0, len(frames.times), together):
+        times = frames.times[first : first + together]
+        failed_before = set(s.failures)
+        x = wp.empty((len(times), s.num_worlds, len(frames.particles)), dtype=s.types.vec3,
+                     device=s.device)  # fmt: skip
+        plan = program.plan(now, times, frames.particles, x)
+        _run_groups(program, groups, plan, frames, first, threads)
+        frames.x[first : first + together] = x.numpy()
+        frame = s.clock.frame.numpy()
+        for w in s.failures:
+            since = 0 if w in failed_before else frame[w]
+            frames.x[first + since :, w] = np.nan
+        if s.failures and not frames.keep_going:
+            raise s.failures[min(s.failures)]
+        now = float(times[-1])
+
+
+def _run_groups(
+    program: Program, groups: list[Group], plan: Plan, frames: Frames, first: int, threads: int
+) -> None:
+    s = program.worlds
+    done, stop = 0, False
+
+    def report() -> None:
+        nonlocal done
+        frame = s.clock.frame.numpy()
+        going = [w for w in range(s.num_worlds) if w not in s.failures]
+        least = int(frame[going].min()) if going else len(plan.steps)
+        if frames.on_frame is not None and least > done:
+            done = least
+            frames.on_frame(first + least)
+
+    def work(group: Group) -> None:
+        alone = len(groups) == 1
+        group.run(
+            plan,
+            keep_going=frames.keep_going,
+            stopped=lambda: stop,
+            report=report if alone else lambda: None,
+        )
+
+    if len(groups) == 1:
+        work(groups[0])
+        return
+    with ThreadPoolExecutor(max_workers=threads) as pool:
+        jobs: list[Future[None]] = [pool.submit(work, group) for group in groups]
+        try:
+            while wait(jobs, timeout=0.05).not_done:
+                report()
+        except BaseException:
+            stop = True
+            raise
+    report()
+    for job in jobs:
+        job.result()

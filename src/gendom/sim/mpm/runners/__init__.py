@@ -1,1 +1,0 @@
-"""The ways to run worlds, one file each: ``cpu``, ``block_per_world``, ``graph``."""

@@ -1,0 +1,444 @@
+"""Recorded runs and their reverse: derivatives of a loss by all inputs.
+
+A group of worlds goes through segments, some substeps inside one frame. Where memory holds every
+substep, the forward run records them. Otherwise it keeps the state at the beginning of each
+segment, from which the segment is run again and recorded when it is to be reversed.
+"""
+
+# pyright: basic
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from gendom.errors import SimulationError
+from gendom.sim.gradients import Gradients
+from gendom.sim.mpm.kernels import SUMS, make_advance, make_reverse
+from gendom.sim.mpm.model import Worlds
+from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU, make_adjoint, make_taped
+from gendom.sim.mpm.runner import REBUILD, Group, Plan, Program, for_groups
+from gendom.sim.mpm.step import GRID_FULL, NOT_FINITE
+
+SHORTEST, LONGEST, LONGEST_ON_CPU = 8, 256, 64
+"""Bounds on the substeps of a segment."""
+
+SUBSTEPS_A_LAYOUT = 2
+"""Room for layouts in a recording of the forward run, which may end where they do."""
+
+
+class Tape:
+    """A run that can be differentiated.
+
+    Args:
+        program: What worlds run; they have not run before.
+        memory: Bound on what is recorded [bytes]; at least one segment is.
+        threads: Groups that are run at once.
+    """
+
+    def __init__(self, program: Program, memory: float, threads: int):
+        self.program, self.memory, self.threads = program, memory, threads
+        self.groups = program.groups()
+        self.segments: list[list[Segment]] = [[] for _ in self.groups]
+        self._cuda = program.worlds.device.is_cuda
+        program.load(make_advance(program.variant, taped=True))
+        program.load(make_reverse(program.variant))
+
+    def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
+        """[T, W, N, 3] positions at the times, from the time ``began`` [s].
+
+        Raises:
+            SimulationError: If a world diverges.
+        """
+        s = self.program.worlds
+        W, N = s.num_worlds, s.num_particles
+        x: Any = wp.empty((len(times), W, N), dtype=s.types.vec3, device=s.device)
+        self._plan = plan = self.program.plan(began, times, np.arange(N), x)
+        row = self._row_bytes(SUBSTEPS_A_LAYOUT)
+        substeps = plan.steps.sum(axis=0)
+        needed = sum(len(g.own) * int(substeps[g.own].max()) * row for g in self.groups)
+        keeps = needed <= self.memory
+
+        def one_group(group: Group) -> None:
+            segments = self.segments[self.groups.index(group)]
+            group.begin()
+            for f in range(len(times)):
+                while (group.read("frame") <= f).any():
+                    segments.append(self._run_segment(group, f, keeps=keeps))
+            group.end()
+
+        for_groups(self.groups, self.threads, one_group)
+        return x.numpy() + s.origin.astype(s.numpy_type)
+
+    def _run_segment(self, group: Group, f: int, *, keeps: bool) -> "Segment":
+        s, plan = self.program.worlds, self._plan
+        segment = Segment(group.own, f, Snapshot(group))
+        left = int((plan.steps[f, group.own] - segment.start.step).max())
+        more = True
+        while more:
+            if keeps and left:
+                substeps = min(LONGEST if self._cuda else LONGEST_ON_CPU, left)
+                segment.recording = self._record(group, segment, substeps, None)
+                more = False
+            else:
+                done = int((group.read("age") - segment.start.age).max())
+                group.advance(plan, most=self._segment_substeps() - done, frames=f + 1)
+                more = bool((group.read("status") == GRID_FULL).any())
+            if not group.look(plan, keep_going=False) and s.failures:
+                raise s.failures[min(s.failures)]
+        segment.set_end(group, plan)
+        return segment
+
+    def _segment_substeps(self) -> int:
+        """Substeps that the memory holds at once."""
+        if not self._cuda:
+            return LONGEST_ON_CPU
+        row = self.program.worlds.num_worlds * self._row_bytes(1)
+        return min(LONGEST, max(SHORTEST, int(self.memory / row)))
+
+    def _row_bytes(self, substeps_a_layout: int) -> float:
+        """Memory that a recorded substep of one world takes [bytes]."""
+        s = self.program.worlds
+        X, Y, M = s.room
+        N, real = s.num_particles, s.numpy_type.itemsize
+        layout = 4 * (3 * X * Y + 2 * N + 7)
+        return real * (self.program.variant.taped * N + 4 * M) + layout / substeps_a_layout
+
+    def _record(
+        self, group: Group, segment: "Segment", substeps: int, spare: "Recording | None"
+    ) -> "Recording":
+        """Run a segment from its beginning and keep everything that its reverse needs.
+
+        Into ``spare`` where that has the room.
+        """
+        s, plan = self.program.worlds, self._plan
+        again = spare is not None or segment.end is not None
+        while True:
+            layouts = substeps if again else -(-substeps // SUBSTEPS_A_LAYOUT)
+            if spare is None or spare.room != s.room or spare.substeps < substeps:
+                spare = None  # its memory first
+                spare = Recording(self.program, group, substeps, layouts)
+            segment.start.restore(group)
+            group.record(plan, spare, most=substeps, frames=segment.frame + 1)
+            full = group.read("status") == GRID_FULL
+            if not full.any():
+                return spare
+            # made where the segment begins, grids may need a little more than they did
+            s.make_room(spare.grid, group.layouts[full])
+            group.begin()
+
+    def backward(self, positions_bar: NDArray[np.floating]) -> Gradients:
+        """Derivatives by all inputs, given those [T, W, N, 3] by the positions of ``forward``.
+
+        Raises:
+            SimulationError: If a derivative is not finite.
+        """
+        sums = Sums(self.program)
+
+        def one_group(group: Group) -> None:
+            spare: Recording | None = None
+            group.begin()
+            # frames without substeps have no segments
+            frame = len(positions_bar)
+            for segment in reversed(self.segments[self.groups.index(group)]):
+                while frame > segment.frame:
+                    frame -= 1
+                    sums.add_positions(group.own, positions_bar[frame][group.own])
+                spare = self._reverse(group, segment, sums, spare)
+            while frame > 0:
+                frame -= 1
+                sums.add_positions(group.own, positions_bar[frame][group.own])
+            group.end()
+
+        for_groups(self.groups, self.threads, one_group)
+        return sums.gradients()
+
+    def _reverse(
+        self, group: Group, segment: "Segment", sums: "Sums", spare: "Recording | None"
+    ) -> "Recording | None":
+        """Carry derivatives from the end of a segment to its beginning."""
+        s, program = self.program.worlds, self.program
+        if not segment.substeps:
+            return spare
+        recording = segment.recording
+        if recording is None:
+            recording = spare = self._record(group, segment, segment.substeps, spare)
+        nodes = (group.shared, recording.grid.momentum.shape[1])
+        program.launch(make_reverse(program.variant), group.order, [
+            group.shared, *segment.arrays(s, self._plan), s.matter, s.conditions, s.paths,
+            s.grips, recording.grid.layouts, recording.grid.momentum, recording.tape,
+            wp.empty(nodes, dtype=s.types.vec4, device=s.device),
+            wp.empty(nodes, dtype=s.types.vec4, device=s.device), s.touched, sums.adjoint,
+            program.gripped, sums.state, sums.conditions,
+        ])  # fmt: skip
+        segment.recording = None
+        sums.check(group, segment, recording, self._plan)
+        return spare
+
+
+class Snapshot:
+    """State and clock of a group of worlds."""
+
+    def __init__(self, group: Group):
+        s = group.worlds
+        self._state: dict[str, Any] = {}
+        for name in (*s.carried, "low"):
+            array = getattr(s.state, name)
+            if s.device.is_cuda:
+                self._state[name] = wp.clone(array)
+            elif array.size:
+                self._state[name] = array.numpy()[group.own]
+        self.step, self.age, self.frame = map(group.read, ("step", "age", "frame"))
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the state [bytes]."""
+        return sum(values.nbytes for values in self._state.values())
+
+    def restore(self, group: Group) -> None:
+        """Set the worlds back; their grids are rebuilt first."""
+        s = group.worlds
+        for name, values in self._state.items():
+            if isinstance(values, wp.array):
+                wp.copy(getattr(s.state, name), values)
+            else:
+                getattr(s.state, name).numpy()[group.own] = values
+        clock = {"step": self.step, "age": self.age, "frame": self.frame}
+        for name, values in {**clock, "status": 0, "travel": REBUILD}.items():
+            group.set_clock(name, values)
+        group.hold_as_at(s.clock.age)
+
+
+@dataclass
+class Segment:
+    """Some substeps of one frame."""
+
+    own: NDArray[np.integer]
+    """[n] the worlds."""
+    frame: int
+    start: Snapshot
+    end: NDArray[np.integer] | None = None
+    """[n] substeps of the frame that are done at the end."""
+    recording: "Recording | None" = None
+    """If it is kept from the forward run."""
+
+    def set_end(self, group: Group, plan: Plan) -> None:
+        """Keep how far the worlds have come now."""
+        step, frame = group.read("step"), group.read("frame")
+        steps = plan.steps[self.frame, group.own]
+        end = np.where(frame > self.frame, steps, step)
+        # those that were through before have not moved
+        self.end = np.where(self.start.frame > self.frame, self.start.step, end)
+
+    @property
+    def substeps(self) -> int:
+        """Of the world that has most."""
+        assert self.end is not None
+        return int((self.end - self.start.step).max())
+
+    def arrays(self, s: Worlds, plan: Plan) -> tuple[Any, Any, Any]:
+        """For the kernel: where the worlds begin [s], how many substeps they have, the clock."""
+        assert self.end is not None
+        own, W = self.own, s.num_worlds
+        began, dt, slots, age = np.zeros((4, W))
+        dt[own] = self.substep(plan)
+        began[own] = plan.time[self.frame] + self.start.step * dt[own]
+        slots[own] = self.end - self.start.step
+        age[own] = self.start.age
+        clock = s.types.Clock()
+        clock.dt, clock.age = s.array(dt, wp.float64), s.array(age, wp.int32)
+        return s.array(began, wp.float64), s.array(slots, wp.int32), clock
+
+    def substep(self, plan: Plan) -> NDArray[np.float64]:
+        """[n] length of the substeps [s]."""
+        steps = np.maximum(plan.steps[self.frame, self.own], 1)
+        return (plan.time[self.frame + 1] - plan.time[self.frame]) / steps
+
+
+class Recording:
+    """States, grids and layouts of consecutive substeps of a group of worlds."""
+
+    def __init__(self, program: Program, group: Group, substeps: int, layouts: int):
+        s, variant = program.worlds, program.variant
+        self.room, self.substeps = s.room, substeps
+        n, N = group.shared, s.num_particles
+        # nothing is read before it was written: memory that is never needed is never touched
+        make = wp.empty
+        if not s.device.is_cuda:
+            make = Pages(n * substeps * self._bytes(program)).take
+        self.grid = s.make_grid(layouts * n, rows=substeps * n, make=make)
+        self.velocity = wp.zeros((n, s.room[2]), dtype=s.types.vec4, device=s.device)
+        rows = substeps * n
+        if variant.rows:
+            shapes: dict[str, Any] = dict.fromkeys(("x", "v", "C", "q"), (rows, N))
+            shapes |= {"Z": (rows, 6, N)} if variant.damped else {}
+        else:
+            shapes = {"of": (rows, variant.taped, N)} | dict.fromkeys(
+                ("order", "place"), (layouts * n, N)
+            )
+        self.tape = s.allocate(make_taped(variant).Struct, make, layout_of=rows, **shapes)
+
+    @staticmethod
+    def _bytes(program: Program) -> int:
+        s = program.worlds
+        X, Y, M = s.room
+        real, N = s.numpy_type.itemsize, s.num_particles
+        return real * (program.variant.taped * N + 4 * M) + 4 * (3 * X * Y + 2 * N + 6) + 1024
+
+
+class Pages:
+    """Memory for many arrays in one piece, for which the system may use large pages.
+
+    To touch a page of 4 KB for the first time takes as long as to compute what is written to it.
+
+    Args:
+        size: Of all arrays together [bytes]; a little more is set aside.
+    """
+
+    ALIGNED = 64
+    """Multiple at which each array begins [bytes]."""
+
+    def __init__(self, size: int):
+        # numpy asks the system for large pages
+        self._memory = np.empty(size + (1 << 12), dtype=np.uint8)
+        self._taken = 0
+
+    def take(self, shape: int | tuple[int, ...], *, dtype: Any, device: Any) -> wp.array:
+        """An array that is not filled."""
+        shape = (shape,) if isinstance(shape, int) else shape
+        inner = getattr(dtype, "_shape_", ())
+        scalar = np.dtype(wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)))
+        size = math.prod(shape + inner) * scalar.itemsize
+        self._taken += -(self._memory.ctypes.data + self._taken) % self.ALIGNED
+        piece = self._memory[self._taken : self._taken + size]
+        self._taken += size
+        numbers = piece.view(scalar).reshape(shape + inner)
+        return wp.array(numbers, dtype=dtype, device=device, copy=False)
+
+
+class Sums:
+    """Derivatives by state and parameters while they are summed up."""
+
+    def __init__(self, program: Program):
+        self.program = program
+        s, variant = program.worlds, program.variant
+        types, W, N = s.types, s.num_worlds, s.num_particles
+        G, K = s.paths.time.shape[1:]
+        state = s.make_state(W, wp.zeros)
+        self.state = s.allocate(
+            types.StateAdjoint, sums=(W, SUMS, N), **({"impulses": (W, N)} if variant.rows else {})
+        )
+        for name in ("x", "v", "C", "Z"):
+            setattr(self.state, name, getattr(state, name))
+        self.adjoint = self.state
+        if not variant.rows:
+            components = variant.components
+            self.adjoint = s.allocate(
+                make_adjoint(variant).Struct,
+                of=(1 if variant.room else W, components, N),
+                sums=(W, SUMS, N),
+                spare=(W, components + SUMS, N),
+                near=(W, 3, N),
+                **dict.fromkeys(("order", "place"), (W, N)),
+            )
+        by_world = (
+            "friction", "velocity_damping", "damping", "gravity", "damping_factor",
+            "branch_factor", "branch_share", "status", "failed_slot", "failed_particle",
+        )  # fmt: skip
+        self.conditions = s.allocate(
+            types.ConditionsAdjoint,
+            **dict.fromkeys(by_world, W),
+            **dict.fromkeys(("position", "turn"), (W, G, K)),
+            radius=(W, G),
+            **dict.fromkeys(("weight", "place"), (W, G, N)),
+            **dict.fromkeys(("centre", "rotation", "velocity", "spin"), s.grips.closed.shape),
+        )
+
+    def add_positions(self, own: NDArray[np.integer], bar: NDArray[np.floating]) -> None:
+        """Add a loss's own derivative by the positions now [n, N, 3] of some worlds [1/m]."""
+        now = self.state.x.numpy()
+        now[own] += bar
+        if self.program.worlds.device.is_cuda:
+            self.state.x.assign(now)
+
+    def gradients(self) -> Gradients:
+        """What the sums mean for the numbers that a user gave."""
+        s, by = self.program.worlds, self.conditions
+        materials, body = s.setting.materials, s.setting.body
+        E = np.array([m.E for m in materials])[:, None]
+        nu = np.array([m.nu for m in materials])[:, None]
+        sums = self.state.sums.numpy().astype(float)
+        # mu = E / (2 (1 + nu)), lam = E nu / ((1 + nu) (1 - k nu)), times the stiffness
+        constraint = body.lateral_constraint
+        room = (1.0 + nu) * (1.0 - constraint * nu)
+        mu_E = 1.0 / (2.0 * (1.0 + nu))
+        lam_E = nu / room
+        mu_nu = -E / (2.0 * (1.0 + nu) ** 2)
+        lam_nu = E * (1.0 + constraint * nu**2) / room**2
+        by_E = sums[:, MU] * mu_E + sums[:, LAM] * lam_E
+        return Gradients(
+            E=(by_E * s.stiffness).sum(axis=1),
+            nu=((sums[:, MU] * mu_nu + sums[:, LAM] * lam_nu) * s.stiffness).sum(axis=1),
+            density=sums[:, MASS].sum(axis=1) * body.volume,
+            stiffness=by_E * E,
+            damping=np.array(by.damping.numpy()),
+            velocity_damping=np.array(by.velocity_damping.numpy()),
+            air_density=sums[:, DRAG].sum(axis=1) * s.drag_by_air,
+            friction=np.array(by.friction.numpy()),
+            self_friction=np.zeros(s.num_worlds),
+            gravity=np.array(by.gravity.numpy()),
+            positions=np.array(self.state.x.numpy()),
+            velocities=np.array(self.state.v.numpy()),
+            gripper_positions=self._by_knots(by.position),
+            gripper_rotations=self._by_knots(by.turn),
+            gripper_radius=np.array(by.radius.numpy()),
+        )
+
+    def _by_knots(self, of: Any) -> NDArray[np.float64]:
+        """[W, G, K, 3] with the derivatives by repeats of a last knot at the first of them."""
+        by_knot = np.array(of.numpy())
+        for w, grippers in enumerate(self.program.worlds.setting.grippers):
+            for g, gripper in enumerate(grippers):
+                last = len(np.asarray(gripper.time)) - 1
+                by_knot[w, g, last] += by_knot[w, g, last + 1 :].sum(axis=0)
+                by_knot[w, g, last + 1 :] = 0.0
+        return by_knot
+
+    def check(self, group: Group, segment: Segment, recording: Recording, plan: Plan) -> None:
+        """Raise the error of a derivative by a state that is not finite."""
+        status = self.conditions.status.numpy()
+        for n, w in enumerate(group.own):
+            if status[w] == NOT_FINITE:
+                raise self._overflow(group, n, segment, recording, plan)
+
+    def _overflow(
+        self, group: Group, n: int, segment: Segment, recording: Recording, plan: Plan
+    ) -> SimulationError:
+        s, w = self.program.worlds, int(group.own[n])
+        slot = int(self.conditions.failed_slot.numpy()[w])
+        particle = int(self.conditions.failed_particle.numpy()[w])
+        row = slot * group.shared + group.layouts[n]
+        if self.program.variant.rows:
+            x = recording.tape.x.numpy()[row]
+        else:
+            place = recording.tape.place.numpy()[recording.tape.layout_of.numpy()[row]]
+            record: Any = recording.tape.of[row]
+            x = record.numpy()[:3, place].T
+        J = float(np.linalg.det(s.deformation_at(x)[particle].astype(float)))
+        cause = (
+            f"its volume is {J:.2g} of that at rest, where the stress law is singular"
+            if J < 0.1
+            else f"derivatives grew beyond {s.setting.dtype} over the substeps after it"
+        )
+        done = int(segment.start.step[n]) + slot
+        return s.setting.error(
+            w,
+            float(plan.time[segment.frame]) + done * float(segment.substep(plan)[n]),
+            f"the derivative by the state of particle {particle} is not finite: {cause}",
+            where=f"substep {int(segment.start.age[n]) + slot}",
+            fix="use float64, a shorter rollout, or more damping",
+            particle=particle,
+        )

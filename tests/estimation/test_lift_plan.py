@@ -1,0 +1,259 @@
+"""Lifts that are compared before any is recorded."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gendom.cli import main
+from gendom.cli.plan_lift import plan_text
+from gendom.errors import ParameterError, RobotError
+from gendom.estimation import EstimateSettings, SceneSettings, estimate, lift_plan, replay
+from gendom.estimation.lift_plan import (
+    SHOWN,
+    LiftPlan,
+    LiftPlanSettings,
+    MotionForecast,
+    ObjectClass,
+    plan_lift,
+    rolls,
+)
+from gendom.materials import Rope
+from gendom.reality import as_real, lifted_by
+from gendom.robot import XARM7, LiftMotion, follow, predefined_lift
+
+ROPES = ObjectClass(kind="rope", size=(0.25, 0.25), thickness=(0.012, 0.012))
+FIXED = ["rope", "--length", "0.25", "--diameter", "0.012"]
+
+
+@pytest.fixture(scope="module")
+def plan():
+    settings = LiftPlanSettings(
+        ends=("swing",), rises=(1.0,), speeds=(0.1,), draws=2, seed=1, aim="damping"
+    )
+    done = []
+    found = plan_lift(ROPES, settings, on_done=lambda *counts: done.append(counts))
+    assert done == [(k, 4) for k in range(1, 5)]
+    return found
+
+
+@pytest.mark.slow
+def test_a_swing_is_expected_to_show_damping(plan):
+    """As a swinging rope's decay does, and a slow hold does not: its damping stays as believed."""
+    hold, swing = plan.rows
+    assert hold.motion == predefined_lift("rope") and swing.motion.end == "swing"
+    assert plan.chosen is swing and plan.gain(hold) == 1.0 and plan.gain(swing) > 2.0
+    assert hold.half_width("damping", 0.9) > 0.5 * 1.645 * plan.prior_sd["damping"]
+    for row in plan.rows:
+        assert row.carried_out == 2
+        for sd in row.sd:
+            assert sd is not None
+            assert all(0.0 < sd[name] <= 1.001 * plan.prior_sd[name] for name in SHOWN)
+
+
+@pytest.mark.slow
+def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
+    """The estimate from the simulated clouds themselves has the deviations that were forecast, and
+    its errors are no larger than those say."""
+    clouds = []
+    showing = lift_plan._showing
+
+    def kept(*arguments):
+        clouds.append(showing(*arguments))
+        return clouds[-1]
+
+    monkeypatch.setattr(lift_plan, "_showing", kept)
+    motion = LiftMotion(kind="rope", rise=1.0, speed=0.1, end="swing")
+    trial = lifted_by(as_real(ROPES.at(0.5)), motion)
+    lying = lift_plan.recorded_lift(trial, follow(XARM7, trial.path, slow_down=True), 30.0)
+    _, sd = lift_plan.forecast(lying, None, [3])
+    assert sd is not None
+    found = estimate(clouds[0], EstimateSettings(starts=1, scene=SceneSettings(threads=1)))
+    assert found.usable
+    for name, unknown in SHOWN.items():
+        assert found.posterior.sd(unknown) == pytest.approx(sd[name], rel=0.25), name
+
+
+@pytest.mark.slow
+def test_other_lifts_are_of_the_same_objects(monkeypatch):
+    """Parameters drawn for one lift are those for another, also where it has fewer unknowns."""
+    truths = []
+
+    def kept(scene, thetas, **settings):
+        truths.append(thetas[0])
+        return replay(scene, thetas, **settings)
+
+    monkeypatch.setattr(lift_plan, "replay", kept)
+    # at 0.02 m/s a recording is quasi-static: neither damping nor delay is looked for
+    settings = LiftPlanSettings(ends=("hold",), rises=(0.4,), speeds=(0.02,), draws=1)
+    rows = plan_lift(ROPES, settings).rows
+    plain, slow = truths
+    assert plain.E_over_rho == slow.E_over_rho and plain.friction == slow.friction
+    assert plain.damping != slow.damping == 0.0045
+    (sd,) = rows[1].sd
+    assert sd is not None and sd["damping"] == 0.86
+
+
+@pytest.mark.slow
+def test_a_material_narrows_what_is_believed():
+    settings = LiftPlanSettings(ends=("hold",), rises=(0.75,), speeds=(0.05,), draws=1)
+    known = plan_lift(replace(ROPES, material="cotton-rope"), settings)
+    assert known.prior_sd["E"] < 2.0 < plan_lift(ROPES, settings).prior_sd["E"]
+
+
+def predicted(end, carried_out, *sds):
+    return MotionForecast(
+        motion=predefined_lift("rope", end),
+        sd=tuple(None if s is None else {name: s for name in SHOWN} for s in sds),
+        carried_out=carried_out,
+        faults=(),
+    )
+
+
+def test_a_motion_that_the_arm_refuses_tells_nothing():
+    """One that halves deviations of all objects is better than one that cuts those of half of them
+    to a third; it is as if nothing had been seen of the others."""
+    plain = predicted("hold", 2, 1.0, 1.0)
+    half, third = predicted("swing", 2, 0.5, 0.5), predicted("drop", 1, 1 / 3, None)
+    plan = LiftPlan(
+        objects=ROPES,
+        settings=LiftPlanSettings(draws=2),
+        prior_sd=dict.fromkeys(SHOWN, 1.0),
+        rows=(plain, half, third),
+        middle=ROPES.at(0.5),
+    )
+    assert plan.chosen is half
+    assert plan.gain(half) == pytest.approx(2.0) and plan.gain(third) == pytest.approx(3**0.5)
+    assert third.half_width("E", 0.9) == pytest.approx(1.645 / 3.0, rel=1e-3)
+    _, _, of_half, of_third, _, best = plan_text(plan).splitlines()
+    percent = f"{100.0 * math.expm1(1.645 / 2.0):.3g}"
+    assert of_half.split()[-7:] == [percent, percent, "0.822", "2", "of", "2", "2.00"]
+    assert of_third.split()[-5:] == ["1", "of", "2", "1.73", "*"]
+    assert "swing, 1 lengths" in best and "by a factor of 2.00" in best
+
+
+def test_where_ropes_roll_no_motion_is_chosen_unless_asked_for():
+    """A drop tells most, and wrongly; a swing with its tail on the table alike."""
+    rows = predicted("hold", 1, 1.0), predicted("swing", 1, 0.5), predicted("drop", 1, 0.1)
+    low = replace(rows[1], motion=replace(rows[1].motion, rise=0.75), sd=rows[2].sd)
+    assert not rolls(rows[0].motion) and not rolls(rows[1].motion)
+    assert rolls(rows[2].motion) and rolls(low.motion)
+    assert not rolls(replace(rows[2].motion, kind="cloth"))
+    plan = LiftPlan(
+        objects=ROPES,
+        settings=LiftPlanSettings(draws=1),
+        prior_sd=dict.fromkeys(SHOWN, 1.0),
+        rows=(*rows, low),
+        middle=ROPES.at(0.5),
+    )
+    assert plan.chosen is rows[1]
+    assert replace(plan, settings=LiftPlanSettings(draws=1, ends=("drop",))).chosen is rows[2]
+
+
+@pytest.mark.slow
+def test_nothing_that_the_arm_can_do():
+    long = replace(ROPES, size=(1.5, 1.5), thickness=(0.05, 0.05))
+    with pytest.raises(RobotError, match="no object can be lifted by any of 2 motions: "):
+        plan_lift(long, LiftPlanSettings(ends=("hold",), rises=(1.0,), speeds=(0.1,), draws=1))
+
+
+def test_sizes_are_drawn_within_their_ranges():
+    ropes = ObjectClass(kind="rope", size=(0.2, 0.4), thickness=(0.01, 0.01), mass=(0.02, 0.04))
+    drawn = [ropes.draw(np.random.default_rng(n)) for n in range(20)]
+    lengths = [rope.length for rope in drawn if isinstance(rope, Rope)]
+    assert 0.2 < min(lengths) < 0.25 and 0.35 < max(lengths) < 0.4
+    assert all(0.02 < rope.mass < 0.04 for rope in drawn)
+    middle = ropes.at(0.5)
+    assert isinstance(middle, Rope)
+    assert (middle.length, middle.diameter, middle.mass) == pytest.approx((0.3, 0.01, 0.03))
+
+
+# ---- the commands --------------------------------------------------------------------------------
+
+
+def test_the_command_writes_what_record_reads(tmp_path, capsys):
+    out = tmp_path / "plan"
+    words = ["--ends", "drop", "--rises", "0.4", "--speeds", "0.1", "--draws", "1"]
+    assert main(["plan-lift", *FIXED, *words, "--for", "friction", "--out", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "drop, 0.4 lengths at 0.1 m/s" in told and "best for friction" in told
+    plan = json.loads((out / "plan.json").read_text())
+    chosen = plan["rows"][plan["chosen"]]
+    hold, only = (row["sd"][0]["friction"] for row in plan["rows"])
+    assert chosen["gain"] == pytest.approx(hold / only) and f"{chosen['gain']:.2f}" in told
+    assert LiftMotion.read(out / "motion.json").to_dict() == chosen["lift"]
+    path = json.loads((out / "motion.json").read_text())["trajectory"]
+    rise = chosen["lift"]["rise"] * 0.25
+    assert path["position"][-1][2] - path["position"][0][2] == pytest.approx(rise)
+    header, *rows = (out / "joints.csv").read_text().splitlines()
+    assert header.startswith("time,q0") and header.endswith("gripper") and len(rows) > 100
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["rope", "--length", "0.3"], "lacks the rope's diameter; give --diameter in metres"),
+        (["rope", "--side", "0.3"], "--side: a rope has no side; give --length and --diameter"),
+        (["rope", "--length", "1", "2", "3"], "--length: has 3 numbers; give one, or from and to"),
+        ([*FIXED, "--mass", "0.2", "0.1"],
+         "mass: is 0.2 to 0.1; give one number above 0, or the lower end and then the higher one"),
+        ([*FIXED, "--length", "-1"], "length: is -1 to -1; give one number above 0, or"),
+        ([*FIXED, "--material", "iron"], "there is no material 'iron'"),
+        ([*FIXED, "--material", "cotton-shirting"], "cotton-shirting is no material of a rope"),
+        ([*FIXED, "--draws", "0"], "draws: is 0; give 1 or more"),
+        ([*FIXED, "--mass", "27"], "mass: is 27 kg, a density of 9.55e+05 kg/m^3; it looks like"),
+        ([*FIXED, "--level", "2"], "level: is 2.0; give 0 to 1, as 0.9"),
+        ([*FIXED, "--rises", "0"], "motion: rise is 0.0; give a number above 0, in SI units"),
+        ([*FIXED, "--for", "nu"], "--for: is 'nu'; choose E, damping, friction, all"),
+        ([*FIXED, "--fro", "E"], "there is no flag '--fro'; did you mean '--for'?"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line(words, line, capsys):
+    assert main(["plan-lift", *words]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("gendom plan-lift: ") and told.count("\n") == 1
+    assert line in told
+
+
+def test_aims_are_known():
+    with pytest.raises(ParameterError, match="for: is 'nu'; choose from E, damping, friction, all"):
+        LiftPlanSettings(aim="nu")
+
+
+MOTION = {"kind": "rope", "rise": 0.2, "speed": 0.1, "end": "hold"}
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ({"lift": MOTION}, "has format None, not 'gendom-motion/1'"),
+        ({"format": "gendom-motion/1"}, "its lift lacks a kind, rise, speed or end"),
+        ({"format": "gendom-motion/1", "lift": {**MOTION, "rise": "high"}}, "its lift lacks"),
+        ({"format": "gendom-motion/1", "lift": {**MOTION, "end": "throw"}}, "end is 'throw'"),
+        ({"format": "gendom-motion/1", "lift": {**MOTION, "kind": "cloth"}},
+         "is for a cloth, and rope-cotton is a rope"),
+    ],
+)  # fmt: skip
+def test_motions_that_cannot_be_recorded(content, says, tmp_path, capsys):
+    path = tmp_path / "motion.json"
+    path.write_text(json.dumps(content))
+    words = ["record", "--reality", "rope-cotton", "--out", str(tmp_path / "lift")]
+    assert main([*words, "--motion", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert says in told and told.count("\n") == 1
+    assert not (tmp_path / "lift").exists()
+    assert main([*words, "--motion", str(path), "--end", "drop"]) == 2
+    assert "leave out --rise and --end" in capsys.readouterr().err
+
+
+def test_the_motion_of_a_file_is_what_is_lifted():
+    rope = as_real(ROPES.at(0.5))
+    trial = lifted_by(rope, LiftMotion(kind="rope", rise=0.8, speed=0.2, end="swing"))
+    path = trial.path
+    assert np.ptp(path.position[:, 2]) == pytest.approx(0.2)
+    assert path.time[2] - path.time[1] == pytest.approx(1.0) and trial.quick
+    # inertia plays a part in a quick lift
+    assert not lifted_by(rope, LiftMotion(kind="rope", rise=0.8, speed=0.2)).quasi_static
+    assert lifted_by(rope, predefined_lift("rope")).quasi_static

@@ -1,0 +1,110 @@
+"""Sampling, grouping, the network's file, and what the shipped one says."""
+
+import math
+import os
+
+import numpy as np
+import pytest
+
+from experiments.pointnet import (
+    CENTRES,
+    NEIGHBOURS,
+    POINTS,
+    farthest,
+    grouped,
+    neighbours,
+    pointnet,
+    read_network,
+)
+from experiments.sim2sim import (
+    paper_E,
+    scene_settings,
+    sim2sim_problem,
+    sim2sim_recording,
+    truth_of,
+)
+from gendom.errors import ParameterError
+from gendom.estimation.scene import LiftScene
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture(scope="module")
+def paper_lift():
+    return sim2sim_recording(4000.0, 0.3, markers=False, shows="last")
+
+
+def test_farthest_points_of_a_line():
+    line = np.stack([np.arange(9.0), np.zeros(9), np.zeros(9)], axis=1)
+    assert farthest(line[None], 5).tolist() == [[0, 8, 4, 2, 6]]
+
+
+def test_neighbours_beyond_the_radius_are_the_nearest_one():
+    line = np.stack([np.arange(40.0), np.zeros(40), np.zeros(40)], axis=1)[None]
+    found = neighbours(line, line[:, :1], 2.5)[0, 0]
+    assert found.tolist() == [0, 1, 2] + [0] * (NEIGHBOURS - 3)
+
+
+@pytest.mark.parametrize("n", [25, 400])
+def test_groups_do_not_depend_on_the_order_of_points(n):
+    cloud = RNG.normal(size=(1, n, 3))
+    a, b = (grouped(c) for c in (cloud, cloud[:, RNG.permutation(n)]))
+    assert a["near"].shape == (1, CENTRES[0], NEIGHBOURS, 3)
+    assert a["which"].shape == (1, CENTRES[1], NEIGHBOURS)
+    if n >= POINTS:
+        np.testing.assert_array_equal(a["at"], b["at"])
+        np.testing.assert_array_equal(np.sort(a["near"], axis=2), np.sort(b["near"], axis=2))
+
+
+def test_the_file_gives_what_torch_gives(tmp_path):
+    torch = pytest.importorskip("torch", reason="training needs torch")
+    from experiments.pointnet_training import INPUTS, Training, simulated_lifts, train
+
+    settings = scene_settings()
+    scene = LiftScene.of(sim2sim_recording(4000.0, 0.3, frames=10), settings)
+    thetas = [truth_of(E, nu) for E, nu in ((600.0, 0.2), (2000.0, 0.4), (9000.0, 0.3))]
+    clouds, targets = simulated_lifts(scene, thetas)
+    assert targets[0, 0] == pytest.approx(
+        math.log(scene.bending_length(thetas[0].E_over_rho) / 0.5)
+    )
+    path, training = tmp_path / "net.onnx", Training(epochs=3)
+    network = train(scene, clouds, targets, path, training)
+    session, said = read_network(path)
+    assert said["lift"] == pytest.approx({"rise": 0.9, "thickness": 0.056})
+    made = grouped(clouds)
+    with torch.no_grad():
+        expected = network(*(torch.from_numpy(made[name]) for name in INPUTS))
+    for a, b in zip(session.run(None, made), expected, strict=True):
+        np.testing.assert_allclose(a, b.numpy(), atol=1e-5)
+    torch.manual_seed(5)
+    again = train(scene, clouds, targets, path, training)
+    for a, b in zip(network.parameters(), again.parameters(), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_the_shipped_network_reads_a_lift(paper_lift):
+    problem = sim2sim_problem(paper_lift)
+    found = pointnet(problem)
+    E = paper_E(problem.theta(found.best.vector).E_over_rho)
+    assert E == pytest.approx(4000.0, rel=0.1)
+    assert found.covariance is not None
+    sd = math.sqrt(found.covariance[0, 0])
+    assert 0.0 < sd < 0.3
+    assert abs(math.log(E / 4000.0)) < 4.0 * sd
+
+
+def test_the_network_refuses_another_lift():
+    settings = scene_settings(fast_frames=20)
+    short = {"frames": 20, "rise": 0.2, "markers": False, "shows": "last"}
+    recording = sim2sim_recording(4000.0, 0.3, settings=settings, **short)
+    with pytest.raises(ParameterError, match="knows lifts with rise"):
+        pointnet(sim2sim_problem(recording, settings=settings))
+
+
+def test_a_file_that_is_no_network_is_refused(tmp_path):
+    path = tmp_path / "net.onnx"
+    path.write_bytes(os.urandom(100))
+    with pytest.raises(ParameterError, match="is no network of this method"):
+        read_network(path)
+    with pytest.raises(ParameterError, match="is no network of this method"):
+        read_network(tmp_path / "missing.onnx")

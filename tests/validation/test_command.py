@@ -1,0 +1,91 @@
+"""`python -m validation`: exit codes, table and JSON."""
+
+import json
+
+import pytest
+
+from gendom.errors import SimulationError
+from validation import CASES, Case
+from validation.__main__ import main
+from validation.bench import absolute
+
+
+def row(measured):
+    return absolute("length of a rope", "m", 2.0, measured, 0.1, "a ruler")
+
+
+@pytest.fixture
+def case(monkeypatch):
+    """Put a case named `test` in place that returns the given rows or raises."""
+
+    def install(measure):
+        monkeypatch.setitem(CASES, "test", Case("test", "a rope", "mpm", measure, ()))
+
+    return install
+
+
+def test_list(capsys):
+    assert main(["--list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(CASES)
+    assert main(["--list", "--json", "--engine", "thin", "--only", "energy", "rod-twist"]) == 0
+    (entry,) = json.loads(capsys.readouterr().out)["cases"]
+    assert entry == {"name": "rod-twist", "title": "a twisted rope", "engine": "thin"}
+
+
+def test_all_within(capsys, case):
+    case(lambda _: [row(2.05)])
+    assert main(["--only", "test"]) == 0
+    out = capsys.readouterr().out
+    assert "length of a rope       2 m    2.05 m  0.05 m    0.1 m\n" in out
+    assert "source: a ruler" in out and "1 of 1 checks" in out
+
+
+def test_one_without(capsys, case):
+    case(lambda _: [row(2.05), row(2.2)])
+    assert main(["--only", "test"]) == 1
+    out = capsys.readouterr().out
+    assert "0.2 m    0.1 m  FAILED\n" in out and "1 of 2 checks" in out
+
+
+def test_a_simulation_that_stops_fails_its_case(capsys, case):
+    """The others still run."""
+
+    def measure(_):
+        raise SimulationError("a particle turned inside out", where="world 3")
+
+    case(measure)
+    assert main(["--quick", "--threads", "1", "--only", "test", "free-fall"]) == 1
+    out = capsys.readouterr().out
+    assert "FAILED: world 3: a particle turned inside out" in out
+    assert "2 of 2 checks within what is allowed; 1 case stopped" in out
+
+
+def test_json_tells_source_and_settings(capsys):
+    words = ["--quick", "--threads", "1", "--json", "--dtype", "float32", "--only", "free-fall"]
+    assert main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["passed"] is True
+    settings = {"device": "cpu", "dtype": "float32", "quick": True, "threads": 1}
+    assert found["settings"] == settings
+    (entry,) = found["cases"]
+    assert entry["name"] == "free-fall" and entry["failure"] is None
+    for one in entry["checks"]:
+        assert one["source"] and one["passed"] is True
+        assert 0.0 < one["error"] <= one["allowed"]
+        assert one["error"] == abs(one["measured"] - one["expected"])
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--only", "bending"], "--only: unknown case 'bending'"),
+        (["--device", "cuda:77"], "there is no device 'cuda:77'"),
+        (["--threads", "0", "--only", "free-fall"], "threads must be at least 1"),
+    ],
+)
+def test_bad_flags(capsys, words, line):
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and line in err
+    assert len(err.splitlines()) == 1

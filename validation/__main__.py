@@ -1,0 +1,127 @@
+"""``python -m validation``: measure the simulator against mechanics with known solutions."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from gendom.errors import GendomError
+from gendom.files import to_json
+from gendom.sim import open_device
+from validation import Bench, Result, Row, choose, run_cases
+
+log = logging.getLogger("validation")
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the cases and print their rows.
+
+    Returns:
+        0: every error is within what is allowed; 1: at least one is not; 2: bad flags.
+    """
+    flags = _parser().parse_args(words)
+    logging.basicConfig(format="validation: %(message)s", level=logging.INFO)
+    try:
+        return _run(flags)
+    except GendomError as error:
+        print(f"validation: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m validation", description=__doc__)
+    add = parser.add_argument
+    add("--only", nargs="+", default=[], metavar="NAME", help="names of the cases to run")
+    add("--engine", choices=("mpm", "thin"), help="only cases of this engine")
+    add("--list", action="store_true", help="list the cases and stop")
+    add("--quick", action="store_true", help="small sizes, seconds instead of minutes")
+    add("--device", default="cpu", help="cpu, cuda or cuda:0 and so on")
+    add("--dtype", choices=("float32", "float64"), default="float64", help="default: float64")
+    add("--threads", type=int, help="worlds side by side on the CPU; by default all cores")
+    add("--json", action="store_true", help="print JSON")
+    return parser
+
+
+def _run(flags: argparse.Namespace) -> int:
+    cases = choose(flags.only, flags.engine)
+    if flags.list:
+        entries = [{"name": c.name, "title": c.title, "engine": c.engine} for c in cases]
+        width = max((len(case.name) for case in cases), default=0)
+        lines = [f"{case.name:<{width}}  {case.title}" for case in cases]
+        print(to_json({"cases": entries}) if flags.json else "\n".join(lines))
+        return 0
+    open_device(flags.device)
+    began = time.monotonic()
+    settings = {name: getattr(flags, name) for name in ("device", "dtype", "quick", "threads")}
+    results = []
+    for result in run_cases(cases, Bench(**settings)):
+        results.append(result)
+        verdict = "passed" if result.passed else "FAILED"
+        log.info("%s %s in %.1f s", result.case.name, verdict, result.seconds)
+    passed, seconds = all(result.passed for result in results), time.monotonic() - began
+    if flags.json:
+        entries = [_entry(result) for result in results]
+        summary = {"settings": settings, "passed": passed, "seconds": seconds, "cases": entries}
+        print(to_json(summary))
+    else:
+        print(_text(results))
+        print(f"took {seconds:.3g} s")
+    return 0 if passed else 1
+
+
+def _entry(result: Result) -> dict[str, Any]:
+    """A case's result for JSON."""
+    return {
+        "name": result.case.name, "title": result.case.title, "passed": result.passed,
+        "failure": result.failure, "seconds": result.seconds,
+        "checks": [
+            {**asdict(row), "error": row.error, "passed": row.passed} for row in result.rows
+        ],
+    }  # fmt: skip
+
+
+def _text(results: Sequence[Result]) -> str:
+    """A table for people: one line a row, and where the expected values come from."""
+    head = ("quantity", "expected", "measured", "error", "allowed", "")
+    rows = [row for result in results for row in result.rows]
+    widths = [max(map(len, column)) for column in zip(head, *map(_cells, rows), strict=True)]
+
+    def line(cells: Sequence[str]) -> str:
+        first = cells[0].ljust(widths[0])
+        rest = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
+        return "  " + "  ".join([first, *rest]).rstrip()
+
+    lines = []
+    for result in results:
+        lines += [f"{result.case.name}: {result.case.title}", line(head)]
+        lines += [line(_cells(row)) for row in result.rows]
+        if result.failure is not None:
+            lines.append(f"  FAILED: {result.failure}")
+        sources = dict.fromkeys(row.source for row in result.rows)
+        lines += [f"  source: {source}" for source in sources] + [""]
+    short = sum(not row.passed for row in rows)
+    stopped = sum(result.failure is not None for result in results)
+    tail = f"{len(rows) - short} of {len(rows)} checks within what is allowed"
+    if stopped:
+        tail += f"; {stopped} case{'s' * (stopped > 1)} stopped"
+    return "\n".join([*lines, tail])
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    unit = "" if row.unit == "-" else f" {row.unit}"
+    if row.relative:
+        error, allowed = f"{100.0 * row.error:.2g} %", f"{100.0 * row.allowed:.2g} %"
+    else:
+        error, allowed = f"{row.error:.2g}{unit}", f"{row.allowed:.2g}{unit}"
+    verdict = "" if row.passed else "FAILED"
+    expected, measured = f"{row.expected:.5g}{unit}", f"{row.measured:.5g}{unit}"
+    return row.quantity, expected, measured, error, allowed, verdict
+
+
+if __name__ == "__main__":
+    sys.exit(main())

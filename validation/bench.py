@@ -1,0 +1,204 @@
+"""What all cases share: how a simulator is made, rows of results, and the register of cases."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.arguments import check_choice
+from gendom.errors import SimulationError
+from gendom.materials import Material
+from gendom.sim import Body, Simulator
+
+WEIGHTLESS = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """How a case is run. All simulators of the suite are made here."""
+
+    engine: str = "mpm"
+    """``mpm`` or ``thin``; a case sets its own."""
+    device: str = "cpu"
+    """``cpu``, ``cuda`` or ``cuda:0`` and so on."""
+    dtype: str = "float64"
+    """``float32`` or ``float64``."""
+    quick: bool = False
+    """Small sizes: coarser grids, shorter objects, fewer rows."""
+    threads: int | None = None
+    """Worlds side by side on the CPU (default: all cores)."""
+
+    def simulate(self, body: Body, materials: Sequence[Material], **options: Any) -> Simulator:
+        """A simulator, in vacuum unless told otherwise; ``options`` are those of ``Simulator``.
+
+        Raises:
+            ParameterError, DeviceError: As ``Simulator``.
+        """
+        given: dict[str, Any] = {"engine": self.engine, "device": self.device, "dtype": self.dtype}
+        given |= {"threads": self.threads, "air_density": 0.0}
+        return Simulator(body, materials, **(given | options))
+
+    def settle(
+        self, body: Body, materials: Sequence[Material], omega: ArrayLike,
+        *, periods: float = 16.0, **options: Any,
+    ) -> NDArray[np.floating]:  # fmt: skip
+        """[W, N, 3] where a body comes to rest whose slowest mode is damped critically [m].
+
+        Args:
+            body, materials, options: As of ``simulate``.
+            omega: Angular frequency of that mode, one or [W] [rad/s].
+            periods: Time of the run, in units of 1 / omega.
+        """
+        damping = 2.0 * np.asarray(omega, dtype=float)
+        s = self.simulate(body, materials, velocity_damping=damping, **options)
+        return s.run([periods / np.min(omega)])[0].astype(float)
+
+    def round_off(self, double: float, single: float) -> float:
+        """The allowed error of a quantity that is exact but for round-off."""
+        return double if self.dtype == "float64" else single
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measured quantity and its expected value.
+
+    Raises:
+        SimulationError: If the measured value is not finite.
+    """
+
+    quantity: str
+    unit: str
+    """Of ``expected`` and ``measured``; ``-`` for a pure number."""
+    expected: float
+    measured: float
+    allowed: float
+    """The largest ``error`` with which the row passes."""
+    source: str
+    """Where the expected value comes from."""
+    relative: bool = False
+    """Whether ``error`` and ``allowed`` are shares of ``expected`` or have its unit."""
+
+    def __post_init__(self) -> None:
+        # A NaN would compare as a mere failure, though nothing was measured.
+        if not math.isfinite(self.measured):
+            raise SimulationError(f"measured {self.measured}", where=self.quantity)
+
+    @property
+    def error(self) -> float:
+        """``|measured - expected|``; divided by ``|expected|`` where ``relative``."""
+        error = abs(self.measured - self.expected)
+        return error / abs(self.expected) if self.relative else error
+
+    @property
+    def passed(self) -> bool:
+        return self.error <= self.allowed
+
+
+def absolute(
+    quantity: str, unit: str, expected: float, measured: float, allowed: float, source: str
+) -> Row:
+    """A row whose error has the quantity's own unit."""
+    return Row(quantity, unit, float(expected), float(measured), allowed, source)
+
+
+def relative(
+    quantity: str, unit: str, expected: float, measured: float, allowed: float, source: str
+) -> Row:
+    """A row whose error is a share of an expected value that is not zero."""
+    return Row(quantity, unit, float(expected), float(measured), allowed, source, relative=True)
+
+
+def over_theory(quantity: str, ratio: float, allowed: float, source: str) -> Row:
+    """A row of a ratio of measured to expected value."""
+    return relative(quantity, "-", 1.0, ratio, allowed, source)
+
+
+def vanishing(quantity: str, measured: float, allowed: float, source: str, unit: str = "-") -> Row:
+    """A row of what ought to be zero."""
+    return absolute(quantity, unit, 0.0, measured, allowed, source)
+
+
+def worst(ratios: NDArray[np.floating], theory: float = 1.0) -> float:
+    """The value that is farthest from theory."""
+    return float(ratios[np.abs(ratios - theory).argmax()])
+
+
+# ---- cases ---------------------------------------------------------------------------------------
+
+Measure = Callable[..., list[Row]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A named group of rows that share their runs."""
+
+    name: str
+    title: str
+    engine: str
+    """``mpm`` or ``thin``: what its simulators run on."""
+    measure: Measure
+    """Simulates and measures; what it simulates is in its docstring."""
+    given: tuple[Any, ...]
+    """What it is given after the bench."""
+
+
+CASES: dict[str, Case] = {}
+"""Every case by its name, in the order in which they run."""
+
+
+def case(name: str, title: str, engine: str, *given: Any) -> Callable[[Measure], Measure]:
+    """Register a function as a case; once for each engine or kind of body that it can measure."""
+
+    def register(measure: Measure) -> Measure:
+        CASES[name] = Case(name, title, engine, measure, given)
+        return measure
+
+    return register
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of a case."""
+
+    case: Case
+    rows: list[Row]
+    failure: str | None
+    """Why the simulation stopped, or None."""
+    seconds: float
+
+    @property
+    def passed(self) -> bool:
+        return self.failure is None and all(row.passed for row in self.rows)
+
+
+def choose(names: Sequence[str], engine: str | None = None) -> list[Case]:
+    """The cases of these names, in the suite's order; all for no names, or all of an engine.
+
+    Raises:
+        ParameterError: If there is no case of a name.
+    """
+    for name in names:
+        check_choice("case", name, CASES, where="--only")
+    chosen = [case for name, case in CASES.items() if name in names or not names]
+    return [case for case in chosen if engine in (None, case.engine)]
+
+
+def run_cases(cases: Sequence[Case], bench: Bench) -> Iterator[Result]:
+    """Run cases one after the other. A simulation that fails ends its case, not the suite.
+
+    Raises:
+        ParameterError, DeviceError: If the bench's settings do not make a simulator.
+    """
+    for case in cases:
+        began, rows, failure = time.monotonic(), [], None
+        try:
+            rows = case.measure(replace(bench, engine=case.engine), *case.given)
+        except SimulationError as error:
+            failure = str(error)
+        yield Result(case, rows, failure, time.monotonic() - began)

@@ -1,0 +1,215 @@
+"""What is read off a motion: momenta, energies, frequencies and rates of growth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from gendom.errors import SimulationError
+from gendom.sim import Simulator
+from gendom.sim.mpm.boundary import FOLLOWS, grip_constants
+from gendom.sim.thin.rod_model import joint_strains
+from gendom.sim.thin.rods import Q, Rods
+from gendom.sim.thin.rotation import conjugate, turned
+from gendom.sim.thin.shells import Shells
+
+# ---- momenta and energies ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mechanics:
+    """Of world 0 at one moment."""
+
+    P: NDArray[np.float64]
+    """[3] momentum [kg m/s]."""
+    L: NDArray[np.float64]
+    """[3] angular momentum about the centre of mass [kg m^2/s]."""
+    centre: NDArray[np.float64]
+    """[3] of mass [m]."""
+    mass: float
+    """[kg]."""
+    kinetic: float
+    """[J]."""
+    elastic: float
+    """[J]."""
+
+
+def mechanics(s: Simulator) -> Mechanics:
+    """Momenta and energies of world 0, of particles, a rod or a shell."""
+    x, v = s.positions()[0].astype(float), s.velocities()[0].astype(float)
+    e = s.engine
+    if isinstance(e, Rods | Shells):
+        m = e.model.mass[0] if isinstance(e, Rods) else e.mass[0]
+    else:
+        m = np.full(len(x), s.materials[0].density * s.body.volume)
+    centre = m @ x / m.sum()
+    L = np.cross(x - centre, m[:, None] * v).sum(axis=0)
+    kinetic = 0.5 * float(m @ np.sum(v**2, axis=1))
+    if isinstance(e, Rods):
+        J, spin = e.model.inertia[0, :-1], e.component(slice(10, 13))[0][:-1]
+        L = L + J @ spin
+        kinetic += 0.5 * float(np.sum(J[:, None] * spin**2))
+        elastic = rod_energy(s)
+    elif isinstance(e, Shells):
+        elastic = membrane_energy(s) + bending_energy(s)
+    else:
+        # A particle carries the moment B = C dx^2 / 4 of its affine velocity and its energy.
+        # Source: Jiang et al. (2015), "The affine particle-in-cell method", section 5.
+        C = s.affine_velocities()[0].astype(float)
+        B = C.sum(axis=0) * s.body.dx**2 / 4.0
+        L = L + m[0] * np.array([B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]])
+        kinetic += 0.5 * m[0] * s.body.dx**2 / 4.0 * float(np.sum(C**2))
+        elastic = particle_energy(s)
+    mass = float(m.sum())
+    return Mechanics(P=m @ v, L=L, centre=centre, mass=mass, kinetic=kinetic, elastic=elastic)
+
+
+def particle_energy(s: Simulator) -> float:
+    """Elastic energy of the MPM's world 0 [J].
+
+    psi = mu / 2 (tr F^T F - 3) - mu ln J + lam / 2 (ln J)^2 times the rest volume (Bonet and Wood
+    2008, chapter 6), whose Kirchhoff stress is the simulator's neo-Hookean law.
+    """
+    mu, lam = s.materials[0].lame_of(s.body.lateral_constraint)
+    F = s.deformation_gradients()[0].astype(float)
+    log_J = np.log(np.linalg.det(F))
+    stretch = np.einsum("nij,nij->n", F, F) - 3.0
+    psi = mu / 2.0 * stretch - mu * log_J + lam / 2.0 * log_J**2
+    return float(s.body.volume * psi.sum())
+
+
+def spring_energy(s: Simulator) -> float:
+    """Energy of the springs by which still grippers of the MPM's world 0 hold material in part [J].
+
+    With weight f they pull with k = f / (1 - f) b m / dt^2, b as in ``gendom.sim.mpm.boundary``.
+    """
+    grips, material = s.worlds.grips, s.materials[0]
+    mu, lam = material.lame_of(s.body.lateral_constraint)
+    dt = float(s.worlds.clock.dt.numpy()[0])
+    _, stiff = grip_constants(s.body)
+    b = min(stiff * dt**2 * (lam + 2.0 * mu) / material.density / s.body.dx**2, FOLLOWS)
+    x = s.worlds.state.x.numpy()[0].astype(float)
+    total = 0.0
+    for g, gripper in enumerate(s.worlds.setting.grippers[0]):
+        n = int(grips.count.numpy()[0, g])
+        f = grips.weight.numpy()[0, g, :n].astype(float)
+        centre = np.asarray(gripper.position)[0] - s.worlds.origin
+        away = x[grips.particle.numpy()[0, g, :n]] - centre - grips.place.numpy()[0, g, :n]
+        part = f < 1.0
+        stiffness = f[part] / (1.0 - f[part]) * b / dt**2
+        total += 0.5 * float(np.sum(stiffness * np.sum(away[part] ** 2, axis=1)))
+    return total * material.density * s.body.volume
+
+
+def rod_energy(s: Simulator) -> float:
+    """Elastic energy of a rod, world 0 [J]."""
+    e = s.engine
+    assert isinstance(e, Rods)
+    x, q = s.positions()[0].astype(float), e.component(Q)[0][:-1]
+    k, rest = e.model.stiffness[0], e.model.rest
+    strain = turned(conjugate(q), np.diff(x, axis=0)) * rest[0, :-1, None] - rest[1:4, :-1].T
+    bend = joint_strains(q) - rest[4:, 1:-1].T
+    at_grips = e.stiffer[0, :, 0].prod(axis=0)[1:-1]
+    total = 0.5 * np.sum(k[:3, :-1].T * strain**2 / rest[0, :-1, None])
+    return float(total + 0.5 * np.sum(k[3:, 1:-1].T * at_grips[:, None] * bend**2))
+
+
+def membrane_energy(s: Simulator) -> float:
+    """Of a shell, world 0 [J], from the lattice's edges as ``native/shell.h`` says."""
+    e = s.engine
+    assert isinstance(e, Shells)
+    ny, nx = e.model.shape
+    x = e.model.on_lattice(s.positions()[:1].astype(float))[0]
+    lx, ly = e.model.spacing
+    u, v = np.diff(x, axis=1), np.diff(x, axis=0)
+    rows, columns = (np.sum(u**2, 2) / lx**2 - 1) / 2, (np.sum(v**2, 2) / ly**2 - 1) / 2
+    k = e.model.on_lattice((e.modulus * e.share[:, None])[0])[:, :-1, :-1]
+    F = np.sum((u[1:] + u[:-1]) * (v[:, 1:] + v[:, :-1]), axis=2) / 4
+    free = np.sum((u[1:] - u[:-1]) ** 2, axis=2) / 4
+    total = 0.5 * np.sum(k[3] * ((F - np.clip(F, -free, free)) / (2 * lx * ly)) ** 2)
+    for j, i in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        a, b = rows[j : ny - 1 + j], columns[:, i : nx - 1 + i]
+        total += 0.5 * np.sum(k[0] * a**2 + k[1] * b**2 + 2 * k[2] * a * b)
+    return float(total)
+
+
+def bending_energy(s: Simulator) -> float:
+    """Of a shell, world 0 [J]."""
+    e = s.engine
+    assert isinstance(e, Shells)
+    x = e.model.on_lattice(s.positions()[:1].astype(float))[0]
+    k = e.model.on_lattice((e.modulus * e.share[:, None])[0])
+    xx, yy = np.zeros_like(x), np.zeros_like(x)
+    xx[:, 1:-1], yy[1:-1] = np.diff(x, 2, axis=1), np.diff(x, 2, axis=0)
+    xy = np.diff(np.diff(x, axis=0), axis=1)
+    at_grips = e.model.on_lattice(e.stiffer[0].prod(axis=0))
+    total = np.sum(at_grips[0] * k[4] * np.sum(xx**2, 2) + at_grips[1] * k[5] * np.sum(yy**2, 2))
+    total += np.sum(2 * k[6] * np.sum(xx * yy, 2)) + np.sum(k[7, :-1, :-1] * np.sum(xy**2, 2))
+    return 0.5 * float(total)
+
+
+def growth(total: NDArray[np.floating]) -> float:
+    """Largest rise of readings [T] above any earlier one."""
+    return float((total - np.minimum.accumulate(total)).max())
+
+
+# ---- frequencies and rates -----------------------------------------------------------------------
+
+
+def swing(t: NDArray[np.floating], y: NDArray[np.floating], omega: float) -> tuple[float, float]:
+    """Angular frequency and decay rate of a damped oscillation, by least squares.
+
+    y = exp(-gamma t) (a cos omega t + b sin omega t) + c; a, b and c are eliminated.
+
+    Args:
+        t: [T] times [s].
+        y: [T] readings; any unit.
+        omega: Where the search starts [rad/s]; a tenth off the answer does no harm.
+
+    Returns:
+        omega [rad/s] and gamma [1/s].
+
+    Raises:
+        SimulationError: If the fit explains less than 99 % of the readings' variance.
+    """
+
+    def misfit(p: NDArray[np.floating]) -> NDArray[np.floating]:
+        decay = np.exp(-p[1] * omega * t)
+        basis = np.stack(
+            [decay * np.cos(p[0] * omega * t), decay * np.sin(p[0] * omega * t), np.ones_like(t)], 1
+        )
+        return basis @ np.linalg.lstsq(basis, y, rcond=None)[0] - y
+
+    found = least_squares(misfit, [1.0, 0.0], xtol=1e-12, ftol=1e-12, gtol=1e-12)
+    if np.var(found.fun) > 0.01 * np.var(y):
+        raise SimulationError("the motion is no single damped oscillation", where="swing")
+    return float(found.x[0]) * omega, float(found.x[1]) * omega
+
+
+def squared_rates(
+    t: NDArray[np.floating], y: NDArray[np.floating], damping: float
+) -> NDArray[np.float64]:
+    """[W] squared rates at which modes would grow without damping, of sizes y [T, W].
+
+    All velocities decay at one rate c: of y ~ exp(r t) it is r (r + c).
+    """
+    rate = np.polyfit(t, np.log(np.abs(y.astype(float))), 1)[0]
+    return rate * (rate + damping)
+
+
+def critical_share(shares: NDArray[np.floating], squared: NDArray[np.floating]) -> float:
+    """Share of a critical load at which a parabola through squared rates is 0, the nearest to 1.
+
+    Raises:
+        SimulationError: If it is not.
+    """
+    if not np.isfinite(squared).all():
+        raise SimulationError("a kick came to nothing", where="growth")
+    zeros = np.roots(np.polyfit(shares, squared, 2))
+    zeros = zeros[np.isreal(zeros)].real
+    if not len(zeros):
+        raise SimulationError("no critical load", where="growth")
+    return float(zeros[np.abs(zeros - 1.0).argmin()])

@@ -1,0 +1,154 @@
+"""Bodies and clamps that several cases share."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.sim import Body, Gripper, cloth, rope
+
+
+def clamp_beyond(
+    outwards: ArrayLike = (-1.0, 0.0, 0.0),
+    reach: float = 0.1,
+    *,
+    point: ArrayLike = (0.0, 0.0, 0.0),
+) -> Gripper:
+    """A gripper that holds all material beyond a plane: a sphere so wide that it looks flat.
+
+    The free length of a rod or strip begins at the plane, whatever the phase of the grid.
+
+    Args:
+        outwards: [3] unit vector into the held side.
+        reach: Largest distance of material from the axis [m].
+        point: [3] a point of the plane, on the object's axis [m].
+    """
+    radius = 1000.0 * reach
+    centre = np.asarray(point, dtype=float) + radius * np.asarray(outwards, dtype=float)
+    return Gripper.still(centre, radius=radius)
+
+
+def down(gravity: ArrayLike) -> NDArray[np.floating]:
+    """[W, 3] downwards, of sizes [W] [m/s^2]."""
+    return np.outer(gravity, (0.0, 0.0, -1.0))
+
+
+def across(cells: float) -> str:
+    """A resolution in words."""
+    return f"{cells:g} cell{'s' * (cells != 1)} across"
+
+
+def clamped_rope(
+    length: float, diameter: float, points: int, *, curvature: float = 0.0, angle: float = 0.0
+) -> tuple[Body, Gripper]:
+    """A rope whose first edge is held, at ``angle``, and whose rest begins at 0.
+
+    Args:
+        length: Of what is free [m].
+        diameter: [m].
+        points: Of the whole rope.
+        curvature: That is free of stress, upwards [1 / length].
+        angle: [rad].
+    """
+    back = length / (points - 2)
+    ds = length / 4000.0
+    theta = angle + curvature * (np.arange(4000) + 0.5) / 4000.0
+    along = np.array([math.cos(angle), 0.0, math.sin(angle)])
+    line = np.cumsum(ds * np.stack([np.cos(theta), 0.0 * theta, np.sin(theta)], axis=1), axis=0)
+    line = np.concatenate([[-back * along, [0.0, 0.0, 0.0]], line])
+    body = rope(diameter=diameter, centre_line=line, points=points)
+    return body, Gripper.still(-0.5 * back * along, radius=0.5 * back)
+
+
+def clamped_strip(
+    length: float,
+    width: float,
+    thickness: float,
+    points: tuple[int, int],
+    *,
+    axis: int = 0,
+    back: float | None = None,
+    **options: Any,
+) -> tuple[Body, Gripper]:
+    """A level cloth that is free from 0 along an axis on; a plane holds the rest.
+
+    Args:
+        length: Of what is free [m].
+        width, thickness: [m].
+        points: Along and across.
+        axis: 0 or 1.
+        back: Length of what is held (default: the distance of two points) [m].
+        options: Of ``cloth``.
+    """
+    back = length / (points[0] - 2) if back is None else back
+    size, number, corner = [length + back, width], list(points), [-back, -0.5 * width]
+    if axis == 1:
+        size, number, corner = size[::-1], number[::-1], corner[::-1]
+    body = cloth(
+        width=size[0], height=size[1], thickness=thickness, dx=0.02, corner=(*corner, 0.0),
+        points=(number[0], number[1]), **options,
+    )  # fmt: skip
+    return body, clamp_beyond(-np.eye(3)[axis])
+
+
+def circle(radius: float, sides: int = 256) -> NDArray[np.float64]:
+    """[sides, 2] a regular polygon with a circle's area [m]."""
+    angle = 2.0 * math.pi * np.arange(sides) / sides
+    area = 0.5 * sides * math.sin(2.0 * math.pi / sides)
+    return radius * math.sqrt(math.pi / area) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def block(size: ArrayLike, dx: float, *, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
+    """A solid rectangular block, particles half a cell apart and half of that from its faces.
+
+    Args:
+        size: [3] edges along x, y and z [m].
+        dx: Size of a grid cell [m].
+        centre: [3] [m].
+    """
+    edges = np.asarray(size, dtype=float)
+    count = np.maximum(2, np.round(edges / (dx / 2.0))).astype(int)
+    cells = np.argwhere(np.ones(count, dtype=bool))
+    local = (cells + 0.5) * (edges / count)
+    number = np.arange(len(cells)).reshape(count)
+    lattice = np.empty((len(cells), 3, 2), dtype=np.int32)
+    for axis in range(3):
+        for side, step in enumerate((-1, 1)):
+            beside = cells.copy()
+            beside[:, axis] = np.clip(beside[:, axis] + step, 0, count[axis] - 1)
+            lattice[:, axis, side] = number[tuple(beside.T)]
+    return Body(
+        kind="block", x=local - edges / 2.0 + np.asarray(centre, dtype=float),
+        material_coordinates=local, lattice=lattice, volume=float(np.prod(edges)) / len(cells),
+        dx=dx, thickness=float(edges[2]), section=1, contact_radius=0.0,
+    )  # fmt: skip
+
+
+def particle_rope(length: float, diameter: float, cells: float) -> tuple[Body, Gripper]:
+    """A rope that is free from x = 0 on; a plane holds three cells of it."""
+    back = 3.0 * diameter / cells
+    body = rope(
+        diameter=diameter, length=length + back, start=(-back, 0.0, 0.0), cells_across=cells
+    )
+    return body, clamp_beyond(reach=diameter)
+
+
+def stations(body: Body) -> NDArray[np.floating]:
+    """[S] distances of the cross sections from the body's first end [m]."""
+    return np.unique(body.material_coordinates[:, 0])
+
+
+def sections(values: NDArray[np.floating], body: Body) -> NDArray[np.floating]:
+    """Means [..., S, 3] over the cross sections of particle values [..., N, 3]."""
+    x = np.asarray(values, dtype=float)
+    # all bodies list their particles section by section
+    return x.reshape(*x.shape[:-2], len(stations(body)), -1, 3).mean(axis=-2)
+
+
+def end(values: NDArray[np.floating], body: Body) -> NDArray[np.floating]:
+    """[..., 3] where the axis ends: half a section's distance beyond the last section."""
+    last = sections(values, body)[..., -2:, :]
+    return 1.5 * last[..., 1, :] - 0.5 * last[..., 0, :]
