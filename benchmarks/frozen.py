@@ -349,9 +349,6 @@ SECTIONS: dict[str, Callable[[], Figures | None]] = {
     "gradients/rod-contact": partial(
         gradients, "coil", engine="thin", substep=1e-4, self_contact=True
     ),
-    "gradients/rod-implicit": partial(
-        gradients, "rope", engine="thin", integrator="implicit", substep=2e-3
-    ),
     "gradients/shell": partial(gradients, "cloth", engine="thin", substep=1e-4),
     "gradients/mpm": partial(gradients, "particles", engine="mpm", dtype="float64"),
     "validation/thin": partial(validation, "thin"),

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
-from gendom.arguments import require
 from gendom.errors import ParameterError, did_you_mean
 from gendom.files import read_json
 from gendom.progress import bar
@@ -105,15 +104,24 @@ def read_params(path: Path, *, force: bool) -> dict[str, Any]:
         GendomError: The file is missing, or no JSON.
         ParameterError: It is no estimate, or not usable.
     """
-    params, where = read_json(path), str(path)
-    what = f"has format {params.get('format')!r}, not {ESTIMATE_FORMAT!r}"
-    fix = "give a file written by gendom estimate"
-    require(params.get("format") == ESTIMATE_FORMAT, what, where=where, fix=fix)
+    params = read_json(path)
+    if params.get("format") != ESTIMATE_FORMAT:
+        raise ParameterError(
+            f"has format {params.get('format')!r}, not {ESTIMATE_FORMAT!r}",
+            where=str(path),
+            fix="give a file written by gendom estimate",
+        )
     verdict = params.get("verdict") or {}
-    usable, why = verdict.get("usable") is not False, ", ".join(verdict.get("reasons", ()))
-    fix = "record the object again, or add --force"
-    require(usable or force, f"is not usable: {why}", where=where, fix=fix)
-    what = f"holds no numbers, since nothing was estimated: {why}"
-    fix = "record the object again, or describe it by flags such as --E"
-    require(usable or not params.keys() <= {"format", "verdict"}, what, where=where, fix=fix)
+    if verdict.get("usable") is False and not force:
+        raise ParameterError(
+            f"is not usable: {', '.join(verdict.get('reasons', ()))}",
+            where=str(path),
+            fix="record the object again, or add --force",
+        )
+    if verdict.get("usable") is False and params.keys() <= {"format", "verdict"}:
+        raise ParameterError(
+            f"holds no numbers, since nothing was estimated: {', '.join(verdict['reasons'])}",
+            where=str(path),
+            fix="record the object again, or describe it by flags such as --E",
+        )
     return params

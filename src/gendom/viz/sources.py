@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from gendom.estimation import Estimate, Scene, Theta
     from gendom.reality import RealRope
     from gendom.reality.trials import Performance
+    from gendom.robot import Arm
     from gendom.tasks import Observed
     from gendom.viz import CloudSequence, EstimateSummary
 
@@ -82,11 +83,27 @@ def arm_poses(
     None where a free hand moves. `times` [T] [s] are the performance's own.
     """
     from gendom.robot import XARM7
-    from gendom.robot.shape import arm_shape
 
     if performance.motion is None:
         return None
-    shape = arm_shape(XARM7, performance.motion.at(times), thickness_of(performance.trial.item))
+    opening = thickness_of(performance.trial.item)
+    return arm_capsules(XARM7, performance.motion.at(times), opening, T_world_frame)
+
+
+def arm_capsules(
+    arm: Arm, q: NDArray[np.floating], opening: float, T_world_frame: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """[T, C, 2, 3] ends of an arm's capsules in a frame, and [C] their radii [m].
+
+    Args:
+        arm: The arm, whose base frame is the world.
+        q: [T, J] joint angles [rad].
+        opening: Between its fingers [m].
+        T_world_frame: [4, 4] pose of the frame.
+    """
+    from gendom.robot import arm_shape
+
+    shape = arm_shape(arm, q, opening)
     ends = np.stack([shape.start, shape.end], axis=-2)
     T = np.linalg.inv(T_world_frame)
     return ends @ T[:3, :3].T + T[:3, 3], shape.radius

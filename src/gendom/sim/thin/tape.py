@@ -161,7 +161,7 @@ class ThinTape:
         stiffer = own.prod(axis=1)
         by_stiffer = e.unstiffened(group, stiffer, found)
         self.model_bar[group] += found
-        closed = e.holds[group].any(axis=2)[:, :, None, None]
+        closed = np.asarray(e.holds[group].any(axis=2))[:, :, None, None]
         self.stiffer_bar[group] += np.where(closed, (by_stiffer * stiffer)[:, None] / own, 0.0)
 
     def _reverse_event(self, group: slice, event: Event) -> None:

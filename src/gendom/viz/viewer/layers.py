@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
-from gendom.robot import Arm, arm_shape
+from gendom.robot import Arm
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.viz.palette import INK, SIMULATED_COLOR
 from gendom.viz.report.summary import with_minus
+from gendom.viz.sources import arm_capsules
 
 ARM_COLOR = "#d0d0d0"
 
@@ -277,20 +278,9 @@ def gripper_layer(position: Array, size: float, axis: Array | None = None) -> Me
 
 
 def arm_layer(arm: Arm, q: Array, opening: float, T_world_frame: Array | None = None) -> MeshLayer:
-    """An arm as capsules.
-
-    Args:
-        arm: The arm, whose base frame is the world.
-        q: [T, J] joint angles [rad].
-        opening: Between its fingers [m].
-        T_world_frame: [4, 4] pose of the frame that is shown; None: the world.
-    """
-    shape = arm_shape(arm, q, opening)
-    ends = np.stack([shape.start, shape.end], axis=-2)
-    if T_world_frame is not None:
-        T = np.linalg.inv(T_world_frame)
-        ends = ends @ T[:3, :3].T + T[:3, 3]
-    vertices, faces = capsules(ends, shape.radius)
+    """An arm as capsules; arguments as of `arm_capsules`, where None is the world's frame."""
+    pose = np.eye(4) if T_world_frame is None else T_world_frame
+    vertices, faces = capsules(*arm_capsules(arm, q, opening, pose))
     return MeshLayer(name="arm", color=ARM_COLOR, vertices=vertices, faces=faces, framed=False)
 
 
