@@ -257,7 +257,7 @@ def rod_elastica(bench: Bench) -> list[Row]:
         gravity=down(ratios**3 * unit_gravity(STIFF, k, SPAN)),
     )  # fmt: skip
     for ratio, tip in zip(ratios, x[:, -1, [0, 2]] / SPAN, strict=True):
-        far = np.linalg.norm(tip - heavy_elastica(ratio)(1.0))
+        far = float(np.linalg.norm(tip - heavy_elastica(ratio)(1.0)))
         name = f"tip's distance from the elastica / L, {ratio:g} bending lengths, {points} points"
         rows.append(vanishing(name, far, 0.003, ELASTICA))
     return rows

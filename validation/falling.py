@@ -26,11 +26,12 @@ def falls(bench: Bench) -> list[Row]:
     """A rope that falls level, and a sheet of the MPM that falls flat, until they are as fast as
     they get."""
     soft, rows = Material(E=2.0e4, nu=0.3, density=200.0), []
-    size = {"length": 0.04, "cells_across": 1.5} if bench.engine == "mpm" else {"length": 0.2}
+    string = rope(diameter=0.005, length=0.2)
     if bench.engine == "mpm":
+        string = rope(diameter=0.005, length=0.04, cells_across=1.5)
         sheet = cloth(width=0.04, height=0.04, thickness=0.001, dx=0.01)
         rows.append(terminal_speed(bench, sheet, soft, "a sheet's"))
-    return [*rows, terminal_speed(bench, rope(diameter=0.005, **size), soft, "a level rope's")]
+    return [*rows, terminal_speed(bench, string, soft, "a level rope's")]
 
 
 def terminal_speed(bench: Bench, body: Body, material: Material, whose: str) -> Row:

@@ -72,7 +72,7 @@ def sticking(bench: Bench) -> list[Row]:
     return rows
 
 
-def _tilted(mu: float, shares: NDArray[np.floating]) -> NDArray[np.float64]:
+def _tilted(mu: float, shares: NDArray[np.floating]) -> NDArray[np.floating]:
     """[W, 3] gravity on slopes of these shares of the angle of friction [m/s^2]."""
     angle = shares * math.atan(mu)
     return G * np.stack([np.sin(angle), 0.0 * angle, -np.cos(angle)], axis=1)
@@ -179,8 +179,8 @@ def layers(bench: Bench, kind: str) -> list[Row]:
     if kind == "rope":
         body = rope(diameter=thickness, length=length, points=n)
     else:
-        size = {"width": length, "height": 4 * SPACING, "thickness": thickness}
-        body = cloth(dx=0.01, points=(n, rows), **size)
+        height, points = 4 * SPACING, (n, rows)
+        body = cloth(width=length, height=height, thickness=thickness, dx=0.01, points=points)
     x = body.points.reshape(rows, n, 3).copy()
     x[..., [0, 2]] = line
     v = np.zeros((4, rows, n, 3))

@@ -33,7 +33,7 @@ def clamp_beyond(
 
 def down(gravity: ArrayLike) -> NDArray[np.floating]:
     """[W, 3] downwards, of sizes [W] [m/s^2]."""
-    return np.outer(gravity, (0.0, 0.0, -1.0))
+    return np.outer(np.asarray(gravity, dtype=float), (0.0, 0.0, -1.0))
 
 
 def across(cells: float) -> str:

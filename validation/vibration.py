@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -202,7 +203,7 @@ def hanging(bench: Bench) -> list[Row]:
     cells, points = (1.0, 33) if bench.quick else (1.5, 65)
     size = across(cells) if particles else f"{points} points"
     back = 3.0 * d / cells if particles else 0.05 * L
-    count = {"cells_across": cells} if particles else {"points": points}
+    count: dict[str, Any] = {"cells_across": cells} if particles else {"points": points}
     start = (0.0, 0.0, back if particles else 0.0)
     body = rope(diameter=d, length=L + back, start=start, direction=(0.0, 0.0, -1.0), **count)
     x = (body.x if particles else body.points).copy()
