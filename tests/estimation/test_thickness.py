@@ -9,7 +9,6 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.estimation import EstimateSettings, LiftScene, NoiseModel, Problem, estimate, replay
-from gendom.estimation.result import bending_stiffness
 
 RATIO = 1.1
 """True over stated diameter."""
@@ -18,6 +17,12 @@ UNKNOWNS = ("E_over_rho", "thickness", "grip_height", "grip_along", "delay")
 
 EXACT = NoiseModel(sensor=1e-4, least_sensor=1e-5, shift=1e-5, turn=1e-5, skin=1e-6)
 """Of clouds without noise, of cameras without errors."""
+
+
+def bending_stiffness(scene, theta):
+    """E I of a rope's section [N m^2]."""
+    h = theta.thickness * scene.body.thickness
+    return theta.E_over_rho * scene.density_of(theta) * math.pi * h**4 / 64.0
 
 
 def stated(recording, share=1.0, **changes):

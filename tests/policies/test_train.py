@@ -347,7 +347,7 @@ def test_divergence_is_told(tmp_path):
     ("settings", "text"),
     [
         ({"method": "magic"}, "choose from distal, inverse, quantile"),
-        ({"conditioned_on": ("mass",)}, "choose from E, nu, damping"),
+        ({"conditioned_on": ("mass",)}, "choose from bending_ratio, nu, damping"),
         ({"architecture": "huge"}, "choose from smooth, paper"),
         ({"epochs": 0}, "epochs must be positive"),
         ({"validation_share": 1.0}, "validation_share must lie between"),
