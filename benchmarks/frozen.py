@@ -249,6 +249,7 @@ def gradients(kind: str, **settings: Any) -> Figures:
     below = values["positions"][:, 2].min() - 0.0065
     table = Table(height=float(below), friction=0.3)
     times = [0.01, 0.02, 0.03] if kind == "particles" else [0.01, 0.03, 0.05, 0.06]
+    own: Any
     try:
         own = grouped(**settings)
     except ImportError:  # 0.1.0

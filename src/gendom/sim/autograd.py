@@ -160,6 +160,7 @@ class _Simulation(torch.autograd.Function):
             if table is None:
                 raise ParameterError("friction without a table: pass table=Table(height=...)")
             table = replace(table, friction=v["friction"])
+        more: dict[str, Any] = {n: v[n] for n in _OF_SIMULATOR if n in v}
         simulator = Simulator(
             replace(body, **own),
             materials,
@@ -167,7 +168,7 @@ class _Simulation(torch.autograd.Function):
             table=table,
             physics=replace(physics, **{n: v[n] for n in _OF_PHYSICS if n in v}),
             solver=replace(solver, dtype=solver.dtype or "float64"),
-            **{n: v[n] for n in _OF_SIMULATOR if n in v},
+            **more,
         )
         if "velocities" in v:
             simulator.set_velocities(v["velocities"])
