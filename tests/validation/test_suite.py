@@ -125,7 +125,7 @@ in_short_substeps, in_odd_substeps = options(lambda o: {"cfl": 0.2}), options(od
 rubbing_more = options(lambda o: {"self_friction": 1.2 * np.asarray(o["self_friction"])})
 rubbing_less = options(lambda o: {"self_friction": 0.8 * np.asarray(o["self_friction"])})
 rougher, slippery, on_a_high_table = table(friction=1.2), table(friction=0.8), table(height=0.002)
-slipping, lifted = moving(-1e-4 / 9.0, 9.0), moving(0.1, 1.0)
+lifted = moving(0.1, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -135,86 +135,42 @@ slipping, lifted = moving(-1e-4 / 9.0, 9.0), moving(0.1, 1.0)
         for name, change, *quantities in (
             ("free-fall", heavier, "worst particle's distance from its path, over the path"),
             ("free-fall", damped, "worst particle's velocity beside v0 + g t, over |g| t"),
-            ("free-flight", heavier, "linear momentum beside P0 + M g t"),
             ("free-flight", damped, "change of angular momentum", "angle turned"),
             ("objectivity", always_down, "largest difference after 90 degrees about x, over the"),
-            ("cantilever", stiffer, "sag of the tip, 2 cells across"),
             ("elastica", stiffer, "largest distance from the elastica / L, L = 2 bending lengths"),
-            ("grip", stiffer,
-                "least sag at 2 phases of the grid, 1 cell", "largest sag at 2 phases"),
-            ("grip", slipping, "creep between 2 and 3 s over the sag, 1.5 cells across"),
             ("torsion", stiffer, "torsional stiffness, 1 cell", "torsional stiffness, 2"),
             ("ring-down", undamped, "decay rate, damping 10 ms"),
-            ("ring-down", stiffer, "frequency, damping 10 ms"),
             ("ring-down", in_short_substeps, "the grid's own damping, 1.5 cells across"),
             ("damped-sag", stiffer_where_damped, "sag of a tip with damping 10 ms"),
             ("terminal-speed", without_air, "a sheet's terminal speed"),
-            ("terminal-speed", heavier, "a level rope's terminal speed"),
             ("resting", on_a_high_table,
                 "height of a rope's axis", "height of the middle of a cloth"),
-            ("layers", damped, "share of the speed left after 0.1 s at a gap of 3 cells"),
             ("layers", braked, "share of the speed left after 0.1 s at a gap of 2 cells"),
-            ("axial-vibration", stiffer, "first axial frequency, 2 cells across"),
-            ("tension", stiffer, "E read back, 2 cells across"),
             ("tension", more_lateral, "nu read back, 2 cells across"),
             ("hanging-chain", heavier, "period of a chain", "period with bending"),
             ("sliding", rougher, "stopping distance at mu = 0.2"),
-            ("sticking", rougher,
-                "acceleration of a block at 1.1", "acceleration of a rope",
-                "acceleration of a cloth"),
             ("sticking", slippery,
                 "way of a block in 0.5 s at 0.95", "way of a rope", "way of a cloth"),
-            ("order", heavier, "order in dt, fall of a block"),
-            ("order", stiffer, "order in dx with dt / dx fixed"),
             ("order", in_odd_substeps, "exponent of dt in what halved substeps change"),
             ("energy", heavier,
                 "growth of energy, free fall of a wobbling block",
                 "growth of energy, free fall of a bent rope, 1 cell across"),
-            ("energy", lifted, "growth of energy, swinging rope, 1 cell across"),
             ("batch", crowded, "largest difference of a batch of 5 from single worlds"),
             ("precision", stiffer_in_single, "largest difference of float32 from float64"),
-            ("rod-cantilever", heavier, "sag of rods over theory"),
             ("shell-cantilever", heavier, "sag of strips over theory"),
-            ("shell-lateral", heavier, "critical weight of a standing strip"),
-            ("rod-bend-twist", softer_in_torsion, "weight at which a curl of 5 rad"),
-            ("rod-stick-slip", rougher, "H / V where tips slip over mu"),
             ("rod-ring", softer_in_torsion, "critical twist of a ring"),
             ("rod-order", stiffer,
                 "order of a rope's sag, from 1", "order of a rope's sag, from 3"),
-            ("rod-batch", crowded, "largest difference of a batch of 5 ropes"),
-            ("rod-falls", heavier, "a level rope's terminal speed"),
             ("rod-swing", lifted, "growth of the mean energy in 40 s, a swinging rope"),
-            ("rod-graded", stiffer,
-                "sag over theory of a rope ten times as stiff",
-                "sag over theory of a rope ten times as soft"),
             ("rod-layers", rubbing_more, "deceleration of", "stopping distance of"),
-            ("rod-layers", rubbing_less,
-                "acceleration of a rope's layer on another at 0.95",
-                "acceleration of a rope's layer on another at 1.25"),
-            ("shell-precision", stiffer_in_single,
-                "root mean square difference of float32", "largest difference of float32"),
-            ("shell-order", stiffer,
-                "order of a strip's sag, from 1", "order of a strip's sag, from 3"),
-            ("shell-batch", crowded, "largest difference of a batch of 5 cloths"),
-            ("shell-swing", lifted,
-                "growth of the mean energy in 20 s, a swinging sheet, half",
-                "growth of the mean energy in 20 s, a swinging sheet, the def"),
-            ("shell-layers", rubbing_more, "deceleration of", "stopping distance of"),
             ("shell-layers", rubbing_less,
                 "acceleration of a cloth's layer on another at 0.95",
                 "acceleration of a cloth's layer on another at 1.25"),
-            ("shell-plates", more_lateral, "curvature across over that along a bent strip"),
-            ("shell-plates", heavier,
-                "sag over theory of a square held at its corners, in the",
-                "sag over theory of a square held at its corners, halfway"),
-            ("shell-weave", heavier,
-                "sag over theory of a level strip along the warp",
-                "sag over theory of a level strip along the weft"),
         )
     ],
 )  # fmt: skip
 def test_a_wrong_simulator_fails(name, change, quantities):
-    """Each row notices what it is there for."""
+    """One of each kind of fault is noticed by rows that are there for it."""
     short = failing(name, Misled(quick=True, threads=1, change=change))
     assert [q for q in quantities if not any(one.startswith(q) for one in short)] == []
 
