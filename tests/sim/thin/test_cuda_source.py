@@ -7,8 +7,15 @@ from gendom.sim.device import open_device
 from gendom.sim.thin.step import make_kernels
 
 
-@pytest.mark.parametrize("real", [wp.float32, wp.float64], ids=["float32", "float64"])
-@pytest.mark.parametrize("kind", ["rod", "shell"])
+@pytest.mark.parametrize(
+    ("kind", "real"),
+    [
+        pytest.param("rod", wp.float64, id="rod-float64"),
+        pytest.param("shell", wp.float32, id="shell-float32"),
+        pytest.param("rod", wp.float32, id="rod-float32", marks=pytest.mark.slow),
+        pytest.param("shell", wp.float64, id="shell-float64", marks=pytest.mark.slow),
+    ],
+)
 def test_kernels_compile_for_cuda(kind, real, tmp_path):
     open_device("cpu")
     steps = make_kernels(real, kind)
