@@ -178,7 +178,12 @@ def test_grippers_as_arrays(name, value):
         assert named(name, refused(Grippers, arrays=arrays))
 
 
-@cases({"height": ["low", RAGGED, [0.0, 1.0]], "friction": ["rough", RAGGED, np.ones((2, 2))]})
+@cases(
+    {
+        "height": ["low", RAGGED, [0.0, 1.0], nan],
+        "friction": ["rough", RAGGED, np.ones((2, 2)), -0.3, [0.1, nan]],
+    }
+)
 def test_tables(name, value):
     assert named(name, refused(Table, **{"height": 0.0, name: value}))
 
@@ -194,16 +199,17 @@ def test_tables(name, value):
         "table": [3, 0.0],
         "self_contact": ["yes", 1],
         "self_friction": ["rough", RAGGED, np.ones((2, 2))],
-        "gravity": ["down", RAGGED, np.ones((3, 7))],
-        "velocity_damping": ["some", RAGGED],
-        "air_density": ["thin", RAGGED],
+        "gravity": ["down", RAGGED, np.ones((3, 7)), (0.0, -9.81), (0.0, 0.0, nan)],
+        "velocity_damping": ["some", RAGGED, -1.0, [1.0, 2.0]],
+        "air_density": ["thin", RAGGED, -1.0],
         "stiffness": ["stiff", RAGGED],
         "positions": ["there", RAGGED, np.zeros((5, 3)), np.zeros((31, 2)), np.full((31, 3), nan)],
-        "start_time": ["now", [0.0, 1.0]],
-        "substep": ["short", [1e-4]],
-        "cfl": ["half", [0.5]],
-        "threads": ["all", 1.5, nan],
+        "start_time": ["now", [0.0, 1.0], nan],
+        "substep": ["short", [1e-4], -1e-3, 0.0],
+        "cfl": ["half", [0.5], 0.0],
+        "threads": ["all", 1.5, nan, 0],
         "device": [3],
+        "dtype": ["float16"],
     }
 )
 @pytest.mark.parametrize("engine", ["thin", "mpm"])
@@ -242,8 +248,8 @@ def test_devices():
 
 @cases(
     {
-        "times": ["soon", RAGGED, None, np.zeros((1, 1))],
-        "particles": ["tip", [0.5, 1.5], [-1], 3, [True, False]],
+        "times": ["soon", RAGGED, None, np.zeros((1, 1)), [], [0.2, 0.1], [-0.1], [0.1, nan]],
+        "particles": ["tip", [0.5, 1.5], [-1], 3, [True, False], [10**6]],
         "on_frame": [3],
         "keep_going": ["yes"],
     }
@@ -254,7 +260,7 @@ def test_runs(name, value):
     assert s.time == 0.0
 
 
-@cases({"v": ["fast", RAGGED, (nan, 0.0, 0.0)], "affine": ["spin", RAGGED, nan]})
+@cases({"v": ["fast", RAGGED, (nan, 0.0, 0.0), np.zeros((7, 3))], "affine": ["spin", RAGGED, nan]})
 @pytest.mark.parametrize("engine", ["thin", "mpm"])
 def test_velocities(engine, name, value):
     s = Simulator(ROPE, [MATERIAL], solver=Solver(engine=engine))
