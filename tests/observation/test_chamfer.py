@@ -27,11 +27,6 @@ def test_chamfer_matches_brute_force():
     assert chamfer(a, a) == 0.0
 
 
-def test_chamfer_of_two_points():
-    """Two single points 3 m apart: 3 + 3."""
-    assert chamfer([[0, 0, 0]], [[1.0, 2.0, 2.0]]) == pytest.approx(6.0)
-
-
 def test_only_points_that_could_be_shown_count_from_b():
     """``of_b`` limits the mean from B to A; from A to B every point of B may be the nearest."""
     a, b = clouds()

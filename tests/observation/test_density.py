@@ -51,13 +51,6 @@ def test_density_has_the_clouds_mean():
         assert variance == pytest.approx(p[:, axis].var() + GRID.cell**2 / 4.0)
 
 
-def test_number_of_points_does_not_matter():
-    """Each point ten times over is the same density."""
-    p = cloud(50)
-    assert np.allclose(GRID.splat(p), GRID.splat(np.repeat(p, 10, axis=0)), atol=1e-12)
-    assert density_distance(GRID, p, np.repeat(p, 3, axis=0)) == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_shift_by_a_cell_shifts_the_grid(axis):
     """A cloud moved by one cell has the same density one node further."""

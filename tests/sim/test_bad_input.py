@@ -58,9 +58,9 @@ def cases(table):
 
 @cases(
     {
-        "diameter": ["thick", [0.01, 0.02], None],
-        "length": ["long", RAGGED],
-        "cells_across": ["two", [2.0]],
+        "diameter": ["thick", [0.01, 0.02], None, 0.0],
+        "length": ["long", RAGGED, -0.1, nan],
+        "cells_across": ["two", [2.0], 0.0, 0.3, 20.0],
         "points": ["many", 25.5, nan, [25, 25], 10**9],
         "start": [
             "here",
@@ -71,13 +71,15 @@ def cases(table):
             None,
             ("0", "0", "0"),
         ],
-        "direction": ["up", RAGGED, (0.0, 1.0), (nan, 0.0, 0.0), (0.0, inf, 0.0), None],
+        "direction": ["up", RAGGED, (0.0, 1.0), (nan, 0.0, 0.0), (0.0, inf, 0.0), None, (0, 0, 0)],
         "centre_line": [
             "curved",
             RAGGED,
             [0.0, 1.0],
             [[0, 0, 0], [nan, 0, 0]],
             [[0, 0, 0], [1, 0]],
+            [[0, 0, 0]],
+            [[0, 0], [1, 0]],
         ],
     }
 )
@@ -87,11 +89,11 @@ def test_ropes(name, value):
 
 @cases(
     {
-        "width": ["wide", RAGGED],
+        "width": ["wide", RAGGED, 0.0],
         "height": ["high", RAGGED],
-        "thickness": ["thick", RAGGED],
-        "dx": ["fine", [0.01]],
-        "points": ["many", 8, (8, 8, 8), (8.5, 8), ("8", "8"), (8, 1)],
+        "thickness": ["thick", RAGGED, inf],
+        "dx": ["fine", [0.01], 0.0],
+        "points": ["many", 8, (8, 8, 8), (8.5, 8), ("8", "8"), (8, 1), (1, 5)],
         "weave": ["twill", 3],
         "corner": ["here", RAGGED, 3.0, (0.0, nan, 0.0)],
         "yaw": ["left", inf, nan, [0.0]],
@@ -102,7 +104,7 @@ def test_cloths(name, value):
     assert named(name, refused(cloth, **{**sizes, name: value}))
 
 
-@cases({name: ["stiff", RAGGED] for name in ("warp", "weft", "shear")})
+@cases({name: ["stiff", RAGGED, 0.0] for name in ("warp", "weft", "shear")})
 def test_weaves(name, value):
     assert named(name, refused(Weave, **{name: value}))
 

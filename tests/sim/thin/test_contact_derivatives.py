@@ -302,9 +302,3 @@ def test_worlds_do_not_see_each_others_contacts():
             np.testing.assert_allclose(
                 getattr(together[1], name)[k], values[0], rtol=1e-12, atol=1e-20, err_msg=name
             )
-
-
-def test_without_contact_self_friction_does_not_matter():
-    rollout = Rollout(simulator(ROPE, given(ROPE, 0.2), self_contact=False))
-    x = rollout.forward(TIMES)
-    np.testing.assert_array_equal(rollout.backward(np.ones_like(x)).self_friction, 0.0)

@@ -249,16 +249,6 @@ def test_a_tongue_goes_through_a_slit():
         check_cloth(beside, ShellModel.of(body))
 
 
-def test_float32_is_close_to_float64():
-    body = cloth(outline=SHIRT, points=(14, 12), **SHEET)
-    hand = Gripper(time=[0, 1], position=[(0, 0.12, 0), (0, 0.12, 0.1)], radius=0.03)
-    found = [
-        Simulator(body, [MATERIAL], grippers=[hand], solver=Solver(dtype=dtype)).run([0.1])
-        for dtype in ("float64", "float32")
-    ]
-    np.testing.assert_allclose(found[0], found[1], atol=1e-4)
-
-
 # ---- grippers ------------------------------------------------------------------------------------
 
 

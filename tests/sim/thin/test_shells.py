@@ -100,10 +100,3 @@ def test_a_sharp_bend_about_the_diagonal_is_no_shear(diagonal):
         s.run([t])
         most = max(most, 0.5 * float(mass @ np.sum(s.velocities()[0].astype(float) ** 2, axis=1)))
     assert 0.05 * bending < most < bending
-
-
-def test_bad_input_is_named():
-    with pytest.raises(ParameterError, match="warp must be positive"):
-        Weave(warp=0.0)
-    with pytest.raises(ParameterError, match="points must be at least 2"):
-        cloth(**SIZES, points=(1, 5))
