@@ -166,13 +166,10 @@ class Tape:
         recording = segment.recording
         if recording is None:
             recording = spare = self._record(group, segment, segment.substeps, spare)
-        nodes = (group.shared, recording.grid.momentum.shape[1])
+        recording.grid.velocity_bar = wp.empty_like(recording.grid.velocity)
         program.launch(make_reverse(program.variant), group.order, [
-            group.shared, *segment.arrays(s, self._plan), s.matter, s.conditions, s.paths,
-            s.grips, recording.grid.layouts, recording.grid.momentum, recording.tape,
-            wp.empty(nodes, dtype=s.types.vec4, device=s.device),
-            wp.empty(nodes, dtype=s.types.vec4, device=s.device), s.touched, sums.adjoint,
-            program.gripped, sums.state, sums.conditions,
+            group.shared, *segment.arrays(s, self._plan), s.model, s.paths, s.grips,
+            recording.grid, recording.tape, sums.adjoint, sums.state, sums.conditions,
         ])  # fmt: skip
         segment.recording = None
         sums.check(group, segment, recording, self._plan)
@@ -270,7 +267,7 @@ class Recording:
         if not s.device.is_cuda:
             make = Pages(n * substeps * self._bytes(program)).take
         self.grid = s.make_grid(layouts * n, rows=substeps * n, make=make)
-        self.velocity = wp.zeros((n, s.room[2]), dtype=s.types.vec4, device=s.device)
+        self.grid.velocity = wp.zeros((n, s.room[2]), dtype=s.types.vec4, device=s.device)
         rows = substeps * n
         if variant.rows:
             shapes: dict[str, Any] = dict.fromkeys(("x", "v", "C", "q"), (rows, N))
@@ -353,6 +350,7 @@ class Sums:
             **dict.fromkeys(by_world, W),
             **dict.fromkeys(("position", "turn"), (W, G, K)),
             radius=(W, G),
+            touched=(W, N // s.setting.body.section),
             **dict.fromkeys(("weight", "place"), (W, G, N)),
             **dict.fromkeys(("centre", "rotation", "velocity", "spin"), s.grips.closed.shape),
         )
