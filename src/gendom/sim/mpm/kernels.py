@@ -300,7 +300,9 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
                         loading.unload(particles, w, i, moving.particle(particles, w, i), last_good)
                     steps = plan.steps[frame, w]
                     dt = frame_substep(frame, w, plan)
-                    now = beginning.set_length(now, dt, model)
+                    # not by a function: a struct that is assigned whole does not stay in registers
+                    now.h = real(dt)
+                    now.keep_velocity = wp.exp(-model.velocity_damping[w] * now.h)
             t = plan.time[frame] + wp.float64(step) * dt
         block.sync()
         unload_all(now, state, particles)
@@ -491,18 +493,11 @@ def make_reverse(variant: Variant) -> Any:
 
 @functools.cache
 def _make_beginning(real: Any) -> Namespace:
-    """Build ``begin``, what a substep of a world is but for its number; ``set_length`` where a
-    frame begins; and ``close_rates``."""
+    """Build ``begin``, what substeps of one length have in common, and ``close_rates``."""
     types = make_types(real)
     Substep = types.Substep
     Model, ConditionsAdjoint = types.Model, types.ConditionsAdjoint
     branch_adjoint = make_maxwell_branch(real).branch_adjoint
-
-    @wp.func
-    def set_length(now: Substep, dt: wp.float64, model: Model):
-        now.h = real(dt)
-        now.keep_velocity = wp.exp(-model.velocity_damping[now.w] * now.h)
-        return now
 
     @wp.func
     def begin(w: int, thread: int, threads: int, N: int, dt: wp.float64, model: Model):
@@ -515,7 +510,9 @@ def _make_beginning(real: Any) -> Namespace:
         now.gravity = model.gravity[w]
         now.dx = model.dx
         now.inv_dx = real(1.0) / model.dx
-        return set_length(now, dt, model)
+        now.h = real(dt)
+        now.keep_velocity = wp.exp(-model.velocity_damping[w] * now.h)
+        return now
 
     @wp.func
     def close_rates(w: int, dt: wp.float64, model: Model, by: ConditionsAdjoint):
@@ -531,7 +528,7 @@ def _make_beginning(real: Any) -> Namespace:
         by.branch_factor[w] = wp.float64(0.0)
         by.branch_share[w] = wp.float64(0.0)
 
-    return Namespace(begin, set_length, close_rates)
+    return Namespace(begin, close_rates)
 
 
 @functools.cache
