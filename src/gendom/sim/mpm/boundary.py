@@ -68,24 +68,36 @@ def grip_constants(body: Body) -> tuple[float, float]:
 
 @functools.cache
 def make_boundary(variant: Variant) -> Namespace:
-    """Build what acts on particles, for one way to store them.
+    """Build what acts on particles and its transposes, for one way to store them.
 
     Returns:
         Namespace with ``contact`` (of a section's mean position and velocity), ``near_table``,
         ``modulus_of``, ``spring``, ``follow`` (a held particle) and ``grasp`` (grippers that open
-        and close).
+        and close); ``wide`` (to float64); and ``contact_adjoint``, ``follow_adjoint``,
+        ``turned_adjoint`` and ``driven_adjoint`` (of a held particle) and ``grasp_adjoint``.
     """
     real = variant.real
     types = make_types(real)
-    vec3 = types.vec3
+    vec3, mat33 = types.vec3, types.mat33
     Model, Paths, Grips = types.Model, types.Paths, types.Grips
-    Substep = types.Substep
-    stored = make_moving(variant)
+    Substep, ConditionsAdjoint = types.Substep, types.ConditionsAdjoint
+    stored, taped, adjoint_of = make_moving(variant), make_taped(variant), make_adjoint(variant)
     Stored, x_of = stored.Struct, stored.x_of
+    Tape, Adjoint, taped_x_of = taped.Struct, adjoint_of.Struct, taped.x_of
+    fields, place = adjoint_of.fields, adjoint_of.place
     paths_of = make_paths(real)
     hold_on = make_grips(real).hold_on
-    pushed = _pushed(real)
     section_centre = _section_centre(variant, taped=False)
+    taped_section_centre = _section_centre(variant, taped=True)
+
+    @wp.func
+    def pushed(gap: real, outwards: real, dt: real):
+        """Velocity that the table gives to what is at a height ``gap`` and would move away at
+        ``outwards``."""
+        given = real(0.0)
+        if gap < real(0.0):
+            given = wp.max(real(0.0), real(-SPRING) / dt * gap - real(DASHPOT) * outwards)
+        return given
 
     @wp.func
     def contact(now: Substep, x: vec3, u: vec3, model: Model):
@@ -188,89 +200,6 @@ def make_boundary(variant: Variant) -> Namespace:
                 hold_on(now.w, g, real(0.0), grips)
         return empty
 
-    return Namespace(contact, near_table, modulus_of, spring, follow, grasp)
-
-
-@functools.cache
-def make_grips(real: Any) -> Namespace:
-    """Build ``hold_on`` and ``hold_as_at``, which set what grippers hold, for one scalar type."""
-    Grips = make_types(real).Grips
-
-    @wp.func
-    def hold_on(w: int, g: int, share: real, grips: Grips):
-        """Let gripper g hold its particles again (share 1) or not (0)."""
-        for n in range(grips.count[w, g]):
-            p = grips.particle[w, g, n]
-            grips.free[w, p] = real(1.0) - share * grips.weight[w, g, n]
-            grips.held_by[w, p] = g * grips.held_by.shape[1] + n
-
-    @wp.func
-    def hold_as_at(w: int, age: int, grips: Grips):
-        """Hold what was held before substep ``age`` began."""
-        for g in range(grips.since.shape[1]):
-            hold_on(w, g, real(0.0), grips)
-        for g in range(grips.since.shape[1]):
-            since = grips.since[w, g]
-            until = grips.until[w, g]
-            if since >= 0 and since < age and (until < 0 or until >= age):
-                hold_on(w, g, real(1.0), grips)
-
-    return Namespace(hold_on, hold_as_at)
-
-
-def _section_centre(variant: Variant, *, taped: bool) -> Any:
-    types = make_types(variant.real)
-    real, vec3, Model = types.real, types.vec3, types.Model
-    stored = make_taped(variant) if taped else make_moving(variant)
-    Stored, x_of = stored.Struct, stored.x_of
-
-    @wp.func
-    def section_centre(row: int, p: int, model: Model, particles: Stored):
-        first = p - p % model.section
-        x = vec3()
-        for n in range(model.section):
-            x += x_of(particles, row, first + n)
-        return x / real(model.section)
-
-    return section_centre
-
-
-@functools.cache
-def _pushed(real: Any) -> Any:
-    @wp.func
-    def pushed(gap: real, outwards: real, dt: real):
-        """Velocity that the table gives to what is at a height ``gap`` and would move away at
-        ``outwards``."""
-        given = real(0.0)
-        if gap < real(0.0):
-            given = wp.max(real(0.0), real(-SPRING) / dt * gap - real(DASHPOT) * outwards)
-        return given
-
-    return pushed
-
-
-@functools.cache
-def make_boundary_adjoint(variant: Variant) -> Namespace:
-    """Build the transposes for one way to store particles.
-
-    Returns:
-        Namespace with ``wide`` (to float64), ``contact_adjoint`` (of a section's mean motion),
-        ``follow_adjoint``, ``turned_adjoint`` and ``driven_adjoint`` (of a held particle) and
-        ``grasp_adjoint``.
-    """
-    real = variant.real
-    types = make_types(real)
-    vec3, mat33 = types.vec3, types.mat33
-    Model, Paths, Grips = types.Model, types.Paths, types.Grips
-    Substep = types.Substep
-    ConditionsAdjoint = types.ConditionsAdjoint
-    taped, adjoint_of = make_taped(variant), make_adjoint(variant)
-    Tape, Adjoint, x_of = taped.Struct, adjoint_of.Struct, taped.x_of
-    fields, place = adjoint_of.fields, adjoint_of.place
-    boundary = make_boundary(variant)
-    section_centre, pushed = _section_centre(variant, taped=True), _pushed(real)
-    paths_of, hold_on = make_paths(real), make_grips(real).hold_on
-
     @wp.func
     def add_x(adjoint: Adjoint, w: int, p: int, value: vec3):
         i = place(adjoint, w, p)
@@ -340,8 +269,8 @@ def make_boundary_adjoint(variant: Variant) -> Namespace:
 
         Returns derivatives by lam and mass, and those of ``follow_adjoint``.
         """
-        b, slope = boundary.spring(now, modulus, model)
-        v, _spin, by_b = boundary.follow(now, g, grips.place[now.w, g, n], x, b, grips)
+        b, slope = spring(now, modulus, model)
+        v, _spin, by_b = follow(now, g, grips.place[now.w, g, n], x, b, grips)
         b_bar = f * wp.dot(w_bar, by_b)
         mass_bar = real(0.0)
         if slope > real(0.0):
@@ -369,12 +298,12 @@ def make_boundary_adjoint(variant: Variant) -> Namespace:
             back = R * by.place[now.w, g, n]
             add_x(adjoint, now.w, p, back)
             centre_bar -= wide(back)
-            R_bar -= wide(wp.cross(x_of(tape, now.slot, p) - c, back))
+            R_bar -= wide(wp.cross(taped_x_of(tape, now.slot, p) - c, back))
             f = grips.weight[now.w, g, n]
             if f < real(1.0):
                 f_bar = by.weight[now.w, g, n] / spacing
                 by.radius[now.w, g] = by.radius[now.w, g] + wp.float64(f_bar)
-                outwards = -f_bar * wp.normalize(section_centre(now.slot, p, model, tape) - c)
+                outwards = -f_bar * wp.normalize(taped_section_centre(now.slot, p, model, tape) - c)
                 centre_bar -= wide(outwards)
                 first = p - p % model.section
                 for q in range(first, first + model.section):
@@ -397,5 +326,50 @@ def make_boundary_adjoint(variant: Variant) -> Namespace:
                 hold_on(now.w, g, real(0.0), grips)
 
     return Namespace(
-        wide, contact_adjoint, follow_adjoint, turned_adjoint, driven_adjoint, grasp_adjoint
-    )
+        contact, near_table, modulus_of, spring, follow, grasp,
+        wide, contact_adjoint, follow_adjoint, turned_adjoint, driven_adjoint, grasp_adjoint,
+    )  # fmt: skip
+
+
+@functools.cache
+def make_grips(real: Any) -> Namespace:
+    """Build ``hold_on`` and ``hold_as_at``, which set what grippers hold, for one scalar type."""
+    Grips = make_types(real).Grips
+
+    @wp.func
+    def hold_on(w: int, g: int, share: real, grips: Grips):
+        """Let gripper g hold its particles again (share 1) or not (0)."""
+        for n in range(grips.count[w, g]):
+            p = grips.particle[w, g, n]
+            grips.free[w, p] = real(1.0) - share * grips.weight[w, g, n]
+            grips.held_by[w, p] = g * grips.held_by.shape[1] + n
+
+    @wp.func
+    def hold_as_at(w: int, age: int, grips: Grips):
+        """Hold what was held before substep ``age`` began."""
+        for g in range(grips.since.shape[1]):
+            hold_on(w, g, real(0.0), grips)
+        for g in range(grips.since.shape[1]):
+            since = grips.since[w, g]
+            until = grips.until[w, g]
+            if since >= 0 and since < age and (until < 0 or until >= age):
+                hold_on(w, g, real(1.0), grips)
+
+    return Namespace(hold_on, hold_as_at)
+
+
+def _section_centre(variant: Variant, *, taped: bool) -> Any:
+    types = make_types(variant.real)
+    real, vec3, Model = types.real, types.vec3, types.Model
+    stored = make_taped(variant) if taped else make_moving(variant)
+    Stored, x_of = stored.Struct, stored.x_of
+
+    @wp.func
+    def section_centre(row: int, p: int, model: Model, particles: Stored):
+        first = p - p % model.section
+        x = vec3()
+        for n in range(model.section):
+            x += x_of(particles, row, first + n)
+        return x / real(model.section)
+
+    return section_centre

@@ -13,8 +13,8 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import make_block
-from gendom.sim.mpm.boundary import FOLLOWS, make_boundary, make_boundary_adjoint
-from gendom.sim.mpm.particles import LAM, MASS, MU, Variant, make_adjoint, make_moving, make_taped
+from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
+from gendom.sim.mpm.particles import LAM, MASS, MU, Variant, make_adjoint, make_taped
 from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
 
@@ -29,16 +29,23 @@ AHEAD = 32
 
 
 @functools.cache
-def make_listing(variant: Variant) -> Namespace:
-    """Build ``list_gripped`` and ``drive``."""
+def make_gripped(variant: Variant) -> Namespace:
+    """Build ``list_gripped``, ``drive``, and ``firm_adjoint`` and ``partial_adjoint`` of particles
+    held firmly and in part.
+
+    The derivatives of a warp's threads by a gripper are summed before they are added to it.
+    """
     real = variant.real
     types = make_types(real)
-    Model, Grips = types.Model, types.Grips
-    vec3 = types.vec3
-    sync = make_block(real).sync
+    vec3, Model, Grips, Substep = types.vec3, types.Model, types.Grips, types.Substep
+    ConditionsAdjoint = types.ConditionsAdjoint
+    taped, adjoint_of = make_taped(variant), make_adjoint(variant)
+    Tape, Adjoint = taped.Struct, adjoint_of.Struct
+    before, fields, particle = taped.fields, adjoint_of.fields, adjoint_of.particle
+    sync, add_by_warp = make_block(real).sync, make_block(real).add_by_warp
     boundary = make_boundary(variant)
-    Substep = types.Substep
-    particle = make_moving(variant).particle
+    wide = boundary.wide
+    pose_type = wp.types.matrix((4, 3), wp.float64)
 
     @wp.func
     def list_gripped(now: Substep, stored: Any, model: Model, grips: Grips):
@@ -72,27 +79,6 @@ def make_listing(variant: Variant) -> Namespace:
             now, grips.held_gripper[now.w, n], grips.held_place[now.w, n], x, b, grips
         )
         grips.driven[now.w, grips.held_index[now.w, n]] = v
-
-    return Namespace(list_gripped, drive)
-
-
-@functools.cache
-def make_gripped_adjoint(variant: Variant) -> Namespace:
-    """Build ``firm_adjoint`` and ``partial_adjoint`` of particles held firmly and in part.
-
-    The derivatives of a warp's threads by a gripper are summed before they are added to it.
-    """
-    real = variant.real
-    types = make_types(real)
-    vec3 = types.vec3
-    Model, Grips = types.Model, types.Grips
-    ConditionsAdjoint, Substep = types.ConditionsAdjoint, types.Substep
-    taped, adjoint_of = make_taped(variant), make_adjoint(variant)
-    Tape, Adjoint = taped.Struct, adjoint_of.Struct
-    before, fields, particle = taped.fields, adjoint_of.fields, adjoint_of.particle
-    boundary = make_boundary_adjoint(variant)
-    wide, add_by_warp = boundary.wide, make_block(real).add_by_warp
-    pose_type = wp.types.matrix((4, 3), wp.float64)
 
     @wp.func
     def rows_of(centre_bar: vec3, V_bar: vec3, spin_bar: vec3, R_bar: vec3):
@@ -157,7 +143,7 @@ def make_gripped_adjoint(variant: Variant) -> Namespace:
                     total += rows_of(centre_bar, V_bar, spin_bar, R_bar)
             add_to_pose(now.grip_row, g, total, by)
 
-    return Namespace(firm_adjoint, partial_adjoint)
+    return Namespace(list_gripped, drive, firm_adjoint, partial_adjoint)
 
 
 @functools.cache

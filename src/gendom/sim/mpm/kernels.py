@@ -12,10 +12,10 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import bounds, make_block, put_near
-from gendom.sim.mpm.boundary import make_boundary, make_boundary_adjoint, make_grips
+from gendom.sim.mpm.boundary import make_boundary, make_grips
 from gendom.sim.mpm.elasticity import make_maxwell_branch
 from gendom.sim.mpm.grid import MARGIN, make_rebuild
-from gendom.sim.mpm.gripped import AHEAD, make_listing, make_poses
+from gendom.sim.mpm.gripped import AHEAD, make_gripped, make_poses
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import (
     ORDERLY,
@@ -58,7 +58,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
     Particles, Tape, fields = moving.Struct, make_taped(variant).Struct, moving.fields
     row_at, loading = make_bspline(real, windowed=False).row_at, make_loading(variant)
     rebuild, boundary = make_rebuild(real, moving), make_boundary(variant)
-    pose_ahead, list_gripped = make_poses(real).pose_ahead, make_listing(variant).list_gripped
+    pose_ahead, list_gripped = make_poses(real).pose_ahead, make_gripped(variant).list_gripped
     substep, beginning = make_substep(variant, taped=taped), _make_beginning(real)
     block = make_block(real)
     compensates = wp.constant(int(types.compensates))
@@ -331,10 +331,10 @@ def make_reverse(variant: Variant) -> Any:
     Tape = make_taped(variant).Struct
     adjoint_of = make_adjoint(variant)
     Adjoint, fields = adjoint_of.Struct, adjoint_of.fields
-    substep_adjoint, boundary = make_substep_adjoint(variant), make_boundary_adjoint(variant)
+    substep_adjoint, boundary = make_substep_adjoint(variant), make_boundary(variant)
     poses, beginning = make_poses(real), _make_beginning(real)
     list_gripped, loading, block = (
-        make_listing(variant).list_gripped,
+        make_gripped(variant).list_gripped,
         make_loading(variant),
         make_block(real),
     )

@@ -20,9 +20,9 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import make_block
-from gendom.sim.mpm.boundary import FOLLOWS, make_boundary, make_boundary_adjoint
+from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
 from gendom.sim.mpm.elasticity import make_maxwell_branch
-from gendom.sim.mpm.gripped import make_gripped_adjoint, make_listing
+from gendom.sim.mpm.gripped import make_gripped
 from gendom.sim.mpm.internal_forces import make_internal_forces
 from gendom.sim.mpm.particles import MASS, Variant, make_adjoint, make_moving, make_taped
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
@@ -56,7 +56,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
     forces_of = make_internal_forces(variant)
     bspline, transfer = make_bspline(real, windowed=not variant.rows), make_transfer(real)
     window_type = bspline.window
-    boundary, drive = make_boundary(variant), make_listing(variant).drive
+    boundary, gripped = make_boundary(variant), make_gripped(variant)
     Substep, Grid = types.Substep, types.Grid
     block, branch = make_block(real), make_maxwell_branch(real).branch
     compensates = wp.constant(int(types.compensates))
@@ -203,7 +203,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
         for n in range(now.thread, now.holding, now.threads):
             if grips.held_share[now.w, n] > real(0.0):
                 x = fields.x(particles, now.w, grips.held_index[now.w, n])
-                drive(now, n, x, model, grips)
+                gripped.drive(now, n, x, model, grips)
         if keeps == 1:
             tape.layout_of[now.slot] = now.layout
             record_state(now, particles, tape)
@@ -249,8 +249,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
     forces_of = make_internal_forces(variant)
     bspline, transfer = make_bspline(real, windowed=not variant.rows), make_transfer(real)
     window_type = bspline.window
-    boundary, contact = make_boundary_adjoint(variant), make_boundary(variant).contact
-    gripped_adjoint, drive = make_gripped_adjoint(variant), make_listing(variant).drive
+    boundary, gripped = make_boundary(variant), make_gripped(variant)
     block, branch = make_block(real), make_maxwell_branch(real).branch
     largest = 1.0e37 if real == wp.float32 else 1.0e300
 
@@ -398,11 +397,11 @@ def make_substep_adjoint(variant: Variant) -> Any:
         for n in range(now.thread, now.holding, now.threads):
             if grips.held_share[now.w, n] > real(0.0):
                 x = before.x(tape, now.slot, grips.held_index[now.w, n])
-                drive(now, n, x, model, grips)
+                gripped.drive(now, n, x, model, grips)
         if model.table == 1:
             for s in range(now.thread, now.N // model.section, now.threads):
                 x, u = section_motion(now, s, model, tape)
-                by.touched[now.w, s] = contact(now, x, u, model)
+                by.touched[now.w, s] = boundary.contact(now, x, u, model)
         bspline.normalise(
             grid.momentum, now.slot, grid.velocity, now.row, now.thread, now.threads, nodes,
             now.keep_velocity, 0,
@@ -411,7 +410,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
         block.sync()
         g2p_adjoint(now, grips, tape, adjoint, grid)
         if now.holding > 0:
-            gripped_adjoint.firm_adjoint(now, grips, adjoint, by)
+            gripped.firm_adjoint(now, grips, adjoint, by)
         by_keep = bspline.normalise_adjoint(
             grid.momentum, now.slot, grid.velocity_bar, now.row, now.thread, now.threads, nodes,
             now.keep_velocity,
@@ -421,7 +420,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
         p2g_adjoint(now, model, grips, tape, adjoint, grid, by)
         block.sync()
         if now.holding > 0:
-            gripped_adjoint.partial_adjoint(now, model, grips, tape, adjoint, by)
+            gripped.partial_adjoint(now, model, grips, tape, adjoint, by)
             block.sync()
         if model.table == 1:
             touch_adjoint(now, model, tape, adjoint, by)
