@@ -392,7 +392,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
         by: ConditionsAdjoint,
     ):  # fmt: skip
         """From derivatives by the state after substep ``gone`` of a recording to those by the state
-        before it. ``row`` is the world's of ``velocity`` and ``nodes_bar``, which are scratch."""
+        before it."""
         nodes = grid.count[now.layout]
         for n in range(now.thread, now.holding, now.threads):
             if grips.held_share[now.w, n] > real(0.0):
