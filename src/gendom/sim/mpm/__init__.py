@@ -1,7 +1,7 @@
 """The material point method: an engine behind ``gendom.sim.Simulator``.
 
-Read ``step`` first: the algorithm. ``elasticity``, ``transfer``, ``boundary`` and ``grid`` are its
-stages, ``types`` the arrays they work on, ``model`` the worlds that are simulated, ``runners`` the
-ways to run them (a thread or a block of threads for each world, or stages over all), ``adjoint``
-their reverse passes, ``native`` the inner loops in C++.
+Read ``step`` first: the algorithm. ``internal_forces``, ``elasticity``, ``transfer``, ``boundary``,
+``gripped`` and ``grid`` are its stages, ``types`` the structs that they work on, ``particles`` how
+particles are stored, ``kernels`` many substeps of a world and back, ``model`` the worlds,
+``runner`` and ``tape`` run them, forward and with derivatives, ``native`` holds inner loops in C++.
 """

@@ -68,53 +68,67 @@ def grip_constants(body: Body) -> tuple[float, float]:
 
 @functools.cache
 def make_boundary(variant: Variant) -> Namespace:
-    """Build what acts on particles, for one way to store them.
+    """Build what acts on particles and its transposes, for one way to store them.
 
     Returns:
         Namespace with ``contact`` (of a section's mean position and velocity), ``near_table``,
         ``modulus_of``, ``spring``, ``follow`` (a held particle) and ``grasp`` (grippers that open
-        and close).
+        and close); ``wide`` (to float64); and ``contact_adjoint``, ``follow_adjoint``,
+        ``turned_adjoint`` and ``driven_adjoint`` (of a held particle) and ``grasp_adjoint``.
     """
     real = variant.real
     types = make_types(real)
-    vec3 = types.vec3
-    Matter, Conditions, Paths, Grips = types.Matter, types.Conditions, types.Paths, types.Grips
-    stored = make_moving(variant)
+    vec3, mat33 = types.vec3, types.mat33
+    Model, Paths, Grips = types.Model, types.Paths, types.Grips
+    Substep, ConditionsAdjoint = types.Substep, types.ConditionsAdjoint
+    stored, taped, adjoint_of = make_moving(variant), make_taped(variant), make_adjoint(variant)
     Stored, x_of = stored.Struct, stored.x_of
+    Tape, Adjoint, taped_x_of = taped.Struct, adjoint_of.Struct, taped.x_of
+    fields, place = adjoint_of.fields, adjoint_of.place
     paths_of = make_paths(real)
     hold_on = make_grips(real).hold_on
-    pushed = _pushed(real)
     section_centre = _section_centre(variant, taped=False)
+    taped_section_centre = _section_centre(variant, taped=True)
 
     @wp.func
-    def contact(w: int, x: vec3, u: vec3, dt: real, radius: real, conditions: Conditions):
+    def pushed(gap: real, outwards: real, dt: real):
+        """Velocity that the table gives to what is at a height ``gap`` and would move away at
+        ``outwards``."""
+        given = real(0.0)
+        if gap < real(0.0):
+            given = wp.max(real(0.0), real(-SPRING) / dt * gap - real(DASHPOT) * outwards)
+        return given
+
+    @wp.func
+    def contact(now: Substep, x: vec3, u: vec3, model: Model):
         """Change of the velocity u of a section at x by the table, where all other impulses of the
         substep are in u."""
         change = vec3()
-        given = pushed(x[2] - radius, u[2], dt)
+        given = pushed(x[2] - model.contact_radius, u[2], now.h)
         if given > real(0.0):
             slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])
             lost = real(1.0)
-            if slip > conditions.friction[w] * given:
-                lost = conditions.friction[w] * given / slip
+            if slip > model.friction[now.w] * given:
+                lost = model.friction[now.w] * given / slip
             change = vec3(-lost * u[0], -lost * u[1], given)
         return change
 
     @wp.func
-    def near_table(x: vec3, matter: Matter, conditions: Conditions):
+    def near_table(x: vec3, model: Model):
         """Whether a particle's section may touch the table before the grid is rebuilt."""
-        return conditions.table == 1 and x[2] < real(2.0) * (matter.contact_radius + conditions.dx)
+        return model.table == 1 and x[2] < real(2.0) * (model.contact_radius + model.dx)
 
     @wp.func
-    def modulus_of(w: int, p: int, matter: Matter):
+    def modulus_of(w: int, p: int, model: Model):
         """Of pressure waves [Pa]."""
-        return matter.lam[w, p] + real(2.0) * matter.mu[w, p]
+        return model.lam[w, p] + real(2.0) * model.mu[w, p]
 
     @wp.func
-    def spring(w: int, modulus: real, dt: real, matter: Matter, dx: real):
+    def spring(now: Substep, modulus: real, model: Model):
         """b of a particle that is held in part, and its logarithm's slope by mu + lam / 2
         [1/Pa]."""
-        b = matter.grip_stiffness * dt * dt * modulus * matter.volume / (matter.mass[w] * dx * dx)
+        reach = now.h / now.dx
+        b = model.grip_stiffness * modulus * model.volume / now.mass * reach * reach
         slope = real(1.0) / modulus
         if b > real(FOLLOWS):
             b = real(FOLLOWS)
@@ -122,52 +136,51 @@ def make_boundary(variant: Variant) -> Namespace:
         return b, slope
 
     @wp.func
-    def follow(g: int, place: vec3, grip_row: int, x: vec3, b: real, dt: real, grips: Grips):
+    def follow(now: Substep, g: int, place: vec3, x: vec3, b: real, grips: Grips):
         """Velocity that gripper g gives to a particle of its that is at x, its spin, and the
         derivative of that velocity by b."""
-        spin = grips.spin[grip_row, g]
-        arm = grips.orientation[grip_row, g] * place
-        V = grips.velocity[grip_row, g] + wp.cross(spin, arm)
+        spin = grips.spin[now.grip_row, g]
+        arm = grips.orientation[now.grip_row, g] * place
+        V = grips.velocity[now.grip_row, g] + wp.cross(spin, arm)
         # X is known where the substep ends
-        behind = grips.centre[grip_row, g] + arm - dt * V - x
-        return V + (b / dt) * behind, spin, behind / dt
+        behind = grips.centre[now.grip_row, g] + arm - now.h * V - x
+        return V + (b / now.h) * behind, spin, behind / now.h
 
     @wp.func
     def attach(
-        w: int, g: int, t: wp.float64, age: int, row: int, N: int, matter: Matter,
-        conditions: Conditions, paths: Paths, grips: Grips, particles: Stored,
+        now: Substep, g: int, t: wp.float64, model: Model, paths: Paths, grips: Grips,
+        particles: Stored,
     ):  # fmt: skip
         """Close gripper g on what lies inside its sphere; returns how many particles it holds.
 
         A particle that another gripper holds is left to it.
         """
-        centre, orientation, _knot = paths_of.pose(w, g, t, paths)
+        centre, orientation, _knot = paths_of.pose(now.w, g, t, paths)
         c = paths_of.narrow(centre)
         R = paths_of.narrow_matrix(orientation)
-        spacing = real(0.5) * conditions.dx
+        spacing = real(0.5) * model.dx
         count = int(0)
         f = real(0.0)
-        for p in range(N):
-            if p % matter.section == 0:
-                far = wp.length(section_centre(row, p, matter, particles) - c)
+        for p in range(now.N):
+            if p % model.section == 0:
+                far = wp.length(section_centre(now.w, p, model, particles) - c)
                 f = wp.clamp(
-                    (paths.radius[w, g] - far) / spacing + matter.beyond, real(0.0), real(1.0)
+                    (paths.radius[now.w, g] - far) / spacing + model.beyond, real(0.0), real(1.0)
                 )
-            if f > real(0.0) and grips.free[w, p] == real(1.0):
-                grips.particle[w, g, count] = p
-                grips.weight[w, g, count] = f
-                grips.place[w, g, count] = wp.transpose(R) * (x_of(particles, row, p) - c)
-                grips.free[w, p] = real(1.0) - f
-                grips.held_by[w, p] = g * N + count
+            if f > real(0.0) and grips.free[now.w, p] == real(1.0):
+                grips.particle[now.w, g, count] = p
+                grips.weight[now.w, g, count] = f
+                grips.place[now.w, g, count] = wp.transpose(R) * (x_of(particles, now.w, p) - c)
+                grips.free[now.w, p] = real(1.0) - f
+                grips.held_by[now.w, p] = g * now.N + count
                 count += 1
-        grips.count[w, g] = count
-        grips.since[w, g] = age
+        grips.count[now.w, g] = count
+        grips.since[now.w, g] = now.age
         return count
 
     @wp.func
     def grasp(
-        w: int, t: wp.float64, age: int, row: int, N: int, matter: Matter, conditions: Conditions,
-        paths: Paths, grips: Grips, particles: Stored,
+        now: Substep, t: wp.float64, model: Model, paths: Paths, grips: Grips, particles: Stored,
     ):  # fmt: skip
         """Let the grippers of a world open and close before substep ``age``, which begins at t.
 
@@ -175,21 +188,147 @@ def make_boundary(variant: Variant) -> Namespace:
         """
         empty = int(-1)
         for g in range(paths.radius.shape[1]):
-            since = grips.since[w, g]
-            until = grips.until[w, g]
-            if paths_of.is_closed(w, g, t, paths):
-                if since < 0 or since == age:
-                    count = attach(
-                        w, g, t, age, row, N, matter, conditions, paths, grips, particles
-                    )
-                    if count == 0 and paths.may_miss[w, g] == 0:
+            since = grips.since[now.w, g]
+            until = grips.until[now.w, g]
+            if paths_of.is_closed(now.w, g, t, paths):
+                if since < 0 or since == now.age:
+                    count = attach(now, g, t, model, paths, grips, particles)
+                    if count == 0 and paths.may_miss[now.w, g] == 0:
                         empty = g
-            elif since >= 0 and since < age and (until < 0 or until == age):
-                grips.until[w, g] = age
-                hold_on(w, g, real(0.0), grips)
+            elif since >= 0 and since < now.age and (until < 0 or until == now.age):
+                grips.until[now.w, g] = now.age
+                hold_on(now.w, g, real(0.0), grips)
         return empty
 
-    return Namespace(contact, near_table, modulus_of, spring, follow, grasp)
+    @wp.func
+    def add_x(adjoint: Adjoint, w: int, p: int, value: vec3):
+        i = place(adjoint, w, p)
+        fields.put_x(adjoint, w, i, fields.x(adjoint, w, i) + value)
+
+    @wp.func
+    def wide(a: vec3):
+        return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
+
+    @wp.func
+    def contact_adjoint(
+        now: Substep, x: vec3, u: vec3, model: Model, change_bar: vec3, by: ConditionsAdjoint
+    ):
+        """Derivatives by x and u from that by the change that ``contact`` makes."""
+        x_bar = vec3()
+        u_bar = vec3()
+        stiff = real(-SPRING) / now.h
+        loss = real(-DASHPOT)
+        given = pushed(x[2] - model.contact_radius, u[2], now.h)
+        if given > real(0.0):
+            given_bar = change_bar[2]
+            slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])
+            lost = real(1.0)
+            if slip > model.friction[now.w] * given:
+                lost = model.friction[now.w] * given / slip
+                lost_bar = -(change_bar[0] * u[0] + change_bar[1] * u[1])
+                given_bar += lost_bar * model.friction[now.w] / slip
+                wp.atomic_add(by.friction, now.w, wp.float64(lost_bar * given / slip))
+                slip_bar = -lost_bar * lost / slip
+                u_bar[0] = u_bar[0] + slip_bar * u[0] / slip
+                u_bar[1] = u_bar[1] + slip_bar * u[1] / slip
+            u_bar[0] = u_bar[0] - lost * change_bar[0]
+            u_bar[1] = u_bar[1] - lost * change_bar[1]
+            x_bar[2] = x_bar[2] + stiff * given_bar
+            u_bar[2] = u_bar[2] + loss * given_bar
+        return x_bar, u_bar
+
+    @wp.func
+    def follow_adjoint(
+        now: Substep, g: int, n: int, b: real, v_bar: vec3, spin_bar: vec3, grips: Grips,
+        by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Transpose of ``follow`` for the n-th particle of gripper g.
+
+        Returns derivatives by the gripper's centre (less those by x), velocity, spin and rotation.
+        """
+        arm = grips.orientation[now.grip_row, g] * grips.place[now.w, g, n]
+        centre_bar = (b / now.h) * v_bar
+        V_bar = (real(1.0) - b) * v_bar
+        arm_bar = centre_bar + wp.cross(V_bar, grips.spin[now.grip_row, g])
+        by.place[now.w, g, n] = (
+            by.place[now.w, g, n] + wp.transpose(grips.orientation[now.grip_row, g]) * arm_bar
+        )
+        return centre_bar, V_bar, spin_bar + wp.cross(arm, V_bar), wp.cross(arm, arm_bar)
+
+    @wp.func
+    def turned_adjoint(C_bar: mat33):
+        """Derivative by a spin from that by its matrix."""
+        return vec3(C_bar[2, 1] - C_bar[1, 2], C_bar[0, 2] - C_bar[2, 0], C_bar[1, 0] - C_bar[0, 1])
+
+    @wp.func
+    def driven_adjoint(
+        now: Substep, g: int, n: int, modulus: real, f: real, x: vec3, u: vec3, model: Model,
+        w_bar: vec3, grips: Grips, by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Of the velocity w that the n-th particle of gripper g, held with weight f, is given.
+
+        Returns derivatives by lam and mass, and those of ``follow_adjoint``.
+        """
+        b, slope = spring(now, modulus, model)
+        v, _spin, by_b = follow(now, g, grips.place[now.w, g, n], x, b, grips)
+        b_bar = f * wp.dot(w_bar, by_b)
+        mass_bar = real(0.0)
+        if slope > real(0.0):
+            mass_bar = -b_bar * b / model.mass[now.w]
+        by.weight[now.w, g, n] = by.weight[now.w, g, n] + wp.dot(w_bar, v - u)
+        centre_bar, V_bar, spin_bar, R_bar = follow_adjoint(
+            now, g, n, b, f * w_bar, vec3(), grips, by
+        )
+        return b_bar * b * slope, mass_bar, centre_bar, V_bar, spin_bar, R_bar
+
+    @wp.func
+    def attach_adjoint(
+        now: Substep, g: int, t: wp.float64, model: Model, paths: Paths, grips: Grips, tape: Tape,
+        adjoint: Adjoint, by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Transpose of ``attach``: to the positions at that moment, and to the gripper's pose."""
+        centre, orientation, _knot = paths_of.pose(now.w, g, t, paths)
+        c = paths_of.narrow(centre)
+        R = paths_of.narrow_matrix(orientation)
+        spacing = real(0.5) * model.dx
+        centre_bar = wp.vec3d()
+        R_bar = wp.vec3d()
+        for n in range(grips.count[now.w, g]):
+            p = grips.particle[now.w, g, n]
+            back = R * by.place[now.w, g, n]
+            add_x(adjoint, now.w, p, back)
+            centre_bar -= wide(back)
+            R_bar -= wide(wp.cross(taped_x_of(tape, now.slot, p) - c, back))
+            f = grips.weight[now.w, g, n]
+            if f < real(1.0):
+                f_bar = by.weight[now.w, g, n] / spacing
+                by.radius[now.w, g] = by.radius[now.w, g] + wp.float64(f_bar)
+                outwards = -f_bar * wp.normalize(taped_section_centre(now.slot, p, model, tape) - c)
+                centre_bar -= wide(outwards)
+                first = p - p % model.section
+                for q in range(first, first + model.section):
+                    add_x(adjoint, now.w, q, outwards / real(model.section))
+            by.weight[now.w, g, n] = real(0.0)
+            by.place[now.w, g, n] = vec3()
+        paths_of.pose_adjoint(now.w, g, t, centre_bar, R_bar, paths, by.position, by.turn)
+
+    @wp.func
+    def grasp_adjoint(
+        now: Substep, t: wp.float64, model: Model, paths: Paths, grips: Grips, tape: Tape,
+        adjoint: Adjoint, by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Go back over grippers that opened or closed before substep ``age``; by one thread."""
+        for g in range(paths.radius.shape[1]):
+            if grips.until[now.w, g] == now.age:
+                hold_on(now.w, g, real(1.0), grips)
+            if grips.since[now.w, g] == now.age:
+                attach_adjoint(now, g, t, model, paths, grips, tape, adjoint, by)
+                hold_on(now.w, g, real(0.0), grips)
+
+    return Namespace(
+        contact, near_table, modulus_of, spring, follow, grasp,
+        wide, contact_adjoint, follow_adjoint, turned_adjoint, driven_adjoint, grasp_adjoint,
+    )  # fmt: skip
 
 
 @functools.cache
@@ -221,182 +360,16 @@ def make_grips(real: Any) -> Namespace:
 
 def _section_centre(variant: Variant, *, taped: bool) -> Any:
     types = make_types(variant.real)
-    real, vec3, Matter = types.real, types.vec3, types.Matter
+    real, vec3, Model = types.real, types.vec3, types.Model
     stored = make_taped(variant) if taped else make_moving(variant)
     Stored, x_of = stored.Struct, stored.x_of
 
     @wp.func
-    def section_centre(row: int, p: int, matter: Matter, particles: Stored):
-        first = p - p % matter.section
+    def section_centre(row: int, p: int, model: Model, particles: Stored):
+        first = p - p % model.section
         x = vec3()
-        for n in range(matter.section):
+        for n in range(model.section):
             x += x_of(particles, row, first + n)
-        return x / real(matter.section)
+        return x / real(model.section)
 
     return section_centre
-
-
-@functools.cache
-def _pushed(real: Any) -> Any:
-    @wp.func
-    def pushed(gap: real, outwards: real, dt: real):
-        """Velocity that the table gives to what is at a height ``gap`` and would move away at
-        ``outwards``."""
-        given = real(0.0)
-        if gap < real(0.0):
-            given = wp.max(real(0.0), real(-SPRING) / dt * gap - real(DASHPOT) * outwards)
-        return given
-
-    return pushed
-
-
-@functools.cache
-def make_boundary_adjoint(variant: Variant) -> Namespace:
-    """Build the transposes for one way to store particles.
-
-    Returns:
-        Namespace with ``wide`` (to float64), ``contact_adjoint`` (of a section's mean motion),
-        ``follow_adjoint``, ``turned_adjoint`` and ``driven_adjoint`` (of a held particle) and
-        ``grasp_adjoint``.
-    """
-    real = variant.real
-    types = make_types(real)
-    vec3, mat33 = types.vec3, types.mat33
-    Matter, Conditions, Paths, Grips = types.Matter, types.Conditions, types.Paths, types.Grips
-    ConditionsAdjoint = types.ConditionsAdjoint
-    taped, adjoint_of = make_taped(variant), make_adjoint(variant)
-    Tape, Adjoint, x_of = taped.Struct, adjoint_of.Struct, taped.x_of
-    fields, place = adjoint_of.fields, adjoint_of.place
-    boundary = make_boundary(variant)
-    section_centre, pushed = _section_centre(variant, taped=True), _pushed(real)
-    paths_of, hold_on = make_paths(real), make_grips(real).hold_on
-
-    @wp.func
-    def add_x(adjoint: Adjoint, w: int, p: int, value: vec3):
-        i = place(adjoint, w, p)
-        fields.put_x(adjoint, w, i, fields.x(adjoint, w, i) + value)
-
-    @wp.func
-    def wide(a: vec3):
-        return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
-
-    @wp.func
-    def contact_adjoint(
-        w: int, x: vec3, u: vec3, dt: real, radius: real, conditions: Conditions, change_bar: vec3,
-        by: ConditionsAdjoint,
-    ):  # fmt: skip
-        """Derivatives by x and u from that by the change that ``contact`` makes."""
-        x_bar = vec3()
-        u_bar = vec3()
-        stiff = real(-SPRING) / dt
-        loss = real(-DASHPOT)
-        given = pushed(x[2] - radius, u[2], dt)
-        if given > real(0.0):
-            given_bar = change_bar[2]
-            slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])
-            lost = real(1.0)
-            if slip > conditions.friction[w] * given:
-                lost = conditions.friction[w] * given / slip
-                lost_bar = -(change_bar[0] * u[0] + change_bar[1] * u[1])
-                given_bar += lost_bar * conditions.friction[w] / slip
-                wp.atomic_add(by.friction, w, wp.float64(lost_bar * given / slip))
-                slip_bar = -lost_bar * lost / slip
-                u_bar[0] = u_bar[0] + slip_bar * u[0] / slip
-                u_bar[1] = u_bar[1] + slip_bar * u[1] / slip
-            u_bar[0] = u_bar[0] - lost * change_bar[0]
-            u_bar[1] = u_bar[1] - lost * change_bar[1]
-            x_bar[2] = x_bar[2] + stiff * given_bar
-            u_bar[2] = u_bar[2] + loss * given_bar
-        return x_bar, u_bar
-
-    @wp.func
-    def follow_adjoint(
-        w: int, g: int, n: int, grip_row: int, b: real, dt: real, v_bar: vec3, spin_bar: vec3,
-        grips: Grips, by: ConditionsAdjoint,
-    ):  # fmt: skip
-        """Transpose of ``follow`` for the n-th particle of gripper g.
-
-        Returns derivatives by the gripper's centre (less those by x), velocity, spin and rotation.
-        """
-        arm = grips.orientation[grip_row, g] * grips.place[w, g, n]
-        centre_bar = (b / dt) * v_bar
-        V_bar = (real(1.0) - b) * v_bar
-        arm_bar = centre_bar + wp.cross(V_bar, grips.spin[grip_row, g])
-        by.place[w, g, n] = (
-            by.place[w, g, n] + wp.transpose(grips.orientation[grip_row, g]) * arm_bar
-        )
-        return centre_bar, V_bar, spin_bar + wp.cross(arm, V_bar), wp.cross(arm, arm_bar)
-
-    @wp.func
-    def turned_adjoint(C_bar: mat33):
-        """Derivative by a spin from that by its matrix."""
-        return vec3(C_bar[2, 1] - C_bar[1, 2], C_bar[0, 2] - C_bar[2, 0], C_bar[1, 0] - C_bar[0, 1])
-
-    @wp.func
-    def driven_adjoint(
-        w: int, g: int, n: int, modulus: real, f: real, grip_row: int, x: vec3, u: vec3, dt: real,
-        dx: real, matter: Matter, w_bar: vec3, grips: Grips, by: ConditionsAdjoint,
-    ):  # fmt: skip
-        """Of the velocity w that the n-th particle of gripper g, held with weight f, is given.
-
-        Returns derivatives by lam and mass, and those of ``follow_adjoint``.
-        """
-        b, slope = boundary.spring(w, modulus, dt, matter, dx)
-        v, _spin, by_b = boundary.follow(g, grips.place[w, g, n], grip_row, x, b, dt, grips)
-        b_bar = f * wp.dot(w_bar, by_b)
-        mass_bar = real(0.0)
-        if slope > real(0.0):
-            mass_bar = -b_bar * b / matter.mass[w]
-        by.weight[w, g, n] = by.weight[w, g, n] + wp.dot(w_bar, v - u)
-        centre_bar, V_bar, spin_bar, R_bar = follow_adjoint(
-            w, g, n, grip_row, b, dt, f * w_bar, vec3(), grips, by
-        )
-        return b_bar * b * slope, mass_bar, centre_bar, V_bar, spin_bar, R_bar
-
-    @wp.func
-    def attach_adjoint(
-        w: int, g: int, t: wp.float64, row: int, matter: Matter, conditions: Conditions,
-        paths: Paths, grips: Grips, tape: Tape, adjoint: Adjoint, by: ConditionsAdjoint,
-    ):  # fmt: skip
-        """Transpose of ``attach``: to the positions at that moment, and to the gripper's pose."""
-        centre, orientation, _knot = paths_of.pose(w, g, t, paths)
-        c = paths_of.narrow(centre)
-        R = paths_of.narrow_matrix(orientation)
-        spacing = real(0.5) * conditions.dx
-        centre_bar = wp.vec3d()
-        R_bar = wp.vec3d()
-        for n in range(grips.count[w, g]):
-            p = grips.particle[w, g, n]
-            back = R * by.place[w, g, n]
-            add_x(adjoint, w, p, back)
-            centre_bar -= wide(back)
-            R_bar -= wide(wp.cross(x_of(tape, row, p) - c, back))
-            f = grips.weight[w, g, n]
-            if f < real(1.0):
-                f_bar = by.weight[w, g, n] / spacing
-                by.radius[w, g] = by.radius[w, g] + wp.float64(f_bar)
-                outwards = -f_bar * wp.normalize(section_centre(row, p, matter, tape) - c)
-                centre_bar -= wide(outwards)
-                first = p - p % matter.section
-                for q in range(first, first + matter.section):
-                    add_x(adjoint, w, q, outwards / real(matter.section))
-            by.weight[w, g, n] = real(0.0)
-            by.place[w, g, n] = vec3()
-        paths_of.pose_adjoint(w, g, t, centre_bar, R_bar, paths, by.position, by.turn)
-
-    @wp.func
-    def grasp_adjoint(
-        w: int, t: wp.float64, age: int, row: int, matter: Matter, conditions: Conditions,
-        paths: Paths, grips: Grips, tape: Tape, adjoint: Adjoint, by: ConditionsAdjoint,
-    ):  # fmt: skip
-        """Go back over grippers that opened or closed before substep ``age``; by one thread."""
-        for g in range(paths.radius.shape[1]):
-            if grips.until[w, g] == age:
-                hold_on(w, g, real(1.0), grips)
-            if grips.since[w, g] == age:
-                attach_adjoint(w, g, t, row, matter, conditions, paths, grips, tape, adjoint, by)
-                hold_on(w, g, real(0.0), grips)
-
-    return Namespace(
-        wide, contact_adjoint, follow_adjoint, turned_adjoint, driven_adjoint, grasp_adjoint
-    )

@@ -9,7 +9,6 @@ Shapes: L layouts, X x Y grid columns, M grid nodes.
 """
 
 import functools
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,27 +31,6 @@ LARGEST_GRID = 1 << 24
 """Maximum number of nodes of a world; a run that needs more has diverged."""
 
 
-@wp.struct
-class SparseGrid:
-    """L layouts, as kernels take them."""
-
-    bounds: wp.array2d(dtype=wp.int32)  # [L, 4] lowest and highest cell in x, y
-    low: wp.array3d(dtype=wp.int32)  # [L, X, Y] lowest node of the column
-    high: wp.array3d(dtype=wp.int32)  # [L, X, Y] highest node of the column
-    start: wp.array3d(dtype=wp.int32)  # [L, X, Y] node k is number start + k
-    count: wp.array(dtype=wp.int32)  # [L] nodes in use
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Layouts and the values on their nodes."""
-
-    layouts: Any
-    """``SparseGrid`` of L layouts."""
-    momentum: wp.array
-    """[S, M] momentum and mass."""
-
-
 class GridExhausted(Exception):
     """The object needs more grid nodes than the limit; it has probably diverged."""
 
@@ -70,9 +48,7 @@ def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
     return min(side, WIDEST_WINDOW), min(side, WIDEST_WINDOW), 8 * cells + 256
 
 
-def grown_room(
-    room: tuple[int, int, int], bounds: NDArray[Any], grid: Grid
-) -> tuple[int, int, int]:
+def grown_room(room: tuple[int, int, int], bounds: NDArray[Any], grid: Any) -> tuple[int, int, int]:
     """Room for the bounds [L, 4] for which the grid was too small.
 
     Raises:
@@ -80,7 +56,7 @@ def grown_room(
     """
     window = (bounds[:, 2:] - bounds[:, :2] + 1).max(axis=0)
     X, Y, M = room
-    have = grid.layouts.low.shape[1:]
+    have = grid.low.shape[1:]
     if window.max() > WIDEST_WINDOW or M > LARGEST_GRID:
         raise GridExhausted
     if window[0] > have[0] or window[1] > have[1]:
@@ -89,33 +65,6 @@ def grown_room(
     else:
         M = max(M, 2 * grid.momentum.shape[1])
     return X, Y, M
-
-
-def make_grid(
-    room: tuple[int, int, int],
-    layouts: int,
-    node: Any,
-    device: Any,
-    *,
-    rows: int | None = None,
-    make: Any = wp.zeros,
-) -> Grid:
-    """A grid of so many layouts, and of so many rows of nodes (default: one a layout).
-
-    ``node`` is the type of a node's value, ``make`` fills arrays.
-    """
-    X, Y, M = room
-    rows = layouts if rows is None else rows
-
-    def array(shape: Any, dtype: Any = wp.int32) -> wp.array:
-        return make(shape, dtype=dtype, device=device)
-
-    grid = SparseGrid()
-    grid.bounds = array((layouts, 4))
-    for name in ("low", "high", "start"):
-        setattr(grid, name, array((layouts, X, Y)))
-    grid.count = array(layouts)
-    return Grid(grid, array((rows, M), node))
 
 
 @functools.cache
@@ -128,12 +77,13 @@ def make_rebuild(real: Any, particles: Any) -> Any:
     """
     position, Particles = particles.fields.x, particles.Struct
     sync = make_block(real).sync
-    vec3 = make_types(real).vec3
+    types = make_types(real)
+    vec3, Substep, Grid = types.vec3, types.Substep, types.Grid
 
     @wp.func
-    def reach(x: vec3, inv_dx: real):
+    def reach(now: Substep, x: vec3):
         """Lowest and highest node [cells] of a particle that may yet travel by the margin."""
-        y = x * inv_dx
+        y = x * now.inv_dx
         below = real(-MARGIN) - real(0.5)
         above = real(MARGIN) - real(0.5)
         lower = wp.vec3i(
@@ -147,68 +97,65 @@ def make_rebuild(real: Any, particles: Any) -> Any:
         return lower, upper
 
     @wp.func
-    def mark(layout: int, lower: wp.vec3i, upper: wp.vec3i, grid: SparseGrid):
+    def mark(now: Substep, lower: wp.vec3i, upper: wp.vec3i, grid: Grid):
         """Let columns hold all nodes of a box, unless the layout has no room for it."""
-        i0 = lower[0] - grid.bounds[layout, 0]
-        j0 = lower[1] - grid.bounds[layout, 1]
-        i1 = upper[0] - grid.bounds[layout, 0]
-        j1 = upper[1] - grid.bounds[layout, 1]
+        i0 = lower[0] - grid.bounds[now.layout, 0]
+        j0 = lower[1] - grid.bounds[now.layout, 1]
+        i1 = upper[0] - grid.bounds[now.layout, 0]
+        j1 = upper[1] - grid.bounds[now.layout, 1]
         if i0 >= 0 and j0 >= 0 and i1 < grid.low.shape[1] and j1 < grid.low.shape[2]:
             for i in range(i0, i1 + 1):
                 for j in range(j0, j1 + 1):
-                    wp.atomic_min(grid.low, layout, i, j, lower[2])
-                    wp.atomic_max(grid.high, layout, i, j, upper[2])
+                    wp.atomic_min(grid.low, now.layout, i, j, lower[2])
+                    wp.atomic_max(grid.high, now.layout, i, j, upper[2])
 
     @wp.func
-    def rebuild(
-        row: int, thread: int, threads: int, N: int, layout: int, room: int, inv_dx: real,
-        particles: Particles, grid: SparseGrid,
-    ):  # fmt: skip
+    def rebuild(now: Substep, particles: Particles, grid: Grid):
         """Return whether the layout has room for the particles of a row."""
-        if thread == 0:
-            grid.count[layout] = 0
+        if now.thread == 0:
+            grid.count[now.layout] = 0
             for a in range(2):
-                grid.bounds[layout, a] = EMPTY_BELOW
-                grid.bounds[layout, a + 2] = -EMPTY_BELOW
+                grid.bounds[now.layout, a] = EMPTY_BELOW
+                grid.bounds[now.layout, a + 2] = -EMPTY_BELOW
         sync()
-        lower, upper = reach(position(particles, row, thread % N), inv_dx)
-        for i in range(thread, N, threads):
-            low, high = reach(position(particles, row, i), inv_dx)
+        lower, upper = reach(now, position(particles, now.w, now.thread % now.N))
+        for i in range(now.thread, now.N, now.threads):
+            low, high = reach(now, position(particles, now.w, i))
             lower = wp.min(lower, low)
             upper = wp.max(upper, high)
         for a in range(2):
-            wp.atomic_min(grid.bounds, layout, a, lower[a])
-            wp.atomic_max(grid.bounds, layout, a + 2, upper[a])
+            wp.atomic_min(grid.bounds, now.layout, a, lower[a])
+            wp.atomic_max(grid.bounds, now.layout, a + 2, upper[a])
         sync()
-        X = grid.bounds[layout, 2] - grid.bounds[layout, 0] + 1
-        Y = grid.bounds[layout, 3] - grid.bounds[layout, 1] + 1
+        X = grid.bounds[now.layout, 2] - grid.bounds[now.layout, 0] + 1
+        Y = grid.bounds[now.layout, 3] - grid.bounds[now.layout, 1] + 1
         fits = X <= grid.low.shape[1] and Y <= grid.low.shape[2]
         if fits:
-            for n in range(thread, X * Y, threads):
-                grid.low[layout, n // Y, n % Y] = EMPTY_BELOW
-                grid.high[layout, n // Y, n % Y] = -EMPTY_BELOW
+            for n in range(now.thread, X * Y, now.threads):
+                grid.low[now.layout, n // Y, n % Y] = EMPTY_BELOW
+                grid.high[now.layout, n // Y, n % Y] = -EMPTY_BELOW
             sync()
             # particles that follow each other mostly stand in one column
-            begin = thread * N // threads
-            lower, upper = reach(position(particles, row, begin % N), inv_dx)
-            for i in range(begin, (thread + 1) * N // threads):
-                low, high = reach(position(particles, row, i), inv_dx)
+            begin = now.thread * now.N // now.threads
+            lower, upper = reach(now, position(particles, now.w, begin % now.N))
+            for i in range(begin, (now.thread + 1) * now.N // now.threads):
+                low, high = reach(now, position(particles, now.w, i))
                 if wp.abs(low[0] - lower[0]) + wp.abs(low[1] - lower[1]) > 1:
-                    mark(layout, lower, upper, grid)
+                    mark(now, lower, upper, grid)
                     lower = low
                     upper = high
                 lower = wp.min(lower, low)
                 upper = wp.max(upper, high)
-            mark(layout, lower, upper, grid)
+            mark(now, lower, upper, grid)
             sync()
             # columns are numbered in any order: sums do not depend on it; the count may exceed room
-            for n in range(thread, X * Y, threads):
-                k0 = grid.low[layout, n // Y, n % Y]
-                k1 = grid.high[layout, n // Y, n % Y]
-                first = wp.atomic_add(grid.count, layout, wp.max(0, k1 - k0 + 1))
-                grid.start[layout, n // Y, n % Y] = first - k0
+            for n in range(now.thread, X * Y, now.threads):
+                k0 = grid.low[now.layout, n // Y, n % Y]
+                k1 = grid.high[now.layout, n // Y, n % Y]
+                first = wp.atomic_add(grid.count, now.layout, wp.max(0, k1 - k0 + 1))
+                grid.start[now.layout, n // Y, n % Y] = first - k0
             sync()
-            fits = grid.count[layout] <= room
+            fits = grid.count[now.layout] <= grid.momentum.shape[1]
         return fits
 
     return rebuild

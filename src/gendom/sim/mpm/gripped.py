@@ -1,10 +1,10 @@
-"""What grippers hold: a list of particles with all that moving them needs, forward and transposed.
+"""Grippers in a substep, forward and transposed: their poses, and a list of what they hold.
 
 Looked up particle by particle (who holds it, where, how stiff it is), each number would be waited
 for in turn; a list is read at once. Particles held firmly (``free`` is 0) go where the gripper
 goes; what is held in part is drawn to it. See ``boundary`` for the formulas.
 
-Shapes: W worlds, N particles.
+Shapes: W worlds, N particles, G grippers.
 """
 
 import functools
@@ -13,107 +13,72 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import make_block
-from gendom.sim.mpm.boundary import FOLLOWS, make_boundary, make_boundary_adjoint
-from gendom.sim.mpm.particles import LAM, MASS, MU, Variant, make_adjoint, make_moving, make_taped
+from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
+from gendom.sim.mpm.particles import LAM, MASS, MU, Variant, make_adjoint, make_taped
 from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.paths import make_paths
 
-LIST = ("free", "driven", "index", "gripper", "number", "share", "place", "modulus")
-"""Arrays of ``Gripped`` with a number for each particle."""
+HELD = (
+    "stored_free", "driven", "held_index", "held_gripper", "held_number", "held_share",
+    "held_place", "held_modulus",
+)  # fmt: skip
+"""Arrays of ``Grips`` with a number for each stored particle, or for each of those held."""
 
-
-@functools.cache
-def make_gripped_type(real: Any) -> Any:
-    """The struct of the list for one scalar type."""
-    vec3 = make_types(real).vec3
-
-    @wp.struct
-    class Gripped:
-        """Of each stored particle ``free`` and ``driven``; then those held, in any order."""
-
-        free: wp.array2d(dtype=real)  # [W, N] as ``Grips.free``
-        driven: wp.array2d(dtype=vec3)  # [W, N] velocity that its gripper would give it [m/s]
-        count: wp.array(dtype=wp.int32)  # [W]
-        index: wp.array2d(dtype=wp.int32)  # [W, N] of the stored particle
-        gripper: wp.array2d(dtype=wp.int32)  # [W, N]
-        number: wp.array2d(dtype=wp.int32)  # [W, N] among what that gripper holds
-        share: wp.array2d(dtype=real)  # [W, N] ``free`` of it
-        place: wp.array2d(dtype=vec3)  # [W, N] in the gripper's frame [m]
-        modulus: wp.array2d(dtype=real)  # [W, N] of pressure waves [Pa]
-
-    return Gripped
+AHEAD = 32
+"""Number of substeps for which gripper poses are computed at once."""
 
 
 @functools.cache
-def make_listing(variant: Variant) -> Namespace:
-    """Build ``list_gripped`` and ``drive``."""
-    real = variant.real
-    types = make_types(real)
-    Matter, Conditions, Grips = types.Matter, types.Conditions, types.Grips
-    vec3 = types.vec3
-    sync = make_block(real).sync
-    boundary = make_boundary(variant)
-    Gripped = make_gripped_type(real)
-    particle = make_moving(variant).particle
-
-    @wp.func
-    def list_gripped(
-        w: int, thread: int, threads: int, stored: Any, matter: Matter, grips: Grips,
-        gripped: Gripped,
-    ):  # fmt: skip
-        """List what is held of the stored particles (or derivatives); return how many."""
-        N = gripped.free.shape[1]
-        sync()
-        if thread == 0:
-            gripped.count[w] = 0
-        sync()
-        for i in range(thread, N, threads):
-            p = particle(stored, w, i)
-            free = grips.free[w, p]
-            gripped.free[w, i] = free
-            if free < real(1.0):
-                n = wp.atomic_add(gripped.count, w, 1)
-                g = grips.held_by[w, p] // N
-                gripped.index[w, n] = i
-                gripped.gripper[w, n] = g
-                gripped.number[w, n] = grips.held_by[w, p] % N
-                gripped.share[w, n] = free
-                gripped.place[w, n] = grips.place[w, g, grips.held_by[w, p] % N]
-                gripped.modulus[w, n] = boundary.modulus_of(w, p, matter)
-        sync()
-        return gripped.count[w]
-
-    @wp.func
-    def drive(
-        w: int, n: int, x: vec3, grip_row: int, h: real, matter: Matter, conditions: Conditions,
-        grips: Grips, gripped: Gripped,
-    ):  # fmt: skip
-        """Set the velocity that its gripper would give to the n-th of the list, which is at x."""
-        b, _slope = boundary.spring(w, gripped.modulus[w, n], h, matter, conditions.dx)
-        v, _spin, _by_b = boundary.follow(
-            gripped.gripper[w, n], gripped.place[w, n], grip_row, x, b, h, grips
-        )
-        gripped.driven[w, gripped.index[w, n]] = v
-
-    return Namespace(list_gripped, drive)
-
-
-@functools.cache
-def make_gripped_adjoint(variant: Variant) -> Namespace:
-    """Build ``firm_adjoint`` and ``partial_adjoint`` of particles held firmly and in part.
+def make_gripped(variant: Variant) -> Namespace:
+    """Build ``list_gripped``, ``drive``, and ``firm_adjoint`` and ``partial_adjoint`` of particles
+    held firmly and in part.
 
     The derivatives of a warp's threads by a gripper are summed before they are added to it.
     """
     real = variant.real
     types = make_types(real)
-    vec3 = types.vec3
-    Matter, Conditions, Grips = types.Matter, types.Conditions, types.Grips
-    ConditionsAdjoint, Gripped = types.ConditionsAdjoint, make_gripped_type(real)
+    vec3, Model, Grips, Substep = types.vec3, types.Model, types.Grips, types.Substep
+    ConditionsAdjoint = types.ConditionsAdjoint
     taped, adjoint_of = make_taped(variant), make_adjoint(variant)
     Tape, Adjoint = taped.Struct, adjoint_of.Struct
     before, fields, particle = taped.fields, adjoint_of.fields, adjoint_of.particle
-    boundary = make_boundary_adjoint(variant)
-    wide, add_by_warp = boundary.wide, make_block(real).add_by_warp
+    sync, add_by_warp = make_block(real).sync, make_block(real).add_by_warp
+    boundary = make_boundary(variant)
+    wide = boundary.wide
     pose_type = wp.types.matrix((4, 3), wp.float64)
+
+    @wp.func
+    def list_gripped(now: Substep, stored: Any, model: Model, grips: Grips):
+        """List what is held of the stored particles (or derivatives); return how many."""
+        N = grips.stored_free.shape[1]
+        sync()
+        if now.thread == 0:
+            grips.held[now.w] = 0
+        sync()
+        for i in range(now.thread, N, now.threads):
+            p = particle(stored, now.w, i)
+            free = grips.free[now.w, p]
+            grips.stored_free[now.w, i] = free
+            if free < real(1.0):
+                n = wp.atomic_add(grips.held, now.w, 1)
+                g = grips.held_by[now.w, p] // N
+                grips.held_index[now.w, n] = i
+                grips.held_gripper[now.w, n] = g
+                grips.held_number[now.w, n] = grips.held_by[now.w, p] % N
+                grips.held_share[now.w, n] = free
+                grips.held_place[now.w, n] = grips.place[now.w, g, grips.held_by[now.w, p] % N]
+                grips.held_modulus[now.w, n] = boundary.modulus_of(now.w, p, model)
+        sync()
+        return grips.held[now.w]
+
+    @wp.func
+    def drive(now: Substep, n: int, x: vec3, model: Model, grips: Grips):
+        """Set the velocity that its gripper would give to the n-th of the list, which is at x."""
+        b, _slope = boundary.spring(now, grips.held_modulus[now.w, n], model)
+        v, _spin, _by_b = boundary.follow(
+            now, grips.held_gripper[now.w, n], grips.held_place[now.w, n], x, b, grips
+        )
+        grips.driven[now.w, grips.held_index[now.w, n]] = v
 
     @wp.func
     def rows_of(centre_bar: vec3, V_bar: vec3, spin_bar: vec3, R_bar: vec3):
@@ -129,31 +94,27 @@ def make_gripped_adjoint(variant: Variant) -> Namespace:
         add_by_warp(by.rotation, grip_row, g, total[3])
 
     @wp.func
-    def firm_adjoint(
-        w: int, thread: int, threads: int, holding: int, grip_row: int, h: real, grips: Grips,
-        gripped: Gripped, adjoint: Adjoint, by: ConditionsAdjoint,
-    ):  # fmt: skip
+    def firm_adjoint(now: Substep, grips: Grips, adjoint: Adjoint, by: ConditionsAdjoint):
         """Derivatives by x and by grippers of what they hold firmly."""
         for g in range(grips.closed.shape[1]):
             total = pose_type()
-            for n in range(thread, holding, threads):
-                if gripped.gripper[w, n] == g and gripped.share[w, n] == real(0.0):
-                    i = gripped.index[w, n]
-                    x_bar = fields.x(adjoint, w, i)
+            for n in range(now.thread, now.holding, now.threads):
+                if grips.held_gripper[now.w, n] == g and grips.held_share[now.w, n] == real(0.0):
+                    i = grips.held_index[now.w, n]
+                    x_bar = fields.x(adjoint, now.w, i)
                     centre_bar, V_bar, spin_bar, R_bar = boundary.follow_adjoint(
-                        w, g, gripped.number[w, n], grip_row, real(FOLLOWS), h,
-                        fields.v(adjoint, w, i) + h * x_bar,
-                        boundary.turned_adjoint(fields.C(adjoint, w, i)), grips, by,
+                        now, g, grips.held_number[now.w, n], real(FOLLOWS),
+                        fields.v(adjoint, now.w, i) + now.h * x_bar,
+                        boundary.turned_adjoint(fields.C(adjoint, now.w, i)), grips, by,
                     )  # fmt: skip
-                    fields.put_x(adjoint, w, i, x_bar - centre_bar)
+                    fields.put_x(adjoint, now.w, i, x_bar - centre_bar)
                     total += rows_of(centre_bar, V_bar, spin_bar, R_bar)
-            add_to_pose(grip_row, g, total, by)
+            add_to_pose(now.grip_row, g, total, by)
 
     @wp.func
     def partial_adjoint(
-        w: int, thread: int, threads: int, holding: int, grip_row: int, slot: int, h: real,
-        mass: real, matter: Matter, conditions: Conditions, grips: Grips, gripped: Gripped,
-        tape: Tape, touched: wp.array2d(dtype=vec3), adjoint: Adjoint, by: ConditionsAdjoint,
+        now: Substep, model: Model, grips: Grips, tape: Tape, adjoint: Adjoint,
+        by: ConditionsAdjoint,
     ):  # fmt: skip
         """The same of what they hold in part, and by mass and moduli.
 
@@ -162,24 +123,101 @@ def make_gripped_adjoint(variant: Variant) -> Namespace:
         """
         for g in range(grips.closed.shape[1]):
             total = pose_type()
-            for n in range(thread, holding, threads):
-                share = gripped.share[w, n]
-                if gripped.gripper[w, n] == g and share > real(0.0):
-                    i = gripped.index[w, n]
-                    u = before.q(tape, slot, i) / mass
-                    if conditions.table == 1:
-                        u += touched[w, particle(adjoint, w, i) // matter.section]
+            for n in range(now.thread, now.holding, now.threads):
+                share = grips.held_share[now.w, n]
+                if grips.held_gripper[now.w, n] == g and share > real(0.0):
+                    i = grips.held_index[now.w, n]
+                    u = before.q(tape, now.slot, i) / now.mass
+                    if model.table == 1:
+                        u += by.touched[now.w, particle(adjoint, now.w, i) // model.section]
                     by_lam, by_mass, centre_bar, V_bar, spin_bar, R_bar = boundary.driven_adjoint(
-                        w, g, gripped.number[w, n], gripped.modulus[w, n], real(1.0) - share,
-                        grip_row, before.x(tape, slot, i), u, h, conditions.dx, matter,
-                        fields.v(adjoint, w, i) / share, grips, by,
+                        now, g, grips.held_number[now.w, n], grips.held_modulus[now.w, n],
+                        real(1.0) - share, before.x(tape, now.slot, i), u, model,
+                        fields.v(adjoint, now.w, i) / share, grips, by,
                     )  # fmt: skip
-                    fields.put_x(adjoint, w, i, fields.x(adjoint, w, i) - centre_bar)
+                    fields.put_x(adjoint, now.w, i, fields.x(adjoint, now.w, i) - centre_bar)
                     sums = adjoint.sums
-                    sums[w, LAM, i] = sums[w, LAM, i] + by_lam
-                    sums[w, MU, i] = sums[w, MU, i] + real(2.0) * by_lam
-                    sums[w, MASS, i] = sums[w, MASS, i] + by_mass
+                    sums[now.w, LAM, i] = sums[now.w, LAM, i] + by_lam
+                    sums[now.w, MU, i] = sums[now.w, MU, i] + real(2.0) * by_lam
+                    sums[now.w, MASS, i] = sums[now.w, MASS, i] + by_mass
                     total += rows_of(centre_bar, V_bar, spin_bar, R_bar)
-            add_to_pose(grip_row, g, total, by)
+            add_to_pose(now.grip_row, g, total, by)
 
-    return Namespace(firm_adjoint, partial_adjoint)
+    return Namespace(list_gripped, drive, firm_adjoint, partial_adjoint)
+
+
+@functools.cache
+def make_poses(real: Any) -> Namespace:
+    """Build ``pose_gripper``, ``pose_ahead`` (many substeps, by the threads of a block) and their
+    transposes ``pose_gripper_adjoint`` and ``close_poses``, for one scalar type."""
+    types = make_types(real)
+    Paths, Grips, Substep = types.Paths, types.Grips, types.Substep
+    ConditionsAdjoint = types.ConditionsAdjoint
+    paths_of = make_paths(real)
+
+    @wp.func
+    def pose_gripper(
+        row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, grips: Grips
+    ):
+        """Gripper g of world w in the substep from t to t + dt [s]."""
+        grips.closed[row, g] = int(paths_of.is_closed(w, g, t, paths))
+        here, _R, knot = paths_of.pose(w, g, t, paths)
+        there, R, end = paths_of.pose(w, g, t + dt, paths)
+        grips.centre[row, g] = paths_of.narrow(there)
+        grips.orientation[row, g] = paths_of.narrow_matrix(R)
+        grips.velocity[row, g] = paths_of.narrow((there - here) / dt)
+        # each segment contributes a rotation for its part of the substep
+        turned = wp.vec3d()
+        if paths.turns[w, g] == 1:
+            for k in range(knot, end + 1):
+                turned += paths_of.share_of(w, g, k, t, dt, paths) * paths.turn[w, g, k]
+        grips.spin[row, g] = paths_of.narrow(turned / dt)
+
+    @wp.func
+    def pose_gripper_adjoint(
+        row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, by: ConditionsAdjoint
+    ):
+        """Transpose of ``pose_gripper``; resets the row's sums."""
+        moved = by.velocity[row, g] / dt
+        _here, _R, knot = paths_of.pose(w, g, t, paths)
+        _there, _R_end, end = paths_of.pose(w, g, t + dt, paths)
+        paths_of.pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, by.position, by.turn)
+        paths_of.pose_adjoint(
+            w, g, t + dt, by.centre[row, g] + moved, by.rotation[row, g], paths, by.position,
+            by.turn,
+        )  # fmt: skip
+        if paths.turns[w, g] == 1:
+            for k in range(knot, end + 1):
+                by_turn = (paths_of.share_of(w, g, k, t, dt, paths) / dt) * by.spin[row, g]
+                paths_of.turn_adjoint(w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, by.turn)
+        by.centre[row, g] = wp.vec3d()
+        by.rotation[row, g] = wp.vec3d()
+        by.velocity[row, g] = wp.vec3d()
+        by.spin[row, g] = wp.vec3d()
+
+    @wp.func
+    def pose_ahead(
+        now: Substep, first: int, count: int, t: wp.float64, dt: wp.float64, paths: Paths,
+        grips: Grips,
+    ):  # fmt: skip
+        """Poses in ``count`` substeps from ``first`` on, side by side; substep 0 begins at t."""
+        grippers = grips.closed.shape[1]
+        for n in range(now.thread, count * grippers, now.threads):
+            ahead = n // grippers
+            at = t + wp.float64(first + ahead) * dt
+            pose_gripper(now.w * AHEAD + ahead, now.w, n % grippers, at, dt, paths, grips)
+
+    @wp.func
+    def close_poses(
+        now: Substep, first: int, count: int, t: wp.float64, dt: wp.float64, paths: Paths,
+        grips: Grips, by: ConditionsAdjoint,
+    ):  # fmt: skip
+        """Transpose of ``pose_ahead``."""
+        grippers = grips.closed.shape[1]
+        for n in range(now.thread, count * grippers, now.threads):
+            row = now.w * AHEAD + n // grippers
+            if grips.closed[row, n % grippers] == 1:
+                at = t + wp.float64(first + n // grippers) * dt
+                pose_gripper_adjoint(row, now.w, n % grippers, at, dt, paths, by)
+
+    return Namespace(pose_gripper, pose_gripper_adjoint, pose_ahead, close_poses)

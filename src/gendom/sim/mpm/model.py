@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
 from gendom.sim.mpm.boundary import grip_constants
-from gendom.sim.mpm.grid import Grid, GridExhausted, grown_room, make_grid, room_for
-from gendom.sim.mpm.poses import AHEAD
+from gendom.sim.mpm.grid import GridExhausted, grown_room, room_for
+from gendom.sim.mpm.gripped import AHEAD, HELD
 from gendom.sim.mpm.step import INVERTED, NOTHING_HELD
 from gendom.sim.mpm.types import make_types
+from gendom.sim.paths import paths_on
 from gendom.sim.setting import DRAG, Setting, spread
 
 CLOCK = (
@@ -45,9 +46,10 @@ class Worlds:
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, N, 3), "positions")
         self.room = room_for(_distinct(x), s.body.dx)
-        self.matter = self._matter()
-        self.conditions = self._conditions()
-        self.paths = self._paths()
+        self.model = self._model()
+        stacked = s.grippers.arrays
+        position = stacked["position"] - self.origin
+        self.paths = paths_on(s.device, {**stacked, "position": position}, self.real)
         self.grips = self._grips()
         self.clock = self.allocate(self.types.Clock, **dict.fromkeys(CLOCK, W))
         self.carried = ("x", "v", "C", *("Z",) * self.damped)
@@ -56,24 +58,23 @@ class Worlds:
         wp.copy(self.state.x, self.array(x, self.types.vec3))
         if not s.device.is_cuda:
             self.state.impulses = self.zeros((W, N), self.types.impulses)
-        self.touched = self.zeros((W, N // s.body.section), self.types.vec3)
         self.last_good = self.make_state(W)
         for name in self.carried:
             wp.copy(getattr(self.last_good, name), getattr(self.state, name))
         self.last_good_time = np.full(W, s.start_time)
         self.failures: dict[int, SimulationError] = {}
 
-    def _matter(self) -> Any:
-        s = self.setting
+    def _model(self) -> Any:
+        s, W = self.setting, self.num_worlds
         lame = np.array([m.lame_of(s.body.lateral_constraint) for m in s.materials])
         share = _distinct(self.stiffness)
-        air = spread(s.air_density, (self.num_worlds,), "air_density")
+        air = spread(s.air_density, (W,), "air_density")
         across = s.body.thickness if s.body.kind == "rope" else 1.0
         self.drag_by_air = 0.5 * DRAG.get(s.body.kind, 0.0) * across / s.body.section
         beyond, grip_stiffness = grip_constants(s.body)
         alone = (s.body.lattice == np.arange(len(s.body.x))[:, None, None]).any(axis=2)
         return self.filled(
-            self.types.Matter,
+            self.types.Model,
             mu=np.broadcast_to(lame[:, :1] * share, self.stiffness.shape),
             lam=np.broadcast_to(lame[:, 1:] * share, self.stiffness.shape),
             mass=np.array([m.density for m in s.materials]) * s.body.volume,
@@ -89,24 +90,12 @@ class Worlds:
             rest_frame=s.body.rest_frames,
             frame=_triangles(s.body.rest_frames),
             per_span=np.where(alone, 1.0, 0.5).T[:2],
-        )
-
-    def _conditions(self) -> Any:
-        s, W = self.setting, self.num_worlds
-        friction = s.table.friction if s.table is not None else 0.0
-        return self.filled(
-            self.types.Conditions,
             dx=s.body.dx,
             gravity=spread(s.gravity, (W, 3), "gravity"),
             velocity_damping=spread(s.velocity_damping, (W,), "velocity_damping"),
-            friction=spread(friction, (W,), "friction"),
             table=int(s.table is not None),
+            friction=spread(s.table.friction if s.table else 0.0, (W,), "friction"),
         )
-
-    def _paths(self) -> Any:
-        stacked = self.setting.grippers.arrays
-        position = stacked["position"] - self.origin
-        return self.filled(self.types.Paths, **{**stacked, "position": position})
 
     def _grips(self) -> Any:
         W, G, N = self.num_worlds, len(self.setting.grippers[0]), self.num_particles
@@ -115,7 +104,8 @@ class Worlds:
         grips = self.allocate(
             self.types.Grips,
             count=(W, G),
-            held_by=(W, N),
+            held=W,
+            **dict.fromkeys(("held_by", *HELD), (W, N)),
             **lists,
             **dict.fromkeys(poses, (AHEAD * W, G)),
         )
@@ -140,17 +130,28 @@ class Worlds:
         first, second = body.lattice[:, :, 0], body.lattice[:, :, 1]
         return np.swapaxes(x[..., second, :] - x[..., first, :], -1, -2) @ body.rest_frames
 
-    def make_grid(self, layouts: int, *, rows: int | None = None, make: Any = wp.zeros) -> Grid:
-        """A grid with the room that worlds are known to need."""
-        return make_grid(self.room, layouts, self.types.vec4, self.device, rows=rows, make=make)
+    def make_grid(self, layouts: int, *, rows: int | None = None, make: Any = wp.zeros) -> Any:
+        """A grid of so many layouts with the room that worlds are known to need.
 
-    def make_room(self, grid: Grid, layouts: NDArray[np.integer]) -> NDArray[np.bool_]:
+        It has so many rows of momentum (default: one a layout); ``make`` fills arrays.
+        """
+        X, Y, M = self.room
+        return self.allocate(
+            self.types.Grid,
+            make,
+            bounds=(layouts, 4),
+            count=layouts,
+            momentum=(layouts if rows is None else rows, M),
+            **dict.fromkeys(("low", "high", "start"), (layouts, X, Y)),
+        )
+
+    def make_room(self, grid: Any, layouts: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Let later grids hold what did not fit into the given layouts of this one.
 
         Returns:
             [len(layouts)] whether no real object needs so much: the world has diverged.
         """
-        bounds = grid.layouts.bounds.numpy()
+        bounds = grid.bounds.numpy()
         exhausted = np.zeros(len(layouts), dtype=bool)
         for n, layout in enumerate(layouts):
             try:

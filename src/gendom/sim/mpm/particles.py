@@ -18,7 +18,6 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import make_block, make_store, put_near
-from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.transfer import make_transfer
 from gendom.sim.mpm.types import Namespace, make_types
 
@@ -167,9 +166,7 @@ def _rows(real: Any) -> Namespace:
     def same(s: Any, row: int, i: int):
         return i
 
-    fields = Namespace(
-        x, v, C, q, low, put_x, put_v, put_C, put_q, put_low, get_Z, put_Z
-    )  # fmt: skip
+    fields = Namespace(x, v, C, q, low, put_x, put_v, put_C, put_q, put_low, get_Z, put_Z)
 
     return Namespace(
         moving=Stored(State, fields, same, same, x),
@@ -327,7 +324,8 @@ def make_loading(variant: Variant) -> Namespace:
 def make_sorting(variant: Variant) -> Any:
     """Build ``sort``, which puts a world's records in the order of their lowest nodes."""
     real = variant.real
-    Matter = make_types(real).Matter
+    types = make_types(real)
+    Model, Substep, Grid = types.Model, types.Substep, types.Grid
     moving = make_moving(variant)
     Records, fields = moving.Struct, moving.fields
     store = fields.store
@@ -336,53 +334,50 @@ def make_sorting(variant: Variant) -> Any:
     COMPONENTS = wp.constant(variant.components)
 
     @wp.func
-    def node_of(w: int, i: int, layout: int, inv_dx: real, grid: SparseGrid, records: Records):
-        node, _f = locate(layout, fields.x(records, w, i), inv_dx, grid)
-        return grid.start[layout, node[0], node[1]] + node[2]
+    def node_of(now: Substep, i: int, grid: Grid, records: Records):
+        node, _f = locate(now, fields.x(records, now.w, i), grid)
+        return grid.start[now.layout, node[0], node[1]] + node[2]
 
     @wp.func
-    def sort(
-        w: int, thread: int, threads: int, layout: int, inv_dx: real, matter: Matter,
-        grid: SparseGrid, records: Records,
-    ):  # fmt: skip
+    def sort(now: Substep, model: Model, grid: Grid, records: Records):
         of = records.of
         N = of.shape[2]
-        nodes = grid.count[layout]
-        begin = thread * nodes // threads
-        end = (thread + 1) * nodes // threads
+        nodes = grid.count[now.layout]
+        begin = now.thread * nodes // now.threads
+        end = (now.thread + 1) * nodes // now.threads
         for n in range(begin, end):
-            records.tally[w, n] = 0
+            records.tally[now.w, n] = 0
         block.sync()
-        for i in range(thread, N, threads):
-            wp.atomic_add(records.tally, w, node_of(w, i, layout, inv_dx, grid, records), 1)
+        for i in range(now.thread, N, now.threads):
+            wp.atomic_add(records.tally, now.w, node_of(now, i, grid, records), 1)
         block.sync()
         total = int(0)
         for n in range(begin, end):
-            total += records.tally[w, n]
+            total += records.tally[now.w, n]
         first = block.sum_before(total)
         for n in range(begin, end):
-            here = records.tally[w, n]
-            records.tally[w, n] = first
+            here = records.tally[now.w, n]
+            records.tally[now.w, n] = first
             first += here
         block.sync()
-        for i in range(thread, N, threads):
-            j = wp.atomic_add(records.tally, w, node_of(w, i, layout, inv_dx, grid, records), 1)
-            p = records.order[w, i]
-            records.spare_order[w, j] = p
-            records.place[w, p] = j
+        for i in range(now.thread, N, now.threads):
+            j = wp.atomic_add(records.tally, now.w, node_of(now, i, grid, records), 1)
+            p = records.order[now.w, i]
+            records.spare_order[now.w, j] = p
+            records.place[now.w, p] = j
             for c in range(COMPONENTS):
-                records.spare[w, c, j] = store.get(of, w, c, i)
+                records.spare[now.w, c, j] = store.get(of, now.w, c, i)
             for c in range(2):
-                records.spare[w, COMPONENTS + c, j] = records.moduli[w, c, i]
+                records.spare[now.w, COMPONENTS + c, j] = records.moduli[now.w, c, i]
         block.sync()
-        for i in range(thread, N, threads):
-            p = records.spare_order[w, i]
-            records.order[w, i] = p
+        for i in range(now.thread, N, now.threads):
+            p = records.spare_order[now.w, i]
+            records.order[now.w, i] = p
             for c in range(COMPONENTS):
-                store.put(of, w, c, i, records.spare[w, c, i])
+                store.put(of, now.w, c, i, records.spare[now.w, c, i])
             for c in range(2):
-                records.moduli[w, c, i] = records.spare[w, COMPONENTS + c, i]
-            put_near(records.near, w, i, p, matter.lattice, records.place, w)
+                records.moduli[now.w, c, i] = records.spare[now.w, COMPONENTS + c, i]
+            put_near(records.near, now.w, i, p, model.lattice, records.place, now.w)
         block.sync()
 
     return sort

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from gendom.sim.device import making
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
-from gendom.sim.mpm.gripped import LIST, make_gripped_type
 from gendom.sim.mpm.kernels import make_advance, make_hold_as_at
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.mpm.particles import Variant, make_moving, make_taped
@@ -78,9 +77,6 @@ class Program:
                 worlds.real, worlds.damped, rows=False, room=room, threads=threads if cuda else 1
             )
         self.particles = worlds.state if self.variant.rows else self._records()
-        self.gripped = worlds.allocate(
-            make_gripped_type(worlds.real), count=W, **dict.fromkeys(LIST, (W, N))
-        )
         self.unsorted = worlds.zeros(W, worlds.real)
         self.load(make_advance(self.variant, taped=False))
         self.load(make_hold_as_at(worlds.real), ANY_THREADS)
@@ -192,15 +188,15 @@ class Group:
         """Make a grid, which the worlds will build first."""
         s = self.worlds
         self.grid = s.make_grid(self.shared)
-        self.velocity = self.grid.momentum
+        self.grid.velocity = self.grid.momentum
         if not self.program.variant.rows:
-            self.velocity = wp.zeros_like(self.grid.momentum)
+            self.grid.velocity = wp.zeros_like(self.grid.momentum)
             self.program.particles.tally = s.zeros(self.grid.momentum.shape, wp.int32)
         self.set_clock("travel", REBUILD)
 
     def end(self) -> None:
         """Let go of the grid."""
-        del self.grid, self.velocity
+        del self.grid
 
     def set_clock(self, name: str, values: Any) -> None:
         """Set these worlds' numbers of an array of the clock."""
@@ -245,27 +241,24 @@ class Group:
         for pause in pauses:
             for n, stream in enumerate(self._streams):
                 order: Any = self.order[n :: len(self._streams)] if several else self.order
-                self._launch(
-                    plan, order, most, pause, frames, self.grid, self.velocity, None, stream
-                )
+                self._launch(plan, order, most, pause, frames, self.grid, None, stream)
         if several:
             wp.synchronize_device(self.worlds.device)
 
     def record(self, plan: Plan, recording: Any, *, most: int, frames: int) -> None:
         """Take the worlds further and keep everything that the reverse needs."""
-        grid, velocity, tape = recording.grid, recording.velocity, recording.tape
-        self._launch(plan, self.order, most, np.inf, frames, grid, velocity, tape, None)
+        grid, tape = recording.grid, recording.tape
+        self._launch(plan, self.order, most, np.inf, frames, grid, tape, None)
 
     def _launch(
-        self, plan: Plan, order: Any, most: int, pause: float, frames: int, grid: Any,
-        velocity: wp.array, tape: Any, stream: Any,
+        self, plan: Plan, order: Any, most: int, pause: float, frames: int, grid: Any, tape: Any,
+        stream: Any,
     ) -> None:  # fmt: skip
         s, program = self.worlds, self.program
         kernel = make_advance(program.variant, taped=tape is not None)
         program.launch(kernel, order, [
-            self.shared, most, pause, frames, plan.arrays, s.clock, program.unsorted, s.matter,
-            s.conditions, s.paths, s.grips, s.state, s.last_good, grid.layouts, grid.momentum,
-            velocity, program.particles, program.gripped,
+            self.shared, most, pause, frames, plan.arrays, s.clock, program.unsorted, s.model,
+            s.paths, s.grips, s.state, s.last_good, grid, program.particles,
             make_taped(program.variant).Struct() if tape is None else tape,
         ], stream=stream)  # fmt: skip
 

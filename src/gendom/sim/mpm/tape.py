@@ -57,7 +57,7 @@ class Tape:
         W, N = s.num_worlds, s.num_particles
         x: Any = wp.empty((len(times), W, N), dtype=s.types.vec3, device=s.device)
         self._plan = plan = self.program.plan(began, times, np.arange(N), x)
-        row = self._row_bytes(SUBSTEPS_A_LAYOUT)
+        row = _row_bytes(self.program, SUBSTEPS_A_LAYOUT)
         substeps = plan.steps.sum(axis=0)
         needed = sum(len(g.own) * int(substeps[g.own].max()) * row for g in self.groups)
         keeps = needed <= self.memory
@@ -96,16 +96,8 @@ class Tape:
         """Substeps that the memory holds at once."""
         if not self._cuda:
             return LONGEST_ON_CPU
-        row = self.program.worlds.num_worlds * self._row_bytes(1)
+        row = self.program.worlds.num_worlds * _row_bytes(self.program, 1)
         return min(LONGEST, max(SHORTEST, int(self.memory / row)))
-
-    def _row_bytes(self, substeps_a_layout: int) -> float:
-        """Memory that a recorded substep of one world takes [bytes]."""
-        s = self.program.worlds
-        X, Y, M = s.room
-        N, real = s.num_particles, s.numpy_type.itemsize
-        layout = 4 * (3 * X * Y + 2 * N + 7)
-        return real * (self.program.variant.taped * N + 4 * M) + layout / substeps_a_layout
 
     def _record(
         self, group: Group, segment: "Segment", substeps: int, spare: "Recording | None"
@@ -166,13 +158,10 @@ class Tape:
         recording = segment.recording
         if recording is None:
             recording = spare = self._record(group, segment, segment.substeps, spare)
-        nodes = (group.shared, recording.grid.momentum.shape[1])
+        recording.grid.velocity_bar = wp.empty_like(recording.grid.velocity)
         program.launch(make_reverse(program.variant), group.order, [
-            group.shared, *segment.arrays(s, self._plan), s.matter, s.conditions, s.paths,
-            s.grips, recording.grid.layouts, recording.grid.momentum, recording.tape,
-            wp.empty(nodes, dtype=s.types.vec4, device=s.device),
-            wp.empty(nodes, dtype=s.types.vec4, device=s.device), s.touched, sums.adjoint,
-            program.gripped, sums.state, sums.conditions,
+            group.shared, *segment.arrays(s, self._plan), s.model, s.paths, s.grips,
+            recording.grid, recording.tape, sums.adjoint, sums.state, sums.conditions,
         ])  # fmt: skip
         segment.recording = None
         sums.check(group, segment, recording, self._plan)
@@ -268,9 +257,9 @@ class Recording:
         # nothing is read before it was written: memory that is never needed is never touched
         make = wp.empty
         if not s.device.is_cuda:
-            make = Pages(n * substeps * self._bytes(program)).take
+            make = Pages(n * substeps * (int(_row_bytes(program, 1)) + 1024)).take
         self.grid = s.make_grid(layouts * n, rows=substeps * n, make=make)
-        self.velocity = wp.zeros((n, s.room[2]), dtype=s.types.vec4, device=s.device)
+        self.grid.velocity = wp.zeros((n, s.room[2]), dtype=s.types.vec4, device=s.device)
         rows = substeps * n
         if variant.rows:
             shapes: dict[str, Any] = dict.fromkeys(("x", "v", "C", "q"), (rows, N))
@@ -281,12 +270,14 @@ class Recording:
             )
         self.tape = s.allocate(make_taped(variant).Struct, make, layout_of=rows, **shapes)
 
-    @staticmethod
-    def _bytes(program: Program) -> int:
-        s = program.worlds
-        X, Y, M = s.room
-        real, N = s.numpy_type.itemsize, s.num_particles
-        return real * (program.variant.taped * N + 4 * M) + 4 * (3 * X * Y + 2 * N + 6) + 1024
+
+def _row_bytes(program: Program, substeps_a_layout: int) -> float:
+    """Memory that a recorded substep of one world takes [bytes]."""
+    s = program.worlds
+    X, Y, M = s.room
+    N, real = s.num_particles, s.numpy_type.itemsize
+    layout = 4 * (3 * X * Y + 2 * N + 7)
+    return real * (program.variant.taped * N + 4 * M) + layout / substeps_a_layout
 
 
 class Pages:
@@ -353,6 +344,7 @@ class Sums:
             **dict.fromkeys(by_world, W),
             **dict.fromkeys(("position", "turn"), (W, G, K)),
             radius=(W, G),
+            touched=(W, N // s.setting.body.section),
             **dict.fromkeys(("weight", "place"), (W, G, N)),
             **dict.fromkeys(("centre", "rotation", "velocity", "spin"), s.grips.closed.shape),
         )

@@ -18,7 +18,6 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.grid import SparseGrid
 from gendom.sim.mpm.types import Namespace, make_types
 
 
@@ -103,18 +102,18 @@ def make_transfer(real: Any) -> Namespace:
         ``g2p_adjoint``.
     """
     types = make_types(real)
-    Nodes = types.Nodes
+    Substep, Grid = types.Substep, types.Grid
     vec3, mat33 = types.vec3, types.mat33
     bspline = make_bspline(real, windowed=False)
 
     @wp.func
-    def locate(layout: int, x: vec3, inv_dx: real, grid: SparseGrid):
+    def locate(now: Substep, x: vec3, grid: Grid):
         """Lowest of a particle's 27 nodes in a layout, and the place f above it in cells."""
-        y = x * inv_dx
+        y = x * now.inv_dx
         i = int(wp.floor(y[0] - real(0.5)))
         j = int(wp.floor(y[1] - real(0.5)))
         k = int(wp.floor(y[2] - real(0.5)))
-        node = wp.vec3i(i - grid.bounds[layout, 0], j - grid.bounds[layout, 1], k)
+        node = wp.vec3i(i - grid.bounds[now.layout, 0], j - grid.bounds[now.layout, 1], k)
         return node, y - vec3(real(i), real(j), real(k))
 
     @wp.func
@@ -122,10 +121,8 @@ def make_transfer(real: Any) -> Namespace:
         """Of momentum q and ``mass`` at the particle, and A times the distance from it in cells."""
         q0 = q - A * f
         return bspline.sums(
-            q0[0], q0[1], q0[2], mass,
-            A[0, 0], A[1, 0], A[2, 0], real(0.0),
-            A[0, 1], A[1, 1], A[2, 1], real(0.0),
-            A[0, 2], A[1, 2], A[2, 2], real(0.0),
+            q0[0], q0[1], q0[2], mass, A[0, 0], A[1, 0], A[2, 0], real(0.0), A[0, 1], A[1, 1],
+            A[2, 1], real(0.0), A[0, 2], A[1, 2], A[2, 2], real(0.0),
         )  # fmt: skip
 
     @wp.func
@@ -143,52 +140,44 @@ def make_transfer(real: Any) -> Namespace:
         return vec3(R[4, 0], R[4, 1], R[4, 2])
 
     @wp.func
-    def given_by(
-        x: vec3, q: vec3, C: mat33, mass: real, layout: int, inv_dx: real, grid: SparseGrid,
-    ):  # fmt: skip
+    def given_by(now: Substep, x: vec3, q: vec3, C: mat33, grid: Grid):
         """What a particle gives to the grid: its lowest node, its place above, its coefficients."""
-        node, f = locate(layout, x, inv_dx, grid)
-        return node, f, coefficients(f, q, mass, (mass / inv_dx) * C)
+        node, f = locate(now, x, grid)
+        return node, f, coefficients(f, q, now.mass, (now.mass / now.inv_dx) * C)
 
     @wp.func
-    def p2g_adjoint(
-        x: vec3, q: vec3, C: mat33, mass: real, layout: int, slot: int, inv_dx: real,
-        grid: SparseGrid, nodes_bar: Nodes,
-    ):  # fmt: skip
+    def p2g_adjoint(now: Substep, x: vec3, q: vec3, C: mat33, grid: Grid):
         """Derivatives by x, q, C and mass from those by the nodes."""
-        node, f, c = given_by(x, q, C, mass, layout, inv_dx, grid)
-        R = bspline.gather_with_slope(nodes_bar, slot, grid.start, layout, node, f, c)
+        node, f, c = given_by(now, x, q, C, grid)
+        R = bspline.gather_with_slope(
+            grid.velocity_bar, now.row, grid.start, now.layout, node, f, c
+        )
         u = vec3(R[0, 0], R[0, 1], R[0, 2])
         A_bar = affine_of(f, R)
-        share = mass / inv_dx
-        x_bar = inv_dx * (place_of(R) - share * (wp.transpose(C) * u))
-        by_mass = R[0, 3] + wp.ddot(A_bar, C) / inv_dx
+        share = now.mass / now.inv_dx
+        x_bar = now.inv_dx * (place_of(R) - share * (wp.transpose(C) * u))
+        by_mass = R[0, 3] + wp.ddot(A_bar, C) / now.inv_dx
         return x_bar, u, share * A_bar, by_mass
 
     @wp.func
-    def g2p(
-        layout: int, slot: int, x: vec3, inv_dx: real, grid: SparseGrid, nodes: Nodes,
-    ):  # fmt: skip
+    def g2p(now: Substep, x: vec3, grid: Grid):
         """Velocity v [m/s] and affine velocity C [1/s] of a particle from those of the nodes."""
-        node, f = locate(layout, x, inv_dx, grid)
-        R = bspline.gather(nodes, slot, grid.start, layout, node, f)
-        return vec3(R[0, 0], R[0, 1], R[0, 2]), (real(4.0) * inv_dx) * affine_of(f, R)
+        node, f = locate(now, x, grid)
+        R = bspline.gather(grid.velocity, now.row, grid.start, now.layout, node, f)
+        return vec3(R[0, 0], R[0, 1], R[0, 2]), (real(4.0) * now.inv_dx) * affine_of(f, R)
 
     @wp.func
-    def taken_by(x: vec3, v_bar: vec3, C_bar: mat33, layout: int, inv_dx: real, grid: SparseGrid):
+    def taken_by(now: Substep, x: vec3, v_bar: vec3, C_bar: mat33, grid: Grid):
         """What a particle's derivatives give to the grid's, as ``given_by``."""
-        node, f = locate(layout, x, inv_dx, grid)
-        return node, f, coefficients(f, v_bar, real(0.0), (real(4.0) * inv_dx) * C_bar)
+        node, f = locate(now, x, grid)
+        return node, f, coefficients(f, v_bar, real(0.0), (real(4.0) * now.inv_dx) * C_bar)
 
     @wp.func
-    def g2p_adjoint(
-        x: vec3, v_bar: vec3, C_bar: mat33, layout: int, slot: int, inv_dx: real, grid: SparseGrid,
-        nodes: Nodes,
-    ):  # fmt: skip
+    def g2p_adjoint(now: Substep, x: vec3, v_bar: vec3, C_bar: mat33, grid: Grid):
         """Derivative by the x at which the grid was read; that by the nodes is ``taken_by``."""
-        node, f, c = taken_by(x, v_bar, C_bar, layout, inv_dx, grid)
-        R = bspline.gather_with_slope(nodes, slot, grid.start, layout, node, f, c)
+        node, f, c = taken_by(now, x, v_bar, C_bar, grid)
+        R = bspline.gather_with_slope(grid.velocity, now.row, grid.start, now.layout, node, f, c)
         v = vec3(R[0, 0], R[0, 1], R[0, 2])
-        return inv_dx * (place_of(R) - (real(4.0) * inv_dx) * (wp.transpose(C_bar) * v))
+        return now.inv_dx * (place_of(R) - (real(4.0) * now.inv_dx) * (wp.transpose(C_bar) * v))
 
     return Namespace(locate, given_by, p2g_adjoint, g2p, taken_by, g2p_adjoint)

@@ -5,7 +5,6 @@ substep. A name with ``_bar`` is the derivative of a loss by that quantity.
 """
 
 import functools
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,43 +20,21 @@ class Namespace(SimpleNamespace):
         super().__init__(**{one.func.__name__: one for one in functions}, **others)
 
 
-@dataclass(frozen=True)
-class Types:
-    """Vectors, matrices and structs of one scalar type."""
-
-    real: Any
-    vec3: Any
-    vec4: Any
-    mat33: Any
-    impulses: Any
-    """A particle's impulses on its neighbours: a row for each lattice axis, padded with the air's
-    impulse on itself."""
-    Nodes: Any
-    """Array [rows, M] of the grid's nodes: vectors and mass."""
-    compensates: bool
-    """Whether positions keep what rounding leaves out (float32)."""
-    Matter: Any
-    Conditions: Any
-    Paths: Any
-    Grips: Any
-    State: Any
-    Clock: Any
-    FramePlan: Any
-    StateAdjoint: Any
-    ConditionsAdjoint: Any
-
-
 @functools.cache
-def make_types(real: Any) -> Types:
-    """The types for ``wp.float32`` or ``wp.float64``."""
+def make_types(real: Any) -> Namespace:
+    """The types for ``wp.float32`` or ``wp.float64``: vectors, matrices, and the structs below.
+
+    A particle's ``impulses`` on its neighbours are a row for each lattice axis, padded with the
+    air's impulse on itself. ``compensates`` says whether positions keep what rounding leaves out.
+    """
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
     mat33 = wp.types.matrix((3, 3), real)
     impulse_rows = wp.types.matrix((3, 4), real)
 
     @wp.struct
-    class Matter:
-        """What W bodies consist of."""
+    class Model:
+        """What W bodies consist of, and what surrounds them."""
 
         mu: wp.array2d(dtype=real)  # [W, N] [Pa]
         lam: wp.array2d(dtype=real)  # [W, N] [Pa]
@@ -74,16 +51,50 @@ def make_types(real: Any) -> Types:
         rest_frame: wp.array(dtype=mat33)  # [N] [1/m]
         frame: wp.array2d(dtype=real)  # [6, N] its upper triangle but for a rotation
         per_span: wp.array2d(dtype=real)  # [2, N] 1 / spacings between neighbours along two axes
-
-    @wp.struct
-    class Conditions:
-        """What surrounds W bodies."""
-
-        dx: real
+        dx: real  # edge of a cell of the grid [m]
         gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
         velocity_damping: wp.array(dtype=real)  # [W] [1/s]
         table: int  # at height 0
         friction: wp.array(dtype=real)  # [W]
+
+    @wp.struct
+    class Substep:
+        """A substep of one world, as one of the threads sees it that take it."""
+
+        w: int  # world
+        thread: int
+        threads: int
+        N: int
+        h: real  # length [s]
+        age: int  # substeps before it in all
+        gone: int  # and in a recording
+        mass: real
+        gravity: vec3
+        dx: real
+        inv_dx: real
+        keep_velocity: real  # share of velocity that damping leaves
+        keep: real  # what the Maxwell branch keeps of Z, see ``elasticity``
+        share: real  # and its g
+        layout: int  # of the grid
+        slot: int  # row of the grid's momentum, and of the tape
+        row: int  # row of the grid's velocity
+        near_table: int  # whether the table may be touched
+        grip_row: int  # of the grippers' poses
+        holding: int  # particles that grippers hold
+
+    @wp.struct
+    class Grid:
+        """L layouts of the sparse grid and the values on their M nodes, see ``grid``."""
+
+        bounds: wp.array2d(dtype=wp.int32)  # [L, 4] lowest and highest cell in x, y
+        low: wp.array3d(dtype=wp.int32)  # [L, X, Y] lowest node of the column
+        high: wp.array3d(dtype=wp.int32)  # [L, X, Y] highest node of the column
+        start: wp.array3d(dtype=wp.int32)  # [L, X, Y] node k is number start + k
+        count: wp.array(dtype=wp.int32)  # [L] nodes in use
+        # a row for each world; of momentum also one for each recorded substep
+        momentum: wp.array2d(dtype=vec4)  # [rows, M] and mass
+        velocity: wp.array2d(dtype=vec4)  # [rows, M] and mass
+        velocity_bar: wp.array2d(dtype=vec4)  # [rows, M] for the reverse; then by momentum and mass
 
     @wp.struct
     class Grips:
@@ -103,6 +114,16 @@ def make_types(real: Any) -> Types:
         place: wp.array3d(dtype=vec3)  # [W, G, N] where in the gripper's frame [m]
         free: wp.array2d(dtype=real)  # [W, N] share of a particle that no gripper holds
         held_by: wp.array2d(dtype=wp.int32)  # [W, N] gripper times N, and place in its list
+        # the same of stored particles, and a list of those held, in any order, see ``gripped``
+        stored_free: wp.array2d(dtype=real)  # [W, N]
+        driven: wp.array2d(dtype=vec3)  # [W, N] velocity that its gripper would give it [m/s]
+        held: wp.array(dtype=wp.int32)  # [W] how many
+        held_index: wp.array2d(dtype=wp.int32)  # [W, N] of the stored particle
+        held_gripper: wp.array2d(dtype=wp.int32)  # [W, N]
+        held_number: wp.array2d(dtype=wp.int32)  # [W, N] among what that gripper holds
+        held_share: wp.array2d(dtype=real)  # [W, N] that no gripper holds
+        held_place: wp.array2d(dtype=vec3)  # [W, N] in the gripper's frame [m]
+        held_modulus: wp.array2d(dtype=real)  # [W, N] of pressure waves [Pa]
 
     @wp.struct
     class State:
@@ -173,15 +194,15 @@ def make_types(real: Any) -> Types:
         damping_factor: wp.array(dtype=wp.float64)  # [W] share of velocity that damping leaves
         branch_factor: wp.array(dtype=wp.float64)  # [W] share of Z that stays
         branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``elasticity``
+        touched: wp.array2d(dtype=vec3)  # [W, sections] scratch: velocity changed by the table
         # where a derivative overflowed
         status: wp.array(dtype=wp.int32)  # [W]
         failed_slot: wp.array(dtype=wp.int32)  # [W] recorded substep
         failed_particle: wp.array(dtype=wp.int32)  # [W]
 
-    return Types(
+    return Namespace(
         real=real, vec3=vec3, vec4=vec4, mat33=mat33, impulses=impulse_rows,
-        Nodes=wp.array2d(dtype=vec4), compensates=real == wp.float32,
-        Matter=Matter, Conditions=Conditions, Paths=make_path_type(real), Grips=Grips, State=State,
-        Clock=Clock, FramePlan=FramePlan, StateAdjoint=StateAdjoint,
-        ConditionsAdjoint=ConditionsAdjoint,
+        compensates=real == wp.float32, Model=Model, Substep=Substep, Grid=Grid,
+        Paths=make_path_type(real), Grips=Grips, State=State, Clock=Clock, FramePlan=FramePlan,
+        StateAdjoint=StateAdjoint, ConditionsAdjoint=ConditionsAdjoint,
     )  # fmt: skip

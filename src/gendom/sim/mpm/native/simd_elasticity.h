@@ -216,22 +216,22 @@ template <typename real> struct side_by_side {
 // Set the impulses of several particles on their neighbours, those of the air on them, and the
 // filtered stress after the substep; returns one whose J <= 0, or -1. `keep` is what Z keeps in a
 // substep and `share` is g; both 0 without damping. Structs are those of gendom.sim.mpm.
-template <typename real, typename Matter, typename State>
+template <typename real, typename Model, typename State>
 inline int internal_forces(int w, int first, int fresh, real dt, real keep, real share,
-                           const Matter& matter, const State& state) {
+                           const Model& model, const State& state) {
     typedef side_by_side<real> S;
     typedef typename S::wide wide;
-    const S at(w, first, matter.frame);
-    const auto D = at.differences(state.x, w, matter.lattice);
-    const real impulse = dt * matter.volume, strength = -dt * wp::index(matter.drag, w);
+    const S at(w, first, model.frame);
+    const auto D = at.differences(state.x, w, model.lattice);
+    const real impulse = dt * model.volume, strength = -dt * wp::index(model.drag, w);
     const auto F = at.framed(D);
     wide wind[3] = {wide(real(0)), wide(real(0)), wide(real(0))};
     if (strength != real(0))
-        at.air(D, state.v, w, matter.per_span, matter.sheet, strength, wind);
+        at.air(D, state.v, w, model.per_span, model.sheet, strength, wind);
     auto C = S::cofactors(F);
     const wide J = S::dot(F.of[0], C.of[0]);
-    const wide mus = S::numbers(wp::index(matter.mu, w, first));
-    const wide lams = S::numbers(wp::index(matter.lam, w, first));
+    const wide mus = S::numbers(wp::index(model.mu, w, first));
+    const wide lams = S::numbers(wp::index(model.lam, w, first));
     const wide pressure = lams * S::log_volumes(J) - mus;
     typename S::columns P;
     if (share == real(0)) {
@@ -260,21 +260,21 @@ inline int internal_forces(int w, int first, int fresh, real dt, real keep, real
 
 // Transpose of internal_forces. Sums up only what particles from `fresh` on add; returns their
 // derivative by the share g and by `keep`.
-template <typename real, typename Matter, typename Tape, typename Adjoint>
+template <typename real, typename Model, typename Tape, typename Adjoint>
 inline wp::vec_t<2, real> internal_forces_adjoint(int w, int first, int fresh, int row, real dt,
-                                                  real keep, real share, const Matter& matter,
+                                                  real keep, real share, const Model& model,
                                                   const Tape& tape, const Adjoint& adjoint) {
     typedef side_by_side<real> S;
     typedef typename S::wide wide;
-    const S at(w, first, matter.frame);
-    const real by_difference = -(dt * matter.volume) / wp::index(matter.mass, w);
-    const auto F = at.framed(at.differences(tape.x, row, matter.lattice));
+    const S at(w, first, model.frame);
+    const real by_difference = -(dt * model.volume) / wp::index(model.mass, w);
+    const auto F = at.framed(at.differences(tape.x, row, model.lattice));
     auto B = S::cofactors(F);
     const wide J = S::dot(F.of[0], B.of[0]);
-    const wide mus = S::numbers(wp::index(matter.mu, w, first));
-    const wide lams = S::numbers(wp::index(matter.lam, w, first));
+    const wide mus = S::numbers(wp::index(model.mu, w, first));
+    const wide lams = S::numbers(wp::index(model.lam, w, first));
     const wide log_J = S::log_volumes(J), pressure = lams * log_J - mus;
-    const auto P = at.framed(at.differences(adjoint.v, w, matter.lattice)) * by_difference;
+    const auto P = at.framed(at.differences(adjoint.v, w, model.lattice)) * by_difference;
     B = S::columns::each([&](int j, int n) { return B.of[j][n] / J; });
     typename S::columns back;
     wide by_mu, by_lam;
