@@ -13,7 +13,7 @@ from gendom.datasets import Recording
 from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reality.objects import RealObject
 from gendom.reality.recording import RecordSettings, record
-from gendom.reality.trials import Performance, lift_cameras, lifted_by
+from gendom.reality.trials import TrialRun, lift_cameras, lifted_by
 from gendom.robot import LiftMotion, predefined_lift
 
 Sight = tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]
@@ -52,11 +52,11 @@ def record_and_perceive(
     trial = lifted_by(item, motion or predefined_lift(item.kind, end))
     for part in ("cameras", "truth"):
         shutil.rmtree(folder / part, ignore_errors=True)
-    performance = Performance(trial, cameras=lift_cameras(item))
-    performance.step_to(performance.closes)
-    with performance.world:
+    run = TrialRun(trial, cameras=lift_cameras(item))
+    run.step_to(run.closes)
+    with run.world:
         record(
-            performance,
+            run,
             folder,
             RecordSettings(
                 frame_rate=frame_rate,

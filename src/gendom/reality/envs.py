@@ -49,7 +49,7 @@ from gendom.materials import LARGEST, PARAMETERS, size_of, to_columns, unit_of
 from gendom.reality.model import default_cameras, looking_at
 from gendom.reality.object_file import find_object
 from gendom.reality.objects import OBJECTS, RealObject
-from gendom.reality.trials import Performance, observe, task_trial
+from gendom.reality.trials import TrialRun, observe, task_trial
 from gendom.tasks import Task, find_task
 from gendom.tasks.world import Simulation
 
@@ -149,7 +149,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self._item: Any = None
         self._goal = np.zeros(len(self.task.goals))
         self._parameters = np.zeros(len(PARAMETERS))
-        self._performance: Performance | None = None
+        self._run: TrialRun | None = None
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -233,17 +233,17 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self._forget()
         info: dict[str, Any] = {"action": wanted, "refused": None}
         try:
-            self._performance = self._perform(wanted)
+            self._run = self._begin(wanted)
         except RobotError as error:
             info |= {"reached": np.full(len(task.goals), np.nan), "refused": str(error)}
             return self._observe(), REFUSED, True, False, info
-        values = task.outcome(item, observe(task, self._performance))
+        values = task.outcome(item, observe(task, self._run))
         reached = np.array([values[q.name] for q in task.goals])
-        deviation = self._performance.deviation
+        deviation = self._run.deviation
         info |= {name: value for name, value in values.items() if name not in info}
         info |= {
             "reached": reached,
-            "slowed_by": self._performance.slowed_by,
+            "slowed_by": self._run.slowed_by,
             "deviation": 0.0 if deviation is None else deviation.at_equal_times,
         }
         reward = (
@@ -262,10 +262,10 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         if self.render_mode is None:
             return None
         item = self._require_item()
-        if self._performance is None:
+        if self._run is None:
             middle = np.mean([self.action_space.low, self.action_space.high], axis=0)
-            self._performance = self._perform(self.task.nearest(item, middle))
-        return self._performance.world.render(0)[1]
+            self._run = self._begin(self.task.nearest(item, middle))
+        return self._run.world.render(0)[1]
 
     def close(self) -> None:
         """Free the renderer's memory."""
@@ -308,7 +308,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             )
         return np.array([best.values[q.name] for q in task.goals])
 
-    def _perform(self, action: Array) -> Performance:
+    def _begin(self, action: Array) -> TrialRun:
         cameras = []
         trial = task_trial(self.task, self._item, action)
         if self.render_mode is not None:
@@ -317,7 +317,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             )
             position = middle + SEEN_FROM[self.task.kind]
             cameras = [default_cameras()[0].at(looking_at(position, middle))]
-        return Performance(trial, robot=self.robot, cameras=cameras)
+        return TrialRun(trial, robot=self.robot, cameras=cameras)
 
     def _observe(self) -> Observation:
         item = self._item
@@ -334,9 +334,9 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return self._item
 
     def _forget(self) -> None:
-        if self._performance is not None:
-            self._performance.world.close()
-            self._performance = None
+        if self._run is not None:
+            self._run.world.close()
+            self._run = None
 
 
 def _numbers(value: Any, count: int, name: str) -> Array:

@@ -28,7 +28,7 @@ from gendom.files import atomic_path, write_json
 from gendom.perception import PngWriter, RealSenseWriter
 from gendom.perception.realsense import realsense_sdk
 from gendom.reality.sensor import MOST_CLOCK, DepthSensor, RigErrors
-from gendom.reality.trials import Performance
+from gendom.reality.trials import TrialRun
 from gendom.reality.world import Reality
 from gendom.robot import tcp_pose
 
@@ -66,7 +66,7 @@ class RecordSettings:
 
 
 def record(
-    performance: Performance,
+    run: TrialRun,
     folder: str | os.PathLike,
     settings: RecordSettings | None = None,
     *,
@@ -81,7 +81,7 @@ def record(
     can be used up to the interruption, even if the program was killed.
 
     Args:
-        performance: The trial, with cameras.
+        run: The trial, with cameras.
         folder: Output folder, created if missing; must not hold a recording.
         settings: Settings of the recording.
         sensor: Error model of the cameras; by default that of a D435i.
@@ -100,17 +100,15 @@ def record(
         raise ParameterError(
             f"there is no format {settings.format!r}", fix=f"choose {' or '.join(_WRITERS)}"
         )
-    world = performance.world
+    world = run.world
     folder = Path(folder)
     if not world.cameras:
-        raise ParameterError(
-            "there is no camera", where="record", fix="give the performance cameras"
-        )
+        raise ParameterError("there is no camera", where="record", fix="give the trial cameras")
     if (folder / "cameras").exists():
         raise GendomError("holds a recording already", where=str(folder), fix="name another folder")
     sensor = DepthSensor() if sensor is None else sensor
     if errors is None:
-        errors = RigErrors.synchronised() if performance.trial.quick else RigErrors()
+        errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
     # One stream of random numbers for each use: more frames do not change the calibration.
     rig, *eyes, encoders = [
         np.random.default_rng(s)
@@ -118,7 +116,7 @@ def record(
     ]
     believed = errors.believed(world.cameras, rig)
     began = world.time
-    seconds = performance.end - began
+    seconds = run.end - began
     # Where nothing can be rendered or the SDK is missing, before anything is written.
     world.render(0)
     if settings.format == "db3":
@@ -130,7 +128,7 @@ def record(
             f"cannot be made ({error.strerror})", where=str(folder), fix="name another folder"
         ) from None
     writers = [_WRITERS[settings.format](folder / "cameras" / c.name, c) for c in believed]
-    _write_object(folder / "object.toml", performance, settings)
+    _write_object(folder / "object.toml", run, settings)
     path, truth = _Rows(folder, world, errors, encoders), []
     frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
     frames = frames / settings.frame_rate
@@ -145,7 +143,7 @@ def record(
         # OpenGL wants one thread; noise and files take one for each camera.
         with ThreadPoolExecutor(len(writers)) as pool:
             for moment in np.union1d(frames, samples):
-                performance.step_to(began + moment)
+                run.step_to(began + moment)
                 if moment in samples:
                     path.add(moment)
                 if moment not in frames:
@@ -208,12 +206,12 @@ class _NumberFile:
         self._file.close()
 
 
-def _write_object(path: Path, performance: Performance, settings: RecordSettings) -> None:
-    trial = performance.trial
+def _write_object(path: Path, run: TrialRun, settings: RecordSettings) -> None:
+    trial = run.trial
     lines = [
         "table_height = 0.0",
         'gripper_source = "measured"',
-        *([f'robot = "{robot.arm.name}"'] if (robot := performance.world.robot) else []),
+        *([f'robot = "{robot.arm.name}"'] if (robot := run.world.robot) else []),
         f"quasi_static = {str(trial.quasi_static).lower()}",
         'source = "a MuJoCo test scene (the second reality), seen by simulated depth cameras"',
         f"notes = {json.dumps(settings.notes)}",

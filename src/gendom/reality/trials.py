@@ -1,7 +1,7 @@
 """What the arm does in the MuJoCo test scene: the predefined lift, and any task.
 
 A `Trial` is the plan: the object's place, the tool's path, when the hand closes and opens.
-`Performance` carries it out, on the arm or, for tests, with a free hand that follows the same path
+`TrialRun` carries it out, on the arm or, for tests, with a free hand that follows the same path
 exactly. `RealWorld` does so for tasks.
 """
 
@@ -95,7 +95,7 @@ class Trial:
     """Whether the object moves so fast that cameras must be synchronised."""
 
 
-class Performance:
+class TrialRun:
     """A trial in progress.
 
     Args:
@@ -413,14 +413,14 @@ class RealWorld:
         force = self.grip_force if math.isfinite(self.grip_force) else None
         return {"world": "reality", **own, "grip_force": force}
 
-    def performance(self, task: Task, item: Item, action: npt.ArrayLike) -> Performance:
+    def begin(self, task: Task, item: Item, action: npt.ArrayLike) -> TrialRun:
         """A task about to be carried out.
 
         Raises:
             RobotError: The arm cannot do it.
             ParameterError: The task does not allow it.
         """
-        return Performance(
+        return TrialRun(
             task_trial(task, as_real(item), action),
             robot=self.robot,
             air_density=self.air_density,
@@ -433,7 +433,7 @@ def _carried_out(
     world: RealWorld, task: Task, keep: bool, item: Item, action: npt.NDArray[np.float64]
 ) -> Outcome:
     try:
-        seen = observe(task, world.performance(task, item, action), world.frame_rate)
+        seen = observe(task, world.begin(task, item, action), world.frame_rate)
     except (RobotError, SimulationError) as error:
         return Outcome(values={}, fault=str(error))
     return Outcome(values=task.outcome(item, seen), seen=seen if keep else None)
@@ -445,27 +445,27 @@ def _workers(jobs: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
 
 
-def observe(task: Task, performance: Performance, frame_rate: float = 100.0) -> Observed:
-    """Carry out a performance of `task_trial` and see what its object does, in the task's frame.
+def observe(task: Task, run: TrialRun, frame_rate: float = 100.0) -> Observed:
+    """Carry out a `task_trial` and see what its object does, in the task's frame.
 
     Raises:
         SimulationError: The world diverged, or the hand closes on nothing.
     """
-    item, begin = performance.trial.item, performance.closes
-    times = np.arange(begin, performance.end + 0.5 / frame_rate, 1.0 / frame_rate)
+    item, begin = run.trial.item, run.closes
+    times = np.arange(begin, run.end + 0.5 / frame_rate, 1.0 / frame_rate)
     points, hand = [], []
     for time in times:
-        performance.step_to(float(time))
-        points.append(performance.world.vertices())
-        hand.append(performance.world.hand)
+        run.step_to(float(time))
+        points.append(run.world.vertices())
+        hand.append(run.world.hand)
     T = np.linalg.inv(task.T_world_task(item))
     # times count from the path's own clock, on which the hand closes at the planned time
-    late = begin - next(e.time for e in performance.trial.path.events if e.closed)
-    late += performance.trial.end - float(task.times(item)[-1])
+    late = begin - next(e.time for e in run.trial.path.events if e.closed)
+    late += run.trial.end - float(task.times(item)[-1])
     return Observed(
         times=times - late,
         points=np.array(points) @ T[:3, :3].T + T[:3, 3],
         hand=np.array(hand) @ T[:3, :3].T + T[:3, 3],
-        opens=performance.opens - late,
+        opens=run.opens - late,
         lattice=item.counts if isinstance(item, RealCloth) else (0, 0),
     )
