@@ -13,7 +13,7 @@ from gendom.robot import (
     follow,
     inverse_kinematics,
     lift,
-    pointing_down,
+    pointing,
     tcp_pose,
 )
 
@@ -116,7 +116,7 @@ def seen(world, tmp_path_factory):
     frames, rate = 2, 10.0
     start = PLACE + np.array([0.0, 0.0, 0.2])
     # The fingers open across the cameras' view, so that these see what is between them.
-    turned = pointing_down(np.pi / 2)
+    turned = pointing([0, 0, -1], [1, 0, 0])
     path = lift(start, height=0.02, speed=0.05, wait=0.1, quat_xyzw=turned)
     motion = follow(XARM7, path).shifted(-0.1)
 

@@ -33,7 +33,6 @@ from gendom.robot import (
     TcpPath,
     follow,
     motions,
-    pointing_down,
     predefined_lift,
 )
 from gendom.tasks import Observed, Task
@@ -268,7 +267,6 @@ def lift(
         origin + np.array([FINGER_WIDTH / 2.0, 0.0, max(TIP_HEIGHT - height, 0.0)]),
         height=usual.rise * size_of(item) if rise is None else rise,
         speed=speed,
-        quat_xyzw=pointing_down(),
         wait=SETTLE,
         after=SETTLE if end == "hold" else None,
         end=end,
