@@ -250,7 +250,7 @@ def _track(arm: Arm, path: TcpPath, q: Array, blend: float) -> JointMotion:
     times, found = [ahead.pop()], [q]
     while ahead:
         T = path.pose_at(ahead[-1], blend)
-        step = step_towards(arm, T, found[-1], arm.home, pull=_HOMING)
+        step = step_towards(arm, T, found[-1], arm.home, homing=_HOMING)
         if step is not None and np.abs(step - found[-1]).max() <= _LARGEST_JUMP:
             times.append(ahead.pop())
             found.append(step)
@@ -278,7 +278,7 @@ def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tu
         missed = np.abs(pose_error(poses, tcp_pose(arm, guess))).max(axis=1) > _SPLINE_TOLERANCE
         if not missed.any():
             break
-        between, error = descend(arm, poses[missed], guess[missed], arm.home, pull=0.0)
+        between, error = descend(arm, poses[missed], guess[missed], arm.home, homing=0.0)
         if not reached(error).all():
             k = int(np.argmin(reached(error)))
             raise _not_followed(arm, poses[missed][k], between[k], None, middle[missed][k])
@@ -325,7 +325,7 @@ def _not_followed(arm: Arm, T: Array, q: Array, step: Array | None, time: float)
             where=f"path of {arm.name}",
             fix="move or turn the path away from there",
         )
-    left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, pull=0.0))
+    left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, homing=0.0))
     off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
     off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
     held = np.flatnonzero((left <= arm.q_min) | (left >= arm.q_max))
