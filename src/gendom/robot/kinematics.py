@@ -212,7 +212,7 @@ def descend(
     active = np.arange(len(q))
     error = np.empty((len(q), 6))
     for k in range(iterations):
-        # Where null-space motion and limits keep a start from its pose, the last steps leave it out.
+        # Where homing and limits keep a start from its pose, the last steps leave homing out.
         homing = homing if k < 0.75 * iterations else 0.0
         poses = link_poses(arm, q[active])
         error[active] = pose_error(T_base_tcp[active], poses[:, -1])
