@@ -27,7 +27,7 @@ from gendom.errors import GendomError, ParameterError
 from gendom.files import atomic_path, write_json
 from gendom.perception import PngWriter, RealSenseWriter
 from gendom.perception.realsense import realsense_sdk
-from gendom.reality.sensor import MOST_CLOCK, DepthSensor, RigErrors
+from gendom.reality.sensor import MAX_CLOCK_OFFSET, DepthSensor, RigErrors
 from gendom.reality.trials import TrialRun
 from gendom.reality.world import Reality
 from gendom.robot import tcp_pose
@@ -133,7 +133,7 @@ def record(
     frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
     frames = frames / settings.frame_rate
     # A little longer than the frames, because some clocks are ahead.
-    samples = np.arange(int((seconds + MOST_CLOCK) * PATH_RATE + 1e-9) + 1) / PATH_RATE
+    samples = np.arange(int((seconds + MAX_CLOCK_OFFSET) * PATH_RATE + 1e-9) + 1) / PATH_RATE
 
     def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
         pictures = sensor.observe(*clean, world.cameras[c], eyes[c])
