@@ -194,7 +194,7 @@ class Runs:
         Raises:
             DeviceError: The second reality cannot be simulated or rendered here.
         """
-        from gendom.reality.chain import record_and_perceive
+        from gendom.reality.recording import record_and_perceive
 
         path = self._path(label, ".npz")
         if not path.exists():

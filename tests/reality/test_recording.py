@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
-from gendom.errors import DeviceError, GendomError, ParameterError
+from gendom.errors import DeviceError, GendomError, ParameterError, RobotError
 from gendom.files import read_json
 from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reality import (
@@ -24,6 +24,7 @@ from gendom.reality import (
     lift_cameras,
     record,
 )
+from gendom.reality.recording import record_and_perceive
 from gendom.reality.world import FINGER_WIDTH
 from gendom.robot import XARM7, tcp_pose
 
@@ -347,3 +348,22 @@ def test_bad_frame_rates(rate):
 def test_bad_seeds():
     with pytest.raises(ParameterError, match="seed: is -1; give 0 or more"):
         RecordSettings(seed=-1)
+
+
+# ---- recorded and perceived in one call ----------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_drop_is_recorded_and_perceived_in_one_call(rendering, tmp_path):
+    recording, sights = record_and_perceive(ROPE, tmp_path, frame_rate=5.0, seed=3, end="drop")
+    assert (tmp_path / "recording.npz").is_file() and len(sights) == 2
+    assert not recording.quasi_static
+    # It opens 0.5 s after a rise that takes 4.5 s, begun 0.5 s after it closed.
+    np.testing.assert_array_equal(recording.holds[:, 0], recording.time < 5.49)
+    assert recording.frame(-1)[:, 2].max() < 0.03 < recording.gripper_position[-1, 0, 2]
+
+
+def test_an_unknown_end_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(RobotError, match="end is 'throw'; choose hold, swing, drop"):
+        record_and_perceive(ROPE, tmp_path, end="throw")
+    assert list(tmp_path.iterdir()) == []

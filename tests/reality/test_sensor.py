@@ -7,7 +7,8 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.perception import Camera
-from gendom.reality.sensor import DEPTH_UNIT, DepthSensor, RigErrors
+from gendom.reality.model import DEPTH_UNIT
+from gendom.reality.sensor import DepthSensor, RigErrors
 
 F, B = 385.0, 0.05
 WIDTH, HEIGHT = 640, 480

@@ -21,10 +21,6 @@ from scipy.spatial.transform import Rotation
 from gendom.arguments import require
 from gendom.perception import Camera, Pictures
 
-DEPTH_UNIT = 1e-4
-"""Depth unit of simulated cameras [m a count]. The default of the D400 series, 1e-3, is coarser
-than its noise within 0.5 m; the cameras can be set to this value, which reaches 6.5 m."""
-
 BASELINE = 0.05
 """Distance of the two imagers, B [m] (D400 series data sheet)."""
 

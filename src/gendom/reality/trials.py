@@ -46,7 +46,7 @@ like one of 3.5 ms, at this one like one of 2.8 ms."""
 CLOTH_TIMESTEP = 0.002
 """The same in tasks with cloths [s]: at the default of 4 ms a rubber cloth of 0.2 m that is brought
 down by A = 0.2 covers 0.60 of its area (31 points a side), at this one 0.80, as at 1 ms. While all
-of it is slow (`gendom.reality.world.CALM`), the default is taken."""
+of it is slow (`gendom.reality.world.SLOW`), the default is taken."""
 
 TIP_HEIGHT = 0.002
 """The lowest that the tool point goes above the table [m]: the pads reach 1.1 mm below it."""
@@ -86,7 +86,7 @@ class Trial:
     """Whether inertia plays no part."""
     timestep: float | None = None
     """Time step of MuJoCo [s]; None: the default of the object's kind."""
-    calm_timestep: float | None = None
+    slow_timestep: float | None = None
     """That while the object is slow [s], see `Reality`; None: the same."""
     tolerance: float | None = None
     """Of MuJoCo's solver; None: the default of the object's kind."""
@@ -134,7 +134,7 @@ class TrialRun:
             robot=arm,
             cameras=cameras,
             timestep=trial.timestep if timestep is None else timestep,
-            calm_timestep=trial.calm_timestep if timestep is None else None,
+            slow_timestep=trial.slow_timestep if timestep is None else None,
             tolerance=trial.tolerance,
             air_density=air_density,
             grip_force=grip_force,
@@ -184,19 +184,6 @@ class TrialRun:
             else:
                 self.world.release()
         self.world.step_to(time)
-
-    def watch(
-        self,
-        times: Sequence[float] | npt.NDArray[np.float64],
-        on_frame: Callable[[int], None] = lambda _: None,
-    ) -> npt.NDArray[np.float64]:
-        """[T, V, 3] the object's vertices [m] at increasing times [T] [s]."""
-        seen = []
-        for k, time in enumerate(times):
-            self.step_to(float(time))
-            seen.append(self.world.vertices())
-            on_frame(k + 1)
-        return np.array(seen)
 
 
 def arm_motion(trial: Trial, cameras: Sequence[Camera] = ()) -> JointMotion:
@@ -308,10 +295,10 @@ def _rope_reach(item: RealRope) -> float:
     return (held - 0.5) * edge - FINGER_WIDTH / 2.0
 
 
-def lift_cameras(item: RealObject, **settings: Any) -> list[Camera]:
-    """Two cameras on opposite sides of the predefined lift; settings as `default_cameras`."""
+def lift_cameras(item: RealObject) -> list[Camera]:
+    """Two cameras on opposite sides of the predefined lift."""
     size = size_of(item) * (1.0 if isinstance(item, RealRope) else np.sqrt(2.0))
-    return default_cameras((START + size / 2.0, 0.0, motions.RISE * size / 2.0), **settings)
+    return default_cameras((START + size / 2.0, 0.0, motions.RISE * size / 2.0))
 
 
 def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
@@ -347,7 +334,7 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
         reach=scene.grip,
         end=START_DELAY - closes + float(task.times(item)[-1]),
         timestep=CLOTH_TIMESTEP if cloth else ROPE_TIMESTEP,
-        calm_timestep=CLOTH_STEP if cloth else None,
+        slow_timestep=CLOTH_STEP if cloth else None,
         tolerance=TASK_TOLERANCE if cloth else None,
     )
 
