@@ -26,7 +26,7 @@ from gendom.policies.belief import Belief
 from gendom.policies.demonstrations import Demonstrations
 from gendom.policies.estimates import believed
 from gendom.policies.evaluation import Cases
-from gendom.policies.polishing import PolishSettings, polishing
+from gendom.policies.polishing import polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.progress import bar
 from gendom.robot import LiftMotion, predefined_lift
@@ -304,14 +304,14 @@ def polished(
         seed: Of the search.
         discrepancies: [W] between world and simulation, as `adapting` finds them.
     """
-    patient = PolishSettings(seconds=math.inf, seed=seed)
     searches = [
         polishing(
             cases.task,
             goal,
             items[w],
             start[w],
-            settings=patient,
+            seconds=math.inf,
+            seed=seed,
             discrepancy=None if discrepancies is None else discrepancies[w],
         )
         for w, goal in enumerate(cases.goal)

@@ -158,7 +158,7 @@ class Command(KnownObject):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """A better action, and what is expected of it, ready for JSON."""
         from gendom.policies.adaptation import adapt
-        from gendom.policies.polishing import PolishSettings, polish
+        from gendom.policies.polishing import polish
 
         belief = held.belief(task)
         discrepancy = None
@@ -170,7 +170,8 @@ class Command(KnownObject):
             np.array(self.goal),
             items,
             start,
-            settings=PolishSettings(seconds=self.seconds, seed=self.seed),
+            seconds=self.seconds,
+            seed=self.seed,
             discrepancy=discrepancy,
             world=world,
         )

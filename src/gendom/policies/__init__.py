@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from gendom.policies.belief import Belief
     from gendom.policies.demonstrations import Demonstrations
     from gendom.policies.fitting import Training
-    from gendom.policies.polishing import Polished, PolishSettings, polish
+    from gendom.policies.polishing import Polished, polish
     from gendom.policies.training import train
 
 # Public name -> module that defines it. Keep in step with the block above and `__all__`.
@@ -25,7 +25,6 @@ _LATER = {
     "Belief": "belief",
     "Demonstrations": "demonstrations",
     "Execution": "adaptation",
-    "PolishSettings": "polishing",
     "Polished": "polishing",
     "Training": "fitting",
     "adapt": "adaptation",
@@ -45,7 +44,6 @@ __all__ = [
     "GoalRange",
     "Outside",
     "Policy",
-    "PolishSettings",
     "Polished",
     "Training",
     "adapt",
