@@ -335,7 +335,6 @@ def test_divergence_is_told(tmp_path):
         ({"conditioned_on": ("mass",)}, "choose from E, nu, damping"),
         ({"architecture": "huge"}, "choose from smooth, paper"),
         ({"epochs": 0}, "epochs must be positive"),
-        ({"validation_share": 1.0}, "validation_share must lie between"),
     ],
 )
 def test_bad_settings_are_refused(settings, text):

@@ -91,7 +91,7 @@ def train(
     path = Path(path)
     given = len(demonstrations)
     if not demonstrations.goal_names:
-        demonstrations = _within_risk(demonstrations)  # an action that failed teaches no other goal
+        demonstrations = _within_risk(demonstrations)  # a failed action reaches no other goal
     sees = _seen(demonstrations, training)
     task, world = rebuild(demonstrations.task), world or Simulation()
     if training.refine:
