@@ -20,7 +20,7 @@ from gendom.files import check_file, check_folder, to_json, write_json
 from gendom.installation import version
 
 if TYPE_CHECKING:
-    from gendom.estimation import Estimate, EstimateSettings
+    from gendom.estimation import EstimateSettings, FittedEstimate
     from gendom.viz.report import NextStep, Provenance
 
 NOT_USABLE = 3
@@ -82,7 +82,7 @@ class Command:
     level: float = 0.9
     """Nominal probability of the intervals."""
     unknowns: tuple[str, ...] = ()
-    """Unknowns to estimate, such as specific_modulus grip_height; by default those that a recording
+    """Unknowns to estimate, such as E_over_rho grip_height; by default those that a recording
     of this kind may determine."""
     material: str | None = None
     """Its material, by a name of gendom materials: narrows the priors."""
@@ -187,11 +187,11 @@ class Command:
         write_json(path, record)
         tell_written(path, json=self.json)
 
-    def _write_report(self, found: Estimate) -> None:
+    def _write_report(self, found: FittedEstimate) -> None:
         from gendom.viz.report import LiftPictures, ReportContent, write_report
         from gendom.viz.sources import clouds_of, summary_of, view_of
 
-        assert self.report is not None and found.fits
+        assert self.report is not None
         record, first = found.record, found.fits[0]
         recording = first.scene.recording
         note = "" if len(found.fits) == 1 else f"The first of {len(found.fits)}: {first.name}."
@@ -243,7 +243,7 @@ class Command:
             warnings=warnings,
         )
 
-    def _next_steps(self, found: Estimate | None) -> list[NextStep]:
+    def _next_steps(self, found: FittedEstimate | None) -> list[NextStep]:
         """Commands to run next on the written files."""
         from gendom.viz.report import NextStep
 
@@ -302,11 +302,11 @@ def _sentences(*texts: str) -> str:
     return " ".join(text if text.endswith(".") else f"{text}." for text in texts if text)
 
 
-def _task_and_goal(found: Estimate) -> list[str]:
+def _task_and_goal(found: FittedEstimate) -> list[str]:
     """A task for an object of this kind, with a goal in the middle of those trained on."""
     from gendom.policies import Policy
 
-    if found.record["object"]["kind"] == "cloth":
+    if found.kind == "cloth":
         return ["cloth-spreading"]
     ends = found.record["object"]["length"] * Policy.pretrained("rope-casting").goal_range()
     return ["rope-casting", "--goal", *(f"{end:.3f}" for end in ends.mean(axis=1))]
@@ -316,7 +316,7 @@ def _shell(words: Sequence[str | Path]) -> str:
     return shlex.join(map(str, words))
 
 
-def estimate_text(found: Estimate) -> str:
+def estimate_text(found: FittedEstimate) -> str:
     """An estimate for people."""
     record = found.record
     rows = [("verdict", "usable" if found.usable else "not usable")]
@@ -325,7 +325,7 @@ def estimate_text(found: Estimate) -> str:
         if own["name"]:
             rows.append(("recording", own["name"]))
         if own["name"] and own["alone"] is not None:
-            alone, ends = own["alone"]["specific_modulus"], own["alone"]["interval"]
+            alone, ends = own["alone"]["E_over_rho"], own["alone"]["interval"]
             said = f"E / density {alone:.4g} m^2/s^2, in [{ends[0]:.4g}, {ends[1]:.4g}]"
             rows.append(("by itself", said))
         rows += [
