@@ -75,8 +75,10 @@ class TrainingJob:
     ) -> TrainingJob:
         """With batches for the number of demonstrations, and as many more passes over them as
         `steps` of the optimiser need; `other` are further fields."""
+        from gendom.policies.fitting import VALIDATION_SHARE
+
         size = SMALL_BATCH if len(demonstrations) < FEW else training.batch_size
-        fitted = (1.0 - training.validation_share) * len(demonstrations)
+        fitted = (1.0 - VALIDATION_SHARE) * len(demonstrations)
         epochs = max(training.epochs, math.ceil(steps / max(fitted / size, 1.0)))
         training = replace(training, batch_size=size, epochs=epochs)
         return cls(demonstrations=demonstrations, training=training, **other)

@@ -179,9 +179,8 @@ def test_a_dropped_rope_lies_on_the_table():
 def test_a_swung_rope_goes_on_when_the_arm_stops():
     run = TrialRun(lift(POLYESTER, rise=0.28, speed=0.3, end="swing"))
     motion = run.motion
-    assert motion is not None and motion.path_time is not None
-    rounded = run.trial.path.time[-2] + 0.5 * motion.blend
-    stops = float(np.interp(rounded, motion.path_time, motion.time))
+    assert motion is not None
+    stops = motion.end - (run.trial.path.end - run.trial.path.time[-2])
     run.step_to(stops)
     still, tips = run.world.hand, []
     for time in np.arange(stops, run.end, 0.02):

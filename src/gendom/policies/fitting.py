@@ -28,9 +28,6 @@ ARCHITECTURES: dict[str, tuple[tuple[int, ...], type[nn.Module]]] = {
 }
 """Widths of the hidden layers, and what follows each. "paper" is that of Kuroki et al. (2024)."""
 
-WEIGHT_DECAY = 1e-4
-"""Of AdamW."""
-
 FINETUNE_LEARNING_RATE = 4e-4
 """Peak of the learning rate of fine-tuning."""
 
@@ -71,6 +68,7 @@ class Training:
     batch_size: int = 256
     learning_rate: float = 4e-3
     """Peak of the learning rate, which then falls to zero along a cosine."""
+    weight_decay: float = 1e-4
     finetune_epochs: int = 300
     """Passes over the demonstrations for fine-tuning."""
     refine: int = 0
@@ -269,7 +267,7 @@ class TrainingProblem:
             epochs=training.epochs,
             batch_size=training.batch_size,
             learning_rate=training.learning_rate,
-            weight_decay=WEIGHT_DECAY,
+            weight_decay=training.weight_decay,
         )
         stages = [(name, self._simulated, settings)]
         if self._real is not None:

@@ -29,7 +29,7 @@ import torch
 from torch import Tensor
 
 from gendom.materials import PARAMETERS, Item, unit_of, with_dimensionless
-from gendom.policies.fitting import RISK_FLOOR, WEIGHT_DECAY, TrainingProblem, huber
+from gendom.policies.fitting import RISK_FLOOR, TrainingProblem, huber
 from gendom.policies.rollouts import central_differences, stencil
 from gendom.progress import bar
 from gendom.tasks import Task
@@ -156,7 +156,7 @@ def _fit(problem: TrainingProblem, models: Models, name: str, times: int) -> Non
             epochs=max(1, round(times * training.refine_steps / (len(models.row) // batch))),
             batch_size=batch,
             learning_rate=LEARNING_RATE,
-            weight_decay=WEIGHT_DECAY,
+            weight_decay=training.weight_decay,
         ),
     )
 
