@@ -13,7 +13,7 @@ cores, by the clock. ``--elastica`` is an interpreter that has PyElastica
 
 A wide strip is stiffer than a beam of modulus E: the clamp keeps it from curving across, within
 about its width. One of 60 mm x 300 mm sags by 2.5 % less for nu 0.3, and swings 1.3 % faster; by
-3.8 % and 2.0 % for MuJoCo's own Poisson's ratio of bending, -1/3 (`gendom.reality.sheet`). Each
+3.8 % and 2.0 % for MuJoCo's own Poisson's ratio of bending, -1/3 (`gendom.reality.objects`). Each
 simulator is compared with the plate of its Poisson's ratio and width.
 """
 
@@ -177,7 +177,7 @@ def flex(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
     """MuJoCo's rods and sheets, without the hand, floor and contacts of our test scene. Vertices
     are pinned, not connected to the clamp, which takes less than half the time."""
     from gendom.reality.model import DIAGONAL_HINGES, SIDE_HINGES, load_mujoco
-    from gendom.reality.sheet import SHEET_NU, grid
+    from gendom.reality.objects import SHEET_NU, grid
 
     mujoco = load_mujoco()
     steps, step = item.pace(float(option))

@@ -20,7 +20,7 @@ from gendom.estimation import Estimate, EstimateSettings, LiftScene, estimate, r
 from gendom.estimation.replay import middle
 from gendom.files import write_json
 from gendom.reality import OBJECTS, RealObject, RealRope, find_object
-from gendom.reality.chain import record_and_perceive
+from gendom.reality.recording import record_and_perceive
 from gendom.viz import encode_camera_views
 
 FINER = 8

@@ -11,13 +11,33 @@ and the mean share of a cloth that does.
 import argparse
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 
 from gendom.materials import STANDARD_GRAVITY, dimensionless_parameters
+from gendom.robot import TcpPath
 from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import SPREAD
 from gendom.tasks.world import Simulation
+
+
+def gentle(path: TcpPath, acceleration: float) -> TcpPath:
+    """The path with the shortest blend that keeps the tool's acceleration below a limit [m/s^2]."""
+
+    def peak(blend: float) -> float:
+        step = blend / 32.0
+        t = np.arange(path.start - blend, path.end + blend, step)
+        a = np.diff(path.position_at(t, blend), n=2, axis=0) / step**2
+        return float(np.linalg.norm(a, axis=1).max())
+
+    low, high = 0.0, path.max_blend
+    if peak(high) > acceleration:
+        raise SystemExit(f"no blend keeps the tool below {acceleration:g} m/s^2")
+    while high - low > 1e-3 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if peak(middle) > acceleration else (low, middle)
+    return replace(path, blend=high)
 
 
 def way_down(step_time: float, height: float, acceleration: float) -> ClothSpreading:
@@ -31,7 +51,7 @@ def way_down(step_time: float, height: float, acceleration: float) -> ClothSprea
         def tool_path(self, item, action):
             path = super().tool_path(item, action)
             limited = math.isfinite(acceleration)
-            return path.gentle(acceleration * STANDARD_GRAVITY) if limited else path
+            return gentle(path, acceleration * STANDARD_GRAVITY) if limited else path
 
     return WayDown()
 

@@ -20,7 +20,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.learning import Epoch, FitSettings, export_onnx, fit  # explains a missing torch
+from gendom.policies.learning import (  # explains a missing torch
+    Epoch,
+    FitSettings,
+    export_onnx,
+    fit,
+)
 
 # isort: split
 import torch

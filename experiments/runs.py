@@ -26,7 +26,7 @@ from gendom.policies import Policy
 from gendom.policies.belief import believed
 from gendom.policies.demonstrations import Demonstrations
 from gendom.policies.evaluation import Cases
-from gendom.policies.polishing import PolishSettings, polishing
+from gendom.policies.polishing import polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.progress import bar
 from gendom.robot import LiftMotion, predefined_lift
@@ -75,8 +75,10 @@ class TrainingJob:
     ) -> TrainingJob:
         """With batches for the number of demonstrations, and as many more passes over them as
         `steps` of the optimiser need; `other` are further fields."""
+        from gendom.policies.fitting import VALIDATION_SHARE
+
         size = SMALL_BATCH if len(demonstrations) < FEW else training.batch_size
-        fitted = (1.0 - training.validation_share) * len(demonstrations)
+        fitted = (1.0 - VALIDATION_SHARE) * len(demonstrations)
         epochs = max(training.epochs, math.ceil(steps / max(fitted / size, 1.0)))
         training = replace(training, batch_size=size, epochs=epochs)
         return cls(demonstrations=demonstrations, training=training, **other)
@@ -194,7 +196,7 @@ class Runs:
         Raises:
             DeviceError: The second reality cannot be simulated or rendered here.
         """
-        from gendom.reality.chain import record_and_perceive
+        from gendom.reality.recording import record_and_perceive
 
         path = self._path(label, ".npz")
         if not path.exists():
@@ -305,14 +307,14 @@ def polished(
         seed: Of the search.
         discrepancies: [W] between world and simulation, as `adapting` finds them.
     """
-    patient = PolishSettings(seconds=math.inf, seed=seed)
     searches = [
         polishing(
             cases.task,
             goal,
             items[w],
             start[w],
-            settings=patient,
+            seconds=math.inf,
+            seed=seed,
             discrepancy=None if discrepancies is None else discrepancies[w],
         )
         for w, goal in enumerate(cases.goal)

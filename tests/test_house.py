@@ -21,7 +21,6 @@ FLOORS = (
         "progress",
         "arguments",
         "files",
-        "learning",
     ),
     ("materials", "observation", "robot"),
     ("sim", "datasets"),

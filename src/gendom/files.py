@@ -1,8 +1,9 @@
 """Files and folders that are either whole or absent, JSON that every reader understands, TOML, and
-rows of numbers that an interrupted program left."""
+CSV tables, those included that an interrupted program left."""
 
 from __future__ import annotations
 
+import csv
 import errno
 import json
 import math
@@ -11,7 +12,7 @@ import secrets
 import shutil
 import tempfile
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from enum import Enum
@@ -19,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gendom.errors import GendomError
+from gendom.errors import GendomError, RecordingError
 
 FILES = (
     ".csv",
@@ -298,7 +300,88 @@ def read_toml(
         raise error(f"is not TOML ({fault})", where=str(path), fix="mend that line") from None
 
 
-def is_cut(row: Sequence[str], width: int) -> bool:
+def read_rows(
+    path: str | os.PathLike,
+    *,
+    header: str,
+    damaged: bool = False,
+    error: type[GendomError] = RecordingError,
+) -> list[tuple[int, list[str]]]:
+    """Number and values of each line of a CSV file that is not empty, without blanks around values.
+
+    Args:
+        path: The file.
+        header: What its first line should be, for messages.
+        damaged: Whether bytes that are no UTF-8 are replaced in place of refused.
+        error: Raised for every fault.
+
+    Raises:
+        GendomError: As `error`: the file is missing, empty or no CSV.
+    """
+    try:
+        errors = "replace" if damaged else "strict"
+        with open(path, newline="", encoding="utf-8-sig", errors=errors) as file:
+            reader = csv.reader(file)
+            lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
+    except FileNotFoundError:
+        fix = f"write one row a frame under {header}"
+        raise error("no such file", where=str(path), fix=fix) from None
+    except (OSError, UnicodeDecodeError, csv.Error) as fault:
+        raise error(f"is not CSV ({fault})", where=str(path), fix="save it as CSV") from None
+    if not lines:
+        raise error("is empty", where=str(path), fix=f"write the header {header}")
+    return lines
+
+
+def read_number_table(
+    path: str | os.PathLike,
+    *,
+    header: str,
+    check_header: Callable[[list[str]], Any],
+    on_cut: Callable[[int], None] | None = None,
+    error: type[GendomError] = RecordingError,
+) -> tuple[list[str], NDArray[np.float64], list[int]]:
+    """Read a CSV file of numbers under a header.
+
+    Args:
+        path: The file.
+        header: What its first line should be, for messages.
+        check_header: Called with the names of the columns; raises an error for wrong ones.
+        on_cut: Called with the number of the last line if it is incomplete because the recording
+            was interrupted. The line is then skipped; None: an incomplete line is an error.
+        error: Raised for every fault.
+
+    Returns:
+        Names of the C columns, numbers [N, C], and the N lines' numbers in the file.
+
+    Raises:
+        GendomError: As `error`: the file cannot be read, holds no rows, or a row is malformed.
+    """
+    (_, names), *lines = read_rows(path, header=header, error=error)
+    if not lines:
+        raise error("holds a header and no rows", where=str(path), fix="write one row a frame")
+    check_header(names)
+    whole = Path(path).read_bytes().endswith((b"\n", b"\r"))
+    number, last = lines[-1]
+    if on_cut is not None and not whole and len(lines) > 1 and _is_cut(last, len(names)):
+        on_cut(number)
+        del lines[-1]
+    table = np.empty((len(lines), len(names)))
+    for i, (number, row) in enumerate(lines):
+        where = f"{path}, line {number}"
+        if len(row) != len(names):
+            what = f"{len(row)} values under {len(names)} column names"
+            raise error(what, where=where, fix="give one value a column")
+        for j, text in enumerate(row):
+            try:
+                table[i, j] = float(text)
+            except ValueError:
+                where, fix = f"{where}, column {names[j]}", "give seconds and metres"
+                raise error(f"{text!r} is no number", where=where, fix=fix) from None
+    return names, table, [number for number, _ in lines]
+
+
+def _is_cut(row: Sequence[str], width: int) -> bool:
     """Whether a row of `width` numbers ends too early, as where its writer was interrupted."""
     if len(row) != width:
         return len(row) < width

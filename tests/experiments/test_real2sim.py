@@ -119,7 +119,7 @@ def test_a_lift_is_recorded_once(rope_lift, tmp_path, monkeypatch):
         made.append(how)
         return rope_lift.at_rest(), []
 
-    monkeypatch.setattr("gendom.reality.chain.record_and_perceive", record_and_perceive)
+    monkeypatch.setattr("gendom.reality.recording.record_and_perceive", record_and_perceive)
     motion, runs = predefined_lift("rope", "swing"), Runs(folder=tmp_path / "new", seed=4)
     for _ in range(2):
         recording = runs.recorded("lift", find_object(COTTON), motion, most=20)

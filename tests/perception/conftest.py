@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gendom.perception import Camera, PngWriter
-from gendom.reality.sensor import DepthSensor
+from gendom.reality.sensor import BASELINE, DepthSensor
 
 EXACT = DepthSensor.exact(colour_noise=3.0)
 NOISE = DepthSensor.exact(subpixel=0.08, quantisation=1.0 / 32.0, colour_noise=3.0)
@@ -174,7 +174,7 @@ class Scene:
 def depth_rms(camera, z, sensor=NOISE):
     """RMS of a sensor's noise at depth z [m], steps included: z^2 s / (f B)."""
     s = np.hypot(sensor.subpixel, sensor.quantisation / np.sqrt(12))
-    return z**2 * s / (camera.K[0, 0] * sensor.baseline)
+    return z**2 * s / (camera.K[0, 0] * BASELINE)
 
 
 def lifted_rope(tip=(0.0, 0.0, 0.3), length=0.4, radius=0.005):

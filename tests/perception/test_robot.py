@@ -13,7 +13,7 @@ from gendom.robot import (
     follow,
     inverse_kinematics,
     lift,
-    pointing_down,
+    pointing,
     tcp_pose,
 )
 
@@ -116,7 +116,7 @@ def seen(world, tmp_path_factory):
     frames, rate = 2, 10.0
     start = PLACE + np.array([0.0, 0.0, 0.2])
     # The fingers open across the cameras' view, so that these see what is between them.
-    turned = pointing_down(np.pi / 2)
+    turned = pointing([0, 0, -1], [1, 0, 0])
     path = lift(start, height=0.02, speed=0.05, wait=0.1, quat_xyzw=turned)
     motion = follow(XARM7, path).shifted(-0.1)
 
@@ -140,7 +140,11 @@ def seen(world, tmp_path_factory):
             world.make_camera("right", eye=(0.55, 0.65, 0.47), target=(0.45, 0.0, 0.1), scale=0.5),
         ],
     )
-    motion.write_gripper(folder / "gripper.csv", XARM7)
+    time = motion.sampled(100.0)
+    closed = [bool(motion.closed_at(t)) for t in time]
+    path = np.column_stack([time, motion.tcp_at(XARM7, time)[:, :3, 3], closed])
+    header = "time,x,y,z,closed"
+    np.savetxt(folder / "gripper.csv", path, "%.9g", ",", header=header, comments="")
     return folder, motion, [scene(t)[-1] for t in range(frames)]
 
 

@@ -10,7 +10,7 @@ import pytest
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item
 from gendom.materials.estimate import Estimate
-from gendom.policies.polishing import PolishSettings, polish, polishing
+from gendom.policies.polishing import polish, polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import RopeCasting
 from gendom.tasks.world import Simulation
@@ -89,7 +89,7 @@ def test_many_side_by_side_are_as_one_by_one():
         assert found.expected == alone.expected
 
 
-def test_time_is_kept():
+def test_time_is_kept(monkeypatch):
     calls = []
 
     class Slow(Throws):
@@ -98,13 +98,12 @@ def test_time_is_kept():
             calls.append(len(items))
             return super().carry_out(task, items, actions)
 
-    patient = {"iterations": 50, "enough": 1e-12, "gain": 1e-12}
-    polish(TASK, 0.42, [ROPE], START, world=Slow(), settings=PolishSettings(**patient))
+    for name, value in {"MAX_ITERATIONS": 50, "TOLERANCE": 1e-12, "LEAST_GAIN": 1e-12}.items():
+        monkeypatch.setattr(f"gendom.policies.polishing.{name}", value)
+    polish(TASK, 0.42, [ROPE], START, world=Slow())
     without = len(calls)
     calls.clear()
-    polish(
-        TASK, 0.42, [ROPE], START, world=Slow(), settings=PolishSettings(seconds=0.12, **patient)
-    )
+    polish(TASK, 0.42, [ROPE], START, world=Slow(), seconds=0.12)
     assert len(calls) <= 4 < without
 
 
@@ -115,17 +114,13 @@ def test_time_is_kept():
         ({"goal": math.nan}, "goal"),
         ({"items": []}, "no object"),
         ({"start": (9.0, 9.0)}, "out of limits"),
+        ({"seconds": 0.0}, "seconds"),
     ],
 )
 def test_bad_input_is_refused(given, text):
     arguments = {"goal": 0.4, "items": [ROPE], "start": START} | given
     with pytest.raises(ParameterError, match=text):
         polish(TASK, world=Throws(), **arguments)
-
-
-def test_settings_are_checked():
-    with pytest.raises(ParameterError, match="seconds"):
-        PolishSettings(seconds=0.0)
 
 
 def test_an_object_that_cannot_be_simulated_is_told():

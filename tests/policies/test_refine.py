@@ -14,7 +14,7 @@ pytest.importorskip("onnx", reason="needs the extra `train`")
 
 from gendom.policies import refining  # noqa: E402
 from gendom.policies.fitting import TrainingProblem  # noqa: E402
-from gendom.policies.rollouts import around  # noqa: E402
+from gendom.policies.rollouts import stencil  # noqa: E402
 from gendom.policies.training import Training, train  # noqa: E402
 
 BRIEF = Training(epochs=4, refine=2, refine_cases=150, refine_steps=150, seed=1)
@@ -139,7 +139,7 @@ def test_jumps_and_failures_do_not_count():
 
     items = [TASK.draw_item(np.random.default_rng(k)) for k in range(3)]
     at = np.array([[0.4, 0.5], [0.499, 0.5], [0.6, 0.5]])
-    points = around(at, refining.STEP)
+    points = stencil(at, refining.STEP)
     values = refining._values(TASK, Jumping(), items, points)
     assert refining._smooth(values)[:, 0].tolist() == [True, False, True]
     failed = refining._values(TASK, Throws(fails=True), items, points)

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from gendom.materials import STANDARD_GRAVITY
 from gendom.reality.model import Layout
-from gendom.reality.objects import RealCloth, RealObject, RealRope
-from gendom.reality.sheet import SHEET_NU, grid
+from gendom.reality.objects import SHEET_NU, RealCloth, RealObject, RealRope, grid
 from gendom.reality.world import Reality
 
 SAG = 0.02

@@ -13,10 +13,10 @@ from gendom.reality import (
     OBJECTS,
     Air,
     Layout,
-    Performance,
     RealCloth,
     Reality,
     RealRope,
+    TrialRun,
     task_trial,
 )
 from gendom.tasks import RopeReaching
@@ -144,16 +144,14 @@ def test_without_air_things_fall_freely(item):
 
 def test_a_released_rope_keeps_no_force():
     """The force of the step before does not stay where nothing replaces it."""
-    performance = Performance(
-        task_trial(RopeReaching(), ROPE, (0.153, 0.125)), robot=False, air_density=0.0
-    )
-    performance.step_to(performance.opens - 0.01)
+    run = TrialRun(task_trial(RopeReaching(), ROPE, (0.153, 0.125)), robot=False, air_density=0.0)
+    run.step_to(run.opens - 0.01)
     # A hair's breadth of twist is enough.
-    performance.world.data.mocap_quat[0] = [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]
-    performance.world.step_to(performance.world.time + 0.002)
-    assert np.any(performance.world.data.qfrc_applied != 0.0)
-    performance.world.release()
-    assert np.all(performance.world.data.qfrc_applied == 0.0)
+    run.world.data.mocap_quat[0] = [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]
+    run.world.step_to(run.world.time + 0.002)
+    assert np.any(run.world.data.qfrc_applied != 0.0)
+    run.world.release()
+    assert np.all(run.world.data.qfrc_applied == 0.0)
 
 
 @pytest.mark.parametrize("density", [-1.2, np.nan, np.inf])
@@ -162,6 +160,4 @@ def test_a_density_that_cannot_be_is_refused(density):
     with pytest.raises(ParameterError, match=message):
         falling(ROPE, air_density=density)
     with pytest.raises(ParameterError, match=message):
-        Performance(
-            task_trial(RopeReaching(), ROPE, (0.153, 0.125)), robot=False, air_density=density
-        )
+        TrialRun(task_trial(RopeReaching(), ROPE, (0.153, 0.125)), robot=False, air_density=density)

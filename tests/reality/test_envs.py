@@ -432,7 +432,7 @@ def test_allowed_release_points_stay_as_they_are(monkeypatch):
         carried.append(action)
         raise RobotError("is not asked for", where="here")
 
-    monkeypatch.setattr(env, "_perform", refuse)
+    monkeypatch.setattr(env, "_begin", refuse)
     actions = env.task.sample_actions(item, np.random.default_rng(0), 50)
     for action in actions:
         assert action in env.action_space

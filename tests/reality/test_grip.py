@@ -11,7 +11,7 @@ pytest.importorskip("mujoco", reason="needs the extra reality")
 from gendom.errors import ParameterError
 from gendom.materials import STANDARD_GRAVITY
 from gendom.reality import OBJECTS, Layout, RealCloth, Reality, RealObject, RealRope, lift
-from gendom.reality.trials import Performance
+from gendom.reality.trials import TrialRun
 
 ROPE = cast(RealRope, OBJECTS["rope-cotton"])
 CLOTH = cast(RealCloth, OBJECTS["cloth-rubber"])
@@ -100,9 +100,9 @@ def test_a_world_forgets_what_slid():
 
 
 def test_a_lift_with_a_weak_grip_loses_its_rope():
-    """The whole way: through `Performance`, under the arm."""
+    """The whole way: through `TrialRun`, under the arm."""
     trial = lift(ROPE, rise=0.06, speed=0.3)
-    weak = Performance(trial, grip_force=0.3 * ROPE.mass * STANDARD_GRAVITY)
+    weak = TrialRun(trial, grip_force=0.3 * ROPE.mass * STANDARD_GRAVITY)
     weak.step_to(weak.end)
     assert len(weak.world.held) == 0
     assert weak.world.vertices()[:, 2].max() < 0.05

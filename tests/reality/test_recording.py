@@ -10,20 +10,21 @@ import pytest
 
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
-from gendom.errors import DeviceError, GendomError, ParameterError
+from gendom.errors import DeviceError, GendomError, ParameterError, RobotError
 from gendom.files import read_json
 from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reality import (
     OBJECTS,
     DepthSensor,
-    Performance,
     RealRope,
     RecordSettings,
     RigErrors,
+    TrialRun,
     lift,
     lift_cameras,
     record,
 )
+from gendom.reality.recording import record_and_perceive
 from gendom.reality.world import FINGER_WIDTH
 from gendom.robot import XARM7, tcp_pose
 
@@ -34,18 +35,18 @@ RATE = 4.0
 def recorded(folder, *, noise=True, rate=RATE, seed=0, rise=0.04, end="hold", **kwargs):
     """A short lift by a free hand, from the closing of the hand on."""
     trial = lift(ROPE, rise=rise, end=end)
-    performance = Performance(trial, robot=False, cameras=lift_cameras(ROPE))
-    performance.step_to(performance.closes)
-    with performance.world:
+    run = TrialRun(trial, robot=False, cameras=lift_cameras(ROPE))
+    run.step_to(run.closes)
+    with run.world:
         record(
-            performance,
+            run,
             folder,
             RecordSettings(frame_rate=rate, seed=seed),
             sensor=DepthSensor() if noise else DepthSensor.exact(),
             errors=None if noise else RigErrors.none(),
             **kwargs,
         )
-    return performance
+    return run
 
 
 def perceived(folder, warnings=None):
@@ -257,20 +258,20 @@ def test_a_folder_that_cannot_be_made(rendering, tmp_path):
 
 def with_arm(folder, **errors):
     """A short lift by the arm: its motion, and what it measured of its joints and its hand."""
-    performance = Performance(lift(ROPE, rise=0.02), cameras=lift_cameras(ROPE)[:1])
-    performance.step_to(performance.closes)
-    with performance.world:
-        record(performance, folder, RecordSettings(frame_rate=1.0), errors=RigErrors(**errors))
+    run = TrialRun(lift(ROPE, rise=0.02), cameras=lift_cameras(ROPE)[:1])
+    run.step_to(run.closes)
+    with run.world:
+        record(run, folder, RecordSettings(frame_rate=1.0), errors=RigErrors(**errors))
     tables = (folder / "joints.csv", folder / "gripper.csv")
-    return performance, *(np.loadtxt(t, delimiter=",", skiprows=1) for t in tables)
+    return run, *(np.loadtxt(t, delimiter=",", skiprows=1) for t in tables)
 
 
 def test_the_arms_joints_are_recorded(rendering, tmp_path):
-    performance, joints, hand = with_arm(tmp_path / "arm")
+    run, joints, hand = with_arm(tmp_path / "arm")
     # 1.4 s, and a tenth for cameras whose clocks are ahead
     assert joints.shape[1] == 8 and len(joints) == len(hand) == 151
-    assert performance.motion is not None
-    ideal = performance.motion.at(performance.closes + joints[:, 0])
+    assert run.motion is not None
+    ideal = run.motion.at(run.closes + joints[:, 0])
     assert np.abs(joints[:, 1:] - ideal).max() < 2e-3
     np.testing.assert_allclose(np.linalg.norm(hand[:, 4:7], axis=1), 1.0, atol=1e-5)
 
@@ -304,10 +305,10 @@ def test_errors_that_cannot_be(wrong):
 def test_realsense_recordings_are_perceived_alike(sdk, rendering, tmp_path):
     clouds = []
     for kind in ("png", "db3"):
-        performance = Performance(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
-        performance.step_to(performance.closes)
-        with performance.world:
-            record(performance, tmp_path / kind, RecordSettings(frame_rate=1.0, format=kind))
+        run = TrialRun(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
+        run.step_to(run.closes)
+        with run.world:
+            record(run, tmp_path / kind, RecordSettings(frame_rate=1.0, format=kind))
         perceived = perceive(read_cameras(tmp_path / kind), PerceptionSettings(colour=ROPE.colour))
         clouds.append(perceived.recording)
     assert np.array_equal(clouds[0].points, clouds[1].points)
@@ -315,27 +316,27 @@ def test_realsense_recordings_are_perceived_alike(sdk, rendering, tmp_path):
 
 
 def test_recordings_need_cameras(tmp_path):
-    performance = Performance(lift(ROPE, rise=0.02), robot=False)
+    run = TrialRun(lift(ROPE, rise=0.02), robot=False)
     with pytest.raises(ParameterError, match="record: there is no camera"):
-        record(performance, tmp_path / "none")
+        record(run, tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
 
 def test_without_the_sdk_nothing_is_written(rendering, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    performance = Performance(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
-    with performance.world, pytest.raises(DeviceError, match="the RealSense SDK is missing"):
-        record(performance, tmp_path / "none", RecordSettings(format="db3"))
+    run = TrialRun(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
+    with run.world, pytest.raises(DeviceError, match="the RealSense SDK is missing"):
+        record(run, tmp_path / "none", RecordSettings(format="db3"))
     assert not (tmp_path / "none").exists()
 
 
 def test_unknown_formats_and_cameras_are_refused(tmp_path):
-    performance = Performance(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
+    run = TrialRun(lift(ROPE, rise=0.02), robot=False, cameras=lift_cameras(ROPE))
     with pytest.raises(ParameterError, match="no format 'gif'; choose png or db3"):
-        record(performance, tmp_path / "gif", RecordSettings(format="gif"))
+        record(run, tmp_path / "gif", RecordSettings(format="gif"))
     for camera in ("above", 2):
         with pytest.raises(ParameterError, match=r"there is no camera .*have left, right"):
-            performance.world.render(camera)
+            run.world.render(camera)
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf, 200.0])
@@ -347,3 +348,22 @@ def test_bad_frame_rates(rate):
 def test_bad_seeds():
     with pytest.raises(ParameterError, match="seed: is -1; give 0 or more"):
         RecordSettings(seed=-1)
+
+
+# ---- recorded and perceived in one call ----------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_drop_is_recorded_and_perceived_in_one_call(rendering, tmp_path):
+    recording, sights = record_and_perceive(ROPE, tmp_path, frame_rate=5.0, seed=3, end="drop")
+    assert (tmp_path / "recording.npz").is_file() and len(sights) == 2
+    assert not recording.quasi_static
+    # It opens 0.5 s after a rise that takes 4.5 s, begun 0.5 s after it closed.
+    np.testing.assert_array_equal(recording.holds[:, 0], recording.time < 5.49)
+    assert recording.frame(-1)[:, 2].max() < 0.03 < recording.gripper_position[-1, 0, 2]
+
+
+def test_an_unknown_end_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(RobotError, match="end is 'throw'; choose hold, swing, drop"):
+        record_and_perceive(ROPE, tmp_path, end="throw")
+    assert list(tmp_path.iterdir()) == []

@@ -11,7 +11,7 @@ pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from gendom.reality import OBJECTS, Layout, RealCloth
 from gendom.reality.model import build_model, load_mujoco
-from gendom.reality.sheet import SHEET_NU
+from gendom.reality.objects import SHEET_NU
 
 CLOTH = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=33)
 

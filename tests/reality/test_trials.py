@@ -20,10 +20,10 @@ from gendom.errors import (
 from gendom.materials import Cloth, Material, Rope, thickness_of, unit_of
 from gendom.reality import (
     OBJECTS,
-    Performance,
     RealCloth,
     RealRope,
     RealWorld,
+    TrialRun,
     as_real,
     default_cameras,
     find_object,
@@ -102,17 +102,17 @@ class NotYetRaised(ClothSpreading):
 )
 def test_the_arm_lifts(name):
     item = OBJECTS[name]
-    performance = Performance(lift(item))
-    assert performance.motion is not None
-    performance.motion.check_limits(XARM7)
-    assert performance.slowed_by == 1.0
-    path = performance.trial.path
+    run = TrialRun(lift(item))
+    assert run.motion is not None
+    run.motion.check_limits(XARM7)
+    assert run.slowed_by == 1.0
+    path = run.trial.path
     apart, speed = [], 0.0
-    performance.step_to(performance.closes)
-    offset = performance.world.vertices()[performance.world.held] - performance.world.hand
-    for time in np.arange(performance.closes + 0.1, performance.end, 0.25):
-        performance.step_to(time)
-        world = performance.world
+    run.step_to(run.closes)
+    offset = run.world.vertices()[run.world.held] - run.world.hand
+    for time in np.arange(run.closes + 0.1, run.end, 0.25):
+        run.step_to(time)
+        world = run.world
         ideal = path.position_at(world.time)
         apart.append(np.linalg.norm(world.hand - ideal))
         # What is held goes where the tool goes, and keeps its place and direction there.
@@ -122,34 +122,34 @@ def test_the_arm_lifts(name):
         assert (q >= XARM7.q_min).all() and (q <= XARM7.q_max).all()
         speed = max(speed, world.speed())
     assert max(apart) < 1e-3
-    performance.step_to(performance.end)
-    assert performance.world.hand[2] == pytest.approx(path.position[-1, 2], abs=1e-3)
-    assert abs(edges(item, performance.world.vertices()).mean() - 1.0) < 0.005
+    run.step_to(run.end)
+    assert run.world.hand[2] == pytest.approx(path.position[-1, 2], abs=1e-3)
+    assert abs(edges(item, run.world.vertices()).mean() - 1.0) < 0.005
     if isinstance(item, RealRope):
-        assert abs(stretch(item, performance.world.vertices())) < 0.005
+        assert abs(stretch(item, run.world.vertices())) < 0.005
 
 
 def test_a_slowed_arm_finishes_its_lift():
     """A lift at 2 m/s is beyond the arm; what it does instead takes longer, its pauses do not."""
-    performance = Performance(lift(POLYESTER, rise=0.06, speed=2.0))
-    assert 1.1 < performance.slowed_by < 1.3
-    performance.step_to(performance.end)
-    top = performance.trial.path.position[-1]
-    assert performance.world.hand == pytest.approx(top, abs=1e-3)
+    run = TrialRun(lift(POLYESTER, rise=0.06, speed=2.0))
+    assert 1.1 < run.slowed_by < 1.3
+    run.step_to(run.end)
+    top = run.trial.path.position[-1]
+    assert run.world.hand == pytest.approx(top, abs=1e-3)
 
 
 def test_a_hand_that_would_close_beside_the_object_says_so():
     trial = lift(POLYESTER, rise=0.05)
     trial = replace(trial, layout=replace(trial.layout, origin=(0.32, 0.1, 0.008)))
-    performance = Performance(trial, robot=False)
+    run = TrialRun(trial, robot=False)
     with pytest.raises(GendomError, match=r"100\.\d mm away"):
-        performance.step_to(performance.end)
+        run.step_to(run.end)
 
 
 def test_the_hand_of_the_arm_is_where_its_kinematics_say():
-    performance = Performance(lift(POLYESTER, rise=0.05))
-    performance.step_to(1.2)
-    world = performance.world
+    run = TrialRun(lift(POLYESTER, rise=0.05))
+    run.step_to(1.2)
+    world = run.world
     tool = tcp_pose(XARM7, world.robot.measured(world.data))
     assert world.hand == pytest.approx(tool[:3, 3], abs=1e-5)
 
@@ -162,33 +162,32 @@ def test_only_a_rope_that_is_held_still_is_quasi_static(item):
 
 
 def test_a_dropped_rope_lies_on_the_table():
-    performance = Performance(lift(POLYESTER, rise=0.1, speed=0.2, end="drop"), robot=False)
-    opens = performance.opens
+    run = TrialRun(lift(POLYESTER, rise=0.1, speed=0.2, end="drop"), robot=False)
+    opens = run.opens
     # closing, two waits and a rise of 0.5 s each, and a second in which it falls
-    assert opens == pytest.approx(2.0) and performance.end == pytest.approx(3.0)
-    performance.step_to(opens - 0.01)
-    hand = performance.world.hand
-    assert performance.world.vertices()[0, 2] > 0.09 and len(performance.world.held) > 0
-    performance.step_to(performance.end)
-    assert len(performance.world.held) == 0
-    assert performance.world.hand == pytest.approx(hand)
-    assert performance.world.vertices()[:, 2].max() < POLYESTER.diameter
-    assert performance.world.speed() < 0.02
+    assert opens == pytest.approx(2.0) and run.end == pytest.approx(3.0)
+    run.step_to(opens - 0.01)
+    hand = run.world.hand
+    assert run.world.vertices()[0, 2] > 0.09 and len(run.world.held) > 0
+    run.step_to(run.end)
+    assert len(run.world.held) == 0
+    assert run.world.hand == pytest.approx(hand)
+    assert run.world.vertices()[:, 2].max() < POLYESTER.diameter
+    assert run.world.speed() < 0.02
 
 
 def test_a_swung_rope_goes_on_when_the_arm_stops():
-    performance = Performance(lift(POLYESTER, rise=0.28, speed=0.3, end="swing"))
-    motion = performance.motion
-    assert motion is not None and motion.path_time is not None
-    rounded = performance.trial.path.time[-2] + 0.5 * motion.blend
-    stops = float(np.interp(rounded, motion.path_time, motion.time))
-    performance.step_to(stops)
-    still, tips = performance.world.hand, []
-    for time in np.arange(stops, performance.end, 0.02):
-        performance.step_to(time)
-        assert performance.world.hand == pytest.approx(still, abs=1e-3)
-        tips.append(performance.world.vertices()[-1, 0])
-    assert performance.end == pytest.approx(stops + 1.0, abs=motion.blend)
+    run = TrialRun(lift(POLYESTER, rise=0.28, speed=0.3, end="swing"))
+    motion = run.motion
+    assert motion is not None
+    stops = motion.end - (run.trial.path.end - run.trial.path.time[-2])
+    run.step_to(stops)
+    still, tips = run.world.hand, []
+    for time in np.arange(stops, run.end, 0.02):
+        run.step_to(time)
+        assert run.world.hand == pytest.approx(still, abs=1e-3)
+        tips.append(run.world.vertices()[-1, 0])
+    assert run.end == pytest.approx(stops + 1.0, abs=motion.blend)
     # It swings on, there and back.
     steps = np.diff(tips)
     assert np.ptp(tips) > 0.04 and steps.max() > 0.004 and steps.min() < -0.004
@@ -214,7 +213,7 @@ def test_what_is_done_by_default_touches_nothing(trial):
     """Planned with the collision check, and free by the check alone, the lift's cameras too."""
     trial = trial()
     cameras = lift_cameras(trial.item)
-    motion = Performance(trial, cameras=cameras).motion
+    motion = TrialRun(trial, cameras=cameras).motion
     assert motion is not None
     thick = thickness_of(trial.item)
     assert collision_along(XARM7, motion, surroundings(cameras), opening=thick) is None
@@ -225,7 +224,7 @@ def test_a_camera_in_the_arms_way_is_refused():
     above = trial.path.position[-1] + [0.0, 0.05, -0.05]
     camera = default_cameras()[0].at(looking_at(above, (0.5, 0.0, 0.0)))
     with pytest.raises(RobotError, match=r"and camera left collide, \d+\.\d mm deep"):
-        Performance(trial, cameras=[camera])
+        TrialRun(trial, cameras=[camera])
 
 
 # ---- rope reaching -------------------------------------------------------------------------------
@@ -233,20 +232,20 @@ def test_a_camera_in_the_arms_way_is_refused():
 
 @pytest.fixture(scope="module")
 def stretched():
-    """A release by the free hand and by the arm: performance, what was seen, what is reached."""
+    """A release by the free hand and by the arm: the run, what was seen, what is reached."""
     both = []
     for robot in (False, True):
-        performance = Performance(reaching(POLYESTER, STRETCHED), robot=robot)
-        seen = observe(REACHING, performance)
-        both.append((performance, seen, REACHING.outcome(POLYESTER, seen)))
+        run = TrialRun(reaching(POLYESTER, STRETCHED), robot=robot)
+        seen = observe(REACHING, run)
+        both.append((run, seen, REACHING.outcome(POLYESTER, seen)))
     return both
 
 
 def test_arm_and_free_hand_reach_the_same(stretched):
-    (_, _, free), (performance, _, arm) = stretched
-    assert performance.motion is not None
-    performance.motion.check_limits(XARM7)
-    assert performance.slowed_by == 1.0
+    (_, _, free), (run, _, arm) = stretched
+    assert run.motion is not None
+    run.motion.check_limits(XARM7)
+    assert run.slowed_by == 1.0
     assert arm["x"] == pytest.approx(free["x"], abs=0.003)
     assert arm["sideways"] < 0.015
 
@@ -266,10 +265,10 @@ def test_the_demo_s_rope_stays_in_its_plane_under_the_arm(release):
 
 def test_the_unloaded_hand_is_where_it_is_sent():
     """Servos that are told what weight and motion ask for have little left to correct."""
-    performance = Performance(reaching(POLYESTER, STRETCHED))
-    motion, world, apart = performance.motion, performance.world, []
+    run = TrialRun(reaching(POLYESTER, STRETCHED))
+    motion, world, apart = run.motion, run.world, []
     assert motion is not None
-    for time in np.arange(performance.closes, performance.opens, 0.02):
+    for time in np.arange(run.closes, run.opens, 0.02):
         world.step_to(time)  # the hand stays open
         apart.append(world.hand - motion.tcp_at(XARM7, world.time)[:3, 3])
     assert np.abs(apart).max() < 5e-6
@@ -278,10 +277,10 @@ def test_the_unloaded_hand_is_where_it_is_sent():
 def test_the_release_keeps_its_time(stretched):
     """Closing, a wait of 3 sqrt(L / g), then the paper's own times, worked out anew."""
     wait = 3.0 * np.sqrt(POLYESTER.length / 9.81)
-    for performance, seen, _ in stretched:
-        moves = performance.closes + wait
-        assert performance.opens == pytest.approx(moves + 0.57 * PAPER_CLOCK, abs=1e-9)
-        assert performance.end == pytest.approx(moves + 1.14 * PAPER_CLOCK, abs=1e-9)
+    for run, seen, _ in stretched:
+        moves = run.closes + wait
+        assert run.opens == pytest.approx(moves + 0.57 * PAPER_CLOCK, abs=1e-9)
+        assert run.end == pytest.approx(moves + 1.14 * PAPER_CLOCK, abs=1e-9)
         # And on the task's clock, which is 0 when the hand begins to move.
         assert seen.times[0] == pytest.approx(-wait, abs=1e-9)
         assert seen.times[-1] == pytest.approx(1.14 * PAPER_CLOCK, abs=0.01)
@@ -299,12 +298,12 @@ def test_the_goal_is_measured_in_the_task_frame(stretched):
     height of the task's origin.
     """
     L = POLYESTER.length
-    for performance, seen, values in stretched:
+    for run, seen, values in stretched:
         assert seen.points[0, 0] == pytest.approx([L, 0.0, 1.1 * L], abs=1e-3)
         assert seen.tip[0] == pytest.approx([L, 0.0, 0.1 * L], abs=2e-3)
         assert seen.hand[0] == pytest.approx([L, 0.0, 0.1 * L], abs=1e-3)
         assert np.linalg.norm(seen.points[:, 0] - seen.points[0, 0], axis=1).max() < 1e-3
-        world = performance.world
+        world = run.world
         for there, here in ((world.vertices(), seen.points[-1]), (world.hand, seen.hand[-1])):
             x, y, z = np.moveaxis(here, -1, 0)
             expected = np.stack([0.48 + y, 0.30 - x, 0.12 + z], axis=-1)
@@ -320,12 +319,12 @@ def test_the_goal_is_measured_in_the_task_frame(stretched):
 
 
 def test_the_hand_holds_the_tip_until_it_opens():
-    performance = Performance(reaching(POLYESTER, STRETCHED), robot=False)
-    assert performance.trial.reach == pytest.approx(0.03 * POLYESTER.length)
-    performance.step_to(performance.opens - 0.005)
-    assert POLYESTER.vertices - 1 in performance.world.held
-    performance.step_to(performance.opens + 0.005)
-    assert len(performance.world.held) == 0
+    run = TrialRun(reaching(POLYESTER, STRETCHED), robot=False)
+    assert run.trial.reach == pytest.approx(0.03 * POLYESTER.length)
+    run.step_to(run.opens - 0.005)
+    assert POLYESTER.vertices - 1 in run.world.held
+    run.step_to(run.opens + 0.005)
+    assert len(run.world.held) == 0
 
 
 @pytest.mark.slow
@@ -333,9 +332,9 @@ def test_a_slowed_arm_opens_later_and_what_follows_takes_its_time():
     """A tip of 0.6 m pulled back far is faster than the arm may be."""
     L = 0.6
     rope = as_real(Rope(length=L, diameter=0.03, material=Material(E=2e6, density=900.0)))
-    performance = Performance(reaching(rope, (0.24 * L, 0.6 * L)))
-    assert performance.slowed_by > 1.05
-    seen = observe(REACHING, performance)
+    run = TrialRun(reaching(rope, (0.24 * L, 0.6 * L)))
+    assert run.slowed_by > 1.05
+    seen = observe(REACHING, run)
     clock = np.sqrt((L / 9.81) / (0.5 / 12.0))
     assert seen.opens > 0.57 * clock + 0.1
     assert seen.times[-1] - seen.opens == pytest.approx(0.57 * clock, abs=0.01)
@@ -385,21 +384,14 @@ def test_a_cast_runs_along_the_world_s_y_and_waits_for_the_rope_to_hang_still(ca
 
 def test_the_arm_casts():
     """Quick as it is, the arm stays near the path that it was given."""
-    performance = Performance(casting(POLYESTER, 0.2))
-    path, motion, world = performance.trial.path, performance.motion, performance.world
-    assert motion is not None and motion.blend == path.blend and performance.slowed_by == 1.0
-    apart = []
-
-    def look(_):
+    run = TrialRun(casting(POLYESTER, 0.2))
+    path, motion, world = run.trial.path, run.motion, run.world
+    assert motion is not None and motion.blend == path.blend and run.slowed_by == 1.0
+    for time in np.arange(run.closes, run.end, 0.01):
+        run.step_to(time)
         ideal = motion.tcp_at(XARM7, world.time)[:3, 3]
-        apart.append(np.linalg.norm(world.hand - ideal))
-        apart.append(np.linalg.norm(ideal - path.position_at(world.time, motion.blend)))
-
-    times = np.arange(performance.closes, performance.end, 0.01)
-    vertices = performance.watch(times, look)
-    assert max(apart) < 1e-3
-    assert len(apart) == 2 * len(times)
-    assert vertices.shape == (len(times), POLYESTER.vertices, 3)
+        assert np.linalg.norm(world.hand - ideal) < 1e-3
+        assert np.linalg.norm(ideal - path.position_at(world.time, motion.blend)) < 1e-3
 
 
 @pytest.mark.parametrize("way", [0.15, 0.25])
@@ -445,9 +437,9 @@ def test_a_cloth_lies_where_the_task_has_it_and_is_held_beside_its_centre():
 
 
 def test_the_cloth_is_gripped_over_the_fingers_breadth():
-    performance = Performance(spreading(COTTON_CLOTH, 0.25), robot=False)
-    performance.step_to(performance.closes)
-    world = performance.world
+    run = TrialRun(spreading(COTTON_CLOTH, 0.25), robot=False)
+    run.step_to(run.closes)
+    world = run.world
     corner = np.array([0.32, -0.15, 0.0])
     held = (world.vertices()[world.held] - corner)[:, :2] / COTTON_CLOTH.spacing
     # the hand is at (154.5, 151.95) mm, fingers reach 12.5 mm and points are 7.5 mm apart
@@ -464,10 +456,10 @@ def test_the_cloth_is_gripped_over_the_fingers_breadth():
 @pytest.mark.slow
 def test_the_arm_spreads_a_cloth():
     """A = 0: 16 equal steps down; the centre ends where it began and the cloth lies flat on it."""
-    performance = Performance(spreading(COTTON_CLOTH, 0.0))
-    assert performance.motion is not None
-    performance.motion.check_limits(XARM7)
-    seen = observe(SPREADING, performance, 30.0)
+    run = TrialRun(spreading(COTTON_CLOTH, 0.0))
+    assert run.motion is not None
+    run.motion.check_limits(XARM7)
+    seen = observe(SPREADING, run, 30.0)
     values = SPREADING.outcome(COTTON_CLOTH, seen)
     n, m = COTTON_CLOTH.counts
     centre = seen.points.reshape(-1, n, m, 3)[:, n // 2, m // 2]
@@ -487,11 +479,11 @@ def test_the_world_s_settings_arrive():
         (RealWorld(robot=False), 2.5e-4, 1.2),
         (RealWorld(robot=False, timestep=1e-3, air_density=0.0), 1e-3, 0.0),
     ]:
-        performance = world.performance(REACHING, POLYESTER, STRETCHED)
-        assert performance.world.model.opt.timestep == timestep
-        assert performance.world.air.density == density
-        assert performance.motion is None
-    assert RealWorld().performance(REACHING, POLYESTER, STRETCHED).motion is not None
+        run = world.begin(REACHING, POLYESTER, STRETCHED)
+        assert run.world.model.opt.timestep == timestep
+        assert run.world.air.density == density
+        assert run.motion is None
+    assert RealWorld().begin(REACHING, POLYESTER, STRETCHED).motion is not None
     _, seen = carried_out(RealWorld(robot=False, frame_rate=40.0), REACHING, POLYESTER, STRETCHED)
     np.testing.assert_allclose(np.diff(seen.times), 0.025)
 
@@ -499,11 +491,11 @@ def test_the_world_s_settings_arrive():
 def test_cloths_of_tasks_take_long_steps_unless_told():
     for timestep, taken in [(None, 0.004), (0.002, 0.002)]:
         world = RealWorld(robot=False, timestep=timestep)
-        performance = world.performance(SPREADING, COTTON_CLOTH, [0.2])
-        performance.step_to(0.008)
-        options = performance.world.model.opt
+        run = world.begin(SPREADING, COTTON_CLOTH, [0.2])
+        run.step_to(0.008)
+        options = run.world.model.opt
         assert (options.timestep, options.tolerance) == (taken, 1e-4)
-    lifted = Performance(lift(COTTON_CLOTH), robot=False)
+    lifted = TrialRun(lift(COTTON_CLOTH), robot=False)
     assert lifted.world.model.opt.tolerance == 1e-6
 
 
@@ -568,9 +560,9 @@ def test_a_simulation_that_fails_is_a_fault(monkeypatch):
 
 def test_what_is_out_of_the_arms_reach_is_refused_with_where():
     with pytest.raises(RobotError, match=r"xarm7.*out of reach"):
-        Performance(casting(as_real(TOO_LONG), 0.9))
+        TrialRun(casting(as_real(TOO_LONG), 0.9))
     with pytest.raises(RobotError, match=r"xarm7.*out of reach"):
-        RealWorld().performance(CASTING, TOO_LONG, [0.9])
+        RealWorld().begin(CASTING, TOO_LONG, [0.9])
 
 
 @pytest.mark.parametrize(

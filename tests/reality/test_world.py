@@ -168,7 +168,7 @@ def test_slow_cloths_take_longer_steps():
     """A cloth that falls from rest is faster than 0.25 m/s after seven steps of 4 ms."""
     cloth = replace(cast(RealCloth, OBJECTS["cloth-rubber"]), side=0.06, vertices=7)
     layout = Layout(origin=(0.35, 0.0, 0.5))
-    with Reality(cloth, layout, timestep=0.002, calm_timestep=0.004, air_density=0.0) as world:
+    with Reality(cloth, layout, timestep=0.002, slow_timestep=0.004, air_density=0.0) as world:
         times = []
         for time in np.arange(0.002, 0.06, 0.002):
             world.step_to(time)

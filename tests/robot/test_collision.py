@@ -16,17 +16,17 @@ from gendom.robot import (
     TcpPath,
     arm_shape,
     check_collisions,
+    clearances,
     collision_along,
     collision_at,
     follow,
-    gaps,
     inverse_kinematics,
     joint_move,
     lift,
     link_poses,
     tcp_pose,
 )
-from gendom.robot.distance import segment_to_box, segments_apart
+from gendom.robot.collision import segment_to_box, segments_apart
 
 TABLE = Surroundings(table_height=0.0)
 UP = np.array([0.0, 0.0, 1.0])
@@ -107,11 +107,11 @@ def test_capsules_are_as_far_apart_as_mujoco_says():
     data, arm_first = mujoco.MjData(model), 2
     surroundings = Surroundings(table_height=0.0, obstacles=(board,))
     q = random_q(40)
-    found = gaps(XARM7, q, surroundings, opening=0.03)
+    found = clearances(XARM7, q, surroundings, opening=0.03)
     names = arm_shape(XARM7, XARM7.home, 0.03).names
     geom = {name: arm_first + k for k, name in enumerate(names)} | {"board": 0, "table": 1}
     overlapping = 0
-    for angles, gap in zip(q, found.gap, strict=True):
+    for angles, gap in zip(q, found.distance, strict=True):
         data.qpos[:] = angles
         mujoco.mj_kinematics(model, data)
         for (first, second), mine in zip(found.pairs, gap, strict=True):
@@ -137,7 +137,7 @@ def test_home_is_free_and_a_folded_arm_is_not():
 
 
 def test_neighbours_are_not_compared_and_the_base_not_with_the_table():
-    pairs = gaps(XARM7, XARM7.home, TABLE).pairs
+    pairs = clearances(XARM7, XARM7.home, TABLE).pairs
     links = {c.name: c.link for c in XARM7.capsules}
     for first, second in pairs:
         if second == "table":
@@ -212,7 +212,7 @@ def test_nothing_slips_through_between_two_looks():
         around = Surroundings(obstacles=(wire,))
         found = collision_along(XARM7, motion, around)
         dense = motion.at(np.linspace(motion.start, motion.end, 20001))
-        deep = -gaps(XARM7, dense, around).gap.min()
+        deep = -clearances(XARM7, dense, around).distance.min()
         assert (found is not None) == (deep > 0.0)
         if found is not None:
             assert found.depth == pytest.approx(deep, abs=2e-3) and found.second == "wire"

@@ -15,7 +15,6 @@ from gendom.robot import (
     inverse_kinematics,
     jacobian,
     link_poses,
-    pointing_down,
     pose_error,
     solutions,
     tcp_pose,
@@ -152,11 +151,6 @@ def test_bad_input():
         inverse_kinematics(XARM7, np.diag([2.0, 1.0, 1.0, 1.0]))
     with pytest.raises(RobotError, match="have xarm7"):
         find_arm("xarm9")
-
-
-def test_pointing_down_turns_the_fingers():
-    y = Rotation.from_quat(pointing_down(np.pi / 2)).as_matrix()[:, 1]
-    np.testing.assert_allclose(np.abs(y), [1, 0, 0], atol=1e-12)
 
 
 # ---- shape ---------------------------------------------------------------------------------------

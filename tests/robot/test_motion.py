@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gendom.datasets.folder import read_gripper
 from gendom.errors import RobotError
 from gendom.robot import (
     DOWN,
@@ -16,11 +15,12 @@ from gendom.robot import (
     TcpPath,
     follow,
     joint_move,
-    pointing_down,
+    pointing,
     pose_error,
     read_joints,
     tcp_pose,
 )
+from robot.geometry import off_the_path
 
 
 def make_path(time, position, quat=DOWN, **other):
@@ -63,12 +63,6 @@ def test_blend_is_the_convolution_with_its_kernel(path):
     for t in (-0.03, 0.01, 0.15, 0.29, 0.34, 0.6):
         mean = np.trapezoid(kernel[:, None] * path.position_at(t - blend * s), s, axis=0)
         np.testing.assert_allclose(path.position_at(t, blend), mean, atol=1e-7)
-
-
-def test_blended_velocity_is_the_derivative(path):
-    t, h, blend = np.linspace(-0.1, 0.6, 50), 1e-6, 0.1
-    rate = (path.position_at(t + h, blend) - path.position_at(t - h, blend)) / (2 * h)
-    np.testing.assert_allclose(path.velocity_at(t, blend), rate, atol=1e-6)
 
 
 def test_deviation_at_a_corner_is_as_stated():
@@ -144,7 +138,9 @@ def test_joint_speeds_move_the_tool_as_the_path(path, motion):
     t = np.linspace(0.0, 0.4, 9)
     J = jacobian(XARM7, motion.at(t))
     velocity = (J @ motion.speed_at(t)[..., None])[..., 0]
-    np.testing.assert_allclose(velocity[:, :3], path.velocity_at(t, motion.blend), atol=2e-4)
+    h = 1e-6
+    ends = [path.position_at(t + side * h, motion.blend) for side in (-1.0, 1.0)]
+    np.testing.assert_allclose(velocity[:, :3], (ends[1] - ends[0]) / (2 * h), atol=2e-4)
     np.testing.assert_allclose(velocity[:, 3:], 0.0, atol=5e-4)
 
 
@@ -157,7 +153,9 @@ def test_gripper_events_come_along(motion):
 def test_redundant_joint_rests_with_the_tool():
     """Off the middle plane the arm leans towards home while it moves, and only then."""
     path = make_path(
-        [0, 1, 2], [[0.35, 0.3, 0.2], [0.35, -0.2, 0.2], [0.35, -0.2, 0.2]], pointing_down(0.4)
+        [0, 1, 2],
+        [[0.35, 0.3, 0.2], [0.35, -0.2, 0.2], [0.35, -0.2, 0.2]],
+        pointing([0, 0, -1], [np.sin(0.4), -np.cos(0.4), 0]),
     )
     motion = follow(XARM7, path)
     np.testing.assert_allclose(motion.speed_at(1.6), 0.0, atol=1e-4)
@@ -177,10 +175,7 @@ def test_slowing_down_keeps_the_limits(path):
     motion = follow(XARM7, quick, slow_down=True)
     motion.check_limits(XARM7)
     assert motion.slowed_by > 1.0
-    t = motion.sampled(200.0)
-    on_path = quick.pose_at(motion.path_time_at(t), motion.blend)
-    miss = pose_error(on_path, motion.tcp_at(XARM7, t))
-    assert np.abs(miss).max() < 1e-5
+    assert off_the_path(quick, motion) < 1e-5
 
 
 def test_advised_duration_is_enough_and_no_less_is(path):
@@ -207,9 +202,7 @@ def test_a_path_to_the_end_of_reach_is_followed_in_small_steps():
     )
     motion = follow(XARM7, path, slow_down=True)
     motion.check_limits(XARM7)
-    t = motion.sampled(500.0)
-    miss = pose_error(path.pose_at(motion.path_time_at(t), motion.blend), motion.tcp_at(XARM7, t))
-    assert np.abs(miss).max() < 1e-4
+    assert off_the_path(path, motion) < 1e-4
     assert motion.slowed_by < 2.0
 
 
@@ -279,24 +272,6 @@ def test_motions_one_after_the_other(motion):
 # ---- files ---------------------------------------------------------------------------------------
 
 
-def test_gripper_csv_is_where_the_tool_is(motion, tmp_path):
-    motion.write_gripper(tmp_path / "gripper.csv", XARM7)
-    arrays = read_gripper(tmp_path / "gripper.csv")
-    expected = motion.tcp_at(XARM7, arrays["time"])[:, :3, 3]
-    np.testing.assert_allclose(arrays["gripper_position"][:, 0], expected, atol=1e-7)
-    assert arrays["time"][-1] == pytest.approx(motion.end)
-
-
-def test_gripper_csv_says_when_the_gripper_is_closed(motion, tmp_path):
-    motion.write_gripper(tmp_path / "gripper.csv", XARM7)
-    arrays = read_gripper(tmp_path / "gripper.csv")
-    expected = [motion.closed_at(t) is True for t in arrays["time"]]
-    assert arrays["gripper_closed"][:, 0].tolist() == expected
-    assert set(expected) == {False, True}
-    replace(motion, events=()).write_gripper(tmp_path / "gripper.csv", XARM7)
-    assert "gripper_closed" not in read_gripper(tmp_path / "gripper.csv")
-
-
 def test_joints_csv_round_trip(motion, tmp_path):
     motion.write_joints(tmp_path / "joints.csv", opening=(0.01, 0.08))
     states = read_joints(tmp_path / "joints.csv", XARM7)
@@ -314,10 +289,12 @@ ROW = "0,0,0,0,1,0,1,0"
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "header"),
+        ("", "is empty; write the header time,q0"),
         ("time,q0\n0,1\n", "header"),
         ("time,q0,q1,q2,q3,q4,q5,q6\n", "no rows"),
-        (f"time,q0,q1,q2,q3,q4,q5,q6\n{ROW}\n1,0\n", "line 3: is no joint state"),
+        (f"time,q0,q1,q2,q3,q4,q5,q6\n{ROW}\n1,0,0,0,nan,0,1,0\n", "line 3: .* not finite"),
+        (f"time,q0,q1,q2,q3,q4,q5,q6\n{ROW[:-1]}x\n", "line 2, column q6: 'x' is no number"),
+        (f"time,q0,q1,q2,q3,q4,q5,q6\n{ROW}\n1,0\n", "line 3: 2 values under 8 column"),
         (f"time,q0,q1,q2,q3,q4,q5,q6\n{ROW}\n{ROW}\n", "line 3: time goes from 0 to 0"),
         ("time,q0,q1,q2,q3,q4,q5,q6\n0,0,0,0,57,0,60,0\n", "joint 6 is at 60 rad|joint 4 is at 57"),
         (f"time,q0,q1,q2,q3,q4,q5,q6,gripper\n{ROW},30\n", "opening is 30 m"),
@@ -327,5 +304,5 @@ def test_bad_joint_files(tmp_path, text, says):
     (tmp_path / "joints.csv").write_text(text)
     with pytest.raises(RobotError, match=says):
         read_joints(tmp_path / "joints.csv", XARM7)
-    with pytest.raises(RobotError, match="cannot be read"):
+    with pytest.raises(RobotError, match="no such file"):
         read_joints(tmp_path / "absent.csv", XARM7)

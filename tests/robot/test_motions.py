@@ -59,13 +59,6 @@ def test_a_swing_is_one_quick_move_and_a_stop():
     assert [event.closed for event in path.events] == [True]
 
 
-def test_a_swing_goes_where_and_as_far_as_asked():
-    path = lift(
-        [0.4, 0.0, 0.0], height=0.2, speed=0.1, end="swing", along=[0.6, -0.8, 0], stroke=0.1
-    )
-    np.testing.assert_allclose(path.position[-1], [0.46, -0.08, 0.2], atol=1e-12)
-
-
 @pytest.mark.parametrize("height", [0.12, 0.225, 0.375])
 def test_the_arm_stops_a_swing_as_hard_as_it_can(height):
     """Nearly all of an acceleration's limit is used; before it the tool stands still. A move of
@@ -73,9 +66,8 @@ def test_the_arm_stops_a_swing_as_hard_as_it_can(height):
     path = lift([0.35, 0.0, 0.02], height=height, speed=0.1, wait=0.5, end="swing")
     motion = follow(XARM7, path, slow_down=True)
     motion.check_limits(XARM7)
-    assert motion.path_time is not None
-    begins = np.interp(path.time[3], motion.path_time, motion.time)
-    assert motion.speed_at(begins - 0.5 * path.max_blend - 0.01) == pytest.approx(0.0, abs=1e-4)
+    begins = motion.end - (path.end - path.time[3])
+    assert motion.speed_at(begins - 0.5 * path.max_blend - 0.11) == pytest.approx(0.0, abs=1e-4)
     t = np.arange(begins - 0.1, motion.end, 1e-3)
     x = motion.tcp_at(XARM7, t)[:, 0, 3]
     speed = np.diff(x) / 1e-3
@@ -116,10 +108,6 @@ def test_a_lift_that_ends_at_once(end):
         ({"wait": 0.0}, "wait is 0.0"),
         ({"after": -1.0}, "after is -1.0"),
         ({"end": "throw"}, "end is 'throw'; choose hold, swing, drop"),
-        ({"end": "swing", "stroke": 0.0}, "stroke is 0.0"),
-        ({"end": "swing", "along": [1, 0]}, "along is"),
-        ({"end": "swing", "along": [0, 0.6, 0.8]}, "along is .* give a horizontal unit vector"),
-        ({"end": "swing", "along": [2, 0, 0]}, "along is .* give a horizontal unit vector"),
     ],
 )
 def test_bad_numbers(wrong, says):

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gendom.errors import RobotError
 from gendom.robot import (
     DOWN,
     XARM7,
@@ -13,11 +12,10 @@ from gendom.robot import (
     JointMotion,
     TcpPath,
     follow,
-    joint_move,
     lift,
-    pose_error,
 )
 from gendom.robot.timing import in_time
+from robot.geometry import off_the_path
 
 ANY_TOOL = replace(XARM7, max_tcp_speed=100.0)
 
@@ -31,7 +29,7 @@ def one_joint(way, seconds, pause=0.0):
     if pause > 0.0:
         time = np.concatenate([time, seconds + pause * np.geomspace(1e-3, 1.0, 20)])
         q = np.concatenate([q, np.tile(q[-1], (20, 1))])
-    return JointMotion(time=time, q=q, path_time=time)
+    return JointMotion(time=time, q=q)
 
 
 def largest(motion):
@@ -62,7 +60,6 @@ def test_what_is_within_limits_keeps_its_pace():
     assert done.slowed_by == pytest.approx(1.0, abs=1e-12)
     t = np.linspace(0.0, 2.0, 100)
     np.testing.assert_allclose(done.at(t), motion.at(t), atol=1e-9)
-    np.testing.assert_allclose(done.path_time_at(t), t, atol=1e-9)
 
 
 def test_a_pause_takes_as_long_as_it_is_asked_to():
@@ -80,7 +77,8 @@ def test_events_stay_where_they_are_on_the_path():
     done = in_time(XARM7, motion)
     before, during, after, late = (e.time for e in done.events)
     assert before == pytest.approx(-1.0)
-    np.testing.assert_allclose(done.path_time_at([during, after]), [0.01, 0.5], atol=1e-4)
+    np.testing.assert_allclose(done.at([during, after]), motion.at([0.01, 0.5]), atol=2e-3)
+    assert done.start < during < after < done.end
     assert late - done.end == pytest.approx(2.0 - motion.end)
     assert [e.closed for e in done.events] == [e.closed for e in motion.events]
 
@@ -94,9 +92,6 @@ def test_a_lift_far_too_fast_takes_no_longer_than_the_arm_must(speed):
     # At 1 m/s it would take 0.225 s, had the tool no mass.
     assert 1.225 < motion.end - motion.start < 1.45
     t = motion.sampled(500.0)
-    miss = pose_error(path.pose_at(motion.path_time_at(t), motion.blend), motion.tcp_at(XARM7, t))
-    # On the line, and along it to some microseconds of the path's time.
-    assert np.abs(miss).max() < 5e-6 * speed
     assert np.abs(motion.tcp_at(XARM7, t)[:, :2, 3] - [0.45, 0.0]).max() < 1e-5
 
 
@@ -110,18 +105,4 @@ def test_corners_passed_far_too_fast_are_passed_on_the_same_path():
     )
     motion = follow(XARM7, path, slow_down=True)
     assert max(largest(motion)) <= 1.0 + 1e-9
-    t = motion.sampled(1000.0)
-    miss = pose_error(path.pose_at(motion.path_time_at(t), motion.blend), motion.tcp_at(XARM7, t))
-    assert np.abs(miss).max() < 1e-5
-    assert np.all(np.diff(motion.path_time_at(t)) > 0.0)
-
-
-def test_the_clock_belongs_to_a_path():
-    with pytest.raises(RobotError, match="follow a path"):
-        joint_move(XARM7, XARM7.home, XARM7.home).path_time_at(0.0)
-    with pytest.raises(RobotError, match="path_time"):
-        JointMotion(time=np.arange(3.0), q=np.zeros((3, 7)), path_time=np.arange(2.0))
-    path = lift([0.45, 0, 0.02], height=0.1, speed=0.1)
-    motion = follow(XARM7, path)
-    later = motion.stretched(2.0).shifted(1.0)
-    assert later.path_time_at(later.end) == pytest.approx(path.end + 0.5 * motion.blend)
+    assert off_the_path(path, motion) < 1e-5

@@ -115,7 +115,7 @@ def test_paths_are_alike_at_every_size(kind):
 
 def test_ranges_and_objects_are_checked():
     for ranges, says in [
-        ({"mass": (1.0, 2.0)}, "no parameter 'mass'"),
+        ({"mass": (1.0, 2.0)}, "unknown parameter 'mass'"),
         ({"nu": (0.4, 0.3)}, "range of nu: is 0.4 to 0.3; give two finite numbers, the lower"),
         ({"E_over_rho": (0.0, 1.0)}, "positive numbers"),
         ({"damping": (math.nan, 1.0)}, "range of damping"),

@@ -161,7 +161,7 @@ class Command(KnownObject):
         """A better action, and what is expected of it, ready for JSON."""
         from gendom.policies.adaptation import adapt
         from gendom.policies.belief import believed
-        from gendom.policies.polishing import PolishSettings, polish
+        from gendom.policies.polishing import polish
 
         belief = believed(held, task)
         discrepancy = None
@@ -173,7 +173,8 @@ class Command(KnownObject):
             np.array(self.goal),
             items,
             start,
-            settings=PolishSettings(seconds=self.seconds, seed=self.seed),
+            seconds=self.seconds,
+            seed=self.seed,
             discrepancy=discrepancy,
             world=world,
         )

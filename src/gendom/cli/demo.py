@@ -153,7 +153,7 @@ class Command:
             assets = resources.files("gendom") / "assets"
             with resources.as_file(assets / RECORDING) as path:
                 return Recording.read(path), (assets / VIEWS).read_bytes()
-        from gendom.reality.chain import record_and_perceive
+        from gendom.reality.recording import record_and_perceive
         from gendom.viz import encode_camera_views
 
         with _timed(seconds, "record and perceive"):

@@ -108,8 +108,8 @@ def _execute(
     rope: RealRope, task: Task, action: np.ndarray, goal: np.ndarray
 ) -> tuple[PolicyRun, Executed]:
     """One action, done by the arm."""
-    performance = RealWorld().performance(task, rope, action)
-    seen = observe(task, performance, MOTION_RATE * _FINER)
+    trial_run = RealWorld().begin(task, rope, action)
+    seen = observe(task, trial_run, MOTION_RATE * _FINER)
     values = task.outcome(rope, seen)
     reached = np.array([values[q.name] for q in task.goals])
     free = _free(seen)
@@ -124,13 +124,13 @@ def _execute(
         shape_at_farthest=_filled(seen.points[there]),
     )
     shown = np.arange(0, len(seen.times), _FINER)
-    clock = performance.closes + shown / (MOTION_RATE * _FINER)
+    clock = trial_run.closes + shown / (MOTION_RATE * _FINER)
     return run, Executed(
         action=action,
         times=seen.times[shown],
         shapes=[_filled(x) for x in seen.points[shown]],
         hand=seen.hand[shown],
-        arm=arm_poses(performance, clock, task.T_world_task(rope)),
+        arm=arm_poses(trial_run, clock, task.T_world_task(rope)),
         goal=goal_mark(goal, seen),
         table=-float(task.T_world_task(rope)[2, 3]),
     )

@@ -66,10 +66,10 @@ class Command:
     def run(self) -> int:
         from gendom.reality import (
             DepthSensor,
-            Performance,
             RealRope,
             RecordSettings,
             RigErrors,
+            TrialRun,
             find_object,
             lift,
             lift_cameras,
@@ -98,7 +98,7 @@ class Command:
             what, fix = "says how high and with which end", "leave out --rise and --end"
             require(self.rise is None and self.end is None, what, where="--motion", fix=fix)
             trial = lifted_by(item, LiftMotion.read(self.motion))
-        performance = Performance(
+        trial_run = TrialRun(
             trial,
             cameras=lift_cameras(item),
             air_density=self.air_density,
@@ -106,12 +106,12 @@ class Command:
         )
         usual = RigErrors.synchronised() if trial.quick else RigErrors()
         errors = replace(usual, robot_clock=self.robot_clock, encoders=self.encoder_noise)
-        performance.step_to(performance.closes)
-        seconds = performance.end - performance.closes
+        trial_run.step_to(trial_run.closes)
+        seconds = trial_run.end - trial_run.closes
         notes = f"The predefined lift of {item.name}, seed {self.seed}."
-        with performance.world, bar("recording", round(seconds, 1), "second") as show:
+        with trial_run.world, bar("recording", round(seconds, 1), "second") as show:
             record(
-                performance,
+                trial_run,
                 self.out,
                 settings_of(RecordSettings, self, notes=notes),
                 sensor=DepthSensor.exact() if self.no_noise else DepthSensor(),

@@ -20,9 +20,8 @@ from gendom.datasets.npz import read_npz_cloud
 from gendom.datasets.pcd import read_pcd
 from gendom.datasets.ply import read_ply
 from gendom.datasets.recording_form import joined
-from gendom.datasets.rows import read_rows
 from gendom.errors import RecordingError
-from gendom.files import is_cut, read_toml
+from gendom.files import read_number_table, read_toml
 
 READERS: dict[str, Callable[[Path], np.ndarray]] = {
     ".ply": read_ply,
@@ -130,35 +129,19 @@ def read_gripper(
     Raises:
         RecordingError: The file cannot be read, or a row is malformed.
     """
-
-    def refused(what: str, fix: str, where: str = "") -> RecordingError:
-        return RecordingError(what, where=f"{path}{where}", fix=fix)
-
-    lines = read_rows(path, header="time,x,y,z")
-    if len(lines) == 1:
-        raise refused("holds a header and no rows", "write one row a frame")
-    header = lines[0][1]
+    header, table, lines = read_number_table(
+        path,
+        header="time,x,y,z",
+        check_header=lambda names: _gripper_columns(names, path),
+        on_cut=on_cut,
+    )
     position, axis, closed = _gripper_columns(header, path)
-    number, last = lines[-1]
-    whole = path.read_bytes().endswith((b"\n", b"\r"))
-    if on_cut is not None and not whole and len(lines) > 2 and is_cut(last, len(header)):
-        on_cut(number)
-        del lines[-1]
-    table = np.empty((len(lines) - 1, len(header)))
-    for i, (number, row) in enumerate(lines[1:]):
-        where = f", line {number}"
-        if len(row) != len(header):
-            what = f"{len(row)} values under {len(header)} column names"
-            raise refused(what, "give one value a column", where)
-        for j, text in enumerate(row):
-            column = f"{where}, column {header[j]}"
-            try:
-                table[i, j] = float(text)
-            except ValueError:
-                raise refused(f"{text!r} is no number", "give seconds and metres", column) from None
-            if j in closed and table[i, j] not in (0.0, 1.0):
-                fix = "give 1 where the gripper is closed, 0 where it is open"
-                raise refused(f"is {text!r}", fix, column)
+    fix = "give 1 where the gripper is closed, 0 where it is open"
+    for j in closed:
+        wrong = np.flatnonzero(~np.isin(table[:, j], (0.0, 1.0)))
+        for i in wrong:
+            where = f"{path}, line {lines[i]}, column {header[j]}"
+            raise RecordingError(f"is '{table[i, j]:g}'", where=where, fix=fix)
     arrays = {
         "time": table[:, header.index("time")],
         "gripper_position": table[:, position].reshape(len(table), -1, 3),

@@ -26,9 +26,8 @@ from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.datasets import Fault
-from gendom.datasets.rows import read_rows
 from gendom.errors import GendomError, RecordingError
-from gendom.files import read_toml
+from gendom.files import read_rows, read_toml
 from gendom.perception.camera import Camera, rigid
 from gendom.perception.png import read_png
 

@@ -33,8 +33,8 @@ from PIL import Image
 from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.datasets.folder import read_gripper, read_object
-from gendom.datasets.rows import read_rows
 from gendom.errors import RecordingError
+from gendom.files import read_rows
 from gendom.perception.camera import Camera, read_camera, write_camera
 from gendom.perception.frames import Frame, FrameSource, Pictures, interpolate
 from gendom.perception.png import read_png

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from gendom.policies.demonstrations import Demonstrations
     from gendom.policies.evaluation import draw_cases, score
     from gendom.policies.fitting import Training
-    from gendom.policies.polishing import Polished, PolishSettings, polish
+    from gendom.policies.polishing import Polished, polish
     from gendom.policies.training import train
 
 # Public name -> module that defines it. Keep in step with the block above and `__all__`.
@@ -26,7 +26,6 @@ _LATER = {
     "believed": "belief",
     "Demonstrations": "demonstrations",
     "Execution": "adaptation",
-    "PolishSettings": "polishing",
     "Polished": "polishing",
     "Training": "fitting",
     "adapt": "adaptation",
@@ -47,7 +46,6 @@ __all__ = [
     "GoalRange",
     "Outside",
     "Policy",
-    "PolishSettings",
     "Polished",
     "Training",
     "adapt",

@@ -1,16 +1,16 @@
-"""The problem that every training method solves: data, columns, network, fits. Needs torch."""
+"""What every training method works on: settings, data, columns, network, fits. Needs torch."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import PolicyError
-from gendom.learning import Checkpoint, Epoch, FitSettings, fit  # explains a missing torch
+from gendom.policies.learning import Checkpoint, Epoch, FitSettings, fit  # explains a missing torch
 
 # isort: split
 import torch
@@ -19,9 +19,26 @@ from torch import Tensor, nn
 from gendom.arguments import require
 from gendom.materials import PARAMETERS
 from gendom.policies.demonstrations import SMALLEST, Demonstrations, joined
-from gendom.policies.networks import ARCHITECTURES, PhysicalNetwork
 from gendom.policies.policy import GOAL, METHODS, Column
 from gendom.tasks import find_task
+
+ARCHITECTURES: dict[str, tuple[tuple[int, ...], type[nn.Module]]] = {
+    "smooth": ((192, 192, 192), nn.SiLU),
+    "paper": ((256, 128, 32), nn.ReLU),
+}
+"""Widths of the hidden layers, and what follows each. "paper" is that of Kuroki et al. (2024)."""
+
+FINETUNE_LEARNING_RATE = 4e-4
+"""Peak of the learning rate of fine-tuning."""
+
+DEMONSTRATED_WEIGHT = 1.0
+"""Weight of the pull towards demonstrated actions, distal only."""
+
+RISK_WEIGHT = 1.0
+"""Weight of the task's risk, distal only."""
+
+VALIDATION_SHARE = 0.1
+"""Share of the demonstrations held out."""
 
 RISK_FLOOR = 1e-5
 """Smaller risks count as zero [units of similarity]."""
@@ -41,11 +58,11 @@ class Training:
     method: str = "distal"
     """One of "distal", "inverse" and "quantile"; see `gendom.policies.methods`."""
     conditioned_on: tuple[str, ...] | None = None
-    """The parameters that the policy sees; None: all that vary. The forward model that teaches it
-    always sees all of them: they are those of the demonstration, and a policy that does not see
-    them then learns the action that is best on average over them."""
+    """The parameters that the policy sees; None: all that vary. The forward model
+    that it is trained through always sees all: they are those of the demonstration. A policy that
+    does not see them learns the action that is best on average over them."""
     architecture: str = "smooth"
-    """A key of `gendom.policies.networks.ARCHITECTURES`."""
+    """A key of `ARCHITECTURES`."""
     epochs: int = 300
     """Passes over the demonstrations, for each network."""
     batch_size: int = 256
@@ -54,19 +71,12 @@ class Training:
     weight_decay: float = 1e-4
     finetune_epochs: int = 300
     """Passes over the demonstrations for fine-tuning."""
-    finetune_learning_rate: float = 4e-4
-    pull: float = 1.0
-    """Weight of the pull towards demonstrated actions, distal only."""
-    caution: float = 1.0
-    """Weight of the task's risk, distal only."""
     refine: int = 0
     """Rounds in the simulator after that, see `gendom.policies.refining`."""
     refine_cases: int = 2000
     """Demonstrations whose goals and objects the policy acts for in each round, at most."""
     refine_steps: int = 4000
     """Of the optimiser in each round; the last has four times as many."""
-    validation_share: float = 0.1
-    """Share of the demonstrations held out."""
     seed: int = 0
     """Fixes the held-out demonstrations, the initial weights and the order of the batches."""
 
@@ -79,13 +89,7 @@ class Training:
         for name, value, known in chosen:
             fix = f"choose from {', '.join(known)}"
             require(value in known, f"{name} is {value!r}", fix=fix, error=PolicyError)
-        for name in (
-            "epochs",
-            "batch_size",
-            "learning_rate",
-            "finetune_epochs",
-            "finetune_learning_rate",
-        ):
+        for name in ("epochs", "batch_size", "learning_rate", "finetune_epochs"):
             value = getattr(self, name)
             require(value > 0, f"{name} must be positive, got {value}", error=PolicyError)
         require(
@@ -93,11 +97,6 @@ class Training:
             f"{self.refine} rounds of {self.refine_cases} cases and {self.refine_steps} steps",
             where="refine",
             fix="give 0 rounds or more, of 1 case and 1 step or more",
-            error=PolicyError,
-        )
-        require(
-            0.0 < self.validation_share < 1.0,
-            f"validation_share must lie between 0 and 1, got {self.validation_share}",
             error=PolicyError,
         )
 
@@ -115,6 +114,45 @@ class Split:
         order = first + torch.randperm(count)
         held = max(1, round(share * count))
         return cls(trained=order[held:], held_out=order[:held])
+
+
+class PhysicalNetwork(nn.Module):
+    """A multilayer perceptron whose inputs and outputs are physical quantities.
+
+    Standardisation, and logarithms where a column asks for them, are part of it.
+
+    Args:
+        inputs, outputs: One column for each number; outputs are not logarithmic.
+        architecture: A key of `ARCHITECTURES`.
+    """
+
+    input_mean: Tensor
+    input_scale: Tensor
+    output_mean: Tensor
+    output_scale: Tensor
+
+    def __init__(
+        self, inputs: Sequence[Column], outputs: Sequence[Column], architecture: str = "smooth"
+    ):
+        super().__init__()
+        self._log = [column.log for column in inputs]
+        self.register_buffer("input_mean", torch.tensor([c.mean for c in inputs]))
+        self.register_buffer("input_scale", torch.tensor([c.scale for c in inputs]))
+        self.register_buffer("output_mean", torch.tensor([c.mean for c in outputs]))
+        self.register_buffer("output_scale", torch.tensor([c.scale for c in outputs]))
+        widths, activation = ARCHITECTURES[architecture]
+        layers: list[nn.Module] = []
+        before = len(inputs)
+        for width in widths:
+            layers += [nn.Linear(before, width), activation()]
+            before = width
+        self.layers = nn.Sequential(*layers, nn.Linear(before, len(outputs)))
+
+    def forward(self, *columns: Tensor) -> Tensor:
+        """[B, outputs] from one [B, 1] tensor for each input."""
+        x = [torch.log(c) if log else c for c, log in zip(columns, self._log, strict=True)]
+        z = (torch.cat(x, dim=1) - self.input_mean) / self.input_scale
+        return self.layers(z) * self.output_scale + self.output_mean
 
 
 class TrainingProblem:
@@ -156,10 +194,10 @@ class TrainingProblem:
             raise PolicyError(
                 "has neither goals nor parameters to act on", fix="condition it on a parameter"
             )
-        self._simulated = Split.drawn(0, len(d), training.validation_share)
+        self._simulated = Split.drawn(0, len(d), VALIDATION_SHARE)
         self._real = None
         if finetune is not None:
-            self._real = Split.drawn(len(d), len(finetune), training.validation_share)
+            self._real = Split.drawn(len(d), len(finetune), VALIDATION_SHARE)
             d = joined(d, finetune)
         self.action = torch.tensor(d.action, dtype=torch.float32)
         self.goal = torch.tensor(d.goal, dtype=torch.float32)
@@ -199,16 +237,11 @@ class TrainingProblem:
     def caution(self, log_risk: Tensor) -> Tensor:
         """Loss of risks [B], given by their logarithms, that are near the limit or beyond."""
         beyond = torch.relu(log_risk - (self.highest - RISK_MARGIN))
-        return self.training.caution * (beyond**2).mean()
+        return RISK_WEIGHT * (beyond**2).mean()
 
     def remembered(self, name: str, make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
         """Tensors that an interrupted training need not make again."""
-        if self._checkpoint is None:
-            return make()
-        if (kept := self._checkpoint.recall(name)) is None:
-            kept = make()
-            self._checkpoint.remember(name, kept)
-        return kept
+        return make() if self._checkpoint is None else self._checkpoint.remembered(name, make)
 
     def fit(
         self,
@@ -236,32 +269,21 @@ class TrainingProblem:
             learning_rate=training.learning_rate,
             weight_decay=training.weight_decay,
         )
-        self._fit(name, network, loss_of, self._simulated, only, settings)
-        if self._real is None:
-            return
-        settings = replace(
-            settings,
-            epochs=training.finetune_epochs,
-            learning_rate=training.finetune_learning_rate,
-        )
-        self._fit(f"{name}, fine-tuned", network, loss_of, self._real, only, settings)
-
-    def _fit(
-        self,
-        name: str,
-        network: nn.Module,
-        loss_of: Callable[[Tensor], Tensor],
-        split: Split,
-        only: Tensor | None,
-        settings: FitSettings,
-    ) -> None:
-        trained, held_out = split.trained, split.held_out
-        if only is not None:
-            chosen = trained[only[trained]]
-            trained = chosen if len(chosen) >= SMALLEST else trained
-            held_out = held_out[only[held_out]]
-
-        self.fit_to(name, network, loss_of, trained, settings, held_out=held_out)
+        stages = [(name, self._simulated, settings)]
+        if self._real is not None:
+            finetuning = replace(
+                settings,
+                epochs=training.finetune_epochs,
+                learning_rate=FINETUNE_LEARNING_RATE,
+            )
+            stages.append((f"{name}, fine-tuned", self._real, finetuning))
+        for stage, split, how in stages:
+            trained, held_out = split.trained, split.held_out
+            if only is not None:
+                chosen = trained[only[trained]]
+                trained = chosen if len(chosen) >= SMALLEST else trained
+                held_out = held_out[only[held_out]]
+            self.fit_to(stage, network, loss_of, trained, how, held_out=held_out)
 
     def fit_to(
         self,

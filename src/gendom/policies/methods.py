@@ -30,15 +30,22 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from gendom.arguments import require
 from gendom.errors import PolicyError
-from gendom.policies.fitting import TrainingProblem, huber, rms, standardised
-from gendom.policies.networks import PhysicalNetwork
+from gendom.policies.fitting import (
+    DEMONSTRATED_WEIGHT,
+    PhysicalNetwork,
+    TrainingProblem,
+    huber,
+    rms,
+    standardised,
+)
 from gendom.policies.policy import QUANTILE
 
 ANCHORS = 1024
 """Demonstrated actions, at most, that the pull looks for the nearest among."""
 
-LARGE = 0.1
+HUBER_THRESHOLD = 0.1
 """Error from which on it counts linearly [standard deviations of the goal]."""
 
 
@@ -49,12 +56,8 @@ def distal(problem: TrainingProblem) -> dict[str, float]:
         PolicyError: The task has no goals.
     """
     training, G = problem.training, len(problem.goals)
-    if not G:
-        raise PolicyError(
-            f"{problem.task_name} has no goals to teach through",
-            where="method",
-            fix="choose the method inverse",
-        )
+    what, fix = f"{problem.task_name} has no goals to train through", "choose the method inverse"
+    require(G, what, where="method", fix=fix, error=PolicyError)
     outputs, target = list(problem.goals), problem.goal
     if problem.log_risk is not None:
         outputs.append(standardised("risk", problem.log_risk.numpy()[:, 0].astype(float)))
@@ -72,7 +75,7 @@ def distal(problem: TrainingProblem) -> dict[str, float]:
 
     def model_loss(rows: Tensor) -> Tensor:
         error = (predicted(problem.action[rows], rows) - target[rows]) / model.output_scale
-        return (counts[rows] * huber(error, LARGE)).mean()
+        return (counts[rows] * huber(error, HUBER_THRESHOLD)).mean()
 
     problem.fit("forward model", model, model_loss)
     model.requires_grad_(False)
@@ -83,7 +86,7 @@ def distal(problem: TrainingProblem) -> dict[str, float]:
         action = problem.act(rows)
         found = predicted(action, rows)
         error = (found[:, :G] - problem.goal[rows]) / model.output_scale[:G]
-        loss = huber(error, LARGE).mean() + training.pull * outside(action / scale)
+        loss = huber(error, HUBER_THRESHOLD).mean() + DEMONSTRATED_WEIGHT * outside(action / scale)
         if problem.log_risk is not None:
             loss = loss + problem.caution(found[:, G])
         return loss

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gendom.arguments import require
 from gendom.errors import ParameterError, PolicyError
 from gendom.files import read_bytes
 from gendom.materials import PARAMETERS, Item, dimensionless_parameters
@@ -48,11 +49,11 @@ similarity]."""
 
 Array = NDArray[np.float64]
 
-NEAR = 0.01
+RANGE_TOLERANCE = 0.01
 """A parameter outside the range by less than this share of its end counts as in it."""
 
-ABSURD = 10.0
-"""A goal farther than this many of the farthest that can be reached was not given in its unit."""
+UNIT_ERROR_FACTOR = 10.0
+"""A goal this many times as far as the farthest that can be reached was given in another unit."""
 
 _log = logging.getLogger(__name__)
 
@@ -136,12 +137,9 @@ class Description:
             raise PolicyError(
                 f"its {METADATA_KEY} entry is no JSON object", where=where, fix="train it again"
             ) from error
-        if found != FORMAT:
-            raise PolicyError(
-                f"has format {found!r}, this version of gendom reads {FORMAT!r}",
-                where=where,
-                fix="train it again, or use the version of gendom that wrote it",
-            )
+        what = f"has format {found!r}, this version of gendom reads {FORMAT!r}"
+        fix = "train it again, or use the version of gendom that wrote it"
+        require(found == FORMAT, what, where=where, fix=fix, error=PolicyError)
         try:
             goals = value["goals"]
             for name in ("conditioned_on", "parameters"):
@@ -273,12 +271,9 @@ class Policy(Shown):
         description = Description.from_json(text, where=where)
         inputs = {_input_name(i.name): i.name for i in session.get_inputs()}
         goals = {GOAL + name for name in description.goal_names}
-        if inputs.keys() != goals | set(description.conditioned_on):
-            raise PolicyError(
-                f"its graph takes {sorted(inputs)}, which its description does not say",
-                where=where,
-                fix="train it again",
-            )
+        described = inputs.keys() == goals | set(description.conditioned_on)
+        what = f"its graph takes {sorted(inputs)}, which its description does not say"
+        require(described, what, where=where, fix="train it again", error=PolicyError)
         return cls(session, description, where=where, graph_names=inputs)
 
     @staticmethod
@@ -305,12 +300,10 @@ class Policy(Shown):
         find_task(task)  # a name that no task has is refused as such
         asset = resources.files("gendom") / "assets" / name
         with resources.as_file(asset) as path:
-            if not path.is_file():
-                raise PolicyError(
-                    f"no pretrained policy {name!r} comes with this package",
-                    fix=f"make demonstrations with gendom dataset {task}, train one with gendom "
-                    f"train {task}, and name its file",
-                )
+            what = f"no pretrained policy {name!r} comes with this package"
+            fix = f"make demonstrations with gendom dataset {task}, train one with gendom train "
+            fix += f"{task}, and name its file"
+            require(path.is_file(), what, fix=fix, error=PolicyError)
             return cls.read(path)
 
     @staticmethod
@@ -361,18 +354,15 @@ class Policy(Shown):
         goals = goals.reshape(-1, len(names)) if names else goals.reshape(len(goals), 0)
         feed = {GOAL + name: goals[:, k] for k, name in enumerate(names)}
         for name in self.description.conditioned_on:
-            if name not in given:
-                raise PolicyError(
-                    f"the policy needs {name}",
-                    where=self.where,
-                    fix="give it, or use a policy without parameters",
-                )
+            fix = "give it, or use a policy without parameters"
+            what, known = f"the policy needs {name}", name in given
+            require(known, what, where=self.where, fix=fix, error=PolicyError)
             low, high = self.description.parameters[name]
             value = np.broadcast_to(np.asarray(given[name], dtype=float), len(goals))
             feed[name] = np.clip(value, low, high)
         for name, value in feed.items():
-            if not np.isfinite(value).all():
-                raise PolicyError(f"{name} must be finite", where=self.where)
+            what, finite = f"{name} must be finite", np.isfinite(value).all()
+            require(finite, what, where=self.where, error=PolicyError)
         columns = {
             self._graph_names.get(name, name): value.astype(np.float32)[:, None]
             for name, value in feed.items()
@@ -399,14 +389,14 @@ class Policy(Shown):
 
     def outside(self, goal: ArrayLike, item: Item) -> tuple[Outside, ...]:
         """What of a goal [G] (SI units) and an object the policy was not trained on; parameters
-        that are no farther outside than `NEAR` are left out.
+        that are no farther outside than `RANGE_TOLERANCE` are left out.
 
         Raises:
             PolicyError, ParameterError: As `act`, but for goals that are merely out of range.
         """
         goals = self._goals_outside(self._check_goal(goal, item), item)
         parameters = self._parameters_outside(item).values()
-        return (*goals.values(), *(found for found in parameters if found.share > NEAR))
+        return (*goals.values(), *(found for found in parameters if found.share > RANGE_TOLERANCE))
 
     def act(self, goal: ArrayLike, item: Item, *, force: bool = False) -> Action:
         """The action that reaches a goal with a given object, of any size.
@@ -468,29 +458,22 @@ class Policy(Shown):
     def _check_goal(self, goal: ArrayLike, item: Item) -> Array:
         """The goal [G], if such an object can have one like it."""
         task = self.task()
-        if item.kind != task.kind:
-            raise ParameterError(f"{task.name} takes a {task.kind}, not a {item.kind}")
+        require(item.kind == task.kind, f"{task.name} takes a {task.kind}, not a {item.kind}")
         wanted = np.atleast_1d(np.asarray(goal, dtype=float))
         names = self.description.goal_names
-        if wanted.shape != (len(names),) or not np.isfinite(wanted).all():
-            raise PolicyError(
-                f"goal is {wanted.tolist()}",
-                where=task.name,
-                fix=f"give {len(names)} finite number{'s' * (len(names) != 1)}: {', '.join(names)}"
-                if names
-                else "give no goal",
-            )
+        many = f"{len(names)} finite number{'s' * (len(names) != 1)}: {', '.join(names)}"
+        fix, what = f"give {many if names else 'no goal'}", f"goal is {wanted.tolist()}"
+        fits = wanted.shape == (len(names),) and np.isfinite(wanted).all()
+        require(fits, what, where=task.name, fix=fix, error=PolicyError)
         ends, sizes = self.goal_range(item), task.goal_units(item)
         for quantity, value, (low, high), size in zip(task.goals, wanted, ends, sizes, strict=True):
             times = abs(value) / max(abs(low), abs(high), size)
-            if times > ABSURD:
-                unit = "" if quantity.unit == "1" else f" {quantity.unit}"
-                raise PolicyError(
-                    f"goal {quantity.name} is {value:g}{unit}, {times:.0f} times as far as such a "
-                    f"{task.kind} can reach",
-                    where=task.name,
-                    fix=f"choose one between {low:.4g} and {high:.4g}{unit}",
-                )
+            unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+            what = f"goal {quantity.name} is {value:g}{unit}, {times:.0f} times as far as such a "
+            what += f"{task.kind} can reach"
+            fix = f"choose one between {low:.4g} and {high:.4g}{unit}"
+            plausible = times <= UNIT_ERROR_FACTOR
+            require(plausible, what, where=task.name, fix=fix, error=PolicyError)
         return wanted
 
     def _goals_outside(self, wanted: Array, item: Item) -> dict[str, Outside]:

@@ -21,9 +21,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.errors import ParameterError, SimulationError
+from gendom.arguments import require
+from gendom.errors import SimulationError
 from gendom.materials import Item, unit_of
-from gendom.policies.rollouts import Asking, Rollouts, around, side_by_side, slopes
+from gendom.policies.rollouts import Asking, Rollouts, central_differences, side_by_side, stencil
 from gendom.tasks import Task
 from gendom.tasks.task import Outcome, World
 from gendom.tasks.world import Simulation
@@ -39,51 +40,28 @@ class Discrepancy(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True)
-class PolishSettings:
-    """Limits of the search.
+CANDIDATES, SCREENING_OBJECTS = 48, 2
+"""Actions looked at beside the policy's, drawn from all that the task allows, and the objects that
+these are looked at with."""
 
-    Raises:
-        ParameterError: A number is out of range.
-    """
+POLISHED_ACTIONS = 3
+"""Of these, how many are polished, the policy's among them."""
 
-    seconds: float = 10.0
-    """Wall time after which the best so far is taken [s]."""
-    candidates: int = 48
-    """Actions looked at beside the policy's, drawn from all that the task allows."""
-    screened: int = 2
-    """Objects that these are looked at with."""
-    kept: int = 3
-    """Of these, how many are polished, the policy's among them."""
-    iterations: int = 6
-    """Steps of each, at most."""
-    step: float = 0.002
-    """Of central differences [units of similarity]."""
-    enough: float = 1e-4
-    """Root mean square of the miss at which polishing ends [units of similarity]."""
-    gain: float = 0.02
-    """Share of the mean square below which a step gained too little for another."""
-    margin: float = 0.7
-    """Share of the task's risk limit that is not punished."""
-    caution: float = 0.1
-    """What a risk beyond that counts, for each of its limit [units of similarity]."""
-    seed: int = 0
-    """Of the candidates."""
+MAX_ITERATIONS = 6
+"""Steps of each, at most."""
 
-    def __post_init__(self) -> None:
-        for name in ("seconds", "step", "enough", "caution"):
-            if not getattr(self, name) > 0.0:
-                raise ParameterError(f"must be positive, got {getattr(self, name)}", where=name)
-        if (
-            self.candidates < 0
-            or self.kept < 1
-            or self.screened < 1
-            or self.iterations < 0
-            or self.seed < 0
-        ):
-            raise ParameterError(
-                "candidates, iterations and seed must be at least 0, screened and kept at least 1"
-            )
+STEP = 0.002
+"""Of central differences [units of similarity]."""
+
+TOLERANCE = 1e-4
+"""Root mean square of the miss at which polishing ends [units of similarity]."""
+
+LEAST_GAIN = 0.02
+"""Share of the mean square below which a step gained too little for another."""
+
+RISK_MARGIN, RISK_WEIGHT = 0.7, 0.1
+"""Share of the task's risk limit that is not punished, and what a risk beyond that counts, for each
+of its limit [units of similarity]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,7 +98,6 @@ class _Problem:
     task: Task
     goal: Array
     items: Sequence[Item]
-    settings: PolishSettings
     discrepancy: Discrepancy | None
     rollouts: int = 0
     units: Array = field(init=False)
@@ -169,16 +146,16 @@ class _Problem:
         caution = 0.0
         if task.risk is not None:
             share = values[task.risk.name] / (task.risk.limit * unit_of(task.risk.unit, item))
-            caution = self.settings.caution * max(0.0, share - self.settings.margin)
+            caution = RISK_WEIGHT * max(0.0, share - RISK_MARGIN)
         return np.append(miss, caution)
 
     def points(self, actions: Sequence[Array]) -> Asking[list[_Point]]:
         """Actions with residuals and derivatives, all simulated side by side."""
-        ends = around(np.array(actions), self.settings.step)
+        ends = stencil(np.array(actions), STEP)
         allowed = np.array([[self._allowed(a) for a in of_one] for of_one in ends])
         flat = yield from self.residuals(list(allowed.reshape(-1, allowed.shape[-1])))
         r = np.array(flat).reshape(*allowed.shape[:2], -1)
-        J = slopes(allowed, r)
+        J = central_differences(allowed, r)
         return [_Point(a=a[0], r=x[0], J=j) for a, x, j in zip(allowed, r, J, strict=True)]
 
     def _allowed(self, a: Array) -> Array:
@@ -192,7 +169,8 @@ def polish(
     start: ArrayLike,
     *,
     world: World | None = None,
-    settings: PolishSettings | None = None,
+    seconds: float = 10.0,
+    seed: int = 0,
     discrepancy: Discrepancy | None = None,
 ) -> Polished:
     """The action whose miss is smallest over objects that are plausible.
@@ -203,14 +181,17 @@ def polish(
         items: K objects of one size: one that is known, or draws of an `Estimate`.
         start: [A] where to begin, such as a policy's action, in SI units.
         world: Where it is simulated (default: our simulator).
-        settings: How long and how far to look.
+        seconds: Wall time after which the best so far is taken [s].
+        seed: Of the actions that are looked at beside the start.
         discrepancy: What is added to what the simulator says is reached.
 
     Raises:
         ParameterError: Numbers do not agree, or the start is not allowed.
         SimulationError: No action could be simulated.
     """
-    search = polishing(task, goal, items, start, settings=settings, discrepancy=discrepancy)
+    search = polishing(
+        task, goal, items, start, seconds=seconds, seed=seed, discrepancy=discrepancy
+    )
     return side_by_side(task, world or Simulation(), [search])[0]
 
 
@@ -220,66 +201,69 @@ def polishing(
     items: Sequence[Item],
     start: ArrayLike,
     *,
-    settings: PolishSettings | None = None,
+    seconds: float = 10.0,
+    seed: int = 0,
     discrepancy: Discrepancy | None = None,
 ) -> Asking[Polished]:
     """`polish` as a search that asks for rollouts, for many at once (`side_by_side`)."""
     began = time.monotonic()
-    settings = settings or PolishSettings()
     wanted = np.atleast_1d(np.asarray(goal, dtype=float)) if task.goals else np.empty(0)
-    if wanted.shape != (len(task.goals),) or not np.isfinite(wanted).all():
-        raise ParameterError(f"is {wanted.tolist()}", where="goal")
-    if not items:
-        raise ParameterError("no object to polish for", fix="give one or more")
-    problem = _Problem(
-        task=task, goal=wanted, items=items, settings=settings, discrepancy=discrepancy
-    )
+    fits = wanted.shape == (len(task.goals),) and np.isfinite(wanted).all()
+    require(fits, f"is {wanted.tolist()}", where="goal")
+    require(seconds > 0.0, f"must be positive, got {seconds}", where="seconds")
+    require(items, "no object to polish for", fix="give one or more")
+    problem = _Problem(task=task, goal=wanted, items=items, discrepancy=discrepancy)
     first = task.check_action(items[0], start) / problem.units
-    rng = np.random.default_rng(settings.seed)
-    others = task.sample_actions(items[0], rng, settings.candidates) / problem.units
-    tried = [first, *others]
-    few = replace(problem, items=items[: settings.screened])
-    r = yield from few.residuals(tried)
-    problem.rollouts = few.rollouts
-    costs = np.array([float(x @ x) for x in r])
-    if not np.isfinite(costs).any():
-        raise SimulationError(
-            f"no action of {task.name} can be simulated with this {task.kind}",
-            fix="check the object's numbers",
-        )
-    order = [int(k) for k in np.argsort(costs, kind="stable")[: settings.kept]]
-    # the start is polished too: the policy may know better than a few draws
-    chosen = [tried[k] for k in [0, *(k for k in order if k)][: settings.kept]]
+    chosen = yield from _screened(problem, first, seed)
     if task.goals:
         points = yield from problem.points(chosen)
     else:  # a share that is met or not has no derivative
         r = yield from problem.residuals(chosen)
         flat = np.zeros((len(r[0]), len(first)))
         points = [_Point(a=a, r=x, J=flat, done=True) for a, x in zip(chosen, r, strict=True)]
-    before = points[0].cost
-    round_seconds = 0.0
-    for _ in range(settings.iterations):
-        going = [k for k, p in enumerate(points) if not p.done]
-        left = settings.seconds - (time.monotonic() - began)
-        if not going or left < round_seconds:
-            break
-        starts = time.monotonic()
-        steps = [_step(points[k]) for k in going]
-        new = yield from problem.points(
-            [points[k].a + s for k, s in zip(going, steps, strict=True)]
-        )
-        for k, found in zip(going, new, strict=True):
-            points[k] = _better(points[k], found, settings)
-        round_seconds = time.monotonic() - starts
-    best = min(points, key=lambda p: p.cost)
+    best = yield from _improved(problem, points, began + seconds)
     unit = float(problem.goal_units[0]) if task.goals else 1.0
     return Polished(
         action=task.check_action(items[0], best.a * problem.units),
         expected=float(np.sqrt(best.cost)) * unit,
-        before=float(np.sqrt(before)) * unit,
+        before=float(np.sqrt(points[0].cost)) * unit,
         rollouts=problem.rollouts,
         seconds=time.monotonic() - began,
     )
+
+
+def _screened(problem: _Problem, first: Array, seed: int) -> Asking[list[Array]]:
+    """The start, and the best of drawn actions as simulated with a few of the objects."""
+    task, item = problem.task, problem.items[0]
+    others = task.sample_actions(item, np.random.default_rng(seed), CANDIDATES) / problem.units
+    tried = [first, *others]
+    few = replace(problem, items=problem.items[:SCREENING_OBJECTS])
+    r = yield from few.residuals(tried)
+    problem.rollouts = few.rollouts
+    costs = np.array([float(x @ x) for x in r])
+    what = f"no action of {task.name} can be simulated with this {task.kind}"
+    fix = "check the object's numbers"
+    require(np.isfinite(costs).any(), what, fix=fix, error=SimulationError)
+    order = [int(k) for k in np.argsort(costs, kind="stable")[:POLISHED_ACTIONS]]
+    # the start is polished too: the policy may know better than a few draws
+    return [tried[k] for k in [0, *(k for k in order if k)][:POLISHED_ACTIONS]]
+
+
+def _improved(problem: _Problem, points: Sequence[_Point], deadline: float) -> Asking[_Point]:
+    """The best that damped Gauss-Newton steps lead to from some points until a time [s]."""
+    points = list(points)
+    round_seconds = 0.0
+    for _ in range(MAX_ITERATIONS):
+        going = [k for k, p in enumerate(points) if not p.done]
+        starts = time.monotonic()
+        if not going or deadline - starts < round_seconds:
+            break
+        steps = [points[k].a + _step(points[k]) for k in going]
+        new = yield from problem.points(steps)
+        for k, found in zip(going, new, strict=True):
+            points[k] = _better(points[k], found)
+        round_seconds = time.monotonic() - starts
+    return min(points, key=lambda p: p.cost)
 
 
 def _step(p: _Point) -> Array:
@@ -289,13 +273,13 @@ def _step(p: _Point) -> Array:
     return np.asarray(np.linalg.solve(damped, -p.J.T @ p.r), dtype=float)
 
 
-def _better(old: _Point, new: _Point, settings: PolishSettings) -> _Point:
+def _better(old: _Point, new: _Point) -> _Point:
     """Whichever costs less, with the damping of its next step."""
     if not new.cost < old.cost:
         old.damping = max(10.0 * old.damping, 1e-2)
-        old.done = old.damping > 1e4 or old.cost < settings.enough**2
+        old.done = old.damping > 1e4 or old.cost < TOLERANCE**2
         return old
     gained = (old.cost - new.cost) / old.cost
     new.damping = max(0.1 * old.damping, 1e-6)
-    new.done = new.cost < settings.enough**2 or gained < settings.gain
+    new.done = new.cost < TOLERANCE**2 or gained < LEAST_GAIN
     return new

@@ -9,8 +9,8 @@ gradients of it in other words):
 
 where case i reached y_i by action a_i. Models of earlier rounds stay: they are of nearly the same
 actions. In place of a forward model that was learnt, whose errors the policy would inherit, the
-simulator's own slopes count, where the policy acts. A policy that does not see all parameters is
-fitted over all objects that look alike to it.
+simulator's own derivatives count, where the policy acts. A policy that does not see all
+parameters is fitted over all objects that look alike to it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import PolicyError
-from gendom.learning import FitSettings  # explains a missing torch
+from gendom.policies.learning import FitSettings  # explains a missing torch
 
 # isort: split
 import torch
@@ -30,7 +30,7 @@ from torch import Tensor
 
 from gendom.materials import PARAMETERS, Item, unit_of, with_dimensionless
 from gendom.policies.fitting import RISK_FLOOR, TrainingProblem, huber
-from gendom.policies.rollouts import around, slopes
+from gendom.policies.rollouts import central_differences, stencil
 from gendom.progress import bar
 from gendom.tasks import Task
 from gendom.tasks.task import World
@@ -41,20 +41,20 @@ Array = NDArray[np.float64]
 STEP = 0.002
 """Of central differences [units of similarity]."""
 
-JUMP = 0.005
-"""Second difference beyond which what is reached jumps there and has no slope [units of
+MAX_SECOND_DIFFERENCE = 0.005
+"""Larger second differences show a jump of what is reached, which has no derivative [units of
 similarity]."""
 
-LARGE = 0.03
+HUBER_THRESHOLD = 0.03
 """Error from which on it counts linearly [standard deviations of the goal]."""
 
-CLOSENESS = 0.003
+STEP_PENALTY = 0.003
 """Weight of the squared distance from the actions that models are of [standard deviations]."""
 
 LEARNING_RATE = 2e-3
 """At its peak."""
 
-LAST_ROUND = 4
+LAST_ROUND_FACTOR = 4
 """How many times as many steps of the optimiser the last round has."""
 
 
@@ -70,7 +70,7 @@ class Models:
     """[M, A] direction in which the policy left the task's limits; 0 where it did not."""
     reached: Tensor
     """[M, G, and 1 for the logarithm of the risk]."""
-    slope: Tensor
+    derivative: Tensor
     """[M, G or G + 1, A]."""
     counts: Tensor
     """[M, G or G + 1] 1 where a residual counts, else 0."""
@@ -122,7 +122,7 @@ def refine(
         miss = (new.reached[:, :G] - problem.goal[new.row])[usable]
         misses.append(float((miss**2).mean().sqrt()))
         models = new if models is None else models.and_then(new)
-        _fit(problem, models, name, LAST_ROUND if k == training.refine else 1)
+        _fit(problem, models, name, LAST_ROUND_FACTOR if k == training.refine else 1)
     return {"goal_rms_before_refining": misses[0], "goal_rms_before_last_round": misses[-1]}
 
 
@@ -135,12 +135,12 @@ def _fit(problem: TrainingProblem, models: Models, name: str, times: int) -> Non
     def loss(at: Tensor) -> Tensor:
         row = models.row[at]
         moved = problem.act(row) - models.action[at]
-        found = models.reached[at] + torch.einsum("bra,ba->br", models.slope[at], moved)
+        found = models.reached[at] + torch.einsum("bra,ba->br", models.derivative[at], moved)
         miss = (found[:, :G] - problem.goal[row]) / goal_scale
         away = moved / scale
         outwards = torch.relu((models.beyond[at] * away).sum(dim=1))
-        total = (models.counts[at, :G] * huber(miss, LARGE)).mean() + (outwards**2).mean()
-        total = total + CLOSENESS * (away**2).sum(dim=1).mean()
+        total = (models.counts[at, :G] * huber(miss, HUBER_THRESHOLD)).mean() + (outwards**2).mean()
+        total = total + STEP_PENALTY * (away**2).sum(dim=1).mean()
         if found.shape[1] > G:
             known = models.counts[at, G] > 0.0
             total = total + problem.caution(found[:, G].masked_fill(~known, -torch.inf))
@@ -185,7 +185,7 @@ def _simulated(
         ])  # fmt: skip
 
     action = allowed(asked[:, None])[:, 0]
-    points = allowed(around(action, STEP))
+    points = allowed(stencil(action, STEP))
     values = []
     with bar(f"{name}, acting", len(rows), "case", shown=shown) as show:
         show(0)
@@ -204,7 +204,7 @@ def _simulated(
         "action": action,
         "beyond": np.where(length > 1e-6, left / np.maximum(length, 1e-6), 0.0),
         "reached": np.nan_to_num(found[:, 0]),
-        "slope": slopes(points, found),
+        "derivative": central_differences(points, found),
         "counts": counts,
     }
     made = {n: torch.tensor(values, dtype=torch.float32) for n, values in arrays.items()}
@@ -212,9 +212,9 @@ def _simulated(
 
 
 def _smooth(values: Array) -> NDArray[np.bool_]:
-    """[M, R] whether values [M, 2 A + 1, R] at points `around` others follow a slope."""
+    """[M, R] whether values [M, 2 A + 1, R] at points `stencil` others follow a derivative."""
     second = values[:, 1::2] + values[:, 2::2] - 2.0 * values[:, :1]
-    return np.nan_to_num(np.abs(second), nan=np.inf).max(axis=1) <= JUMP
+    return np.nan_to_num(np.abs(second), nan=np.inf).max(axis=1) <= MAX_SECOND_DIFFERENCE
 
 
 def _values(task: Task, world: World, items: Sequence[Item], points: Array) -> Array:

@@ -60,18 +60,18 @@ def side_by_side(task: Task, world: World, searches: Sequence[Asking[T]]) -> lis
     return [results[k] for k in range(len(searches))]
 
 
-def around(at: Array, step: float) -> Array:
+def stencil(at: Array, step: float) -> Array:
     """[..., 2 A + 1, A] points [..., A] themselves, then a step up and down along each axis."""
     A = at.shape[-1]
     steps = step * np.repeat(np.eye(A), 2, axis=0) * np.tile([[1.0], [-1.0]], (A, 1))
     return at[..., None, :] + np.concatenate([np.zeros((1, A)), steps])
 
 
-def slopes(points: Array, values: Array) -> Array:
+def central_differences(points: Array, values: Array) -> Array:
     """Central differences, 0 where a point did not move or a value is not finite.
 
     Args:
-        points: [..., 2 A + 1, A] as `around` gives them, perhaps moved into limits.
+        points: [..., 2 A + 1, A] as `stencil` gives them, perhaps moved into limits.
         values: [..., 2 A + 1, R] at these.
 
     Returns:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.learning import (  # explains a missing torch
+from gendom.policies.learning import (  # explains a missing torch
     Checkpoint,
     Epoch,
     export_onnx,
@@ -29,6 +29,7 @@ import onnx
 import torch
 
 from gendom import __version__
+from gendom.arguments import require
 from gendom.errors import PolicyError
 from gendom.files import atomic_path
 from gendom.materials import PARAMETERS
@@ -90,22 +91,23 @@ def train(
     path = Path(path)
     given = len(demonstrations)
     if not demonstrations.goal_names:
-        demonstrations = _within_risk(demonstrations)  # an action that failed teaches no other goal
+        demonstrations = _within_risk(demonstrations)  # a failed action reaches no other goal
     sees = _seen(demonstrations, training)
     task, world = rebuild(demonstrations.task), world or Simulation()
     if training.refine:
         _check_refined(task, finetune)
     if finetune is not None:
         _check_alike(demonstrations, finetune)
+    refined_in = world.settings() if training.refine else None
+    versions = {"gendom": __version__, "torch": str(torch.__version__)}
     checkpoint = Checkpoint(
-        path.with_name(path.name + ".partial.npz"),
+        path.with_name(path.name + ".partial.pt"),
         {
-            "gendom": __version__,
-            "torch": str(torch.__version__),
+            **versions,
             "training": asdict(training),
             "demonstrations": _digest(demonstrations),
             "finetune": None if finetune is None else _digest(finetune),
-            "world": world.settings() if training.refine else None,
+            "world": refined_in,
         },
     )
     with reproducible(training.seed), _shown(progress, tensorboard) as observe:
@@ -124,30 +126,35 @@ def train(
             **asdict(training),
             "demonstrations": given,
             "failed": given - len(demonstrations),
-            "refined_in": world.settings() if training.refine else None,
+            "refined_in": refined_in,
             "finetuned_on": 0 if finetune is None else len(finetune),
             "held_out": len(problem.held_out),
             "errors": errors,
             "seconds": time.monotonic() - began,
-            "gendom": __version__,
-            "torch": str(torch.__version__),
+            **versions,
         }
-        description = Description(
-            task=demonstrations.task,
-            method=training.method,
-            conditioned_on=sees,
-            inputs=tuple(problem.inputs),
-            outputs=tuple(problem.actions),
-            goals=goal_range(_within_risk(demonstrations)),
-            parameters={
-                name: (float(values.min()), float(values.max()))
-                for name, values in demonstrations.parameters.items()
-            },
-            training=figures,
-        )
-        policy = _written(problem, description, path)
+        policy = _written(problem, _described(problem, demonstrations, figures), path)
     checkpoint.clear()
     return policy
+
+
+def _described(
+    problem: TrainingProblem, demonstrations: Demonstrations, figures: dict[str, Any]
+) -> Description:
+    """What the policy file says about itself."""
+    return Description(
+        task=demonstrations.task,
+        method=problem.training.method,
+        conditioned_on=problem.sees,
+        inputs=tuple(problem.inputs),
+        outputs=tuple(problem.actions),
+        goals=goal_range(_within_risk(demonstrations)),
+        parameters={
+            name: (float(values.min()), float(values.max()))
+            for name, values in demonstrations.parameters.items()
+        },
+        training=figures,
+    )
 
 
 def annotate(policy: Policy, figures: Mapping[str, Any]) -> Policy:
@@ -197,28 +204,18 @@ def _seen(demonstrations: Demonstrations, training: Training) -> tuple[str, ...]
     varying = demonstrations.varying
     sees = varying if training.conditioned_on is None else training.conditioned_on
     sees = tuple(name for name in PARAMETERS if name in sees)
-    if constant := [name for name in sees if name not in varying]:
-        raise PolicyError(
-            f"cannot be conditioned on {', '.join(constant)}: all demonstrations have the same",
-            where=demonstrations.where,
-            fix=f"choose from {', '.join(varying)}" if varying else "train it on none",
-        )
+    constant = [name for name in sees if name not in varying]
+    what = f"cannot be conditioned on {', '.join(constant)}: all demonstrations have the same"
+    fix = f"choose from {', '.join(varying)}" if varying else "train it on none"
+    require(not constant, what, where=demonstrations.where, fix=fix, error=PolicyError)
     return sees
 
 
 def _check_refined(task: Task, finetune: Demonstrations | None) -> None:
-    if not task.goals:
-        raise PolicyError(
-            f"{task.name} has no goals that a policy could be refined for",
-            where="refine",
-            fix="give 0 rounds",
-        )
-    if finetune is not None:
-        raise PolicyError(
-            "refining in the simulator would undo the fine-tuning",
-            where="refine",
-            fix="choose one of them",
-        )
+    what, fix = f"{task.name} has no goals that a policy could be refined for", "give 0 rounds"
+    require(task.goals, what, where="refine", fix=fix, error=PolicyError)
+    what, fix = "refining in the simulator would undo the fine-tuning", "choose one of them"
+    require(finetune is None, what, where="refine", fix=fix, error=PolicyError)
 
 
 def _check_alike(demonstrations: Demonstrations, finetune: Demonstrations) -> None:
@@ -277,12 +274,9 @@ def _written(problem: TrainingProblem, description: Description, path: Path) -> 
         actions = Policy.read(temporary).actions(problem.goal[rows].numpy(), given)
         # what lies beyond the training range is clipped
         worst = float(np.abs(actions - expected)[inside].max(initial=0.0))
-        if not worst < AGREEMENT:
-            raise PolicyError(
-                f"the exported network differs from the trained one by {worst:.3g}",
-                where=str(path),
-                fix="report this, with the versions of torch and onnxruntime",
-            )
+        what = f"the exported network differs from the trained one by {worst:.3g}"
+        fix = "report this, with the versions of torch and onnxruntime"
+        require(worst < AGREEMENT, what, where=str(path), fix=fix, error=PolicyError)
     return Policy.read(path)
 
 

@@ -12,9 +12,9 @@ from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, as_
 from gendom.reality.recording import RecordSettings, record
 from gendom.reality.sensor import DepthSensor, RigErrors
 from gendom.reality.trials import (
-    Performance,
     RealWorld,
     Trial,
+    TrialRun,
     arm_motion,
     end_of,
     lift,
@@ -32,7 +32,6 @@ __all__ = [
     "Air",
     "DepthSensor",
     "Layout",
-    "Performance",
     "RealCloth",
     "RealObject",
     "RealRope",
@@ -41,6 +40,7 @@ __all__ = [
     "RecordSettings",
     "RigErrors",
     "Trial",
+    "TrialRun",
     "arm_motion",
     "as_real",
     "build_model",

@@ -43,13 +43,14 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import require
 from gendom.errors import DeviceError, ParameterError, RobotError
 from gendom.installation import how_to_install
 from gendom.materials import LARGEST, PARAMETERS, size_of, to_columns, unit_of
 from gendom.reality.model import default_cameras, looking_at
 from gendom.reality.object_file import find_object
 from gendom.reality.objects import OBJECTS, RealObject
-from gendom.reality.trials import Performance, observe, task_trial
+from gendom.reality.trials import TrialRun, observe, task_trial
 from gendom.tasks import Task, find_task
 from gendom.tasks.world import Simulation
 
@@ -69,11 +70,11 @@ REFUSED = -100.0
 """Reward of an action that the arm refuses: worse than that of any miss. Observed goals and sizes
 are within 10 m, so no rope's end comes to lie so far from its goal."""
 
-DRAWN, ROUNDS = 32, 8
+ACTIONS_A_BATCH, MAX_BATCHES = 32, 8
 """Actions simulated in one batch, and the largest number of batches, to find a goal of a task with
 a risk: a tenth of one rope's releases stay within its limit."""
 
-SEEN_FROM = {"rope": (1.0, 0.0, 0.3), "cloth": (0.4, 0.6, 0.5)}
+CAMERA_OFFSETS = {"rope": (1.0, 0.0, 0.3), "cloth": (0.4, 0.6, 0.5)}
 """Where the camera of `render` is from the middle of the scene [m]: ropes swing across, in front of
 the arm."""
 
@@ -102,7 +103,6 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": FRAME_RATE}
     action_space: gymnasium.spaces.Box
     observation_space: gymnasium.spaces.Dict
-    modes: ClassVar[tuple[str | None, ...]] = (None, "rgb_array")
 
     def __init__(
         self,
@@ -117,12 +117,9 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         if objects is None:
             objects = [item for item in OBJECTS.values() if item.kind == self.task.kind]
         self.objects = [self._find(item) for item in objects]
-        if not self.objects:
-            raise ParameterError("is empty", where="objects", fix="name one at least")
-        if render_mode not in self.modes:
-            raise ParameterError(
-                f"is {render_mode!r}", where="render_mode", fix="give 'rgb_array' or None"
-            )
+        require(self.objects, "is empty", where="objects", fix="name one at least")
+        known, fix = render_mode in (None, "rgb_array"), "give 'rgb_array' or None"
+        require(known, f"is {render_mode!r}", where="render_mode", fix=fix)
         self.render_mode = render_mode
         self.robot = robot
         box = gymnasium.spaces.Box
@@ -149,7 +146,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self._item: Any = None
         self._goal = np.zeros(len(self.task.goals))
         self._parameters = np.zeros(len(PARAMETERS))
-        self._performance: Performance | None = None
+        self._run: TrialRun | None = None
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -176,43 +173,37 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         # a separate random stream: the object and given options do not change later draws
         actions = np.random.default_rng(int(rng.integers(2**63)))
         item = self._find(given.pop("object")) if "object" in given else drawn
-        goal = np.zeros(len(self.task.goals))
-        if "goal" in given:
-            wanted = given.pop("goal")
-            if not len(goal) and np.size(wanted):
-                raise ParameterError(
-                    f"{self.task.name} has no goal", where="option goal", fix="leave it out"
-                )
-            goal = _numbers(wanted, len(goal), "goal")
-        elif len(goal):
-            goal = self._reachable(item, actions)
-        columns = to_columns(item)
-        shown = np.array([columns[p.column] for p in PARAMETERS.values()])
-        if "parameters" in given:
-            if "parameters" not in self.observation_space.spaces:
-                raise ParameterError(
-                    "are not observed",
-                    where="option parameters",
-                    fix="make it with parameters=True",
-                )
-            shown = _numbers(given.pop("parameters"), len(PARAMETERS), "parameters")
-        if given:
-            raise ParameterError(
-                f"there is no option {next(iter(given))!r}",
-                where="reset",
-                fix="have object, goal and parameters",
-            )
-        self._forget()
-        self._item, self._goal, self._parameters = item, goal, shown
+        goal = self._goal_of(given.pop("goal", None), item, actions)
+        parameters = self._parameters_of(given.pop("parameters", None), item)
+        what = f"there is no option {next(iter(given), None)!r}"
+        require(not given, what, where="reset", fix="have object, goal and parameters")
+        self._end_run()
+        self._item, self._goal, self._parameters = item, goal, parameters
         observation = self._observe()
         for name, space in self.observation_space.spaces.items():
-            if observation[name] not in space:
-                raise ParameterError(
-                    f"is {observation[name].tolist()}",
-                    where=f"option {name}",
-                    fix=f"keep to {space}",
-                )
+            what = f"is {observation[name].tolist()}"
+            within = observation[name] in space
+            require(within, what, where=f"option {name}", fix=f"keep to {space}")
         return observation, {"object": item.name}
+
+    def _goal_of(self, wanted: Any, item: RealObject, rng: np.random.Generator) -> Array:
+        """The goal [G] that is asked for; None: one that can be reached."""
+        count = len(self.task.goals)
+        if wanted is None:
+            return self._reachable(item, rng) if count else np.zeros(0)
+        what = f"{self.task.name} has no goal"
+        require(count or not np.size(wanted), what, where="option goal", fix="leave it out")
+        return _numbers(wanted, count, "goal")
+
+    def _parameters_of(self, wanted: Any, item: RealObject) -> Array:
+        """The parameters [5] to be seen: those that are asked for, or the object's own."""
+        if wanted is None:
+            columns = to_columns(item)
+            return np.array([columns[p.column] for p in PARAMETERS.values()])
+        seen = "parameters" in self.observation_space.spaces
+        fix = "make it with parameters=True"
+        require(seen, "are not observed", where="option parameters", fix=fix)
+        return _numbers(wanted, len(PARAMETERS), "parameters")
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Carry an action out to its end, from the start; see the top of this module.
@@ -230,20 +221,20 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         """
         task, item = self.task, self._require_item()
         wanted = task.nearest(item, _numbers(action, len(task.actions), "action"))
-        self._forget()
+        self._end_run()
         info: dict[str, Any] = {"action": wanted, "refused": None}
         try:
-            self._performance = self._perform(wanted)
+            self._run = self._begin(wanted)
         except RobotError as error:
             info |= {"reached": np.full(len(task.goals), np.nan), "refused": str(error)}
             return self._observe(), REFUSED, True, False, info
-        values = task.outcome(item, observe(task, self._performance))
+        values = task.outcome(item, observe(task, self._run))
         reached = np.array([values[q.name] for q in task.goals])
-        deviation = self._performance.deviation
+        deviation = self._run.deviation
         info |= {name: value for name, value in values.items() if name not in info}
         info |= {
             "reached": reached,
-            "slowed_by": self._performance.slowed_by,
+            "slowed_by": self._run.slowed_by,
             "deviation": 0.0 if deviation is None else deviation.at_equal_times,
         }
         reward = (
@@ -262,34 +253,30 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         if self.render_mode is None:
             return None
         item = self._require_item()
-        if self._performance is None:
+        if self._run is None:
             middle = np.mean([self.action_space.low, self.action_space.high], axis=0)
-            self._performance = self._perform(self.task.nearest(item, middle))
-        return self._performance.world.render(0)[1]
+            self._run = self._begin(self.task.nearest(item, middle))
+        return self._run.world.render(0)[1]
 
     def close(self) -> None:
         """Free the renderer's memory."""
-        self._forget()
+        self._end_run()
 
     # ---- inside ----------------------------------------------------------------------------------
 
     def _find(self, item: str | RealObject) -> RealObject:
         found = find_object(item) if isinstance(item, str) else item
-        if found.kind != self.task.kind:
-            mine = [name for name, other in OBJECTS.items() if other.kind == self.task.kind]
-            raise ParameterError(
-                f"{found.name} is none of this task",
-                where="object",
-                fix=f"choose {', '.join(mine)}",
-            )
+        mine = [name for name, other in OBJECTS.items() if other.kind == self.task.kind]
+        what, fix = f"{found.name} is none of this task", f"choose {', '.join(mine)}"
+        require(found.kind == self.task.kind, what, where="object", fix=fix)
         return found
 
     def _reachable(self, item: RealObject, rng: np.random.Generator) -> Array:
         """A goal [G] that one action reaches."""
         task, risk = self.task, self.task.risk
         fault, least, best = None, np.inf, None
-        for _ in range(1 if risk is None else ROUNDS):
-            actions = task.sample_actions(item, rng, 1 if risk is None else DRAWN)
+        for _ in range(1 if risk is None else MAX_BATCHES):
+            actions = task.sample_actions(item, rng, 1 if risk is None else ACTIONS_A_BATCH)
             for outcome in Simulation().carry_out(task, [item] * len(actions), actions):
                 if outcome.fault is not None:
                     fault = outcome.fault
@@ -303,21 +290,20 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             if least == 0.0:
                 break
         if best is None:
-            raise ParameterError(
-                f"no goal can be drawn ({fault})", where="reset", fix="give option goal"
-            )
+            what = f"no goal can be drawn ({fault})"
+            raise ParameterError(what, where="reset", fix="give option goal")
         return np.array([best.values[q.name] for q in task.goals])
 
-    def _perform(self, action: Array) -> Performance:
+    def _begin(self, action: Array) -> TrialRun:
         cameras = []
         trial = task_trial(self.task, self._item, action)
         if self.render_mode is not None:
             middle = np.asarray(trial.layout.origin) + 0.5 * size_of(self._item) * np.asarray(
                 trial.layout.along
             )
-            position = middle + SEEN_FROM[self.task.kind]
+            position = middle + CAMERA_OFFSETS[self.task.kind]
             cameras = [default_cameras()[0].at(looking_at(position, middle))]
-        return Performance(trial, robot=self.robot, cameras=cameras)
+        return TrialRun(trial, robot=self.robot, cameras=cameras)
 
     def _observe(self) -> Observation:
         item = self._item
@@ -333,10 +319,10 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             raise ParameterError("there is no object yet", where="step", fix="call reset first")
         return self._item
 
-    def _forget(self) -> None:
-        if self._performance is not None:
-            self._performance.world.close()
-            self._performance = None
+    def _end_run(self) -> None:
+        if self._run is not None:
+            self._run.world.close()
+            self._run = None
 
 
 def _numbers(value: Any, count: int, name: str) -> Array:
@@ -345,8 +331,7 @@ def _numbers(value: Any, count: int, name: str) -> Array:
         numbers = np.atleast_1d(np.asarray(value, dtype=float))
     except (TypeError, ValueError):
         numbers = np.empty(0)
-    if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise ParameterError(
-            f"is {value}", where=name, fix=f"give {count} finite number{'s' * (count > 1)}"
-        )
+    good = numbers.shape == (count,) and np.isfinite(numbers).all()
+    fix = f"give {count} finite number{'s' * (count > 1)}"
+    require(good, f"is {value}", where=name, fix=fix)
     return numbers

@@ -11,7 +11,7 @@ import logging
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,7 @@ ROPE_STEP, CLOTH_STEP = 0.001, 0.004
 SIDE_HINGES, DIAGONAL_HINGES = 4.0 / 3.0, 2.0 / 3.0
 """Factors on MuJoCo's bending stiffness across the edges of a sheet's squares and across their
 diagonals, with which the sheet has a plate's rigidity in every direction
-(`gendom.reality.sheet`)."""
+(`gendom.reality.objects`)."""
 
 SHEET_STRETCH = 0.002
 """Largest relative stretch of a sheet by its own weight when it hangs by a side. Sheets with a
@@ -41,6 +41,16 @@ bending over a few triangles (docs/reality.md)."""
 
 TABLE = (0.45, 0.0, 0.9, 1.4)
 """Centre x, y and sizes along x and y of the table [m]; its top is z = 0."""
+
+CAMERA_SIZE, FOCAL = (640, 480), 385.0
+"""Width, height and focal length of a D435i [pixels]."""
+
+CAMERA_DISTANCE, CAMERA_ELEVATION = 0.8, 25.0
+"""Of the default cameras from what they look at [m], and above the horizontal [degrees]."""
+
+DEPTH_UNIT = 1e-4
+"""Depth unit of simulated cameras [m a count]. The default of the D400 series, 1e-3, is coarser
+than its noise within 0.5 m; the cameras can be set to this value, which reaches 6.5 m."""
 
 # Contact bits, and a geom group that is not rendered.
 _OBJECT, _FIXED, _UNSEEN = 1, 2, 4
@@ -79,44 +89,24 @@ class Layout:
         return Rotation.from_matrix(np.stack([x, y, np.cross(x, y)], axis=1))
 
 
-def default_cameras(
-    centre: npt.ArrayLike = (0.5, 0.0, 0.1),
-    *,
-    distance: float = 0.8,
-    elevation: float = 25.0,
-    width: int = 640,
-    height: int = 480,
-    focal: float = 385.0,
-    depth_unit: float = 1e-4,
-) -> list[Camera]:
-    """Two D435i-like cameras on opposite sides of a point, looking at it.
-
-    Args:
-        centre: [3] point that the cameras look at [m].
-        distance: Distance of each camera from that point [m].
-        elevation: Elevation of the cameras above the horizontal [degrees].
-        width, height: Size of the pictures [pixels].
-        focal: Focal length [pixels]; a D435i has 385 at 640 x 480.
-        depth_unit: Metres a count.
-
-    Returns:
-        Cameras "left" (at positive y) and "right", with the true poses.
-    """
+def default_cameras(centre: npt.ArrayLike = (0.5, 0.0, 0.1)) -> list[Camera]:
+    """Two D435i-like cameras of 640 x 480 pixels on opposite sides of a point [3] [m], looking at
+    it: "left" (at positive y) and "right", with the true poses."""
     centre = np.asarray(centre, dtype=float)
-    K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
-    tilt = np.radians(elevation)
+    width, height = CAMERA_SIZE
+    K = np.array([[FOCAL, 0, (width - 1) / 2], [0, FOCAL, (height - 1) / 2], [0, 0, 1.0]])
+    tilt = np.radians(CAMERA_ELEVATION)
     cameras = []
     for name, side in (("left", 1.0), ("right", -1.0)):
-        position = centre + distance * np.array([0.0, side * np.cos(tilt), np.sin(tilt)])
-        T = looking_at(position, centre)
+        offset = np.array([0.0, side * np.cos(tilt), np.sin(tilt)])
         cameras.append(
             Camera(
                 name=name,
                 width=width,
                 height=height,
                 K=K,
-                T_world_camera=T,
-                depth_unit=depth_unit,
+                T_world_camera=looking_at(centre + CAMERA_DISTANCE * offset, centre),
+                depth_unit=DEPTH_UNIT,
             )
         )
     return cameras
@@ -369,17 +359,8 @@ def _row(values: Any) -> str:
     return " ".join(repr(float(x)) for x in np.ravel(values))
 
 
-class GLFault(NamedTuple):
-    """Why MuJoCo does not render in this process."""
-
-    backend: str
-    """What MUJOCO_GL asked for."""
-    reason: str
-    """What MuJoCo raised."""
-
-
-gl_faults: list[GLFault] = []
-"""At most one entry, present if `load_mujoco` had to turn rendering off."""
+gl_faults: list[tuple[str, str]] = []
+"""What MUJOCO_GL asked for and what MuJoCo raised, if `load_mujoco` had to turn rendering off."""
 
 
 def load_mujoco() -> Any:
@@ -406,7 +387,7 @@ def _imported() -> Any:
 
         return mujoco
     except (ImportError, AttributeError, OSError, RuntimeError) as error:
-        without = GLFault(os.environ.get("MUJOCO_GL", ""), f"{type(error).__name__}: {error}")
+        fault = os.environ.get("MUJOCO_GL", ""), f"{type(error).__name__}: {error}"
     os.environ["MUJOCO_GL"] = "disable"
     try:
         import mujoco
@@ -414,7 +395,7 @@ def _imported() -> Any:
         raise DeviceError(
             "MuJoCo is not installed", where="reality", fix=how_to_install("reality")
         ) from None
-    gl_faults.append(without)
+    gl_faults.append(fault)
     return mujoco
 
 

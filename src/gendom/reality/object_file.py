@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,6 @@ def read_object(path: str | os.PathLike) -> RealObject:
     table = read_toml(path, error=ParameterError)
     kind = table.pop("kind", None)
     require(kind in KINDS, f"kind is {kind!r}", where=where, fix=f"give {' or '.join(KINDS)}")
-    large, small = KINDS[kind].sizes
     colour = table.pop("colour", list(PLAIN))
     usual = _usual(table.pop("material", None), kind, where)
     require(
@@ -67,14 +67,39 @@ def read_object(path: str | os.PathLike) -> RealObject:
         where=where,
         fix="gendom.sim.cloth(outline=...) simulates it; or give its side",
     )
+    number = _numbers(table, usual, kind, where)
+    good = isinstance(colour, list) and len(colour) == 3
+    good = good and all(isinstance(c, int) and 0 <= c <= 255 for c in colour)
+    require(good, f"colour is {colour}", where=where, fix="give three of 0 to 255")
+    item: dict[str, Any] = {name: number[name] for name in (*KINDS[kind].sizes, "friction")}
+    item |= {"name": Path(path).stem, "colour": tuple(colour)}
+    elastic = {name: number[name] for name in ("E", "nu", "damping", "density")}
+    try:
+        item["material"] = Material(**elastic)
+        if kind == "rope":
+            return RealRope(**item)
+        return RealCloth(vertices=vertices_of(item["side"]), **item)
+    except ParameterError as error:
+        raise ParameterError(error.what, where=where, fix=error.fix) from error
+
+
+def _numbers(
+    table: Mapping[str, Any], usual: Mapping[str, float], kind: str, where: str
+) -> dict[str, float]:
+    """Sizes, E, nu, damping, friction and density: a file's, its material's, or defaults.
+
+    Raises:
+        ParameterError: One is missing, malformed or impossible, or a key is unknown.
+    """
+    large, small = KINDS[kind].sizes
     known = {large, small, "mass", "density", "E", "nu", *DEFAULTS}
     for name in table:
         fix = f"have material, {', '.join(sorted(known))}"
         require(name in known, f"{name} means nothing", where=where, fix=fix)
-    number = {name: _number(value, name, where) for name, value in table.items()}
-    if "mass" in number:
-        usual.pop("density", None)
-    number = {**DEFAULTS, **usual, **number}
+    given = {name: _number(value, name, where) for name, value in table.items()}
+    number = {**DEFAULTS, **usual, **given}
+    if "mass" in given and "density" not in given:
+        number.pop("density", None)
     missing = [name for name in (large, small, "E", "nu") if name not in number]
     if ("mass" in number) == ("density" in number):
         missing.append("one of mass and density")
@@ -87,32 +112,12 @@ def read_object(path: str | os.PathLike) -> RealObject:
     ):
         value = number.get(name, most)
         require(0.0 < value <= most, f"{name} is {value:g}", where=where, fix=f"give {unit}")
-    good = isinstance(colour, list) and len(colour) == 3
-    good = good and all(isinstance(c, int) and 0 <= c <= 255 for c in colour)
-    require(good, f"colour is {colour}", where=where, fix="give three of 0 to 255")
     area = math.pi / 4.0 * number[small] ** 2 if kind == "rope" else number[large] * number[small]
     density = number.get("density", number.get("mass", 0.0) / (number[large] * area))
-    require(
-        1.0 <= density <= DENSEST,
-        f"its density would be {density:.4g} kg/m^3",
-        where=where,
-        fix="check the sizes [m] and the mass [kg]",
-    )
-    item: dict[str, Any] = {
-        large: number[large],
-        small: number[small],
-        "friction": number["friction"],
-        "name": Path(path).stem,
-        "colour": tuple(colour),
-    }
-    elastic = {name: number[name] for name in ("E", "nu", "damping")}
-    try:
-        item["material"] = Material(density=density, **elastic)
-        if kind == "rope":
-            return RealRope(**item)
-        return RealCloth(vertices=vertices_of(item[large]), **item)
-    except ParameterError as error:
-        raise ParameterError(error.what, where=where, fix=error.fix) from error
+    what = f"its density would be {density:.4g} kg/m^3"
+    fix = "check the sizes [m] and the mass [kg]"
+    require(1.0 <= density <= DENSEST, what, where=where, fix=fix)
+    return {**number, "density": density}
 
 
 def _usual(name: Any, kind: str, where: str) -> dict[str, float]:

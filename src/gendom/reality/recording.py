@@ -16,21 +16,33 @@ import csv
 import json
 import math
 import os
+import shutil
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from gendom.errors import GendomError, ParameterError
+from gendom.arguments import require
+from gendom.datasets import Recording
+from gendom.errors import GendomError
 from gendom.files import atomic_path, write_json
-from gendom.perception import PngWriter, RealSenseWriter
+from gendom.perception import (
+    CameraRecording,
+    PerceptionSettings,
+    PngWriter,
+    RealSenseWriter,
+    perceive,
+    read_cameras,
+)
 from gendom.perception.realsense import realsense_sdk
-from gendom.reality.sensor import MOST_CLOCK, DepthSensor, RigErrors
-from gendom.reality.trials import Performance
+from gendom.reality.objects import RealObject
+from gendom.reality.sensor import MAX_CLOCK_OFFSET, DepthSensor, RigErrors
+from gendom.reality.trials import TrialRun, lift_cameras, lifted_by
 from gendom.reality.world import Reality
-from gendom.robot import tcp_pose
+from gendom.robot import LiftMotion, predefined_lift, tcp_pose
 
 PATH_RATE = 100.0
 """Sampling rate of the robot's measured path [1/s]."""
@@ -57,16 +69,13 @@ class RecordSettings:
     """Seed of all sensor errors."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.frame_rate <= PATH_RATE:
-            raise ParameterError(
-                f"is {self.frame_rate}", where="frame_rate", fix=f"give {PATH_RATE:g} or less"
-            )
-        if self.seed < 0:
-            raise ParameterError(f"is {self.seed}", where="seed", fix="give 0 or more")
+        within, fix = 0.0 < self.frame_rate <= PATH_RATE, f"give {PATH_RATE:g} or less"
+        require(within, f"is {self.frame_rate}", where="frame_rate", fix=fix)
+        require(self.seed >= 0, f"is {self.seed}", where="seed", fix="give 0 or more")
 
 
 def record(
-    performance: Performance,
+    run: TrialRun,
     folder: str | os.PathLike,
     settings: RecordSettings | None = None,
     *,
@@ -81,7 +90,7 @@ def record(
     can be used up to the interruption, even if the program was killed.
 
     Args:
-        performance: The trial, with cameras.
+        run: The trial, with cameras.
         folder: Output folder, created if missing; must not hold a recording.
         settings: Settings of the recording.
         sensor: Error model of the cameras; by default that of a D435i.
@@ -96,56 +105,41 @@ def record(
         SimulationError: The world diverged.
     """
     settings = RecordSettings() if settings is None else settings
-    if settings.format not in _WRITERS:
-        raise ParameterError(
-            f"there is no format {settings.format!r}", fix=f"choose {' or '.join(_WRITERS)}"
-        )
-    world = performance.world
-    folder = Path(folder)
-    if not world.cameras:
-        raise ParameterError(
-            "there is no camera", where="record", fix="give the performance cameras"
-        )
+    known, fix = settings.format in _WRITERS, f"choose {' or '.join(_WRITERS)}"
+    require(known, f"there is no format {settings.format!r}", fix=fix)
+    world, folder = run.world, Path(folder)
+    require(world.cameras, "there is no camera", where="record", fix="give the trial cameras")
     if (folder / "cameras").exists():
         raise GendomError("holds a recording already", where=str(folder), fix="name another folder")
     sensor = DepthSensor() if sensor is None else sensor
     if errors is None:
-        errors = RigErrors.synchronised() if performance.trial.quick else RigErrors()
+        errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
     # One stream of random numbers for each use: more frames do not change the calibration.
     rig, *eyes, encoders = [
         np.random.default_rng(s)
         for s in np.random.SeedSequence(settings.seed).spawn(2 + len(world.cameras))
     ]
-    believed = errors.believed(world.cameras, rig)
-    began = world.time
-    seconds = performance.end - began
     # Where nothing can be rendered or the SDK is missing, before anything is written.
     world.render(0)
     if settings.format == "db3":
         realsense_sdk()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise GendomError(
-            f"cannot be made ({error.strerror})", where=str(folder), fix="name another folder"
-        ) from None
+    _make_folder(folder)
+    believed = errors.believed(world.cameras, rig)
     writers = [_WRITERS[settings.format](folder / "cameras" / c.name, c) for c in believed]
-    _write_object(folder / "object.toml", performance, settings)
-    path, truth = _Rows(folder, world, errors, encoders), []
-    frames = np.arange(int(seconds * settings.frame_rate + 1e-9) + 1)
-    frames = frames / settings.frame_rate
-    # A little longer than the frames, because some clocks are ahead.
-    samples = np.arange(int((seconds + MOST_CLOCK) * PATH_RATE + 1e-9) + 1) / PATH_RATE
+    _write_object(folder / "object.toml", run, settings)
+    path, truth = _PathWriter(folder, world, errors, encoders), []
 
     def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
         pictures = sensor.observe(*clean, world.cameras[c], eyes[c])
         writers[c].write(errors.stamp(c, moment), pictures)
 
+    began = world.time
+    frames, samples = _moments(run.end - began, settings.frame_rate)
     try:
         # OpenGL wants one thread; noise and files take one for each camera.
         with ThreadPoolExecutor(len(writers)) as pool:
             for moment in np.union1d(frames, samples):
-                performance.step_to(began + moment)
+                run.step_to(began + moment)
                 if moment in samples:
                     path.add(moment)
                 if moment not in frames:
@@ -161,7 +155,25 @@ def record(
         _write_truth(folder / "truth", world, settings, sensor, errors, truth)
 
 
-class _Rows:
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        what = f"cannot be made ({error.strerror})"
+        raise GendomError(what, where=str(folder), fix="name another folder") from None
+
+
+def _moments(seconds: float, frame_rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times of the pictures and of the robot's path [s].
+
+    The path lasts a little longer than the pictures, because some clocks are ahead.
+    """
+    frames = np.arange(int(seconds * frame_rate + 1e-9) + 1) / frame_rate
+    samples = np.arange(int((seconds + MAX_CLOCK_OFFSET) * PATH_RATE + 1e-9) + 1) / PATH_RATE
+    return frames, samples
+
+
+class _PathWriter:
     """Writer of the robot's measured path; each row is written to disk immediately."""
 
     def __init__(
@@ -208,12 +220,12 @@ class _NumberFile:
         self._file.close()
 
 
-def _write_object(path: Path, performance: Performance, settings: RecordSettings) -> None:
-    trial = performance.trial
+def _write_object(path: Path, run: TrialRun, settings: RecordSettings) -> None:
+    trial = run.trial
     lines = [
         "table_height = 0.0",
         'gripper_source = "measured"',
-        *([f'robot = "{robot.arm.name}"'] if (robot := performance.world.robot) else []),
+        *([f'robot = "{robot.arm.name}"'] if (robot := run.world.robot) else []),
         f"quasi_static = {str(trial.quasi_static).lower()}",
         'source = "a MuJoCo test scene (the second reality), seen by simulated depth cameras"',
         f"notes = {json.dumps(settings.notes)}",
@@ -255,3 +267,70 @@ def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
             "seed": settings.seed,
         },
     )
+
+
+def record_and_perceive(
+    item: RealObject,
+    folder: str | os.PathLike,
+    *,
+    frame_rate: float = 15.0,
+    seed: int = 0,
+    end: str = "hold",
+    motion: LiftMotion | None = None,
+) -> tuple[Recording, list[tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]]]:
+    """Lift an object under two noisy cameras and perceive it by its colour.
+
+    Args:
+        item: The object.
+        folder: For the pictures; an older recording there is replaced. The recording itself is
+            written to recording.npz inside.
+        frame_rate: [1/s].
+        seed: Of all noise.
+        end: How the predefined lift ends, one of `gendom.robot.LIFT_ENDS`.
+        motion: How it is lifted instead.
+
+    Returns:
+        The perceived recording, and what each camera saw halfway: colour [height, width, 3] and
+        depth [height, width] [m], 0 where there is none.
+
+    Raises:
+        DeviceError: MuJoCo is not installed, or nothing can be rendered.
+        RobotError: There is no such end, the motion is for another kind, or beyond the arm.
+        GendomError: The folder cannot be written.
+    """
+    folder = Path(folder)
+    trial = lifted_by(item, motion or predefined_lift(item.kind, end))
+    for part in ("cameras", "truth"):
+        shutil.rmtree(folder / part, ignore_errors=True)
+    run = TrialRun(trial, cameras=lift_cameras(item))
+    run.step_to(run.closes)
+    with run.world:
+        record(
+            run,
+            folder,
+            RecordSettings(
+                frame_rate=frame_rate,
+                seed=seed,
+                notes=f"The predefined lift of {item.name}, seed {seed}.",
+            ),
+        )
+    recorded = read_cameras(folder)
+    perceived = perceive(recorded, PerceptionSettings(colour=item.colour))
+    perceived.write(folder / "recording.npz")
+    return perceived.recording, _halfway(recorded)
+
+
+def _halfway(
+    recorded: CameraRecording,
+) -> list[tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]]:
+    """Colour and depth [m] of each camera's middle picture."""
+    found = []
+    for source in recorded.sources:
+        frames = list(source)
+        pictures = frames[len(frames) // 2].read()
+        depth = pictures.depth * source.camera.depth_unit
+        colour = pictures.colour
+        if colour is None:
+            colour = np.zeros((*depth.shape, 3), dtype=np.uint8)
+        found.append((colour, depth))
+    return found

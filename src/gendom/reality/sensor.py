@@ -16,16 +16,19 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
-from gendom.errors import ParameterError
+from gendom.arguments import require
 from gendom.perception import Camera, Pictures
 
-DEPTH_UNIT = 1e-4
-"""Depth unit of simulated cameras [m a count]. The default of the D400 series, 1e-3, is coarser
-than its noise within 0.5 m; the cameras can be set to this value, which reaches 6.5 m."""
+BASELINE = 0.05
+"""Distance of the two imagers, B [m] (D400 series data sheet)."""
 
+EDGE_STEP = 0.25
+"""An edge is where the disparity departs by more than this [pixel] from a straight line through
+three pixels, on which any plane lies; the pixel on either side of it is affected."""
 
-MOST_CLOCK = 0.1
+MAX_CLOCK_OFFSET = 0.1
 """Largest offset between the robot's clock and the first camera's [s]; the robot's path is recorded
 for this much longer than the pictures."""
 
@@ -42,8 +45,6 @@ class DepthSensor:
         ParameterError: A value is out of its range.
     """
 
-    baseline: float = 0.05
-    """Distance of the two imagers, B [m] (D400 series data sheet)."""
     subpixel: float = 0.08
     """Standard deviation of the disparity, s [pixel]; 0.05 to 0.1 is usual for a well textured
     surface."""
@@ -57,15 +58,10 @@ class DepthSensor:
     shadow: bool = True
     """Whether occlusion is modelled: there is no depth where the right imager does not see a point
     of the left one, i.e. to the left of near objects and in the f B / z leftmost columns."""
-    edge_step: float = 0.25
-    """An edge is where the disparity departs by more than this [pixel] from a straight line
-    through three pixels, on which any plane lies."""
-    edge_width: int = 1
-    """Number of pixels affected on each side of an edge."""
     edge_lost: float = 0.5
-    """Share of the affected pixels that have no depth."""
+    """Share of the pixels at edges (`EDGE_STEP`) that have no depth."""
     edge_mixed: float = 0.25
-    """Share of the affected pixels with mixed depth ("flying pixels"): their disparity is uniformly
+    """Share of them with mixed depth ("flying pixels"): their disparity is uniformly
     distributed between the smallest and the largest in their neighbourhood."""
     grazing_from: float = np.radians(65.0)
     """Angle between ray and normal [rad] from which pixels are lost: none at this angle, and
@@ -85,26 +81,17 @@ class DepthSensor:
     def __post_init__(self):
         for item in fields(self):
             value = getattr(self, item.name)
-            if not value >= 0.0:
-                raise ParameterError(f"{item.name} is {value}", fix="give 0 or more")
-        if self.baseline == 0.0:
-            raise ParameterError("baseline is 0", fix="give metres")
+            require(value >= 0.0, f"{item.name} is {value}", fix="give 0 or more")
         for name in ("edge_lost", "edge_mixed", "dropout"):
-            if getattr(self, name) > 1.0:
-                raise ParameterError(f"{name} is {getattr(self, name)}", fix="give a share, 0 to 1")
-        if self.edge_lost + self.edge_mixed > 1.0:
-            raise ParameterError(
-                f"edge_lost and edge_mixed are {self.edge_lost + self.edge_mixed:g} together",
-                fix="give shares of the same pixels, 1 at most",
-            )
-        if self.edge_width != int(self.edge_width):
-            raise ParameterError(f"edge_width is {self.edge_width}", fix="give whole pixels")
+            value = getattr(self, name)
+            require(value <= 1.0, f"{name} is {value}", fix="give a share, 0 to 1")
+        both = self.edge_lost + self.edge_mixed
+        fix = "give shares of the same pixels, 1 at most"
+        require(both <= 1.0, f"edge_lost and edge_mixed are {both:g} together", fix=fix)
         for low, high in (("grazing_from", "grazing_to"), ("min_range", "max_range")):
-            if getattr(self, low) > getattr(self, high):
-                raise ParameterError(
-                    f"{low} {getattr(self, low):g} is above {high} {getattr(self, high):g}",
-                    fix="give the lower one first",
-                )
+            a, b = getattr(self, low), getattr(self, high)
+            what = f"{low} {a:g} is above {high} {b:g}"
+            require(a <= b, what, fix="give the lower one first")
 
     @classmethod
     def exact(cls, **parts) -> DepthSensor:
@@ -151,16 +138,11 @@ class DepthSensor:
         shape = camera.height, camera.width
         sizes = {"depth": depth.shape, "colour": shape if colour is None else colour.shape[:2]}
         for name, size in sizes.items():
-            if size != shape:
-                raise ParameterError(
-                    f"is {' x '.join(map(str, size[::-1]))}, the camera {shape[1]} x {shape[0]}",
-                    where=f"{camera.name}: {name}",
-                    fix="render with the camera's size",
-                )
-        if not (depth >= 0.0).all():
-            raise ParameterError(
-                "is negative or NaN", where=f"{camera.name}: depth", fix="give 0 where nothing is"
-            )
+            what = f"is {' x '.join(map(str, size[::-1]))}, the camera {shape[1]} x {shape[0]}"
+            fix = "render with the camera's size"
+            require(size == shape, what, where=f"{camera.name}: {name}", fix=fix)
+        where, fix = f"{camera.name}: depth", "give 0 where nothing is"
+        require((depth >= 0.0).all(), "is negative or NaN", where=where, fix=fix)
         measured = self._measure(depth, camera, rng)
         counts = np.round(measured / camera.depth_unit)
         counts[counts > 65535.0] = 0.0
@@ -171,13 +153,13 @@ class DepthSensor:
     ) -> npt.NDArray[np.float64]:
         """Measured depth [m], 0 where there is none."""
         seen = (z > 0.0) & np.isfinite(z)
-        fB = camera.K[0, 0] * self.baseline
+        fB = camera.K[0, 0] * BASELINE
         # Where nothing is, nothing is infinitely far away.
         clean = np.divide(fB, z, out=np.zeros_like(z), where=seen)
         disparity = clean.copy()
-        if self.edge_width > 0 and self.edge_lost + self.edge_mixed > 0.0:
+        if self.edge_lost + self.edge_mixed > 0.0:
             lost, mixed = self._at_edges(clean, seen, rng)
-            disparity[mixed] = _between(clean, seen, mixed, int(self.edge_width), rng)
+            disparity[mixed] = _between(clean, seen, mixed, rng)
             seen &= ~lost
         if self.shadow:
             seen &= ~_in_shadow(clean)
@@ -205,10 +187,10 @@ class DepthSensor:
         """Masks [height, width] of the pixels lost at edges, and of those with mixed depth."""
         edge = np.zeros(disparity.shape, dtype=bool)
         for axis in (0, 1):
-            bend = np.abs(np.diff(disparity, n=2, axis=axis)) > self.edge_step
+            bend = np.abs(np.diff(disparity, n=2, axis=axis)) > EDGE_STEP
             np.moveaxis(edge, axis, 0)[1:-1] |= np.moveaxis(bend, axis, 0)
-        # The bend is at both pixels next to the edge: these are the first of its width.
-        near = _spread(edge, int(self.edge_width) - 1) & seen
+        # The bend is at both pixels next to the edge.
+        near = edge & seen
         draw = rng.random(disparity.shape)
         lost = near & (draw < self.edge_lost)
         return lost, near & ~lost & (draw < self.edge_lost + self.edge_mixed)
@@ -272,12 +254,11 @@ class RigErrors:
 
     def __post_init__(self):
         for name in ("translation", "rotation", "encoders"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ParameterError(f"{name} is {getattr(self, name)}", fix="give 0 or more")
-        if not abs(self.robot_clock) <= MOST_CLOCK:
-            raise ParameterError(
-                f"robot_clock is {self.robot_clock}", fix=f"give {MOST_CLOCK:g} s or less"
-            )
+            value = getattr(self, name)
+            require(0.0 <= value < math.inf, f"{name} is {value}", fix="give 0 or more")
+        fix = f"give {MAX_CLOCK_OFFSET:g} s or less"
+        within = abs(self.robot_clock) <= MAX_CLOCK_OFFSET
+        require(within, f"robot_clock is {self.robot_clock}", fix=fix)
 
     @classmethod
     def none(cls) -> RigErrors:
@@ -295,14 +276,7 @@ class RigErrors:
         Raises:
             RecordingError: One is not calibrated.
         """
-        return [
-            camera.at(
-                calibration_error(
-                    camera.calibrated(), rng, translation=self.translation, rotation=self.rotation
-                )
-            )
-            for camera in cameras
-        ]
+        return [camera.at(self._calibration_error(camera.calibrated(), rng)) for camera in cameras]
 
     def stamp(self, camera: int, time: float) -> float:
         """Time stamp [s] that the camera with this index assigns to a true time [s]."""
@@ -312,44 +286,20 @@ class RigErrors:
         """Time stamp [s] that the robot assigns to a true time [s]."""
         return time + self.robot_clock
 
+    def _calibration_error(
+        self, T_world_camera: npt.NDArray[np.float64], rng: np.random.Generator
+    ) -> npt.NDArray[np.float64]:
+        """A pose [4, 4] [m] with a random calibration error.
 
-def calibration_error(
-    T_world_camera: npt.ArrayLike,
-    rng: np.random.Generator,
-    *,
-    translation: float = 2e-3,
-    rotation: float = np.radians(0.3),
-) -> npt.NDArray[np.float64]:
-    """Add a random calibration error to a pose.
-
-    The camera is translated by a vector and rotated about its centre by a rotation vector. Both
-    have independent, identically distributed normal components, scaled so that their lengths have
-    the given RMS; a third of the draws is longer.
-
-    Args:
-        T_world_camera: [4, 4] true pose [m].
-        rng: Random number generator.
-        translation: RMS length of the translation [m].
-        rotation: RMS angle of the rotation [rad].
-
-    Returns:
-        [4, 4] [m].
-    """
-    T = np.array(T_world_camera, dtype=np.float64)
-    moved, turned = rng.normal(0.0, np.sqrt(1.0 / 3.0), (2, 3))
-    T[:3, 3] += translation * moved
-    T[:3, :3] = _rotation(rotation * turned) @ T[:3, :3]
-    return T
-
-
-def _rotation(vector: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Rotation matrix [3, 3] of a rotation vector [rad] (Rodrigues)."""
-    angle = np.linalg.norm(vector)
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+        The camera is translated by a vector and rotated about its centre by a rotation vector. Both
+        have independent, identically distributed normal components, scaled so that their lengths
+        have the given RMS; a third of the draws is longer.
+        """
+        T = np.array(T_world_camera, dtype=np.float64)
+        moved, turned = rng.normal(0.0, np.sqrt(1.0 / 3.0), (2, 3))
+        T[:3, 3] += self.translation * moved
+        T[:3, :3] = Rotation.from_rotvec(self.rotation * turned).as_matrix() @ T[:3, :3]
+        return T
 
 
 def _noise(
@@ -412,37 +362,23 @@ def _slope(values: npt.NDArray[np.float64], axis: int) -> npt.NDArray[np.float64
     return slope
 
 
-def _spread(values: npt.NDArray[np.bool_], reach: int) -> npt.NDArray[np.bool_]:
-    """Whether any pixel within `reach` in both axes is true."""
-    for axis in (0, 1):
-        before = np.moveaxis(values, axis, 0)
-        after = before.copy()
-        for step in range(1, reach + 1):
-            after[step:] |= before[:-step]
-            after[:-step] |= before[step:]
-        values = np.moveaxis(after, 0, axis)
-    return values
-
-
 def _between(
     disparity: npt.NDArray[np.float64],
     seen: npt.NDArray[np.bool_],
     chosen: npt.NDArray[np.bool_],
-    reach: int,
     rng: np.random.Generator,
 ) -> npt.NDArray[np.float64]:
-    """[M] disparities between the lowest and the highest seen around M chosen pixels.
+    """[M] disparities between the lowest and the highest seen next to M chosen pixels.
 
     Args:
         disparity, seen, chosen: [height, width]; chosen pixels must be seen.
-        reach: Size of the neighbourhood: this many pixels to each side along both axes.
         rng: Random number generator; it draws for every pixel, so that later draws do not depend
             on the scene.
     """
     row, column = np.nonzero(chosen)
     low, high = disparity[chosen], disparity[chosen]
-    for down in range(-reach, reach + 1):
-        for right in range(-reach, reach + 1):
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
             # Beyond the border, use the border's pixel, which is in the neighbourhood too.
             r = np.clip(row + down, 0, disparity.shape[0] - 1)
             c = np.clip(column + right, 0, disparity.shape[1] - 1)

@@ -1,7 +1,7 @@
 """What the arm does in the MuJoCo test scene: the predefined lift, and any task.
 
 A `Trial` is the plan: the object's place, the tool's path, when the hand closes and opens.
-`Performance` carries it out, on the arm or, for tests, with a free hand that follows the same path
+`TrialRun` carries it out, on the arm or, for tests, with a free hand that follows the same path
 exactly. `RealWorld` does so for tasks.
 """
 
@@ -33,7 +33,6 @@ from gendom.robot import (
     TcpPath,
     follow,
     motions,
-    pointing_down,
     predefined_lift,
 )
 from gendom.tasks import Observed, Task
@@ -47,7 +46,7 @@ like one of 3.5 ms, at this one like one of 2.8 ms."""
 CLOTH_TIMESTEP = 0.002
 """The same in tasks with cloths [s]: at the default of 4 ms a rubber cloth of 0.2 m that is brought
 down by A = 0.2 covers 0.60 of its area (31 points a side), at this one 0.80, as at 1 ms. While all
-of it is slow (`gendom.reality.world.CALM`), the default is taken."""
+of it is slow (`gendom.reality.world.SLOW`), the default is taken."""
 
 TIP_HEIGHT = 0.002
 """The lowest that the tool point goes above the table [m]: the pads reach 1.1 mm below it."""
@@ -87,7 +86,7 @@ class Trial:
     """Whether inertia plays no part."""
     timestep: float | None = None
     """Time step of MuJoCo [s]; None: the default of the object's kind."""
-    calm_timestep: float | None = None
+    slow_timestep: float | None = None
     """That while the object is slow [s], see `Reality`; None: the same."""
     tolerance: float | None = None
     """Of MuJoCo's solver; None: the default of the object's kind."""
@@ -95,7 +94,7 @@ class Trial:
     """Whether the object moves so fast that cameras must be synchronised."""
 
 
-class Performance:
+class TrialRun:
     """A trial in progress.
 
     Args:
@@ -135,7 +134,7 @@ class Performance:
             robot=arm,
             cameras=cameras,
             timestep=trial.timestep if timestep is None else timestep,
-            calm_timestep=trial.calm_timestep if timestep is None else None,
+            slow_timestep=trial.slow_timestep if timestep is None else None,
             tolerance=trial.tolerance,
             air_density=air_density,
             grip_force=grip_force,
@@ -185,19 +184,6 @@ class Performance:
             else:
                 self.world.release()
         self.world.step_to(time)
-
-    def watch(
-        self,
-        times: Sequence[float] | npt.NDArray[np.float64],
-        on_frame: Callable[[int], None] = lambda _: None,
-    ) -> npt.NDArray[np.float64]:
-        """[T, V, 3] the object's vertices [m] at increasing times [T] [s]."""
-        seen = []
-        for k, time in enumerate(times):
-            self.step_to(float(time))
-            seen.append(self.world.vertices())
-            on_frame(k + 1)
-        return np.array(seen)
 
 
 def arm_motion(trial: Trial, cameras: Sequence[Camera] = ()) -> JointMotion:
@@ -268,7 +254,6 @@ def lift(
         origin + np.array([FINGER_WIDTH / 2.0, 0.0, max(TIP_HEIGHT - height, 0.0)]),
         height=usual.rise * size_of(item) if rise is None else rise,
         speed=speed,
-        quat_xyzw=pointing_down(),
         wait=SETTLE,
         after=SETTLE if end == "hold" else None,
         end=end,
@@ -310,10 +295,10 @@ def _rope_reach(item: RealRope) -> float:
     return (held - 0.5) * edge - FINGER_WIDTH / 2.0
 
 
-def lift_cameras(item: RealObject, **settings: Any) -> list[Camera]:
-    """Two cameras on opposite sides of the predefined lift; settings as `default_cameras`."""
+def lift_cameras(item: RealObject) -> list[Camera]:
+    """Two cameras on opposite sides of the predefined lift."""
     size = size_of(item) * (1.0 if isinstance(item, RealRope) else np.sqrt(2.0))
-    return default_cameras((START + size / 2.0, 0.0, motions.RISE * size / 2.0), **settings)
+    return default_cameras((START + size / 2.0, 0.0, motions.RISE * size / 2.0))
 
 
 def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
@@ -349,7 +334,7 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
         reach=scene.grip,
         end=START_DELAY - closes + float(task.times(item)[-1]),
         timestep=CLOTH_TIMESTEP if cloth else ROPE_TIMESTEP,
-        calm_timestep=CLOTH_STEP if cloth else None,
+        slow_timestep=CLOTH_STEP if cloth else None,
         tolerance=TASK_TOLERANCE if cloth else None,
     )
 
@@ -413,14 +398,14 @@ class RealWorld:
         force = self.grip_force if math.isfinite(self.grip_force) else None
         return {"world": "reality", **own, "grip_force": force}
 
-    def performance(self, task: Task, item: Item, action: npt.ArrayLike) -> Performance:
+    def begin(self, task: Task, item: Item, action: npt.ArrayLike) -> TrialRun:
         """A task about to be carried out.
 
         Raises:
             RobotError: The arm cannot do it.
             ParameterError: The task does not allow it.
         """
-        return Performance(
+        return TrialRun(
             task_trial(task, as_real(item), action),
             robot=self.robot,
             air_density=self.air_density,
@@ -433,7 +418,7 @@ def _carried_out(
     world: RealWorld, task: Task, keep: bool, item: Item, action: npt.NDArray[np.float64]
 ) -> Outcome:
     try:
-        seen = observe(task, world.performance(task, item, action), world.frame_rate)
+        seen = observe(task, world.begin(task, item, action), world.frame_rate)
     except (RobotError, SimulationError) as error:
         return Outcome(values={}, fault=str(error))
     return Outcome(values=task.outcome(item, seen), seen=seen if keep else None)
@@ -445,27 +430,27 @@ def _workers(jobs: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
 
 
-def observe(task: Task, performance: Performance, frame_rate: float = 100.0) -> Observed:
-    """Carry out a performance of `task_trial` and see what its object does, in the task's frame.
+def observe(task: Task, run: TrialRun, frame_rate: float = 100.0) -> Observed:
+    """Carry out a `task_trial` and see what its object does, in the task's frame.
 
     Raises:
         SimulationError: The world diverged, or the hand closes on nothing.
     """
-    item, begin = performance.trial.item, performance.closes
-    times = np.arange(begin, performance.end + 0.5 / frame_rate, 1.0 / frame_rate)
+    item, begin = run.trial.item, run.closes
+    times = np.arange(begin, run.end + 0.5 / frame_rate, 1.0 / frame_rate)
     points, hand = [], []
     for time in times:
-        performance.step_to(float(time))
-        points.append(performance.world.vertices())
-        hand.append(performance.world.hand)
+        run.step_to(float(time))
+        points.append(run.world.vertices())
+        hand.append(run.world.hand)
     T = np.linalg.inv(task.T_world_task(item))
     # times count from the path's own clock, on which the hand closes at the planned time
-    late = begin - next(e.time for e in performance.trial.path.events if e.closed)
-    late += performance.trial.end - float(task.times(item)[-1])
+    late = begin - next(e.time for e in run.trial.path.events if e.closed)
+    late += run.trial.end - float(task.times(item)[-1])
     return Observed(
         times=times - late,
         points=np.array(points) @ T[:3, :3].T + T[:3, 3],
         hand=np.array(hand) @ T[:3, :3].T + T[:3, 3],
-        opens=performance.opens - late,
+        opens=run.opens - late,
         lattice=item.counts if isinstance(item, RealCloth) else (0, 0),
     )

@@ -1,4 +1,10 @@
-"""The MuJoCo test scene in time: step it, hold the object, release it, render it."""
+"""The MuJoCo test scene in time: step it, hold the object, release it, render it.
+
+Held vertices slip between the fingers beyond a largest pull. This is isotropic dry friction: a
+vertex is fixed while it pulls by no more than the grip's force, else it slides against that force
+until it has come to rest or has left the fingers. Friction is a damping of the vertices (the force
+over their speed), which MuJoCo's integrator takes implicitly; it stops below `REST_SPEED`.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +17,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gendom.errors import DeviceError, ParameterError, SimulationError
+from gendom.arguments import require
+from gendom.errors import DeviceError, SimulationError
 from gendom.materials import AIR_DENSITY
 from gendom.perception.camera import Camera
 from gendom.reality.air import Air
-from gendom.reality.grip import Slip, pull
 from gendom.reality.model import (
-    GLFault,
     Layout,
     build_model,
     clamped_vertices,
@@ -31,12 +36,87 @@ from gendom.reality.twist import Twist
 FINGER_WIDTH = 0.025
 """Breadth of the fingers: what they hold reaches half of it to either side [m]."""
 
-CALM = 0.25
-"""Largest speed of a vertex [m/s] at which `calm_timestep` is taken: in 4 ms layers that meet at it
+SLOW = 0.25
+"""Largest speed of a vertex [m/s] at which `slow_timestep` is taken: in 4 ms layers that meet at it
 come closer by 1 mm, their distance when they touch."""
+
+REST_SPEED = 1e-4
+"""Speed below which a sliding vertex that decelerates is at rest [m/s]."""
 
 GL_PACKAGES = "apt install libegl1 libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
 """Packages that a Debian machine without a screen needs to render."""
+
+
+_FREE_HAND = '<body name="hand" mocap="true" pos="0 0 1"/>'
+
+
+class Slip:
+    """The vertices that slide between a hand's fingers.
+
+    Args:
+        force: That the fingers hold at most [N]; infinite: all.
+        masses: [V] of the vertices [kg].
+        dofs: [V, 3] their slides.
+
+    Raises:
+        ParameterError: The force is not above 0.
+    """
+
+    def __init__(self, force: float, masses: npt.NDArray[np.float64], dofs: npt.NDArray[np.intp]):
+        require(force > 0.0, f"is {force:g}", where="grip_force", fix="give newtons above 0")
+        self.force = force
+        self._masses = masses
+        self._dofs = dofs
+        self._speed = 0.0
+        self.vertices = np.empty(0, dtype=np.intp)
+        """Vertices between the fingers that are not fixed."""
+
+    @property
+    def possible(self) -> bool:
+        return math.isfinite(self.force)
+
+    def begin(self, vertices: npt.NDArray[np.intp]) -> None:
+        self.vertices, self._speed = vertices, 0.0
+
+    def end(self, model: Any) -> npt.NDArray[np.intp]:
+        """Free all of them; returns which."""
+        vertices, self.vertices = self.vertices, self.vertices[:0]
+        model.dof_damping[self._dofs[vertices]] = 0.0
+        return vertices
+
+    def leave(self, model: Any, away: npt.NDArray[np.bool_]) -> None:
+        """Free those of them that have left the fingers."""
+        model.dof_damping[self._dofs[self.vertices[away]]] = 0.0
+        self.vertices = self.vertices[~away]
+
+    def apply_friction(
+        self, model: Any, data: Any, hand: npt.NDArray[np.float64]
+    ) -> tuple[npt.NDArray[np.float64], bool]:
+        """Set friction for the next step.
+
+        Args:
+            model, data: MuJoCo's.
+            hand: [3] velocity of the fingers [m/s].
+
+        Returns:
+            [k, 3] forces on what slides that belong to the damping [N], and whether it has come to
+            rest.
+        """
+        dofs = self._dofs[self.vertices]
+        share = self._masses[self.vertices] / self._masses[self.vertices].sum()
+        before = self._speed
+        self._speed = float(np.linalg.norm(share @ (data.qvel[dofs] - hand)))
+        damping = self.force / max(2.0 * self._speed - before, REST_SPEED) * share[:, None]
+        model.dof_damping[dofs] = damping
+        return damping * hand, self._speed < REST_SPEED and self._speed <= before
+
+
+def pull_force(mujoco: Any, data: Any, connections: npt.NDArray[np.intp]) -> float:
+    """By how much connections to a hand were pulled in the last step [N]."""
+    equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+    rows = np.flatnonzero(equality & np.isin(data.efc_id, connections))
+    # three rows each, along the world's axes
+    return float(np.linalg.norm(data.efc_force[rows].reshape(-1, 3).sum(axis=0)))
 
 
 class Reality:
@@ -52,11 +132,11 @@ class Reality:
         cameras: Fixed cameras, with their true poses.
         table: Whether there is a table.
         timestep: [s]; None for the default of the object's kind.
-        calm_timestep: That while no vertex is faster than `CALM` [s]; None: the same.
+        slow_timestep: That while no vertex is faster than `SLOW` [s]; None: the same.
         tolerance: Of MuJoCo's solver; None for the default of the object's kind.
         gravity: [3] [m/s^2].
         air_density: Of the still air [kg/m^3], see `gendom.reality.air`; 0: none.
-        grip_force: That the fingers hold at most [N], see `gendom.reality.grip`; infinite: all.
+        grip_force: That the fingers hold at most [N], see `gendom.reality.world`; infinite: all.
 
     Raises:
         DeviceError: MuJoCo is not installed.
@@ -73,7 +153,7 @@ class Reality:
         cameras: Sequence[Camera] = (),
         table: bool = True,
         timestep: float | None = None,
-        calm_timestep: float | None = None,
+        slow_timestep: float | None = None,
         tolerance: float | None = None,
         gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
         air_density: float = AIR_DENSITY,
@@ -109,9 +189,9 @@ class Reality:
         self._path: Callable[[float], npt.ArrayLike] | None = None
         self._twist: Twist | None = None
         self._reach = 0.0
-        self._was = np.zeros(3)
-        self._usual, self._calm = self.model.opt.timestep, calm_timestep
-        self._lasted = self._usual
+        self._hand_before = np.zeros(3)
+        self._usual_step, self._slow_step = self.model.opt.timestep, slow_timestep
+        self._last_step = self._usual_step
         self._renderer: Any = None
         self.reset()
 
@@ -137,47 +217,46 @@ class Reality:
         Raises:
             SimulationError: The state is no longer finite; says when.
         """
-        left = self._steps_until(time)
+        left = self._remaining_steps(time)
         while left > 0:
-            self._load()
+            self._apply_loads()
             step = self.model.opt.timestep
-            self._was, self._lasted = self.hand, step
+            self._hand_before, self._last_step = self.hand, step
             if self.robot is not None:
                 self.robot.control(self.data, self.time + step)
             elif self._path is not None:
                 self.data.mocap_pos[0] = self._path(self.time + step)
             self._mujoco.mj_step(self.model, self.data)
             if self._slip.possible:
-                self._let_slip()
+                self._open_overloaded()
             # only counted anew where the step has changed: half a step must not be rounded twice
-            again = self._steps_until(time)
+            again = self._remaining_steps(time)
             left = left - 1 if self.model.opt.timestep == step else again
-        self._place()
+        self._update_positions()
         kinds = self._mujoco.mjtWarning
         bad = (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
-        if (
-            any(self.data.warning[int(w)].number for w in bad)
-            or not np.isfinite(self.data.qpos).all()
-        ):
-            raise SimulationError(
-                "the second reality diverged",
-                where=f"{self.item.name}, t = {self.time:.4g} s",
-                fix="take a smaller timestep",
-            )
+        warned = any(self.data.warning[int(w)].number for w in bad)
+        require(
+            not warned and np.isfinite(self.data.qpos).all(),
+            "the second reality diverged",
+            where=f"{self.item.name}, t = {self.time:.4g} s",
+            fix="take a smaller timestep",
+            error=SimulationError,
+        )
 
-    def _steps_until(self, time: float) -> int:
+    def _remaining_steps(self, time: float) -> int:
         """Choose the time step; how many of it there are until `time` [s]."""
-        if self._calm is not None:
-            calm = self.speed() <= CALM
-            self.model.opt.timestep = self._calm if calm else self._usual
+        if self._slow_step is not None:
+            slow = self.speed() <= SLOW
+            self.model.opt.timestep = self._slow_step if slow else self._usual_step
         return round((time - self.time) / self.model.opt.timestep)
 
-    def _place(self) -> None:
+    def _update_positions(self) -> None:
         """Update the positions of bodies and vertices: a step of MuJoCo leaves the old ones."""
         self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_flex(self.model, self.data)
 
-    def _load(self) -> None:
+    def _apply_loads(self) -> None:
         """Forces of twist and air on the vertices, and the twist's moment on the hand, for the next
         step."""
         if self._twist is None and self.air.density == 0.0 and not self._slip.possible:
@@ -191,27 +270,27 @@ class Reality:
             forces += load.forces
             self.data.xfrc_applied[self._hand, 3:] = load.moment
         if len(self._slip.vertices):
-            self._rub(x, forces)
+            self._apply_friction(x, forces)
         # As forces on the slides: for wrenches on bodies MuJoCo computes a Jacobian each.
         self.data.qfrc_applied[self._dofs] = forces
 
-    def _rub(self, x: npt.NDArray[np.float64], forces: npt.NDArray[np.float64]) -> None:
+    def _apply_friction(self, x: npt.NDArray[np.float64], forces: npt.NDArray[np.float64]) -> None:
         """Add the fingers' friction to forces [V, 3] [N]; what it stops is held again."""
         slip = self._slip
         slip.leave(self.model, np.linalg.norm(x[slip.vertices] - self.hand, axis=1) > self._reach)
         if len(slip.vertices) == 0:
             return
-        moved = (self.hand - self._was) / self._lasted
-        friction, rests = slip.rub(self.model, self.data, moved)
+        moved = (self.hand - self._hand_before) / self._last_step
+        friction, rests = slip.apply_friction(self.model, self.data, moved)
         if rests:
             self._hold(slip.end(self.model), x)
         else:
             forces[slip.vertices] += friction
 
-    def _let_slip(self) -> None:
+    def _open_overloaded(self) -> None:
         """Open the connections where they are pulled by more than the grip holds."""
         held = self._connections[self.data.eq_active[self._connections] > 0]
-        if len(held) and pull(self._mujoco, self.data, held) > self._slip.force:
+        if len(held) and pull_force(self._mujoco, self.data, held) > self._slip.force:
             self._slip.begin(self.held)
             self.data.eq_active[self._connections] = 0
             self._untwist()
@@ -220,8 +299,7 @@ class Reality:
 
     def follow(self, path: Callable[[float], npt.ArrayLike]) -> None:
         """Send the free hand along a path, time [s] -> position [3] [m]."""
-        if self.robot is not None:
-            raise ParameterError("the robot moves the hand", fix="give it a motion")
+        require(self.robot is None, "the robot moves the hand", fix="give it a motion")
         self._path = path
 
     @property
@@ -278,12 +356,10 @@ class Reality:
         # a twentieth more: the hand may be a little above
         half = 0.525 * self.item.spacing
         near = np.flatnonzero(distance <= reach + half + 1e-9)
-        if len(near) == 0:
-            raise SimulationError(
-                f"the hand closes on nothing: the object is {1e3 * distance.min():.1f} mm away",
-                where=f"{self.item.name}, t = {self.time:.4g} s",
-                fix=f"bring it within {1e3 * reach:.1f} mm",
-            )
+        what = f"the hand closes on nothing: the object is {1e3 * distance.min():.1f} mm away"
+        where = f"{self.item.name}, t = {self.time:.4g} s"
+        fix = f"bring it within {1e3 * reach:.1f} mm"
+        require(len(near) > 0, what, where=where, fix=fix, error=SimulationError)
         if isinstance(self.item, RealRope) and len(near) < 2:
             near = np.sort(np.argsort(distance)[:2])
         self._reach = max(reach + half, float(distance[near].max())) + 1e-9
@@ -341,10 +417,8 @@ class Reality:
             DeviceError: There is no OpenGL context; says which packages provide one.
         """
         names = [c.name for c in self.cameras]
-        if camera not in (*names, *range(len(names))):
-            raise ParameterError(
-                f"there is no camera {camera!r}", where="render", fix=f"have {', '.join(names)}"
-            )
+        known, fix = camera in (*names, *range(len(names))), f"have {', '.join(names)}"
+        require(known, f"there is no camera {camera!r}", where="render", fix=fix)
         seen = self.cameras[names.index(camera) if isinstance(camera, str) else camera]
         renderer = self._open_renderer(seen.width, seen.height)
         renderer.enable_depth_rendering()
@@ -367,9 +441,8 @@ class Reality:
         self.close()
 
     def _open_renderer(self, width: int, height: int) -> Any:
-        if self._renderer is not None and (
-            self._renderer.width != width or self._renderer.height != height
-        ):
+        r = self._renderer
+        if r is not None and (r.width, r.height) != (width, height):
             self.close()
         if self._renderer is None:
             _without_screen()
@@ -378,14 +451,11 @@ class Reality:
             # Exceptions of PyOpenGL and GLFW about missing libraries have no common base.
             except Exception as error:
                 backend = os.environ.get("MUJOCO_GL", "")
-                found = GLFault(backend, f"{type(error).__name__}: {error}")
-                # OpenGL was turned off when mujoco was imported; there is no further cause.
-                fault = gl_faults[0] if gl_faults and backend == "disable" else found
-                raise DeviceError(
-                    f"no OpenGL context ({fault.reason})",
-                    where=f"rendering, MUJOCO_GL={fault.backend}",
-                    fix=GL_PACKAGES,
-                ) from None
+                reason = f"{type(error).__name__}: {error}"
+                if gl_faults and backend == "disable":  # when mujoco was imported; no further cause
+                    backend, reason = gl_faults[0]
+                what, where = f"no OpenGL context ({reason})", f"rendering, MUJOCO_GL={backend}"
+                raise DeviceError(what, where=where, fix=GL_PACKAGES) from None
         return self._renderer
 
 
@@ -400,6 +470,3 @@ def _without_screen() -> None:
     if headless() and chosen is not None and "glfw" in chosen.__module__:
         os.environ["MUJOCO_GL"] = "egl"
         importlib.reload(gl_context)
-
-
-_FREE_HAND = '<body name="hand" mocap="true" pos="0 0 1"/>'

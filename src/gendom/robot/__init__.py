@@ -14,16 +14,16 @@ from gendom.robot.arm import (
     ParallelGripper,
 )
 from gendom.robot.collision import (
-    ALONE,
+    NO_OBSTACLES,
     Box,
+    Clearances,
     Collision,
-    Gaps,
     Post,
     Surroundings,
     check_collisions,
+    clearances,
     collision_along,
     collision_at,
-    gaps,
 )
 from gendom.robot.kinematics import (
     inverse_kinematics,
@@ -42,7 +42,6 @@ from gendom.robot.path import (
     TcpPath,
     TcpPaths,
     pointing,
-    pointing_down,
 )
 from gendom.robot.planning import follow, joint_move
 from gendom.robot.shape import ArmShape, arm_shape
@@ -68,19 +67,19 @@ def find_arm(name: str) -> Arm:
 
 
 __all__ = [
-    "ALONE",
     "ARMS",
     "DOWN",
     "LIFT_ENDS",
     "MOTION_FORMAT",
+    "NO_OBSTACLES",
     "XARM7",
     "Arm",
     "ArmShape",
     "Box",
+    "Clearances",
     "Collision",
     "Deviation",
     "FingerCapsule",
-    "Gaps",
     "GripperEvent",
     "JointMotion",
     "JointStates",
@@ -95,18 +94,17 @@ __all__ = [
     "TcpPaths",
     "arm_shape",
     "check_collisions",
+    "clearances",
     "collision_along",
     "collision_at",
     "find_arm",
     "follow",
-    "gaps",
     "inverse_kinematics",
     "jacobian",
     "joint_move",
     "lift",
     "link_poses",
     "pointing",
-    "pointing_down",
     "pose_error",
     "predefined_lift",
     "read_joints",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gendom.arguments import require
 from gendom.errors import RobotError
 
 
@@ -127,8 +128,6 @@ class Arm:
     """[J] [rad/s^3]."""
     max_tcp_speed: float
     """[m/s]."""
-    payload: float
-    """Most that it carries, gripper included [kg]."""
     home: NDArray[np.float64]
     """[J] resting configuration, far from the limits; inverse kinematics prefers it [rad]."""
     capsules: tuple[LinkCapsule, ...]
@@ -147,12 +146,12 @@ class Arm:
             RobotError: The shape is another, or a number is not finite.
         """
         q = np.asarray(q, dtype=float)
-        if q.ndim == 0 or q.shape[-1] != self.joints:
-            raise RobotError(
-                f"joint angles have shape {q.shape}",
-                where=self.name,
-                fix=f"give {self.joints} angles in radians",
-            )
-        if not np.isfinite(q).all():
-            raise RobotError("a joint angle is not finite", where=self.name, fix="give radians")
+        fits, fix = (
+            q.ndim > 0 and q.shape[-1] == self.joints,
+            f"give {self.joints} angles in radians",
+        )
+        what = f"joint angles have shape {q.shape}"
+        require(fits, what, where=self.name, fix=fix, error=RobotError)
+        what, fix = "a joint angle is not finite", "give radians"
+        require(np.isfinite(q).all(), what, where=self.name, fix=fix, error=RobotError)
         return q

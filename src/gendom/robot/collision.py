@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.robot.arm import Arm
-from gendom.robot.distance import segment_to_box, segments_apart
 from gendom.robot.kinematics import check_pose, link_poses
 from gendom.robot.motion import JointMotion
 from gendom.robot.shape import ArmShape, arm_shape
@@ -27,6 +27,8 @@ RESOLUTION = 2e-4
 
 _RATE = 50.0  # [1/s]; a motion is first checked at this rate, and at its knots
 _CHUNK = 1024  # configurations at a time, for memory
+_PARALLEL = 1e-12  # sin^2 of the angle below which two segments count as parallel
+_POINT = 1e-24  # [m^2]; squared length below which a segment is a point
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,12 +49,11 @@ class Box:
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", check_pose(self.pose))
         size = np.asarray(self.size, dtype=float)
-        if size.shape != (3,) or not (np.isfinite(size).all() and np.all(size > 0.0)):
-            raise RobotError(
-                f"its size is {self.size}", where=self.name, fix="give three lengths in metres"
-            )
+        good = size.shape == (3,) and np.isfinite(size).all() and np.all(size > 0.0)
+        fix = "give three lengths in metres"
+        require(good, f"its size is {self.size}", where=self.name, fix=fix, error=RobotError)
 
-    def gap(self, start: Array, end: Array) -> Array:
+    def distance(self, start: Array, end: Array) -> Array:
         """[...] signed distance from segments [..., 3] [m]."""
         R, p = self.pose[:3, :3], self.pose[:3, 3]
         return segment_to_box((start - p) @ R, (end - p) @ R, 0.5 * np.asarray(self.size))
@@ -78,17 +79,14 @@ class Post:
     def __post_init__(self) -> None:
         for name in ("start", "end"):
             point = np.asarray(getattr(self, name), dtype=float)
-            if point.shape != (3,) or not np.isfinite(point).all():
-                raise RobotError(
-                    f"its {name} is {point.tolist()}", where=self.name, fix="give [3] in metres"
-                )
+            good, said = point.shape == (3,) and np.isfinite(point).all(), point.tolist()
+            fix = "give [3] in metres"
+            require(good, f"its {name} is {said}", where=self.name, fix=fix, error=RobotError)
             object.__setattr__(self, name, point)
-        if not (np.isfinite(self.radius) and self.radius > 0.0):
-            raise RobotError(
-                f"its radius is {self.radius}", where=self.name, fix="give metres above 0"
-            )
+        good, fix = np.isfinite(self.radius) and self.radius > 0.0, "give metres above 0"
+        require(good, f"its radius is {self.radius}", where=self.name, fix=fix, error=RobotError)
 
-    def gap(self, start: Array, end: Array) -> Array:
+    def distance(self, start: Array, end: Array) -> Array:
         """[...] distance from segments [..., 3] [m]."""
         return segments_apart(start, end, self.start, self.end) - self.radius
 
@@ -103,7 +101,7 @@ class Surroundings:
     """With different names."""
 
 
-ALONE = Surroundings()
+NO_OBSTACLES = Surroundings()
 """No obstacles: only self-collision of the arm is checked."""
 
 
@@ -132,18 +130,18 @@ class Collision:
 
 
 @dataclass(frozen=True, eq=False)
-class Gaps:
+class Clearances:
     """Distances of P pairs of bodies, at one or more configurations."""
 
     pairs: tuple[tuple[str, str], ...]
     """[P] names."""
-    gap: Array
+    distance: Array
     """[..., P] [m]; negative: they overlap by so much."""
 
 
-def gaps(
-    arm: Arm, q: ArrayLike, surroundings: Surroundings = ALONE, *, opening: float = 0.0
-) -> Gaps:
+def clearances(
+    arm: Arm, q: ArrayLike, surroundings: Surroundings = NO_OBSTACLES, *, opening: float = 0.0
+) -> Clearances:
     """Distances of all pairs that might collide.
 
     Args:
@@ -155,29 +153,29 @@ def gaps(
     Raises:
         RobotError: As `link_poses`.
     """
-    return _Compared(arm, surroundings, opening).at(arm.check_q(q))
+    return _CollisionPairs(arm, surroundings, opening).at(arm.check_q(q))
 
 
 def collision_at(
-    arm: Arm, q: ArrayLike, surroundings: Surroundings = ALONE, *, opening: float = 0.0
+    arm: Arm, q: ArrayLike, surroundings: Surroundings = NO_OBSTACLES, *, opening: float = 0.0
 ) -> Collision | None:
     """The deepest collision at joint angles [J] [rad], or None.
 
     Raises:
         RobotError: As `link_poses`.
     """
-    found = gaps(arm, q, surroundings, opening=opening)
-    k = int(np.argmin(found.gap))
-    if found.gap[k] >= 0.0:
+    found = clearances(arm, q, surroundings, opening=opening)
+    k = int(np.argmin(found.distance))
+    if found.distance[k] >= 0.0:
         return None
     first, second = found.pairs[k]
-    return Collision(first=first, second=second, depth=float(-found.gap[k]))
+    return Collision(first=first, second=second, depth=float(-found.distance[k]))
 
 
 def collision_along(
     arm: Arm,
     motion: JointMotion,
-    surroundings: Surroundings = ALONE,
+    surroundings: Surroundings = NO_OBSTACLES,
     *,
     opening: float = 0.0,
 ) -> Collision | None:
@@ -190,19 +188,19 @@ def collision_along(
     Raises:
         RobotError: As `link_poses`.
     """
-    compared = _Compared(arm, surroundings, opening)
+    pairs = _CollisionPairs(arm, surroundings, opening)
     time = np.union1d(motion.time, motion.sampled(_RATE))
-    gap = compared.at(motion.at(time)).gap
+    gap = pairs.at(motion.at(time)).distance
     seen = [(time, gap)]
     a, b, gap_a, gap_b = time[:-1], time[1:], gap[:-1], gap[1:]
     while len(a):
-        moved = _turned(motion, a, b) @ compared.levers  # [intervals, P]
+        moved = _rotation_bound(motion, a, b) @ pairs.levers  # [intervals, P]
         unsure = (gap_a + gap_b <= moved) & (moved > RESOLUTION)
         # Known collisions need no refinement.
         some = (unsure & (gap_a > 0.0) & (gap_b > 0.0)).any(axis=1)
         a, b, gap_a, gap_b = a[some], b[some], gap_a[some], gap_b[some]
         middle = 0.5 * (a + b)
-        gap = compared.at(motion.at(middle)).gap if len(middle) else gap_a
+        gap = pairs.at(motion.at(middle)).distance if len(middle) else gap_a
         seen.append((middle, gap))
         a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
         gap_a, gap_b = np.concatenate([gap_a, gap]), np.concatenate([gap, gap_b])
@@ -215,13 +213,13 @@ def collision_along(
     free = float(time[time < begin].max(initial=motion.start))
     while begin - free > 1e-4:
         middle = 0.5 * (free + begin)
-        if compared.at(motion.at(middle)).gap.min() < 0.0:
+        if pairs.at(motion.at(middle)).distance.min() < 0.0:
             begin = middle
         else:
             free = middle
-    pair = int(np.argmin(compared.at(motion.at(begin)).gap))
+    pair = int(np.argmin(pairs.at(motion.at(begin)).distance))
     deepest = int(np.argmin(gap[:, pair]))
-    first, second = compared.pairs[pair]
+    first, second = pairs.pairs[pair]
     return Collision(
         first=first,
         second=second,
@@ -234,7 +232,7 @@ def collision_along(
 def check_collisions(
     arm: Arm,
     motion: JointMotion,
-    surroundings: Surroundings = ALONE,
+    surroundings: Surroundings = NO_OBSTACLES,
     *,
     opening: float = 0.0,
 ) -> None:
@@ -255,7 +253,7 @@ def check_collisions(
         )
 
 
-class _Compared:
+class _CollisionPairs:
     """The pairs that might collide: their names, distances and levers."""
 
     def __init__(self, arm: Arm, surroundings: Surroundings, opening: float):
@@ -275,13 +273,13 @@ class _Compared:
         ) + tuple((names[c], other) for other in others for c in self.moving)
         self._link, self._others = link, len(others)
 
-    def at(self, q: Array) -> Gaps:
+    def at(self, q: Array) -> Clearances:
         """At joint angles [..., J]."""
         flat = q.reshape(-1, self.arm.joints)
-        parts = [self._gap(flat[k : k + _CHUNK]) for k in range(0, len(flat), _CHUNK)]
-        return Gaps(self.pairs, np.concatenate(parts).reshape(*q.shape[:-1], len(self.pairs)))
+        parts = [self._distance(flat[k : k + _CHUNK]) for k in range(0, len(flat), _CHUNK)]
+        return Clearances(self.pairs, np.concatenate(parts).reshape(*q.shape[:-1], len(self.pairs)))
 
-    def _gap(self, q: Array) -> Array:
+    def _distance(self, q: Array) -> Array:
         shape = arm_shape(self.arm, q, self.opening)
         a, b, c = self.first, self.second, self.moving
         found = [
@@ -292,7 +290,9 @@ class _Compared:
         if self.surroundings.table_height is not None:
             low = np.minimum(start[..., 2], end[..., 2])
             found.append(low - self.surroundings.table_height - radius)
-        found += [obstacle.gap(start, end) - radius for obstacle in self.surroundings.obstacles]
+        found += [
+            obstacle.distance(start, end) - radius for obstacle in self.surroundings.obstacles
+        ]
         return np.concatenate(found, axis=1)
 
     @cached_property
@@ -327,7 +327,7 @@ def _extents(arm: Arm, shape: ArmShape, link: NDArray[np.intp]) -> Array:
     return ends + shape.radius
 
 
-def _turned(motion: JointMotion, a: Array, b: Array) -> Array:
+def _rotation_bound(motion: JointMotion, a: Array, b: Array) -> Array:
     """Bound on the rotation of each joint, back and forth, between times a and b [N]; [N, J] [rad].
 
     Between two knots a joint's speed is a parabola, which its Bezier points bound.
@@ -335,3 +335,77 @@ def _turned(motion: JointMotion, a: Array, b: Array) -> Array:
     v0, v1, v2 = (motion.speed_at(t) for t in (a, 0.5 * (a + b), b))
     bound = np.maximum(np.maximum(np.abs(v0), np.abs(v2)), np.abs(2.0 * v1 - 0.5 * (v0 + v2)))
     return (b - a)[:, None] * bound
+
+
+# ---- distances of segments, in closed form ------------------------------------------------------
+
+
+def segments_apart(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
+    """[...] distance of the segments a0 a1 and b0 b1 [..., 3] [m].
+
+    The nearest points of both lines, clamped to one segment, then to the other, then again to
+    the first (Ericson, "Real-Time Collision Detection", 2005, section 5.1.9). Segments may be
+    points.
+    """
+    u, v, w = a1 - a0, b1 - b0, a0 - b0
+    uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
+    uw, vw = _dot(u, w), _dot(v, w)
+    skew = uu * vv - uv * uv
+    askew = skew > _PARALLEL * uu * vv
+    s = np.where(askew, np.clip(_over(uv * vw - vv * uw, skew, askew), 0.0, 1.0), 0.0)
+    t = np.clip(_over(uv * s + vw, vv, vv > _POINT), 0.0, 1.0)
+    s = np.clip(_over(uv * t - uw, uu, uu > _POINT), 0.0, 1.0)
+    return np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1)
+
+
+def segment_to_box(a: Array, b: Array, half: Array) -> Array:
+    """[...] signed distance of segments from a box around the origin, along its axes [m].
+
+    Negative inside: the segment's deepest point lies this far below the box's nearest face. A
+    box's signed distance is convex, so the least along a segment is the least of its pieces'
+    minima: outside the squared distance is a parabola between the planes of the faces, inside
+    the distance is linear between the planes that part the faces' regions.
+
+    Args:
+        a, b: [..., 3] the segments' ends in the box's frame [m].
+        half: [3] half of the box's edges [m].
+    """
+    along = b - a
+    moving = np.abs(along) > 1e-15
+    faces = np.concatenate(
+        [_over(side * half - a, along, moving) for side in (-1.0, 0.0, 1.0)], axis=-1
+    )
+    parting = []
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        for sign in (-1.0, 1.0):
+            for side in (-1.0, 1.0):
+                # |x_i| - half_i = |x_j| - half_j for one pair of signs
+                rate = along[..., i] - sign * along[..., j]
+                start = a[..., i] - sign * a[..., j]
+                parting.append(_over(side * (half[i] - half[j]) - start, rate, rate != 0.0))
+    ends = np.broadcast_to([0.0, 1.0], (*along.shape[:-1], 2))
+    edges = np.sort(np.clip(np.concatenate([faces, ends], axis=-1), 0.0, 1.0), axis=-1)
+    middle = 0.5 * (edges[..., 1:] + edges[..., :-1])
+    # Between two edges each coordinate is beyond a face, or within: x - clip(x) is linear.
+    x = a[..., None, :] + middle[..., None] * along[..., None, :]
+    beyond = np.where(np.abs(x) > half, along[..., None, :], 0.0)
+    off = np.where(np.abs(x) > half, x - np.sign(x) * half, 0.0)
+    slope, bend = _dot(off, beyond), _dot(beyond, beyond)
+    lowest = np.clip(middle - _over(slope, bend, bend > 0.0), edges[..., :-1], edges[..., 1:])
+    t = np.concatenate([edges, lowest, np.clip(np.stack(parting, axis=-1), 0.0, 1.0)], axis=-1)
+    return _box(a[..., None, :] + t[..., None] * along[..., None, :], half).min(axis=-1)
+
+
+def _box(x: Array, half: Array) -> Array:
+    """[...] signed distance of points [..., 3] from a box [m]."""
+    q = np.abs(x) - half
+    return np.linalg.norm(np.maximum(q, 0.0), axis=-1) + np.minimum(q.max(axis=-1), 0.0)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.einsum("...i,...i->...", a, b)
+
+
+def _over(a: Array, b: Array, good: NDArray[np.bool_]) -> Array:
+    """a / b where ``good`` is true, 0 elsewhere."""
+    return np.where(good, a / np.where(good, b, 1.0), 0.0)

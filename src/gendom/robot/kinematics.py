@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.robot.arm import Arm
 
@@ -23,7 +24,7 @@ _ANGLE_LENGTH = 0.3  # [m]; an angle of 1 rad weighs as much as this distance
 _DAMPING = 0.1  # damping^2 = (this)^2 |error|: zero at the solution, so that the end is Newton's
 _LARGEST_STEP = 0.4  # [rad]; a joint's step in one iteration
 _ITERATIONS = 200
-_PULL = 0.5  # share of the way towards the resting pose in one iteration, within the null space
+_HOMING = 0.5  # share of the distance to the resting pose in one iteration, within the null space
 _SETTLED = 1e-5  # [rad]; the null space's steps end below this
 
 
@@ -191,7 +192,7 @@ def descend(
     q: Array,
     rest: Array,
     *,
-    pull: float = _PULL,
+    homing: float = _HOMING,
     iterations: int = _ITERATIONS,
 ) -> tuple[Array, Array]:
     """Iterate from each start to its pose, and in the null space towards a resting configuration.
@@ -201,7 +202,7 @@ def descend(
         T_base_tcp: [B, 4, 4] poses.
         q: [B, J] starts [rad].
         rest: [J] joint angles to approach in the null space [rad].
-        pull: Share of the distance to `rest` in one step; 0: none.
+        homing: Share of the distance to `rest` in one step; 0: none.
         iterations: Maximum number of iterations.
 
     Returns:
@@ -211,22 +212,22 @@ def descend(
     active = np.arange(len(q))
     error = np.empty((len(q), 6))
     for k in range(iterations):
-        # Where sliding and limits keep a start from its pose, the last steps only approach.
-        pull = pull if k < 0.75 * iterations else 0.0
+        # Where homing and limits keep a start from its pose, the last steps leave homing out.
+        homing = homing if k < 0.75 * iterations else 0.0
         poses = link_poses(arm, q[active])
         error[active] = pose_error(T_base_tcp[active], poses[:, -1])
         there = reached(error[active])
-        step, slide = _step(arm, poses, q[active], error[active], rest, pull)
+        step, null_motion = _step(arm, poses, q[active], error[active], rest, homing)
         q[active] = np.clip(q[active] + step, arm.q_min, arm.q_max)
         # The last step is taken before leaving, since it squares the error.
-        active = active[~(there & (slide < _SETTLED))]
+        active = active[~(there & (null_motion < _SETTLED))]
         if len(active) == 0:
             break
     error = pose_error(T_base_tcp, link_poses(arm, q)[:, -1])
     return q, error
 
 
-def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, pull: float) -> Array | None:
+def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, homing: float) -> Array | None:
     """Solve joint angles [J] [rad] for a pose close to the current one; None: not reached.
 
     Args:
@@ -234,7 +235,7 @@ def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, pull: float) -> A
         T: [4, 4] T_base_tcp of the pose.
         q: [J] current joint angles [rad].
         rest: [J] joint angles to approach in the null space [rad].
-        pull: Share of the distance to `rest` for each metre (0.3 m a radian) to the pose [1/m].
+        homing: Share of the distance to `rest` for each metre (0.3 m a radian) to the pose [1/m].
     """
     q = np.clip(q, arm.q_min, arm.q_max)[None]
     share = None
@@ -243,7 +244,7 @@ def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, pull: float) -> A
         error = pose_error(T, poses[:, -1])
         there = reached(error)[0]
         # Only the first step moves in the null space; the others correct the pose.
-        share = pull * float(_size(error)[0]) if share is None else 0.0
+        share = homing * float(_size(error)[0]) if share is None else 0.0
         step, _ = _step(arm, poses, q, error, rest, min(share, 0.5))
         q = np.clip(q + step, arm.q_min, arm.q_max)
         if there:
@@ -252,7 +253,7 @@ def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, pull: float) -> A
 
 
 def _step(
-    arm: Arm, poses: Array, q: Array, error: Array, rest: Array, pull: float
+    arm: Arm, poses: Array, q: Array, error: Array, rest: Array, homing: float
 ) -> tuple[Array, Array]:
     """One step [B, J] of damped least squares, and the largest part within the null space [B]."""
     weight = np.array([1.0, 1.0, 1.0, _ANGLE_LENGTH, _ANGLE_LENGTH, _ANGLE_LENGTH])
@@ -262,7 +263,7 @@ def _step(
     e = e * np.minimum(1.0, 0.3 / np.maximum(far, 1e-12))[:, None]
     damping = (_DAMPING**2 * np.minimum(far, 0.3) + 1e-10)[:, None, None] * np.eye(6)
     free = np.ones_like(q, dtype=bool)
-    towards = pull * (rest - q)
+    towards = homing * (rest - q)
     for _ in range(3):
         # Joints that would leave their range are fixed, and the others compensate.
         Jf = J * free[:, None, :]
@@ -271,15 +272,15 @@ def _step(
         wish = towards * free
         main = np.linalg.solve(A, np.stack([e, (Jf @ wish[..., None])[..., 0]], axis=-1))
         moves = JT @ main
-        slide = wish - moves[..., 1]
-        step = moves[..., 0] + slide
+        null_motion = wish - moves[..., 1]
+        step = moves[..., 0] + null_motion
         out = free & (((q <= arm.q_min) & (step < 0.0)) | ((q >= arm.q_max) & (step > 0.0)))
         if not out.any():
             break
         free &= ~out
     step = step * free
     step *= np.minimum(1.0, _LARGEST_STEP / np.maximum(np.abs(step).max(axis=1), 1e-12))[:, None]
-    return step, np.abs(slide * free).max(axis=1)
+    return step, np.abs(null_motion * free).max(axis=1)
 
 
 def reached(error: Array) -> NDArray[np.bool_]:
@@ -307,20 +308,18 @@ def check_pose(T: ArrayLike) -> Array:
         RobotError: Its shape is wrong, it is not finite, or its rotation is not a rotation.
     """
     T = np.asarray(T, dtype=float)
-    if T.shape[-2:] != (4, 4) or not np.isfinite(T).all():
-        raise RobotError(
-            f"has shape {T.shape}" if T.shape[-2:] != (4, 4) else "is not finite",
-            where="pose T_base_tcp",
-            fix="give [4, 4]: rotation, position in metres, and 0 0 0 1",
-        )
+    where, fix = "pose T_base_tcp", "give [4, 4]: rotation, position in metres, and 0 0 0 1"
+    shaped = T.shape[-2:] == (4, 4)
+    require(shaped, f"has shape {T.shape}", where=where, fix=fix, error=RobotError)
+    require(np.isfinite(T).all(), "is not finite", where=where, fix=fix, error=RobotError)
     R = T[..., :3, :3]
     skew = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max()
-    if skew > 1e-4 or np.any(np.linalg.det(R) < 0.0) or np.any(T[..., 3, :] != [0, 0, 0, 1]):
-        raise RobotError(
-            "its upper left 3 x 3 is no rotation, or its last row not 0 0 0 1",
-            where="pose T_base_tcp",
-            fix="give a proper rotation matrix",
-        )
+    proper = (
+        skew <= 1e-4 and np.all(np.linalg.det(R) >= 0.0) and np.all(T[..., 3, :] == [0, 0, 0, 1])
+    )
+    what = "its upper left 3 x 3 is no rotation, or its last row not 0 0 0 1"
+    fix = "give a proper rotation matrix"
+    require(proper, what, where=where, fix=fix, error=RobotError)
     return T
 
 

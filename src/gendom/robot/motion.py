@@ -6,11 +6,13 @@ import math
 import os
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
+from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.files import atomic_path
 from gendom.robot.arm import Arm
@@ -79,48 +81,21 @@ class JointMotion:
     """Deviation from the ideal path; None: the motion was not made from a path."""
     slowed_by: float = 1.0
     """Duration over the duration of the path."""
-    path_time: Array | None = None
-    """[K] path time of the knots [s]; None: the motion was not made from a path."""
 
     def __post_init__(self) -> None:
         time, q = np.asarray(self.time, dtype=float), np.asarray(self.q, dtype=float)
-        if time.ndim != 1 or len(time) < 2 or q.ndim != 2 or len(q) != len(time):
-            raise RobotError(
-                f"needs time [K >= 2] and q [K, J], got {time.shape} and {q.shape}",
-                where="joint motion",
-            )
-        if not (np.isfinite(time).all() and np.isfinite(q).all()):
-            raise RobotError("holds a number that is not finite", where="joint motion")
-        if np.any(np.diff(time) <= 0.0):
-            raise RobotError("its times do not increase", where="joint motion", fix="sort them")
+        fits = time.ndim == 1 and len(time) >= 2 and q.ndim == 2 and len(q) == len(time)
+        _require(fits, f"needs time [K >= 2] and q [K, J], got {time.shape} and {q.shape}")
+        finite = np.isfinite(time).all() and np.isfinite(q).all()
+        _require(finite, "holds a number that is not finite")
+        _require(np.all(np.diff(time) > 0.0), "its times do not increase", fix="sort them")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "q", q)
-        if self.path_time is not None and np.shape(self.path_time) != time.shape:
-            raise RobotError(
-                f"needs path_time {time.shape}, got {np.shape(self.path_time)}",
-                where="joint motion",
-            )
 
     @cached_property
     def spline(self) -> CubicSpline:
         """Angles [J] [rad] as a function of time [s], within the knots."""
         return CubicSpline(self.time, self.q, bc_type="clamped")
-
-    @cached_property
-    def _clock(self) -> CubicSpline:
-        if self.path_time is None:
-            raise RobotError("it came from no path", where="joint motion", fix="follow a path")
-        return CubicSpline(self.time, self.path_time)
-
-    def path_time_at(self, time: ArrayLike) -> Array:
-        """Path time [...] [s] of the tool at motion times [...] [s].
-
-        The tool is at ``path.position_at(motion.path_time_at(t), motion.blend)``.
-
-        Raises:
-            RobotError: The motion was not made from exactly one path.
-        """
-        return self._clock(np.clip(time, self.start, self.end))
 
     @property
     def start(self) -> float:
@@ -252,10 +227,8 @@ class JointMotion:
         Raises:
             RobotError: The factor is not positive and finite.
         """
-        if not (math.isfinite(factor) and factor > 0.0):
-            raise RobotError(
-                f"cannot take {factor} times as long", where="joint motion", fix="give a number > 0"
-            )
+        positive = math.isfinite(factor) and factor > 0.0
+        _require(positive, f"cannot take {factor} times as long", fix="give a number > 0")
         return replace(
             self,
             time=self.start + factor * (self.time - self.start),
@@ -284,13 +257,10 @@ class JointMotion:
             RobotError: The start of the other motion differs by more than 1e-4 rad.
         """
         gap = np.abs(other.q[0] - self.q[-1])
-        if gap.max() > 1e-4:
-            raise RobotError(
-                f"joint {int(gap.argmax()) + 1} ends at {self.q[-1][gap.argmax()]:.4f} rad and the "
-                f"next motion starts at {other.q[0][gap.argmax()]:.4f}",
-                where="joint motion",
-                fix="put a joint move between them",
-            )
+        j = int(gap.argmax())
+        what = f"joint {j + 1} ends at {self.q[-1, j]:.4f} rad and the next motion starts at "
+        what += f"{other.q[0, j]:.4f}"
+        _require(gap[j] <= 1e-4, what, fix="put a joint move between them")
         late = other.shifted(self.end + pause - other.start)
         # The common knot is kept once; a pause has its own knots.
         held = [self.end + pause * share for share in (0.25, 0.5, 0.75)] if pause > 0.0 else []
@@ -312,44 +282,31 @@ class JointMotion:
         steps = max(1, math.ceil((self.end - self.start) * rate - 1e-9))
         return np.linspace(self.start, self.end, steps + 1)
 
-    def write_gripper(self, path: str | os.PathLike, arm: Arm, *, rate: float = RATE) -> None:
-        """Write the tool point's path as gripper.csv: time,x,y,z in seconds and metres, and closed,
-        0 or 1, if the motion has events.
-
-        Raises:
-            GendomError: The file cannot be written.
-        """
-        time = self.sampled(rate)
-        header, columns = "time,x,y,z", [time, self.tcp_at(arm, time)[:, :3, 3]]
-        if self.events:
-            header += ",closed"
-            columns.append(np.array([bool(self.closed_at(t)) for t in time]))
-        _write_csv(path, header, np.column_stack(columns))
-
     def write_joints(
-        self,
-        path: str | os.PathLike,
-        *,
-        rate: float = RATE,
-        opening: tuple[float, float] | None = None,
+        self, path: str | os.PathLike, *, opening: tuple[float, float] | None = None
     ) -> None:
         """Write joint angles as joints.csv, as `gendom.robot.read_joints` reads it.
 
         Args:
             path: The file.
-            rate: Rows a second.
             opening: The gripper's opening when closed and when open [m]; None leaves it out.
 
         Raises:
             GendomError: The file cannot be written.
         """
-        time = self.sampled(rate)
+        time = self.sampled(RATE)
         columns = [time, *self.at(time).T]
         header = ["time", *(f"q{j}" for j in range(self.q.shape[1]))]
         if opening is not None:
             header.append("gripper")
             columns.append(np.array([opening[0 if self.closed_at(t) else 1] for t in time]))
-        _write_csv(path, ",".join(header), np.column_stack(columns))
+        with atomic_path(path) as temporary:
+            rows, names = np.column_stack(columns), ",".join(header)
+            np.savetxt(temporary, rows, fmt="%.9g", delimiter=",", header=names, comments="")
+
+
+def _require(holds: Any, what: str, *, fix: str | None = None) -> None:
+    require(holds, what, where="joint motion", fix=fix, error=RobotError)
 
 
 def _use(
@@ -363,8 +320,3 @@ def _use(
         limit=float(limit),
         lower=lower,
     )
-
-
-def _write_csv(path: str | os.PathLike, header: str, rows: Array) -> None:
-    with atomic_path(path) as temporary:
-        np.savetxt(temporary, rows, fmt="%.9g", delimiter=",", header=header, comments="")

@@ -17,14 +17,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.files import read_json
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
-
-Array = NDArray[np.float64]
-
 
 LIFT_ENDS = ("hold", "swing", "drop")
 """How the predefined lift may end: the object held still, swinging or falling."""
@@ -35,7 +33,7 @@ SWING_SPEED = 0.5
 SWING_STROKE = 0.25
 """Length of that move, in heights of the lift."""
 
-LIVELY_REST = 1.0
+REST_AT_END = 1.0
 """Time for which the arm stands still while the object swings or falls [s]."""
 
 ROPE_LIFT_SPEED, CLOTH_LIFT_SPEED = 0.05, 0.1
@@ -74,10 +72,9 @@ class LiftMotion:
     """One of `LIFT_ENDS`."""
 
     def __post_init__(self) -> None:
-        if self.kind not in ("rope", "cloth"):
-            raise _bad(f"kind is {self.kind!r}", fix="give rope or cloth")
-        _positive(rise=self.rise, speed=self.speed)
-        _known_end(self.end)
+        _require(self.kind in ("rope", "cloth"), f"kind is {self.kind!r}", "give rope or cloth")
+        _check_positive(rise=self.rise, speed=self.speed)
+        _check_end(self.end)
 
     def __str__(self) -> str:
         size = "lengths" if self.kind == "rope" else "sides"
@@ -97,12 +94,11 @@ class LiftMotion:
         """
         said = read_json(path)
         fix = "give motion.json of gendom plan-lift"
-        if said.get("format") != MOTION_FORMAT:
-            raise RobotError(
-                f"has format {said.get('format')!r}, not {MOTION_FORMAT!r}",
-                where=str(path),
-                fix=fix,
-            )
+        known, what = (
+            said.get("format"),
+            f"has format {said.get('format')!r}, not {MOTION_FORMAT!r}",
+        )
+        require(known == MOTION_FORMAT, what, where=str(path), fix=fix, error=RobotError)
         found: Any = said.get("lift")
         try:
             return cls(
@@ -147,15 +143,13 @@ def lift(
     wait: float = 1.0,
     after: float | None = None,
     end: str = "hold",
-    along: ArrayLike = (1.0, 0.0, 0.0),
-    stroke: float | None = None,
 ) -> TcpPath:
     """Lift straight up at constant speed: the demonstration for estimating parameters.
 
     The gripper closes at t = 0 around a rope's end or a cloth's corner. Ramps take at most a
     tenth of the rise at each end, and do not overlap the waits. At the top the object is held (end
-    "hold"); or, after a second wait, a quick straight move ends in a hard stop ("swing"), or the
-    gripper opens ("drop").
+    "hold"); or, after a second wait, a quick move along x ends in a hard stop ("swing"), or the
+    gripper opens ("drop"). The quick move goes `SWING_STROKE` heights at `SWING_SPEED`.
 
     Args:
         start: [3] grasp position [m].
@@ -163,20 +157,19 @@ def lift(
         speed: Speed of the lift [m/s].
         quat_xyzw: [4] the gripper's orientation.
         wait: Wait between closing and rising, and at the top before a swing or a drop [s].
-        after: Rest at the end [s]; None: 0 after "hold", else `LIVELY_REST`.
+        after: Rest at the end [s]; None: 0 after "hold", else `REST_AT_END`.
         end: One of `LIFT_ENDS`.
-        along: [3] horizontal unit vector, direction of the swing's move.
-        stroke: Length of the swing's move [m]; None: `SWING_STROKE` heights. Its speed is
-            `SWING_SPEED`.
 
     Raises:
         RobotError: A number is out of its range, or there is no such end.
     """
-    start = _point(start, "start")
-    _positive(height=height, speed=speed, wait=wait)
-    _known_end(end)
+    start = np.asarray(start, dtype=float)
+    good = start.shape == (3,) and np.isfinite(start).all()
+    _require(good, f"start is {start.tolist()}", "give x, y, z in metres")
+    _check_positive(height=height, speed=speed, wait=wait)
+    _check_end(end)
     if after is None:
-        after = 0.0 if end == "hold" else LIVELY_REST
+        after = 0.0 if end == "hold" else REST_AT_END
     rise = height / speed
     times = [wait, rise]
     moves = [np.zeros(3), np.array([0.0, 0.0, height])]
@@ -186,15 +179,15 @@ def lift(
         times.append(wait)
         moves.append(np.zeros(3))
     if end == "swing":
-        stroke = SWING_STROKE * height if stroke is None else stroke
-        _positive(stroke=stroke)
+        stroke = SWING_STROKE * height
         times.append(stroke / SWING_SPEED)
-        moves.append(stroke * _horizontal(along, "along"))
+        moves.append(np.array([stroke, 0.0, 0.0]))
         # The gripper rests before the move, and accelerates within it.
         blends += [wait, stroke / SWING_SPEED]
     elif end == "drop":
         events.append(GripperEvent(time=sum(times), closed=False))
-    if _not_negative(after=after):
+    _require(math.isfinite(after) and after >= 0.0, f"after is {after}", "give seconds, 0 or more")
+    if after > 0.0:
         times.append(after)
         moves.append(np.zeros(3))
         blends.append(2.0 * after)
@@ -207,38 +200,15 @@ def lift(
     )
 
 
-def _point(value: ArrayLike, name: str) -> Array:
-    point = np.asarray(value, dtype=float)
-    if point.shape != (3,) or not np.isfinite(point).all():
-        raise _bad(f"{name} is {np.asarray(value).tolist()}", fix="give x, y, z in metres")
-    return point
+def _check_end(end: str) -> None:
+    _require(end in LIFT_ENDS, f"end is {end!r}", f"choose {', '.join(LIFT_ENDS)}")
 
 
-def _horizontal(value: ArrayLike, name: str) -> Array:
-    direction = _point(value, name)
-    if direction[2] != 0.0 or abs(np.linalg.norm(direction) - 1.0) > 1e-9:
-        raise _bad(f"{name} is {direction.tolist()}", fix="give a horizontal unit vector")
-    return direction
-
-
-def _known_end(end: str) -> None:
-    if end not in LIFT_ENDS:
-        raise _bad(f"end is {end!r}", fix=f"choose {', '.join(LIFT_ENDS)}")
-
-
-def _positive(**values: float) -> None:
+def _check_positive(**values: float) -> None:
     for name, value in values.items():
-        if not (math.isfinite(value) and value > 0.0):
-            raise _bad(f"{name} is {value}", fix="give a number above 0, in SI units")
+        positive = math.isfinite(value) and value > 0.0
+        _require(positive, f"{name} is {value}", "give a number above 0, in SI units")
 
 
-def _not_negative(**values: float) -> bool:
-    """Whether all are above 0, where none is below."""
-    for name, value in values.items():
-        if not (math.isfinite(value) and value >= 0.0):
-            raise _bad(f"{name} is {value}", fix="give a number of at least 0, in SI units")
-    return all(value > 0.0 for value in values.values())
-
-
-def _bad(what: str, *, fix: str | None = None) -> RobotError:
-    return RobotError(what, where="motion", fix=fix)
+def _require(holds: Any, what: str, fix: str) -> None:
+    require(holds, what, where="motion", fix=fix, error=RobotError)

@@ -23,27 +23,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from gendom.arguments import require
 from gendom.errors import RobotError
 
 Array = NDArray[np.float64]
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 """quat_xyzw of a gripper that points down, its fingers opening along the world's y."""
-
-
-def pointing_down(yaw: float = 0.0) -> Array:
-    """quat_xyzw [4] of a gripper that points down.
-
-    Args:
-        yaw: Turn about the world's z [rad]; 0: the fingers open along y, pi / 2: along x.
-    """
-    return (Rotation.from_rotvec([0.0, 0.0, yaw]) * Rotation.from_quat(DOWN)).as_quat()
 
 
 def pointing(approach: ArrayLike, fingers: ArrayLike) -> Array:
@@ -58,12 +51,14 @@ def pointing(approach: ArrayLike, fingers: ArrayLike) -> Array:
     """
     z, y = np.asarray(approach, dtype=float), np.asarray(fingers, dtype=float)
     lengths = np.linalg.norm(z), np.linalg.norm(y)
-    if min(lengths) == 0.0 or np.linalg.norm(np.cross(y, z)) < 1e-6 * lengths[0] * lengths[1]:
-        raise RobotError(
-            f"approach {z.tolist()} and fingers {y.tolist()} are parallel or zero",
-            where="gripper's orientation",
-            fix="give two directions, about at right angles",
-        )
+    apart = np.linalg.norm(np.cross(y, z)) >= 1e-6 * lengths[0] * lengths[1]
+    require(
+        min(lengths) > 0.0 and apart,
+        f"approach {z.tolist()} and fingers {y.tolist()} are parallel or zero",
+        where="gripper's orientation",
+        fix="give two directions, about at right angles",
+        error=RobotError,
+    )
     z = z / lengths[0]
     y = y - (y @ z) * z
     y = y / np.linalg.norm(y)
@@ -116,25 +111,22 @@ class TcpPath:
         time = np.atleast_1d(np.asarray(self.time, dtype=float))
         position = np.atleast_2d(np.asarray(self.position, dtype=float))
         quat = np.asarray(self.quat_xyzw, dtype=float)
-        if time.ndim != 1 or len(time) < 2 or position.shape != (len(time), 3):
-            raise _bad(
-                f"needs time [K >= 2] and position [K, 3], got {time.shape}, {position.shape}"
-            )
-        if quat.shape not in ((4,), (len(time), 4)):
-            raise _bad(f"needs quat_xyzw [4] or [{len(time)}, 4], got {quat.shape}")
-        if not (np.isfinite(time).all() and np.isfinite(position).all()):
-            raise _bad("holds a number that is not finite")
+        fits = time.ndim == 1 and len(time) >= 2 and position.shape == (len(time), 3)
+        shapes = f"{time.shape}, {position.shape}"
+        _require(fits, f"needs time [K >= 2] and position [K, 3], got {shapes}")
+        fits = quat.shape in ((4,), (len(time), 4))
+        _require(fits, f"needs quat_xyzw [4] or [{len(time)}, 4], got {quat.shape}")
+        finite = np.isfinite(time).all() and np.isfinite(position).all()
+        _require(finite, "holds a number that is not finite")
         size = np.sqrt(np.sum(quat * quat, axis=-1, keepdims=True))
-        if not (1e-6 <= size.min() and size.max() < math.inf):
-            raise _bad("has a quaternion that is zero or not finite")
-        if (time[1:] <= time[:-1]).any():
-            raise _bad("has times that do not increase from knot to knot")
-        if any(b.time < a.time for a, b in zip(self.events, self.events[1:], strict=False)):
-            raise _bad("has gripper events that are not in order of time")
-        if not self.max_blend > 0.0:
-            raise _bad(f"has max_blend {self.max_blend}")
-        if self.blend is not None and not 0.0 <= self.blend <= self.max_blend:
-            raise _bad(f"has blend {self.blend}, beyond its max_blend {self.max_blend}")
+        proper = 1e-6 <= size.min() and size.max() < math.inf
+        _require(proper, "has a quaternion that is zero or not finite")
+        _require((time[1:] > time[:-1]).all(), "has times that do not increase from knot to knot")
+        ordered = all(a.time <= b.time for a, b in pairwise(self.events))
+        _require(ordered, "has gripper events that are not in order of time")
+        _require(self.max_blend > 0.0, f"has max_blend {self.max_blend}")
+        within = self.blend is None or 0.0 <= self.blend <= self.max_blend
+        _require(within, f"has blend {self.blend}, beyond its max_blend {self.max_blend}")
         quat = quat / size
         for name, value in (("time", time), ("position", position), ("quat_xyzw", quat)):
             object.__setattr__(self, name, value)
@@ -179,48 +171,12 @@ class TcpPath:
 
     def position_at(self, time: ArrayLike, blend: float = 0.0) -> Array:
         """[..., 3] the tool point [m] at times [...] [s], rounded off by `blend` [s]."""
-        return self.position[0] + self._sum(time, blend, _ramp)
-
-    def velocity_at(self, time: ArrayLike, blend: float = 0.0) -> Array:
-        """[..., 3] its velocity [m/s]."""
-        return self._sum(time, blend, _ramp_speed)
-
-    def peak_acceleration(self, blend: float) -> float:
-        """The tool's largest acceleration [m/s^2] where the path is rounded off by `blend` [s]."""
-        jumps, knots = self._jumps
-        near = np.linspace(-0.5, 0.5, 33) * blend
-        time = np.unique(np.add.outer(knots, near))
-        a = self._sum(time, blend, _ramp_acceleration)
-        return float(np.linalg.norm(a, axis=-1).max()) if len(jumps) else 0.0
-
-    def gentle(self, acceleration: float) -> TcpPath:
-        """This path with the shortest `blend` of its own that keeps the tool's acceleration below
-        a limit [m/s^2].
-
-        Raises:
-            RobotError: Its `max_blend` is too short for that, or infinite.
-        """
-        if (
-            not math.isfinite(self.max_blend)
-            or self.peak_acceleration(self.max_blend) > acceleration
-        ):
-            raise _bad(f"cannot stay below {acceleration:g} m/s^2 within its max_blend")
-        low, high = 0.0, self.max_blend
-        while high - low > 1e-3 * high:
-            middle = 0.5 * (low + high)
-            if self.peak_acceleration(middle) > acceleration:
-                low = middle
-            else:
-                high = middle
-        return replace(self, blend=high)
-
-    def _sum(self, time: ArrayLike, blend: float, function) -> Array:
         time = np.asarray(time, dtype=float)
         total = np.zeros((*time.shape, 3))
         # one after the other: a matrix product may round differently from call to call
         for jump, knot in zip(*self._jumps, strict=True):
-            total += function(time - knot, blend)[..., None] * jump
-        return total
+            total += _ramp(time - knot, blend)[..., None] * jump
+        return self.position[0] + total
 
     @cached_property
     def _jumps(self) -> tuple[Array, Array]:
@@ -305,13 +261,13 @@ class TcpPaths:
         self.turning = np.array([path.quat_xyzw.ndim == 2 for path in self.paths])
         """[W] whether orientations change."""
         kinds = [(len(path.time), bool(path.blend)) for path in self.paths]
-        self._alike = [_Alike(self, kinds, kind) for kind in dict.fromkeys(kinds)]
+        self._groups = [_EquallyLong(self, kinds, kind) for kind in dict.fromkeys(kinds)]
 
     @cached_property
     def moves(self) -> Array:
         """[W] times at which the tools first move [s]; infinite: never."""
         moves = np.empty(len(self.paths))
-        for some in self._alike:
+        for some in self._groups:
             first = np.where(some.corner, some.time, np.inf).min(axis=1)
             moves[some.worlds] = first - 0.5 * some.blend[:, 0]
         return moves
@@ -320,25 +276,25 @@ class TcpPaths:
         """[W, T, 3] the tool points [m] at times [T] [s]."""
         t = np.asarray(time, dtype=float)
         found = np.empty((len(self.paths), len(t), 3))
-        for some in self._alike:
+        for some in self._groups:
             found[some.worlds] = some.position_at(t)
         return found
 
     def sampled(self, per_blend: int = 16) -> tuple[Array, Array, NDArray[np.intp]]:
         """Times [W, K] [s] and positions [W, K, 3] [m] as `TcpPath.sampled`, and how many of them
         each path has [W]; shorter ones repeat their last."""
-        parts = [some.sampled(per_blend) for some in self._alike]
+        parts = [some.sampled(per_blend) for some in self._groups]
         K = max(time.shape[1] for time, _, _ in parts)
         times, positions = np.empty((len(self.paths), K)), np.empty((len(self.paths), K, 3))
         counts = np.empty(len(self.paths), dtype=np.intp)
-        for some, (time, position, count) in zip(self._alike, parts, strict=True):
+        for some, (time, position, count) in zip(self._groups, parts, strict=True):
             last = np.minimum(np.arange(K), time.shape[1] - 1)
             times[some.worlds], positions[some.worlds] = time[:, last], position[:, last]
             counts[some.worlds] = count
         return times, positions, counts
 
 
-class _Alike:
+class _EquallyLong:
     """Those w of W paths that have K knots, and all a blend or all none."""
 
     def __init__(self, of: TcpPaths, kinds: Sequence[tuple[int, bool]], kind: tuple[int, bool]):
@@ -394,12 +350,6 @@ def _velocity_jumps(time: Array, position: Array) -> Array:
     return padded[..., 1:, :] - padded[..., :-1, :]
 
 
-def _ramp_acceleration(t: Array, blend: float) -> Array:
-    """R''."""
-    u = np.clip(t / blend + 0.5, 0.0, 1.0)
-    return 6.0 * u * (1.0 - u) / blend
-
-
 def _ramp(t: Array, blend: float | Array) -> Array:
     """R(t) above [s]; blends are all positive, or one is 0."""
     if np.ndim(blend) == 0 and blend <= 0.0:
@@ -408,13 +358,5 @@ def _ramp(t: Array, blend: float | Array) -> Array:
     return blend * (u**3 - 0.5 * u**4) + np.maximum(t - 0.5 * blend, 0.0)
 
 
-def _ramp_speed(t: Array, blend: float) -> Array:
-    """R'(t) above [-]."""
-    if blend <= 0.0:
-        return (t > 0.0).astype(float)
-    u = np.clip(t / blend + 0.5, 0.0, 1.0)
-    return u * u * (3.0 - 2.0 * u)
-
-
-def _bad(what: str, *, fix: str | None = None) -> RobotError:
-    return RobotError(what, where="path of the tool", fix=fix)
+def _require(holds: Any, what: str) -> None:
+    require(holds, what, where="path of the tool", error=RobotError)

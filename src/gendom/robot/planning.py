@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.robot.arm import Arm
-from gendom.robot.collision import ALONE, Surroundings, check_collisions
+from gendom.robot.collision import NO_OBSTACLES, Surroundings, check_collisions
 from gendom.robot.kinematics import (
     descend,
     describe,
@@ -35,15 +37,17 @@ SHORTEST_BLEND = 0.04
 """Shortest blend in the search [s]."""
 
 _KNOTS_A_BLEND = 16
-_STEP, _ANGLE_WAY = 0.003, 0.3  # [m], [m/rad]; the tool's way between two solved times
-_FARTHEST = 0.005  # [m]; that way at most, however fast the path is
-_SLOWEST = 0.2  # [s]; between them at most
-_PULL = 3.0  # [1/m]; towards home within the null space, for each metre of the tool's way
+_SPACING = 0.003  # [m]; the tool's movement between two solved times
+_LARGEST_SPACING = 0.005  # [m]; the same at most, however fast the path is
+_ANGLE_LENGTH = 0.3  # [m/rad]; a rotation of the tool counts as this movement
+_LONGEST_STEP = 0.2  # [s]; between two solved times at most
+_HOMING = 3.0  # [1/m]; towards home within the null space, for each metre the tool moves
 _POSTURES = 5  # configurations that a path is tried from
 _LARGEST_JUMP = 0.1  # [rad]; between two solved times: more asks for smaller steps
 _MARGIN = 1e-3  # [rad]; along paths joints keep so far from the ends of their ranges
-_MISSED, _REFINEMENTS = 3e-6, 8  # [m], [rad]; what splines may miss between two solved times
-_SMALLEST = 1e-5  # [m]; of which this is the smallest: what jumps here jumps
+_SPLINE_TOLERANCE = 3e-6  # [m], [rad]; by which splines may miss the path between solved times
+_REFINEMENTS = 8  # rounds in which knots are added until splines keep that tolerance
+_SMALLEST_SPACING = 1e-5  # [m]; joints that still jump at this spacing cannot follow the path
 
 # ---- from joint to joint -------------------------------------------------------------------------
 
@@ -55,13 +59,13 @@ def joint_move(
     *,
     share: float = 1.0,
     start: float = 0.0,
-    surroundings: Surroundings = ALONE,
+    surroundings: Surroundings = NO_OBSTACLES,
     opening: float = 0.0,
 ) -> JointMotion:
     """Move all joints from rest to rest, as fast as a share of the limits allows.
 
     A quintic in time, q = q_from + (q_to - q_from) (10 s^3 - 15 s^4 + 6 s^5): its largest speed
-    is 15 / 8, acceleration 10 / sqrt(3) and jerk 60 of the way over T, T^2 and T^3.
+    is 15 / 8, acceleration 10 / sqrt(3) and jerk 60 of the distance over T, T^2 and T^3.
 
     Args:
         arm: Its limits, the tool's speed included.
@@ -75,23 +79,20 @@ def joint_move(
         RobotError: An end is out of the joints' limits, the share is out of its range, or the
             arm collides on the way.
     """
-    if not 0.0 < share <= 1.0:
-        raise RobotError(f"share is {share}", where="joint move", fix="give 0 < share <= 1")
+    fix = "give 0 < share <= 1"
+    require(0.0 < share <= 1.0, f"share is {share}", where="joint move", fix=fix, error=RobotError)
     ends = [arm.check_q(q) for q in (q_from, q_to)]
     for q in ends:
         out = (q < arm.q_min) | (q > arm.q_max)
-        if out.any():
-            j = int(np.argmax(out))
-            raise RobotError(
-                f"joint {j + 1} at {q[j]:.4f} rad, limits {arm.q_min[j]:.4f} to {arm.q_max[j]:.4f}",
-                where=f"move of {arm.name}",
-                fix="choose another configuration",
-            )
-    way = np.abs(ends[1] - ends[0])
+        j = int(np.argmax(out))
+        what = f"joint {j + 1} at {q[j]:.4f} rad, limits {arm.q_min[j]:.4f} to {arm.q_max[j]:.4f}"
+        where, fix = f"move of {arm.name}", "choose another configuration"
+        require(not out.any(), what, where=where, fix=fix, error=RobotError)
+    distance = np.abs(ends[1] - ends[0])
     duration = max(
-        float(np.max(15.0 / 8.0 * way / (share * arm.max_speed))),
-        float(np.max(np.sqrt(10.0 / math.sqrt(3.0) * way / (share * arm.max_acceleration)))),
-        float(np.max(np.cbrt(60.0 * way / (share * arm.max_jerk)))),
+        float(np.max(15.0 / 8.0 * distance / (share * arm.max_speed))),
+        float(np.max(np.sqrt(10.0 / math.sqrt(3.0) * distance / (share * arm.max_acceleration)))),
+        float(np.max(np.cbrt(60.0 * distance / (share * arm.max_jerk)))),
         0.01,
     )
     s = np.linspace(0.0, 1.0, 65)
@@ -113,10 +114,9 @@ def follow(
     path: TcpPath,
     *,
     near: ArrayLike | None = None,
-    rate: float = SOLVED_RATE,
     blend: float | None = None,
     slow_down: bool = False,
-    surroundings: Surroundings = ALONE,
+    surroundings: Surroundings = NO_OBSTACLES,
     opening: float = 0.0,
 ) -> JointMotion:
     """Plan joint angles that move the tool along a path.
@@ -130,7 +130,6 @@ def follow(
         arm: The arm.
         path: Its corners are rounded off by `blend`.
         near: [J] joint angles to which the start should be close [rad]; None: home.
-        rate: Rate at which joint angles are solved [1/s], see `SOLVED_RATE`.
         blend: Blend [s]; None: the path's blend, or if it has none, the shortest that the joints'
             accelerations allow (within a few percent), at least `SHORTEST_BLEND`, at most the
             path's `max_blend`.
@@ -149,49 +148,73 @@ def follow(
     blend = path.blend if blend is None else blend
     # Splines overshoot a little where a joint comes to rest at its end.
     kept = replace(arm, q_min=arm.q_min + _MARGIN, q_max=arm.q_max - _MARGIN)
+
+    def planned(q: Array) -> JointMotion:
+        motion = _from_posture(kept, path, q, blend)
+        check_collisions(arm, motion, surroundings, opening=opening)
+        return motion
+
     postures = solutions(kept, path.pose_at(path.start), near=near)[:_POSTURES]
-    best: JointMotion | None = None
-    refusal: RobotError | None = None
-    for q in postures:
-        try:
-            motion = _from_posture(kept, path, q, rate, blend)
-            check_collisions(arm, motion, surroundings, opening=opening)
-        except RobotError as error:
-            refusal = refusal or error
-            continue
-        if not any(use.exceeded for use in motion.limit_uses(arm)):
-            return motion
-        if best is None or _badness(motion, arm) < _badness(best, arm):
-            best = motion
-    if best is None:
-        assert refusal is not None
-        raise refusal
-    if not slow_down or any(u.exceeded and u.kind == "angle" for u in best.limit_uses(arm)):
+    best = _first_within_limits(arm, postures, planned)
+    uses = best.limit_uses(arm)
+    if not any(use.exceeded for use in uses):
+        return best
+    if not slow_down or any(use.exceeded and use.kind == "angle" for use in uses):
         best.check_limits(arm)
     motion = in_time(arm, best)
     shortest = min(SHORTEST_BLEND, path.max_blend)
     if blend is None and best.blend > shortest:
         # The blend was chosen for the path's speed; at a lower speed a shorter one may suffice.
-        sharper = in_time(arm, _track(kept, path, best.q[0], rate, shortest))
+        sharper = in_time(arm, _track(kept, path, best.q[0], shortest))
         motion = min(motion, sharper, key=lambda m: m.end - m.start)
     motion.check_limits(arm)
     check_collisions(arm, motion, surroundings, opening=opening)
     return motion
 
 
-def _badness(motion: JointMotion, arm: Arm) -> tuple[bool, float]:
+def _first_within_limits(
+    arm: Arm, postures: Sequence[Array], planned: Callable[[Array], JointMotion]
+) -> JointMotion:
+    """The first motion within all limits; if there is none, the one that exceeds them least.
+
+    Args:
+        arm: Its limits.
+        postures: Joint angles [J] to start from.
+        planned: The motion from a posture; raises RobotError where there is none.
+
+    Raises:
+        RobotError: There is no motion from any posture: that of the first.
+    """
+    best: JointMotion | None = None
+    refusal: RobotError | None = None
+    for q in postures:
+        try:
+            motion = planned(q)
+        except RobotError as error:
+            refusal = refusal or error
+            continue
+        if not any(use.exceeded for use in motion.limit_uses(arm)):
+            return motion
+        if best is None or _excess(motion, arm) < _excess(best, arm):
+            best = motion
+    if best is None:
+        assert refusal is not None
+        raise refusal
+    return best
+
+
+def _excess(motion: JointMotion, arm: Arm) -> tuple[bool, float]:
+    """Whether angles leave their ranges, and by how much the motion is too fast: for comparison."""
     out = any(use.exceeded and use.kind == "angle" for use in motion.limit_uses(arm))
     return out, motion.slowdown(arm)
 
 
-def _from_posture(
-    arm: Arm, path: TcpPath, q: Array, rate: float, blend: float | None
-) -> JointMotion:
+def _from_posture(arm: Arm, path: TcpPath, q: Array, blend: float | None) -> JointMotion:
     """The path from one configuration, with the shortest blend that keeps accelerations."""
     if blend is not None:
-        return _track(arm, path, q, rate, blend)
+        return _track(arm, path, q, blend)
     blend = min(SHORTEST_BLEND, path.max_blend)
-    motion = _track(arm, path, q, rate, blend)
+    motion = _track(arm, path, q, blend)
     too_short = 0.0
     for _ in range(8):
         use = _acceleration_use(motion, arm)
@@ -203,13 +226,13 @@ def _from_posture(
         if longer > max(path.end - path.start, 4.0 * SHORTEST_BLEND):
             break
         too_short, blend = blend, longer
-        motion = _track(arm, path, q, rate, blend)
+        motion = _track(arm, path, q, blend)
     # A blend longer than a move between two stops counts twice, so the last step was too long.
     while too_short > 0.0 and motion.blend > 1.06 * too_short:
         if _acceleration_use(motion, arm) > 1.0:
             break
         between = math.sqrt(too_short * motion.blend)
-        shorter = _track(arm, path, q, rate, between)
+        shorter = _track(arm, path, q, between)
         if _acceleration_use(shorter, arm) <= 1.0:
             motion = shorter
         else:
@@ -221,20 +244,20 @@ def _acceleration_use(motion: JointMotion, arm: Arm) -> float:
     return max(use.share for use in motion.limit_uses(arm) if use.kind == "acceleration")
 
 
-def _track(arm: Arm, path: TcpPath, q: Array, rate: float, blend: float) -> JointMotion:
+def _track(arm: Arm, path: TcpPath, q: Array, blend: float) -> JointMotion:
     """Solve the joint angles along a path, each from the one before."""
-    ahead = list(_solved_times(path, rate, blend)[::-1])
+    ahead = list(_solved_times(path, blend)[::-1])
     times, found = [ahead.pop()], [q]
     while ahead:
         T = path.pose_at(ahead[-1], blend)
-        step = step_towards(arm, T, found[-1], arm.home, pull=_PULL)
+        step = step_towards(arm, T, found[-1], arm.home, homing=_HOMING)
         if step is not None and np.abs(step - found[-1]).max() <= _LARGEST_JUMP:
             times.append(ahead.pop())
             found.append(step)
             continue
         # Near a stretched arm some millimetres are large turns: smaller steps lead there.
-        if _way(T, path.pose_at(times[-1], blend)) < _SMALLEST:
-            raise _lost(arm, T, found[-1], step, ahead[-1])
+        if _movement(T, path.pose_at(times[-1], blend)) < _SMALLEST_SPACING:
+            raise _not_followed(arm, T, found[-1], step, ahead[-1])
         ahead.append(0.5 * (times[-1] + ahead[-1]))
     time, solved = _refined(arm, path, blend, np.array(times), np.array(found))
     return JointMotion(
@@ -243,7 +266,6 @@ def _track(arm: Arm, path: TcpPath, q: Array, rate: float, blend: float) -> Join
         events=path.events,
         blend=blend,
         deviation=path.deviation(blend),
-        path_time=time,
     )
 
 
@@ -253,13 +275,13 @@ def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tu
         middle = 0.5 * (time[1:] + time[:-1])
         guess = np.clip(JointMotion(time=time, q=q).at(middle), arm.q_min, arm.q_max)
         poses = path.pose_at(middle, blend)
-        missed = np.abs(pose_error(poses, tcp_pose(arm, guess))).max(axis=1) > _MISSED
+        missed = np.abs(pose_error(poses, tcp_pose(arm, guess))).max(axis=1) > _SPLINE_TOLERANCE
         if not missed.any():
             break
-        between, error = descend(arm, poses[missed], guess[missed], arm.home, pull=0.0)
+        between, error = descend(arm, poses[missed], guess[missed], arm.home, homing=0.0)
         if not reached(error).all():
             k = int(np.argmin(reached(error)))
-            raise _lost(arm, poses[missed][k], between[k], None, middle[missed][k])
+            raise _not_followed(arm, poses[missed][k], between[k], None, middle[missed][k])
         time = np.concatenate([time, middle[missed]])
         q = np.concatenate([q, between])
         order = np.argsort(time)
@@ -267,7 +289,7 @@ def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tu
     return time, q
 
 
-def _solved_times(path: TcpPath, rate: float, blend: float) -> Array:
+def _solved_times(path: TcpPath, blend: float) -> Array:
     """Times [K] [s]: dense where the path is rounded, elsewhere spaced by the tool's movement."""
     start, end = path.start - 0.5 * blend, path.end + 0.5 * blend
     corners = path.corners()
@@ -277,23 +299,23 @@ def _solved_times(path: TcpPath, rate: float, blend: float) -> Array:
     for a, b in pairwise(edges):
         if b - a < 1e-9:
             continue
-        way = _way(*path.pose_at(np.array([b, a]), blend))
+        moved = _movement(*path.pose_at(np.array([b, a]), blend))
         if np.any(np.abs(corners - 0.5 * (a + b)) < 0.5 * blend):
-            steps = (b - a) * max(_KNOTS_A_BLEND / blend, rate)
+            steps = (b - a) * max(_KNOTS_A_BLEND / blend, SOLVED_RATE)
         else:
-            steps = min(max(way / _STEP, (b - a) / _SLOWEST), (b - a) * rate)
-        steps = max(steps, way / _FARTHEST)
+            steps = min(max(moved / _SPACING, (b - a) / _LONGEST_STEP), (b - a) * SOLVED_RATE)
+        steps = max(steps, moved / _LARGEST_SPACING)
         times.extend(np.linspace(a, b, max(math.ceil(steps - 1e-6), 1) + 1)[1:])
     return np.array(times)
 
 
-def _way(T: Array, T_from: Array) -> float:
+def _movement(T: Array, T_from: Array) -> float:
     """Distance between two poses of the tool [m], including rotation."""
-    way, turn = np.split(pose_error(T, T_from), 2)
-    return float(np.linalg.norm(way) + _ANGLE_WAY * np.linalg.norm(turn))
+    shift, turn = np.split(pose_error(T, T_from), 2)
+    return float(np.linalg.norm(shift) + _ANGLE_LENGTH * np.linalg.norm(turn))
 
 
-def _lost(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:
+def _not_followed(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:
     """Error: after joint angles [J] the path requires a jump of the joints, or is out of reach."""
     if step is not None:
         jump = np.abs(step - q)
@@ -303,7 +325,7 @@ def _lost(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> Robo
             where=f"path of {arm.name}",
             fix="move or turn the path away from there",
         )
-    left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, pull=0.0))
+    left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, homing=0.0))
     off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
     off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
     held = np.flatnonzero((left <= arm.q_min) | (left >= arm.q_max))

@@ -7,18 +7,16 @@ distance of the fingers' inner faces in metres.
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.errors import RobotError
-from gendom.files import is_cut
+from gendom.files import read_number_table
 from gendom.robot.arm import Arm
 
 
@@ -49,45 +47,27 @@ def read_joints(
         RobotError: The file cannot be read, a row is malformed or out of order, or a joint is
             out of its range by more than 0.1 rad, as angles in degrees are.
     """
-    path = Path(path)
     expected = ["time", *(f"q{j}" for j in range(arm.joints))]
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
-            file.seek(0)
-            whole = file.read().endswith(("\n", "\r"))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RobotError(
-            f"cannot be read ({error})", where=str(path), fix="save it as CSV"
-        ) from None
-    header = lines[0][1] if lines else []
-    if header not in (expected, [*expected, "gripper"]) or len(lines) < 2:
-        raise RobotError(
-            f"has the header {','.join(header)[:60]!r}" if len(lines) != 1 else "has no rows",
-            where=str(path),
-            fix=f"write rows under {','.join(expected)}[,gripper]",
-        )
-    number, last = lines[-1]
-    if on_cut is not None and not whole and len(lines) > 2 and is_cut(last, len(header)):
-        on_cut(number)
-        del lines[-1]
-    table = np.empty((len(lines) - 1, len(header)))
-    for i, (number, row) in enumerate(lines[1:]):
-        where = f"{path}, line {number}"
-        try:
-            table[i] = [float(text) for text in row]
-        except ValueError:
-            table[i] = np.nan
-        said = f"is no joint state: {','.join(row)[:60]!r}"
-        fix = "give seconds, radians and metres"
-        require(np.isfinite(table[i]).all(), said, where=where, fix=fix, error=RobotError)
-        if i:
-            before, time = table[i - 1 : i + 1, 0]
-            said = f"time goes from {before:g} to {time:g} s"
-            require(time > before, said, where=where, fix="sort the rows", error=RobotError)
-        _check_state(arm, table[i, 1:], where)
-    opening = table[:, -1] if len(header) > len(expected) else None
+    form = f"{','.join(expected)}[,gripper]"
+
+    def check_header(names: list[str]) -> None:
+        known, what = (expected, [*expected, "gripper"]), f"has the header {','.join(names)[:60]!r}"
+        fix = f"write rows under {form}"
+        require(names in known, what, where=str(path), fix=fix, error=RobotError)
+
+    names, table, lines = read_number_table(
+        path, header=form, check_header=check_header, on_cut=on_cut, error=RobotError
+    )
+    before = -np.inf
+    for line, row in zip(lines, table, strict=True):
+        where, fix = f"{path}, line {line}", "give seconds, radians and metres"
+        finite = np.isfinite(row).all()
+        require(finite, "a number is not finite", where=where, fix=fix, error=RobotError)
+        what = f"time goes from {before:g} to {row[0]:g} s"
+        require(row[0] > before, what, where=where, fix="sort the rows", error=RobotError)
+        before = row[0]
+        _check_state(arm, row[1:], where)
+    opening = table[:, -1] if len(names) > len(expected) else None
     return JointStates(table[:, 0], table[:, 1 : 1 + arm.joints], opening)
 
 

@@ -25,11 +25,11 @@ from gendom.robot.motion import JointMotion
 
 Array = NDArray[np.float64]
 
-_FINER = 4  # points of the grid between two knots of the motion
-_LONGEST = 0.01  # [s] of the path's time between two of them at most
+_POINTS_A_KNOT = 4  # points of the grid between two knots of the motion
+_LONGEST_STEP = 0.01  # [s] of the path's time between two of them at most
 _ROUNDS = 12  # in which accelerations of the spline through the grid are brought within limits
-_AIM = 0.998  # share of the limits that is aimed at
-_STILL = 1e-9  # [rad]; joints that turn less for each second of the path's time stand still
+_SAFETY = 0.998  # share of the limits that is aimed at
+_MIN_SPEED = 1e-9  # [rad/s]; joints slower than this on the path's own clock stand still
 
 
 def in_time(arm: Arm, motion: JointMotion) -> JointMotion:
@@ -42,17 +42,16 @@ def in_time(arm: Arm, motion: JointMotion) -> JointMotion:
         motion: The motion with the requested timing.
 
     Returns:
-        A motion along the same path. Its `path_time` gives the path time at its knots; `slowed_by`
-        is its duration over that of `motion`.
+        A motion along the same path. Its `slowed_by` is its duration over that of `motion`.
     """
     s = _grid(motion)
     q, v, a = motion.spline(s), motion.spline(s, 1), motion.spline(s, 2)
-    highest = _highest(arm, q, v)
-    allowed = np.full(len(s), _AIM)
+    highest = _speed_bounds(arm, q, v)
+    allowed = np.full(len(s), _SAFETY)
     best = None
     for _ in range(_ROUNDS):
-        time = motion.start + _times(s, _paces(s, v, a, highest, arm, allowed))
-        done = _at_times(motion, s, time, q)
+        time = motion.start + _times(s, _speed_profile(s, v, a, highest, arm, allowed))
+        done = _retimed(motion, s, time, q)
         excess = np.abs(done.acceleration_at(done.time) / arm.max_acceleration).max(axis=1)
         done = done.stretched(max(1.0, done.slowdown(arm)))
         if best is None or done.end < best.end:
@@ -65,7 +64,7 @@ def in_time(arm: Arm, motion: JointMotion) -> JointMotion:
         for shift in (1, 2):
             worst[shift:] = np.maximum(worst[shift:], excess[:-shift])
             worst[:-shift] = np.maximum(worst[:-shift], excess[shift:])
-        allowed = np.where(worst > 1.0, allowed * _AIM / worst, allowed)
+        allowed = np.where(worst > 1.0, allowed * _SAFETY / worst, allowed)
     assert best is not None
     duration = motion.end - motion.start
     return replace(best, slowed_by=motion.slowed_by * (best.end - best.start) / duration)
@@ -75,19 +74,19 @@ def _grid(motion: JointMotion) -> Array:
     """Path times at which limits are evaluated, [N]."""
     parts = [motion.time[:1]]
     for a, b in zip(motion.time[:-1], motion.time[1:], strict=True):
-        steps = max(_FINER, int(np.ceil((b - a) / _LONGEST)))
+        steps = max(_POINTS_A_KNOT, int(np.ceil((b - a) / _LONGEST_STEP)))
         parts.append(np.linspace(a, b, steps + 1)[1:])
     return np.concatenate(parts)
 
 
-def _highest(arm: Arm, q: Array, v: Array) -> Array:
+def _speed_bounds(arm: Arm, q: Array, v: Array) -> Array:
     """Largest x allowed by limits of speed and by the path's own speed, [N]."""
     tool = np.linalg.norm((jacobian(arm, q)[:, :3] @ v[..., None])[..., 0], axis=1)
     use = np.maximum(np.abs(v / arm.max_speed).max(axis=1), tool / arm.max_tcp_speed)
-    return np.minimum(1.0, (_AIM / np.maximum(use, 1e-12)) ** 2)
+    return np.minimum(1.0, (_SAFETY / np.maximum(use, 1e-12)) ** 2)
 
 
-def _paces(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allowed: Array) -> Array:
+def _speed_profile(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allowed: Array) -> Array:
     """Values of x at the points of the grid, [N]."""
     step = 2.0 * np.diff(s)
     n = len(s)
@@ -96,7 +95,7 @@ def _paces(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allowed: Arra
     slope = np.concatenate([v[:-1], v[1:] + a[1:] * step[:, None]], axis=1)
     curve = np.concatenate([a[:-1], a[1:]], axis=1)
     most = np.concatenate([limit[:-1], limit[1:]], axis=1)
-    turning = np.abs(slope) > _STILL
+    turning = np.abs(slope) > _MIN_SPEED
     with np.errstate(divide="ignore", invalid="ignore"):
         top = np.where(turning, most / np.abs(slope), np.inf)  # -top - lean x <= u <= top - lean x
         lean = np.where(turning, curve / slope, 0.0)
@@ -126,12 +125,12 @@ def _times(s: Array, x: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (pace[:-1] + pace[1:]))])
 
 
-def _at_times(motion: JointMotion, s: Array, time: Array, q: Array) -> JointMotion:
-    events = tuple(replace(e, time=float(_later(e.time, s, time))) for e in motion.events)
-    return replace(motion, time=time, q=q, events=events, path_time=s, slowed_by=1.0)
+def _retimed(motion: JointMotion, s: Array, time: Array, q: Array) -> JointMotion:
+    events = tuple(replace(e, time=float(_to_motion_time(e.time, s, time))) for e in motion.events)
+    return replace(motion, time=time, q=q, events=events, slowed_by=1.0)
 
 
-def _later(moment: float, s: Array, time: Array) -> float:
+def _to_motion_time(moment: float, s: Array, time: Array) -> float:
     """Convert a path time to motion time; before and after the motion time is not scaled."""
     if moment <= s[0]:
         return time[0] + moment - s[0]

@@ -105,7 +105,6 @@ XARM7 = Arm(
     max_acceleration=np.full(7, math.radians(1145.0)),
     max_jerk=np.full(7, math.radians(28647.0)),
     max_tcp_speed=1.0,
-    payload=3.5,
     # The gripper points straight down, 0.41 m in front of the base and 0.21 m above it.
     home=np.array([0.0, -0.2, 0.0, 0.9, 0.0, 1.1, 0.0]),
     capsules=_CAPSULES,

@@ -25,7 +25,7 @@ from typing import ClassVar
 import numpy as np
 from PIL import Image, ImageDraw
 
-from gendom.errors import ParameterError
+from gendom.arguments import require
 from gendom.materials import Cloth, Item, Material, size_of, thickness_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
 from gendom.tasks.task import (
@@ -51,7 +51,7 @@ RANGES = {
     "density": (150.0, 1200.0),
 }
 
-STEPS = 16
+DOWN_STEPS = 16
 """In which a cloth is brought down."""
 
 HEIGHT = 0.8
@@ -66,7 +66,7 @@ STEP_TIME = 0.28
 RISE_SPEED = 0.14
 """At which a cloth is raised [sqrt(g L)]: 0.2 m/s for a side of 0.2 m."""
 
-WAIT, SETTLE, AFTER = 3.0, 7.0, 7.0
+WAIT, SETTLE, REST_AT_END = 3.0, 7.0, 7.0
 """Still before it is raised, at the top for the cloth to hang still, and at the end, for it to come
 to rest [sqrt(L / g)]."""
 
@@ -75,10 +75,10 @@ OFF_CENTRE = (0.015, 0.0065)
 hands err. Held exactly there it would hang symmetrically, which is unstable: rounding would decide
 how it folds."""
 
-FINGERS = 0.0125
+GRIP = 0.0125
 """Half the breadth of the fingers: how much of the centre they hold [m]."""
 
-LOWEST = 0.002
+MIN_HEIGHT = 0.002
 """Lowest place of the tool point [m]: fingers reach 1 mm below it."""
 
 START = 0.32
@@ -89,9 +89,9 @@ SPREAD = 0.75
 
 SEARCHED = tuple(round(0.05 * k, 2) for k in range(14))
 """Values of A among which the smallest that spreads a cloth is looked for; at first every
-`STRIDE`-th, then those just below the smallest of them that does."""
+`COARSE_STEP`-th, then those just below the smallest of them that does."""
 
-STRIDE = 3
+COARSE_STEP = 3
 
 FLAT_ANGLE, FLAT_HEIGHT = math.radians(20.0), 0.05
 """What lies flat is inclined by at most this [rad], and at most so high above the table [sides]."""
@@ -109,7 +109,7 @@ class ClothSpreading(Task):
 
     Action: A [-], the paper's acceleration, 0 to 0.65. There is no goal but to be spread: policies
     give the A for an object. `share` is how much of the cloth lies spread, smooth and free of
-    wrinkles (see `spread_share`), `unspread` how much does not, `covered` how much of the table it
+    wrinkles (see `spread_areas`), `unspread` how much does not, `covered` how much of the table it
     covers over its own area: the paper's extended ratio. An object's best A is the smallest that
     reaches a share of 0.75.
     """
@@ -145,19 +145,19 @@ class ClothSpreading(Task):
     def scene(self, item: Item) -> Scene:
         return Scene(
             origin=(0.0, 0.0, 0.5 * thickness_of(item)),
-            grip=FINGERS,
+            grip=GRIP,
             table=0.0,
             self_contact=True,
         )
 
     def tool_path(self, item: Item, action: Array) -> TcpPath:
         side, second = size_of(item), unit_of("s", item)
-        low = max(0.5 * thickness_of(item), LOWEST)
+        low = max(0.5 * thickness_of(item), MIN_HEIGHT)
         down = np.concatenate([[0.0], np.cumsum(step_shares(float(action[0])))])
         raised = self.height / RISE_SPEED
         begins = raised + SETTLE
         time = np.concatenate(
-            [[-WAIT, 0.0, raised], begins + self.step_time * np.arange(STEPS + 1), [self.end]]
+            [[-WAIT, 0.0, raised], begins + self.step_time * np.arange(DOWN_STEPS + 1), [self.end]]
         )
         height = np.concatenate([[0.0, 0.0, 1.0], 1.0 - down, [0.0]])
         position = np.zeros((len(time), 3))
@@ -168,22 +168,20 @@ class ClothSpreading(Task):
             position=position,
             quat_xyzw=np.array(DOWN),
             events=(GripperEvent(time=-WAIT * second, closed=True),),
-            max_blend=second * min(2.0 * WAIT, SETTLE, 2.0 * AFTER),
+            max_blend=second * min(2.0 * WAIT, SETTLE, 2.0 * REST_AT_END),
         )
 
     @property
     def end(self) -> float:
         """When all is over [sqrt(L / g)]."""
-        return self.height / RISE_SPEED + SETTLE + STEPS * self.step_time + AFTER
+        return self.height / RISE_SPEED + SETTLE + DOWN_STEPS * self.step_time + REST_AT_END
 
     def times(self, item: Item) -> Array:
         return unit_of("s", item) * np.array([self.end])
 
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
         x = seen.points[-1] / size_of(item)
-        triangles = lattice_triangles(*seen.lattice)
-        flat = _lie_flat(x, triangles)
-        share, covered = _covered_areas(x, triangles[flat], triangles[~flat])
+        share, covered = spread_areas(x, lattice_triangles(*seen.lattice))
         return {"share": share, "unspread": 1.0 - share, "covered": covered}
 
     def error(self, item: Item, goal: Array, values: Mapping[str, float]) -> float:
@@ -206,7 +204,9 @@ class ClothSpreading(Task):
         share = np.full((W, len(SEARCHED)), np.nan)
         kept: list[dict[int, Outcome]] = [{} for _ in items]
         waiting = {
-            (w, k) for w in range(W) for k in {*range(0, len(SEARCHED), STRIDE), len(SEARCHED) - 1}
+            (w, k)
+            for w in range(W)
+            for k in {*range(0, len(SEARCHED), COARSE_STEP), len(SEARCHED) - 1}
         }
         while waiting:
             tried = sorted(waiting)
@@ -223,7 +223,7 @@ class ClothSpreading(Task):
                 (w, k)
                 for w in range(W)
                 for k in range(_first(share[w] >= SPREAD))
-                if k > _first(share[w] >= SPREAD) - STRIDE and k not in kept[w]
+                if k > _first(share[w] >= SPREAD) - COARSE_STEP and k not in kept[w]
             }
         chosen = np.empty(W, dtype=int)
         outcomes = []
@@ -256,9 +256,9 @@ def step_shares(A: float) -> Array:
     Raises:
         ParameterError: A is negative or not finite.
     """
-    if not (math.isfinite(A) and A >= 0.0):
-        raise ParameterError(f"A is {A}", where="action", fix="give a number of at least 0")
-    i = np.arange(1, STEPS + 1)
+    good, fix = math.isfinite(A) and A >= 0.0, "give a number of at least 0"
+    require(good, f"A is {A}", where="action", fix=fix)
+    i = np.arange(1, DOWN_STEPS + 1)
     steps = np.maximum(1.0 + np.where(i <= 8, 0.5 * i - 4.5, 0.5 * i - 4.0) * A, 0.0)
     return steps / steps.sum()
 
@@ -272,48 +272,35 @@ def lattice_triangles(rows: int, columns: int) -> np.ndarray:
     return np.concatenate([h.reshape(-1, 3) for h in halves])
 
 
-def spread_share(x: Array, triangles: np.ndarray) -> float:
-    """Share of a cloth that lies spread, smooth and free of wrinkles.
+def spread_areas(x: Array, triangles: np.ndarray) -> tuple[float, float]:
+    """Share of a cloth that lies spread, and the area of the table under all of it [sides^2].
 
-    What counts is the area of the table under triangles that lie flat: inclined by at most 20
-    degrees, at most 0.05 sides above it. What lies below another layer does not count twice.
+    What lies spread is smooth and free of wrinkles: the area of the table under triangles that lie
+    flat, inclined by at most 20 degrees and at most 0.05 sides above it. What lies below another
+    layer does not count twice.
 
     Args:
         x: [V, 3] vertices [sides]; the table is z = 0.
         triangles: [F, 3].
     """
-    return covered_area(x, triangles[_lie_flat(x, triangles)])
-
-
-def _lie_flat(x: Array, triangles: np.ndarray) -> np.ndarray:
-    """[F] which triangles lie flat on the table, see `spread_share`."""
-    corners = x[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.linalg.norm(normal, axis=1)
-    level = np.abs(normal[:, 2]) >= math.cos(FLAT_ANGLE) * np.maximum(size, 1e-30)
-    return level & (corners[:, :, 2].max(axis=1) <= FLAT_HEIGHT)
-
-
-def covered_area(x: Array, triangles: np.ndarray) -> float:
-    """Area of the table under a cloth [sides^2], seen from straight above.
-
-    Args:
-        x: [V, 3] vertices [sides].
-        triangles: [F, 3] those that count.
-    """
-    return _covered_areas(x, triangles)[0]
-
-
-def _covered_areas(x: Array, *parts: np.ndarray) -> list[float]:
-    """`covered_area` of the first part of a cloth's triangles, of the first two, and so on."""
+    flat = _lie_flat(x, triangles)
     pixels = (x[:, :2] - x[:, :2].min(axis=0)) / PIXEL
     width, height = (int(p) + 2 for p in pixels.max(axis=0))
     picture = Image.new("1", (width, height))
     draw = ImageDraw.Draw(picture)
     areas = []
-    for triangles in parts:
-        for triangle in pixels[triangles].reshape(-1, 6).tolist():
+    for part in (triangles[flat], triangles[~flat]):
+        for triangle in pixels[part].reshape(-1, 6).tolist():
             draw.polygon(triangle, fill=1)
         # pixels that a border crosses count as covered
         areas.append(min(float(np.asarray(picture).sum()) * PIXEL**2, 1.0))
-    return areas
+    return areas[0], areas[1]
+
+
+def _lie_flat(x: Array, triangles: np.ndarray) -> np.ndarray:
+    """[F] which triangles lie flat on the table."""
+    corners = x[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    level = np.abs(normal[:, 2]) >= math.cos(FLAT_ANGLE) * np.maximum(size, 1e-30)
+    return level & (corners[:, :, 2].max(axis=1) <= FLAT_HEIGHT)

@@ -18,7 +18,7 @@ from gendom.materials import STANDARD_GRAVITY, Item, size_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
 from gendom.tasks.task import ROPE, ROPE_RANGES, Array, Observed, Quantity, Scene, Task
 
-WAY = (0.4, 0.9)
+MOVE_LENGTH = (0.4, 0.9)
 """How far the hand goes [L]."""
 
 SPEED = (0.25, 0.46)
@@ -37,7 +37,7 @@ pendulum of this length swings forth and half back in 2.6."""
 WATCHED_WHOLE = 10.0
 """The same where the whole motion counts."""
 
-STILL = 0.01
+STANDS_WITHIN = 0.01
 """The hand stands once it is this near to where it ends [L]."""
 
 FRAMES = 200
@@ -91,7 +91,7 @@ class RopeCasting(Task):
     """Whether the highest point of the whole motion counts, not that of the first swing."""
 
     def limits(self, item: Item) -> Array:
-        return size_of(item) * np.array([WAY])
+        return size_of(item) * np.array([MOVE_LENGTH])
 
     def scene(self, item: Item) -> Scene:
         L = size_of(item)
@@ -123,12 +123,12 @@ class RopeCasting(Task):
     def _watched(self) -> float:
         """How long the tip is looked at [sqrt(L / g)]."""
         slowest = min(self.speed, SPEED[0]) if len(self.actions) > 1 else self.speed
-        return WAY[1] / slowest + (WATCHED_WHOLE if self.whole_motion else WATCHED)
+        return MOVE_LENGTH[1] / slowest + (WATCHED_WHOLE if self.whole_motion else WATCHED)
 
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
         x, z = seen.tip[:, 0], seen.tip[:, 2]
         hand = seen.hand[:, 0]
-        stands = np.abs(hand - hand[-1]) <= STILL * size_of(item)
+        stands = np.abs(hand - hand[-1]) <= STANDS_WITHIN * size_of(item)
         ahead = stands & (x > hand)
         begin = int(np.argmax(ahead))
         behind = np.flatnonzero(~ahead[begin:])
@@ -147,7 +147,7 @@ class RopeCasting(Task):
         # x runs along the base's y, the middle of the longest cast straight ahead
         T = np.eye(4)
         T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-        T[:3, 3] = [PLACE[0], -0.5 * WAY[1] * size_of(item), PLACE[1]]
+        T[:3, 3] = [PLACE[0], -0.5 * MOVE_LENGTH[1] * size_of(item), PLACE[1]]
         return T
 
 

@@ -133,7 +133,7 @@ class RopeReaching(Task):
         return TcpPath(
             time=second * np.array([-WAIT, 0.0, ARRIVES, ENDS]),
             position=np.array([tip, tip, release, release]),
-            quat_xyzw=AWAY,
+            quat_xyzw=POINTING_FORWARD,
             events=(
                 GripperEvent(time=-WAIT * second, closed=True),
                 GripperEvent(time=RELEASES * second, closed=False),
@@ -163,6 +163,6 @@ ACROSS_THE_ARM = np.array(
 )
 """[4, 4] the task's frame in the robot's base frame [m]."""
 
-AWAY = pointing((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
+POINTING_FORWARD = pointing((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
 """quat_xyzw in the task's frame of a gripper that points along y, away from the arm, its fingers
 opening along x: so it is not in the rope's way."""

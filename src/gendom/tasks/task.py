@@ -21,6 +21,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gendom.arguments import check_choice, require
 from gendom.errors import ParameterError
 from gendom.materials import QUANTITIES, Item, Material, Rope, from_columns, to_columns, unit_of
 from gendom.materials.names import with_current_names
@@ -204,33 +205,23 @@ class Task(ABC):
     (``E``: E / density); those that are not named stay as they are in `item`."""
 
     def __post_init__(self) -> None:
-        if self.item.kind != self.kind:
-            raise ParameterError(f"{self.name} takes a {self.kind}, not a {self.item.kind}")
+        kind = self.item.kind
+        require(kind == self.kind, f"{self.name} takes a {self.kind}, not a {kind}")
         for name, (low, high) in self.ranges.items():
-            if name not in QUANTITIES:
-                raise ParameterError(
-                    f"no parameter {name!r} can be drawn", fix=f"choose {', '.join(QUANTITIES)}"
-                )
-            log = QUANTITIES[name].log
-            if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-                raise ParameterError(
-                    f"is {low} to {high}",
-                    where=f"range of {name}",
-                    fix="give two finite numbers, the lower one first",
-                )
-            if low < 0.0 or (log and low == 0.0 and high > 0.0):
-                raise ParameterError(
-                    f"is {low} to {high}",
-                    where=f"range of {name}",
-                    fix="give positive numbers, the smaller one first",
-                )
-            for end in (low, high):
-                try:
-                    self._item_with({name: end})
-                except ParameterError as error:
-                    raise ParameterError(
-                        error.what, where=f"range of {name}", fix=error.fix
-                    ) from None
+            check_choice("parameter", name, QUANTITIES, where=f"ranges of {self.name}")
+            self._check_range(name, low, high)
+
+    def _check_range(self, name: str, low: float, high: float) -> None:
+        what, where = f"is {low} to {high}", f"range of {name}"
+        ordered = math.isfinite(low) and math.isfinite(high) and low <= high
+        require(ordered, what, where=where, fix="give two finite numbers, the lower one first")
+        positive = low > 0.0 or (low == 0.0 and (high == 0.0 or not QUANTITIES[name].log))
+        require(positive, what, where=where, fix="give positive numbers, the smaller one first")
+        for end in (low, high):
+            try:
+                self._item_with({name: end})
+            except ParameterError as error:
+                raise ParameterError(error.what, where=where, fix=error.fix) from None
 
     # ---- what a task's file says -----------------------------------------------------------------
 
@@ -305,24 +296,18 @@ class Task(ABC):
         """
         names = [q.name for q in self.actions]
         a = np.atleast_1d(np.asarray(action, dtype=float))
-        if a.shape != (len(names),) or not np.isfinite(a).all():
-            raise ParameterError(
-                f"is {a.tolist()}",
-                where="action",
-                fix=f"give {len(names)} finite number{'s' * (len(names) > 1)}: {', '.join(names)}",
-            )
+        fits = a.shape == (len(names),) and np.isfinite(a).all()
+        fix = f"give {len(names)} finite number{'s' * (len(names) > 1)}: {', '.join(names)}"
+        require(fits, f"is {a.tolist()}", where="action", fix=fix)
         if not self.allows(item, a):
             limits = [
                 f"{q.name} in [{low:.4g}, {high:.4g}]{'' if q.unit == '1' else ' ' + q.unit}"
                 for q, (low, high) in zip(self.actions, self.limits(item), strict=True)
             ]
             note = self.limits_note(item)
-            raise ParameterError(
-                f"{', '.join(f'{n} {v:.4g}' for n, v in zip(names, a, strict=True))} is out of "
-                "limits",
-                where="action",
-                fix=f"choose {' and '.join(limits)}{', ' + note if note else ''}",
-            )
+            given = ", ".join(f"{n} {v:.4g}" for n, v in zip(names, a, strict=True))
+            fix = f"choose {' and '.join(limits)}{', ' + note if note else ''}"
+            raise ParameterError(f"{given} is out of limits", where="action", fix=fix)
         return a
 
     def limits_note(self, item: Item) -> str:

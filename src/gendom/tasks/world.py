@@ -31,7 +31,7 @@ from gendom.tasks.task import Array, Observed, Outcome, Scene, Task
 
 _log = logging.getLogger(__name__)
 
-EVERYTHING = 100
+EARLIER_FRAMES = 100
 """Times, before those of the task, at which everything is looked at."""
 
 BATCH = 8192
@@ -80,7 +80,7 @@ class Simulation:
         """
         wanted = check_actions(task, items, actions)
         found: list[Outcome] = [Outcome(values={}, fault="not simulated")] * len(items)
-        groups = _alike(items)
+        groups = _groups_of_one_size(items)
         if self.engine == "mpm" and any(task.scene(items[g[0]]).self_contact for g in groups):
             _log.warning(
                 "%s: layers of cloth that touch stick to each other in the MPM; engine 'thin' "
@@ -175,7 +175,7 @@ class Simulation:
         begin = float(paths.moves.min())
         times = task.times(first)
         if self.everything:
-            before = np.linspace(begin, times[0], EVERYTHING, endpoint=False)
+            before = np.linspace(begin, times[0], EARLIER_FRAMES, endpoint=False)
             times = np.concatenate([before, times])
         table = None
         if scene.table is not None:
@@ -218,7 +218,7 @@ class Simulation:
                 continue
             seen = Observed(
                 times=times,
-                points=centre(body, recorded[:, w].astype(float)),
+                points=middle_of(body, recorded[:, w].astype(float)),
                 hand=hand,
                 opens=opening(path),
                 lattice=lattice,
@@ -277,7 +277,7 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
         "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, tools, K, 1)),
     }
     for w in np.flatnonzero(paths.turning):
-        arrays["orientation"][w] = _turns(paths.paths[w], time[w])
+        arrays["orientation"][w] = _orientations(paths.paths[w], time[w])
     if scene.stand > 0.0:
         still = Gripper.still(np.asarray(scene.origin, dtype=float), radius=scene.stand)
         for name, values in Grippers.of([[still]], knots=K).arrays.items():
@@ -314,21 +314,21 @@ def _from(paths: TcpPaths, begin: float) -> tuple[Array, Array]:
     return time, np.concatenate([place, after], axis=1)
 
 
-def _turns(path: TcpPath, times: Array) -> Array:
+def _orientations(path: TcpPath, times: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     poses = path.pose_at(times, path.blend or 0.0)
     return Rotation.from_matrix(poses[:, :3, :3]).as_quat()
 
 
-def centre(body: Body, x: Array) -> Array:
+def middle_of(body: Body, x: Array) -> Array:
     """[T, n, 3] a rope's centre line, or a cloth's middle surface, from all positions [T, N, 3] of
     particles or points, or from a section's alone [m]."""
     if x.shape[1] in (1, len(body.points)):
         return x
     if body.kind == "rope":
         return x.reshape(len(x), -1, body.section, 3).mean(axis=2)
-    layers = _ticks(body, 2)
+    layers = _count_along(body, 2)
     return x.reshape(len(x), -1, layers, 3).mean(axis=2)
 
 
@@ -336,10 +336,10 @@ def _lattice(body: Body, points: int) -> tuple[int, int]:
     """Rows and points in a row of a cloth's points, or of the columns of its particles."""
     if points == len(body.points):
         return body.shape[0], body.shape[1]
-    return _ticks(body, 0), _ticks(body, 1)
+    return _count_along(body, 0), _count_along(body, 1)
 
 
-def _ticks(body: Body, axis: int) -> int:
+def _count_along(body: Body, axis: int) -> int:
     return np.unique(body.material_coordinates[:, axis]).size
 
 
@@ -348,7 +348,7 @@ def _last_section(body: Body) -> NDArray[np.intp]:
     return np.flatnonzero(along == along.max())
 
 
-def _alike(items: Sequence[Item]) -> list[NDArray[np.intp]]:
+def _groups_of_one_size(items: Sequence[Item]) -> list[NDArray[np.intp]]:
     """Indices of objects of one size, those of like stiffness beside each other: a batch takes as
     long as its stiffest."""
     keys = [(item.kind, *(getattr(item, name) for name in item.sizes)) for item in items]

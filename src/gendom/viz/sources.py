@@ -14,7 +14,7 @@ from gendom.materials import thickness_of
 if TYPE_CHECKING:
     from gendom.estimation import Estimate, LiftScene, Theta
     from gendom.reality import RealRope
-    from gendom.reality.trials import Performance
+    from gendom.reality.trials import TrialRun
     from gendom.robot import Arm
     from gendom.tasks import Observed
     from gendom.viz import CloudSequence, EstimateSummary
@@ -68,26 +68,26 @@ def summary_of(found: Estimate, truth: Mapping[str, float] | None = None) -> Est
 
 def arm_of_lift(clouds: CloudSequence, rope: RealRope) -> CloudSequence:
     """A lift in the MuJoCo test scene with its arm, which moves the same each time."""
-    from gendom.reality.trials import Performance, lift
+    from gendom.reality.trials import TrialRun, lift
 
-    performance = Performance(lift(rope))
-    poses = arm_poses(performance, performance.closes + clouds.times, np.eye(4))
+    run = TrialRun(lift(rope))
+    poses = arm_poses(run, run.closes + clouds.times, np.eye(4))
     return clouds if poses is None else replace(clouds, arm=poses[0], arm_radius=poses[1])
 
 
 def arm_poses(
-    performance: Performance, times: NDArray[np.floating], T_world_frame: NDArray[np.floating]
+    run: TrialRun, times: NDArray[np.floating], T_world_frame: NDArray[np.floating]
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]] | None:
     """[T, C, 2, 3] ends of the arm's capsules in a frame, and [C] their radii [m].
 
-    None where a free hand moves. `times` [T] [s] are the performance's own.
+    None where a free hand moves. `times` [T] [s] are the run's own.
     """
     from gendom.robot import XARM7
 
-    if performance.motion is None:
+    if run.motion is None:
         return None
-    opening = thickness_of(performance.trial.item)
-    return arm_capsules(XARM7, performance.motion.at(times), opening, T_world_frame)
+    opening = thickness_of(run.trial.item)
+    return arm_capsules(XARM7, run.motion.at(times), opening, T_world_frame)
 
 
 def arm_capsules(

@@ -1,14 +1,14 @@
-"""Fitting networks and writing them to ONNX, for policies and estimators alike.
+"""Fitting networks, keeping interrupted fits, and writing networks to ONNX.
 
 Needs torch and onnx.
 """
 
 from __future__ import annotations
 
+import copy
 import json
 import time
 import warnings
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arguments import require
 from gendom.errors import GendomError
 from gendom.files import atomic_path
 from gendom.installation import how_to_install
@@ -32,7 +33,7 @@ from torch import Tensor, nn
 
 OPSET = 17
 
-STORE_EVERY = 20.0
+WRITE_INTERVAL = 20.0
 """Between two checkpoints [s]."""
 
 
@@ -60,7 +61,7 @@ class Epoch:
 
 
 class Checkpoint:
-    """Fits that were interrupted, in one ``.npz`` beside the file that they will give.
+    """Fits that were interrupted, in one file beside the one that they will give.
 
     Args:
         path: The file.
@@ -70,71 +71,53 @@ class Checkpoint:
     def __init__(self, path: Path, identity: Mapping[str, Any]):
         self.path = path
         self._identity = json.dumps(identity, sort_keys=True, default=str)
-        self._arrays: dict[str, np.ndarray] = {}
-        self._stored = time.monotonic()
+        self._stages: dict[str, dict[str, Any]] = {}
+        self._tensors: dict[str, dict[str, Tensor]] = {}
+        self._written = time.monotonic()
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-        except (OSError, ValueError, zipfile.BadZipFile):
+            kept = torch.load(path, weights_only=True)
+            mine = kept["identity"] == self._identity
+        except Exception:  # whatever torch raises for a file that is missing, cut or another's
             return
-        if str(arrays.pop("identity", "")) == self._identity:
-            self._arrays = arrays
+        if mine:
+            self._stages, self._tensors = kept["stages"], kept["tensors"]
 
     def store(
         self, stage: str, done: int, network: nn.Module, optimizer: torch.optim.Optimizer
     ) -> None:
-        """Keep the state after some epochs of a stage; `write` it every `STORE_EVERY`."""
-        kept = {f"{stage}/done": np.array(done), f"{stage}/rng": torch.get_rng_state().numpy()}
-        for name, value in network.state_dict().items():
-            kept[f"{stage}/network/{name}"] = value.detach().numpy().copy()
-        for number, state in optimizer.state_dict()["state"].items():
-            for name, value in state.items():
-                kept[f"{stage}/optimizer/{number}/{name}"] = value.numpy().copy()
-        self._arrays |= kept
-        if time.monotonic() - self._stored >= STORE_EVERY:
+        """Keep the state after some epochs of a stage; `write` it every `WRITE_INTERVAL`."""
+        state = {
+            "done": done,
+            "rng": torch.get_rng_state(),
+            "network": network.state_dict(),
+            "optimizer": optimizer.state_dict()["state"],
+        }
+        self._stages[stage] = copy.deepcopy(state)
+        if time.monotonic() - self._written >= WRITE_INTERVAL:
             self.write()
-
-    def remember(self, name: str, tensors: Mapping[str, Tensor]) -> None:
-        """Keep what took long to make, and write it."""
-        kept = {f"{name}/kept/{key}": value.numpy().copy() for key, value in tensors.items()}
-        self._arrays |= kept
-        self.write()
-
-    def recall(self, name: str) -> dict[str, Tensor] | None:
-        """What was kept by that name."""
-        start = f"{name}/kept/"
-        return {
-            key.removeprefix(start): torch.from_numpy(value)
-            for key, value in self._arrays.items()
-            if key.startswith(start)
-        } or None
-
-    def write(self) -> None:
-        """Put what was kept on disk."""
-        with atomic_path(self.path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, identity=np.array(self._identity), **self._arrays)  # pyright: ignore
-        self._stored = time.monotonic()
 
     def restore(self, stage: str, network: nn.Module, optimizer: torch.optim.Optimizer) -> int:
         """Bring a stage to where it was stored; the number of epochs that are done."""
-        if f"{stage}/done" not in self._arrays:
+        if (kept := self._stages.get(stage)) is None:
             return 0
-        own = {
-            name.removeprefix(f"{stage}/"): torch.from_numpy(value)
-            for name, value in self._arrays.items()
-            if name.startswith(f"{stage}/")
-        }
-        network.load_state_dict(
-            {n.removeprefix("network/"): v for n, v in own.items() if n.startswith("network/")}
-        )
-        states: dict[int, dict[str, Tensor]] = {}
-        for name, value in own.items():
-            if name.startswith("optimizer/"):
-                _, number, key = name.split("/")
-                states.setdefault(int(number), {})[key] = value
-        optimizer.load_state_dict({**optimizer.state_dict(), "state": states})
-        torch.set_rng_state(own["rng"])
-        return int(own["done"])
+        network.load_state_dict(kept["network"])
+        optimizer.load_state_dict({**optimizer.state_dict(), "state": kept["optimizer"]})
+        torch.set_rng_state(kept["rng"])
+        return kept["done"]
+
+    def remembered(self, name: str, make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
+        """Tensors that take long to make: those kept by that name, or made now and written."""
+        if name not in self._tensors:
+            self._tensors[name] = make()
+            self.write()
+        return self._tensors[name]
+
+    def write(self) -> None:
+        """Put what was kept on disk."""
+        kept = {"identity": self._identity, "stages": self._stages, "tensors": self._tensors}
+        with atomic_path(self.path) as temporary:
+            torch.save(kept, temporary)
+        self._written = time.monotonic()
 
     def clear(self) -> None:
         """Once everything is done."""
@@ -189,9 +172,8 @@ def fit(
                 schedule.step()
     try:
         for epoch in range(begun, settings.epochs):
-            shuffled = rows[torch.randperm(len(rows))]
             total = 0.0
-            for part in shuffled[: steps * batch].split(batch):
+            for part in rows[torch.randperm(len(rows))][: steps * batch].split(batch):
                 loss = loss_of(part)
                 optimizer.zero_grad()
                 loss.backward()
@@ -199,22 +181,24 @@ def fit(
                 optimizer.step()
                 schedule.step()
                 total += loss.item() / steps
-            if not np.isfinite(total):
-                raise error(
-                    f"training diverged in epoch {epoch + 1}", fix="lower the learning rate"
-                )
+            what = f"training diverged in epoch {epoch + 1}"
+            require(np.isfinite(total), what, fix="lower the learning rate", error=error)
             if checkpoint is not None:
                 checkpoint.store(stage, epoch + 1, network, optimizer)
             if on_epoch is not None:
-                aside = None
-                if held_out is not None and len(held_out):
-                    with torch.no_grad():
-                        aside = float(loss_of(held_out))
-                on_epoch(Epoch(done=epoch + 1, of=settings.epochs, loss=total, held_out=aside))
+                known = _held_out_loss(loss_of, held_out)
+                on_epoch(Epoch(done=epoch + 1, of=settings.epochs, loss=total, held_out=known))
     except KeyboardInterrupt:
         if checkpoint is not None:
             checkpoint.write()
         raise
+
+
+def _held_out_loss(loss_of: Callable[[Tensor], Tensor], rows: Tensor | None) -> float | None:
+    if rows is None or not len(rows):
+        return None
+    with torch.no_grad():
+        return float(loss_of(rows))
 
 
 @contextmanager
