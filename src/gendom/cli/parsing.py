@@ -10,7 +10,8 @@ import shutil
 import textwrap
 from collections.abc import Iterable, Sequence
 from contextlib import redirect_stderr
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
 from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
@@ -75,12 +76,16 @@ class _Argument(NamedTuple):
 
 
 def _arguments(command: type) -> dict[str, _Argument]:
-    """All that a command takes: by its flag, or by what help calls a word without one."""
+    """All that a command and its settings take: by the flag, or by what help calls a word
+    without one."""
     positional = get_args(tyro.conf.Positional[int])[1]
     hints = get_type_hints(command, include_extras=True)
     help_of, found = _help(command), {}
     for field in fields(command):
-        marks = get_args(hints[field.name])[1:]
+        kind, *marks = get_args(hints[field.name]) or (hints[field.name],)
+        if isinstance(kind, type) and is_dataclass(kind):
+            found |= _arguments(kind)
+            continue
         called = f"--{field.name.rstrip('_').replace('_', '-')}"  # a flag may be a word of Python's
         if any(mark is positional for mark in marks):
             named = [m.metavar for m in marks if str(getattr(m, "metavar", "") or "").isalpha()]
@@ -123,15 +128,22 @@ def _example(command: type) -> str:
     return f"for example: {found[1]}" if found else ""
 
 
+@cache
 def described(command: type) -> type:
     """A command's class with help texts in one line (tyro keeps line breaks of indented
-    docstrings), and without defaults such as None and False."""
+    docstrings), and without defaults such as None and False.
+
+    A field that is a dataclass of settings gives its fields as flags of their own names.
+    """
 
     def default_told(default: str) -> str:
-        return "" if default in ("None", "False", "") else f"(default: {default})"
+        return "" if default in ("None", "False", "''", "") else f"(default: {default})"
 
     told = _help(command)
     for name, kind in get_type_hints(command, include_extras=True).items():
+        if isinstance(kind, type) and is_dataclass(kind):
+            command.__annotations__[name] = tyro.conf.OmitArgPrefixes[described(kind)]
+            continue
         said = tyro.conf.arg(help=told.get(name), help_behavior_hint=default_told)
         command.__annotations__[name] = Annotated[kind, said]
     return command

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from gendom.cli.arguments import settings_of
 from gendom.cli.outputs import columns, tell_written
 from gendom.errors import ParameterError
 from gendom.files import check_folder, to_json, write_json
@@ -71,15 +72,7 @@ class Command:
         if self.out is not None:
             check_folder(self.out)
         objects = self._objects()
-        settings = LiftPlanSettings(
-            aim=self.for_,
-            ends=self.ends,
-            rises=self.rises,
-            speeds=self.speeds,
-            draws=self.draws,
-            seed=self.seed,
-            level=self.level,
-        )
+        settings = settings_of(LiftPlanSettings, self, aim=self.for_)
         with bar("planning", 1, "lift", even=True) as show:
             plan = plan_lift(objects, settings, on_done=show)
         print(to_json(plan.to_dict()) if self.json else plan_text(plan))
