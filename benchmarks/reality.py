@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gendom.datasets import Recording
-from gendom.estimation import Estimate, EstimateSettings, Scene, estimate, replay
+from gendom.estimation import Estimate, EstimateSettings, LiftScene, estimate, replay
 from gendom.estimation.replay import middle
 from gendom.files import write_json
 from gendom.reality import OBJECTS, RealObject, RealRope, find_object
@@ -55,7 +55,7 @@ def measure(
     else:
         found = estimate(recording, EstimateSettings(starts=args.starts, seed=args.seed))
         found.save(folder / "estimate.json")
-    record, scene = found.record, Scene.of(recording)
+    record, scene = found.record, LiftScene.of(recording)
     x = middle(scene, replay(scene, [found.theta])[:, 0])
     truth = np.load(folder / "truth" / "truth.npz")
     times = recording.time[list(scene.frames)]
@@ -65,16 +65,16 @@ def measure(
     )
     # of the simulated middle line or sheet from the true one
     off = [float(KDTree(s).query(line)[0].mean()) for line, s in zip(x, shapes, strict=True)]
-    low, high = found.interval("youngs_modulus") or (None, None)
+    low, high = found.interval("E") or (None, None)
     return {
         "object": item.name,
         "E_true": item.material.E,
-        "E": record["youngs_modulus"],
+        "E": record["E"],
         "E_low": low,
         "E_high": high,
         "usable": found.usable,
         "nu_true": item.material.nu,
-        "nu": record["poissons_ratio"],
+        "nu": record["nu"],
         "seconds": record["seconds"],
         "cloud_bias_mm": 1e3 * float(error.mean()),
         "cloud_rms_mm": 1e3 * float(np.sqrt((error**2).mean())),

@@ -50,7 +50,7 @@ def main() -> None:
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
     items = [ClothSpreading().draw_item(rng) for _ in range(given.count)]
-    stiffness = np.array([dimensionless_parameters(item)["E"] for item in items])
+    stiffness = np.array([dimensionless_parameters(item)["bending_ratio"] for item in items])
     quarter = np.searchsorted(np.quantile(stiffness, [0.25, 0.5, 0.75]), stiffness)
     print("step time  height  acceleration     A   spread  by quarters              share  time")
     for step_time in given.step_times:

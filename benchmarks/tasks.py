@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gendom.materials import PARAMETERS, Item
+from gendom.materials import QUANTITIES, Item
 from gendom.reality import RealWorld
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching, Task
 from gendom.tasks.cloth_spreading import lattice_triangles
@@ -34,11 +34,11 @@ def main() -> None:
     if given.picture:
         draw(given.picture)
         return
-    print("task             " + "".join(f"{name:>12}" for name in PARAMETERS))
+    print("task             " + "".join(f"{name:>12}" for name in QUANTITIES))
     for task in (RopeReaching(), RopeCasting(), ClothSpreading()):
         count = given.cloth_actions if task.kind == "cloth" else given.actions
         began = time.perf_counter()
-        moved = [spread_of(task, name, count, given) for name in PARAMETERS]
+        moved = [spread_of(task, name, count, given) for name in QUANTITIES]
         texts = "".join(f"{m:12.4f}" if m is not None else f"{'-':>12}" for m in moved)
         print(f"{task.name:<17}{texts}   {time.perf_counter() - began:.0f} s", flush=True)
 
@@ -73,7 +73,7 @@ def item_with(task: Task, values: dict[str, float]) -> Item:
 
     def middle(name: str) -> tuple[float, float]:
         low, high = task.ranges[name]
-        at = (low * high) ** 0.5 if PARAMETERS[name].log else 0.5 * (low + high)
+        at = (low * high) ** 0.5 if QUANTITIES[name].log else 0.5 * (low + high)
         return values.get(name, at), values.get(name, at)
 
     fixed = replace(task, ranges={name: middle(name) for name in task.ranges})
@@ -97,7 +97,7 @@ def draw(path: str) -> None:
         for k, axis in enumerate(line):
             E = moduli[k % 2]
             world = Simulation(everything=True) if k < 2 else RealWorld(robot=False)
-            item = item_with(task, {"E": E})
+            item = item_with(task, {"E_over_rho": E})
             outcome = world.carry_out(task, [item], [action], keep=True)[0]
             where = "ours" if k < 2 else "MuJoCo"
             axis.set_title(f"{task.name}, {where}, E / density {E:g}", fontsize=9)

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gendom.estimation.theta import UNKNOWNS
 from gendom.materials import Material
-from gendom.sim import Body, Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.materials.unknowns import UNKNOWNS
+from gendom.sim import Body, Gripper, Physics, Rollout, Simulator, Solver, Table, cloth, rope
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation
 
@@ -29,14 +29,14 @@ ROPE = Material(E=1.0e6, nu=0.3, density=1000.0, damping=0.004)
 CLOTH = Material(E=6.0e5, nu=0.3, density=400.0, damping=0.005)
 
 OF_ROPE = (
-    "specific_modulus", "nu", "damping", "friction", "stiffness_slope", "delay", "grip_height",
+    "E_over_rho", "nu", "damping", "friction", "stiffness_slope", "delay", "grip_height",
     "grip_along",
 )  # fmt: skip
 OF_CLOTH = (
-    "specific_modulus", "nu", "damping", "friction", "thickness", "delay", "grip_height",
+    "E_over_rho", "nu", "damping", "friction", "thickness", "delay", "grip_height",
     "grip_along", "grip_aside", "grip_tilt", "grip_reach", "yaw",
 )  # fmt: skip
-"""Unknowns of an estimate, see ``gendom.estimation.theta.UNKNOWNS``."""
+"""Unknowns of an estimate, see ``gendom.materials.unknowns.UNKNOWNS``."""
 
 FRICTION, TILT = 0.3, 0.8
 """On the table; how far a held corner turns [rad]."""
@@ -119,7 +119,7 @@ class Lift:
     ) -> Simulator:
         """The object as it is, and beside it one for each unknown, which differs in that."""
         base = dict.fromkeys(UNKNOWNS, 0.0) | {
-            "specific_modulus": self.material.specific_modulus,
+            "E_over_rho": self.material.E_over_rho,
             "nu": self.material.nu,
             "damping": self.material.damping,
             "friction": FRICTION,
@@ -136,18 +136,15 @@ class Lift:
         return Simulator(
             self.body,
             [self._material(of) for of in worlds],
-            engine="thin",
             grippers=[[self._hand(of)] for of in worlds],
             table=Table(height=0.0, friction=[of["friction"] for of in worlds]),
             stiffness=np.exp(slope * np.linspace(-0.5, 0.5, len(self.body.points))),
             positions=np.stack([self._laid(of) for of in worlds]),
-            device=given.device,
-            dtype=given.dtype,
-            threads=threads,
+            solver=Solver(engine="thin", device=given.device, dtype=given.dtype, threads=threads),
         )
 
     def _material(self, of: dict[str, float]) -> Material:
-        E = of["specific_modulus"] * of["thickness"] ** 2 * self.material.density
+        E = of["E_over_rho"] * of["thickness"] ** 2 * self.material.density
         return replace(self.material, E=E, nu=of["nu"], damping=of["damping"])
 
     def _laid(self, of: dict[str, float]) -> NDArray[np.float64]:
@@ -191,10 +188,13 @@ def rope_gradient(given: argparse.Namespace) -> tuple[float, str]:
     def lift() -> None:
         rollout = Rollout(
             Simulator(
-                body, [ROPE], engine="thin", grippers=[hand], table=Table(height=0.0),
-                device=given.device, dtype=given.dtype, threads=1,
+                body,
+                [ROPE],
+                grippers=[hand],
+                table=Table(height=0.0),
+                solver=Solver(engine="thin", device=given.device, dtype=given.dtype, threads=1),
             )
-        )  # fmt: skip
+        )
         rollout.backward(np.ones_like(rollout.forward(np.linspace(0.1, 2.5, 25))))
 
     return timed(given, lift), "a rope's lift of 2.5 s and its reverse, one core"
@@ -224,9 +224,15 @@ def spreading(given: argparse.Namespace) -> tuple[float, str]:
 
     def spread() -> None:
         Simulator(
-            body, materials, engine="thin", grippers=[hand], table=Table(height=0.0),
-            self_contact=True, device=given.device, dtype=given.dtype, threads=given.threads,
-        ).run([2.6], keep_going=True)  # fmt: skip
+            body,
+            materials,
+            grippers=[hand],
+            table=Table(height=0.0),
+            physics=Physics(self_contact=True),
+            solver=Solver(
+                engine="thin", device=given.device, dtype=given.dtype, threads=given.threads
+            ),
+        ).run([2.6], keep_going=True)
 
     seconds = timed(given, spread)
     return seconds, (

@@ -37,11 +37,11 @@ def main(recording: Path | None = None, out: Path | None = None, starts: int = 1
 
     found = Estimate.load(out / "estimate.json")
     print("\nE in Pa, with the ends of its 90 % interval:")
-    print(found.record["youngs_modulus"], found.interval("youngs_modulus"))
+    print(found.E, found.interval("E"))
     determined = [name for name, known in found.record["identifiable"].items() if known]
     print("what this lift determines:", ", ".join(determined))
-    print("E / density of four objects drawn from the posterior:")
-    print([round(theta.specific_modulus) for theta in found.posterior.draws(4, seed=0)])
+    print("E / density of four plausible ropes:")
+    print([round(rope.material.E_over_rho) for rope in found.draws(4, seed=0)])
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ class RopeDragging(Task):
 
     ranges: dict = field(
         default_factory=lambda: {
-            "E": (200.0, 4300.0),
+            "E_over_rho": (200.0, 4300.0),
             "nu": (0.2, 0.4),
             "friction": (0.1, 0.8),
             "density": (500.0, 1500.0),

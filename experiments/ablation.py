@@ -32,13 +32,18 @@ LENGTH = 0.5
 METRIC = 9.81 * ROPE.length / (12.0 * LENGTH)
 """E / density of our rope [m^2/s^2] by the paper's E, see `gendom.tasks.rope_reaching`."""
 
-RANGES = {"E": (500.0, 10500.0), "nu": (0.2, 0.4)}
+RANGES = {"E_over_rho": (500.0, 10500.0), "nu": (0.2, 0.4)}
 
 ARCHITECTURES = {"inverse": "paper", "distal": "smooth", "refined": "smooth"}
 """Of networks by row: the paper's for its method, ours for ours. ``refined``: distal, then refined
 in the simulator."""
 
-SEEN: dict[str, tuple[str, ...]] = {"both": ("E", "nu"), "E": ("E",), "nu": ("nu",), "none": ()}
+SEEN: dict[str, tuple[str, ...]] = {
+    "both": ("bending_ratio", "nu"),
+    "E": ("bending_ratio",),
+    "nu": ("nu",),
+    "none": (),
+}
 """Parameters that policies see, by row."""
 
 PAPER = {
@@ -238,8 +243,8 @@ def simulation(runs: Runs, settings: Settings) -> Simulation:
 
 def metric(ranges: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
     """Ranges of parameters with E / density in place of the paper's E."""
-    low, high = ranges["E"]
-    return {**ranges, "E": (METRIC * low, METRIC * high)}
+    low, high = ranges["E_over_rho"]
+    return {**ranges, "E_over_rho": (METRIC * low, METRIC * high)}
 
 
 def table_of(title: str, rows: Mapping[str, Any], paper: Mapping[str, float]) -> Table:

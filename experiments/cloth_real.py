@@ -18,8 +18,8 @@ from scipy.stats import norm
 from experiments.runs import Result, Runs, Table, TrainingJob, stated
 from gendom.errors import GendomError
 from gendom.materials import Item
+from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
-from gendom.policies.belief import Belief
 from gendom.policies.evaluation import Cases, choose
 from gendom.policies.policy import QUANTILE
 from gendom.tasks import ClothSpreading
@@ -151,7 +151,7 @@ def _acts(policy: Policy, item: Item) -> float:
     return float(choose(policy, case)[0, 0])
 
 
-def _searched(runs: Runs, settings: Settings, name: str, belief: Belief) -> float:
+def _searched(runs: Runs, settings: Settings, name: str, belief: Estimate) -> float:
     """The A that spreads most in our simulator, in the mean over the posterior of an estimate."""
 
     def make() -> dict[str, Any]:

@@ -19,11 +19,17 @@ from scipy.stats import binom, norm
 from experiments.runs import Chart, Result, Runs, Table
 from gendom.datasets import Recording
 from gendom.errors import GendomError
-from gendom.estimation import Calibration, EstimateSettings, SceneSettings, Theta, estimate
+from gendom.estimation import (
+    UNKNOWNS,
+    EstimateSettings,
+    IntervalCalibration,
+    SceneSettings,
+    estimate,
+)
 from gendom.estimation.lift_plan import CLOUD_POINTS
 from gendom.files import write_json
 from gendom.materials import STANDARD_GRAVITY, Material
-from gendom.materials.parameters import specific_modulus_of
+from gendom.materials.parameters import E_over_rho_of
 from gendom.reality import RealCloth, RealObject, RealRope
 from gendom.reality.objects import vertices_of
 from gendom.robot import predefined_lift
@@ -99,7 +105,7 @@ def draw_object(kind: str, seed: int) -> RealObject:
     if kind == "rope":
         length, density = between(0.25, 0.36), between(500.0, 1100.0)
         diameter, bends = length * between(0.035, 0.06), length * between(0.25, 0.7)
-        E = density * specific_modulus_of(bends, diameter / 4.0, STANDARD_GRAVITY)
+        E = density * E_over_rho_of(bends, diameter / 4.0, STANDARD_GRAVITY)
         return RealRope(
             name=f"rope-{seed}",
             length=length,
@@ -118,7 +124,7 @@ def draw_object(kind: str, seed: int) -> RealObject:
         side=side,
         thickness=thickness,
         material=Material(
-            E=density * specific_modulus_of(bends, k, STANDARD_GRAVITY),
+            E=density * E_over_rho_of(bends, k, STANDARD_GRAVITY),
             nu=nu,
             density=density,
             damping=damping,
@@ -137,10 +143,9 @@ def _estimated(runs: Runs, lifts: Lifts, seed: int) -> dict[str, Any]:
     row: dict[str, Any] = {"seed": seed, "truth": truth_of(draw_object(lifts.kind, seed))}
     try:
         recording = lifts.recorded(runs, seed)
-        found = estimate(recording, estimate_settings(seed), calibration=Calibration.none())
+        found = estimate(recording, estimate_settings(seed), calibration=IntervalCalibration.none())
     except GendomError as error:
         return {**row, "fault": str(error)}
-    assert found.scene is not None
     return {
         **row,
         "verdict": asdict(found.verdict),
@@ -156,9 +161,9 @@ def truth_of(item: RealObject) -> dict[str, float]:
     E t^3 / (12 (1 - nu^2)) alone: its E is the one that gives this with the nu that estimates
     assume."""
     m = item.material
-    wide = 1.0 if isinstance(item, RealRope) else (1.0 - m.nu**2) / (1.0 - Theta.nu**2)
+    wide = 1.0 if isinstance(item, RealRope) else (1.0 - m.nu**2) / (1.0 - UNKNOWNS["nu"].mean ** 2)
     return {
-        "specific_modulus": m.specific_modulus / wide,
+        "E_over_rho": m.E_over_rho / wide,
         "nu": m.nu,
         "damping": m.damping,
         "friction": item.friction,
@@ -219,7 +224,7 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
     usable = _usable(rows)
     z = float(norm.ppf(0.5 + level / 2.0))
     found = []
-    for name in ("specific_modulus", "nu", "damping", "friction"):
+    for name in ("E_over_rho", "nu", "damping", "friction"):
         off, sd = [], []
         for row in usable:
             posterior = row["posterior"]
@@ -262,7 +267,7 @@ def _added(wanted: np.ndarray, deviation: np.ndarray, level: float) -> float:
 def calibration_of(
     rows: Sequence[dict[str, Any]], table: Sequence[Covered]
 ) -> dict[str, float | dict[str, float]]:
-    """What `gendom.estimation.Calibration` takes for objects of this kind, as its file has it.
+    """What `gendom.estimation.IntervalCalibration` takes for objects of this kind.
 
     Intervals that are too wide get a factor; to those that are too narrow a deviation is added,
     since what is missing there does not shrink with the noise.

@@ -25,9 +25,9 @@ DEMONSTRATIONS = 2_271
 GOALS = (40, 200)
 """Means are taken over the first so many."""
 
-IN_DOMAIN = {"E": (1500.0, 8200.0), "nu": (0.34, 0.36)}
+IN_DOMAIN = {"E_over_rho": (1500.0, 8200.0), "nu": (0.34, 0.36)}
 
-OUTSIDE = {"E": (500.0, 1500.0), "nu": (0.3, 0.33)}
+OUTSIDE = {"E_over_rho": (500.0, 1500.0), "nu": (0.3, 0.33)}
 
 ROPES = ((1779.38, 0.35), (3276.12, 0.346), (8000.31, 0.36))
 """E and nu of the paper's three ropes, the cotton one first."""
@@ -35,7 +35,7 @@ ROPES = ((1779.38, 0.35), (3276.12, 0.346), (8000.31, 0.36))
 IDENTIFIED_FROM = 20
 """Executions that R2S2R finds its parameters from."""
 
-IDENTIFIED_IN = {"E": (0.2, 0.8), "nu": (0.2, 0.4)}
+IDENTIFIED_IN = {"bending_ratio": (0.2, 0.8), "nu": (0.2, 0.4)}
 """Ranges in which it looks, as `gendom.materials.dimensionless_parameters` has them."""
 
 PAPER = {
@@ -72,8 +72,8 @@ def generalization(runs: Runs, settings: Settings) -> dict[str, Any]:
     made = Simulated("generalization", runs, settings, IN_DOMAIN)
     data = made.demonstrations()
     jobs = {
-        "ours, inverse": made.job(data, "inverse", ("E", "nu"), "smooth"),
-        "ours": made.job(data, "refined", ("E", "nu")),
+        "ours, inverse": made.job(data, "inverse", ("bending_ratio", "nu"), "smooth"),
+        "ours": made.job(data, "refined", ("bending_ratio", "nu")),
         "ours, no parameters": made.job(data, "refined", ()),
     }
     found: dict[str, Any] = {}

@@ -23,7 +23,7 @@ from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.problem import Found, Problem, Start
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 
 Array = NDArray[np.floating]
 
@@ -68,8 +68,8 @@ def pointnet(problem: Problem) -> Found:
     initial = prior.vector(*problem.bases)
     vector, covariance = initial.copy(), np.diag(prior.sd**2)
     # the modulus goes with the bending length cubed
-    modulus = math.log(scene.specific_modulus(math.exp(float(mean[0])) * scene.size))
-    predicted = {"specific_modulus": (modulus, 3.0), "nu": (float(mean[1]), 1.0)}
+    modulus = math.log(scene.E_over_rho(math.exp(float(mean[0])) * scene.size))
+    predicted = {"E_over_rho": (modulus, 3.0), "nu": (float(mean[1]), 1.0)}
     for n, (name, (value, share)) in enumerate(predicted.items()):
         if name in prior.names:
             k = prior.names.index(name)
@@ -97,7 +97,7 @@ def pointnet(problem: Problem) -> Found:
     )
 
 
-def lift_of(scene: Scene) -> dict[str, float]:
+def lift_of(scene: LiftScene) -> dict[str, float]:
     """Dimensionless features that distinguish lifts.
 
     Raises:
@@ -112,7 +112,7 @@ def lift_of(scene: Scene) -> dict[str, float]:
     return {"rise": rise / scene.size, "thickness": scene.body.thickness / scene.size}
 
 
-def normalised(scene: Scene, points: Array, frame: int) -> Array:
+def normalised(scene: LiftScene, points: Array, frame: int) -> Array:
     """[n, 3] points [m] seen from the gripper in a frame, in sizes of the object; x is where the
     rope lay before, z up."""
     x, y = scene.inwards[0, :2] / np.linalg.norm(scene.inwards[0, :2])

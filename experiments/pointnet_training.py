@@ -46,9 +46,9 @@ from experiments.sim2sim import (
 from gendom.arguments import require
 from gendom.errors import ParameterError, SimulationError
 from gendom.estimation.replay import replay
-from gendom.estimation.scene import Scene
-from gendom.estimation.theta import Theta
+from gendom.estimation.scene import LiftScene
 from gendom.files import atomic_path
+from gendom.materials.unknowns import Theta
 
 Array = NDArray[np.floating]
 
@@ -125,7 +125,7 @@ class Training:
     seed: int = 0
 
 
-def simulated_lifts(scene: Scene, thetas: Sequence[Theta]) -> tuple[Array, Array]:
+def simulated_lifts(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Array, Array]:
     """Last clouds of a lift with L other sets of parameters.
 
     Returns:
@@ -143,14 +143,16 @@ def simulated_lifts(scene: Scene, thetas: Sequence[Theta]) -> tuple[Array, Array
         for theta, skin in zip(batch, scene.body.surface(x), strict=True):
             if np.isfinite(skin).all():
                 clouds.append(normalised(scene, skin, scene.frames[-1]))
-                bending = scene.bending_length(theta.specific_modulus)
+                bending = scene.bending_length(theta.E_over_rho)
                 targets.append((math.log(bending / scene.size), theta.nu))
     if not clouds:
         raise SimulationError("no lift could be simulated", fix="draw other parameters")
     return np.stack(clouds), np.array(targets)
 
 
-def train(scene: Scene, clouds: Array, targets: Array, path: Path, training: Training) -> PointNet:
+def train(
+    scene: LiftScene, clouds: Array, targets: Array, path: Path, training: Training
+) -> PointNet:
     """Train a network on `simulated_lifts` of a scene and write it to an ONNX file, atomically.
 
     Raises:
@@ -237,7 +239,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, help="of the simulator (default: all cores)")
     given = parser.parse_args()
     settings = scene_settings(threads=given.threads)
-    scene = Scene.of(sim2sim_recording(5000.0, 0.3, settings=settings), settings)
+    scene = LiftScene.of(sim2sim_recording(5000.0, 0.3, settings=settings), settings)
     rng = np.random.default_rng(given.seed)
 
     def lifts(count: int) -> tuple[Array, Array]:
@@ -253,7 +255,7 @@ def main() -> None:
     fresh, truth = lifts(given.held_out)
     mean, log_variance = session.run(["mean", "log_variance"], grouped(fresh))
     E, true_E = (
-        np.array([paper_E(scene.specific_modulus(math.exp(b) * scene.size)) for b in each])
+        np.array([paper_E(scene.E_over_rho(math.exp(b) * scene.size)) for b in each])
         for each in (mean[:, 0].astype(float), truth[:, 0])
     )
     z = (mean - truth) / np.exp(0.5 * log_variance)

@@ -25,7 +25,7 @@ from gendom.tasks.world import Simulation
 Array = NDArray[np.float64]
 
 
-RANGES = {"E": (0.2, 0.8), "damping": (0.005, 0.15)}
+RANGES = {"bending_ratio": (0.2, 0.8), "damping": (0.005, 0.15)}
 """Lowest and highest value of each parameter, as `dimensionless_parameters` has them."""
 
 POPULATION, GENERATIONS, TOLERANCE = 15, 20, 0.01

@@ -45,7 +45,7 @@ PAPER = {
 """Chamfer distances of the paper by method, of clouds that are twice as large as the ropes: adam is
 its own, pointnet its PointNet++."""
 
-KEPT = ("youngs_modulus", "chamfer_last", "chamfer_mean", "chamfer_last_surface",
+KEPT = ("E", "chamfer_last", "chamfer_mean", "chamfer_last_surface",
         "chamfer_mean_surface", "rms", "iterations", "seconds")  # fmt: skip
 """Keys of an estimate's record that a row takes over."""
 
@@ -88,7 +88,7 @@ def _rows(
     motion = predefined_lift(item.kind)
     if item.kind == "rope":
         motion = replace(motion, rise=RISE / LENGTH)
-    truth = truth_of(item)["specific_modulus"] * item.material.density
+    truth = truth_of(item)["E_over_rho"] * item.material.density
     rows = {}
     for method, frames in ROWS[item.kind]:
         if methods and method not in methods:
@@ -105,7 +105,7 @@ def _rows(
         except GendomError as error:
             row["skipped"] = str(error).splitlines()[0]
         else:
-            row["error"] = math.log(row["youngs_modulus"] / truth)
+            row["error"] = math.log(row["E"] / truth)
         rows[label] = row
     return rows
 
@@ -150,7 +150,7 @@ def _texts(name: str, row: Mapping[str, Any]) -> tuple[str, ...]:
     if "skipped" in row:
         return ("", f"{row['truth']:.3g}", "", "", paper, f"skipped: {row['skipped']}")
     return (
-        f"{row['youngs_modulus']:.3g}",
+        f"{row['E']:.3g}",
         f"{row['truth']:.3g}",
         f"{row['error']:+.3f}",
         f"{1e3 * row['chamfer_last']:.1f}",

@@ -27,9 +27,10 @@ from gendom.materials import (
     to_columns,
     with_dimensionless,
 )
+from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.adaptation import Execution, adapting
-from gendom.policies.belief import Belief
+from gendom.policies.belief import believed
 from gendom.policies.demonstrations import Demonstrations, joined
 from gendom.policies.evaluation import Cases, choose, draw_cases, judge
 from gendom.policies.rollouts import side_by_side
@@ -323,7 +324,7 @@ class Measured:
         return np.array(row["action"], dtype=float), np.array(row["reached"], dtype=float)
 
     def polished(
-        self, beliefs: Sequence[Belief], start: Array, discrepancies: Sequence[Any] | None = None
+        self, beliefs: Sequence[Estimate], start: Array, discrepancies: Sequence[Any] | None = None
     ) -> Array:
         """[W, A] actions polished for the posterior of each object."""
         task, seed = self.cases.task, self.runs.seed
@@ -337,7 +338,7 @@ class Measured:
         )
 
     def adapted(
-        self, beliefs: Sequence[Belief], seen: Sequence[Sequence[Execution]], start: Array
+        self, beliefs: Sequence[Estimate], seen: Sequence[Sequence[Execution]], start: Array
     ) -> Array:
         """[W, A] actions polished with the result of earlier executions."""
         task = self.cases.task
@@ -347,7 +348,7 @@ class Measured:
 
 
 def _measured(
-    rows: Measured, beliefs: Sequence[Belief], policies: Mapping[str, Policy]
+    rows: Measured, beliefs: Sequence[Estimate], policies: Mapping[str, Policy]
 ) -> dict[str, Any]:
     """Errors [W] of every row, and the components of our own."""
     cases, known = rows.cases, [belief.most_likely for belief in beliefs]
@@ -357,8 +358,8 @@ def _measured(
     }
     true, _ = rows.row("ours, true parameters", partial(choose, policies["ours"], cases))
     assumed = [
-        Belief.for_task(cases.task, _middling(rope)).doubting("E", WITHOUT_LIFT)
-        for rope in cases.items
+        believed(Estimate.of(known), cases.task).with_uncertain("E_over_rho", WITHOUT_LIFT)
+        for known in cases.items
     ]
     blind, _ = done["ours, no parameters"]
     rows.row("polished, no lift", partial(rows.polished, assumed, blind))
@@ -401,7 +402,7 @@ def _components(rows: Measured, ours: Array, reached: Array, true: Array) -> dic
 
 def _middling(rope: Item) -> Item:
     """A rope with these sizes and this mass; all else is unknown."""
-    return with_dimensionless(rope, {"E": 0.45, "damping": 0.02, "nu": 0.3})
+    return with_dimensionless(rope, {"bending_ratio": 0.45, "damping": 0.02, "nu": 0.3})
 
 
 def _plain(values: Array) -> list[Any]:

@@ -20,11 +20,11 @@ from gendom.datasets.demonstrations import generate
 from gendom.errors import GendomError, PolicyError
 from gendom.files import atomic_path, read_json, to_json, write_json
 from gendom.installation import version
-from gendom.materials import PARAMETERS, Item, to_columns
+from gendom.materials import Item, to_columns
+from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
-from gendom.policies.belief import Belief
+from gendom.policies.belief import believed
 from gendom.policies.demonstrations import Demonstrations
-from gendom.policies.estimates import believed
 from gendom.policies.evaluation import Cases
 from gendom.policies.polishing import PolishSettings, polishing
 from gendom.policies.rollouts import side_by_side
@@ -209,7 +209,7 @@ class Runs:
             recording.write(path)
         return Recording.read(path, on_warning=lambda _: None)
 
-    def lifted(self, name: str, task: Task) -> Belief:
+    def lifted(self, name: str, task: Task) -> Estimate:
         """Distribution of an object's parameters for a task, after one lift seen by two cameras.
 
         Raises:
@@ -229,7 +229,8 @@ class Runs:
         record = self.kept(f"estimate-{name}", make)
         if not record["verdict"]["usable"]:
             raise GendomError(", ".join(record["verdict"]["reasons"]), where=f"the lift of {name}")
-        return believed(record, task, f"the lift of {name}")
+        where = f"the lift of {name}"
+        return believed(Estimate.from_dict(record, where), task, where)
 
     def publish(
         self,
@@ -319,11 +320,11 @@ def polished(
     return np.array([found.action for found in side_by_side(cases.task, world, searches)])
 
 
-def stated(belief: Belief) -> dict[str, Any]:
+def stated(belief: Estimate) -> dict[str, Any]:
     """Means and 90 % intervals by parameter, for JSON."""
     columns = to_columns(belief.most_likely)
     return {
-        name: {"mean": columns[PARAMETERS[name].column], "interval_90": belief.interval(name)}
+        name: {"mean": columns[name], "interval_90": belief.posterior.interval(name, 0.9)}
         for name in belief.names
     }
 

@@ -30,10 +30,10 @@ from gendom.estimation.methods.differential_evolution import differential_evolut
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
 from gendom.estimation.problem import EstimateSettings, Found, Problem
 from gendom.estimation.replay import middle, replay
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import SceneSettings
-from gendom.estimation.theta import Theta
 from gendom.materials import STANDARD_GRAVITY
+from gendom.materials.unknowns import Theta
 from gendom.observation import chamfer
 from gendom.progress import bar
 from gendom.sim import open_device
@@ -135,21 +135,19 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     )
 
 
-def specific_modulus(E: float) -> float:
+def E_over_rho(E: float) -> float:
     """E / density [m^2/s^2] at our gravity of E in the paper's units."""
     return E * GRAVITY_SHARE / PAPER_DENSITY
 
 
-def paper_E(specific_modulus: float) -> float:
+def paper_E(E_over_rho: float) -> float:
     """E in the paper's units; inverse of the above."""
-    return specific_modulus * PAPER_DENSITY / GRAVITY_SHARE
+    return E_over_rho * PAPER_DENSITY / GRAVITY_SHARE
 
 
 def truth_of(E: float, nu: float) -> Theta:
     """All settings of the paper's lift."""
-    return Theta(
-        specific_modulus=specific_modulus(E), nu=nu, damping=DAMPING, friction=PAPER_FRICTION
-    )
+    return Theta(E_over_rho=E_over_rho(E), nu=nu, damping=DAMPING, friction=PAPER_FRICTION)
 
 
 def scene_settings(engine: str = "thin", **changes: Any) -> SceneSettings:
@@ -224,7 +222,7 @@ def sim2sim_recording(
             extra={"ordered_markers": markers},
         )
 
-    scene = Scene.of(recorded(np.tile(lying, (int(shown.sum()), 1, 1))), settings)
+    scene = LiftScene.of(recorded(np.tile(lying, (int(shown.sum()), 1, 1))), settings)
     scene = replace(scene, frames=tuple(map(int, np.flatnonzero(shown))))
     x = replay(scene, [truth_of(E, nu)])[:, 0]
     return recorded(middle(scene, x) if markers else np.asarray(scene.body.surface(x), float))
@@ -240,15 +238,15 @@ def sim2sim_problem(
         settings: Of the simulation.
         other: Of `EstimateSettings`.
     """
-    scene = Scene.of(recording, settings or scene_settings())
+    scene = LiftScene.of(recording, settings or scene_settings())
     chosen = EstimateSettings(
-        unknowns=("specific_modulus", "nu"),
+        unknowns=("E_over_rho", "nu"),
         noise=EXACT,
         scene=scene.settings,
         **{"max_iterations": ITERATIONS, **other},
     )
     problem = Problem([scene], chosen, known=truth_of(float(np.mean(E_RANGE)), 0.3))
-    logs = np.log([specific_modulus(E) for E in E_RANGE])
+    logs = np.log([E_over_rho(E) for E in E_RANGE])
     low, high = np.array([logs, NU_RANGE]).T
     # the paper's prior is these ranges; without noise differences may be small
     problem.prior = replace(
@@ -331,7 +329,7 @@ def _errors(
     start = problem.prior.vector(truth_of(rng.uniform(*E_STARTS), rng.uniform(*NU_RANGE)))
     found = problem.theta(SEARCHES[method](problem, start).best.vector)
     x = replay(problem.scene, [truth_of(*true), found])[-1]
-    return paper_E(found.specific_modulus) - true[0], found.nu - true[1], chamfer(x[0], x[1])
+    return paper_E(found.E_over_rho) - true[0], found.nu - true[1], chamfer(x[0], x[1])
 
 
 def table_of(title: str, rows: Sequence[Mapping[str, Any]]) -> Table:

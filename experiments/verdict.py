@@ -260,10 +260,10 @@ def _judged(runs: Runs, lifts: Lifts, seed: int) -> dict[str, dict[str, Any]]:
 
 def _case(recording: Recording, case: str, lifts: Lifts, seed: int) -> dict[str, Any]:
     item = draw_object(lifts.kind, seed)
-    modulus = truth_of(item)["specific_modulus"]
+    modulus = truth_of(item)["E_over_rho"]
     truth = {
-        "specific_modulus": modulus,
-        "youngs_modulus": modulus * item.material.density,
+        "E_over_rho": modulus,
+        "E": modulus * item.material.density,
     }
     try:
         if case != GOOD:
@@ -304,7 +304,7 @@ def confusion_table(rows: Sequence[dict[str, dict[str, Any]]]) -> Table:
     found = {}
     for case, counts in confusion(rows).items():
         off = [
-            row[case]["ratios"]["youngs_modulus"]
+            row[case]["ratios"]["E"]
             for row in rows
             if row[case]["usable"] and not row[case]["right"]
         ]

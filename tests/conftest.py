@@ -13,8 +13,8 @@ import pytest
 
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import DeviceError
-from gendom.estimation import Scene, SceneSettings, Theta, replay
-from gendom.materials.parameters import specific_modulus_of
+from gendom.estimation import LiftScene, SceneSettings, Theta, replay
+from gendom.materials.parameters import E_over_rho_of
 from gendom.observation import visible
 from gendom.perception.realsense import realsense_sdk
 
@@ -74,7 +74,7 @@ class SimulatedLift:
             truth: Changes to the parameters.
         """
         rng = np.random.default_rng(seed)
-        scene = Scene.of(self.at_rest(frames, swing=swing), self.settings)
+        scene = LiftScene.of(self.at_rest(frames, swing=swing), self.settings)
         scene = replace(scene, frames=tuple(range(frames)))  # not only those worth comparing
         clouds = []
         for x in replay(scene, [self.truth.with_values(truth)])[:, 0]:
@@ -86,7 +86,7 @@ class SimulatedLift:
         return self.recording(clouds, swing=swing)
 
 
-def filled(scene: Scene, x: np.ndarray) -> np.ndarray:
+def filled(scene: LiftScene, x: np.ndarray) -> np.ndarray:
     """[m, 3] points all over the skin of a simulated object [N, 3] of the thin engine [m]."""
     if scene.kind == "rope":
         return scene.body.surface(x)
@@ -114,7 +114,7 @@ def rope_lift() -> SimulatedLift:
         ),
         rise=0.12,
         settings=SceneSettings(points=15, threads=1),
-        truth=Theta(specific_modulus=specific_modulus_of(0.35 * length, diameter / 4.0, 9.81)),
+        truth=Theta(E_over_rho=E_over_rho_of(0.35 * length, diameter / 4.0, 9.81)),
         lying=np.stack([x, 0.0 * x, np.full(300, diameter)], axis=1),
         lowest=diameter / 2.0,
     )
@@ -137,7 +137,7 @@ def cloth_lift() -> SimulatedLift:
         rise=0.2,
         settings=SceneSettings(points=9, threads=1),
         truth=Theta(
-            specific_modulus=specific_modulus_of(0.1 * side * 2**0.5, thickness / 12**0.5, 9.81),
+            E_over_rho=E_over_rho_of(0.1 * side * 2**0.5, thickness / 12**0.5, 9.81),
             grip_tilt=0.8,
         ),
         lying=np.stack([u, v, np.full(len(u), thickness)], axis=1),

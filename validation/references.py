@@ -42,12 +42,12 @@ def beam_frequency(material: Material, k: float, L: float) -> float:
         k: Radius of gyration [m].
         L: Length [m].
     """
-    return 3.516 * math.sqrt(material.specific_modulus) * k / L**2
+    return 3.516 * math.sqrt(material.E_over_rho) * k / L**2
 
 
 def unit_gravity(material: Material, k: float, L: float) -> float:
     """Gravity at which rho g A L^3 / (E I) is 1 [m/s^2]; arguments as ``beam_frequency``."""
-    return material.specific_modulus * k**2 / L**3
+    return material.E_over_rho * k**2 / L**3
 
 
 def round_frequency(material: Material, k: float, L: float) -> float:
@@ -56,7 +56,7 @@ def round_frequency(material: Material, k: float, L: float) -> float:
     1 / omega^2 = 1 / omega_bending^2 + 1 / omega_shear^2 (Dunkerley 1894); arguments as
     ``beam_frequency``.
     """
-    bending = ROOT**2 * math.sqrt(material.specific_modulus) * k / L**2
+    bending = ROOT**2 * math.sqrt(material.E_over_rho) * k / L**2
     shear = math.pi / 2.0 * math.sqrt(shear_modulus(material) / material.density) / L
     return (bending**-2 + shear**-2) ** -0.5
 
@@ -73,7 +73,7 @@ def shear_modulus(material: Material) -> float:
 def gravity_for(sag: float, material: Material, k: float, L: float) -> float:
     """Gravity under which a round cantilever sags so much, w L^4 / (8 E I) + w L^2 / (2 kappa G A)
     [m/s^2]; other arguments as ``beam_frequency``."""
-    bending = L**4 / (8.0 * material.specific_modulus * k**2)
+    bending = L**4 / (8.0 * material.E_over_rho * k**2)
     return sag / (bending + L**2 * material.density / (2.0 * shear_modulus(material)))
 
 

@@ -59,7 +59,7 @@ def tension(bench: Bench) -> list[Row]:
     L = 8.0 * BAR_SIDE
     strain, g = 2.0e-3, 9.81
     material = Material(E=1000.0 * g * L / strain, nu=0.3, density=1000.0)
-    omega = math.pi * math.sqrt(material.specific_modulus) / (2.0 * L)
+    omega = math.pi * math.sqrt(material.E_over_rho) / (2.0 * L)
 
     def read(damping: float, time: float) -> tuple[float, float, float]:
         """E [Pa], nu [-] and damping times substep [-] of a bar at rest."""
@@ -181,7 +181,7 @@ def _bent_strips(bench: Bench) -> list[Row]:
         for side in (-1.0, 1.0)
     ]
     worlds = [replace(MATERIAL, nu=nu) for nu in (0.1, 0.4)]
-    omega = 22.4 * math.sqrt(MATERIAL.specific_modulus / 12.0) * THICKNESS / L**2
+    omega = 22.4 * math.sqrt(MATERIAL.E_over_rho / 12.0) * THICKNESS / L**2
     options = {"grippers": hands, "gravity": WEIGHTLESS}
     x = bench.settle(body, worlds, omega, periods=16.0 + omega, **options)
     z, i = x.reshape(-1, *points[::-1], 3)[..., 2], points[0] // 2

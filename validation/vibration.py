@@ -65,7 +65,7 @@ was found [ms], for a rope 10 mm thick with E / density = 4000 m^2/s^2 at the de
 def axial_vibration(bench: Bench) -> list[Row]:
     """A bar clamped at one end, given its first mode's velocity, without gravity."""
     rows, material = [], Material(E=1.0e6, nu=0.3)
-    c = math.sqrt(material.specific_modulus)
+    c = math.sqrt(material.E_over_rho)
     for cells, slenderness in ((2, 10),) if bench.quick else ((2, 10), (4, 10), (4, 20)):
         L = slenderness * BAR_SIDE
         omega = math.pi * c / (2.0 * L)
@@ -118,7 +118,7 @@ def ring_down(bench: Bench, kind: str) -> list[Row]:
     else:
         material, L, h = Material(E=2.0e7, nu=0.0, density=1000.0), 0.15, 0.002
         body, hand = clamped_strip(L, 0.02, h, (49, 3), back=L)
-        omega = ROOT**2 * math.sqrt(material.specific_modulus / 12.0) * h / L**2
+        omega = ROOT**2 * math.sqrt(material.E_over_rho / 12.0) * h / L**2
     worlds = [replace(material, damping=tau) for tau in times]
     s = bench.simulate(body, worlds, grippers=[hand], gravity=WEIGHTLESS)
     y, _, _ = first_mode(body.points[:, 0], L)

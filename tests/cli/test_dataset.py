@@ -64,9 +64,9 @@ def test_words_that_are_not_understood(tmp_path, words, capsys):
 
 def test_ranges_can_be_chosen(tmp_path, capsys):
     words = ["dataset", "rope-reaching", "--size", "10", "--out", str(tmp_path / "set")]
-    assert cli.main([*words, "--range", "E", "300", "310", "--json"]) == 0
+    assert cli.main([*words, "--range", "E_over_rho", "300", "310", "--json"]) == 0
     about = json.loads((tmp_path / "set" / "dataset.json").read_text())
-    assert about["task"]["ranges"]["E"] == [300.0, 310.0]
+    assert about["task"]["ranges"]["E_over_rho"] == [300.0, 310.0]
     assert about["task"]["ranges"]["nu"] == [0.2, 0.4]
     assert cli.main([*words, "--range", "mass", "1", "2"]) == 2
     assert "no parameter 'mass'" in capsys.readouterr().err

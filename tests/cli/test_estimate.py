@@ -118,12 +118,12 @@ def test_a_recording_that_is_given_twice_is_refused(lift, capsys):
 
 def test_json_is_all_of_stdout(lift, tmp_path, capsys):
     words = ["estimate", str(lift), *QUICK, "--json", "--out", str(tmp_path)]
-    words += ["--unknowns", "specific_modulus", "--level", "0.5"]
+    words += ["--unknowns", "E_over_rho", "--level", "0.5"]
     assert cli.main(words) == 0
     printed = capsys.readouterr()
     record = json.loads(printed.out)
     assert record == read_json(tmp_path / "estimate.json")
-    assert record["posterior"]["names"] == ["specific_modulus"]
+    assert record["posterior"]["names"] == ["E_over_rho"]
     assert record["intervals"]["level"] == 0.5
     assert printed.err == f"written: {tmp_path / 'estimate.json'}\n"
 

@@ -415,7 +415,7 @@ def test_rope_reaching_is_reproducible(tmp_path):
     source = Demonstrator(task=RopeReaching())
     table = generate(source, 3, tmp_path / "set", seed=1, shard_size=2)
     assert table.column_names == [
-        "demonstration", "youngs_modulus", "poissons_ratio", "density", "specific_modulus",
+        "demonstration", "E", "nu", "density", "E_over_rho",
         "damping", "friction", "length", "diameter", "release_x", "release_z", "goal_x",
         "sideways", "ok", "fault",
     ]  # fmt: skip

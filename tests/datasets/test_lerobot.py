@@ -19,7 +19,7 @@ from gendom.tasks.world import Simulation
 
 DATA = "data/chunk-000/file-000.parquet"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
-OBJECT = ["specific_modulus", "poissons_ratio", "damping", "friction", "density"]
+OBJECT = ["E_over_rho", "nu", "damping", "friction", "density"]
 
 
 @pytest.fixture(autouse=True)

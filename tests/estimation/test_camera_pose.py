@@ -52,8 +52,8 @@ def test_modulus_and_motion_come_back(rope_lift, lifted, uncalibrated, found):
     """E within its interval, which is hardly wider than with calibrated cameras; points to within
     what is known of the grip, several millimetres of 30 and more."""
     assert found.usable, found.verdict.reasons
-    low, high = found.record["intervals"]["specific_modulus"]
-    assert low < rope_lift.truth.specific_modulus < high < 1.5 * low
+    low, high = found.record["intervals"]["E_over_rho"]
+    assert low < rope_lift.truth.E_over_rho < high < 1.5 * low
     lost = np.linalg.norm(uncalibrated.points - lifted.points, axis=1)
     left = np.linalg.norm(back(uncalibrated, found) - lifted.points, axis=1)
     assert lost.mean() > 0.03 and left.mean() < 0.008
@@ -69,16 +69,16 @@ def test_where_the_cameras_stood_does_not_matter(lifted, settings, found):
     other = off(lifted, axis=(1.0, 1.0, 1.0), degrees=-4.0, shift=(-0.02, 0.01, -0.02))
     again = estimate(other, replace(settings, camera_pose="unknown"))
     assert again.usable
-    modulus = found.theta.specific_modulus
-    assert again.theta.specific_modulus == pytest.approx(modulus, rel=0.01)
+    modulus = found.theta.E_over_rho
+    assert again.theta.E_over_rho == pytest.approx(modulus, rel=0.01)
 
 
 @pytest.mark.slow
 def test_taken_as_they_are_such_clouds_mislead(rope_lift, uncalibrated, settings):
     """Without a search for the motion the truth is not in the interval, or there is none."""
     blind = estimate(uncalibrated, replace(settings, camera_pose="stated"))
-    ends = blind.interval("specific_modulus")
-    assert ends is None or not ends[0] < rope_lift.truth.specific_modulus < ends[1]
+    ends = blind.interval("E_over_rho")
+    assert ends is None or not ends[0] < rope_lift.truth.E_over_rho < ends[1]
     assert blind.record["calibration"]["registration"] is None
 
 
@@ -96,7 +96,7 @@ def test_another_uncalibrated_recording_is_registered_anew(found, rope_lift):
     other = rope_lift.seen(seed=6)
     moved = replace(off(other, degrees=-3.0), cameras_calibrated=False)
     scene, theta = replay_setup(moved, found.record, "here", "cpu")
-    assert theta.specific_modulus == found.theta.specific_modulus
+    assert theta.E_over_rho == found.theta.E_over_rho
     left = np.linalg.norm(scene.recording.points - other.points, axis=1)
     assert left.mean() < 0.01
 

@@ -9,11 +9,11 @@ import pytest
 
 from gendom.datasets import Recording
 from gendom.estimation import EstimateSettings, estimate
+from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.discrepancy import discrepancy
 from gendom.estimation.likelihood import NoiseModel
-from gendom.estimation.posterior import Calibration
 
-NAMES = ("specific_modulus", "grip_height")
+NAMES = ("E_over_rho", "grip_height")
 SIZE, LEAST = 0.5, 1e-7
 
 
@@ -40,7 +40,7 @@ class Given:
         return x
 
 
-NOT_CALIBRATED = Calibration.none()
+NOT_CALIBRATED = IntervalCalibration.none()
 
 
 def deviations(model, x, calibration=NOT_CALIBRATED, **options):
@@ -82,7 +82,7 @@ def test_worlds_that_diverge_say_nothing():
 
 
 def test_what_calibrated_lifts_have_too_does_not_count():
-    calibration = Calibration(factor={}, added={}, displaced=0.01)
+    calibration = IntervalCalibration(factor={}, added={}, displaced=0.01)
     assert deviations(0.0049, lambda v: 0.02 * v, calibration, held=1)[0] == 0.0
     assert deviations(0.013, lambda v: 0.02 * v, calibration, held=1)[0] == pytest.approx(0.6)
     # only lifts by one gripper were calibrated
@@ -106,6 +106,6 @@ def test_recordings_of_one_cable_do_not_contradict_each_other(real_data):
             pytest.skip(f"no {path.name} in {real_data}")
         recording = Recording.read(path, on_warning=lambda _: None)
         found.append(estimate(recording, EstimateSettings(starts=1)))
-    ends = [one.interval("specific_modulus") for one in found]
+    ends = [one.interval("E_over_rho") for one in found]
     assert max(low for low, _ in ends) < min(high for _, high in ends)
-    assert not any(one.record["identifiable"]["specific_modulus"] for one in found)
+    assert not any(one.record["identifiable"]["E_over_rho"] for one in found)

@@ -7,11 +7,11 @@ import pytest
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
-from gendom.estimation import EstimateSettings, Scene, SceneSettings, Theta, estimate, replay
+from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, Theta, estimate, replay
 from gendom.estimation.replay import lattice, middle
 from gendom.sim import rope
 
-THETA = Theta(specific_modulus=960.0, nu=0.35)
+THETA = Theta(E_over_rho=960.0, nu=0.35)
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def recording():
 def test_both_engines_lift_a_rope_alike(recording):
     x, scenes = [], []
     for engine in ("thin", "mpm"):
-        scene = Scene.of(recording, SceneSettings(engine=engine, slow_frames=3, fast_frames=3))
+        scene = LiftScene.of(recording, SceneSettings(engine=engine, slow_frames=3, fast_frames=3))
         at = replay(scene, [THETA])[:, 0]
         x.append(middle(scene, at))
         scenes.append(scene)
@@ -46,7 +46,7 @@ def test_the_mpm_finds_what_rods_find(recording):
         for engine in ("thin", "mpm")
     ]
     assert found[0].usable and found[1].usable
-    a, b = (f.theta.specific_modulus for f in found)
+    a, b = (f.theta.E_over_rho for f in found)
     assert b == pytest.approx(a, rel=0.2)
 
 

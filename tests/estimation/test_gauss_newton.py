@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gendom.estimation import METHODS, EstimateSettings, Problem, Scene, estimate
+from gendom.estimation import METHODS, EstimateSettings, LiftScene, Problem, estimate
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
 from gendom.estimation.replay import replay
 from gendom.estimation.shape import Shape
@@ -15,13 +15,13 @@ from gendom.estimation.shape import Shape
 # the package's own name of the module is the function's
 steps = importlib.import_module("gendom.estimation.methods.gauss_newton")
 
-NAMES = ("specific_modulus", "grip_height", "delay")
+NAMES = ("E_over_rho", "grip_height", "delay")
 
 
 @pytest.fixture(scope="module")
 def problem(rope_lift):
     settings = EstimateSettings(starts=2, unknowns=NAMES, scene=rope_lift.settings)
-    return Problem([Scene.of(rope_lift.seen(), rope_lift.settings)], settings)
+    return Problem([LiftScene.of(rope_lift.seen(), rope_lift.settings)], settings)
 
 
 @pytest.fixture(scope="module")
@@ -74,33 +74,33 @@ def test_it_keeps_what_it_did(rope_lift, problem, found):
     assert chosen[-1] == "fine" and sorted(chosen) == chosen
     assert sum(set(names) == {"coarse"} for names in stages) == 1
     assert found.noise[0].sensor == pytest.approx(1e-3, rel=0.2)
-    modulus = problem.theta(found.best.vector).specific_modulus
-    assert modulus == pytest.approx(rope_lift.truth.specific_modulus, rel=0.05)
+    modulus = problem.theta(found.best.vector).E_over_rho
+    assert modulus == pytest.approx(rope_lift.truth.E_over_rho, rel=0.05)
 
 
 @pytest.fixture
 def plain_cloth(cloth_lift):
     """Its scene with the engine's own points."""
-    return Scene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=None))
+    return LiftScene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=None))
 
 
 @pytest.mark.parametrize(("share", "points"), [(0.16, 33), (0.09, 33), (0.07, 44), (0.01, 49)])
 def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift, plain_cloth, share, points):
     """No more than a third of a bending length apart, as far as that goes."""
-    modulus = plain_cloth.specific_modulus(share * 0.2)
-    finer = plain_cloth.finer(cloth_lift.truth.with_values({"specific_modulus": modulus}))
+    modulus = plain_cloth.E_over_rho(share * 0.2)
+    finer = plain_cloth.finer(cloth_lift.truth.with_values({"E_over_rho": modulus}))
     assert finer.body.shape == (points, points)
     assert finer.frames == plain_cloth.frames and finer.clock == plain_cloth.clock
     assert (finer is plain_cloth) == (points == 33)
-    chosen = Scene.of(cloth_lift.at_rest(8), cloth_lift.settings)
-    assert chosen.finer(cloth_lift.truth.with_values({"specific_modulus": modulus})) is chosen
+    chosen = LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)
+    assert chosen.finer(cloth_lift.truth.with_values({"E_over_rho": modulus})) is chosen
 
 
 def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, problem, found):
     """From where a coarser one ended to the end that the finer one's own search finds."""
     coarse = replace(rope_lift.settings, points=7)
     settings = replace(problem.settings, scene=coarse)
-    rough = gauss_newton(Problem([Scene.of(rope_lift.seen(), coarse)], settings))
+    rough = gauss_newton(Problem([LiftScene.of(rope_lift.seen(), coarse)], settings))
     before = rough.best.vector.copy()
     again = refined(problem, rough)
     assert problem.compares(again.best.comparison)
@@ -146,9 +146,9 @@ def test_derivatives_are_made_anew_only_where_they_must(problem, monkeypatch):
 def test_a_cloth_leaps_out_of_a_hollow(cloth_lift):
     """Steps that ended 6 deviations off go on from where a leap has come nearest."""
     settings = EstimateSettings(
-        starts=1, unknowns=("specific_modulus", "grip_height"), scene=cloth_lift.settings
+        starts=1, unknowns=("E_over_rho", "grip_height"), scene=cloth_lift.settings
     )
-    problem = Problem([Scene.of(cloth_lift.at_rest(8), cloth_lift.settings)], settings)
+    problem = Problem([LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)], settings)
     truth = problem.prior.vector(cloth_lift.truth)
     noise = problem.first_noise()
     start = steps.Start(initial=truth, vector=truth, comparison=problem.compare([truth])[0])
@@ -174,7 +174,7 @@ def test_a_cloth_leaps_out_of_a_hollow(cloth_lift):
 def test_slopes_of_a_coarser_sheet_are_those_between_its_points(cloth_lift):
     """Linear ones exactly."""
     shapes = [
-        Shape(Scene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=n)))
+        Shape(LiftScene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=n)))
         for n in (9, 15)
     ]
     fields = []
@@ -190,7 +190,7 @@ def test_cloths_are_simulated_in_single_precision(cloth_lift):
     recording, truth = cloth_lift.at_rest(8), cloth_lift.truth
     shapes = []
     for dtype in (None, "float64"):
-        scene = Scene.of(recording, replace(cloth_lift.settings, dtype=dtype))
+        scene = LiftScene.of(recording, replace(cloth_lift.settings, dtype=dtype))
         assert scene.dtype == (dtype or "float32")
         shapes.append(replay(scene, [truth]))
     assert 0.0 < np.abs(shapes[0] - shapes[1]).max() < 2e-5

@@ -90,7 +90,7 @@ def test_other_lifts_are_of_the_same_objects(monkeypatch):
     settings = LiftPlanSettings(ends=("hold",), rises=(0.4,), speeds=(0.02,), draws=1)
     rows = plan_lift(ROPES, settings).rows
     plain, slow = truths
-    assert plain.specific_modulus == slow.specific_modulus and plain.friction == slow.friction
+    assert plain.E_over_rho == slow.E_over_rho and plain.friction == slow.friction
     assert plain.damping != slow.damping == 0.0045
     (sd,) = rows[1].sd
     assert sd is not None and sd["damping"] == 0.86

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 
 ROOM = {"width": 0.28, "height": 0.2}
 
@@ -36,12 +36,12 @@ def seen_lying(cloth_lift, turn, *, seed=0, crumpled=False, inset=0.0):
 
 @pytest.mark.parametrize("turn", [-2.0, 0.0, 0.3, 1.4, 3.1])
 def test_a_cloth_that_lies_flat_lies_as_its_edges_show(cloth_lift, turn):
-    scene = Scene.of(seen_lying(cloth_lift, turn, inset=0.012), cloth_lift.settings)
+    scene = LiftScene.of(seen_lying(cloth_lift, turn, inset=0.012), cloth_lift.settings)
     found = math.atan2(*scene.inwards[0][1::-1]) - math.atan2(ROOM["height"], ROOM["width"])
     assert math.remainder(found - turn, 2 * math.pi) == pytest.approx(0.0, abs=0.012)
 
 
 def test_one_that_does_not_lies_as_it_hangs(cloth_lift):
-    scene = Scene.of(seen_lying(cloth_lift, 0.3, crumpled=True), cloth_lift.settings)
+    scene = LiftScene.of(seen_lying(cloth_lift, 0.3, crumpled=True), cloth_lift.settings)
     found = math.atan2(*scene.inwards[0][1::-1]) - math.atan2(ROOM["height"], ROOM["width"])
     assert found == pytest.approx(0.38, abs=0.03)

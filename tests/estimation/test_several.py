@@ -7,8 +7,8 @@ import pytest
 
 from gendom.cli.replay import replay_setup
 from gendom.errors import ParameterError, RecordingError
-from gendom.estimation import Estimate, EstimateSettings, Problem, Scene, estimate
-from gendom.estimation.theta import UNKNOWNS
+from gendom.estimation import Estimate, EstimateSettings, LiftScene, Problem, estimate
+from gendom.materials.unknowns import UNKNOWNS
 
 GRIPS = (0.004, -0.003)
 """How much higher than stated the rope is held in each lift [m]."""
@@ -36,15 +36,15 @@ def together(lifts, settings):
 
 
 def width(found):
-    low, high = found.record["intervals"]["specific_modulus"]
+    low, high = found.record["intervals"]["E_over_rho"]
     return np.log(high / low)
 
 
 def test_two_lifts_tell_more_than_one(rope_lift, alone, together):
     """The interval is narrower than either one's, and holds the truth."""
     assert together.usable, together.verdict.reasons
-    low, high = together.record["intervals"]["specific_modulus"]
-    assert low < rope_lift.truth.specific_modulus < high
+    low, high = together.record["intervals"]["E_over_rho"]
+    assert low < rope_lift.truth.E_over_rho < high
     assert all(found.usable for found in alone)
     # independent clouds: precisions add up
     expected = sum(width(found) ** -2.0 for found in alone) ** -0.5
@@ -87,7 +87,7 @@ def test_the_file_has_each_recording_s_own(together, lifts, tmp_path):
     assert again.posterior.sd("delay", 1) == together.posterior.sd("delay", 1)
     for r in own:
         low, high = r["alone"]["interval"]
-        assert low < r["alone"]["specific_modulus"] < high
+        assert low < r["alone"]["E_over_rho"] < high
     assert again.record["rms"] == own[0]["rms"] != own[1]["rms"]
     assert own[1]["chamfer_mean"] == pytest.approx(together.fits[1].chamfer.mean())
 
@@ -97,7 +97,7 @@ def test_each_recording_is_replayed_as_it_was_held(together, lifts, rope_lift):
         assert replay_setup(lift, together.record, "here", "cpu")[1] == theta
     other = rope_lift.seen(seed=7, grip_height=0.006)
     scene, theta = replay_setup(other, together.record, "here", "cpu")
-    assert theta.specific_modulus == together.theta.specific_modulus
+    assert theta.E_over_rho == together.theta.E_over_rho
     assert theta.grip_height == pytest.approx(0.006, abs=0.0015)
     assert any("found anew" in note for note in scene.notes)
 
@@ -107,7 +107,7 @@ def test_what_one_recording_cannot_show_the_other_may(rope_lift, settings):
     owner."""
     slow = replace(rope_lift.seen(), quasi_static=True)
     slow = replace(slow, time=10.0 * slow.time)
-    scenes = [Scene.of(r, settings.scene) for r in (slow, rope_lift.seen(seed=1))]
+    scenes = [LiftScene.of(r, settings.scene) for r in (slow, rope_lift.seen(seed=1))]
     problem = Problem(scenes, settings)
     shown = [[problem.prior.names[k] for k in part.shown] for part in problem.parts]
     assert "damping" not in shown[0] and "damping" in shown[1]
@@ -134,7 +134,7 @@ def test_a_hold_and_a_swing_give_modulus_and_damping(rope_lift, lifts, settings,
     found = estimate([lifts[0], swinging], settings)
     assert found.usable, found.verdict.reasons
     assert found.posterior.determined("damping")
-    for name, true in (("specific_modulus", truth.specific_modulus), ("damping", 0.02)):
+    for name, true in (("E_over_rho", truth.E_over_rho), ("damping", 0.02)):
         low, high = found.posterior.interval(name, 0.95)
         assert low < true < high, name
     assert found.theta.damping == pytest.approx(0.02, rel=0.3)
@@ -186,13 +186,13 @@ def test_a_recording_that_is_not_usable_is_named(rope_lift, lifts, settings):
 @pytest.mark.slow
 def test_lifts_of_two_ropes_are_told_apart(rope_lift, lifts, settings):
     """A rope three times as stiff, of the same sizes, is none that both could be."""
-    modulus = 3.0 * rope_lift.truth.specific_modulus
-    other = rope_lift.seen(seed=4, specific_modulus=modulus)
+    modulus = 3.0 * rope_lift.truth.E_over_rho
+    other = rope_lift.seen(seed=4, E_over_rho=modulus)
     found = estimate([lifts[0], other], settings)
     assert not found.usable
     said = [r for r in found.verdict.reasons if "do not show one object" in r]
     assert said and said[0].startswith("recording 1 and recording 2")
-    by_itself = [r["alone"]["specific_modulus"] for r in found.record["recordings"]]
+    by_itself = [r["alone"]["E_over_rho"] for r in found.record["recordings"]]
     assert by_itself == pytest.approx([modulus / 3.0, modulus], rel=0.1)
 
 

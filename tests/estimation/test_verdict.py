@@ -67,7 +67,7 @@ def scaled(recording):
 def test_a_good_lift_is_usable(rope_lift, settings, seed):
     found = estimate(rope_lift.seen(seed=seed, noise=2e-3), settings)
     assert found.usable, found.verdict.reasons
-    assert found.verdict.text == "usable" and found.interval("youngs_modulus") is not None
+    assert found.verdict.text == "usable" and found.interval("E") is not None
 
 
 def test_the_demo_s_lift_is_usable():
@@ -108,8 +108,8 @@ def test_a_rope_that_slips_through_the_fingers_is_refused(rope_lift, share, usab
     found = estimate(replace(recording, gripper_position=path), settings)
     assert found.usable is usable, found.verdict.reasons
     if usable:
-        modulus = rope_lift.truth.specific_modulus
-        assert found.record["specific_modulus"] == pytest.approx(modulus, rel=0.03)
+        modulus = rope_lift.truth.E_over_rho
+        assert found.record["E_over_rho"] == pytest.approx(modulus, rel=0.03)
     else:
         assert any("otherwise than any simulated one" in said for said in found.verdict.reasons)
 
@@ -146,7 +146,7 @@ def test_what_cannot_be_used_is_said(lifted, settings, spoiled, reason):
     assert not found.usable
     assert any(reason in said for said in found.verdict.reasons), found.verdict.reasons
     assert found.record["verdict"] == {"usable": False, "reasons": list(found.verdict.reasons)}
-    assert found.record["intervals"] is None and found.interval("youngs_modulus") is None
+    assert found.record["intervals"] is None and found.interval("E") is None
     assert "not usable" in repr(found) and "90%" not in repr(found)
 
 
@@ -179,10 +179,10 @@ def test_what_is_assumed_counts_in_intervals(lifted, settings):
         low, high = ends(one, key)
         return np.log(high / low)
 
-    assert width(without, "youngs_modulus") > 2.0 > 10.0 * width(found, "youngs_modulus")
+    assert width(without, "E") > 2.0 > 10.0 * width(found, "E")
     assert width(without, "bending_length") < 1.5 * width(found, "bending_length")
-    low, high = ends(without, "specific_modulus")
-    assert low < found.theta.specific_modulus < high
+    low, high = ends(without, "E_over_rho")
+    assert low < found.theta.E_over_rho < high
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3, 1.2])

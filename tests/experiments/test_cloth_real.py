@@ -13,8 +13,9 @@ from experiments.__main__ import main
 from experiments.cloth_real import CLOTHS, Settings, cloth_real, tables_of
 from experiments.runs import Runs
 from gendom.errors import GendomError
+from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
-from gendom.policies.belief import Belief
+from gendom.policies.belief import believed
 from gendom.reality import find_object
 from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import OFF_CENTRE
@@ -58,7 +59,7 @@ def runs(tmp_path, monkeypatch) -> Runs:
 def lifted(runs, name, task):
     if name == RUBBER:
         raise GendomError("it did not move", where=f"the lift of {name}")
-    return Belief.for_task(task, find_object(name))
+    return believed(Estimate.of(find_object(name)), task)
 
 
 SMALL = Settings(trials=3, demonstrations=0, draws=2)

@@ -16,10 +16,10 @@ def rows_of(lifts, *, stated=1.0, bias=0.0, seed=0):
     return [
         {
             "seed": n,
-            "truth": {"specific_modulus": truth, "nu": 0.3, "damping": 0.005, "friction": 0.4},
+            "truth": {"E_over_rho": truth, "nu": 0.3, "damping": 0.005, "friction": 0.4},
             "verdict": {"usable": True, "reasons": []},
             "posterior": {
-                "names": ["specific_modulus"],
+                "names": ["E_over_rho"],
                 "log": [True],
                 "mean": [math.log(truth) + bias + sd * rng.standard_normal()],
                 "covariance": [[(stated * sd) ** 2]],
@@ -83,7 +83,7 @@ def test_nothing_is_added_to_wide_posteriors():
 def test_a_rank_is_the_share_of_the_posterior_below_the_truth():
     """0.05 above the mean of a posterior whose deviation is 0.05: Phi(1)."""
     (row,) = rows_of(1)
-    row["posterior"]["mean"] = [math.log(row["truth"]["specific_modulus"]) - 0.05]
+    row["posterior"]["mean"] = [math.log(row["truth"]["E_over_rho"]) - 0.05]
     (found,) = covered([row], 0.9)
     assert found.ranks == pytest.approx((0.8413,), abs=1e-4)
     assert found.counts == (0, 0, 0, 1)
@@ -114,6 +114,6 @@ def test_the_command_writes_ranks_and_a_picture(tmp_path, monkeypatch, capsys):
     assert len(unknown["ranks"]) == 40 and unknown["band"] == list(rank_band(40, 8))
     made = json.loads((tmp_path / "calibration-rope-swing.json").read_text())["rope"]
     assert made["lifts"] == 40 and made["factor"] == {}
-    assert made["added"]["specific_modulus"] == unknown["added"] > 0.0
+    assert made["added"]["E_over_rho"] == unknown["added"] > 0.0
     assert "coverage --end swing" in (tmp_path / "coverage-rope-swing.txt").read_text()
     assert (tmp_path / "coverage-rope-swing.png").stat().st_size > 1000

@@ -24,7 +24,7 @@ from experiments.sim2sim import (
     truth_of,
 )
 from gendom.errors import ParameterError
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 
 RNG = np.random.default_rng(0)
 
@@ -61,11 +61,11 @@ def test_the_file_gives_what_torch_gives(tmp_path):
     from experiments.pointnet_training import INPUTS, Training, simulated_lifts, train
 
     settings = scene_settings()
-    scene = Scene.of(sim2sim_recording(4000.0, 0.3, frames=10), settings)
+    scene = LiftScene.of(sim2sim_recording(4000.0, 0.3, frames=10), settings)
     thetas = [truth_of(E, nu) for E, nu in ((600.0, 0.2), (2000.0, 0.4), (9000.0, 0.3))]
     clouds, targets = simulated_lifts(scene, thetas)
     assert targets[0, 0] == pytest.approx(
-        math.log(scene.bending_length(thetas[0].specific_modulus) / 0.5)
+        math.log(scene.bending_length(thetas[0].E_over_rho) / 0.5)
     )
     path, training = tmp_path / "net.onnx", Training(epochs=3)
     network = train(scene, clouds, targets, path, training)
@@ -85,7 +85,7 @@ def test_the_file_gives_what_torch_gives(tmp_path):
 def test_the_shipped_network_reads_a_lift(paper_lift):
     problem = sim2sim_problem(paper_lift)
     found = pointnet(problem)
-    E = paper_E(problem.theta(found.best.vector).specific_modulus)
+    E = paper_E(problem.theta(found.best.vector).E_over_rho)
     assert E == pytest.approx(4000.0, rel=0.1)
     assert found.covariance is not None
     sd = math.sqrt(found.covariance[0, 0])

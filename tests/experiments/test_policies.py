@@ -16,8 +16,9 @@ from experiments.ablation import ablation, curves_of
 from experiments.generalization import PAPER, generalization, table_of
 from experiments.rope_real import WithinRisk, rope_real, shown_of
 from experiments.runs import Chart, Runs, TrainingJob
+from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
-from gendom.policies.belief import Belief
+from gendom.policies.belief import believed
 from gendom.policies.fitting import Training
 from gendom.reality import RealRope, find_object
 from gendom.tasks import RopeReaching
@@ -176,10 +177,10 @@ def test_real_ropes_have_all_rows_and_go_on(runs, monkeypatch):
     def lifted(self, name, task):
         rope = find_object(name)
         m = rope.material
-        posterior = {"names": ["specific_modulus", "damping"],
-                     "mean": np.log([1.03 * m.specific_modulus, m.damping]).tolist(),
+        posterior = {"names": ["E_over_rho", "damping"],
+                     "mean": np.log([1.03 * m.E_over_rho, m.damping]).tolist(),
                      "covariance": [[0.04**2, 0.0], [0.0, 0.1**2]]}  # fmt: skip
-        return Belief.for_task(task, rope, posterior)
+        return believed(Estimate.of(rope, posterior), task)
 
     monkeypatch.setattr(Runs, "lifted", lifted)
     monkeypatch.setattr(

@@ -9,7 +9,7 @@ from gendom.materials import dimensionless_parameters, with_dimensionless
 from gendom.policies.adaptation import Execution
 from policies.ballistic import ROPE, TASK, Throws
 
-PARAMETERS = {"E": 0.5, "damping": 0.03}
+PARAMETERS = {"bending_ratio": 0.5, "damping": 0.03}
 TRUE = with_dimensionless(ROPE, PARAMETERS)
 
 
@@ -26,7 +26,9 @@ def seen(item, count=20):
 def test_one_object_is_explained():
     found = identify(TASK, seen(TRUE), world=Throws())
     # E and damping move the reach alike: what they reach is found, not each of them
-    value = 0.6 * np.log(found.parameters["E"] / 0.4) - 6.0 * (found.parameters["damping"] - 0.02)
+    value = 0.6 * np.log(found.parameters["bending_ratio"] / 0.4) - 6.0 * (
+        found.parameters["damping"] - 0.02
+    )
     assert value == pytest.approx(0.6 * np.log(0.5 / 0.4) - 6.0 * 0.01, abs=1e-3)
     assert found.misfit < 1e-4 and found.executions == 20
     again = identify(TASK, seen(TRUE), world=Throws())
@@ -34,13 +36,15 @@ def test_one_object_is_explained():
 
 
 def test_several_objects_share_a_compromise():
-    other = with_dimensionless(ROPE, {"E": 0.3, "damping": 0.03})
+    other = with_dimensionless(ROPE, {"bending_ratio": 0.3, "damping": 0.03})
     start = with_dimensionless(ROPE, {"damping": 0.03})
     both = [(start, e) for _, e in [*seen(TRUE, 10), *seen(other, 10)]]
-    found = identify(TASK, both, world=Throws(), ranges={"E": (0.2, 0.8)})
-    assert 0.3 < found.parameters["E"] < 0.5
+    found = identify(TASK, both, world=Throws(), ranges={"bending_ratio": (0.2, 0.8)})
+    assert 0.3 < found.parameters["bending_ratio"] < 0.5
     assert found.misfit > 0.01
-    assert dimensionless_parameters(found.item(ROPE))["E"] == pytest.approx(found.parameters["E"])
+    assert dimensionless_parameters(found.item(ROPE))["bending_ratio"] == pytest.approx(
+        found.parameters["bending_ratio"]
+    )
 
 
 def test_nothing_to_learn_from_is_told():

@@ -46,8 +46,8 @@ def estimated(monkeypatch):
         assert (settings.starts, settings.max_iterations) == (1, 12)
         if settings.method in ("adam", "pointnet"):
             raise ParameterError("cannot do that", where="method adam")
-        truth = module.truth_of(item)["specific_modulus"] * item.material.density
-        record = {key: 0.005 for key in module.KEPT} | {"youngs_modulus": 1.1 * truth}
+        truth = module.truth_of(item)["E_over_rho"] * item.material.density
+        record = {key: 0.005 for key in module.KEPT} | {"E": 1.1 * truth}
         if item.kind == "cloth":
             return Found(record=record, verdict=Verdict(usable=False, reasons=("is crumpled",)))
         return Found(record=record)

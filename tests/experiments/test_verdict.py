@@ -23,7 +23,7 @@ def test_each_corrupts_a_recording(lifted, case):
 def answers(usable, *, right=False, ratio=1.0):
     if not usable:
         return {"usable": False, "reasons": ["so"]}
-    ratios = {"specific_modulus": 1.0, "youngs_modulus": ratio}
+    ratios = {"E_over_rho": 1.0, "E": ratio}
     return {"usable": True, "right": right, "ratios": ratios}
 
 

@@ -34,7 +34,7 @@ class Throws(Simulation):
         outcomes = []
         for item, (x, z) in zip(items, np.asarray(actions), strict=True):
             L, alike = size_of(item), dimensionless_parameters(item)
-            reached = reach_of(x / L, z / L, alike["E"], alike["damping"]) + self.off
+            reached = reach_of(x / L, z / L, alike["bending_ratio"], alike["damping"]) + self.off
             values = {"x": L * reached, "sideways": 0.0 if z < self.risky_above * L else 0.1 * L}
             outcomes.append(
                 Outcome(values={}, fault="it burst") if self.fails else Outcome(values=values)

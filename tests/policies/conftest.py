@@ -20,12 +20,12 @@ class FakeSession:
     def run(self, names, feed):
         self.fed = {name: value.copy() for name, value in feed.items()}
         goal = feed["goal_x"]
-        stiffness = np.log(feed.get("E", np.full_like(goal, 0.4)) / 0.4)
+        stiffness = np.log(feed.get("bending_ratio", np.full_like(goal, 0.4)) / 0.4)
         x = 0.6 - 0.3 * (goal - 1.4) + 0.02 * stiffness + self.offset
         return [np.concatenate([x, np.full_like(goal, 0.4)], axis=1).astype(np.float32)]
 
 
-def describe(conditioned_on=("E", "nu"), **changes) -> Description:
+def describe(conditioned_on=("bending_ratio", "nu"), **changes) -> Description:
     """A description of a policy for rope reaching."""
     goal = Column(name="goal_x", mean=1.4, scale=0.1)
     fields = {
@@ -37,7 +37,7 @@ def describe(conditioned_on=("E", "nu"), **changes) -> Description:
         "goals": GoalRange(at=(0.3, 0.5), low=((1.2,), (1.1,)), high=((1.8,), (1.6,))),
         "parameters": {
             **dict.fromkeys(PARAMETERS, (0.001, 10.0)),
-            "E": (0.25, 0.7),
+            "bending_ratio": (0.25, 0.7),
             "nu": (0.2, 0.4),
         },
         "training": {"seed": 3},

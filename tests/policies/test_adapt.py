@@ -8,15 +8,15 @@ import pytest
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Cloth, dimensionless_parameters, size_of
+from gendom.materials.estimate import Estimate
 from gendom.policies.adaptation import AdaptSettings, Execution, adapt, executions_from
-from gendom.policies.belief import Belief, uncertain
-from gendom.policies.estimates import _posterior
+from gendom.policies.belief import uncertain
 from gendom.policies.polishing import polish
 from gendom.tasks import ClothSpreading
 from policies.ballistic import ROPE, TASK, Throws, reach_of
 
 POSTERIOR = {
-    "names": ["specific_modulus", "grip_height"],
+    "names": ["E_over_rho", "grip_height"],
     "mean": [math.log(8e5 / 900), 0.0],
     "covariance": [[0.05**2, 0.0], [0.0, 1e-6]],
 }
@@ -25,19 +25,29 @@ TRUE = replace(ROPE, material=replace(ROPE.material, E=7.7e5, damping=0.009))
 EXACT = AdaptSettings(discrepancy=1e-5, noise=1e-5)
 
 
+EVERY = ("E_over_rho", "nu", "damping", "friction")
+
+
+def belief_of(item, posterior, *, known=()) -> Estimate:
+    """What a posterior says of an object, where some parameters are known."""
+    return Estimate.of(item, posterior).of_object([n for n in EVERY if n not in known])
+
+
 def executed(x, z, *, off=0.0, item=TRUE) -> Execution:
     L, alike = item.length, dimensionless_parameters(item)
-    reached = L * (reach_of(x, z, alike["E"], alike["damping"]) + off)
+    reached = L * (reach_of(x, z, alike["bending_ratio"], alike["damping"]) + off)
     return Execution(action=L * np.array([x, z]), reached=np.array([reached]))
 
 
 def test_two_exact_executions_tell_what_one_cannot():
     """E and damping move the reach alike, so the sum is learnt; the prior shares it out."""
-    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
     found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), settings=EXACT).belief
     alike = dimensionless_parameters(found.most_likely)
     (reached,) = executed(0.4, 0.4).reached / ROPE.length
-    assert reach_of(0.4, 0.4, alike["E"], alike["damping"]) == pytest.approx(reached, abs=1e-5)
+    assert reach_of(0.4, 0.4, alike["bending_ratio"], alike["damping"]) == pytest.approx(
+        reached, abs=1e-5
+    )
     # nearly all of it is damping, which no lift told
     assert found.most_likely.material.damping == pytest.approx(0.009, rel=0.2)
     assert found.most_likely.material.E == pytest.approx(8e5, rel=0.05)
@@ -47,7 +57,7 @@ def test_two_exact_executions_tell_what_one_cannot():
 
 def test_belief_is_that_of_the_linear_model():
     """Near its mean the world is linear: mean and covariance are Kalman's."""
-    belief = Belief.of(ROPE, POSTERIOR, known=(*KNOWN, "damping"))
+    belief = belief_of(ROPE, POSTERIOR, known=(*KNOWN, "damping"))
     settings = AdaptSettings(discrepancy=0.01, noise=0.002)
     seen = executed(0.4, 0.4, item=replace(ROPE, material=replace(ROPE.material, E=8.1e5)))
     found = adapt(TASK, belief, [seen], world=Throws(), settings=settings)
@@ -63,8 +73,8 @@ def test_belief_is_that_of_the_linear_model():
 
 
 def test_what_parameters_cannot_explain_is_expected_again_nearby():
-    tight = {"names": ["specific_modulus"], "mean": [math.log(8e5 / 900)], "covariance": [[1e-8]]}
-    belief = Belief.of(ROPE, tight, known=(*KNOWN, "damping"))
+    tight = {"names": ["E_over_rho"], "mean": [math.log(8e5 / 900)], "covariance": [[1e-8]]}
+    belief = belief_of(ROPE, tight, known=(*KNOWN, "damping"))
     seen = executed(0.4, 0.4, off=0.02, item=ROPE)
     found = adapt(TASK, belief, [seen], world=Throws())
     assert found.residuals[0, 0] == pytest.approx(0.02 * ROPE.length, rel=1e-2)
@@ -84,20 +94,20 @@ def test_what_parameters_cannot_explain_is_expected_again_nearby():
 
 
 def test_nothing_seen_changes_nothing():
-    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
     found = adapt(TASK, belief, [], world=Throws())
     assert found.belief is belief and found.discrepancy is None
 
 
 def test_parameters_may_be_left_alone():
-    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
     found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), refine=False)
     assert np.array_equal(found.belief.mean, belief.mean)
     assert found.discrepancy is not None
 
 
 def test_bad_executions_are_refused():
-    belief = Belief.of(ROPE, POSTERIOR, known=KNOWN)
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
     wrong = Execution(action=np.array([0.2]), reached=np.array([0.4]))
     with pytest.raises(ParameterError, match="1 numbers of an action"):
         adapt(TASK, belief, [wrong], world=Throws())
@@ -122,61 +132,61 @@ def test_executions_go_through_json():
 
 
 def test_what_a_task_depends_on():
-    assert uncertain(TASK, ROPE) == ("E", "damping")
+    assert uncertain(TASK, ROPE) == ("E_over_rho", "damping")
     cloth = Cloth(side=0.3, thickness=0.001)
-    assert uncertain(ClothSpreading(), cloth) == ("E", "nu", "damping", "friction")
+    assert uncertain(ClothSpreading(), cloth) == ("E_over_rho", "nu", "damping", "friction")
 
 
 # ---- beliefs ---------------------------------------------------------------------------------
 
 
 def test_belief_takes_the_posterior_and_doubts_the_rest():
-    belief = Belief.of(ROPE, POSTERIOR, known=("friction",))
-    assert belief.names == ("E", "nu", "damping")
+    belief = belief_of(ROPE, POSTERIOR, known=("friction",))
+    assert belief.names == ("E_over_rho", "nu", "damping")
     assert belief.sd == pytest.approx([0.05, 0.06, 0.86])
     assert belief.most_likely.material.E == pytest.approx(8e5)
     drawn = belief.draws(4000, seed=1)
-    logs = np.log([item.material.specific_modulus for item in drawn])
+    logs = np.log([item.material.E_over_rho for item in drawn])
     assert logs.mean() == pytest.approx(math.log(8e5 / 900), abs=0.003)
     assert logs.std() == pytest.approx(0.05, rel=0.05)
-    low, high = belief.interval("E")
+    low, high = belief.posterior.interval("E_over_rho", 0.9)
     inside = (np.exp(logs) > low) & (np.exp(logs) < high)
     assert inside.mean() == pytest.approx(0.9, abs=0.02)
     assert all(size_of(item) == ROPE.length for item in drawn)
 
 
 def test_belief_may_doubt_one_more_parameter():
-    belief = Belief.of(ROPE, None, known=("nu", "friction")).doubting("E", 0.3)
-    assert belief.names == ("damping", "E")
+    belief = belief_of(ROPE, None, known=("nu", "friction")).with_uncertain("E_over_rho", 0.3)
+    assert belief.names == ("damping", "E_over_rho")
     assert belief.sd[1] == pytest.approx(0.3) and belief.covariance[0, 1] == 0.0
     assert belief.most_likely.material.E == pytest.approx(8e5)
-    again = Belief.from_dict(ROPE, belief.to_dict())
+    again = Estimate.of(ROPE, belief.posterior.to_dict())
     assert again.names == belief.names and np.array_equal(again.covariance, belief.covariance)
 
 
 def test_belief_keeps_correlations_in_any_order():
-    posterior = {"names": ["damping", "x", "specific_modulus"], "mean": [-5.0, 0.0, 7.0],
+    posterior = {"names": ["damping", "yaw", "E_over_rho"], "mean": [-5.0, 0.0, 7.0],
                  "covariance": [[0.04, 0.0, 0.01], [0.0, 1.0, 0.0], [0.01, 0.0, 0.09]]}  # fmt: skip
-    belief = Belief.of(ROPE, posterior, known=KNOWN)
-    assert belief.names == ("E", "damping")
+    belief = belief_of(ROPE, posterior, known=KNOWN)
+    assert belief.names == ("E_over_rho", "damping")
     assert belief.mean == pytest.approx([7.0, -5.0])
     assert belief.covariance == pytest.approx(np.array([[0.09, 0.01], [0.01, 0.04]]))
 
 
 @pytest.mark.parametrize(
     "posterior",
-    [{}, {"names": ["specific_modulus"], "mean": [1.0], "covariance": [[-1.0]]},
-     {"names": ["specific_modulus"], "mean": ["x"], "covariance": [[1.0]]}],
+    [{}, {"names": ["E_over_rho"], "mean": [1.0], "covariance": [[-1.0]]},
+     {"names": ["E_over_rho"], "mean": ["x"], "covariance": [[1.0]]}],
 )  # fmt: skip
 def test_broken_posteriors_are_refused(posterior):
     with pytest.raises(ParameterError):
-        Belief.of(ROPE, posterior, known=KNOWN)
+        belief_of(ROPE, posterior, known=KNOWN)
 
 
 def test_what_recordings_have_each_is_kept():
     """Of an estimate from several recordings, whose own unknowns share a name."""
     old = {
-        "names": ["specific_modulus", "grip_height", "grip_height"],
+        "names": ["E_over_rho", "grip_height", "grip_height"],
         "recordings": [None, 0, 1],
         "log": [True, False, False],
         "mean": [math.log(900.0), 0.001, 0.002],
@@ -186,7 +196,9 @@ def test_what_recordings_have_each_is_kept():
         "high": [9.0, 0.1, 0.1],
         "covariance": np.diag([1e-2, 1e-6, 4e-6]).tolist(),
     }
-    found = _posterior(old, Belief.of(ROPE, old, known=["nu", "damping", "friction"]))
+    estimate = Estimate.of(ROPE, old)
+    belief = estimate.of_object(["E_over_rho"])
+    found = estimate.updated(belief, {}).posterior.to_dict()
     assert found["names"] == old["names"] and found["recordings"] == old["recordings"]
     assert found["mean"][1:] == [0.001, 0.002]
     assert np.diag(found["covariance"]) == pytest.approx([1e-2, 1e-6, 4e-6])
@@ -197,9 +209,9 @@ def test_a_belief_is_about_an_object_of_the_item_s_thickness():
     slope = np.array([-2.0, 1.0])
     covariance = np.diag([0.03**2, 0.0]) + 0.8**2 * np.outer(slope, slope)
     posterior = {
-        "names": ["specific_modulus", "thickness"],
+        "names": ["E_over_rho", "thickness"],
         "mean": [math.log(8e5 / 900), 0.0],
         "covariance": covariance.tolist(),
     }
-    belief = Belief.of(ROPE, posterior, known=("nu", "friction", "damping"))
-    assert belief.names == ("E",) and belief.sd == pytest.approx([0.03])
+    belief = belief_of(ROPE, posterior, known=("nu", "friction", "damping"))
+    assert belief.names == ("E_over_rho",) and belief.sd == pytest.approx([0.03])

@@ -21,12 +21,12 @@ from gendom.tasks.world import Simulation
 
 ESTIMATE = {
     "format": "gendom-estimate/1",
-    "youngs_modulus": 9.0e5,
-    "poissons_ratio": 0.3,
+    "E": 9.0e5,
+    "nu": 0.3,
     "density": 900.0,
-    "specific_modulus": 1000.0,
+    "E_over_rho": 1000.0,
     "bending_length": 0.02,
-    "intervals": {"youngs_modulus": [8.0e5, 1.0e6]},
+    "intervals": {"E": [8.0e5, 1.0e6]},
     "object": {"kind": "rope", "length": 0.25, "diameter": 0.014},
 }
 
@@ -75,10 +75,17 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
 def test_act_says_which_numbers_are_dimensionless(act):
     """The policy's inputs are no SI values, and outcomes have units, too."""
     result, out = json.loads(act("--json")[1]), act()[1]
-    assert result["network_input"].keys() == result["network_input_meaning"].keys() == {"E", "nu"}
-    assert result["network_input_meaning"]["E"] == "bending length over size, dimensionless"
+    assert (
+        result["network_input"].keys()
+        == result["network_input_meaning"].keys()
+        == {"bending_ratio", "nu"}
+    )
+    assert (
+        result["network_input_meaning"]["bending_ratio"]
+        == "bending length over size, dimensionless"
+    )
     assert re.search(r"\n  inputs   of the policy, dimensionless\n", out)
-    assert re.search(r"\n           E +0\.\d+ +bending length over size\n", out)
+    assert re.search(r"\n           bending_ratio +0\.\d+ +bending length over size\n", out)
     assert "sees" not in out
     assert "nu " not in act("--no-parameters")[1]
     predicted = out.split("predicts")[1].split("\n")[0]
@@ -87,7 +94,7 @@ def test_act_says_which_numbers_are_dimensionless(act):
 
 
 def test_act_says_what_is_assumed_with_its_unit(act, monkeypatch, make_policy):
-    policy = make_policy(conditioned_on=("E", "nu", "damping"))[0]
+    policy = make_policy(conditioned_on=("bending_ratio", "nu", "damping"))[0]
     monkeypatch.setattr(Policy, "pretrained", lambda task, *, parameters: policy)
     assert "\n  assumed  damping 0.004 s\n" in act()[1]
 
@@ -155,8 +162,8 @@ def test_adapt_learns_from_executions_one_after_the_other(adapt, act, tmp_path):
     assert learnt["damping"] != pytest.approx(0.004, rel=0.01)
     low, high = learnt["intervals"]["damping"]
     assert low < learnt["damping"] < high
-    share = learnt["youngs_modulus"] / ESTIMATE["youngs_modulus"]
-    assert learnt["specific_modulus"] == pytest.approx(1000.0 * share)
+    share = learnt["E"] / ESTIMATE["E"]
+    assert learnt["E_over_rho"] == pytest.approx(1000.0 * share)
     assert learnt["bending_length"] == pytest.approx(0.02 * share ** (1 / 3))
 
     # a second one goes on from there, and both are learnt from as if at once
@@ -167,7 +174,7 @@ def test_adapt_learns_from_executions_one_after_the_other(adapt, act, tmp_path):
     code, out, _ = adapt("--executions", str(tmp_path / "log.json"), "--json")
     at_once, by_turns = json.loads(out), read_json(second)
     assert by_turns["executions"]["rope-reaching"] == rows
-    for key in ("youngs_modulus", "damping"):
+    for key in ("E", "damping"):
         assert by_turns[key] == pytest.approx(at_once[key], rel=1e-6)
 
     # and what is not explained by parameters moves the polished action
@@ -208,7 +215,7 @@ def test_act_predicts_by_the_level_of_the_interval(act):
 
 def test_act_expects_its_simulator_to_err(act):
     """Also where the object is known all but exactly."""
-    changed = ESTIMATE | {"intervals": {"youngs_modulus": [0.8999e6, 0.9001e6], "level": 0.9}}
+    changed = ESTIMATE | {"intervals": {"E": [0.8999e6, 0.9001e6], "level": 0.9}}
     found = json.loads(act("--json", "--damping", "0.004", estimate=changed)[1])
     low, high = found["predicted"]["interval_90"]["x"]
     sd = 0.008 * found["object"]["length"]
@@ -277,7 +284,7 @@ def test_act_takes_flags_instead_of_a_file_and_before_it(act):
     del by_file["predicted"]["interval_90"]
     assert by_flags == by_file
     softer = json.loads(act("--E", "4.5e5", "--json")[1])
-    assert softer["object"]["specific_modulus"] == pytest.approx(500.0)
+    assert softer["object"]["E_over_rho"] == pytest.approx(500.0)
     assert "interval_90" not in softer["predicted"]  # that was of another E
 
 
@@ -296,7 +303,7 @@ def test_act_without_parameters_needs_only_sizes(act):
             "0.35",
             "nu (Poisson's ratio) 0.45 is 12.5 % above the range 0.2 to 0.4",
         ),
-        (("--E", "1e4"), "0.35", "E (bending length over size)"),
+        (("--E", "1e4"), "0.35", "bending_ratio (bending length over size)"),
         ((), "0.9", "goal x 0.9 lies outside"),
     ],
 )
@@ -351,7 +358,7 @@ def test_what_cannot_be_is_refused_even_if_forced(act, flags, goal, text):
         ((), ESTIMATE, "0.9", "choose one between"),
         (("--E", "1e5", "--length", "0.2"), None, "0.3", "give --diameter, --E and --density"),
         ((), ESTIMATE | {"format": "other/1"}, "0.35", "not 'gendom-estimate/1'"),
-        ((), ESTIMATE | {"poissons_ratio": "0.3"}, "0.35", "must be a positive number, got '0.3'"),
+        ((), ESTIMATE | {"nu": "0.3"}, "0.35", "must be a positive number, got '0.3'"),
         ((), ESTIMATE | {"object": {"kind": "cloth"}}, "0.35", "describes a cloth"),
         (("--E", "-1"), ESTIMATE, "0.35", "must be positive"),
         (("--no-parameters", "--policy", "x.onnx"), ESTIMATE, "0.35", "together with --policy"),
@@ -407,7 +414,8 @@ def test_train_then_evaluate(quick, tmp_path, capsys):
         assert 0.0 < entry["error"]["mean"] < 0.01
     assert cli.main([*words, "--seed", "7"]) == 0
     out = capsys.readouterr().out
-    assert "distal, conditioned on E, nu, damping, density" in out and "error   [m]\n" in out
+    assert "distal, conditioned on bending_ratio, nu, damping, density" in out
+    assert "error   [m]\n" in out
 
 
 def test_the_engine_can_be_chosen(act, quick, make_policy, monkeypatch, capsys):

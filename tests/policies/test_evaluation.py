@@ -32,7 +32,7 @@ class Quick(Simulation):
         outcomes = []
         for item, (x, z) in zip(items, np.asarray(actions), strict=True):
             L = size_of(item)
-            reached = L * reach_of(x / L, dimensionless_parameters(item)["E"])
+            reached = L * reach_of(x / L, dimensionless_parameters(item)["bending_ratio"])
             falls = x < self.falls_before * L
             values = {"x": reached, "sideways": 0.2 * L if falls else 0.0}
             fault = "failed" if z > self.fails_above * L else None
@@ -48,12 +48,12 @@ class Inverse:
 
     def run(self, names, feed):
         goal = feed["goal_x"]
-        E = feed.get("E", np.full_like(goal, 0.4))
+        E = feed.get("bending_ratio", np.full_like(goal, 0.4))
         x = (2.0 + 0.15 * np.log(E / 0.4) - goal) / 0.8
         return [np.concatenate([x, np.full_like(x, self.release_z)], axis=1)]
 
 
-def make_policy(conditioned_on=("E",), task=None, **session) -> Policy:
+def make_policy(conditioned_on=("bending_ratio",), task=None, **session) -> Policy:
     description = Description(
         task=task or {"name": "rope-reaching", **TASK.settings()},
         method="inverse",
@@ -82,7 +82,7 @@ def test_exact_policy_has_no_error_and_blind_policy_has():
     exact = score(make_policy(), cases, world=Quick())
     assert exact.error[free(exact)].max() < 1e-6
     blind = score(make_policy(conditioned_on=()), cases, world=Quick())
-    E = np.array([dimensionless_parameters(item)["E"] for item in cases.items])
+    E = np.array([dimensionless_parameters(item)["bending_ratio"] for item in cases.items])
     expected = 0.25 * np.abs(0.15 * np.log(E / 0.4))
     assert blind.error[free(blind)] == pytest.approx(expected[free(blind)], abs=1e-6)
     summary = blind.summary()
@@ -100,7 +100,9 @@ def test_a_policy_may_know_less_than_the_truth():
 
 
 def test_cases_may_have_ropes_of_another_size():
-    task = RopeReaching(item=Rope(length=0.6, diameter=0.02), ranges={"E": (1000.0, 5000.0)})
+    task = RopeReaching(
+        item=Rope(length=0.6, diameter=0.02), ranges={"E_over_rho": (1000.0, 5000.0)}
+    )
     cases = draw_cases(task, 30, seed=3, simulation=Quick())
     result = score(make_policy(), cases, world=Quick())
     assert result.error[free(result)].max() < 1e-6
@@ -115,7 +117,7 @@ def test_given_objects_are_taken_by_turns():
 
 def test_what_cannot_be_relied_on_makes_no_goal():
     cases = draw_cases(TASK, 40, seed=1, simulation=Quick(falls_before=0.6))
-    E = np.array([dimensionless_parameters(item)["E"] for item in cases.items])
+    E = np.array([dimensionless_parameters(item)["bending_ratio"] for item in cases.items])
     release = (2.0 + 0.15 * np.log(E / 0.4) - cases.goal[:, 0] / 0.25) / 0.8
     assert release.min() >= 0.6 - 1e-9
 

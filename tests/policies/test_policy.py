@@ -33,7 +33,7 @@ def test_act_gives_metres_of_the_given_rope(make_policy):
     assert action.action == pytest.approx({"release_x": 0.15, "release_z": 0.1})
     assert action.goal == {"x": 0.35}
     assert session.fed["goal_x"] == pytest.approx(np.array([[1.4]]))
-    assert session.fed["E"] == pytest.approx(np.array([[0.4]]), rel=1e-6)
+    assert session.fed["bending_ratio"] == pytest.approx(np.array([[0.4]]), rel=1e-6)
     assert action.warnings == ()
 
 
@@ -80,9 +80,9 @@ def test_parameters_outside_are_clipped_with_a_warning(make_policy, caplog):
     policy, session = make_policy()
     with caplog.at_level(logging.WARNING, logger="gendom"):
         action = policy.act(0.35, rope(0.875, nu=0.15))
-    assert session.fed["E"] == pytest.approx(np.array([[0.7]]))
+    assert session.fed["bending_ratio"] == pytest.approx(np.array([[0.7]]))
     assert session.fed["nu"] == pytest.approx(np.array([[0.2]]))
-    assert action.network_input == pytest.approx({"E": 0.7, "nu": 0.2})
+    assert action.network_input == pytest.approx({"bending_ratio": 0.7, "nu": 0.2})
     assert "bending length over size) 0.875 is 25 % above" in action.warnings[0]
     assert "25 % below" in action.warnings[1]
     assert tuple(record.message for record in caplog.records) == action.warnings
@@ -116,9 +116,9 @@ def test_goals_that_are_none_are_refused(make_policy, goal, text):
 def test_what_the_network_needs_is_asked_for(make_policy):
     policy, _ = make_policy()
     with pytest.raises(PolicyError, match="needs nu"):
-        policy.actions([1.4], {"E": 0.4})
+        policy.actions([1.4], {"bending_ratio": 0.4})
     with pytest.raises(PolicyError, match="nu must be finite"):
-        policy.actions([1.4], {"E": 0.4, "nu": math.nan})
+        policy.actions([1.4], {"bending_ratio": 0.4, "nu": math.nan})
     both = policy.actions([1.4, 1.5], {**dimensionless_parameters(rope()), "nu": [0.3, 0.3]})
     assert both.shape == (2, 2)
 
@@ -202,10 +202,10 @@ def graph(path, inputs, metadata):
 
 
 def test_onnx_files_must_describe_themselves(tmp_path, description):
-    names = ["goal_x", "E", "nu"]
+    names = ["goal_x", "bending_ratio", "nu"]
     about = {"gendom-policy": description.to_json()}
     policy = Policy.read(graph(tmp_path / "good.onnx", names, about))
-    actions = policy.actions([1.0, 2.0], {"E": 0.5, "nu": 0.25})
+    actions = policy.actions([1.0, 2.0], {"bending_ratio": 0.5, "nu": 0.25})
     assert actions == pytest.approx(np.array([[1.75], [2.75]]))
     with pytest.raises(PolicyError, match="without 'gendom-policy' metadata"):
         Policy.read(graph(tmp_path / "bare.onnx", names, {}))

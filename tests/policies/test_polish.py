@@ -9,7 +9,7 @@ import pytest
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item
-from gendom.policies.belief import Belief
+from gendom.materials.estimate import Estimate
 from gendom.policies.polishing import PolishSettings, polish, polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import RopeCasting
@@ -34,8 +34,8 @@ def test_known_object_is_reached_exactly():
 
 def test_uncertain_object_gets_an_action_that_hardly_depends_on_it():
     """What is uncertain counts by z: the polished action is low, whatever the start."""
-    belief = Belief.of(ROPE, {"names": ["specific_modulus"], "mean": [math.log(8e5 / 900)],
-                              "covariance": [[0.3**2]]}, known=("nu", "friction"))  # fmt: skip
+    posterior = {"names": ["E_over_rho"], "mean": [math.log(8e5 / 900)], "covariance": [[0.3**2]]}
+    belief = Estimate.of(ROPE, posterior).of_object(("E_over_rho", "damping"))
     items = belief.draws(16, seed=0)
     start = ROPE.length * np.array([0.35, 0.6])
     goal = 0.4

@@ -45,7 +45,9 @@ def misses(policy, seed: int = 9) -> np.ndarray:
     new = thrown(200, seed)
     action = policy.actions(new.goal, new.parameters)
     p = new.parameters
-    return np.abs(reach_of(action[:, 0], action[:, 1], p["E"], p["damping"]) - new.goal[:, 0])
+    return np.abs(
+        reach_of(action[:, 0], action[:, 1], p["bending_ratio"], p["damping"]) - new.goal[:, 0]
+    )
 
 
 def test_refined_policies_reach_their_goals(tmp_path):
@@ -63,7 +65,7 @@ def test_what_the_simulator_reaches_counts_not_what_was_demonstrated(tmp_path):
     policy = train(thrown(400), tmp_path / "far.onnx", BRIEF, world=Throws(off=0.05))
     new = thrown(200, 9)
     action, p = policy.actions(new.goal, new.parameters), new.parameters
-    reached = reach_of(action[:, 0], action[:, 1], p["E"], p["damping"])
+    reached = reach_of(action[:, 0], action[:, 1], p["bending_ratio"], p["damping"])
     assert np.median(reached - new.goal[:, 0]) == pytest.approx(-0.05, abs=0.004)
 
 

@@ -50,19 +50,25 @@ def toy(count: int, seed: int = 0, *, risky: bool = False) -> Demonstrations:
         goal_names=("x",),
         goal=goal[:, None],
         action=action,
-        parameters={"E": E, "nu": nu, "damping": 0.02 * one, "friction": one, "density": one},
+        parameters={
+            "bending_ratio": E,
+            "nu": nu,
+            "damping": 0.02 * one,
+            "friction": one,
+            "density": one,
+        },
         risk=risk,
     )
 
 
 def acted(policy: Policy, cases: Demonstrations) -> np.ndarray:
-    return policy.actions(cases.goal, {n: cases.parameters[n] for n in ("E", "nu")})
+    return policy.actions(cases.goal, {n: cases.parameters[n] for n in ("bending_ratio", "nu")})
 
 
 def mean_error(policy: Policy) -> float:
     """Of |goal - reached| in cases that were not trained on [rope lengths]."""
     new = toy(500, seed=1)
-    reached = reach(acted(policy, new), new.parameters["E"], new.parameters["nu"])
+    reached = reach(acted(policy, new), new.parameters["bending_ratio"], new.parameters["nu"])
     return np.abs(reached - new.goal[:, 0]).mean()
 
 
@@ -107,14 +113,20 @@ def test_without_goals_only_what_succeeded_is_learnt(tmp_path):
         goal_names=(),
         goal=np.empty((count, 0)),
         action=action[:, None],
-        parameters={"E": E, "nu": 0.3 * one, "damping": one, "friction": one, "density": one},
+        parameters={
+            "bending_ratio": E,
+            "nu": 0.3 * one,
+            "damping": one,
+            "friction": one,
+            "density": one,
+        },
         risk=np.where(failed, 0.9, 0.1),
     )
     policy = train(d, tmp_path / "p.onnx", Training(epochs=100, method="inverse"))
     trained = policy.description.training
     assert (trained["demonstrations"], trained["failed"]) == (count, failed.sum())
     at = np.linspace(0.07, 0.15, 5)
-    asked = policy.actions(np.empty((5, 0)), {"E": at})[:, 0]
+    asked = policy.actions(np.empty((5, 0)), {"bending_ratio": at})[:, 0]
     assert asked == pytest.approx(0.6 - 3.0 * at, abs=0.02)
 
 
@@ -134,7 +146,7 @@ def test_file_is_small_and_says_what_it_is(distal):
     about = Policy.read(path).description
     assert about == distal.description
     assert about.task == TASK
-    assert about.conditioned_on == ("E", "nu")
+    assert about.conditioned_on == ("bending_ratio", "nu")
     assert about.training["demonstrations"] == 1200
     assert about.training["held_out"] == 120
     assert about.training["seed"] == 0
@@ -144,7 +156,7 @@ def test_file_is_small_and_says_what_it_is(distal):
 def test_trained_policy_acts(distal):
     rope = Rope(length=0.25, diameter=0.014, material=Material(E=8e5, nu=0.3, density=1000.0))
     action = distal.act(0.36, rope)
-    reached = reach(np.array([action.values]) / 0.25, action.network_input["E"], 0.3)
+    reached = reach(np.array([action.values]) / 0.25, action.network_input["bending_ratio"], 0.3)
     assert 0.25 * reached == pytest.approx(0.36, abs=0.01)
 
 
@@ -153,7 +165,7 @@ def test_equal_seeds_give_equal_policies(tmp_path):
 
     def actions(name, seed):
         policy = train(toy(200), tmp_path / name, Training(epochs=3, seed=seed))
-        return policy.actions(goals, {"E": 0.4, "nu": 0.3})
+        return policy.actions(goals, {"bending_ratio": 0.4, "nu": 0.3})
 
     first = actions("a.onnx", 4)
     torch.manual_seed(99)  # the state of torch around it must not matter
@@ -169,7 +181,7 @@ def test_goals_of_two_numbers_and_of_none(tmp_path):
     rng = np.random.default_rng(0)
     A, E = rng.uniform(0.4, 0.9, (600, 1)), np.exp(rng.uniform(-1.4, -0.4, 600))
     one = np.ones(600)
-    parameters = {"E": E, "nu": one, "damping": one, "friction": one, "density": one}
+    parameters = {"bending_ratio": E, "nu": one, "damping": one, "friction": one, "density": one}
     cast = Demonstrations(
         task={"name": "rope-casting", **RopeCasting().settings()},
         action_names=("way",),
@@ -179,7 +191,7 @@ def test_goals_of_two_numbers_and_of_none(tmp_path):
         parameters=parameters,
     )
     policy = train(cast, tmp_path / "cast.onnx", Training(epochs=60))
-    found = policy.actions(cast.goal, {"E": E})
+    found = policy.actions(cast.goal, {"bending_ratio": E})
     assert np.abs(found - A).mean() < 0.02
     spread = Demonstrations(
         task={"name": "cloth-spreading", **ClothSpreading().settings()},
@@ -190,7 +202,10 @@ def test_goals_of_two_numbers_and_of_none(tmp_path):
         parameters=parameters,
     )
     policy = train(spread, tmp_path / "spread.onnx", Training(epochs=60, method="inverse"))
-    assert np.abs(policy.actions(np.empty((600, 0)), {"E": E})[:, 0] - 0.7 + E).mean() < 0.02
+    assert (
+        np.abs(policy.actions(np.empty((600, 0)), {"bending_ratio": E})[:, 0] - 0.7 + E).mean()
+        < 0.02
+    )
     assert policy.goal_range().shape == (0, 2)
     with pytest.raises(PolicyError, match="no goals to teach through"):
         train(spread, tmp_path / "no.onnx", Training(epochs=1))
@@ -209,10 +224,10 @@ def test_a_quantile_is_enough_for_most(tmp_path):
         goal_names=(),
         goal=np.empty((2000, 0)),
         action=(0.5 - 0.4 * E + rng.uniform(0.0, 0.1, 2000))[:, None],
-        parameters={"E": E, "nu": one, "damping": one, "friction": one, "density": one},
+        parameters={"bending_ratio": E, "nu": one, "damping": one, "friction": one, "density": one},
     )
     policy = train(spread, tmp_path / "spread.onnx", Training(epochs=100, method="quantile"))
-    found = policy.actions(np.empty((2000, 0)), {"E": E})[:, 0]
+    found = policy.actions(np.empty((2000, 0)), {"bending_ratio": E})[:, 0]
     assert np.abs(found - 0.5 + 0.4 * E - 0.09).mean() < 0.01
     assert np.mean(found >= spread.action[:, 0]) == pytest.approx(0.9, abs=0.05)
 
@@ -259,7 +274,7 @@ def test_interrupted_training_goes_on_to_the_same_policy(every, tmp_path, monkey
     assert fitted == [("policy", 4)]
     assert not kept.exists()
     goals = np.linspace(1.25, 1.4, 20)
-    given = {"E": 0.4, "nu": 0.3}
+    given = {"bending_ratio": 0.4, "nu": 0.3}
     assert np.array_equal(resumed.actions(goals, given), whole.actions(goals, given))
 
 
@@ -272,7 +287,7 @@ def test_checkpoint_of_another_training_is_not_used(tmp_path, monkeypatch):
     other = train(toy(200), path, Training(epochs=2, seed=1))
     fresh = train(toy(200), tmp_path / "fresh.onnx", Training(epochs=2, seed=1))
     goals = np.linspace(1.25, 1.4, 20)
-    given = {"E": 0.4, "nu": 0.3}
+    given = {"bending_ratio": 0.4, "nu": 0.3}
     assert np.array_equal(other.actions(goals, given), fresh.actions(goals, given))
 
 
@@ -299,7 +314,7 @@ def test_fine_tuning_follows_a_world_that_reaches_farther(tmp_path, method):
         assert abs(shift[1].mean() + 0.03) < 0.015
         return
     missed = [
-        np.abs(reach(acted(p, new), new.parameters["E"], new.parameters["nu"]) + 0.03
+        np.abs(reach(acted(p, new), new.parameters["bending_ratio"], new.parameters["nu"]) + 0.03
                - new.goal[:, 0]).mean()
         for p in (plain, tuned)
     ]  # fmt: skip
@@ -332,7 +347,7 @@ def test_divergence_is_told(tmp_path):
     ("settings", "text"),
     [
         ({"method": "magic"}, "choose from distal, inverse, quantile"),
-        ({"conditioned_on": ("mass",)}, "choose from E, nu, damping"),
+        ({"conditioned_on": ("mass",)}, "choose from bending_ratio, nu, damping"),
         ({"architecture": "huge"}, "choose from smooth, paper"),
         ({"epochs": 0}, "epochs must be positive"),
         ({"validation_share": 1.0}, "validation_share must lie between"),
@@ -345,7 +360,7 @@ def test_bad_settings_are_refused(settings, text):
 
 def test_what_does_not_vary_cannot_be_conditioned_on(tmp_path):
     with pytest.raises(PolicyError, match="cannot be conditioned on damping"):
-        train(toy(100), tmp_path / "p.onnx", Training(conditioned_on=("E", "damping")))
+        train(toy(100), tmp_path / "p.onnx", Training(conditioned_on=("bending_ratio", "damping")))
 
 
 def test_goal_range_follows_the_stiffness():
@@ -356,7 +371,7 @@ def test_goal_range_follows_the_stiffness():
     assert stiff[1] - soft[1] > 0.15
     for low, high in (soft, stiff):
         assert 1.2 <= low < 1.25 < high
-    ends = np.array([goals(s)[0] for s in data.parameters["E"]])
+    ends = np.array([goals(s)[0] for s in data.parameters["bending_ratio"]])
     inside = (ends[:, 0] <= data.goal[:, 0]) & (data.goal[:, 0] <= ends[:, 1])
     assert 0.9 < inside.mean() < 1.0
 

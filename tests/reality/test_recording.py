@@ -204,8 +204,8 @@ def test_perception_never_reads_the_truth(noisy, tmp_path):
 def test_truth_says_what_was_true(clean, noisy):
     truth = read_json(noisy / "truth" / "truth.json")
     assert truth["object"]["name"] == ROPE.name
-    assert truth["youngs_modulus"] == ROPE.material.E
-    assert truth["poissons_ratio"] == ROPE.material.nu
+    assert truth["E"] == ROPE.material.E
+    assert truth["nu"] == ROPE.material.nu
     assert truth["errors"]["clock_offset"] == 0.02
     # Without noise nothing is too far, which JSON has no number for.
     assert read_json(clean / "truth" / "truth.json")["sensor"]["max_range"] is None

@@ -18,8 +18,8 @@ ACTIONS = np.array([[0.45, 0.45], [0.45, 0.45], [0.8, 0.3], [0.6, 0.35], [0.35, 
 MODULI = [250.0, 1000.0, 400.0, 400.0, 400.0]
 
 
-def rope(specific_modulus, *, damping=0.005, length=L, diameter=0.014):
-    material = Material(E=1000.0 * specific_modulus, nu=0.3, density=1000.0, damping=damping)
+def rope(E_over_rho, *, damping=0.005, length=L, diameter=0.014):
+    material = Material(E=1000.0 * E_over_rho, nu=0.3, density=1000.0, damping=damping)
     return Rope(length=length, diameter=diameter, material=material)
 
 
@@ -49,7 +49,7 @@ def test_the_paper_s_times_and_range():
     clock = (0.5 / 12.0) ** 0.5
     assert np.array([ARRIVES, RELEASES, ENDS]) * clock == pytest.approx([0.38, 0.57, 1.14])
     low, high = (E * 9.81 * L / (12.0 * 0.5) for E in (500.0, 10500.0))
-    assert TASK.ranges["E"] == pytest.approx((low, high), rel=0.025)
+    assert TASK.ranges["E_over_rho"] == pytest.approx((low, high), rel=0.025)
 
 
 def test_a_rope_of_twice_the_length_reaches_twice_as_far():

@@ -20,7 +20,7 @@ from gendom.viz import (
 )
 
 POSTERIOR = {
-    "names": ["specific_modulus", "grip_height"],
+    "names": ["E_over_rho", "grip_height"],
     "log": [True, False],
     "mean": [math.log(1834.0), 0.001],
     "covariance": [[0.0004, 0.0], [0.0, 1e-8]],
@@ -37,30 +37,30 @@ def estimate(**changes):
         {
             "start": start,
             "iteration": k,
-            "youngs_modulus": 1800.0 + 500.0 * 0.5**k,
-            "poissons_ratio": 0.3,
+            "E": 1800.0 + 500.0 * 0.5**k,
+            "nu": 0.3,
             "loss": 0.1 * 0.5**k + 0.001 * start,
         }
         for start in range(2)
         for k in range(4)
     ]
-    final = {"youngs_modulus": 1800.0, "poissons_ratio": 0.3}
+    final = {"E": 1800.0, "nu": 0.3}
     return {
         "format": "gendom-estimate/1",
-        "youngs_modulus": 1834.0,
-        "poissons_ratio": 0.312,
+        "E": 1834.0,
+        "nu": 0.312,
         "density": 1.0,
         "density_assumed": True,
-        "specific_modulus": 1834.0,
+        "E_over_rho": 1834.0,
         "bending_length": 0.113,
         "intervals": {
             "level": 0.95,
-            "youngs_modulus": [1790.0, 1902.0],
-            "poissons_ratio": [0.211, 0.391],
-            "specific_modulus": [1790.0, 1902.0],
+            "E": [1790.0, 1902.0],
+            "nu": [0.211, 0.391],
+            "E_over_rho": [1790.0, 1902.0],
         },
-        "bounds": {"youngs_modulus": [500.0, 50000.0], "poissons_ratio": [0.2, 0.4]},
-        "identifiable": {"youngs_modulus": True, "poissons_ratio": False},
+        "bounds": {"E": [500.0, 50000.0], "nu": [0.2, 0.4]},
+        "identifiable": {"E": True, "nu": False},
         "chamfer_mean": 0.0082,
         "method": "gauss-newton",
         "object": {"kind": "rope", "length": 0.26, "mass": None},
@@ -98,7 +98,7 @@ def content(recorded_lift, **changes):
         "lift": LiftPictures(clouds=CloudSequence(**recorded_lift)),
         "estimate": EstimateSummary(
             values=estimate(),
-            truth={"youngs_modulus": 1850.0, "poissons_ratio": 0.35},
+            truth={"E": 1850.0, "nu": 0.35},
         ),
         "action": ActionSummary(outcomes=outcomes(), action_names=("x [m]", "z [m]")),
         "provenance": Provenance(

@@ -56,9 +56,7 @@ def report(make_lift, tmp_path):
     content = made_up.content(
         make_lift(FRAMES),
         lift=LiftPictures(clouds=lift),
-        estimate=EstimateSummary(
-            values=values, truth={"youngs_modulus": 1850.0, "poissons_ratio": 0.35}
-        ),
+        estimate=EstimateSummary(values=values, truth={"E": 1850.0, "nu": 0.35}),
         action=ActionSummary(
             outcomes=made_up.outcomes(), action_names=("x [m]", "z [m]"), motion=motion
         ),

@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from gendom.cli.arguments import TaskName
-from gendom.cli.known_object import KnownObject, ObjectInfo
+from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import tell_written
 from gendom.errors import GendomError, PolicyError, RobotError
 from gendom.files import check_file, to_json, write_json
@@ -22,6 +22,7 @@ from gendom.robot import XARM7, TcpPath, follow
 from gendom.tasks import Task
 
 if TYPE_CHECKING:
+    from gendom.materials.estimate import Estimate
     from gendom.tasks.task import World
 
 _ACTION = "gendom-action/3"
@@ -76,6 +77,7 @@ class Command(KnownObject):
 
     def run(self) -> int:
         from gendom.policies import Policy
+        from gendom.policies.belief import believed, for_task
         from gendom.tasks.world import Simulation
 
         if self.out is not None:
@@ -98,7 +100,7 @@ class Command(KnownObject):
                 fix=f"use a policy for {self.task}, or give {task.name} as the task",
             )
         held = self.held(task, needs=policy.description.conditioned_on)
-        item = held.item(task)
+        item = for_task(held, task).item
         if not self.force and (outside := policy.outside(self.goal, item)):
             raise PolicyError(
                 ", ".join(found.what for found in outside),
@@ -144,8 +146,8 @@ class Command(KnownObject):
         result["trajectory"] = {"T_base_task": T.tolist(), **path.to_dict()}
         if polished is not None:
             result["polished"] = polished
-        if not self.no_prediction and "specific_modulus" in held.columns:
-            others = [] if held.posterior is None else held.belief(task).draws(DRAWS, self.seed)
+        if not self.no_prediction and held.value("E_over_rho") is not None:
+            others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
             result["predicted"] = predicted(task, item, values, others, self.seed, world)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         if self.out is not None:
@@ -154,16 +156,17 @@ class Command(KnownObject):
         return 0
 
     def _polished(
-        self, task: Task, held: ObjectInfo, start: np.ndarray, world: World
+        self, task: Task, held: Estimate, start: np.ndarray, world: World
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """A better action, and what is expected of it, ready for JSON."""
         from gendom.policies.adaptation import adapt
+        from gendom.policies.belief import believed
         from gendom.policies.polishing import PolishSettings, polish
 
-        belief = held.belief(task)
+        belief = believed(held, task)
         discrepancy = None
-        if executed := held.executed(task):
-            discrepancy = adapt(task, belief, executed, refine=False, world=world).discrepancy
+        if seen := executed(held, task):
+            discrepancy = adapt(task, belief, seen, refine=False, world=world).discrepancy
         items = belief.draws(POLISHED_FOR, self.seed) if belief.names else [belief.item]
         found = polish(
             task,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -9,17 +10,18 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import tyro
 
-from gendom.cli.arguments import TaskName, read_params
-from gendom.cli.known_object import KnownObject
+from gendom.cli.arguments import TaskName
+from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import tell_written
 from gendom.errors import ParameterError
 from gendom.files import check_file, read_json, to_json, write_json
-from gendom.materials import PARAMETERS, to_columns
+from gendom.materials.estimate import LEVEL
+from gendom.materials.unknowns import UNKNOWNS
 from gendom.tasks import find_task
 
 if TYPE_CHECKING:
+    from gendom.materials.estimate import Estimate
     from gendom.policies.adaptation import Adapted, Execution
-    from gendom.policies.belief import Belief
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +54,7 @@ class Command(KnownObject):
 
     def run(self) -> int:
         from gendom.policies.adaptation import adapt
-        from gendom.policies.belief import Belief
-        from gendom.policies.estimates import updated
+        from gendom.policies.belief import believed
         from gendom.tasks.world import Simulation
 
         if self.params is None:
@@ -61,19 +62,18 @@ class Command(KnownObject):
         if self.out is not None:
             check_file(self.out, ".json")
         task = find_task(self.task)()
-        record = read_params(self.params, force=self.force)
         held = self.held(task)
-        executions = [*held.executed(task), *self._new()]
+        executions = [*executed(held, task), *self._new()]
         if not executions:
             raise ParameterError(
                 "no execution to learn from", fix="give --action and --reached, or --executions"
             )
-        before = record.get("before_executions")
-        belief = held.belief(task)
+        belief = believed(held, task)
+        before = held.about.get("before_executions")
         if before is not None:  # all executions are learnt from at once, from where it began
-            belief = Belief.from_dict(belief.item, before)
+            belief = belief.with_posterior(before)
         adapted = adapt(task, belief, executions, world=Simulation(engine=self.engine))
-        result = updated(record, task.name, belief, adapted, executions)
+        result = learned(held, task.name, belief, adapted, executions).record
         print(to_json(result) if self.json else _text(belief, adapted))
         if self.out is not None:
             write_json(self.out, result)
@@ -101,17 +101,38 @@ class Command(KnownObject):
         return found
 
 
-def _text(before: Belief, adapted: Adapted) -> str:
+def learned(
+    found: Estimate,
+    task: str,
+    before: Estimate,
+    adapted: Adapted,
+    executions: Sequence[Execution],
+) -> Estimate:
+    """An estimate with what executions of a task have shown.
+
+    Args:
+        found: As it was.
+        task: Name of what was done.
+        before: What was known of the object before any execution.
+        adapted: What is known now.
+        executions: All of them.
+    """
+    every = {**(found.about.get("executions") or {}), task: [e.to_dict() for e in executions]}
+    begun = found.about.get("before_executions") or before.posterior.to_dict()
+    return found.updated(adapted.belief, {"executions": every, "before_executions": begun})
+
+
+def _text(before: Estimate, adapted: Adapted) -> str:
     """For people."""
     rows = []
     for name in adapted.belief.names:
-        column = PARAMETERS[name].column
-        unit = "" if PARAMETERS[name].unit == "1" else f" {PARAMETERS[name].unit}"
+        unit = "" if UNKNOWNS[name].unit == "1" else f" {UNKNOWNS[name].unit}"
         said = []
         for b in (before, adapted.belief):
-            low, high = b.interval(name)
-            said.append(f"{to_columns(b.most_likely)[column]:.4g} [{low:.4g}, {high:.4g}]")
-        rows.append(f"  {column:<18} {said[0]}  ->  {said[1]}{unit}")
+            low, high = b.posterior.interval(name, LEVEL)
+            value = UNKNOWNS[name].value(float(b.mean[b.names.index(name)]))
+            said.append(f"{value:.4g} [{low:.4g}, {high:.4g}]")
+        rows.append(f"  {name:<18} {said[0]}  ->  {said[1]}{unit}")
     left = ", ".join(f"{1e3 * np.linalg.norm(r):.1f}" for r in adapted.residuals)
     title = "parameters, with 90 % intervals, before and after"
     return "\n".join([title, *rows, f"  not explained [mm]: {left}"])

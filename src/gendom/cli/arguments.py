@@ -13,10 +13,12 @@ import tyro
 
 from gendom.errors import ParameterError, did_you_mean
 from gendom.files import read_json
+from gendom.materials.names import with_current_names
 from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Progress
+    from gendom.materials.estimate import Estimate
 
 Settings = TypeVar("Settings")
 
@@ -85,12 +87,23 @@ def iterations_shown() -> Iterator[Callable[[Progress], None]]:
     with bar("estimating", 1, "iteration") as show:
 
         def told(progress: Progress) -> None:
-            note = f"E/rho {progress.best.specific_modulus:.3g} m^2/s^2"
+            note = f"E/rho {progress.best.E_over_rho:.3g} m^2/s^2"
             if math.isfinite(progress.rms):
                 note += f", {1e3 * progress.rms:.1f} mm off"
             show(progress.iteration, progress.most, note)
 
         yield told
+
+
+def read_estimate(path: Path, *, force: bool, kind: str | None = None) -> Estimate:
+    """The estimate of a file.
+
+    Raises:
+        GendomError: As `read_params`, or its numbers cannot be used.
+    """
+    from gendom.materials.estimate import Estimate
+
+    return Estimate.from_dict(read_params(path, force=force), str(path), kind=kind)
 
 
 def read_params(path: Path, *, force: bool) -> dict[str, Any]:
@@ -104,7 +117,7 @@ def read_params(path: Path, *, force: bool) -> dict[str, Any]:
         GendomError: The file is missing, or no JSON.
         ParameterError: It is no estimate, or not usable.
     """
-    params = read_json(path)
+    params = with_current_names(read_json(path))
     if params.get("format") != ESTIMATE_FORMAT:
         raise ParameterError(
             f"has format {params.get('format')!r}, not {ESTIMATE_FORMAT!r}",

@@ -20,7 +20,7 @@ from gendom.errors import ParameterError
 from gendom.files import to_json
 from gendom.materials import Material
 from gendom.robot import TcpPaths
-from gendom.sim import Rollout, Simulator, open_device
+from gendom.sim import Rollout, Simulator, Solver, open_device
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
 
@@ -91,11 +91,8 @@ class Command:
             return Simulator(
                 body,
                 [material] * worlds,
-                engine="mpm",
                 grippers=hands,
-                dtype=dtype,
-                device=self.device,
-                threads=threads,
+                solver=Solver(engine="mpm", dtype=dtype, device=self.device, threads=threads),
             )
 
         forward: list[float] = []

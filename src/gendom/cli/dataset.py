@@ -54,8 +54,8 @@ class Command:
     cells_across: float = 1.5
     """Grid cells across a rope's diameter, of the MPM."""
     range: tuple[tuple[str, float, float], ...] = ()
-    """Parameter, lowest and highest value of drawn objects, in SI units (E: E / density), in place
-    of the task's own; for an object of the task's own size. E.g. --range E 200 4300."""
+    """Parameter, lowest and highest value of drawn objects, in SI units, in place
+    of the task's own; for an object of the task's own size. E.g. --range E_over_rho 200 4300."""
     shard_size: int | None = None
     """Demonstrations in one file (default: 256 on the CPU, 4096 on CUDA)."""
     json: bool = False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shlex
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,12 +16,13 @@ import numpy as np
 from gendom.arguments import require
 from gendom.cli.arguments import iterations_shown
 from gendom.cli.estimate import NOT_USABLE, NOT_USABLE_SUMMARY, estimate_text
+from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.files import check_folder, to_json, write_json
 
 if TYPE_CHECKING:
-    from gendom.estimation import Estimate
+    from gendom.estimation import FittedEstimate
     from gendom.policies import Policy
     from gendom.reality import RealRope
     from gendom.viz import CloudSequence, PolicyRun, ReachOutcome
@@ -89,12 +89,12 @@ class Command:
         found = self._estimate(recording, seconds)
         material = rope.material
         truth = {
-            "youngs_modulus": material.E,
-            "poissons_ratio": material.nu,
+            "E": material.E,
+            "nu": material.nu,
             "density": material.density,
             "damping": material.damping,
             "friction": rope.friction,
-            "specific_modulus": material.E / material.density,
+            "E_over_rho": material.E / material.density,
         }
         print(f"true values      E {material.E:.4g} Pa, nu {material.nu:.3f}\n", flush=True)
         # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.
@@ -105,7 +105,7 @@ class Command:
         report = DemoReport(
             out=self.out,
             task=self.task,
-            command=_command_line(self),
+            command=command_line("demo", self, without=("json",)),
             device=self.device,
             seed=self.seed,
             recording=recording,
@@ -164,7 +164,7 @@ class Command:
             (self.out / "lift" / "views.jpg").write_bytes(views)
         return recording, views
 
-    def _estimate(self, recording: Recording, seconds: dict[str, float]) -> Estimate:
+    def _estimate(self, recording: Recording, seconds: dict[str, float]) -> FittedEstimate:
         from gendom.estimation import EstimateSettings, SceneSettings, estimate
 
         scene = SceneSettings(device=self.device)
@@ -179,19 +179,19 @@ class Command:
         rope: RealRope,
         policies: Sequence[Policy],
         goals: np.ndarray,
-        found: Estimate,
+        found: FittedEstimate,
         clouds: CloudSequence,
         report: DemoReport,
     ) -> None:
         """Let the arm act for each goal, say what it reached, and write all files."""
         from gendom.cli.demo_actions import VARIANTS, carry_out, predicted, runs_of
-        from gendom.policies.estimates import believed
+        from gendom.policies.belief import believed
         from gendom.viz import ActionSummary, write_gif
         from gendom.viz.sources import arm_of_lift
 
         task, seconds = policies[0].task(), report.seconds
         with _timed(seconds, "act and carry out"):
-            belief = believed(found.record, task)
+            belief = believed(found, task)
             outcomes, shown = carry_out(rope, policies, goals, belief, self.seed)
         with _timed(seconds, "predict the motion"):
             motion = predicted(task, shown, belief.item, self.device)
@@ -246,20 +246,6 @@ def _entry(outcome: ReachOutcome, run: PolicyRun) -> dict[str, Any]:
     """One way of acting in actions.json."""
     reached = {"action": run.action.tolist(), "reached": run.reached.tolist()}
     return {**reached, "error": outcome.error(run)}
-
-
-def _command_line(command: Command) -> str:
-    """The words that give the same results again."""
-    words = ["gendom", "demo", "--out", str(command.out)]
-    words += ["--starts", str(command.starts), "--seed", str(command.seed)]
-    words += ["--device", command.device]
-    if command.live:
-        words += ["--live", "--reality", command.reality]
-        words += ["--frame-rate", str(command.frame_rate)]
-    words += ["--task", command.task]
-    if command.goal:
-        words += ["--goal", *map(str, command.goal)]
-    return shlex.join(words)
 
 
 @contextmanager

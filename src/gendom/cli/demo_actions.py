@@ -9,9 +9,9 @@ import numpy as np
 
 from gendom.errors import GendomError
 from gendom.materials import Item
+from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.adaptation import Execution, adapt
-from gendom.policies.belief import Belief
 from gendom.policies.polishing import Discrepancy, polish
 from gendom.progress import each
 from gendom.reality import RealRope, RealWorld, observe
@@ -69,7 +69,7 @@ def runs_of(outcome: ReachOutcome) -> dict[str, PolicyRun]:
 
 
 def carry_out(
-    rope: RealRope, policies: Sequence[Policy], goals: np.ndarray, belief: Belief, seed: int
+    rope: RealRope, policies: Sequence[Policy], goals: np.ndarray, belief: Estimate, seed: int
 ) -> tuple[list[ReachOutcome], Executed]:
     """What each of `VARIANTS` reached for each goal, done by the arm; and the policy's last motion.
 
@@ -82,7 +82,7 @@ def carry_out(
 
         def polished(
             start: np.ndarray,
-            belief: Belief,
+            belief: Estimate,
             discrepancy: Discrepancy | None = None,
             goal: np.ndarray = goal,
         ) -> np.ndarray:

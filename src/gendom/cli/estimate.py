@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gendom.cli.arguments import ESTIMATE_FORMAT, MethodName, iterations_shown
+from gendom.cli.arguments import ESTIMATE_FORMAT, MethodName, iterations_shown, settings_of
 from gendom.cli.outputs import tell_written
+from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError, SimulationError
 from gendom.files import check_file, check_folder, to_json, write_json
 from gendom.installation import version
 
 if TYPE_CHECKING:
-    from gendom.estimation import Estimate, EstimateSettings
+    from gendom.estimation import EstimateSettings, FittedEstimate
     from gendom.viz.report import NextStep, Provenance
 
 NOT_USABLE = 3
@@ -82,7 +83,7 @@ class Command:
     level: float = 0.9
     """Nominal probability of the intervals."""
     unknowns: tuple[str, ...] = ()
-    """Unknowns to estimate, such as specific_modulus grip_height; by default those that a recording
+    """Unknowns to estimate, such as E_over_rho grip_height; by default those that a recording
     of this kind may determine."""
     material: str | None = None
     """Its material, by a name of gendom materials: narrows the priors."""
@@ -106,11 +107,8 @@ class Command:
         from gendom.sim import open_device
 
         if self.points is not None and self.points > MOST_POINTS:
-            raise ParameterError(
-                f"is {self.points}",
-                where="--points",
-                fix=f"give {MOST_POINTS} or fewer: 20 to 60 are usual",
-            )
+            fix = f"give {MOST_POINTS} or fewer: 20 to 60 are usual"
+            raise ParameterError(f"is {self.points}", where="--points", fix=fix)
         settings = self.settings()
         self._check_recordings()
         self._check_places()
@@ -135,32 +133,16 @@ class Command:
         """The flags as the estimator takes them."""
         from gendom.estimation import EstimateSettings, SceneSettings
 
-        return EstimateSettings(
-            method=self.method,
-            starts=self.starts,
-            unknowns=self.unknowns,
-            frames=self.frames,
-            camera_pose=self.camera_pose,
-            seed=self.seed,
-            level=self.level,
-            scene=SceneSettings(
-                engine=self.engine,
-                material=self.material,
-                points=self.points,
-                cells_across=self.cells_across,
-                clock=self.clock,
-                device=self.device,
-            ),
-        )
+        scene = settings_of(SceneSettings, self)
+        return settings_of(EstimateSettings, self, scene=scene)
 
     def _check_recordings(self) -> None:
         """Refuse a recording that would count more than once."""
         seen: set[Path] = set()
         for path in self.recordings:
             if path.resolve() in seen:
-                raise ParameterError(
-                    "is given twice", where=str(path), fix="name each recording once"
-                )
+                fix = "name each recording once"
+                raise ParameterError("is given twice", where=str(path), fix=fix)
             seen.add(path.resolve())
 
     def _check_places(self) -> None:
@@ -187,11 +169,11 @@ class Command:
         write_json(path, record)
         tell_written(path, json=self.json)
 
-    def _write_report(self, found: Estimate) -> None:
+    def _write_report(self, found: FittedEstimate) -> None:
         from gendom.viz.report import LiftPictures, ReportContent, write_report
         from gendom.viz.sources import clouds_of, summary_of, view_of
 
-        assert self.report is not None and found.fits
+        assert self.report is not None
         record, first = found.record, found.fits[0]
         recording = first.scene.recording
         note = "" if len(found.fits) == 1 else f"The first of {len(found.fits)}: {first.name}."
@@ -243,7 +225,7 @@ class Command:
             warnings=warnings,
         )
 
-    def _next_steps(self, found: Estimate | None) -> list[NextStep]:
+    def _next_steps(self, found: FittedEstimate | None) -> list[NextStep]:
         """Commands to run next on the written files."""
         from gendom.viz.report import NextStep
 
@@ -280,21 +262,7 @@ class Command:
 
     def _command_line(self) -> str:
         """The words that give the same estimate again."""
-        words = ["gendom", "estimate", *map(str, self.recordings), "--method", self.method]
-        words += ["--frames", self.frames, "--starts", str(self.starts), "--seed", str(self.seed)]
-        words += ["--level", str(self.level), "--engine", self.engine]
-        if self.unknowns:
-            words += ["--unknowns", *self.unknowns]
-        optional = {
-            "--camera-pose": self.camera_pose,
-            "--material": self.material,
-            "--points": self.points,
-            "--clock": self.clock,
-        }
-        for flag, value in optional.items():
-            words += [] if value is None else [flag, str(value)]
-        words += ["--cells-across", str(self.cells_across), "--device", self.device]
-        return shlex.join(words)
+        return command_line("estimate", self, without=("out", "report", "json"))
 
 
 def _sentences(*texts: str) -> str:
@@ -302,11 +270,11 @@ def _sentences(*texts: str) -> str:
     return " ".join(text if text.endswith(".") else f"{text}." for text in texts if text)
 
 
-def _task_and_goal(found: Estimate) -> list[str]:
+def _task_and_goal(found: FittedEstimate) -> list[str]:
     """A task for an object of this kind, with a goal in the middle of those trained on."""
     from gendom.policies import Policy
 
-    if found.record["object"]["kind"] == "cloth":
+    if found.kind == "cloth":
         return ["cloth-spreading"]
     ends = found.record["object"]["length"] * Policy.pretrained("rope-casting").goal_range()
     return ["rope-casting", "--goal", *(f"{end:.3f}" for end in ends.mean(axis=1))]
@@ -316,7 +284,7 @@ def _shell(words: Sequence[str | Path]) -> str:
     return shlex.join(map(str, words))
 
 
-def estimate_text(found: Estimate) -> str:
+def estimate_text(found: FittedEstimate) -> str:
     """An estimate for people."""
     record = found.record
     rows = [("verdict", "usable" if found.usable else "not usable")]
@@ -325,7 +293,7 @@ def estimate_text(found: Estimate) -> str:
         if own["name"]:
             rows.append(("recording", own["name"]))
         if own["name"] and own["alone"] is not None:
-            alone, ends = own["alone"]["specific_modulus"], own["alone"]["interval"]
+            alone, ends = own["alone"]["E_over_rho"], own["alone"]["interval"]
             said = f"E / density {alone:.4g} m^2/s^2, in [{ends[0]:.4g}, {ends[1]:.4g}]"
             rows.append(("by itself", said))
         rows += [

@@ -2,70 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from gendom.cli.arguments import read_params
+from gendom.arguments import require
+from gendom.cli.arguments import read_estimate
 from gendom.errors import GendomError
-from gendom.materials import ASSUMED, KINDS, PARAMETERS, Item
+from gendom.materials import KINDS, PARAMETERS
 
 if TYPE_CHECKING:
+    from gendom.materials.estimate import Estimate
     from gendom.policies.adaptation import Execution
-    from gendom.policies.belief import Belief
     from gendom.tasks import Task
 
-# What is missing -> the flags that give it.
-_FLAGS = {
-    "E": "--E and --density",
-    "nu": "--nu",
-    "density": "--density",
-    "damping": "--damping",
-    "friction": "--friction",
-    "length": "--length",
-    "diameter": "--diameter",
-    "side": "--side",
-    "thickness": "--thickness",
-}
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObjectInfo:
-    """What is known of an object."""
-
-    columns: Mapping[str, float]
-    """In SI units by column name, as far as it is known."""
-    posterior: Mapping[str, Any] | None
-    """Of the estimate, as `gendom.estimation` writes it; None where nothing is uncertain."""
-    flags: frozenset[str]
-    """Names of columns that flags gave."""
-    executions: Mapping[str, Any]
-    """Earlier executions by task, as ``gendom adapt`` writes them."""
-
-    @property
-    def assumed(self) -> dict[str, float]:
-        """What had to be assumed, by column name."""
-        return {name: value for name, value in ASSUMED.items() if name not in self.columns}
-
-    def item(self, task: Task) -> Item:
-        """The object."""
-        from gendom.policies.estimates import item_of
-
-        return item_of(self.columns, task)
-
-    def belief(self, task: Task) -> Belief:
-        """The object, and how uncertain what counts for the task is."""
-        from gendom.policies.belief import Belief
-
-        given = [n for n, p in PARAMETERS.items() if p.column in self.flags]
-        return Belief.for_task(task, self.item(task), self.posterior, known=given)
-
-    def executed(self, task: Task) -> list[Execution]:
-        """Earlier executions of a task."""
-        from gendom.policies.adaptation import executions_from
-
-        return executions_from(self.executions.get(task.name, ()), "executions")
+FLAGS = ("E", "nu", "density", "damping", "friction", "length", "diameter", "side", "thickness")
+"""Flags that give a number of the object."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +49,7 @@ class KnownObject:
     range (it then uses the nearest numbers in range), and motions that the arm cannot do, with a
     warning."""
 
-    def held(self, task: Task, *, needs: tuple[str, ...] = ()) -> ObjectInfo:
+    def held(self, task: Task, *, needs: tuple[str, ...] = ()) -> Estimate:
         """What the file and the flags say.
 
         Args:
@@ -107,47 +59,40 @@ class KnownObject:
         Raises:
             GendomError: The file cannot be used, or something that is needed is missing.
         """
-        from gendom.policies.estimates import read_estimate
+        from gendom.materials.estimate import HIDDEN, Estimate
 
-        columns: dict[str, float] = {}
-        posterior, executions = None, {}
+        found = Estimate(kind=task.kind, known={})
+        where = None if self.params is None else str(self.params)
         if self.params is not None:
-            params = read_params(self.params, force=self.force)
-            columns, posterior = read_estimate(params, str(self.params), task.kind)
-            executions = params.get("executions") or {}
-        flags = {
-            "youngs_modulus": self.E,
-            "poissons_ratio": self.nu,
-            "density": self.density,
-            "damping": self.damping,
-            "friction": self.friction,
-            "length": self.length,
-            "diameter": self.diameter,
-            "side": self.side,
-            "thickness": self.thickness,
-        }
-        given = {name: value for name, value in flags.items() if value is not None}
-        columns |= given
-        if given.keys() & {"youngs_modulus", "density"}:
-            columns.pop("specific_modulus", None)  # the file's own, of other numbers
-            posterior = None
-        if "specific_modulus" not in columns and {"youngs_modulus", "density"} <= columns.keys():
-            columns["specific_modulus"] = columns["youngs_modulus"] / columns["density"]
-            given["specific_modulus"] = columns["specific_modulus"]
-        missing = [name for name in KINDS[task.kind].sizes if name not in columns]
-        # not every recording determines damping and friction
-        missing += [
-            name
-            for name in needs
-            if name not in ("damping", "friction") and PARAMETERS[name].column not in columns
-        ]
-        if missing:
-            raise GendomError(
-                "the object is not fully described",
-                where=None if self.params is None else str(self.params),
-                fix=f"give {', '.join(dict.fromkeys(_FLAGS[name] for name in missing))}"
-                + (", or --params with an estimate" if self.params is None else ""),
+            found = read_estimate(self.params, force=self.force, kind=task.kind)
+            require(
+                found.kind == task.kind,
+                f"describes a {found.kind}, the task needs a {task.kind}",
+                where=where,
+                fix=f"give the estimate of a {task.kind}",
+                error=GendomError,
             )
-        return ObjectInfo(
-            columns=columns, posterior=posterior, flags=frozenset(given), executions=executions
+        flags = {name: getattr(self, name) for name in FLAGS}
+        found = found.with_known({n: v for n, v in flags.items() if v is not None})
+        columns = [n for n in KINDS[task.kind].sizes if n != "side" or "width" not in found.known]
+        # not every recording determines damping and friction
+        columns += [PARAMETERS[name].column for name in needs if name not in HIDDEN]
+        missing = [name for name in columns if found.value(name) is None]
+        asked = ("--E and --density" if name == "E_over_rho" else f"--{name}" for name in missing)
+        require(
+            not missing,
+            "the object is not fully described",
+            where=where,
+            fix=f"give {', '.join(dict.fromkeys(asked))}"
+            + (", or --params with an estimate" if self.params is None else ""),
+            error=GendomError,
         )
+        return found
+
+
+def executed(found: Estimate, task: Task) -> list[Execution]:
+    """Earlier executions of a task, as ``gendom adapt`` writes them into an estimate."""
+    from gendom.policies.adaptation import executions_from
+
+    rows = (found.about.get("executions") or {}).get(task.name, ())
+    return executions_from(rows, "executions")

@@ -6,6 +6,7 @@ import ast
 import inspect
 import io
 import re
+import shlex
 import shutil
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -42,7 +43,7 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         SystemExit: Help was requested and has been printed.
     """
     described(command)
-    arguments = _arguments(command)
+    arguments = arguments_of(command)
     flags = [*(called for called in arguments if called.startswith("--")), *EVERYWHERE]
     for word in takewhile(lambda w: w != "--", words):
         flag = word.partition("=")[0]
@@ -75,7 +76,7 @@ class _Argument(NamedTuple):
     required: bool
 
 
-def _arguments(command: type) -> dict[str, _Argument]:
+def arguments_of(command: type) -> dict[str, _Argument]:
     """All that a command and its settings take: by the flag, or by what help calls a word
     without one."""
     positional = get_args(tyro.conf.Positional[int])[1]
@@ -84,7 +85,7 @@ def _arguments(command: type) -> dict[str, _Argument]:
     for field in fields(command):
         kind, *marks = get_args(hints[field.name]) or (hints[field.name],)
         if isinstance(kind, type) and is_dataclass(kind):
-            found |= _arguments(kind)
+            found |= arguments_of(kind)
             continue
         called = f"--{field.name.rstrip('_').replace('_', '-')}"  # a flag may be a word of Python's
         if any(mark is positional for mark in marks):
@@ -93,6 +94,27 @@ def _arguments(command: type) -> dict[str, _Argument]:
         required = field.default is MISSING and field.default_factory is MISSING
         found[called] = _Argument(hints[field.name], help_of.get(field.name, ""), required)
     return found
+
+
+def command_line(name: str, command: Any, *, without: Sequence[str] = ()) -> str:
+    """The words that run a command again with the same flags, for a shell.
+
+    Args:
+        name: As it is called.
+        command: With its flags; those that are None, empty or False are left out.
+        without: Names of fields to leave out, too.
+    """
+    values: dict[str, Any] = {}
+    for field, value in vars(command).items():
+        values |= vars(value) if is_dataclass(value) else {field: value}
+    words = ["gendom", name]
+    for (field, value), called in zip(values.items(), arguments_of(type(command)), strict=True):
+        if field in without or value is None or value is False or value == ():
+            continue
+        words += [called] if called.startswith("--") else []
+        if value is not True:
+            words += map(str, value if isinstance(value, tuple) else (value,))
+    return shlex.join(words)
 
 
 def _refusal(

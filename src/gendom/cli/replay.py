@@ -20,7 +20,7 @@ from gendom.progress import bar
 from gendom.viz.sources import clouds_of, view_of
 
 if TYPE_CHECKING:
-    from gendom.estimation import Scene, SceneSettings, Theta
+    from gendom.estimation import LiftScene, SceneSettings, Theta
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +114,7 @@ def replay_setup(
     where: str,
     device: str,
     engine: str | None = None,
-) -> tuple[Scene, Theta]:
+) -> tuple[LiftScene, Theta]:
     """The scene of all frames of a recording, and an estimate's parameters for it.
 
     For the recording of the estimate, however long, all parameters are taken over. For another
@@ -132,7 +132,7 @@ def replay_setup(
         RecordingError: The recording shows too little to place the object.
         SimulationError: None of the parameters that are estimated again can be simulated.
     """
-    from gendom.estimation import Scene
+    from gendom.estimation import LiftScene
 
     try:
         own = of_recording(params, recording)
@@ -159,11 +159,11 @@ def replay_setup(
     first = recording.head(min(fitted, recording.num_frames))
     said: tuple[str, ...] = ()
     if not same:
-        theta, said, registration = _found_anew(Scene.of(first, settings), theta)
+        theta, said, registration = _found_anew(LiftScene.of(first, settings), theta)
     if registration is not None:
         registration = np.array(registration, dtype=float)
         recording = recording.moved(registration)
-    scene = Scene.of(first, settings, registration)
+    scene = LiftScene.of(first, settings, registration)
     notes = scene.notes + said
     return of_all_frames(replace(scene, notes=notes), recording), theta
 
@@ -177,7 +177,7 @@ def of_recording(params: Mapping[str, Any], recording: Recording) -> Mapping[str
     return None
 
 
-def of_all_frames(scene: Scene, recording: Recording) -> Scene:
+def of_all_frames(scene: LiftScene, recording: Recording) -> LiftScene:
     """A scene with every frame of its recording, or of a longer one of the same motion."""
     every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
     return replace(scene, recording=recording, frames=every)
@@ -185,12 +185,15 @@ def of_all_frames(scene: Scene, recording: Recording) -> Scene:
 
 def _theta(params: Mapping[str, Any], own: Mapping[str, Any]) -> Theta:
     """An estimate's material, and how one of its recordings was held and when."""
-    from gendom.estimation import Theta
-    from gendom.estimation.result import KEYS
+    from gendom.estimation import UNKNOWNS, Estimate, Theta
 
+    found = Estimate.from_dict(params)
+    if found.posterior.bases:
+        return found.theta.with_values(own.get("theta") or {})
     values = params.get("theta")
-    if values is None:  # older versions' files
-        values = {name: params[key] for name, key in KEYS.items() if params.get(key) is not None}
+    if values is None:  # files of earlier versions
+        numbers = {n: found.value(n) for n, u in UNKNOWNS.items() if u.material}
+        values = {n: v for n, v in numbers.items() if v is not None and n != "thickness"}
     values = {**values, **(own.get("theta") or {})}
     return Theta(**{name: float(value) for name, value in values.items()})
 
@@ -211,10 +214,10 @@ def _settings(params: Mapping[str, Any], device: str, engine: str | None) -> Sce
 
 
 def _found_anew(
-    scene: Scene, theta: Theta
+    scene: LiftScene, theta: Theta
 ) -> tuple[Theta, tuple[str, ...], NDArray[np.floating] | None]:
     """Parameters for another recording of the same object, what there is to say of them, and its
-    `Scene.registration`."""
+    `LiftScene.registration`."""
     from gendom.estimation import UNKNOWNS, EstimateSettings, estimate
 
     prior, base = scene.prior()

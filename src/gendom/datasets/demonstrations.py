@@ -44,6 +44,7 @@ from gendom.arguments import require
 from gendom.datasets.cluster import on_cluster
 from gendom.errors import DatasetError, GendomError
 from gendom.files import atomic_path, free_room, read_json, write_json
+from gendom.materials.names import current_name
 
 FORMAT = "gendom-demonstrations/2"
 
@@ -381,7 +382,8 @@ def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
     fix = "finish it with the gendom dataset command that began it"
     what, enough = f"holds {have} of {size} demonstrations", have >= (1 if part else size)
     require(enough, what, where=str(folder), fix=fix, error=DatasetError)
-    return pa.concat_tables(parts).replace_schema_metadata(None)
+    table = pa.concat_tables(parts).replace_schema_metadata(None)
+    return table.rename_columns([current_name(name) for name in table.column_names])
 
 
 def succeeded(

@@ -1,30 +1,33 @@
 """Parameters of an object from one or more recordings."""
 
+from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.estimate import estimate
 from gendom.estimation.likelihood import NoiseModel, Observation
 from gendom.estimation.methods import METHODS
-from gendom.estimation.posterior import Calibration, Posterior
 from gendom.estimation.problem import EstimateSettings, Problem, Progress
 from gendom.estimation.replay import replay
-from gendom.estimation.result import Estimate, chamfers
-from gendom.estimation.scene import Scene
+from gendom.estimation.result import FittedEstimate, chamfers
+from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import SceneSettings
-from gendom.estimation.theta import UNKNOWNS, Prior, Theta, Unknown
-from gendom.estimation.verdict import Verdict, VerdictSettings
+from gendom.estimation.verdict import VerdictSettings
+from gendom.materials.estimate import Estimate, Verdict
+from gendom.materials.posterior import Posterior, Prior
+from gendom.materials.unknowns import UNKNOWNS, Theta, Unknown
 
 __all__ = [
     "METHODS",
     "UNKNOWNS",
-    "Calibration",
     "Estimate",
     "EstimateSettings",
+    "FittedEstimate",
+    "IntervalCalibration",
+    "LiftScene",
     "NoiseModel",
     "Observation",
     "Posterior",
     "Prior",
     "Problem",
     "Progress",
-    "Scene",
     "SceneSettings",
     "Theta",
     "Unknown",

@@ -8,7 +8,7 @@ simulated, not extrapolated from derivatives: shapes that swing have derivatives
 stiffness, while large changes of it hardly move them.
 
 Lifts with known truth have such differences, too, and their intervals are calibrated with them;
-only what exceeds theirs counts (`Calibration.displaced`).
+only what exceeds theirs counts (`IntervalCalibration.displaced`).
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.estimation.posterior import IDENTIFIABLE, Calibration
+from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import middle
-from gendom.estimation.theta import UNKNOWNS
+from gendom.materials.posterior import IDENTIFIABLE
+from gendom.materials.unknowns import UNKNOWNS
 
 Array = NDArray[np.floating]
 
@@ -31,7 +32,7 @@ does not determine a parameter."""
 
 
 def discrepancy(
-    problem: Problem, found: Found, covariance: Array, calibration: Calibration
+    problem: Problem, found: Found, covariance: Array, calibration: IntervalCalibration
 ) -> Array:
     """Deviations of the transformed unknowns by unexplained displacements.
 
@@ -60,7 +61,9 @@ def discrepancy(
     return np.where(np.isfinite(sd), sd, 0.0)
 
 
-def _unexplained(found: Found, part: Part, recording: int, calibration: Calibration) -> float:
+def _unexplained(
+    found: Found, part: Part, recording: int, calibration: IntervalCalibration
+) -> float:
     """Displacement of the model beyond that of lifts with known truth, of a coordinate [m]."""
     noise, comparison = found.noise[recording], found.best.comparison
     if part.scene.static:

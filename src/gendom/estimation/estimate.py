@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from gendom.arguments import require
 from gendom.datasets import Recording
-from gendom.errors import ParameterError, RecordingError
+from gendom.errors import RecordingError
+from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.discrepancy import discrepancy
 from gendom.estimation.methods import METHODS
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
 from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.methods.search import estimated_noise
-from gendom.estimation.posterior import Calibration, Posterior
 from gendom.estimation.priors import assumed_thickness, thickness_stated
 from gendom.estimation.problem import (
     EstimateSettings,
@@ -27,10 +28,11 @@ from gendom.estimation.problem import (
     recording_names,
 )
 from gendom.estimation.registration import register
-from gendom.estimation.result import Estimate, result_of
-from gendom.estimation.scene import Scene
-from gendom.estimation.theta import Theta
+from gendom.estimation.result import FittedEstimate, result_of
+from gendom.estimation.scene import LiftScene
 from gendom.estimation.verdict import displaced, judge, refused_before
+from gendom.materials.posterior import Posterior
+from gendom.materials.unknowns import Theta
 
 STAGES: tuple[str, ...] = ("scene", "search", "intervals")
 """That take time; the verdict and replays for the result take the time of a few simulations."""
@@ -49,9 +51,9 @@ def estimate(
     *,
     names: Sequence[str] = (),
     on_progress: Callable[[Progress], None] | None = None,
-    calibration: Calibration | None = None,
+    calibration: IntervalCalibration | None = None,
     known: Theta | None = None,
-) -> Estimate:
+) -> FittedEstimate:
     """Estimate an object's parameters from one or more recordings of it.
 
     All recordings share the material; every other unknown has a value for each recording. Ctrl-C
@@ -76,10 +78,8 @@ def estimate(
         KeyboardInterrupt: If interrupted before anything was found.
     """
     settings = settings or EstimateSettings()
-    if settings.method not in METHODS:
-        raise ParameterError(
-            f"there is no method {settings.method!r}", fix=f"choose one of {', '.join(METHODS)}"
-        )
+    what, fix = f"there is no method {settings.method!r}", f"choose one of {', '.join(METHODS)}"
+    require(settings.method in METHODS, what, fix=fix)
     times = [clock.perf_counter()]
     if isinstance(recordings, Recording):
         recordings = [recordings]
@@ -101,7 +101,7 @@ def estimate(
                 problem, found = finer, refined(finer, found)
             found = _nearer(problem, found)
         times.append(clock.perf_counter())
-        calibration = calibration or Calibration.of(problem.scene.kind, settings.frames)
+        calibration = calibration or IntervalCalibration.of(problem.scene.kind, settings.frames)
         posterior = _posterior(problem, found, calibration)
         alone = _alone(problem, found, posterior, calibration)
         times.append(clock.perf_counter())
@@ -136,7 +136,7 @@ def _nearer(problem: Problem, found: Found) -> Found:
     return replace(found, best=best, starts=[*found.starts, best], noise=noise)
 
 
-def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Posterior:
+def _posterior(problem: Problem, found: Found, calibration: IntervalCalibration) -> Posterior:
     covariance = found.covariance
     if covariance is None:
         covariance = np.linalg.inv(problem.slopes(found.best, found.noise)[1])
@@ -147,8 +147,8 @@ def _posterior(problem: Problem, found: Found, calibration: Calibration) -> Post
     # what moves otherwise than any simulated object gets no intervals
     if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
         added = np.hypot(added, discrepancy(problem, found, covariance, calibration))
-    posterior = Posterior.calibrated(
-        problem.prior, found.best.vector, covariance, problem.bases, calibration, added
+    posterior = calibration.posterior(
+        problem.prior, found.best.vector, covariance, problem.bases, added
     )
     stated = thickness_stated(problem.scene.recording.object)
     if stated or "thickness" in posterior.names:
@@ -164,7 +164,7 @@ def _short_of(problem: Problem, found: Found) -> NDArray[np.floating]:
 
 
 def _alone(
-    problem: Problem, found: Found, posterior: Posterior, calibration: Calibration
+    problem: Problem, found: Found, posterior: Posterior, calibration: IntervalCalibration
 ) -> list[Posterior]:
     """The posterior of each recording alone, searched from the joint result; empty where the search
     was interrupted.
@@ -186,7 +186,7 @@ def _alone(
 
 def _scene(
     recording: Recording, settings: EstimateSettings, known: Theta | None, name: str
-) -> Scene:
+) -> LiftScene:
     """The scene of a recording; errors name the recording. Its clouds are registered where camera
     poses are unknown."""
     unknown = settings.camera_pose == "unknown"
@@ -194,7 +194,7 @@ def _scene(
         unknown = not recording.cameras_calibrated
     try:
         registration = register(recording, settings, known) if unknown else None
-        return Scene.of(recording, settings.scene, registration)
+        return LiftScene.of(recording, settings.scene, registration)
     except RecordingError as error:
         where = ": ".join(filter(None, (name, error.where)))
         raise RecordingError(

@@ -22,11 +22,10 @@ from gendom.datasets.checks import MAX_DENSITY
 from gendom.errors import ParameterError, RobotError
 from gendom.estimation import (
     UNKNOWNS,
-    Calibration,
     EstimateSettings,
-    Posterior,
+    IntervalCalibration,
+    LiftScene,
     Problem,
-    Scene,
     SceneSettings,
     replay,
 )
@@ -47,7 +46,7 @@ from gendom.robot.motions import FREE_RISE, LIFT_FRAME_RATE, RISE
 
 Array = NDArray[np.floating]
 
-SHOWN = {"E": "specific_modulus", "damping": "damping", "friction": "friction"}
+SHOWN = {"E": "E_over_rho", "damping": "damping", "friction": "friction"}
 """Parameters whose information is compared: names of `UNKNOWNS`. Density is known, or only E /
 density counts."""
 
@@ -369,7 +368,7 @@ def forecast(
     """
     coarse = CLOTH_POINTS if lying.object.kind == "cloth" else None
     settings = EstimateSettings(scene=SceneSettings(material=material, points=coarse, threads=1))
-    scene = Scene.of(lying, settings.scene)
+    scene = LiftScene.of(lying, settings.scene)
     prior, base = scene.prior()
     believed = {name: float(scene.prior((unknown,))[0].sd[0]) for name, unknown in SHOWN.items()}
     rng = np.random.default_rng([*seed, 1])
@@ -388,13 +387,9 @@ def forecast(
         return believed, None
     start = Start(initial=truth, vector=truth, comparison=comparison)
     noise = estimated_noise(comparison, problem.first_noise())
-    posterior = Posterior.calibrated(
-        prior,
-        truth,
-        np.linalg.inv(problem.slopes(start, noise)[1]),
-        problem.bases,
-        Calibration.of(scene.kind),
-    )
+    covariance = np.linalg.inv(problem.slopes(start, noise)[1])
+    calibration = IntervalCalibration.of(scene.kind)
+    posterior = calibration.posterior(prior, truth, covariance, problem.bases)
     # unknowns that such a recording does not determine keep their priors
     return believed, {
         name: posterior.sd(unknown) if unknown in prior.names else believed[name]
@@ -446,7 +441,7 @@ def _showing(lying: Recording, frames: Sequence[int], clouds: Sequence[Array]) -
     return replace(lying, points=np.concatenate(every), offsets=np.cumsum([0, *map(len, every)]))
 
 
-def _seen(scene: Scene, x: Array, noise: float, rng: np.random.Generator) -> list[Array]:
+def _seen(scene: LiftScene, x: Array, noise: float, rng: np.random.Generator) -> list[Array]:
     """T clouds of an object at [T, N, 3] [m] that the scene's cameras see with some noise [m]."""
     most, clouds = CLOUD_POINTS[scene.kind], []
     for skin in scene.body.surface(x):

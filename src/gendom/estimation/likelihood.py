@@ -25,7 +25,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 
 from gendom.estimation.replay import held_reach, lattice, middle
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 from gendom.estimation.shape import Shape, taken
 from gendom.observation import visible
 
@@ -97,7 +97,7 @@ class Observation:
         noise: Its errors, first guesses where they are estimated.
     """
 
-    def __init__(self, scene: Scene, noise: NoiseModel | None = None):
+    def __init__(self, scene: LiftScene, noise: NoiseModel | None = None):
         self.scene = scene
         self.noise = noise or NoiseModel()
         most = self.noise.cloud_points * (1 if scene.kind == "rope" else 4)

@@ -9,8 +9,9 @@ import numpy as np
 
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import ParameterError
-from gendom.estimation.theta import UNKNOWNS, Prior, Theta, prior_of
 from gendom.materials.catalogue import NINE_OF_TEN, Listed
+from gendom.materials.posterior import Prior, prior_of
+from gendom.materials.unknowns import UNKNOWNS, Theta
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "cloth": (0.01, 0.2)}
 """Range of bending lengths that is searched, in lengths of a rope or diagonals of a cloth: below it
@@ -92,7 +93,7 @@ def recording_prior(
     logs, e = np.log(moduli), StatedErrors()
     changes: dict[str, dict[str, float]] = {
         # searched over its range without preference: a wide Gaussian
-        "specific_modulus": {
+        "E_over_rho": {
             "low": moduli[0], "high": moduli[1],
             "mean": math.exp(logs.mean()), "sd": float(np.ptp(logs)) / 2,
         },
@@ -110,9 +111,9 @@ def recording_prior(
         if recording.gripper_axis is not None:
             # the corner turns as its axis does
             changes["grip_tilt"] = {"mean": 0.0, "sd": e.axis_tilt}
-        changes["specific_modulus"]["step"] = 0.06
+        changes["E_over_rho"]["step"] = 0.06
         changes["grip_height"] |= {"step": 2e-3}
-    base = Theta(specific_modulus=math.exp(logs.mean()))
+    base = Theta(E_over_rho=math.exp(logs.mean()))
     if material is not None:
         of_material = material_prior(material, kind, moduli)
         for name, change in of_material.items():
@@ -178,7 +179,7 @@ def material_prior(
             where="material",
             fix="check the recording's sizes with gendom check, or leave the material out",
         )
-    found = {"specific_modulus": {"mean": modulus, "sd": math.hypot(E.log_sd, density.log_sd)}}
+    found = {"E_over_rho": {"mean": modulus, "sd": math.hypot(E.log_sd, density.log_sd)}}
     for name in ("nu", "damping", "friction"):
         unknown, known = UNKNOWNS[name], getattr(material, name)
         ends = unknown.transformed(known.low), unknown.transformed(known.high)
@@ -191,7 +192,7 @@ def material_prior(
 
 def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:
     """Unknowns that a recording may determine."""
-    names = ["specific_modulus", "nu", "friction", "grip_height", "grip_along"]
+    names = ["E_over_rho", "nu", "friction", "grip_height", "grip_along"]
     if not quasi_static:
         names.append("damping")
     if not recording.extra.get("static", False):

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.arguments import require
 from gendom.errors import ParameterError, SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Observation
 from gendom.estimation.replay import replay
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import SceneSettings
-from gendom.estimation.theta import UNKNOWNS, Prior, Theta, joint_prior
+from gendom.materials.posterior import Prior, joint_prior
+from gendom.materials.unknowns import UNKNOWNS, Theta
 
 Array = NDArray[np.floating]
 
@@ -52,20 +54,16 @@ class EstimateSettings:
     noise: NoiseModel = field(default_factory=NoiseModel)
 
     def __post_init__(self) -> None:
-        if self.starts < 1:
-            raise ParameterError(f"starts must be at least 1, got {self.starts}")
-        if self.frames not in ("all", "last"):
-            raise ParameterError(f"frames must be 'all' or 'last', got {self.frames!r}")
-        if self.camera_pose not in (None, "stated", "unknown"):
-            raise ParameterError(
-                f"is {self.camera_pose!r}", where="camera_pose", fix="give stated or unknown"
-            )
-        if not 0.0 < self.level < 1.0:
-            raise ParameterError(f"level must lie between 0 and 1, got {self.level}")
-        if self.max_iterations < 2:
-            raise ParameterError(f"max_iterations must be at least 2, got {self.max_iterations}")
-        if self.seed < 0:
-            raise ParameterError(f"seed must be at least 0, got {self.seed}", fix="give 0 or more")
+        require(
+            self.frames in ("all", "last"), f"frames must be 'all' or 'last', got {self.frames!r}"
+        )
+        what, fix = f"is {self.camera_pose!r}", "give stated or unknown"
+        known = self.camera_pose in (None, "stated", "unknown")
+        require(known, what, where="camera_pose", fix=fix)
+        require(0.0 < self.level < 1.0, f"level must lie between 0 and 1, got {self.level}")
+        for name, least in (("starts", 1), ("max_iterations", 2), ("seed", 0)):
+            value = getattr(self, name)
+            require(value >= least, f"{name} must be at least {least}, got {value}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +133,7 @@ class Found:
 class Part:
     """One recording of a problem."""
 
-    scene: Scene
+    scene: LiftScene
     base: Theta
     """Values of everything that is not estimated."""
     shown: NDArray[np.intp]
@@ -160,7 +158,7 @@ class Part:
         fewer simulated and recorded points."""
         scene, settings = self.scene, self.scene.settings
         if scene.kind == "cloth" and scene.thin and settings.points is None:
-            coarse = Scene.of(scene.recording, replace(settings, points=settings.coarse_points))
+            coarse = LiftScene.of(scene.recording, replace(settings, points=settings.coarse_points))
             coarse = replace(coarse, frames=scene.frames, calm=scene.calm)
             return replace(self, scene=coarse, noise=self.noise.of_thinner_clouds())
         if len(scene.calm) == len(scene.frames) or len(scene.calm) < 6:
@@ -186,7 +184,7 @@ class Problem:
 
     def __init__(
         self,
-        scenes: Sequence[Scene],
+        scenes: Sequence[LiftScene],
         settings: EstimateSettings,
         on_progress: Callable[[Progress], None] | None = None,
         known: Theta | None = None,
@@ -216,7 +214,7 @@ class Problem:
         self._on_progress = on_progress
 
     @property
-    def scene(self) -> Scene:
+    def scene(self) -> LiftScene:
         """The first recording's; the object, the engine and the resolution are those of all."""
         return self.parts[0].scene
 
@@ -237,7 +235,7 @@ class Problem:
         return easier
 
     def finer(self, vector: Array) -> Problem:
-        """The same with the resolution that the found parameters need, see `Scene.finer`."""
+        """The same with the resolution that the found parameters need, see `LiftScene.finer`."""
         scenes = [p.scene.finer(self.theta(vector, k)) for k, p in enumerate(self.parts)]
         if all(s is p.scene for s, p in zip(scenes, self.parts, strict=True)):
             return self
@@ -261,12 +259,9 @@ class Problem:
         Raises:
             ParameterError: There are several.
         """
-        if len(self.parts) != 1:
-            raise ParameterError(
-                f"reads one recording, got {len(self.parts)}",
-                where=f"method {self.settings.method}",
-                fix="use gauss-newton",
-            )
+        what, method = f"reads one recording, got {len(self.parts)}", self.settings.method
+        one = len(self.parts) == 1
+        require(one, what, where=f"method {method}", fix="use gauss-newton")
         return self.parts[0]
 
     def first_noise(self, **changes: Any) -> tuple[NoiseModel, ...]:
@@ -425,25 +420,21 @@ def recording_names(count: int) -> tuple[str, ...]:
     return ("",) if count == 1 else tuple(f"recording {k + 1}" for k in range(count))
 
 
-def _check_one_object(scenes: Sequence[Scene], names: Sequence[str]) -> None:
+def _check_one_object(scenes: Sequence[LiftScene], names: Sequence[str]) -> None:
     """Refuse recordings whose object descriptions differ.
 
     Raises:
         ParameterError: They do, or there is no recording.
     """
-    if not scenes:
-        raise ParameterError("there is no recording", fix="give one or more")
-    if len(names) != len(scenes):
-        raise ParameterError(f"{len(scenes)} recordings have {len(names)} names", where="names")
+    require(scenes, "there is no recording", fix="give one or more")
+    what = f"{len(scenes)} recordings have {len(names)} names"
+    require(len(names) == len(scenes), what, where="names")
     first = scenes[0].recording.object
     for scene, name in zip(scenes[1:], names[1:], strict=True):
         other = scene.recording.object
-        if other.kind != first.kind:
-            raise ParameterError(
-                f"shows a {other.kind}, {names[0]} a {first.kind}",
-                where=name,
-                fix="estimate each object by itself",
-            )
+        what = f"shows a {other.kind}, {names[0]} a {first.kind}"
+        alike = other.kind == first.kind
+        require(alike, what, where=name, fix="estimate each object by itself")
         for size in SIZES_OF_OBJECT:
             a, b = getattr(first, size), getattr(other, size)
             if a == b or (a is not None and b is not None and math.isclose(a, b, rel_tol=1e-6)):

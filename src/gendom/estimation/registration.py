@@ -18,8 +18,8 @@ from gendom.estimation.likelihood import Comparison, NoiseModel
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
 from gendom.estimation.placing import with_points
 from gendom.estimation.problem import EstimateSettings, Problem
-from gendom.estimation.scene import Scene
-from gendom.estimation.theta import Theta
+from gendom.estimation.scene import LiftScene
+from gendom.materials.unknowns import Theta
 
 Array = NDArray[np.floating]
 
@@ -59,7 +59,7 @@ def register(recording: Recording, settings: EstimateSettings, known: Theta | No
     """
     T, vector = first_shift(recording), None
     for _ in range(ROUNDS):
-        scene = Scene.of(recording, settings.scene, registration=T)
+        scene = LiftScene.of(recording, settings.scene, registration=T)
         problem = Problem([scene], settings, known=known)
         if vector is None:
             vector, comparison, noise = _scanned(problem.easier)
@@ -106,8 +106,8 @@ def _scanned(problem: Problem) -> tuple[Array, Comparison, NoiseModel]:
     transformed, and its noise."""
     prior, part = problem.prior, problem.parts[0]
     vectors = [prior.vector(part.base.with_values(guess)) for guess in part.scene.guesses]
-    if "specific_modulus" in prior.names:
-        k = prior.index("specific_modulus")
+    if "E_over_rho" in prior.names:
+        k = prior.index("E_over_rho")
         scan = np.linspace(prior.low[k], prior.high[k], SCANNED + 2)[1:-1]
         vectors = [np.where(np.arange(len(v)) == k, x, v) for v in vectors for x in scan]
     (noise,) = problem.first_noise(**AFAR)

@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from gendom.estimation.scene import Scene
-from gendom.estimation.theta import Theta
+from gendom.estimation.scene import LiftScene
 from gendom.materials import STANDARD_GRAVITY, Material
-from gendom.sim import Gripper, Simulator, Table
+from gendom.materials.unknowns import UNKNOWNS, Theta
+from gendom.sim import Gripper, Physics, Simulator, Solver, Table
 
 Array = NDArray[np.floating]
 
 
-def material_of(scene: Scene, theta: Theta) -> Material:
+def material_of(scene: LiftScene, theta: Theta) -> Material:
     """The object's material for these parameters.
 
     A scene's body is as thick as stated. With its mass, an object that is r times as thick takes
     r^2 times the E, so that it bends equally: stiffness over weight goes with the square of the
     radius of gyration, of ropes and of sheets.
     """
-    E, membrane = theta.specific_modulus * theta.thickness**2 * scene.density, None
+    E, membrane = theta.E_over_rho * theta.thickness**2 * scene.density, None
     if scene.kind == "cloth" and scene.thin:
         width, height = (scene.recording.object.width, scene.recording.object.height)
         assert width is not None and height is not None
@@ -36,33 +37,65 @@ def material_of(scene: Scene, theta: Theta) -> Material:
     )
 
 
-def simulator_of(scene: Scene, thetas: Sequence[Theta]) -> tuple[Simulator, Array]:
+@dataclass(kw_only=True)
+class WorldInputs:
+    """What unknowns change of one simulated world; hooks of the registry may change it further."""
+
+    material: Material
+    friction: float
+    """On the table."""
+    stiffness: Array | None
+    """[N] factors of E along the object; None: 1."""
+    positions: Array
+    """[N, 3] in the beginning [m]."""
+    grippers: list[Gripper]
+
+    @classmethod
+    def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
+        """Of a scene with these parameters."""
+        inputs = cls(
+            material=material_of(scene, theta),
+            friction=theta.friction,
+            stiffness=_stiffness(scene, theta.stiffness_slope),
+            positions=_laid(scene, theta),
+            grippers=_grippers(scene, theta),
+        )
+        for name, unknown in UNKNOWNS.items():
+            if unknown.on_replay is not None:
+                unknown.on_replay(inputs, theta[name])
+        return inputs
+
+
+def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, Array]:
     """W worlds about to replay a scene, and the simulated times [T] of its frames [s].
 
     Raises:
         ParameterError: A parameter is out of its range.
     """
-    grippers = [_grippers(scene, theta) for theta in thetas]
+    worlds = [WorldInputs.of(scene, theta) for theta in thetas]
+    grippers = [world.grippers for world in worlds]
     times = scene.sim_time(scene.recording.time[list(scene.frames)])
     begin = min(float(np.asarray(g.time)[0]) for world in grippers for g in world)
     begin = min(begin, float(times[0])) - scene.settles
     table, height = None, scene.recording.table_height
     if height is not None:
-        table = Table(height=height, friction=[theta.friction for theta in thetas])
+        table = Table(height=height, friction=[w.friction for w in worlds])
     simulator = Simulator(
         scene.body,
-        [material_of(scene, theta) for theta in thetas],
-        engine=scene.settings.engine,
+        [w.material for w in worlds],
         grippers=grippers,
         table=table,
-        velocity_damping=scene.velocity_damping,
-        stiffness=_stiffness(scene, thetas),
-        positions=np.stack([_laid(scene, theta) for theta in thetas]),
+        stiffness=_stacked(scene, worlds),
+        positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
-        substep=scene.settings.substep,
-        dtype=scene.dtype,
-        device=scene.settings.device,
-        threads=scene.settings.threads,
+        physics=Physics(velocity_damping=scene.velocity_damping),
+        solver=Solver(
+            engine=scene.settings.engine,
+            substep=scene.settings.substep,
+            dtype=scene.dtype,
+            device=scene.settings.device,
+            threads=scene.settings.threads,
+        ),
     )
     if scene.velocities is not None:
         simulator.set_velocities(np.tile(scene.velocities, (len(thetas), 1, 1)))
@@ -70,7 +103,7 @@ def simulator_of(scene: Scene, thetas: Sequence[Theta]) -> tuple[Simulator, Arra
 
 
 def replay(
-    scene: Scene,
+    scene: LiftScene,
     thetas: Sequence[Theta],
     *,
     keep_going: bool = False,
@@ -94,7 +127,7 @@ def replay(
     return x
 
 
-def middle(scene: Scene, x: Array) -> Array:
+def middle(scene: LiftScene, x: Array) -> Array:
     """[..., n, 3] a rope's centre line or a cloth's middle surface, row by row along its first
     axis, for positions [..., N, 3] of `replay` [m]; `lattice` has its shape."""
     if scene.thin:
@@ -106,7 +139,7 @@ def middle(scene: Scene, x: Array) -> Array:
     return np.swapaxes(layers, -3, -2).reshape(*x.shape[:-2], -1, 3)
 
 
-def lattice(scene: Scene) -> tuple[Array, Array]:
+def lattice(scene: LiftScene) -> tuple[Array, Array]:
     """Places of `middle`'s points in the object: [n] along a rope and [1] 0, or columns and rows of
     a cloth [m]."""
     if scene.kind == "rope":
@@ -121,24 +154,32 @@ def lattice(scene: Scene) -> tuple[Array, Array]:
     return np.linspace(0.0, described.width, columns), np.linspace(0.0, described.height, rows)
 
 
-def _ticks(scene: Scene) -> tuple[Array, Array]:
+def _ticks(scene: LiftScene) -> tuple[Array, Array]:
     """Places of a cloth's particles along its first and second axis [m]."""
     m = scene.body.material_coordinates
     return np.unique(m[:, 0]), np.unique(m[:, 1])
 
 
-def _stiffness(scene: Scene, thetas: Sequence[Theta]) -> Array | float:
-    slopes = np.array([theta.stiffness_slope for theta in thetas])
-    if not slopes.any():
+def _stacked(scene: LiftScene, worlds: Sequence[WorldInputs]) -> Array | float:
+    """[W, N] factors of the stiffness, or 1."""
+    if all(w.stiffness is None for w in worlds):
         return 1.0
+    one = np.ones(len(scene.initial))
+    return np.stack([one if w.stiffness is None else w.stiffness for w in worlds])
+
+
+def _stiffness(scene: LiftScene, slope: float) -> Array | None:
+    """[N] factors of E along a rope."""
+    if not slope:
+        return None
     if scene.thin:
         share = np.linspace(-0.5, 0.5, len(scene.body.points))
     else:
         share = scene.body.material_coordinates[:, 0] / scene.size - 0.5
-    return np.exp(slopes[:, None] * share)
+    return np.exp(slope * share)
 
 
-def _laid(scene: Scene, theta: Theta) -> Array:
+def _laid(scene: LiftScene, theta: Theta) -> Array:
     """[N, 3] the object in the beginning, so that what is held is where the gripper closes [m]."""
     x = scene.initial
     if len(scene.held) > 1:
@@ -152,7 +193,7 @@ def _laid(scene: Scene, theta: Theta) -> Array:
     return x
 
 
-def _grippers(scene: Scene, theta: Theta) -> list[Gripper]:
+def _grippers(scene: LiftScene, theta: Theta) -> list[Gripper]:
     """The recorded paths, moved onto the held points, with slack and a ramp from rest."""
     recording, made = scene.recording, []
     delay = theta.delay / scene.clock
@@ -182,7 +223,7 @@ def _grippers(scene: Scene, theta: Theta) -> list[Gripper]:
     return made
 
 
-def _closed(scene: Scene, g: int, delay: float) -> dict[str, Any]:
+def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:
     """When a gripper closes and opens, halfway between frames."""
     closed = scene.recording.gripper_closed
     if closed is None:
@@ -200,7 +241,7 @@ def _closed(scene: Scene, g: int, delay: float) -> dict[str, Any]:
     return found
 
 
-def held_reach(scene: Scene, theta: Theta | None = None) -> float:
+def held_reach(scene: LiftScene, theta: Theta | None = None) -> float:
     """How far from its point a gripper holds the object fast [m]."""
     settings, stated = scene.settings, scene.recording.object.grasp_radius
     if scene.kind == "rope" and len(scene.held) > 1:
@@ -220,7 +261,7 @@ def held_reach(scene: Scene, theta: Theta | None = None) -> float:
     )
 
 
-def _turns(scene: Scene, g: int, theta: Theta, knots: Array, at: Array) -> Array | None:
+def _turns(scene: LiftScene, g: int, theta: Theta, knots: Array, at: Array) -> Array | None:
     """[K, 4] how a gripper turns, or None.
 
     As its recorded axis does, without turning about it; a pinched corner does not stay level beside

@@ -1,5 +1,7 @@
-"""A `Scene`: everything about a recording that does not depend on unknown parameters. It is made
-once and never changed."""
+"""A `LiftScene`: everything about a recording that does not depend on unknown parameters.
+
+It is made once and never changed.
+"""
 
 from __future__ import annotations
 
@@ -29,16 +31,17 @@ from gendom.estimation.scene_settings import (
     SHELL_SPACING,
     SceneSettings,
 )
-from gendom.estimation.theta import Prior, Theta
 from gendom.materials import STANDARD_GRAVITY, catalogue
-from gendom.materials.parameters import bending_length, specific_modulus_of
+from gendom.materials.parameters import E_over_rho_of, bending_length
+from gendom.materials.posterior import Prior
+from gendom.materials.unknowns import Theta
 from gendom.sim import Body
 
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
+class LiftScene:
     """A recorded object at rest, its grippers, and the frames that are compared.
 
     A rope lies along its visible centre line, from the gripper on, as long as stated; a cloth is
@@ -82,7 +85,7 @@ class Scene:
         recording: Recording,
         settings: SceneSettings | None = None,
         registration: Array | None = None,
-    ) -> Scene:
+    ) -> LiftScene:
         """The scene of a recording.
 
         Args:
@@ -208,10 +211,10 @@ class Scene:
         share = 4.0 if self.kind == "rope" else math.sqrt(12.0)
         return self.body.thickness / share
 
-    def bending_length(self, specific_modulus: float, thickness: float = 1.0) -> float:
+    def bending_length(self, E_over_rho: float, thickness: float = 1.0) -> float:
         """[m], of an object whose thickness is this multiple of the stated one."""
         k = thickness * self.radius_of_gyration
-        return bending_length(specific_modulus, k, STANDARD_GRAVITY)
+        return bending_length(E_over_rho, k, STANDARD_GRAVITY)
 
     @property
     def mass_power(self) -> int:
@@ -240,18 +243,18 @@ class Scene:
             return 0.0
         return 0.5 * (theta.thickness - 1.0) * self.body.thickness
 
-    def finer(self, theta: Theta) -> Scene:
+    def finer(self, theta: Theta) -> LiftScene:
         """The same with the resolution that a cloth of this bending length needs, unless it has it
         or the settings fix the number of points."""
         settings, described = self.settings, self.recording.object
         if self.kind != "cloth" or not self.thin or settings.points is not None:
             return self
-        bends = self.bending_length(theta.specific_modulus, theta.thickness)
+        bends = self.bending_length(theta.E_over_rho, theta.thickness)
         longer = max(described.width or 0.0, described.height or 0.0)
         points = min(math.ceil(longer / (SHELL_SPACING * bends)) + 1, MOST_SHELL_POINTS)
         if points <= 1.1 * SHELL_POINTS:
             return self
-        fine = Scene.of(self.recording, replace(settings, points=points))
+        fine = LiftScene.of(self.recording, replace(settings, points=points))
         return replace(
             fine,
             frames=self.frames,
@@ -267,9 +270,9 @@ class Scene:
         thickness."""
         return replace(self.body, thickness=theta.thickness * self.body.thickness)
 
-    def specific_modulus(self, bending: float) -> float:
+    def E_over_rho(self, bending: float) -> float:
         """E / density [m^2/s^2] of an object with this bending length [m]."""
-        return specific_modulus_of(bending, self.radius_of_gyration, STANDARD_GRAVITY)
+        return E_over_rho_of(bending, self.radius_of_gyration, STANDARD_GRAVITY)
 
     @cached_property
     def floor(self) -> float | None:
@@ -343,7 +346,7 @@ class Scene:
             ParameterError: There is no such unknown, or the object has none, or it cannot be of
                 the stated material.
         """
-        low, high = (self.specific_modulus(b * self.size) for b in BENDING_RANGE[self.kind])
+        low, high = (self.E_over_rho(b * self.size) for b in BENDING_RANGE[self.kind])
         material = self.settings.material
         return recording_prior(
             self.recording,

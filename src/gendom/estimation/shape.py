@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gendom.estimation.replay import lattice
-from gendom.estimation.scene import Scene
+from gendom.estimation.scene import LiftScene
 from gendom.observation import visible_on_sheet
 
 Array = NDArray[np.floating]
@@ -20,7 +20,7 @@ FEET = 48
 class Shape:
     """The middle line or surface of a scene's object as a finite element."""
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene: LiftScene):
         self.rope = scene.kind == "rope"
         self.radius = scene.body.thickness / 2.0
         self.lattice = a, b = lattice(scene)

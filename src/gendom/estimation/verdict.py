@@ -23,10 +23,11 @@ from gendom.datasets.checks import (
 )
 from gendom.estimation.likelihood import Comparison, NoiseModel
 from gendom.estimation.placing import early_points, lying_rectangle, with_points
-from gendom.estimation.posterior import Posterior
 from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem
-from gendom.estimation.theta import UNKNOWNS, Theta
+from gendom.materials.estimate import Verdict
+from gendom.materials.posterior import Posterior
+from gendom.materials.unknowns import UNKNOWNS, Theta
 
 Array = NDArray[np.floating]
 
@@ -96,19 +97,6 @@ class VerdictSettings:
     skin: tuple[float, float] = (0.0025, 0.3)
     """Largest distance of points from the skin of an object as thick as stated: the larger of the
     first [m] and the second times the thickness."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """Whether an estimate is usable."""
-
-    usable: bool
-    reasons: tuple[str, ...] = ()
-    """Why it is not usable, one sentence each."""
-
-    @property
-    def text(self) -> str:
-        return "usable" if self.usable else "not usable: " + "; ".join(self.reasons)
 
 
 def recording_faults(
@@ -335,9 +323,9 @@ def displaced(
 def _impossible_modulus(problem: Problem, vector: Array, s: VerdictSettings) -> list[str]:
     """A modulus at a bound of the search, or one that an object of its density cannot have."""
     prior, scene = problem.prior, problem.scene
-    if "specific_modulus" not in prior.names:
+    if "E_over_rho" not in prior.names:
         return []
-    k, found = prior.index("specific_modulus"), []
+    k, found = prior.index("E_over_rho"), []
     if min(vector[k] - prior.low[k], prior.high[k] - vector[k]) < 1e-3:
         found.append("E / density lies at the end of the range that was searched")
     own, density = math.exp(vector[k]), scene.density
@@ -375,7 +363,7 @@ def _pressed(problem: Problem, vector: Array, recording: int, s: VerdictSettings
 
 def _disagreeing(problem: Problem, alone: Sequence[Posterior], s: VerdictSettings) -> list[str]:
     """Recordings that disagree in E / density: the two that differ by the most deviations."""
-    name = "specific_modulus"
+    name = "E_over_rho"
     if name not in problem.prior.names:
         return []
     at = [float(p.mean[p.prior.index(name)]) for p in alone]

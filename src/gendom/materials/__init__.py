@@ -3,10 +3,10 @@
 from gendom.materials.objects import (
     AIR_DENSITY,
     ASSUMED,
-    ASSUMED_SD,
     KINDS,
     LARGEST,
     PARAMETERS,
+    QUANTITIES,
     STANDARD_GRAVITY,
     Cloth,
     Item,
@@ -22,17 +22,18 @@ from gendom.materials.objects import (
     unit_of_size,
     with_dimensionless,
 )
-from gendom.materials.parameters import Material, bending_length, specific_modulus_of
+from gendom.materials.parameters import E_over_rho_of, Material, bending_length
 
 __all__ = [
     "AIR_DENSITY",
     "ASSUMED",
-    "ASSUMED_SD",
     "KINDS",
     "LARGEST",
     "PARAMETERS",
+    "QUANTITIES",
     "STANDARD_GRAVITY",
     "Cloth",
+    "E_over_rho_of",
     "Item",
     "Material",
     "Parameter",
@@ -42,7 +43,6 @@ __all__ = [
     "dimensionless_parameters",
     "from_columns",
     "size_of",
-    "specific_modulus_of",
     "thickness_of",
     "to_columns",
     "unit_of",

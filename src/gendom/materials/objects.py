@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError
-from gendom.materials.parameters import Material, bending_length, specific_modulus_of
+from gendom.materials.names import with_current_names
+from gendom.materials.parameters import E_over_rho_of, Material, bending_length
 
 STANDARD_GRAVITY = 9.81
 """[m/s^2]."""
@@ -28,13 +29,9 @@ AIR_DENSITY = 1.2
 """Of air at 20 C and sea level [kg/m^3]."""
 
 
-ASSUMED = {"poissons_ratio": 0.35, "density": 1000.0, "damping": 0.004, "friction": 0.3}
+ASSUMED = {"nu": 0.35, "density": 1000.0, "damping": 0.004, "friction": 0.3}
 """What is assumed for a number that is not given, by column name: about the middle of what ropes
 and cloths have."""
-
-ASSUMED_SD = {"nu": 0.06, "damping": 0.86, "friction": 0.22}
-"""Standard deviations of what is assumed, by names of `PARAMETERS`, of the logarithm where ratios
-count: nu 0.2 to 0.4, damping 1 to 20 ms, friction 0.1 to 0.8."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,15 +53,13 @@ PARAMETERS: dict[str, Parameter] = {
     p.name: p
     for p in (
         Parameter(
-            name="E",
-            column="specific_modulus",
+            name="bending_ratio",
+            column="E_over_rho",
             unit="m^2/s^2",
             meaning="bending length over size",
             log=True,
         ),
-        Parameter(
-            name="nu", column="poissons_ratio", unit="1", meaning="Poisson's ratio", log=False
-        ),
+        Parameter(name="nu", column="nu", unit="1", meaning="Poisson's ratio", log=False),
         Parameter(
             name="damping",
             column="damping",
@@ -89,6 +84,9 @@ PARAMETERS: dict[str, Parameter] = {
     )
 }
 """What policies can be conditioned on, by name."""
+
+QUANTITIES: dict[str, Parameter] = {p.column: p for p in PARAMETERS.values()}
+"""The same by the quantities in SI units that they come from, which tasks draw objects by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,9 +214,9 @@ def dimensionless_parameters(item: Item) -> dict[str, float]:
     """The dimensionless numbers of an object, by names of `PARAMETERS`."""
     material = item.material
     L = size_of(item)
-    bending = bending_length(material.specific_modulus, item.radius_of_gyration, STANDARD_GRAVITY)
+    bending = bending_length(material.E_over_rho, item.radius_of_gyration, STANDARD_GRAVITY)
     return {
-        "E": bending / L,
+        "bending_ratio": bending / L,
         "nu": material.nu,
         "damping": material.damping / unit_of("s", item),
         "friction": item.friction,
@@ -238,8 +236,8 @@ def with_dimensionless(item: Item, parameters: Mapping[str, float]) -> Item:
     density = item.material.density * own["density"] / alike["density"]
     # the bending length depends on nu, so the modulus that it stands for is asked of this one
     same = replace(item, material=replace(item.material, nu=alike["nu"], density=density))
-    bending = alike["E"] * size_of(item)
-    specific = specific_modulus_of(bending, same.radius_of_gyration, STANDARD_GRAVITY)
+    bending = alike["bending_ratio"] * size_of(item)
+    specific = E_over_rho_of(bending, same.radius_of_gyration, STANDARD_GRAVITY)
     damping = alike["damping"] * unit_of("s", item)
     material = replace(same.material, E=specific * density, damping=damping)
     return replace(same, material=material, friction=alike["friction"])
@@ -249,10 +247,10 @@ def to_columns(item: Item) -> dict[str, float]:
     """Numbers of an object in SI units by column name, as demonstrations hold them."""
     material = item.material
     return {
-        "youngs_modulus": material.E,
-        "poissons_ratio": material.nu,
+        "E": material.E,
+        "nu": material.nu,
         "density": material.density,
-        "specific_modulus": material.specific_modulus,
+        "E_over_rho": material.E_over_rho,
         "damping": material.damping,
         "friction": item.friction,
         **{name: getattr(item, name) for name in item.sizes},
@@ -266,12 +264,12 @@ def from_columns(kind: str, columns: Mapping[str, float]) -> Item:
         ParameterError: A number is out of its range.
         KeyError: One is missing.
     """
-    made = KINDS[kind]
+    made, columns = KINDS[kind], with_current_names(columns)
     return made(
         **{name: float(columns[name]) for name in made.sizes},
         material=Material(
-            E=float(columns["youngs_modulus"]),
-            nu=float(columns["poissons_ratio"]),
+            E=float(columns["E"]),
+            nu=float(columns["nu"]),
             density=float(columns["density"]),
             damping=float(columns["damping"]),
         ),

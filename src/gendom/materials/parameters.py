@@ -12,7 +12,7 @@ from gendom.shown import Shown
 class Material(Shown):
     """An isotropic elastic material.
 
-    Motion under gravity depends on E / density, so two materials of equal ``specific_modulus``
+    Motion under gravity depends on E / density, so two materials of equal ``E_over_rho``
     and ``nu`` move alike.
 
     Raises:
@@ -74,7 +74,7 @@ class Material(Shown):
         return mu, 2.0 * mu * self.nu / (1.0 - lateral_constraint * self.nu)
 
     @property
-    def specific_modulus(self) -> float:
+    def E_over_rho(self) -> float:
         """E / density [m^2/s^2]."""
         return self.E / self.density
 
@@ -87,20 +87,20 @@ class Material(Shown):
         return math.sqrt(stiffness / self.density)
 
 
-def bending_length(specific_modulus: float, radius_of_gyration: float, gravity: float) -> float:
+def bending_length(E_over_rho: float, radius_of_gyration: float, gravity: float) -> float:
     """Length scale on which gravity bends a rod, (E I / (linear density g))^(1/3) [m].
 
     With I / A = k^2 this is (E / density k^2 / g)^(1/3). Source: Wang (1986), "A critical
     review of the heavy elastica".
 
     Args:
-        specific_modulus: E / density [m^2/s^2].
+        E_over_rho: E / density [m^2/s^2].
         radius_of_gyration: k of the section, sqrt(I / A) [m]; d / 4 for a round section.
         gravity: Magnitude of gravity [m/s^2].
     """
-    return (specific_modulus * radius_of_gyration**2 / gravity) ** (1.0 / 3.0)
+    return (E_over_rho * radius_of_gyration**2 / gravity) ** (1.0 / 3.0)
 
 
-def specific_modulus_of(length: float, radius_of_gyration: float, gravity: float) -> float:
+def E_over_rho_of(length: float, radius_of_gyration: float, gravity: float) -> float:
     """E / density [m^2/s^2] of a rod with this bending length [m]; inverse of the above."""
     return length**3 * gravity / radius_of_gyration**2

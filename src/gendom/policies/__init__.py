@@ -12,8 +12,9 @@ from gendom.policies.policy import Action, Column, Description, GoalRange, Outsi
 
 if TYPE_CHECKING:
     from gendom.policies.adaptation import Adapted, AdaptSettings, Execution, adapt
-    from gendom.policies.belief import Belief
+    from gendom.policies.belief import believed
     from gendom.policies.demonstrations import Demonstrations
+    from gendom.policies.evaluation import draw_cases, score
     from gendom.policies.fitting import Training
     from gendom.policies.polishing import Polished, PolishSettings, polish
     from gendom.policies.training import train
@@ -22,14 +23,16 @@ if TYPE_CHECKING:
 _LATER = {
     "AdaptSettings": "adaptation",
     "Adapted": "adaptation",
-    "Belief": "belief",
+    "believed": "belief",
     "Demonstrations": "demonstrations",
     "Execution": "adaptation",
     "PolishSettings": "polishing",
     "Polished": "polishing",
     "Training": "fitting",
     "adapt": "adaptation",
+    "draw_cases": "evaluation",
     "polish": "polishing",
+    "score": "evaluation",
     "train": "training",
 }
 
@@ -37,7 +40,6 @@ __all__ = [
     "Action",
     "AdaptSettings",
     "Adapted",
-    "Belief",
     "Column",
     "Demonstrations",
     "Description",
@@ -49,7 +51,10 @@ __all__ = [
     "Polished",
     "Training",
     "adapt",
+    "believed",
+    "draw_cases",
     "polish",
+    "score",
     "train",
 ]
 

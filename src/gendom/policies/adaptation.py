@@ -22,7 +22,7 @@ from scipy.linalg import solve_triangular
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item, size_of
-from gendom.policies.belief import Belief
+from gendom.materials.estimate import Estimate
 from gendom.policies.polishing import Discrepancy
 from gendom.policies.rollouts import Asking, Rollouts, side_by_side
 from gendom.tasks import Task
@@ -88,7 +88,8 @@ class AdaptSettings:
 class Adapted:
     """What is known after N executions."""
 
-    belief: Belief
+    belief: Estimate
+    """With only what the task depends on uncertain, see `gendom.policies.belief.believed`."""
     discrepancy: Discrepancy | None = field(repr=False)
     """What the simulator, with the most likely object, is wrong by; None: nothing was seen."""
     residuals: Array
@@ -97,7 +98,7 @@ class Adapted:
 
 def adapt(
     task: Task,
-    belief: Belief,
+    belief: Estimate,
     executions: Sequence[Execution],
     *,
     world: World | None = None,
@@ -128,7 +129,7 @@ def adapt(
 
 def adapting(
     task: Task,
-    belief: Belief,
+    belief: Estimate,
     executions: Sequence[Execution],
     *,
     settings: AdaptSettings | None = None,
@@ -175,8 +176,8 @@ def adapting(
     for _ in range(settings.iterations):
         ends = [vector + s * h * e for e in np.eye(len(h)) for s in (1.0, -1.0)]
         all_f = yield from simulated(ends)
-        slopes = np.nan_to_num((all_f[0::2] - all_f[1::2]) / (2.0 * h[:, None, None]))
-        J = np.stack([whitened(slope) for slope in slopes], axis=1)
+        derivatives = np.nan_to_num((all_f[0::2] - all_f[1::2]) / (2.0 * h[:, None, None]))
+        J = np.stack([whitened(one) for one in derivatives], axis=1)
         H = J.T @ J + prior
         step = np.linalg.solve(H, J.T @ whitened(y - f) - prior @ (vector - belief.mean))
         # the best of some steps, if it pays
@@ -201,7 +202,7 @@ def adapting(
         return (k @ weights)[0] * goal_units, float(np.sqrt(max(variance, 0.0)) * goal_units[0])
 
     return Adapted(
-        belief=replace(belief, mean=vector, covariance=np.linalg.inv(H)),
+        belief=belief.with_gaussian(vector, np.linalg.inv(H)),
         discrepancy=discrepancy,
         residuals=(y - f) * goal_units,
     )

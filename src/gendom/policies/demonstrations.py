@@ -101,7 +101,7 @@ class Demonstrations:
         actions, goals = (tuple(about[f"{what}_names"]) for what in ("action", "goal"))
         risk = [task.risk.name] if task.risk else []
         sizes = KINDS[kind].sizes
-        objects = ("youngs_modulus", "poissons_ratio", "density", "damping", "friction", *sizes)
+        objects = ("E", "nu", "density", "damping", "friction", *sizes)
         names = (*(GOAL + name for name in goals), *actions, *objects, *risk)
         column = succeeded(table, names, where=where)
         size = column[sizes[0]]

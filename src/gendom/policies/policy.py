@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.errors import ParameterError, PolicyError
 from gendom.files import read_bytes
 from gendom.materials import PARAMETERS, Item, dimensionless_parameters
+from gendom.materials.names import current_name, with_current_names
 from gendom.shown import Shown
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ class Column:
 class GoalRange:
     """Goals that demonstrations reached, by the object's bending length over its size.
 
-    `low` and `high` are outer quantiles of the goals in bins of that parameter (E), `at` the bins'
+    `low` and `high` are outer quantiles of the goals in bins of that ratio, `at` the bins'
     middles. Between middles the range is interpolated in its logarithm.
     """
 
@@ -143,6 +144,9 @@ class Description:
             )
         try:
             goals = value["goals"]
+            for name in ("conditioned_on", "parameters"):
+                value[name] = with_current_names(value[name], "network")
+            value["inputs"] = [{**c, "name": _input_name(c["name"])} for c in value["inputs"]]
             description = cls(
                 task=dict(value["task"]),
                 method=value["method"],
@@ -213,8 +217,16 @@ class Policy(Shown):
     Make one with `Policy.read` or `Policy.pretrained`.
     """
 
-    def __init__(self, session: Any, description: Description, *, where: str):
+    def __init__(
+        self,
+        session: Any,
+        description: Description,
+        *,
+        where: str,
+        graph_names: Mapping[str, str] | None = None,
+    ):
         self._session = session
+        self._graph_names = graph_names or {}  # where the graph has names of earlier versions
         self.description = description
         self.where = where
 
@@ -259,15 +271,15 @@ class Policy(Shown):
                 fix="use a policy written by gendom train",
             )
         description = Description.from_json(text, where=where)
-        inputs = {i.name for i in session.get_inputs()}
+        inputs = {_input_name(i.name): i.name for i in session.get_inputs()}
         goals = {GOAL + name for name in description.goal_names}
-        if inputs != goals | set(description.conditioned_on):
+        if inputs.keys() != goals | set(description.conditioned_on):
             raise PolicyError(
                 f"its graph takes {sorted(inputs)}, which its description does not say",
                 where=where,
                 fix="train it again",
             )
-        return cls(session, description, where=where)
+        return cls(session, description, where=where, graph_names=inputs)
 
     @staticmethod
     def ships(task: str, *, parameters: bool = True) -> bool:
@@ -361,7 +373,10 @@ class Policy(Shown):
         for name, value in feed.items():
             if not np.isfinite(value).all():
                 raise PolicyError(f"{name} must be finite", where=self.where)
-        columns = {name: value.astype(np.float32)[:, None] for name, value in feed.items()}
+        columns = {
+            self._graph_names.get(name, name): value.astype(np.float32)[:, None]
+            for name, value in feed.items()
+        }
         return self._session.run(["action"], columns)[0].astype(float)
 
     def goal_range(self, item: Item | None = None) -> Array:
@@ -373,9 +388,13 @@ class Policy(Shown):
         """
         if item is None:
             return self.description.goals(None)
-        sees = "E" in self.description.conditioned_on
-        low, high = self.description.parameters["E"]
-        E = float(np.clip(dimensionless_parameters(item)["E"], low, high)) if sees else None
+        sees = "bending_ratio" in self.description.conditioned_on
+        low, high = self.description.parameters["bending_ratio"]
+        E = (
+            float(np.clip(dimensionless_parameters(item)["bending_ratio"], low, high))
+            if sees
+            else None
+        )
         return self.description.goals(E) * self.task().goal_units(item)[:, None]
 
     def outside(self, goal: ArrayLike, item: Item) -> tuple[Outside, ...]:
@@ -508,6 +527,11 @@ class Policy(Shown):
                     share=share,
                 )
         return found
+
+
+def _input_name(name: str) -> str:
+    """The present name of a network's input."""
+    return current_name(name, "network")
 
 
 def _share_beyond(value: float, end: float) -> float:

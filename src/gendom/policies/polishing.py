@@ -200,7 +200,7 @@ def polish(
     Args:
         task: What is done.
         goal: [G] in SI units.
-        items: K objects of one size: one that is known, or draws of a `Belief`.
+        items: K objects of one size: one that is known, or draws of an `Estimate`.
         start: [A] where to begin, such as a policy's action, in SI units.
         world: Where it is simulated (default: our simulator).
         settings: How long and how far to look.

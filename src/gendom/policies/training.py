@@ -177,7 +177,7 @@ def annotate(policy: Policy, figures: Mapping[str, Any]) -> Policy:
 
 def goal_range(demonstrations: Demonstrations) -> GoalRange:
     """Outer quantiles of the goals in equally filled bins of the parameter E."""
-    E = demonstrations.parameters["E"]
+    E = demonstrations.parameters["bending_ratio"]
     order = np.argsort(E, kind="stable")
     parts = [part for part in np.array_split(order, GOAL_BINS) if len(part)]
     outer = (GOAL_QUANTILE, 1.0 - GOAL_QUANTILE)

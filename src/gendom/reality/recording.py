@@ -242,8 +242,8 @@ def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
         {
             "format": "gendom-truth/1",
             "object": {"name": item.name, **item.description()},
-            "youngs_modulus": item.material.E,
-            "poissons_ratio": item.material.nu,
+            "E": item.material.E,
+            "nu": item.material.nu,
             "density": item.material.density,
             "damping": item.material.damping,
             "friction": item.friction,

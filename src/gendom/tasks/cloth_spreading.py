@@ -44,7 +44,7 @@ CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=4e5, density=400.0,
 
 RANGES = {
     # bending lengths of 0.06 to 0.16 sides: a shirting to 1 mm of rubber
-    "E": (190.0, 3500.0),
+    "E_over_rho": (190.0, 3500.0),
     "nu": (0.2, 0.45),
     "damping": (0.002, 0.02),
     "friction": (0.3, 0.8),

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import ParameterError
-from gendom.materials import PARAMETERS, Item, Material, Rope, from_columns, to_columns, unit_of
+from gendom.materials import QUANTITIES, Item, Material, Rope, from_columns, to_columns, unit_of
+from gendom.materials.names import with_current_names
 from gendom.robot.path import TcpPath
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ ROPE = Rope(length=0.25, diameter=0.014, material=Material(damping=0.004))
 """The rope that demonstrations are simulated with, where a task asks for no other."""
 
 ROPE_RANGES = {
-    "E": (200.0, 4300.0),
+    "E_over_rho": (200.0, 4300.0),
     "nu": (0.2, 0.4),
     "damping": (0.001, 0.02),
     "density": (500.0, 1500.0),
@@ -199,18 +200,18 @@ class Task(ABC):
     item: Item = ROPE
     """The object that demonstrations are simulated with; its parameters are drawn."""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Lowest and highest parameter of drawn objects, by names of `PARAMETERS` and in SI units
+    """Lowest and highest parameter of drawn objects, by names of `QUANTITIES` and in SI units
     (``E``: E / density); those that are not named stay as they are in `item`."""
 
     def __post_init__(self) -> None:
         if self.item.kind != self.kind:
             raise ParameterError(f"{self.name} takes a {self.kind}, not a {self.item.kind}")
         for name, (low, high) in self.ranges.items():
-            if name not in PARAMETERS:
+            if name not in QUANTITIES:
                 raise ParameterError(
-                    f"no parameter {name!r} can be drawn", fix=f"choose {', '.join(PARAMETERS)}"
+                    f"no parameter {name!r} can be drawn", fix=f"choose {', '.join(QUANTITIES)}"
                 )
-            log = PARAMETERS[name].log
+            log = QUANTITIES[name].log
             if not (math.isfinite(low) and math.isfinite(high) and low <= high):
                 raise ParameterError(
                     f"is {low} to {high}",
@@ -380,12 +381,12 @@ class Task(ABC):
     def draw_items(self, rngs: Sequence[np.random.Generator]) -> list[Item]:
         """W objects, each drawn as `draw_item` from its own generator."""
         # in their own order, so that draws do not depend on the mapping's
-        names = [name for name in PARAMETERS if name in self.ranges]
+        names = [name for name in QUANTITIES if name in self.ranges]
         shares = np.array([rng.random(len(names)) for rng in rngs])
         columns = []
         for k, name in enumerate(names):
             low, high = self.ranges[name]
-            log = PARAMETERS[name].log and low > 0.0
+            log = QUANTITIES[name].log and low > 0.0
             if log:
                 low, high = math.log(low), math.log(high)
             numbers = (low + (high - low) * shares[:, k]).tolist()
@@ -403,7 +404,7 @@ class Task(ABC):
         density = values.get("density", m.density)
         material = replace(
             m,
-            E=values.get("E", m.specific_modulus) * density,
+            E=values.get("E_over_rho", m.E_over_rho) * density,
             nu=values.get("nu", m.nu),
             density=density,
             damping=values.get("damping", m.damping),
@@ -453,5 +454,6 @@ class Task(ABC):
             n: tuple(v) if isinstance(v, list) else v for n, v in settings.items()
         }
         given["item"] = from_columns(cls.kind, given["item"])
-        given["ranges"] = {name: (ends[0], ends[1]) for name, ends in given["ranges"].items()}
+        ranges = with_current_names(given["ranges"], "range")
+        given["ranges"] = {name: (ends[0], ends[1]) for name, ends in ranges.items()}
         return cls(**given)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gendom.materials import thickness_of
 
 if TYPE_CHECKING:
-    from gendom.estimation import Estimate, Scene, Theta
+    from gendom.estimation import Estimate, LiftScene, Theta
     from gendom.reality import RealRope
     from gendom.reality.trials import Performance
     from gendom.robot import Arm
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def clouds_of(
-    scene: Scene,
+    scene: LiftScene,
     x: NDArray[np.floating],
     theta: Theta,
     chamfer: NDArray[np.floating] | None,
@@ -47,7 +47,7 @@ def clouds_of(
     )
 
 
-def view_of(scene: Scene) -> str:
+def view_of(scene: LiftScene) -> str:
     """From where a lift of this object is looked at: one of `gendom.viz.clouds.VIEWS`."""
     return "oblique" if scene.kind == "cloth" else "auto"
 

@@ -32,7 +32,7 @@ def test_slopes_by_how_it_is_held_are_differences(short_lift):
     wide = type(problem)(
         [problem.scene],
         type(problem.settings)(
-            unknowns=("specific_modulus", "grip_height"), scene=problem.settings.scene
+            unknowns=("E_over_rho", "grip_height"), scene=problem.settings.scene
         ),
         known=problem.bases[0],
     )

@@ -30,7 +30,7 @@ def test_a_method_brings_back_the_modulus(short_lift, method, off, iterations):
     problem._on_progress = told.append
     found = method(problem)
     theta = problem.theta(found.best.vector)
-    assert paper_E(theta.specific_modulus) == pytest.approx(E, abs=off)
+    assert paper_E(theta.E_over_rho) == pytest.approx(E, abs=off)
     assert found.best.comparison.parts[0].J.shape[-1] == 2
     assert not found.interrupted
     assert 0 < told[-1].iteration <= told[-1].most

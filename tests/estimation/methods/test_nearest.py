@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gendom.estimation import EstimateSettings, Scene, estimate
+from gendom.estimation import EstimateSettings, LiftScene, estimate
 from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.methods.nearest import NearestSettings, adapted, nearest
 from gendom.estimation.problem import Problem, Start
@@ -44,7 +44,7 @@ def problem(cloth_lift):
     """Of a cloth held far from where its prior says."""
     held = {"grip_along": 0.03, "grip_height": -0.03, "grip_tilt": 1.4, "yaw": 0.2}
     seen = cloth_lift.seen(frames=8, points=100, **held)
-    scene = replace(Scene.of(seen, cloth_lift.settings), frames=(3, 5, 7), calm=(3, 5, 7))
+    scene = replace(LiftScene.of(seen, cloth_lift.settings), frames=(3, 5, 7), calm=(3, 5, 7))
     return Problem([scene], EstimateSettings(starts=1, scene=cloth_lift.settings))
 
 

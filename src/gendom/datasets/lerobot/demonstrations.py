@@ -47,7 +47,7 @@ def export_demonstrations(folder: str | os.PathLike, out: str | os.PathLike) -> 
     table = load(folder, part=True)
     quantities = _quantities(about, where)
     names = [name for units in quantities.values() for name in units]
-    apart = {*names, "demonstration", "youngs_modulus", "ok", "fault"}
+    apart = {*names, "demonstration", "E", "ok", "fault"}
     others = [name for name in table.column_names if name not in apart]
     columns = succeeded(table, ["demonstration", *names, *others], where=where)
     count, fix = len(columns["demonstration"]), "simulate more with gendom dataset"

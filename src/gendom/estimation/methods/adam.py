@@ -30,7 +30,7 @@ from gendom.sim.gradients import Gradients
 
 Array = NDArray[np.floating]
 
-REVERSE = ("specific_modulus", "nu", "damping", "friction")
+REVERSE = ("E_over_rho", "nu", "damping", "friction")
 """Unknowns whose slopes the reverse mode gives."""
 
 CHUNK = 1 << 21
@@ -286,9 +286,9 @@ def _slopes(problem: Problem, descents: Sequence[_Descent], gradients: Gradients
     names, found = problem.prior.names, np.zeros((len(descents), len(problem.prior.names)))
     for w, d in enumerate(descents):
         theta = problem.theta(d.vector)
-        E = theta.specific_modulus * problem.scene.density
+        E = theta.E_over_rho * problem.scene.density
         by = {
-            "specific_modulus": E * gradients.E[w],
+            "E_over_rho": E * gradients.E[w],
             "nu": gradients.nu[w],
             "damping": theta.damping * gradients.damping[w],
             "friction": gradients.friction[w],

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from gendom.estimation.likelihood import NoiseModel
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
 from gendom.estimation.problem import Found, Problem, Start
-from gendom.estimation.theta import UNKNOWNS
+from gendom.materials.unknowns import UNKNOWNS
 
 Array = NDArray[np.floating]
 
@@ -36,7 +36,7 @@ class GaussNewtonSettings:
     """Moduli of the scan that precedes the search, over the whole range."""
     initial: tuple[Array, ...] = ()
     """[P] transformed: where to begin instead of there."""
-    leading: tuple[str, ...] = ("specific_modulus", "damping")
+    leading: tuple[str, ...] = ("E_over_rho", "damping")
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
     afar: float = 0.005

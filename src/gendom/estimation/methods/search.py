@@ -26,8 +26,8 @@ def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) 
     prior, rng = problem.prior, np.random.default_rng(problem.settings.seed)
     middle, k = prior.vector(*problem.bases), None
     found = [middle]
-    if "specific_modulus" in prior.names:
-        k = prior.names.index("specific_modulus")
+    if "E_over_rho" in prior.names:
+        k = prior.names.index("E_over_rho")
         scan = np.linspace(prior.low[k], prior.high[k], scanned + 2)[1:-1]
         found = _scanned(problem, k, scan)
     starts = [Start(initial=found[0], vector=found[0])]

@@ -186,7 +186,7 @@ def _parameter_cards(summary: EstimateSummary) -> list[tuple[str, str]]:
     if summary.usable is False:
         return []
     cards = []
-    for key, name in (("youngs_modulus", "Young's modulus"), ("poissons_ratio", "Poisson's ratio")):
+    for key, name in (("E", "Young's modulus"), ("nu", "Poisson's ratio")):
         value = quantity_text(key, summary.values[key])
         interval = summary.interval(key)
         if summary.determined(key) is False:

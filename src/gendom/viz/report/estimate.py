@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 from typing import Any
 
+from gendom.materials.unknowns import UNKNOWNS
 from gendom.viz.charts import BeliefCurve, belief_chart
 from gendom.viz.report.markup import (
     DASH,
@@ -31,37 +32,32 @@ from gendom.viz.report.summary import (
 
 # Key of an estimate, its name, and what to say about it.
 _ROWS = (
-    ("youngs_modulus", "Young's modulus <i>E</i>"),
-    ("poissons_ratio", "Poisson's ratio <i>ν</i>"),
+    ("E", "Young's modulus <i>E</i>"),
+    ("nu", "Poisson's ratio <i>ν</i>"),
     ("friction", "Friction on the table <i>μ</i>"),
     ("damping", "Damping"),
     ("stiffness_slope", "d ln <i>E</i> / d(<i>s</i> / <i>L</i>)"),
     ("thickness", "Diameter or thickness"),
     ("density", "Density <i>ρ</i>"),
-    ("specific_modulus", "Specific modulus <i>E</i> / <i>ρ</i>"),
+    ("E_over_rho", "Specific modulus <i>E</i> / <i>ρ</i>"),
     ("bending_length", "Bending length"),
 )
 
 _NAMES = {
-    "youngs_modulus": "Young's modulus",
-    "poissons_ratio": "Poisson's ratio",
+    "E": "Young's modulus",
+    "nu": "Poisson's ratio",
     "damping": "damping",
     "friction": "friction",
     "stiffness_slope": "the change of stiffness along the rope",
     "thickness": "the thickness",
 }
 
-# Name in a posterior -> key of its truth, and what people call it. Others are of the recording.
-_MATERIAL = {
-    "specific_modulus": ("youngs_modulus", "Young's modulus"),
-    "nu": ("poissons_ratio", "Poisson's ratio"),
-    "damping": ("damping", "Damping"),
-    "friction": ("friction", "Friction on the table"),
-    "stiffness_slope": ("stiffness_slope", "d ln E / d(s / L)"),
-    "thickness": ("", "Thickness over the stated one"),
-}
-
-_RECORDING = {
+# What people call some unknowns of a posterior; others go by the registry.
+_TITLES = {
+    "E_over_rho": "Young's modulus",
+    "friction": "Friction on the table",
+    "stiffness_slope": "d ln E / d(s / L)",
+    "thickness": "Thickness over the stated one",
     "delay": "Delay of the clouds",
     "grip_height": "Grip height, correction",
     "grip_along": "Grip along the object, correction",
@@ -164,13 +160,13 @@ def _remark(key: str, summary: EstimateSummary) -> str:
     if summary.usable is False:
         return ""
     texts = []
-    known = summary.determined("youngs_modulus" if key == "specific_modulus" else key)
+    known = summary.determined("E" if key == "E_over_rho" else key)
     if known is False:
         said = (
             "a usual value" if summary.interval(key) is None else "the interval is mostly the prior"
         )
         texts.append(f"The lift does not determine this: {said}.")
-    elif key == "specific_modulus":
+    elif key == "E_over_rho":
         texts.append("What a motion under gravity depends on, whatever the density.")
     elif key == "bending_length":
         texts.append("About the length over which the object bends under its own weight.")
@@ -221,7 +217,8 @@ def beliefs_section(summary: EstimateSummary) -> Section | None:
         return None
     material, recording = [], []
     for k, name in enumerate(posterior["names"]):
-        (material if name in _MATERIAL else recording).append(_chart(summary, posterior, k))
+        own = name in UNKNOWNS and UNKNOWNS[name].material
+        (material if own else recording).append(_chart(summary, posterior, k))
     parts = [
         '<p class="soft">Grey: what was assumed before the lift (prior). Blue: what is known after '
         "it (posterior). Areas are probabilities; a scale with unequal steps is logarithmic.</p>",
@@ -239,16 +236,16 @@ def beliefs_section(summary: EstimateSummary) -> Section | None:
 
 def _chart(summary: EstimateSummary, posterior: Mapping[str, Any], k: int) -> str:
     name = str(posterior["names"][k])
-    title: str = _RECORDING.get(name, name.replace("_", " ")) + _of_which(posterior, k)
-    key, title = _MATERIAL.get(name, ("", title))
+    title = _TITLES.get(name, _name_of(name).capitalize()) + _of_which(posterior, k)
+    key = {"E_over_rho": "E", "thickness": ""}.get(name, name)
     unit = summary.units.get(name, "")
     factor, unit = _SHOWN_UNITS.get(unit, (1.0, unit))
     true = summary.true(key)
     density = summary.value("density")
-    if name == "specific_modulus" and density is not None:
-        scale, unit = pascal_unit(summary.values["youngs_modulus"])
+    if name == "E_over_rho" and density is not None:
+        scale, unit = pascal_unit(summary.values["E"])
         factor, true = scale * density, None if true is None else scale * true
-    elif name == "specific_modulus":
+    elif name == "E_over_rho":
         title, true = "Specific modulus E / ρ", summary.true(name)
     elif true is not None:
         true *= factor
@@ -272,6 +269,11 @@ def _chart(summary: EstimateSummary, posterior: Mapping[str, Any], k: int) -> st
         shown = f"{times:.0f}" if times >= 9.5 else f"{times:.1f}"
         note = f"{shown} times as narrow as the prior."
     return chart_figure(title, [main] if strip is None else [main, strip], note)
+
+
+def _name_of(name: str) -> str:
+    """What people call an unknown."""
+    return UNKNOWNS[name].title if name in UNKNOWNS else name.replace("_", " ")
 
 
 def _of_which(posterior: Mapping[str, Any], k: int) -> str:
@@ -301,7 +303,7 @@ def _numbers_table(summary: EstimateSummary, posterior: Mapping[str, Any]) -> st
     rows = []
     for k, name in enumerate(posterior["names"]):
         unit = summary.units.get(name, "")
-        label = name.replace("_", " ") + (f" [{unit}]" if unit not in ("", "1") else "")
+        label = _name_of(name) + (f" [{unit}]" if unit not in ("", "1") else "")
         label = label.replace("^2", "²") + _of_which(posterior, k)
         cells = [cell(escaped(label), "name")]
         for stage, said in (("prior_", "prior"), ("", "posterior")):

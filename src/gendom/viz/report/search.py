@@ -80,7 +80,7 @@ def _starts_table(summary: EstimateSummary) -> str:
     starts = summary.values.get("starts") or []
     if len(starts) < 2:
         return ""
-    keys = ("youngs_modulus", "poissons_ratio")
+    keys = ("E", "nu")
     titles = ("E at the start", "ν at the start", "E found", "ν found", "distance")
     rows = []
     for start in starts:
@@ -101,21 +101,21 @@ def _starts_table(summary: EstimateSummary) -> str:
 def _search_charts(summary: EstimateSummary) -> list[str]:
     """Distance and both parameters against iteration, a line for each stage of each start."""
     values = summary.values
-    factor, unit = pascal_unit(values["youngs_modulus"])
+    factor, unit = pascal_unit(values["E"])
     figures = []
     for key, name, scale in (
         ("loss", "Distance of the clouds from the fit [mm]", 1e3),
-        ("youngs_modulus", f"Young's modulus [{unit}]", factor),
-        ("poissons_ratio", "Poisson's ratio", 1.0),
+        ("E", f"Young's modulus [{unit}]", factor),
+        ("nu", "Poisson's ratio", 1.0),
     ):
         lines = _search_lines(summary, key, scale)
         # what the lift does not determine hardly moves
-        if not lines or (key == "poissons_ratio" and summary.determined(key) is False):
+        if not lines or (key == "nu" and summary.determined(key) is False):
             continue
         true = summary.true(key)
         true = None if true is None else scale * true
         positive = all((line.values > 0.0).all() for line in lines)
-        plot = search_chart(lines, log=key != "poissons_ratio" and positive, truth=true)
+        plot = search_chart(lines, log=key != "nu" and positive, truth=true)
         note = ""
         if key == "loss":
             note = (
@@ -169,8 +169,8 @@ def _search_lines(summary: EstimateSummary, key: str, scale: float) -> list[Sear
 def _chosen_start(summary: EstimateSummary) -> int | None:
     """The start that ended at the estimate; in older files the one with the least distance."""
     starts = summary.values.get("starts") or []
-    found = summary.value("youngs_modulus")
-    ended = [finite((start.get("final") or {}).get("youngs_modulus")) for start in starts]
+    found = summary.value("E")
+    ended = [finite((start.get("final") or {}).get("E")) for start in starts]
     if ended.count(found) == 1:
         return ended.index(found)
     losses = [finite(start.get("loss")) for start in starts]

@@ -14,12 +14,12 @@ from gendom.arguments import require
 
 ESTIMATE_FORMAT = "gendom-estimate/1"
 
-RATIOS = ("poissons_ratio", "friction", "stiffness_slope")
+RATIOS = ("nu", "friction", "stiffness_slope")
 """Quantities without a unit, on a linear scale."""
 
 _UNITS = {
     "density": (1.0, "kg/m³"),
-    "specific_modulus": (1.0, "m²/s²"),
+    "E_over_rho": (1.0, "m²/s²"),
     "damping": (1e3, "ms"),
     "bending_length": (1e3, "mm"),
     "thickness": (1e3, "mm"),
@@ -47,7 +47,7 @@ class EstimateSummary:
         found = self.values.get("format", ESTIMATE_FORMAT)
         fix = f"give {ESTIMATE_FORMAT!r}"
         require(found == ESTIMATE_FORMAT, f"is {found!r}", where="estimate.format", fix=fix)
-        for key in ("youngs_modulus", "poissons_ratio"):
+        for key in ("E", "nu"):
             known = finite(self.values.get(key)) is not None
             require(known, "is no number", where=f"estimate.{key}", fix="estimate again")
         for name in ("intervals", "bounds"):
@@ -121,14 +121,14 @@ def quantity_text(key: str, value: float) -> str:
         return with_minus(f"{value:.3f}")
     if key in ("bending_length", "thickness"):
         return length_text(value)
-    factor, unit = pascal_unit(value) if key == "youngs_modulus" else _UNITS[key]
+    factor, unit = pascal_unit(value) if key == "E" else _UNITS[key]
     return with_minus(f"{factor * value:.{3 if key == 'damping' else 4}g} {unit}")
 
 
 def interval_text(key: str, interval: tuple[float, float]) -> str:
     """Both ends in one unit."""
     factor, unit = (
-        pascal_unit(interval[1]) if key == "youngs_modulus" else _UNITS.get(key, (1.0, ""))
+        pascal_unit(interval[1]) if key == "E" else _UNITS.get(key, (1.0, ""))
     )
     low, high = factor * interval[0], factor * interval[1]
     decimals = 3

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
 from gendom.errors import DatasetError, RobotError, SimulationError
-from gendom.estimation import UNKNOWNS, Scene, Theta, chamfers, replay
+from gendom.estimation import UNKNOWNS, LiftScene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
 from gendom.materials import PARAMETERS, Item, from_columns, size_of, thickness_of, to_columns
 from gendom.robot import ARMS, DOWN, XARM7, JointMotion, TcpPath, follow, inverse_kinematics
@@ -67,7 +67,7 @@ class RecordingModel:
 
     cases = ("recording", 1)
 
-    def __init__(self, scene: Scene, theta: Theta, title: str):
+    def __init__(self, scene: LiftScene, theta: Theta, title: str):
         self.scene, self.theta, self.title = scene, theta, title
         notes = list(scene.notes)
         if scene.kind == "cloth" or not scene.thin:
@@ -86,7 +86,7 @@ class RecordingModel:
         Raises:
             RecordingError: The recording shows too little to place the object.
         """
-        scene = Scene.of(recording)
+        scene = LiftScene.of(recording)
         theta = scene.prior()[1].with_values(scene.guesses[len(scene.guesses) // 2])
         every = tuple(np.flatnonzero(recording.frame_valid).tolist())
         return cls(replace(scene, recording=recording, frames=every), theta, title)
@@ -132,7 +132,7 @@ class RecordingModel:
         )
 
 
-def arm_of(scene: Scene) -> MeshLayer | None:
+def arm_of(scene: LiftScene) -> MeshLayer | None:
     """The arm that a recording names, its fingers pointing down where the gripper was.
 
     Recordings have the place of the gripper, not how it is turned.
@@ -160,13 +160,13 @@ def arm_of(scene: Scene) -> MeshLayer | None:
     return arm_layer(arm, np.array(q), scene.body.thickness)
 
 
-def _parameters(scene: Scene, theta: Theta) -> tuple[Parameter, ...]:
+def _parameters(scene: LiftScene, theta: Theta) -> tuple[Parameter, ...]:
     """All unknowns that change what is simulated, within the ranges that are searched."""
     searched = scene.prior()[0].names
     names = [
         u.name
         for u in UNKNOWNS.values()
-        if scene.kind in u.kinds and (u.material or u.name in searched)
+        if scene.kind in u.kinds and (u.material or u.name in searched or u.on_replay is not None)
     ]
     if scene.recording.table_height is None:
         names.remove("friction")
@@ -190,12 +190,12 @@ def _parameters(scene: Scene, theta: Theta) -> tuple[Parameter, ...]:
     return tuple(made)
 
 
-def _facts(scene: Scene, theta: Theta) -> tuple[tuple[str, str], ...]:
-    modulus = theta.specific_modulus
+def _facts(scene: LiftScene, theta: Theta) -> tuple[tuple[str, str], ...]:
+    modulus = theta.E_over_rho
     bending = scene.bending_length(modulus, theta.thickness)
     facts = [("bending length", length_text(bending))]
     if scene.recording.object.mass is not None:
-        facts.insert(0, ("E", quantity_text("youngs_modulus", modulus * scene.density_of(theta))))
+        facts.insert(0, ("E", quantity_text("E", modulus * scene.density_of(theta))))
     return tuple(facts)
 
 
@@ -254,13 +254,13 @@ class DatasetModel:
             value = float(row[p.column])
             if p.log and value == 0.0:
                 continue
-            low, high = self.task.ranges.get(p.name) or (
+            low, high = self.task.ranges.get(p.column) or (
                 (value / _FACTOR, value * _FACTOR) if p.log else _RANGES[p.name]
             )
             made.append(
                 Parameter(
                     name=p.column,
-                    label="E / density" if p.name == "E" else p.name,
+                    label="E / density" if p.column == "E_over_rho" else p.name,
                     unit=p.unit,
                     meaning=p.column.replace("_", " "),
                     group=MATERIAL,
@@ -314,7 +314,7 @@ class DatasetModel:
     def _item(self, case: int, values: Mapping[str, float] | None = None) -> Item:
         """A demonstration's object, with other parameters."""
         columns = {**self._rows[case], **(values or {})}
-        columns["youngs_modulus"] = columns["specific_modulus"] * columns["density"]
+        columns["E"] = columns["E_over_rho"] * columns["density"]
         names = to_columns(self.task.item)
         return from_columns(self.task.kind, {name: float(columns[name]) for name in names})
 
@@ -327,7 +327,7 @@ class DatasetModel:
 
     def _facts(self, case: int, item: Item, values: Mapping[str, float]) -> list[tuple[str, str]]:
         units = {q.name: q.unit for q in self.task.goals}
-        facts = [("E", quantity_text("youngs_modulus", item.material.E))]
+        facts = [("E", quantity_text("E", item.material.E))]
         for name, value in values.items():
             unit = units.get(name, "1")
             facts.append(

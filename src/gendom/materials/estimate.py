@@ -1,0 +1,751 @@
+"""An `Estimate`: what is known of an object, from the search to the policy, and its file.
+
+The file (``estimate.json``, format ``gendom-estimate/1``) holds SI units. Its single source of
+truth is the posterior; the values beside it follow from that, and a file in which they do not is
+refused. Files of earlier versions are read by `gendom.materials.names`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from statistics import NormalDist
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.arguments import require
+from gendom.errors import GendomError, ParameterError
+from gendom.files import read_json, write_json
+from gendom.materials import catalogue
+from gendom.materials.names import with_current_names
+from gendom.materials.objects import (
+    ASSUMED,
+    KINDS,
+    STANDARD_GRAVITY,
+    Cloth,
+    Item,
+    Rope,
+    to_columns,
+)
+from gendom.materials.parameters import Material, bending_length
+from gendom.materials.posterior import Posterior, Prior, prior_of
+from gendom.materials.unknowns import UNKNOWNS, Theta
+from gendom.shown import Shown
+
+Array = NDArray[np.floating]
+
+FORMAT = "gendom-estimate/1"
+
+LEVEL = 0.9
+"""Probability of intervals where an estimate names none."""
+
+HIDDEN = ("damping", "friction")
+"""What many recordings do not determine: where one does not, the usual value is taken for it."""
+
+ASSUMED_DENSITY_SD = 0.5
+"""Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3."""
+
+SIZES = ("length", "width", "height", "diameter", "thickness", "side")
+"""Names of sizes in files [m]."""
+
+CONSISTENT = 1e-6
+"""Relative difference beyond which a file's value contradicts its posterior."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Whether an estimate is usable."""
+
+    usable: bool
+    reasons: tuple[str, ...] = ()
+    """Why it is not usable, one sentence each."""
+
+    @property
+    def text(self) -> str:
+        return "usable" if self.usable else "not usable: " + "; ".join(self.reasons)
+
+
+NOTHING_ESTIMATED = Posterior(
+    prior=prior_of((), {}), mean=np.empty(0), covariance=np.empty((0, 0)), bases=()
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Estimate(Shown):
+    """What is known of a rope or a cloth.
+
+    Raises:
+        ParameterError: The posterior's covariance is not positive definite.
+    """
+
+    kind: str
+    """``rope`` or ``cloth``."""
+    known: Mapping[str, float]
+    """Numbers that are not in the posterior, in SI units: sizes as stated, mass or density, and
+    parameters, which replace those of the posterior for the most likely object."""
+    posterior: Posterior = NOTHING_ESTIMATED
+    verdict: Verdict = Verdict(usable=True)
+    level: float = LEVEL
+    """Probability of the intervals."""
+    density_sd: float = 0.0
+    """Standard deviation of the logarithm of a density that is assumed."""
+    given: frozenset[str] = frozenset()
+    """Names of parameters that are taken as exact, whatever a task depends on."""
+    about: Mapping[str, Any] = field(default_factory=dict)
+    """The file's further entries: fit and search, executions."""
+
+    def __post_init__(self) -> None:
+        mean, covariance = self.mean, self.covariance
+        finite = bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
+        definite = finite and (not len(mean) or np.linalg.eigvalsh(covariance).min() > 0.0)
+        require(definite, "covariance is not positive definite", where="posterior")
+
+    @classmethod
+    def of(cls, item: Item, posterior: Mapping[str, Any] | None = None) -> Estimate:
+        """An object of which everything is known but for, perhaps, a Gaussian.
+
+        Args:
+            item: The most likely object.
+            posterior: As `Posterior.to_dict` writes it; None: it is known exactly.
+
+        Raises:
+            ParameterError: The posterior cannot be used.
+        """
+        known = {n: v for n, v in to_columns(item).items() if n != "E"}
+        found = Estimate(kind=item.kind, known=known)
+        return found if posterior is None else found.with_posterior(posterior)
+
+    # ---- values ----------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the P unknowns of the posterior."""
+        return self.posterior.names
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """[P] transformed: logarithms where `UNKNOWNS` says so."""
+        return np.asarray(self.posterior.mean, dtype=float)
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """[P, P] of that."""
+        return np.asarray(self.posterior.covariance, dtype=float)
+
+    @property
+    def sd(self) -> NDArray[np.float64]:
+        """[P] standard deviations of that."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def theta(self) -> Theta:
+        """The most likely value of every unknown, of the first recording where each has its own."""
+        return self.posterior.theta
+
+    @property
+    def usable(self) -> bool:
+        return self.verdict.usable
+
+    def value(self, name: str) -> float | None:
+        """The most likely value of a number of the material or of a size, None: not known."""
+        if name in self.known:
+            found = self.known[name]
+            if name == self._small and "thickness" in self.names:
+                found *= self._estimated("thickness")
+            elif name == "density" and "mass" in self.known and "thickness" in self.names:
+                found /= self._estimated("thickness") ** self._mass_power
+            return found
+        return self._estimated(name) if name in self.names else None
+
+    def _estimated(self, name: str) -> float:
+        return UNKNOWNS[name].value(float(self.mean[self.posterior.prior.index(name)]))
+
+    def _need(self, name: str) -> float:
+        value = self.value(name)
+        if value is None:
+            raise ParameterError(f"{name} is not known", where="estimate", fix="estimate it")
+        return value
+
+    @property
+    def E(self) -> float:
+        """Young's modulus [Pa]."""
+        return self.E_over_rho * self.density
+
+    @property
+    def E_over_rho(self) -> float:
+        """Young's modulus over density [m^2/s^2]."""
+        return self._need("E_over_rho")
+
+    @property
+    def nu(self) -> float:
+        """Poisson's ratio [-]."""
+        return self._need("nu")
+
+    @property
+    def density(self) -> float:
+        """Mass density [kg/m^3]."""
+        return self._need("density")
+
+    @property
+    def bending_length(self) -> float:
+        """Length over which gravity bends the object [m]."""
+        k = self._need(self._small) / (4.0 if self.kind == "rope" else math.sqrt(12.0))
+        return bending_length(self.E_over_rho, k, STANDARD_GRAVITY)
+
+    @property
+    def bending_stiffness(self) -> float:
+        """E I of a rope's section [N m^2], D of a cloth per width [N m]."""
+        h = self._need(self._small)
+        if self.kind == "rope":
+            return self.E * math.pi * h**4 / 64.0
+        return self.E * h**3 / (12.0 * (1.0 - self.nu**2))
+
+    @property
+    def _small(self) -> str:
+        """Name of the smaller size."""
+        return KINDS[self.kind].sizes[1]
+
+    @property
+    def _mass_power(self) -> int:
+        """Exponent of the thickness in the object's volume."""
+        return 2 if self.kind == "rope" else 1
+
+    def interval(self, name: str) -> tuple[float, float] | None:
+        """Ends of the interval of a value of the file, None where there is none."""
+        ends = (self.record["intervals"] or {}).get(name)
+        return None if ends is None else (float(ends[0]), float(ends[1]))
+
+    # ---- the object ------------------------------------------------------------------------------
+
+    @property
+    def assumed(self) -> dict[str, float]:
+        """Numbers of the object that neither the estimate nor a flag says."""
+        return {name: value for name, value in ASSUMED.items() if not self._says(name)}
+
+    def _says(self, name: str) -> bool:
+        hidden = name in HIDDEN and name not in self.known and not self.posterior.determined(name)
+        return self.value(name) is not None and not hidden
+
+    @cached_property
+    def item(self) -> Item:
+        """The object with the estimated material; what is not known is assumed.
+
+        Raises:
+            ParameterError: E over density or a size is not known.
+        """
+        made = self._usual
+        for name in self.names:
+            applied = UNKNOWNS[name].on_object
+            if applied is not None and name not in ("E_over_rho", *ASSUMED):
+                made = applied(made, self._estimated(name))
+        return made
+
+    @cached_property
+    def _usual(self) -> Item:
+        """The object without effects of unknowns that other packages have registered."""
+        numbers = {n: self._need(n) if self._says(n) else value for n, value in ASSUMED.items()}
+        kind = KINDS[self.kind]
+        square = self.kind == "cloth" and "side" not in self.known
+        sizes = {n: self._need("width" if square and n == "side" else n) for n in kind.sizes}
+        material = Material(
+            E=self.E_over_rho * numbers["density"],
+            nu=numbers["nu"],
+            density=numbers["density"],
+            damping=numbers["damping"],
+        )
+        return kind(**sizes, material=material, friction=numbers["friction"])
+
+    def rope(self) -> Rope:
+        """The rope with the estimated material.
+
+        Raises:
+            ParameterError: It is a cloth.
+        """
+        item = self.item
+        if not isinstance(item, Rope):
+            raise ParameterError("is of a cloth", where="estimate", fix="take its cloth()")
+        return item
+
+    def cloth(self) -> Cloth:
+        """The cloth with the estimated material, square as wide as stated.
+
+        Raises:
+            ParameterError: It is a rope.
+        """
+        item = self.item
+        if not isinstance(item, Cloth):
+            raise ParameterError("is of a rope", where="estimate", fix="take its rope()")
+        return item
+
+    def at(self, vector: Array) -> Item:
+        """The object with transformed unknowns [P], kept within their ranges."""
+        item = self._usual
+        for name, x in zip(self.names, vector, strict=True):
+            u = UNKNOWNS[name]
+            if u.on_object is not None:
+                item = u.on_object(item, float(np.clip(u.value(float(x)), u.low, u.high)))
+        return item
+
+    @property
+    def most_likely(self) -> Item:
+        """The object at the posterior's mean, also in what the recording does not determine."""
+        return self.at(self.mean)
+
+    def draws(self, count: int, seed: int) -> list[Item]:
+        """Plausible objects, all of one size."""
+        own = self.of_object(self.names)
+        rng = np.random.default_rng(seed)
+        drawn = rng.multivariate_normal(own.mean, own.covariance, size=count)
+        return [own.at(vector) for vector in drawn]
+
+    # ---- what is uncertain -----------------------------------------------------------------------
+
+    def of_object(self, names: Sequence[str]) -> Self:
+        """What it says of an object of exactly the estimated size, in some of the unknowns.
+
+        Where the posterior has none of the names that are usually assumed, the prior's deviation
+        counts, about what is assumed. Numbers that are `given` are not uncertain.
+
+        Args:
+            names: Of `UNKNOWNS` with `Unknown.on_object`; others are left out.
+        """
+        covariance = self._of_this_size()
+        chosen, blocks = [], {}
+        for name, u in UNKNOWNS.items():
+            if name not in names or u.on_object is None or name in self.given:
+                continue
+            if name in self.names:
+                blocks[name] = self.posterior.prior.index(name)
+            elif name not in ASSUMED:
+                continue
+            chosen.append(name)
+        prior = prior_of(chosen, {})
+        mean, total = np.empty(len(chosen)), np.zeros((len(chosen), len(chosen)))
+        for i, name in enumerate(chosen):
+            if name not in blocks:
+                value = self.known.get(name, ASSUMED[name])
+                mean[i] = UNKNOWNS[name].transformed(max(value, 1e-6))
+                total[i, i] = UNKNOWNS[name].sd ** 2
+                continue
+            mean[i] = self.mean[blocks[name]]
+            for j, other in enumerate(chosen):
+                if other in blocks:
+                    total[i, j] = covariance[blocks[name], blocks[other]]
+        # what is not uncertain any more stays as it most likely is
+        known = {n: v for n, v in to_columns(self._usual).items() if n != "E"}
+        return replace(self, known=known)._with(prior, mean, total)
+
+    def _of_this_size(self) -> NDArray[np.float64]:
+        """[P, P] covariance with the thickness at its most likely value. Of an uncertain thickness
+        and E over density, what bends alike is known better than either."""
+        if "thickness" not in self.names:
+            return self.covariance
+        k = self.posterior.prior.index("thickness")
+        shared = self.covariance[:, k]
+        return self.covariance - np.outer(shared, shared) / self.covariance[k, k]
+
+    def _with(self, prior: Prior, mean: Array, covariance: Array) -> Self:
+        posterior = replace(self.posterior, prior=prior, mean=mean, covariance=covariance)
+        return replace(self, posterior=posterior)
+
+    def with_posterior(self, read: Mapping[str, Any]) -> Self:
+        """With the Gaussian of a file.
+
+        Raises:
+            ParameterError: It cannot be used.
+        """
+        read = with_current_names(with_current_names(read), "range")
+        try:
+            posterior = Posterior.from_dict(read, self.posterior.bases)
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise ParameterError(
+                f"cannot be used ({type(error).__name__} {error})",
+                where="posterior",
+                fix="estimate again",
+            ) from None
+        return replace(self, posterior=posterior)
+
+    def with_gaussian(self, mean: Array, covariance: Array) -> Self:
+        """With another mean [P] and covariance [P, P]."""
+        return self._with(self.posterior.prior, mean, covariance)
+
+    def with_uncertain(self, name: str, sd: float) -> Self:
+        """With one more uncertain unknown, independent of the others, around the object's value.
+
+        Args:
+            name: Of `UNKNOWNS`.
+            sd: Standard deviation, of the logarithm where that counts.
+        """
+        u = UNKNOWNS[name]
+        value = self.value(name)
+        mean = np.append(self.mean, u.transformed(ASSUMED[name] if value is None else value))
+        covariance = np.pad(self.covariance, (0, 1))
+        covariance[-1, -1] = sd**2
+        return self._with(self.posterior.prior.followed_by(prior_of((name,), {})), mean, covariance)
+
+    def with_known(self, values: Mapping[str, float]) -> Self:
+        """With numbers that are given: sizes and parameters in SI units, E among them. With another
+        E or density nothing is left of the posterior, which was of other numbers."""
+        known = {**self.known, **values}
+        given = set(values)
+        posterior = self.posterior
+        if given & {"E", "density"}:
+            for name in (*ASSUMED, self._small):
+                value = self.value(name)
+                if name not in values and value is not None and self._says(name):
+                    known[name] = value
+            E = known.pop("E", None)
+            if E is None and self.value("E_over_rho") is not None and "density" in self.known:
+                E = self.E
+            posterior = NOTHING_ESTIMATED
+            known.pop("E_over_rho", None)
+            density = known.get("density")
+            if E is not None and density is None:
+                known["E"] = E
+            elif E is not None and density is not None:
+                known["E_over_rho"] = E / density
+                given.add("E_over_rho")
+        return replace(self, known=known, given=self.given | given, posterior=posterior)
+
+    def updated(self, learned: Estimate, entries: Mapping[str, Any]) -> Self:
+        """With the unknowns of another estimate of the same object, which knows more, and further
+        entries of the file. What is not among them is independent of them, but for the thickness:
+        what bends alike stays so."""
+        old, mine = self.posterior, learned.names
+        kept = [
+            k
+            for k, (name, owner) in enumerate(zip(old.names, old.prior.owners, strict=True))
+            if owner is not None or name not in mine
+        ]
+        rest = old.prior.taken_as_they_are(kept)
+        changes = {
+            n: {"mean": u.value(float(old.prior.mean[k])), "sd": float(old.prior.sd[k])}
+            for n, u in ((n, UNKNOWNS[n]) for n in mine)
+            if n in old.names
+            for k in [old.prior.index(n)]
+        }
+        first = prior_of(mine, changes)
+        P = len(mine)
+        covariance = np.zeros((P + len(kept), P + len(kept)))
+        covariance[:P, :P] = learned.covariance
+        covariance[P:, P:] = old.covariance[np.ix_(kept, kept)]
+        if "thickness" in old.names:
+            k = old.prior.index("thickness")
+            t, variance = P + kept.index(k), old.covariance[k, k]
+            weights = np.array(
+                [old.covariance[old.prior.index(n), k] / variance if n in old.names else 0.0
+                 for n in mine]
+            )  # fmt: skip
+            covariance[:P, :P] += variance * np.outer(weights, weights)
+            covariance[:P, t] = covariance[t, :P] = variance * weights
+        posterior = replace(
+            old,
+            prior=first.followed_by(rest),
+            mean=np.concatenate([learned.mean, old.mean[kept]]),
+            covariance=covariance,
+        )
+        known = {n: v for n, v in self.known.items() if n not in mine}
+        return replace(self, known=known, posterior=posterior, about={**self.about, **entries})
+
+    # ---- the file --------------------------------------------------------------------------------
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """The JSON document. ``intervals`` and ``bounds``, the range that was searched, hold
+        [low, high] by the names of the values; ``intervals`` is null where the verdict is not
+        usable; ``recordings`` has the entries of each recording, those of the first are at the top
+        level, too."""
+        intervals, bounds, known = self._ranges()
+        object_ = {n: self.value(n) for n in (*SIZES[:-1], "mass")}
+        entries: dict[str, Any] = {**self.about, "format": FORMAT}
+        if self.posterior.bases:
+            entries["theta"] = dict(self.theta)
+        return {
+            **entries,
+            **self._values(),
+            "density_assumed": "mass" not in self.known,
+            "density_sd": self.density_sd,
+            "verdict": {"usable": self.usable, "reasons": list(self.verdict.reasons)},
+            "intervals": {"level": self.level, **intervals} if self.usable else None,
+            "bounds": bounds,
+            "identifiable": known,
+            "posterior": self.posterior.to_dict(),
+            "object": {"kind": self.kind, **object_, **self._side()},
+        }
+
+    def _side(self) -> dict[str, float]:
+        return {"side": self.known["side"]} if "side" in self.known else {}
+
+    def _values(self) -> dict[str, float | None]:
+        """The file's values: those that every object has, and what follows from them."""
+        values = {n: self.value(n) for n, u in UNKNOWNS.items() if u.material}
+        values["thickness"] = self.value(self._small) if "thickness" in self.names else None
+        values |= {"density": self.value("density")}
+        values |= dict.fromkeys(("E", "bending_length", "bending_stiffness"))
+        needs = {
+            "E": ("density",),
+            "bending_length": (self._small,),
+            "bending_stiffness": ("density", "nu", self._small),
+        }
+        for name, others in needs.items():
+            if all(self.value(other) is not None for other in ("E_over_rho", *others)):
+                values[name] = getattr(self, name)
+        return values
+
+    def _ranges(
+        self,
+    ) -> tuple[dict[str, list[float]], dict[str, list[float]], dict[str, bool]]:
+        """Intervals, searched ranges, and whether each value is determined, by name."""
+        intervals: dict[str, list[float]] = {}
+        bounds: dict[str, list[float]] = {}
+        known: dict[str, bool] = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
+        posterior, values = self.posterior, self._values()
+        for name in posterior.names:
+            u = UNKNOWNS[name]
+            if not u.material:
+                continue
+            k = posterior.prior.index(name)
+            unit = self.known.get(self._small, 1.0) if name == "thickness" else 1.0
+            intervals[name] = [unit * end for end in posterior.interval(name, self.level)]
+            ends = posterior.prior.low[k], posterior.prior.high[k]
+            bounds[name] = [unit * u.value(float(end)) for end in ends]
+            known[name] = posterior.determined(name)
+        known["E"] = known["E_over_rho"]
+        if "E_over_rho" in posterior.names:
+            for name, thicker, power, other in self._powers():
+                value = values[name]
+                if value is None:
+                    continue
+                powers = {"E_over_rho": power, "thickness": power * thicker}
+                ends = posterior.factors(powers, self.level, other)
+                intervals[name] = [value * end for end in ends]
+                middle = self._estimated("E_over_rho")
+                bounds[name] = [value * (end / middle) ** power for end in bounds["E_over_rho"]]
+        return intervals, bounds, known
+
+    def _powers(self) -> tuple[tuple[str, float, float, float], ...]:
+        """Values that follow from E over density: name, exponent of the thickness over that of
+        E over density, the latter, and the deviation of the density's logarithm."""
+        weighed = "mass" in self.known
+        mass, heavy = (self._mass_power, 0.0) if weighed else (0, self.density_sd)
+        # with a known mass, bending stiffness is proportional to the square; else the mass grows
+        weight = 2 if mass else 2 + self._mass_power
+        return (
+            ("E", -mass, 1.0, heavy),
+            ("bending_length", 2.0, 1.0 / 3.0, 0.0),
+            ("bending_stiffness", weight, 1.0, heavy),
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write ``estimate.json``, atomically.
+
+        Raises:
+            GendomError: The place cannot be written.
+        """
+        write_json(path, self.record)
+
+    @classmethod
+    def load(cls, path: str | Path, *, kind: str | None = None) -> Estimate:
+        """Read what `save`, ``gendom estimate`` or ``gendom adapt`` wrote, perhaps of an earlier
+        version.
+
+        Args:
+            path: The file.
+            kind: Of the object, for files that do not say it.
+
+        Raises:
+            ParameterError: It is no estimate, or that of a recording that gave none.
+            GendomError: It cannot be read.
+        """
+        return Estimate.from_dict(read_json(path), str(path), kind=kind)
+
+    @classmethod
+    def from_dict(
+        cls, read: Mapping[str, Any], where: str = "estimate", *, kind: str | None = None
+    ) -> Estimate:
+        """Inverse of `record`; arguments and errors as of `load`."""
+        require(
+            read.get("format") == FORMAT,
+            f"has format {read.get('format')!r}, not {FORMAT!r}",
+            where=where,
+            fix="give a file written by gendom estimate",
+        )
+        verdict = read.get("verdict") or {}
+        reasons = tuple(verdict.get("reasons") or ())
+        require(
+            not read.keys() <= {"format", "verdict"},
+            f"holds no numbers, since nothing was estimated: {', '.join(reasons)}",
+            where=where,
+            fix="record the object again, or describe it by flags such as --E",
+        )
+        read = with_current_names(read)
+        try:
+            return _from(read, Verdict(usable=verdict.get("usable", True), reasons=reasons), kind,
+                         where)  # fmt: skip
+        except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
+            if isinstance(error, GendomError):
+                raise
+            raise ParameterError(
+                f"cannot be used: {type(error).__name__} {error}",
+                where=where,
+                fix="estimate again",
+            ) from None
+
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Name, value and interval of what was found, with units, for tables."""
+        rope, record = self.kind == "rope", self.record
+        titles = {
+            "E": ("Young's modulus", "Pa", ".4g"),
+            "E_over_rho": ("E / density", "m^2/s^2", ".4g"),
+            "bending_length": ("bending length", "m", ".4f"),
+            "bending_stiffness": (
+                *(("bending EI", "N m^2") if rope else ("bending D", "N m")), ".4g",
+            ),
+        }  # fmt: skip
+        for name, u in UNKNOWNS.items():
+            if u.material and name not in titles:
+                titles[name] = (u.title, "" if u.unit == "1" else u.unit, u.form)
+        titles["thickness"] = (self._small, "m", ".4g")
+        titles["density"] = ("density", "kg/m^3", ".4g")
+        rows = []
+        for name, (title, unit, form) in titles.items():
+            if record.get(name) is None:
+                continue
+            remarks = []
+            ends = self.interval(name)
+            if ends is not None:
+                remarks.append(f"{self.level:.0%} in [{ends[0]:{form}}, {ends[1]:{form}}]")
+            if record["identifiable"].get(name) is False:
+                remarks.append("not determined: mostly the prior")
+            if name == "density" and record["density_assumed"]:
+                remarks.append("assumed: the mass is unknown")
+            rows.append((title, f"{record[name]:{form}} {unit}".strip(), ", ".join(remarks)))
+        return rows
+
+    def _shown(self) -> tuple[str, list[tuple[str, str, str]]]:
+        return f"Estimate ({self.kind}, {self.verdict.text})", self.rows()
+
+
+# ---- reading -----------------------------------------------------------------------------------
+
+
+def _from(read: Mapping[str, Any], verdict: Verdict, kind: str | None, where: str) -> Estimate:
+    """An estimate from a file's entries with present names."""
+    described = read.get("object") or {}
+    kind = described.get("kind", kind)
+    if kind not in KINDS:
+        raise ValueError(f"there is no kind of object {kind!r}")
+    known = _numbers(read, described, where)
+    level = (read.get("intervals") or {}).get("level", LEVEL)
+    complete = bool(read.get("posterior"))
+    if "posterior" in read and read["posterior"] == {}:
+        raise KeyError("names")
+    posterior = _posterior_of(read, known, level)
+    small, power = KINDS[kind].sizes[1], 2 if kind == "rope" else 1
+    if complete:
+        names = [n for n, o in zip(posterior.names, posterior.prior.owners, strict=True)
+                 if o is None]  # fmt: skip
+        stated = {n: known.pop(n) for n in ("E", *names) if n in known}
+        if "thickness" in names:
+            k = posterior.names.index("thickness")
+            r = UNKNOWNS["thickness"].value(float(posterior.mean[k]))
+            if small in described:
+                known[small] = stated["thickness"] = float(described[small])
+                known[small] /= r
+            if "mass" in known and "density" in known:
+                known["density"] *= r**power
+    else:
+        stated = {}
+        if "E" in known and "E_over_rho" not in known and "density" in known:
+            known["E_over_rho"] = known["E"] / known["density"]
+        known.pop("E", None)
+    material = (read.get("simulation") or {}).get("material")
+    sd = catalogue.get(material).density.log_sd if material else ASSUMED_DENSITY_SD
+    found = Estimate(
+        kind=kind,
+        known=known,
+        posterior=posterior,
+        verdict=verdict,
+        level=float(level),
+        density_sd=float(read.get("density_sd", 0.0 if "mass" in known else sd)),
+        about={k: v for k, v in read.items() if k not in _OWN},
+    )
+    _check_consistent(found, stated, where)
+    return found
+
+
+_OWN = (
+    "format", "theta", "E", "bending_length", "bending_stiffness", "density", "density_assumed",
+    "density_sd", "verdict", "intervals", "bounds", "identifiable", "posterior", "object",
+)  # fmt: skip
+"""Entries of the file that `Estimate.record` computes, beside values of unknowns."""
+
+
+def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) -> dict[str, float]:
+    """The file's numbers of the object.
+
+    Raises:
+        GendomError: One is none, or not positive.
+    """
+    names = {n for n, u in UNKNOWNS.items() if u.material and n != "thickness"}
+    told = read.get("identifiable") or {}
+    numbers = {n: read.get(n) for n in ("E", *names, "density")}
+    if not read.get("posterior"):  # what the recording does not tell is its prior's
+        numbers |= {n: None for n in HIDDEN if told.get(n, True) is False}
+    numbers |= {n: described.get(n) for n in (*SIZES, "mass")}
+    for name, value in numbers.items():
+        positive = isinstance(value, (int, float)) and (
+            value > 0.0 or (value == 0.0 and name in HIDDEN) or name == "stiffness_slope"
+        )
+        if value is not None and not positive and (name not in UNKNOWNS or UNKNOWNS[name].low > 0):
+            raise GendomError(
+                f"{name} must be a positive number, got {value!r}",
+                where=where,
+                fix="estimate again, or give the number by a flag",
+            )
+    return {n: float(v) for n, v in numbers.items() if v is not None}
+
+
+def _posterior_of(read: Mapping[str, Any], known: Mapping[str, float], level: float) -> Posterior:
+    """The file's posterior; of files of earlier versions that of their interval of E."""
+    if read.get("posterior"):
+        first = {k: float(v) for k, v in (read.get("theta") or {}).items()}
+        bases = []
+        if first:
+            base = Theta(**first)
+            # files of earlier versions are of one recording
+            bases = [base.with_values(r["theta"]) for r in read.get("recordings", [read])]
+        return Posterior.from_dict(read["posterior"], bases)
+    ends = (read.get("intervals") or {}).get("E")
+    if not ends:
+        return NOTHING_ESTIMATED
+    low, high = (math.log(end / known["density"]) for end in ends)
+    half = NormalDist().inv_cdf(0.5 + level / 2.0)
+    return Posterior(
+        prior=prior_of(("E_over_rho",), {}),
+        mean=np.array([0.5 * (low + high)]),
+        covariance=np.array([[(0.5 * (high - low) / half) ** 2]]),
+        bases=(),
+    )
+
+
+def _check_consistent(found: Estimate, stated: Mapping[str, float], where: str) -> None:
+    """Refuse a file with a value that was changed by hand.
+
+    Raises:
+        ParameterError: A value is not that of the posterior.
+    """
+    values = found._values()
+    for name, value in stated.items():
+        own = values.get(name)
+        require(
+            own is None or math.isclose(own, value, rel_tol=CONSISTENT, abs_tol=1e-9),
+            f"{name} is {value:.6g}, its posterior says {own or 0.0:.6g}",
+            where=where,
+            fix="leave the file as it was written; give another number by a flag such as --E",
+        )

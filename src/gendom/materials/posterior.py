@@ -1,0 +1,281 @@
+"""What is known of unknowns before and after a recording: Gaussians in transformed parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from gendom.arguments import require
+from gendom.materials.unknowns import UNKNOWNS, Theta, Unknown
+
+Array = NDArray[np.floating]
+
+IDENTIFIABLE = 0.5
+"""A parameter counts as determined where its posterior deviation is at most this share of the
+prior's."""
+
+NUMBERS = ("low", "high", "mean", "sd", "step", "widest")
+"""Fields of `Prior` that are arrays."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """Gaussian prior of P unknowns of an object and its recordings, in transformed coordinates."""
+
+    names: tuple[str, ...]
+    """A recording's own unknowns are named once for each recording."""
+    owners: tuple[int | None, ...]
+    """Which recording has each; None: the object, so that all recordings share it."""
+    low: Array
+    high: Array
+    mean: Array
+    sd: Array
+    step: Array
+    widest: Array
+
+    @property
+    def unknowns(self) -> list[Unknown]:
+        return [UNKNOWNS[name] for name in self.names]
+
+    def of(self, recording: int) -> list[int]:
+        """Indices of the unknowns that a recording shares or has."""
+        return [k for k, owner in enumerate(self.owners) if owner in (None, recording)]
+
+    def taken(self, which: Sequence[int] | NDArray[np.intp]) -> Prior:
+        """Prior of unknowns with these indices, those of one recording."""
+        numbers = {name: getattr(self, name)[which] for name in NUMBERS}
+        names = tuple(self.names[k] for k in which)
+        return Prior(names=names, owners=owners_of(names), **numbers)
+
+    def taken_as_they_are(self, which: Sequence[int]) -> Prior:
+        """Prior of unknowns with these indices, each of its own recording."""
+        numbers = {name: getattr(self, name)[list(which)] for name in NUMBERS}
+        owners = tuple(self.owners[k] for k in which)
+        return Prior(names=tuple(self.names[k] for k in which), owners=owners, **numbers)
+
+    def followed_by(self, other: Prior) -> Prior:
+        """Prior of these unknowns and then those, none of them twice."""
+        numbers = {n: np.append(getattr(self, n), getattr(other, n)) for n in NUMBERS}
+        return Prior(names=self.names + other.names, owners=self.owners + other.owners, **numbers)
+
+    def index(self, name: str, recording: int = 0) -> int:
+        """Of an unknown, of this recording if each has its own.
+
+        Raises:
+            ValueError: It is not among them.
+        """
+        own = self.of(recording)
+        return own[[self.names[k] for k in own].index(name)]
+
+    def vector(self, *thetas: Theta) -> Array:
+        """[P] transformed values of an estimate, one for each recording."""
+        own = [thetas[owner or 0] for owner in self.owners]
+        return np.array([u.transformed(t[u.name]) for u, t in zip(self.unknowns, own, strict=True)])
+
+    def theta(self, vector: Sequence[float] | Array, base: Theta, recording: int = 0) -> Theta:
+        """A recording's estimate with these transformed values [P], others as in ``base``."""
+        own = self.of(recording)
+        values = ((UNKNOWNS[self.names[k]], float(vector[k])) for k in own)
+        return base.with_values({u.name: u.value(x) for u, x in values})
+
+    def within(self, reach: float) -> tuple[Array, Array]:
+        """[P] and [P] ends of the ranges, no farther than so many deviations from the means."""
+        low, high = self.mean - reach * self.sd, self.mean + reach * self.sd
+        return np.maximum(self.low, low), np.minimum(self.high, high)
+
+    def clipped(self, vector: Array) -> Array:
+        return np.clip(vector, self.low, self.high)
+
+
+def prior_of(names: Iterable[str], changes: Mapping[str, Mapping[str, float]] = {}) -> Prior:
+    """Prior of some unknowns, ``changes`` of a scene to what `UNKNOWNS` says applied.
+
+    Args:
+        names: Names of the unknowns to estimate.
+        changes: By name, other values of low, high, mean, sd, step or widest.
+
+    Raises:
+        ParameterError: There is no such unknown, or one is named twice.
+    """
+    names = tuple(names)
+    twice = {name for name in names if names.count(name) > 1}
+    listed = ", ".join(twice)
+    require(not twice, f"{listed} is named twice", where="unknowns", fix="name each unknown once")
+    for name in names:
+        known = f"choose from {', '.join(UNKNOWNS)}"
+        require(name in UNKNOWNS, f"there is no unknown {name!r}", fix=known)
+    chosen = [replace(UNKNOWNS[name], **changes.get(name, {})) for name in names]
+    ends = {n: [u.transformed(getattr(u, n)) for u in chosen] for n in ("low", "high", "mean")}
+    widths = {n: [getattr(u, n) for u in chosen] for n in ("sd", "step", "widest")}
+    numbers = {n: np.array(values) for n, values in (ends | widths).items()}
+    return Prior(names=names, owners=owners_of(names), **numbers)
+
+
+def owners_of(names: Iterable[str]) -> tuple[int | None, ...]:
+    """`Prior.owners` of the unknowns of one recording."""
+    return tuple(None if UNKNOWNS[name].material else 0 for name in names)
+
+
+def joint_prior(priors: Sequence[Prior]) -> Prior:
+    """Joint prior of several recordings of one object: the material's unknowns once, from the first
+    recording that has them, and the unknowns of each recording."""
+    chosen: dict[tuple[str, int | None], tuple[Prior, int]] = {}
+    for recording, prior in enumerate(priors):
+        for k, (name, owner) in enumerate(zip(prior.names, prior.owners, strict=True)):
+            chosen.setdefault((name, None if owner is None else recording), (prior, k))
+
+    def numbers(field: str) -> Array:
+        return np.array([getattr(prior, field)[k] for prior, k in chosen.values()])
+
+    return Prior(
+        names=tuple(name for name, _ in chosen),
+        owners=tuple(owner for _, owner in chosen),
+        **{field: numbers(field) for field in NUMBERS},
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Posterior:
+    """P unknowns, Gaussian where `UNKNOWNS` transforms them to."""
+
+    prior: Prior
+    mean: Array
+    """[P] transformed."""
+    covariance: Array
+    """[P, P]."""
+    bases: tuple[Theta, ...]
+    """For each recording the values of everything that was not estimated."""
+
+    def of_prior(self) -> Posterior:
+        """With the deviations of the prior: recordings that are not usable tell nothing."""
+        return replace(self, covariance=np.diag(self.prior.sd**2))
+
+    def with_assumed(self, assumed: Prior) -> Posterior:
+        """With an unknown of the object that was assumed, not estimated, and is as uncertain as its
+        prior. What the recordings determine is the combination that `Unknown.steps_with` keeps:
+        others vary with it.
+
+        Args:
+            assumed: Its prior.
+        """
+        (u,), sd = assumed.unknowns, float(assumed.sd[0])
+        along = np.append(np.zeros(len(self.names)), 1.0)
+        for other, share in u.steps_with:
+            if other in self.names:
+                along[self.prior.index(other)] = share
+        return replace(
+            self,
+            prior=self.prior.followed_by(assumed),
+            mean=np.append(self.mean, u.transformed(getattr(self.theta, u.name))),
+            covariance=np.pad(self.covariance, (0, 1)) + sd**2 * np.outer(along, along),
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.prior.names
+
+    @property
+    def theta(self) -> Theta:
+        """The most likely values, of the first recording where each has its own."""
+        return self.thetas[0]
+
+    @property
+    def thetas(self) -> tuple[Theta, ...]:
+        """The most likely values of each recording."""
+        return tuple(self.prior.theta(self.mean, b, k) for k, b in enumerate(self.bases))
+
+    def sd(self, name: str, recording: int = 0) -> float:
+        """Standard deviation of a transformed unknown."""
+        k = self.prior.index(name, recording)
+        return math.sqrt(float(self.covariance[k, k]))
+
+    def determined(self, name: str) -> bool:
+        """Whether the recordings determine an unknown of the object, or the first its own."""
+        if name not in self.names:
+            return False
+        return self.sd(name) < IDENTIFIABLE * float(self.prior.sd[self.prior.index(name)])
+
+    def interval(self, name: str, level: float, recording: int = 0) -> tuple[float, float]:
+        """Ends of the central interval of an unknown, within the range that was searched."""
+        k, u = self.prior.index(name, recording), UNKNOWNS[name]
+        half = float(norm.ppf(0.5 + level / 2.0)) * self.sd(name, recording)
+        low, high = (
+            float(np.clip(self.mean[k] + sign * half, self.prior.low[k], self.prior.high[k]))
+            for sign in (-1.0, 1.0)
+        )
+        return u.value(low), u.value(high)
+
+    def factors(
+        self, powers: Mapping[str, float], level: float, other_sd: float = 0.0
+    ) -> tuple[float, float]:
+        """Ends of the interval of a product of powers of positive unknowns of the object, over its
+        most likely value, with their joint uncertainty; unknowns that were not estimated are taken
+        as exact.
+
+        Args:
+            powers: By name.
+            level: Probability of the interval.
+            other_sd: Standard deviation of the logarithm of a factor that is none of them.
+        """
+        low = high = 0.0
+        weights = np.zeros(len(self.names))
+        for name in set(powers) & set(self.names):
+            k, power = self.prior.index(name), powers[name]
+            weights[k] = power
+            ends = sorted((power * self.prior.low[k], power * self.prior.high[k]))
+            low, high = low + ends[0], high + ends[1]
+        z = float(norm.ppf(0.5 + level / 2.0))
+        half = z * math.sqrt(max(float(weights @ self.covariance @ weights), 0.0) + other_sd**2)
+        at, low, high = float(weights @ self.mean), low - z * other_sd, high + z * other_sd
+        ends = (float(np.clip(at + sign * half, low, high)) - at for sign in (-1.0, 1.0))
+        return math.exp(next(ends)), math.exp(next(ends))
+
+    def draws(self, count: int, seed: int, recording: int = 0) -> Sequence[Theta]:
+        """A recording's estimates drawn from it, within the ranges that were searched."""
+        rng = np.random.default_rng(seed)
+        drawn = rng.multivariate_normal(self.mean, self.covariance, size=count)
+        base = self.bases[recording]
+        return [self.prior.theta(self.prior.clipped(v), base, recording) for v in drawn]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: names, whose they are, transformed means and covariance."""
+        return {
+            "names": list(self.names),
+            "recordings": list(self.prior.owners),
+            "log": [UNKNOWNS[n].log for n in self.names],
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance.tolist(),
+            "prior_mean": self.prior.mean.tolist(),
+            "prior_sd": self.prior.sd.tolist(),
+            "low": self.prior.low.tolist(),
+            "high": self.prior.high.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, read: Mapping[str, Any], bases: Sequence[Theta]) -> Posterior:
+        """Inverse of `to_dict`; files of older versions are of one recording.
+
+        Raises:
+            KeyError, TypeError, ValueError: It is none.
+        """
+        names = tuple(str(n) for n in read["names"])
+        usual = prior_of(dict.fromkeys(names))
+        index = [usual.names.index(n) for n in names]
+        numbers = {n: getattr(usual, n)[index] for n in NUMBERS}
+        keys = {"low": "low", "high": "high", "mean": "prior_mean", "sd": "prior_sd"}
+        numbers |= {n: np.array(read[k], dtype=float) for n, k in keys.items() if k in read}
+        owners = read.get("recordings", owners_of(names))
+        prior = Prior(
+            names=names,
+            owners=tuple(None if owner is None else int(owner) for owner in owners),
+            **numbers,
+        )
+        covariance = np.array(read["covariance"], dtype=float).reshape(len(names), len(names))
+        mean = np.array(read["mean"], dtype=float)
+        return cls(prior=prior, mean=mean, covariance=covariance, bases=tuple(bases))

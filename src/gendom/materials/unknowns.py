@@ -1,0 +1,245 @@
+"""The registry of unknowns: every number that can be estimated, defined once.
+
+A further unknown is one entry, of this package or of another: `register` it. Estimates, their
+files, reports, viewers and policies go by the registry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from gendom.arguments import check_number, require
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unknown:
+    """One number to be estimated, and its prior.
+
+    The prior is Gaussian, and steps are taken, in the transformed value (log or none); low, high
+    and mean are in its unit, sd, step and widest step in the transformed one.
+    """
+
+    name: str
+    symbol: str
+    """As people write it."""
+    unit: str
+    meaning: str
+    log: bool = False
+    low: float
+    high: float
+    mean: float
+    sd: float
+    step: float
+    """By which it is changed for differences."""
+    widest: float
+    """Longest step of a search."""
+    default: float | None = None
+    """Where it is not estimated; None: the prior's mean."""
+    above: float | None = None
+    """What every value must exceed."""
+    least: float = -math.inf
+    """Least value that makes sense."""
+    label: str = ""
+    """What people call it; empty: its name."""
+    form: str = ".4g"
+    """Format of its value."""
+    steps_with: tuple[tuple[str, float], ...] = ()
+    """Unknowns whose difference takes this many of its steps, transformed: nearly equivalent
+    unknowns need differences of small changes."""
+    kinds: tuple[str, ...] = ("rope", "cloth")
+    """Objects that have it."""
+    material: bool = False
+    """Whether it belongs to the object, not to one recording of it."""
+
+    on_object: Callable[[Any, float], Any] | None = None
+    """The object (`Rope`, `Cloth`) with a value of it: makes a material's unknown count for tasks.
+    """
+    on_replay: Callable[[Any, float], None] | None = None
+    """Changes the inputs of a simulated world (`estimation.replay.WorldInputs`) to a value of it;
+    None: `estimation.replay` has its effect."""
+
+    @property
+    def title(self) -> str:
+        """What people call it."""
+        return self.label or self.name.replace("_", " ")
+
+    def transformed(self, value: float) -> float:
+        return math.log(value) if self.log else value
+
+    def value(self, transformed: float) -> float:
+        return math.exp(transformed) if self.log else transformed
+
+    def check(self, value: float) -> float:
+        """A value that makes sense.
+
+        Raises:
+            ParameterError: It does not.
+        """
+        return check_number(self.name, value, least=self.least, above=self.above)
+
+
+def _with(name: str) -> Callable[[Any, float], Any]:
+    """How an object takes a value of its material's field."""
+    return lambda item, value: replace(item, material=replace(item.material, **{name: value}))
+
+
+def _with_E_over_rho(item: Any, value: float) -> Any:
+    return _with("E")(item, value * item.material.density)
+
+
+def _unknown(name: str, symbol: str, unit: str, meaning: str, **other) -> Unknown:
+    return Unknown(name=name, symbol=symbol, unit=unit, meaning=meaning, **other)
+
+
+UNKNOWNS: dict[str, Unknown] = {
+    u.name: u
+    for u in (
+        # the range is that of a scene, by bending lengths: see `prior_of`
+        _unknown(
+            "E_over_rho", "E / density", "m^2/s^2", "Young's modulus over density",
+            log=True, low=1e-2, high=1e9, mean=1e3, sd=4.0, step=0.02, widest=1.0, material=True,
+            label="E / density", on_object=_with_E_over_rho,
+        ),
+        _unknown(
+            "nu", "nu", "1", "Poisson's ratio",
+            low=0.05, high=0.45, mean=0.3, sd=0.06, step=0.02, widest=0.1, material=True,
+            label="Poisson's ratio", form=".3f", on_object=_with("nu"),
+        ),
+        # log-uniform 1 to 20 ms, as ropes and cloths have it, has this mean and deviation
+        _unknown(
+            "damping", "damping", "s", "viscous over elastic stress",
+            log=True, low=3e-4, high=0.2, mean=0.0045, sd=0.86, step=0.1, widest=1.0,
+            material=True, least=0.0, form=".2g", on_object=_with("damping"),
+        ),
+        # dry materials on tables: 0.1 to 0.8
+        _unknown(
+            "friction", "friction", "1", "coefficient of friction on the table",
+            low=0.02, high=1.5, mean=0.45, sd=0.22, step=0.03, widest=0.2, material=True,
+            least=0.0, form=".2f",
+            on_object=lambda item, value: replace(item, friction=value),
+        ),
+        _unknown(
+            "stiffness_slope", "d ln(E) / d(s / L)", "1", "how E varies along a rope",
+            low=-3.0, high=3.0, mean=0.0, sd=1.0, step=0.05, widest=0.5, kinds=("rope",),
+            material=True, label="d ln(E) / d(s/L)", form=".2f",
+        ),
+        # a ruler on a soft rope: half a millimetre of a centimetre
+        _unknown(
+            "thickness", "thickness / stated", "1",
+            "diameter of a rope, thickness of a cloth, over the stated one",
+            log=True, low=0.5, high=2.0, mean=1.0, sd=0.05, step=0.02, widest=0.1, material=True,
+            above=0.0,
+            steps_with=(("E_over_rho", -2.0),),
+        ),
+        _unknown(
+            "delay", "delay", "s", "how late clouds show the stated motion of the gripper",
+            low=-0.5, high=0.5, mean=0.0, sd=0.02, step=0.005, widest=0.05,
+        ),
+        _unknown(
+            "grip_height", "grip height", "m", "how much higher than stated the object is held",
+            low=-0.1, high=0.1, mean=0.0, sd=0.002, step=1e-3, widest=0.01,
+        ),
+        _unknown(
+            "grip_along", "grip along", "m",
+            "how much farther from its end, or corner, than stated the object is held",
+            low=-0.1, high=0.1, mean=0.0, sd=0.003, step=1e-3, widest=0.01,
+        ),
+        _unknown(
+            "grip_aside", "grip aside", "m",
+            "how far to the left of the diagonal, seen from the corner, a cloth is held",
+            low=-0.1, high=0.1, mean=0.0, sd=0.008, step=2e-3, widest=0.01, kinds=("cloth",),
+        ),
+        _unknown(
+            "grip_tilt", "grip tilt", "rad",
+            "how far the held corner turns from level, or its recorded axis, as it is lifted",
+            low=-0.3, high=2.2, mean=0.8, sd=0.6, step=0.05, widest=0.4, kinds=("cloth",),
+            default=0.0,
+        ),
+        _unknown(
+            "grip_reach", "grip reach", "m",
+            "how much farther from the held point than stated the cloth moves with the gripper",
+            low=-0.05, high=0.05, mean=0.0, sd=0.004, step=2e-3, widest=0.01, kinds=("cloth",),
+        ),
+        _unknown(
+            "yaw", "yaw", "rad", "turn of the lying cloth from the first guess on",
+            low=-0.8, high=0.8, mean=0.0, sd=0.15, step=0.02, widest=0.15, kinds=("cloth",),
+        ),
+    )
+}  # fmt: skip
+"""All unknowns that can be estimated, by name."""
+
+
+def register(unknown: Unknown) -> None:
+    """Add an unknown to the registry.
+
+    Raises:
+        ParameterError: There is one of this name.
+    """
+    require(unknown.name not in UNKNOWNS, f"there is an unknown {unknown.name!r} already")
+    UNKNOWNS[unknown.name] = unknown
+
+
+class Theta(Mapping[str, float]):
+    """A value of each unknown of the registry, by name and as attributes; never changed.
+
+    Args:
+        values: By name; others have their defaults. E_over_rho has none.
+
+    Raises:
+        TypeError: There is no such unknown, or E_over_rho is missing.
+        ParameterError: A value makes no sense.
+    """
+
+    __slots__ = ("_values",)
+    _values: dict[str, float]
+
+    def __init__(self, **values: float):
+        if unknown := values.keys() - UNKNOWNS.keys():
+            raise TypeError(f"there is no unknown {min(unknown)!r}")
+        if "E_over_rho" not in values:
+            raise TypeError("E_over_rho is missing")
+        require(
+            -1.0 < values.get("nu", 0.3) < 0.5,
+            f"nu must lie in (-1, 0.5), got {values.get('nu')}",
+        )
+        checked = {n: u.check(float(values[n])) for n, u in UNKNOWNS.items() if n in values}
+        object.__setattr__(self, "_values", checked)
+
+    def __getitem__(self, name: str) -> float:
+        u = UNKNOWNS[name]
+        return self._values.get(name, u.mean if u.default is None else u.default)
+
+    def __getattr__(self, name: str) -> float:
+        if name not in UNKNOWNS:
+            raise AttributeError(name)
+        return self[name]
+
+    def __setattr__(self, name: str, value: float) -> None:
+        raise AttributeError(f"{name} cannot be set; use with_values")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(UNKNOWNS)
+
+    def __len__(self) -> int:
+        return len(UNKNOWNS)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _theta, (dict(self._values),)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.items()))
+
+    def __repr__(self) -> str:
+        return f"Theta({', '.join(f'{n}={v:g}' for n, v in self.items())})"
+
+    def with_values(self, values: Mapping[str, float]) -> Theta:
+        """The same with other values, by name."""
+        return Theta(**{**self._values, **values})
+
+
+def _theta(values: dict[str, float]) -> Theta:
+    """For copies and other processes."""
+    return Theta(**values)
