@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gendom.cli.arguments import ESTIMATE_FORMAT, MethodName, iterations_shown, settings_of
+from gendom.cli.arguments import MethodName, iterations_shown, settings_of
 from gendom.cli.outputs import tell_written
 from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError, SimulationError
 from gendom.files import check_file, check_folder, to_json, write_json
 from gendom.installation import version
+from gendom.materials.estimate import FORMAT
 
 if TYPE_CHECKING:
     from gendom.estimation import EstimateSettings, FittedEstimate
@@ -154,7 +155,7 @@ class Command:
 
     def _refused(self, reasons: list[str]) -> int:
         """Print and write why a recording gives no estimate."""
-        record = {"format": ESTIMATE_FORMAT, "verdict": {"usable": False, "reasons": reasons}}
+        record = {"format": FORMAT, "verdict": {"usable": False, "reasons": reasons}}
         if self.json:
             print(to_json(record))
         for reason in reasons:
