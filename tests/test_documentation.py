@@ -7,7 +7,6 @@ and not named below.
 """
 
 import ast
-import dataclasses
 import importlib.util
 import os
 import re
@@ -25,7 +24,7 @@ import pytest
 
 from experiments import __main__ as experiments
 from gendom import cli, tasks
-from gendom.cli.parsing import parse
+from gendom.cli.parsing import arguments_of, parse
 from gendom.errors import GendomError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -115,10 +114,8 @@ INLINE = sorted({code for page in PAGES for code in inline(page)})
 
 @cache
 def flags(name: str) -> frozenset[str]:
-    fields = dataclasses.fields(import_module(cli.COMMANDS[name][0]).Command)
-    return frozenset(
-        {"--help", *(f"--{field.name.rstrip('_').replace('_', '-')}" for field in fields)}
-    )
+    command = import_module(cli.COMMANDS[name][0]).Command
+    return frozenset({"--help", *arguments_of(command)})
 
 
 def gendom_words(command: str) -> list[str]:

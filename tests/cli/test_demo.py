@@ -8,7 +8,8 @@ import pytest
 import tyro
 
 from gendom import cli
-from gendom.cli.demo import Command, _command_line
+from gendom.cli.demo import Command
+from gendom.cli.parsing import command_line
 from gendom.viz.report.demo import next_steps
 
 
@@ -22,7 +23,7 @@ from gendom.viz.report.demo import next_steps
     ],
 )
 def test_the_reported_command_repeats_the_run(command):
-    words = shlex.split(_command_line(command))
+    words = shlex.split(command_line("demo", command, without=("json",)))
     assert words[:2] == ["gendom", "demo"]
     config = (tyro.conf.FlagCreatePairsOff,)
     assert tyro.cli(Command, args=words[2:], config=config) == command

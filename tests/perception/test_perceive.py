@@ -172,7 +172,7 @@ def test_cameras_are_levelled_by_the_table(live, world, degrees, rise, told):
             source.camera = real.at(T @ real.T_world_camera)
         held = np.array([[[-0.2, 0.0, 0.005]], [[-0.2, 0.0, 0.3]]])
         found = replace(found, robot=RobotPath(np.array([0.0, 1.0]), held))
-        p = perceive(found, replace(SETTINGS, level=level), on_warning=warnings.append)
+        p = perceive(found, replace(SETTINGS, no_level=not level), on_warning=warnings.append)
         points = [p.recording.points[p.seen_by == 1 << k] for k in (0, 1)]
         told = sum("it is moved to where that is right" in str(w) for w in warnings)
         return (

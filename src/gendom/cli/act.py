@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import tyro
 
+from gendom.arguments import require
 from gendom.cli.arguments import TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import tell_written
-from gendom.errors import GendomError, PolicyError, RobotError
+from gendom.errors import PolicyError, RobotError
 from gendom.files import check_file, to_json, write_json
 from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, thickness_of, to_columns
 from gendom.robot import XARM7, TcpPath, follow
@@ -23,6 +24,7 @@ from gendom.tasks import Task
 
 if TYPE_CHECKING:
     from gendom.materials.estimate import Estimate
+    from gendom.policies import Policy
     from gendom.tasks.task import World
 
 _ACTION = "gendom-action/3"
@@ -76,29 +78,13 @@ class Command(KnownObject):
     """Print JSON."""
 
     def run(self) -> int:
-        from gendom.policies import Policy
         from gendom.policies.belief import believed, for_task
         from gendom.tasks.world import Simulation
 
         if self.out is not None:
             check_file(self.out, ".json")
-        if self.policy is None:
-            policy = Policy.pretrained(self.task, parameters=not self.no_parameters)
-        elif not self.no_parameters:
-            policy = Policy.read(self.policy)
-        else:
-            raise GendomError(
-                "cannot be given together with --policy",
-                where="--no-parameters",
-                fix="leave one of them out",
-            )
+        policy = self._policy()
         task = policy.task()
-        if task.name != self.task:
-            raise GendomError(
-                f"is for {task.name}",
-                where=policy.where,
-                fix=f"use a policy for {self.task}, or give {task.name} as the task",
-            )
         held = self.held(task, needs=policy.description.conditioned_on)
         item = for_task(held, task).item
         if not self.force and (outside := policy.outside(self.goal, item)):
@@ -134,15 +120,7 @@ class Command(KnownObject):
             "warnings": list(action.warnings),
         }
         T, path = placed(task, item, values, self.origin)
-        try:
-            result["arm"] = accepted(path, item)
-        except RobotError as error:
-            if not self.force:
-                raise RobotError(
-                    error.what, where=error.where, fix="choose another --origin, or add --force"
-                ) from None
-            result["warnings"].append(str(error))
-            _log.warning("%s", error)
+        result |= self._followed(path, item, result["warnings"])
         result["trajectory"] = {"T_base_task": T.tolist(), **path.to_dict()}
         if polished is not None:
             result["polished"] = polished
@@ -154,6 +132,42 @@ class Command(KnownObject):
             write_json(self.out, result)
             tell_written(self.out, json=self.json)
         return 0
+
+    def _policy(self) -> Policy:
+        """The policy of the flags, for the task.
+
+        Raises:
+            GendomError: There is none, or it is for another task.
+        """
+        from gendom.policies import Policy
+
+        if self.policy is None:
+            policy = Policy.pretrained(self.task, parameters=not self.no_parameters)
+        else:
+            what, fix = "cannot be given together with --policy", "leave one of them out"
+            require(not self.no_parameters, what, where="--no-parameters", fix=fix)
+            policy = Policy.read(self.policy)
+        own = policy.task().name
+        fix = f"use a policy for {self.task}, or give {own} as the task"
+        require(own == self.task, f"is for {own}", where=policy.where, fix=fix)
+        return policy
+
+    def _followed(self, path: TcpPath, item: Item, warnings: list[str]) -> dict[str, Any]:
+        """How the arm follows a path, ready for JSON; with --force a warning where it cannot.
+
+        Raises:
+            RobotError: It cannot.
+        """
+        try:
+            motion = follow(XARM7, path, slow_down=True, opening=thickness_of(item))
+        except RobotError as error:
+            if not self.force:
+                fix = "choose another --origin, or add --force"
+                raise RobotError(error.what, where=error.where, fix=fix) from None
+            warnings.append(str(error))
+            _log.warning("%s", error)
+            return {}
+        return {"arm": {"name": XARM7.name, "slowed_by": motion.slowed_by}}
 
     def _polished(
         self, task: Task, held: Estimate, start: np.ndarray, world: World
@@ -190,24 +204,12 @@ def placed(
     frame."""
     T = task.T_world_task(item)
     if origin is not None:
-        if not all(map(math.isfinite, origin)):
-            raise GendomError("must be three finite numbers [m]", where="--origin")
-        if max(map(abs, origin)) > LARGEST:
-            raise GendomError(
-                f"is {' '.join(f'{x:g}' for x in origin)} m", where="--origin", fix="give metres"
-            )
+        finite = all(map(math.isfinite, origin))
+        require(finite, "must be three finite numbers [m]", where="--origin")
+        what = f"is {' '.join(f'{x:g}' for x in origin)} m"
+        require(max(map(abs, origin)) <= LARGEST, what, where="--origin", fix="give metres")
         T[:3, 3] = origin
     return T, task.tool_path(item, action).moved(T)
-
-
-def accepted(path: TcpPath, item: Item) -> dict[str, Any]:
-    """The arm that carries out a path, and how much longer it takes, ready for JSON.
-
-    Raises:
-        RobotError: It cannot.
-    """
-    motion = follow(XARM7, path, slow_down=True, opening=thickness_of(item))
-    return {"name": XARM7.name, "slowed_by": motion.slowed_by}
 
 
 def predicted(

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import tyro
 
+from gendom.arguments import require
 from gendom.cli.arguments import TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import tell_written
-from gendom.errors import ParameterError
 from gendom.files import check_file, read_json, to_json, write_json
 from gendom.materials.estimate import LEVEL
 from gendom.materials.unknowns import UNKNOWNS
@@ -57,17 +57,15 @@ class Command(KnownObject):
         from gendom.policies.belief import believed
         from gendom.tasks.world import Simulation
 
-        if self.params is None:
-            raise ParameterError("is missing", where="--params", fix="give an estimate's file")
+        fix = "give an estimate's file"
+        require(self.params is not None, "is missing", where="--params", fix=fix)
         if self.out is not None:
             check_file(self.out, ".json")
         task = find_task(self.task)()
         held = self.held(task)
         executions = [*executed(held, task), *self._new()]
-        if not executions:
-            raise ParameterError(
-                "no execution to learn from", fix="give --action and --reached, or --executions"
-            )
+        fix = "give --action and --reached, or --executions"
+        require(executions, "no execution to learn from", fix=fix)
         belief = believed(held, task)
         before = held.about.get("before_executions")
         if before is not None:  # all executions are learnt from at once, from where it began
@@ -86,16 +84,13 @@ class Command(KnownObject):
         found = []
         if self.executions is not None:
             rows = read_json(self.executions).get("executions")
-            if not isinstance(rows, list):
-                raise ParameterError(
-                    "holds no list of executions",
-                    where=str(self.executions),
-                    fix='write {"executions": [{"action": [...], "reached": [...]}]}',
-                )
-            found += executions_from(rows, str(self.executions))
-        if bool(self.action) != bool(self.reached):
-            missing = "--reached" if self.action else "--action"
-            raise ParameterError("is missing", where=missing, fix="give both")
+            what, where = "holds no list of executions", str(self.executions)
+            fix = 'write {"executions": [{"action": [...], "reached": [...]}]}'
+            require(isinstance(rows, list), what, where=where, fix=fix)
+            found += executions_from(rows or (), where)
+        missing = "--reached" if self.action else "--action"
+        both = bool(self.action) == bool(self.reached)
+        require(both, "is missing", where=missing, fix="give both")
         if self.action:
             found += executions_from([{"action": self.action, "reached": self.reached}], "flags")
         return found

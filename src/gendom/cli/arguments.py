@@ -11,20 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
+from gendom.arguments import require
 from gendom.errors import ParameterError, did_you_mean
 from gendom.files import read_json
+from gendom.materials.estimate import FORMAT, Estimate
 from gendom.materials.names import with_current_names
 from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Progress
-    from gendom.materials.estimate import Estimate
 
 Settings = TypeVar("Settings")
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
-
-ESTIMATE_FORMAT = "gendom-estimate/1"
 
 METHODS_HELP = "gauss-newton|adam|differential-evolution"
 
@@ -101,8 +100,6 @@ def read_estimate(path: Path, *, force: bool, kind: str | None = None) -> Estima
     Raises:
         GendomError: As `read_params`, or its numbers cannot be used.
     """
-    from gendom.materials.estimate import Estimate
-
     return Estimate.from_dict(read_params(path, force=force), str(path), kind=kind)
 
 
@@ -118,23 +115,15 @@ def read_params(path: Path, *, force: bool) -> dict[str, Any]:
         ParameterError: It is no estimate, or not usable.
     """
     params = with_current_names(read_json(path))
-    if params.get("format") != ESTIMATE_FORMAT:
-        raise ParameterError(
-            f"has format {params.get('format')!r}, not {ESTIMATE_FORMAT!r}",
-            where=str(path),
-            fix="give a file written by gendom estimate",
-        )
+    where, found = str(path), params.get("format")
+    fix = "give a file written by gendom estimate"
+    require(found == FORMAT, f"has format {found!r}, not {FORMAT!r}", where=where, fix=fix)
     verdict = params.get("verdict") or {}
-    if verdict.get("usable") is False and not force:
-        raise ParameterError(
-            f"is not usable: {', '.join(verdict.get('reasons', ()))}",
-            where=str(path),
-            fix="record the object again, or add --force",
-        )
-    if verdict.get("usable") is False and params.keys() <= {"format", "verdict"}:
-        raise ParameterError(
-            f"holds no numbers, since nothing was estimated: {', '.join(verdict['reasons'])}",
-            where=str(path),
-            fix="record the object again, or describe it by flags such as --E",
-        )
+    usable = verdict.get("usable") is not False
+    reasons = ", ".join(verdict.get("reasons", ()))
+    fix = "record the object again, or add --force"
+    require(usable or force, f"is not usable: {reasons}", where=where, fix=fix)
+    what = f"holds no numbers, since nothing was estimated: {reasons}"
+    fix = "record the object again, or describe it by flags such as --E"
+    require(usable or not params.keys() <= {"format", "verdict"}, what, where=where, fix=fix)
     return params

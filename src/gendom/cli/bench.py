@@ -1,14 +1,35 @@
-"""`gendom bench`: how fast the simulator runs on this machine."""
+"""`gendom bench`: how fast the simulator runs on this machine.
+
+A particle-step is one particle taken through one substep. Gripper paths, grid columns, boundary
+handling and recording are included; compiling kernels is not.
+"""
 
 from __future__ import annotations
 
 import logging
+import math
+import statistics
+import time
 from dataclasses import asdict, dataclass
 from typing import Literal
 
-from gendom.cli.speed import Speed, measure_speed
+import numpy as np
+import warp as wp
+
 from gendom.errors import ParameterError
 from gendom.files import to_json
+from gendom.materials import Material
+from gendom.robot import TcpPaths
+from gendom.sim import Rollout, Simulator, Solver, open_device
+from gendom.tasks import RopeReaching
+from gendom.tasks.world import Simulation, grippers
+
+STATE_REALS = 15
+"""Numbers that a particle of an elastic body carries from substep to substep: x, v and C."""
+
+COPIED = 1 << 28
+"""Numbers copied to find a device's memory bandwidth."""
+
 
 log = logging.getLogger(__name__)
 
@@ -52,20 +73,106 @@ class Command:
                     if threads > worlds:
                         continue
                     log.info("%s, %d worlds, %d threads ...", dtype, worlds, threads)
-                    rows.append(
-                        measure_speed(
-                            device=self.device,
-                            dtype=dtype,
-                            worlds=worlds,
-                            threads=threads,
-                            seconds=self.seconds,
-                            runs=self.runs,
-                            gradient=self.gradient,
-                            seed=self.seed,
-                        )
-                    )
+                    rows.append(self._measure(dtype, worlds, threads))
         print(to_json([asdict(row) for row in rows]) if self.json else _table(rows))
         return 0
+
+    def _measure(self, dtype: str, worlds: int, threads: int) -> Speed:
+        """Time rollouts of ropes that are carried to random points."""
+        task, world = RopeReaching(), Simulation(engine="mpm", cells_across=2.0)
+        body, _ = world.body(task, task.item)
+        scene = task.scene(task.item)
+        material = Material(E=1.0e6, nu=0.3, density=1000.0)
+        actions = task.sample_actions(task.item, np.random.default_rng(self.seed), worlds)
+        paths = TcpPaths([task.tool_path(task.item, a) for a in actions])
+        hands = grippers(scene, paths, 0.0)
+
+        def simulator() -> Simulator:
+            return Simulator(
+                body,
+                [material] * worlds,
+                grippers=hands,
+                solver=Solver(engine="mpm", dtype=dtype, device=self.device, threads=threads),
+            )
+
+        forward: list[float] = []
+        both: list[float] = []
+        for _ in range(self.runs + 1):
+            s = simulator()
+            began = time.perf_counter()
+            s.run([self.seconds])
+            forward.append(time.perf_counter() - began)
+            if self.gradient:
+                rollout = Rollout(simulator())
+                began = time.perf_counter()
+                x = rollout.forward([self.seconds])
+                rollout.backward(np.ones_like(x))
+                both.append(time.perf_counter() - began)
+        substeps = math.ceil(self.seconds / s.substep[0])
+        median = statistics.median(forward[1:])
+        rate = worlds * body.num_particles * substeps / median
+        share = None
+        if s.device.is_cuda:
+            bytes_a_step = 2 * STATE_REALS * np.dtype(dtype).itemsize
+            share = rate * bytes_a_step / memory_bandwidth(self.device)
+        gradient_seconds = statistics.median(both[1:]) if self.gradient else None
+        return Speed(
+            device=str(s.device),
+            dtype=dtype,
+            worlds=worlds,
+            threads=s.threads,
+            particles=body.num_particles,
+            substeps=substeps,
+            seconds=median,
+            particle_steps_per_second=rate,
+            substep_us=1e6 * median / substeps,
+            roofline_share=share,
+            gradient_seconds=gradient_seconds,
+            gradient_cost=gradient_seconds / median if gradient_seconds else None,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Speed:
+    """One measurement; times are medians over its runs."""
+
+    device: str
+    dtype: str
+    worlds: int
+    threads: int
+    """Worlds simulated side by side (CPU)."""
+    particles: int
+    """In one world."""
+    substeps: int
+    """Of one world."""
+    seconds: float
+    """Wall time of a forward rollout [s]."""
+    particle_steps_per_second: float
+    substep_us: float
+    """Wall time by substeps of one world [us]."""
+    roofline_share: float | None
+    """Share of the measured memory bandwidth that reading and writing every particle's state
+    once a substep would take (CUDA); None on the CPU, where states stay in cache."""
+    gradient_seconds: float | None
+    """Wall time of forward and backward together [s], if measured."""
+    gradient_cost: float | None
+    """That, in forward rollouts."""
+
+
+def memory_bandwidth(device: str) -> float:
+    """Bytes read and written per second by copying a large array [bytes/s]."""
+    where = open_device(device)
+    a = wp.zeros(COPIED, dtype=wp.float32, device=where)
+    b = wp.zeros(COPIED, dtype=wp.float32, device=where)
+    wp.copy(b, a)
+    taken = []
+    for _ in range(5):
+        wp.synchronize_device(where)
+        began = time.perf_counter()
+        wp.copy(b, a)
+        wp.synchronize_device(where)
+        taken.append(time.perf_counter() - began)
+    return 2.0 * 4.0 * COPIED / statistics.median(taken)
 
 
 def _table(rows: list[Speed]) -> str:

@@ -9,11 +9,10 @@ from typing import Annotated, Any
 import tyro
 from scipy.spatial.transform import Rotation
 
-from gendom.cli.check import fault_entry
-from gendom.cli.outputs import tell_written
+from gendom.cli.outputs import print_result, tell_written
 from gendom.datasets import Fault
 from gendom.errors import GendomError
-from gendom.files import check_file, to_json
+from gendom.files import check_file
 from gendom.perception.calibration import Calibration, calibrate, read_views
 from gendom.perception.camera import read_camera, write_camera
 from gendom.perception.realsense import RealSenseRecording, is_recording
@@ -56,11 +55,8 @@ class Command:
             raise GendomError(
                 error.what + lost, where=error.where or str(self.folder), fix=error.fix
             ) from None
-        if self.json:
-            entries = [fault_entry(w) for w in warnings]
-            print(to_json({"out": self.out, **_summary(found), "warnings": entries}))
-        else:
-            print(_text(found, warnings))
+        summary = {"out": self.out, **_summary(found)}
+        print_result(summary, _text(found), warnings, json=self.json)
         if self.out is not None:
             write_camera(self.out, camera.at(found.T_world_camera))
             tell_written(self.out, json=self.json)
@@ -78,7 +74,7 @@ def _summary(found: Calibration) -> dict[str, Any]:
     }
 
 
-def _text(found: Calibration, warnings: list[Fault]) -> str:
+def _text(found: Calibration) -> str:
     x, y, z = found.T_world_camera[:3, 3]
     worst = max(found.rms_by_picture, key=lambda name: found.rms_by_picture[name])
     quaternion = Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()
@@ -91,4 +87,4 @@ def _text(found: Calibration, warnings: list[Fault]) -> str:
         f"  reprojection   {found.rms:.3f} pixels RMS, most in {worst} "
         f"({found.rms_by_picture[worst]:.3f})",
     ]
-    return "\n".join(lines + [f"  warning   {warning}" for warning in warnings])
+    return "\n".join(lines)

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from gendom.cli.outputs import fault_entry, print_result
 from gendom.datasets import Fault, Recording
 from gendom.errors import RecordingError
 from gendom.files import to_json
@@ -41,17 +42,9 @@ class Command:
                 print(to_json({"path": self.recording, "valid": False, "faults": faults}))
             raise
         summary = summarize(recording)
-        if self.json:
-            entries = [fault_entry(w) for w in warnings]
-            print(to_json({"path": self.recording, "valid": True, **summary, "warnings": entries}))
-        else:
-            print(summary_text(str(self.recording), summary, warnings))
+        found = {"path": self.recording, "valid": True, **summary}
+        print_result(found, summary_text(str(self.recording), summary), warnings, json=self.json)
         return 0
-
-
-def fault_entry(fault: Fault) -> dict[str, str]:
-    """A fault for JSON."""
-    return {"what": fault.what, "where": fault.where, "fix": fault.fix}
 
 
 def summarize(recording: Recording) -> dict[str, Any]:
@@ -91,7 +84,7 @@ def summarize(recording: Recording) -> dict[str, Any]:
     }
 
 
-def summary_text(path: str, summary: dict[str, Any], warnings: list[Fault]) -> str:
+def summary_text(path: str, summary: dict[str, Any]) -> str:
     """The same for people."""
     sizes = ", ".join(f"{name} {value:.4g} m" for name, value in summary["sizes"].items())
     mass = "unknown" if summary["mass"] is None else f"{summary['mass']:.4g} kg"
@@ -117,5 +110,4 @@ def summary_text(path: str, summary: dict[str, Any], warnings: list[Fault]) -> s
         ("table", "none" if table is None else f"at z = {table:.4g} m"),
         ("motion", "quasi-static" if summary["quasi_static"] else "dynamic"),
     ]
-    lines = [f"{path}: can be used", *(f"  {name:<9} {text}" for name, text in rows)]
-    return "\n".join(lines + [f"  warning   {warning}" for warning in warnings])
+    return "\n".join([f"{path}: can be used", *(f"  {name:<9} {text}" for name, text in rows)])

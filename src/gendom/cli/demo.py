@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shlex
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ import numpy as np
 from gendom.arguments import require
 from gendom.cli.arguments import iterations_shown
 from gendom.cli.estimate import NOT_USABLE, NOT_USABLE_SUMMARY, estimate_text
+from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.files import check_folder, to_json, write_json
@@ -105,7 +105,7 @@ class Command:
         report = DemoReport(
             out=self.out,
             task=self.task,
-            command=_command_line(self),
+            command=command_line("demo", self, without=("json",)),
             device=self.device,
             seed=self.seed,
             recording=recording,
@@ -246,20 +246,6 @@ def _entry(outcome: ReachOutcome, run: PolicyRun) -> dict[str, Any]:
     """One way of acting in actions.json."""
     reached = {"action": run.action.tolist(), "reached": run.reached.tolist()}
     return {**reached, "error": outcome.error(run)}
-
-
-def _command_line(command: Command) -> str:
-    """The words that give the same results again."""
-    words = ["gendom", "demo", "--out", str(command.out)]
-    words += ["--starts", str(command.starts), "--seed", str(command.seed)]
-    words += ["--device", command.device]
-    if command.live:
-        words += ["--live", "--reality", command.reality]
-        words += ["--frame-rate", str(command.frame_rate)]
-    words += ["--task", command.task]
-    if command.goal:
-        words += ["--goal", *map(str, command.goal)]
-    return shlex.join(words)
 
 
 @contextmanager

@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gendom.cli.arguments import ESTIMATE_FORMAT, MethodName, iterations_shown
+from gendom.cli.arguments import MethodName, iterations_shown, settings_of
 from gendom.cli.outputs import tell_written
+from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError, SimulationError
 from gendom.files import check_file, check_folder, to_json, write_json
 from gendom.installation import version
+from gendom.materials.estimate import FORMAT
 
 if TYPE_CHECKING:
     from gendom.estimation import EstimateSettings, FittedEstimate
@@ -106,11 +108,8 @@ class Command:
         from gendom.sim import open_device
 
         if self.points is not None and self.points > MOST_POINTS:
-            raise ParameterError(
-                f"is {self.points}",
-                where="--points",
-                fix=f"give {MOST_POINTS} or fewer: 20 to 60 are usual",
-            )
+            fix = f"give {MOST_POINTS} or fewer: 20 to 60 are usual"
+            raise ParameterError(f"is {self.points}", where="--points", fix=fix)
         settings = self.settings()
         self._check_recordings()
         self._check_places()
@@ -135,32 +134,16 @@ class Command:
         """The flags as the estimator takes them."""
         from gendom.estimation import EstimateSettings, SceneSettings
 
-        return EstimateSettings(
-            method=self.method,
-            starts=self.starts,
-            unknowns=self.unknowns,
-            frames=self.frames,
-            camera_pose=self.camera_pose,
-            seed=self.seed,
-            level=self.level,
-            scene=SceneSettings(
-                engine=self.engine,
-                material=self.material,
-                points=self.points,
-                cells_across=self.cells_across,
-                clock=self.clock,
-                device=self.device,
-            ),
-        )
+        scene = settings_of(SceneSettings, self)
+        return settings_of(EstimateSettings, self, scene=scene)
 
     def _check_recordings(self) -> None:
         """Refuse a recording that would count more than once."""
         seen: set[Path] = set()
         for path in self.recordings:
             if path.resolve() in seen:
-                raise ParameterError(
-                    "is given twice", where=str(path), fix="name each recording once"
-                )
+                fix = "name each recording once"
+                raise ParameterError("is given twice", where=str(path), fix=fix)
             seen.add(path.resolve())
 
     def _check_places(self) -> None:
@@ -172,7 +155,7 @@ class Command:
 
     def _refused(self, reasons: list[str]) -> int:
         """Print and write why a recording gives no estimate."""
-        record = {"format": ESTIMATE_FORMAT, "verdict": {"usable": False, "reasons": reasons}}
+        record = {"format": FORMAT, "verdict": {"usable": False, "reasons": reasons}}
         if self.json:
             print(to_json(record))
         for reason in reasons:
@@ -280,21 +263,7 @@ class Command:
 
     def _command_line(self) -> str:
         """The words that give the same estimate again."""
-        words = ["gendom", "estimate", *map(str, self.recordings), "--method", self.method]
-        words += ["--frames", self.frames, "--starts", str(self.starts), "--seed", str(self.seed)]
-        words += ["--level", str(self.level), "--engine", self.engine]
-        if self.unknowns:
-            words += ["--unknowns", *self.unknowns]
-        optional = {
-            "--camera-pose": self.camera_pose,
-            "--material": self.material,
-            "--points": self.points,
-            "--clock": self.clock,
-        }
-        for flag, value in optional.items():
-            words += [] if value is None else [flag, str(value)]
-        words += ["--cells-across", str(self.cells_across), "--device", self.device]
-        return shlex.join(words)
+        return command_line("estimate", self, without=("out", "report", "json"))
 
 
 def _sentences(*texts: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from gendom.materials.estimate import Estimate
     from gendom.policies.adaptation import Execution
     from gendom.tasks import Task
-
-FLAGS = ("E", "nu", "density", "damping", "friction", "length", "diameter", "side", "thickness")
-"""Flags that give a number of the object."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +69,9 @@ class KnownObject:
                 fix=f"give the estimate of a {task.kind}",
                 error=GendomError,
             )
-        flags = {name: getattr(self, name) for name in FLAGS}
-        found = found.with_known({n: v for n, v in flags.items() if v is not None})
+        numbers = {f.name for f in fields(KnownObject)} - {"params", "force"}
+        given = {n: v for n, v in vars(self).items() if n in numbers and v is not None}
+        found = found.with_known(given)
         columns = [n for n in KINDS[task.kind].sizes if n != "side" or "width" not in found.known]
         # not every recording determines damping and friction
         columns += [PARAMETERS[name].column for name in needs if name not in HIDDEN]

@@ -5,11 +5,30 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+from gendom.datasets import Fault
+from gendom.files import to_json
 
 
 def tell_written(path: Path, *, json: bool) -> None:
     """Name a file that was written: on stdout, or on stderr where stdout holds JSON."""
     print(f"written: {path}", file=sys.stderr if json else sys.stdout)
+
+
+def fault_entry(fault: Fault) -> dict[str, str]:
+    """A fault for JSON."""
+    return {"what": fault.what, "where": fault.where, "fix": fault.fix}
+
+
+def print_result(
+    summary: Mapping[str, Any], text: str, warnings: Sequence[Fault], *, json: bool
+) -> None:
+    """Print what a command has found, as JSON or for people, and its warnings below."""
+    if json:
+        print(to_json({**summary, "warnings": [fault_entry(w) for w in warnings]}))
+    else:
+        print("\n".join([text, *(f"  warning   {warning}" for warning in warnings)]))
 
 
 def columns(title: str, head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:

@@ -6,11 +6,13 @@ import ast
 import inspect
 import io
 import re
+import shlex
 import shutil
 import textwrap
 from collections.abc import Iterable, Sequence
 from contextlib import redirect_stderr
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
 from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
@@ -41,7 +43,7 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         SystemExit: Help was requested and has been printed.
     """
     described(command)
-    arguments = _arguments(command)
+    arguments = arguments_of(command)
     flags = [*(called for called in arguments if called.startswith("--")), *EVERYWHERE]
     for word in takewhile(lambda w: w != "--", words):
         flag = word.partition("=")[0]
@@ -74,13 +76,17 @@ class _Argument(NamedTuple):
     required: bool
 
 
-def _arguments(command: type) -> dict[str, _Argument]:
-    """All that a command takes: by its flag, or by what help calls a word without one."""
+def arguments_of(command: type) -> dict[str, _Argument]:
+    """All that a command and its settings take: by the flag, or by what help calls a word
+    without one."""
     positional = get_args(tyro.conf.Positional[int])[1]
     hints = get_type_hints(command, include_extras=True)
     help_of, found = _help(command), {}
     for field in fields(command):
-        marks = get_args(hints[field.name])[1:]
+        kind, *marks = get_args(hints[field.name]) or (hints[field.name],)
+        if isinstance(kind, type) and is_dataclass(kind):
+            found |= arguments_of(kind)
+            continue
         called = f"--{field.name.rstrip('_').replace('_', '-')}"  # a flag may be a word of Python's
         if any(mark is positional for mark in marks):
             named = [m.metavar for m in marks if str(getattr(m, "metavar", "") or "").isalpha()]
@@ -88,6 +94,27 @@ def _arguments(command: type) -> dict[str, _Argument]:
         required = field.default is MISSING and field.default_factory is MISSING
         found[called] = _Argument(hints[field.name], help_of.get(field.name, ""), required)
     return found
+
+
+def command_line(name: str, command: Any, *, without: Sequence[str] = ()) -> str:
+    """The words that run a command again with the same flags, for a shell.
+
+    Args:
+        name: As it is called.
+        command: With its flags; those that are None, empty or False are left out.
+        without: Names of fields to leave out, too.
+    """
+    values: dict[str, Any] = {}
+    for field, value in vars(command).items():
+        values |= vars(value) if is_dataclass(value) else {field: value}
+    words = ["gendom", name]
+    for (field, value), called in zip(values.items(), arguments_of(type(command)), strict=True):
+        if field in without or value is None or value is False or value == ():
+            continue
+        words += [called] if called.startswith("--") else []
+        if value is not True:
+            words += map(str, value if isinstance(value, tuple) else (value,))
+    return shlex.join(words)
 
 
 def _refusal(
@@ -123,15 +150,22 @@ def _example(command: type) -> str:
     return f"for example: {found[1]}" if found else ""
 
 
+@cache
 def described(command: type) -> type:
     """A command's class with help texts in one line (tyro keeps line breaks of indented
-    docstrings), and without defaults such as None and False."""
+    docstrings), and without defaults such as None and False.
+
+    A field that is a dataclass of settings gives its fields as flags of their own names.
+    """
 
     def default_told(default: str) -> str:
-        return "" if default in ("None", "False", "") else f"(default: {default})"
+        return "" if default in ("None", "False", "''", "") else f"(default: {default})"
 
     told = _help(command)
     for name, kind in get_type_hints(command, include_extras=True).items():
+        if isinstance(kind, type) and is_dataclass(kind):
+            command.__annotations__[name] = tyro.conf.OmitArgPrefixes[described(kind)]
+            continue
         said = tyro.conf.arg(help=told.get(name), help_behavior_hint=default_told)
         command.__annotations__[name] = Annotated[kind, said]
     return command

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import tyro
 
-from gendom.cli.check import fault_entry
-from gendom.cli.outputs import tell_written
+from gendom.cli.outputs import print_result, tell_written
 from gendom.datasets import Fault
-from gendom.files import check_file, to_json
+from gendom.files import check_file
 from gendom.perception import (
     STAGES,
     FusedCloud,
@@ -40,28 +39,7 @@ class Command:
     """The gendom-recording/1 file to write."""
     cameras: tuple[str, ...] = ()
     """Cameras to use; by default all."""
-    workspace: tuple[float, float, float, float, float, float] | None = None
-    """x0 y0 z0 x1 y1 z1 in metres; by default what the object can reach."""
-    colour: tuple[int, int, int] | None = None
-    """The object's colour: R G B, 0 to 255."""
-    pick: tuple[str, int, int] | None = None
-    """Or CAMERA U V: a pixel on the object in the first frame."""
-    box: tuple[str, int, int, int, int] | None = None
-    """Or CAMERA U0 V0 U1 V1: a box around the object in the first frame."""
-    colour_tolerance: float = PerceptionSettings.colour_tolerance
-    """Largest distance from that colour in L*a*b*."""
-    lightness_weight: float = PerceptionSettings.lightness_weight
-    """Weight of lightness in it; 1 for a black, grey or white object."""
-    no_table: bool = False
-    """Do not look for a table and remove it."""
-    no_level: bool = False
-    """Leave cameras where their calibration says, though the table they see is not level."""
-    sync_tolerance: float = PerceptionSettings.sync_tolerance
-    """Largest difference of the time stamps of frames that belong together, in seconds."""
-    voxel: float = 0.005
-    """Edge in metres of the cubes that give one point each; 0 keeps all points."""
-    min_cluster: int = 10
-    """Connected points fewer than this are dropped."""
+    perception: PerceptionSettings = field(default_factory=PerceptionSettings)
     frames: bool = False
     """Print the counts of every frame."""
     json: bool = False
@@ -70,34 +48,19 @@ class Command:
     def run(self) -> int:
         check_file(self.out, ".npz")
         warnings: list[Fault] = []
-        settings = PerceptionSettings(
-            workspace=self.workspace,
-            colour=self.colour,
-            pick=self.pick,
-            box=self.box,
-            colour_tolerance=self.colour_tolerance,
-            lightness_weight=self.lightness_weight,
-            find_table=not self.no_table,
-            level=not self.no_level,
-            sync_tolerance=self.sync_tolerance,
-            voxel=self.voxel,
-            min_cluster=self.min_cluster,
-        )
         recorded = read_cameras(self.folder, cameras=self.cameras, on_warning=warnings.append)
         show = self.frames and not self.json
         if show:
             print(_row("time", STAGES))
         perceived = perceive(
             recorded,
-            settings,
+            self.perception,
             on_warning=warnings.append,
             on_frame=_print_frame if show else lambda _time, _cloud: None,
         )
-        if self.json:
-            entries = [fault_entry(w) for w in warnings]
-            print(to_json({"out": self.out, **_summary(perceived), "warnings": entries}))
-        else:
-            print(_text(perceived, warnings))
+        summary = _summary(perceived)
+        text = _text(summary)
+        print_result({"out": self.out, **summary}, text, warnings, json=self.json)
         perceived.write(self.out)
         tell_written(self.out, json=self.json)
         return 0
@@ -138,8 +101,7 @@ def _summary(perceived: Perceived) -> dict[str, Any]:
     }
 
 
-def _text(perceived: Perceived, warnings: list[Fault]) -> str:
-    summary = _summary(perceived)
+def _text(summary: dict[str, Any]) -> str:
     lines = [f"{summary['frames']} frames; points a frame after each stage"]
     lines.append(f"  {'':<10}{'min':>9}{'median':>9}{'max':>9}")
     for stage, row in summary["points"].items():
@@ -152,8 +114,7 @@ def _text(perceived: Perceived, warnings: list[Fault]) -> str:
             for name, m in moved.items()
         )
         lines.append(f"  levelled by the table: {'; '.join(by)}")
-    if perceived.disagreement is not None:
-        lines.append(f"  cameras place the object {1e3 * perceived.disagreement:.1f} mm apart")
-    lines.append(f"  about {100 * perceived.seen_share:.0f} % of the object is seen")
-    lines += [f"  warning   {warning}" for warning in warnings]
+    if (apart := summary["disagreement"]) is not None:
+        lines.append(f"  cameras place the object {1e3 * apart:.1f} mm apart")
+    lines.append(f"  about {100 * summary['seen_share']:.0f} % of the object is seen")
     return "\n".join(lines)

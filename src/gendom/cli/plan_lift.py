@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from gendom.arguments import require
+from gendom.cli.arguments import settings_of
 from gendom.cli.outputs import columns, tell_written
-from gendom.errors import ParameterError
 from gendom.files import check_folder, to_json, write_json
 from gendom.progress import bar
 
@@ -71,15 +72,7 @@ class Command:
         if self.out is not None:
             check_folder(self.out)
         objects = self._objects()
-        settings = LiftPlanSettings(
-            aim=self.for_,
-            ends=self.ends,
-            rises=self.rises,
-            speeds=self.speeds,
-            draws=self.draws,
-            seed=self.seed,
-            level=self.level,
-        )
+        settings = settings_of(LiftPlanSettings, self, aim=self.for_)
         with bar("planning", 1, "lift", even=True) as show:
             plan = plan_lift(objects, settings, on_done=show)
         print(to_json(plan.to_dict()) if self.json else plan_text(plan))
@@ -93,15 +86,14 @@ class Command:
 
         names = KINDS[self.kind].sizes
         others = [n for kind in KINDS.values() for n in kind.sizes if n not in names]
-        if extra := [name for name in others if getattr(self, name)]:
-            raise ParameterError(f"a {self.kind} has no {extra[0]}", where=f"--{extra[0]}",
-                                 fix=f"give --{names[0]} and --{names[1]}")  # fmt: skip
+        fix = f"give --{names[0]} and --{names[1]}"
+        for name in others:
+            what = f"a {self.kind} has no {name}"
+            require(not getattr(self, name), what, where=f"--{name}", fix=fix)
         ranges = {name: self._range(name) for name in (*names, "mass")}
-        if missing := [name for name in names if ranges[name] is None]:
-            raise ParameterError(
-                f"lacks the {self.kind}'s {' and '.join(missing)}",
-                fix=f"give {' and '.join(f'--{name}' for name in missing)} in metres",
-            )
+        missing = [name for name in names if ranges[name] is None]
+        fix = f"give {' and '.join(f'--{name}' for name in missing)} in metres"
+        require(not missing, f"lacks the {self.kind}'s {' and '.join(missing)}", fix=fix)
         size, thickness = (ranges[name] for name in names)
         assert size is not None and thickness is not None
         return ObjectClass(
@@ -114,10 +106,8 @@ class Command:
 
     def _range(self, name: str) -> tuple[float, float] | None:
         given = getattr(self, name)
-        if len(given) > 2:
-            raise ParameterError(
-                f"has {len(given)} numbers", where=f"--{name}", fix="give one, or from and to"
-            )
+        what, fix = f"has {len(given)} numbers", "give one, or from and to"
+        require(len(given) <= 2, what, where=f"--{name}", fix=fix)
         return (given[0], given[-1]) if given else None
 
     def _write(self, plan: LiftPlan, folder: Path) -> None:

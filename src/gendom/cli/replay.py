@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from gendom.arguments import require
 from gendom.cli.arguments import iterations_shown, read_params
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
@@ -62,13 +63,8 @@ class Command:
             check_file(self.gif, ".gif")
         open_device(self.device)
         recording = Recording.read(self.recording)
-        scene, theta = replay_setup(
-            recording,
-            read_params(self.params, force=self.force),
-            str(self.params),
-            self.device,
-            self.engine,
-        )
+        params = read_params(self.params, force=self.force)
+        scene, theta = replay_setup(recording, params, str(self.params), self.device, self.engine)
         frames = list(scene.frames)
         with bar("replaying", len(frames), "frame", even=True) as show:
             x = replay(scene, [theta], on_frame=show)[:, 0]
@@ -149,12 +145,10 @@ def replay_setup(
             where=where,
             fix="give a file that gendom estimate --out wrote",
         ) from None
-    if kind != recording.object.kind:
-        raise ParameterError(
-            f"the parameters are of a {kind}, the recording shows a {recording.object.kind}",
-            where=where,
-            fix="estimate from a recording of the same object",
-        )
+    shown = recording.object.kind
+    what = f"the parameters are of a {kind}, the recording shows a {shown}"
+    fix = "estimate from a recording of the same object"
+    require(kind == shown, what, where=where, fix=fix)
     # the object lies as it was taken to lie from the frames that were fitted
     first = recording.head(min(fitted, recording.num_frames))
     said: tuple[str, ...] = ()

@@ -66,28 +66,29 @@ class PerceptionSettings:
     """Settings of segmentation and of the combination of frames."""
 
     workspace: tuple[float, float, float, float, float, float] | None = None
-    """x0 y0 z0 x1 y1 z1 [m]; None: what the object can reach from the grippers' path."""
+    """x0 y0 z0 x1 y1 z1 in metres; by default what the object can reach."""
     colour: tuple[int, int, int] | None = None
-    """The object's colour, sRGB in 0..255."""
+    """The object's colour: R G B, 0 to 255."""
     pick: tuple[str, int, int] | None = None
-    """Or camera, column and row of a pixel on it, in the first frame."""
+    """Or CAMERA U V: a pixel on the object in the first frame."""
     box: tuple[str, int, int, int, int] | None = None
-    """Or camera, u0, v0, u1, v1: a box around it there, first and after-last pixel."""
+    """Or CAMERA U0 V0 U1 V1: a box around it there, first and after-last pixel."""
     colour_tolerance: float = TOLERANCE
-    """Colours this near in L*a*b* are the object's."""
+    """Largest distance from that colour in L*a*b*."""
     lightness_weight: float = LIGHTNESS_WEIGHT
-    """Weight of lightness in that; 1 for black, grey or white objects."""
-    find_table: bool = True
-    """Fit the table and remove it."""
-    level: bool = True
-    """Turn and raise each camera so that the table it sees is level and at one height: where the
-    object's description says, or where cameras see it in the mean."""
+    """Weight of lightness in it; 1 for a black, grey or white object."""
+    no_table: bool = False
+    """Do not look for a table and remove it."""
+    no_level: bool = False
+    """Leave cameras where their calibration says, though the table they see is not level. Otherwise
+    each is turned and raised, so that the table is level and at one height: where the object's
+    description says, or where cameras see it in the mean."""
     sync_tolerance: float = SYNC_TOLERANCE
-    """Largest difference of the time stamps in a set of frames [s]."""
+    """Largest difference of the time stamps of frames that belong together, in seconds."""
     voxel: float = 0.005
-    """Edge of the cubes that give one point each [m]; 0: keep all points."""
+    """Edge in metres of the cubes that give one point each; 0 keeps all points."""
     min_cluster: int = 10
-    """Connected points fewer than this are outliers."""
+    """Connected points fewer than this are dropped."""
 
     def __post_init__(self):
         given = [n for n in ("colour", "pick", "box") if getattr(self, n) is not None]
@@ -286,13 +287,13 @@ class _Perception:
         """Determine units, table and colour from the first frame."""
         for view, seen in zip(self.views, pictures, strict=True):
             view.check_depth(seen.depth, self._expected_table())
-        if self.settings.find_table:
+        if not self.settings.no_table:
             self._find_table(pictures)
         self.colour = self._find_colour(pictures)
 
     def _expected_table(self) -> float | None:
         """z of the table [m], if it is known and looked for."""
-        return self.values["table_height"] if self.settings.find_table else None
+        return None if self.settings.no_table else self.values["table_height"]
 
     def _find_table(self, pictures: list[Pictures]) -> None:
         expected = self.values["table_height"]
@@ -310,7 +311,7 @@ class _Perception:
         what = f"the table is at z = {listed}: more than {1e3 * MAX_DISAGREEMENT:.0f} mm apart"
         fix = "calibrate the cameras again, or correct table_height"
         self._require(apart <= MAX_DISAGREEMENT, what, fix)
-        if heights and self.settings.level:
+        if heights and not self.settings.no_level:
             mean = sum(heights.values()) / len(heights)
             self._level(pictures, middle, mean if expected is None else expected)
         lacking = [name for name in self.names if name not in heights]

@@ -43,14 +43,14 @@ _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 class RosSettings:
     """Selection of the data to read from a bag."""
 
+    gripper: str = ""
+    """Of a bag: frame of the point between the fingertips, or topic of its poses."""
     points: str | None = None
-    """Topic of the clouds; None: the only one."""
-    gripper: str
-    """Frame of the point between the fingertips, or topic of its poses (begins with ``/``)."""
+    """Of a bag: topic of the clouds, if there are several."""
     world: str | None = None
-    """Frame of the recording, z up; None: the root of TF, or that of the clouds without TF."""
+    """Of a bag: frame of the recording, z up; by default the root of TF."""
     workspace: tuple[float, float, float, float, float, float] | None = None
-    """x from, to, y from, to, z from, to in the world [m]; points elsewhere are left out."""
+    """Of a bag: x, y and z from and to in the world, in metres; points elsewhere are left out."""
 
 
 def is_ros_bag(path: str | os.PathLike) -> bool:

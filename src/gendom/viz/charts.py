@@ -9,7 +9,6 @@ import html
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +17,6 @@ from gendom.viz.palette import nice_step
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 10.0, 8.0, 40.0
 _WIDTH, _HEIGHT = 420.0, 250.0
-_SERIES = 6  # colours of `report.css` for the starts of a search
-_DRAWN_SDS = 4.2
-_ZOOM = 5.0  # a posterior narrower than its prior by more than this has a strip of the whole prior
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +89,6 @@ class Plot:
 
     x: Axis
     y: Axis
-    width: float = _WIDTH
     height: float = _HEIGHT
     compact: bool = False
     """A strip: no numbers upwards, and little room below."""
@@ -131,7 +126,7 @@ class Plot:
         """A line through points, and perhaps dots on them; what is not finite breaks it."""
         px, py = self._places(x, y)
         shape = "dashed" if dashed else "line"
-        self._add(f'<path class="{kind} {shape}" d="{_through(px, py)}"/>')
+        self._drawn.append(f'<path class="{kind} {shape}" d="{_through(px, py)}"/>')
         if dots:
             self.dots(x, y, kind, size=4.5)
         self._name(kind, label, shape)
@@ -153,7 +148,9 @@ class Plot:
             f"M{a:.1f} {b:.1f}h0" for a, b in zip(px, py, strict=True) if np.isfinite(a + b)
         )
         more = ("faint " if faint else "") + ("square " if square else "")
-        self._add(f'<path class="{kind} dots {more}" stroke-width="{size:g}" d="{places}"/>')
+        self._drawn.append(
+            f'<path class="{kind} dots {more}" stroke-width="{size:g}" d="{places}"/>'
+        )
         self._name(kind, label, "square" if square else "dot")
 
     def area(self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str, label: str = "") -> None:
@@ -161,28 +158,28 @@ class Plot:
         px, py = self._places(x, y)
         base = self._bottom
         path = f"{_through(px, py)}L{px[-1]:.1f} {base:.1f}L{px[0]:.1f} {base:.1f}Z"
-        self._add(f'<path class="{kind} area" d="{path}"/>')
+        self._drawn.append(f'<path class="{kind} area" d="{path}"/>')
         self._name(kind, label, "area")
 
     def upright(self, x: float, kind: str, label: str = "", *, dashed: bool = True) -> None:
         """A line from top to bottom."""
         self.line([x, x], [self.y.low, self.y.high], kind, label, dashed=dashed)
 
-    def level(self, y: float, kind: str, label: str = "", *, dashed: bool = True) -> None:
-        """A line from left to right."""
-        self.line([self.x.low, self.x.high], [y, y], kind, label, dashed=dashed)
+    def level(self, y: float, kind: str, label: str) -> None:
+        """A dashed line from left to right."""
+        self.line([self.x.low, self.x.high], [y, y], kind, label, dashed=True)
 
     def cross(self, x: float, y: float, kind: str, label: str = "") -> None:
         """An upright cross."""
         (px,), (py,) = self._places([x], [y])
-        self._add(
+        self._drawn.append(
             f'<path class="{kind} cross" d="M{px - 7:.1f} {py:.1f}h14M{px:.1f} {py - 7:.1f}v14"/>'
         )
         self._name(kind, label, "cross")
 
     def cursor(self, scene: str) -> None:
         """A line at the time that the viewer with this scene shows, moved by its script."""
-        self._add(
+        self._drawn.append(
             f'<line class="cursor" data-scene="{html.escape(scene)}" data-low="{self.x.low:.6g}" '
             f'data-high="{self.x.high:.6g}" data-left="{self._left:.1f}" '
             f'data-right="{self._right:.1f}" x1="0" x2="0" y1="{_TOP:.1f}" '
@@ -193,7 +190,7 @@ class Plot:
         """An `svg` element; the description is for those who do not see it."""
         left, right, top, bottom = self._left, self._right, _TOP, self._bottom
         parts = [
-            f'<svg class="plot" viewBox="0 0 {self.width:.0f} {self.height:.0f}" role="img" '
+            f'<svg class="plot" viewBox="0 0 {_WIDTH:.0f} {self.height:.0f}" role="img" '
             f'aria-label="{html.escape(description)}">'
         ]
         if self.x.marked:
@@ -219,7 +216,7 @@ class Plot:
         for value, text in _written(self.x.ticks(5 if self.x.log else 6)):
             at = left + (right - left) * float(self.x.share(value))
             # a label at the very end would be cut off
-            anchor = "end" if at > self.width - 14 else "start" if at < 14 else "middle"
+            anchor = "end" if at > _WIDTH - 14 else "start" if at < 14 else "middle"
             parts.append(
                 f'<path class="grid" d="M{at:.1f} {top:.1f}V{bottom:.1f}"/>'
                 f'<text x="{at:.1f}" y="{bottom + 15:.1f}" text-anchor="{anchor}">{text}</text>'
@@ -237,7 +234,7 @@ class Plot:
 
     @property
     def _right(self) -> float:
-        return self.width - _RIGHT
+        return _WIDTH - _RIGHT
 
     @property
     def _bottom(self) -> float:
@@ -247,9 +244,6 @@ class Plot:
         px = self._left + (self._right - self._left) * self.x.share(x)
         py = self._bottom - (self._bottom - _TOP) * self.y.share(y)
         return px, py
-
-    def _add(self, element: str) -> None:
-        self._drawn.append(element)
 
     def _name(self, kind: str, label: str, shape: str) -> None:
         if label:
@@ -286,243 +280,3 @@ def _written(values: Sequence[float]) -> list[tuple[float, str]]:
         if np.allclose(steps, steps[0]) and 1e-4 < steps[0] < 1e5:
             form = f".{max(0, math.ceil(-math.log10(steps[0]) - 1e-9))}f"
     return [(v, f"{v:{form}}".replace("-", "\N{MINUS SIGN}")) for v in values]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SearchLine:
-    """One stage of one start of a search."""
-
-    start: int
-    label: str
-    iterations: np.ndarray
-    """[k]."""
-    values: np.ndarray
-    """[k] in the chart's unit."""
-    early: bool = False
-    """Whether it is not the search's last stage; drawn dashed."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BeliefCurve:
-    """A Gaussian before and after, of a parameter or of its logarithm, within bounds."""
-
-    log: bool
-    prior: NormalDist
-    """Transformed, like all that follows but the truth and the interval."""
-    posterior: NormalDist
-    low: float
-    high: float
-    interval: tuple[float, float]
-    """In the chart's unit."""
-    level_text: str
-    """Its probability: "90 %"."""
-    truth: float | None = None
-    """In the chart's unit."""
-    factor: float = 1.0
-    """From the parameter's unit to the chart's."""
-
-    def shown(self, transformed: npt.ArrayLike) -> np.ndarray:
-        """In the chart's unit."""
-        array = np.asarray(transformed, dtype=float)
-        return self.factor * (np.exp(array) if self.log else array)
-
-    @property
-    def narrowed(self) -> float:
-        """By how much the posterior is narrower."""
-        return self.prior.stdev / self.posterior.stdev
-
-
-@dataclass(frozen=True, kw_only=True)
-class Swing:
-    """One policy's rope in the picture of a swing."""
-
-    label: str
-    kind: str
-    """A class of `report.css`."""
-    dashed: bool = False
-    tip_path: np.ndarray
-    """[T, 2] of the tip: along the goal's direction, and up [m]."""
-    shapes: Sequence[np.ndarray] = ()
-    """The rope at release and at its farthest, each [n, 2] [m]."""
-
-
-def search_chart(
-    lines: Sequence[SearchLine], *, log: bool = False, truth: float | None = None
-) -> Plot:
-    """A distance or a parameter against iteration, a line for each stage of each start."""
-    every = np.concatenate([line.values for line in lines])
-    last = max(float(line.iterations.max()) for line in lines)
-    ends = every if truth is None else np.append(every, truth)
-    plot = Plot(
-        x=Axis(low=0.5, high=max(last, 2.0) + 0.5, label="iteration"),
-        y=Axis.around(ends, log=log),
-    )
-    for line in lines:
-        kind = f"start-{line.start % _SERIES + 1}"
-        plot.line(line.iterations, line.values, kind, line.label, dashed=line.early, dots=True)
-    if truth is not None:
-        plot.level(truth, "truth", "true value")
-    return plot
-
-
-def distance_chart(times: npt.ArrayLike, distance: npt.ArrayLike, *, scene: str = "") -> Plot:
-    """A distance [T] [m] against time [T] [s], in millimetres.
-
-    Args:
-        times: Increasing.
-        distance: Of the clouds.
-        scene: Id of the viewer's data whose time is marked, or none.
-    """
-    millimetres = 1e3 * np.asarray(distance, dtype=float)
-    seconds = np.asarray(times, dtype=float)
-    mean = float(millimetres.mean())
-    plot = Plot(
-        x=Axis(low=float(seconds[0]), high=float(max(seconds[-1], seconds[0] + 1e-3)),
-               label="time [s]"),
-        y=Axis(low=0.0, high=1.15 * max(float(millimetres.max()), 1e-6)),
-    )  # fmt: skip
-    plot.area(seconds, millimetres, "recorded")
-    plot.line(seconds, millimetres, "recorded")
-    plot.level(mean, "soft", f"mean {mean:.1f} mm")
-    if scene:
-        plot.cursor(scene)
-    return plot
-
-
-def belief_chart(belief: BeliefCurve, label: str) -> tuple[Plot, Plot | None]:
-    """Densities before and after, and a strip of the whole prior where the first shows a part.
-
-    Densities of parameters on a logarithmic scale are those of the logarithm, so that areas are
-    probabilities in either case.
-    """
-    reach = _DRAWN_SDS * belief.posterior.stdev
-    low, high = belief.posterior.mean - reach, belief.posterior.mean + reach
-    if belief.truth is not None and (belief.truth > 0.0 or not belief.log):
-        true = belief.truth / belief.factor
-        true = math.log(true) if belief.log else true
-        low, high = min(low, true - 0.3 * reach), max(high, true + 0.3 * reach)
-    prior_reach = 3.0 * belief.prior.stdev
-    whole = (
-        max(belief.low, belief.prior.mean - prior_reach),
-        min(belief.high, belief.prior.mean + prior_reach),
-    )
-    zoomed = (whole[1] - whole[0]) > _ZOOM * (high - low)
-    if zoomed:
-        low, high = max(low, belief.low), min(high, belief.high)
-    else:
-        low, high = max(min(low, whole[0]), belief.low), min(max(high, whole[1]), belief.high)
-    main = _densities(belief, low, high, label)
-    if not zoomed:
-        return main, None
-    strip = Plot(
-        x=_belief_axis(belief, *whole, label="the whole prior"), y=_upwards(1.0), height=86.0,
-        compact=True,
-    )  # fmt: skip
-    at = np.linspace(*whole, 201)
-    prior = np.array([belief.prior.pdf(x) for x in at])
-    strip.area(belief.shown(at), prior / prior.max(), "prior")
-    strip.line(belief.shown(at), prior / prior.max(), "prior")
-    window = belief.shown([low, high])
-    strip.area(window, [1.0, 1.0], "window", "the part drawn above")
-    for end in window:
-        strip.upright(float(end), "window", dashed=False)
-    return main, strip
-
-
-def goal_chart(goals: np.ndarray, ours: np.ndarray, without: np.ndarray | None) -> Plot:
-    """Goals [K, D] against what was reached [K, D] [m].
-
-    With D = 1 reached against goal and the line on which they are equal; with D = 2 the plane of
-    the goals, each joined with the places reached. A row of `without` may be NaN.
-    """
-    groups = [(ours, "ours", "with the estimate")]
-    if without is not None:
-        groups.append((without, "without", "without parameters"))
-    one = goals.shape[1] == 1
-    every = np.concatenate([goals, *(g[0] for g in groups)])
-    if one:
-        ends = Axis.around(every, margin=0.08)
-        plot = Plot.to_scale(
-            Axis(low=ends.low, high=ends.high, label="goal [m]"),
-            Axis(low=ends.low, high=ends.high),
-        )
-        diagonal = [plot.x.low, plot.x.high]
-        plot.line(diagonal, diagonal, "soft", "reached = goal", dashed=True)
-    else:
-        plot = Plot.to_scale(
-            Axis.around(every[:, 0], margin=0.1, label="along [m]"),
-            Axis.around(every[:, 1], margin=0.1),
-        )
-        for k, goal in enumerate(goals):
-            plot.cross(goal[0], goal[1], "ink", "" if k else "goal")
-    for reached, kind, label in groups:
-        if not one:
-            for goal, place in zip(goals, reached, strict=True):
-                plot.line([goal[0], place[0]], [goal[1], place[1]], kind)
-        across = goals[:, 0] if one else reached[:, 0]
-        plot.dots(across, reached[:, -1], kind, label, square=kind == "without")
-    return plot
-
-
-def swing_chart(swings: Sequence[Swing], goal: np.ndarray) -> Plot:
-    """Paths of the tip, the rope at release and at its farthest, and the goal.
-
-    Args:
-        swings: One for each policy.
-        goal: [1] distance along the horizontal axis, drawn as a line, or [2] a place [m].
-    """
-    points = np.concatenate([p for s in swings for p in (s.tip_path, *s.shapes)])
-    across = np.append(points[:, 0], goal[0])
-    up = points[:, 1] if len(goal) == 1 else np.append(points[:, 1], goal[1])
-    plot = Plot.to_scale(
-        Axis.around(across, margin=0.04, label="distance along the goal's direction [m]"),
-        Axis.around(up, margin=0.04),
-    )
-    for swing in swings:
-        for k, shape in enumerate(swing.shapes):
-            plot.dots(shape[:, 0], shape[:, 1], swing.kind, size=5.0, faint=k == 0)
-        path = swing.tip_path
-        plot.line(path[:, 0], path[:, 1], swing.kind, f"tip, {swing.label}", dashed=swing.dashed)
-    for swing in swings:
-        first, farthest = swing.tip_path[0], swing.tip_path[np.argmax(swing.tip_path[:, 0])]
-        plot.dots([first[0]], [first[1]], swing.kind, size=9.0)
-        plot.dots([farthest[0]], [farthest[1]], swing.kind, size=9.0, square=True)
-    if len(goal) == 1:
-        plot.upright(goal[0], "ink", "goal")
-    else:
-        plot.cross(goal[0], goal[1], "ink", "goal")
-    return plot
-
-
-def _densities(belief: BeliefCurve, low: float, high: float, label: str) -> Plot:
-    """Both densities over one range of transformed values."""
-    at = np.linspace(low, high, 241)
-    prior = np.array([belief.prior.pdf(x) for x in at])
-    posterior = np.array([belief.posterior.pdf(x) for x in at])
-    plot = Plot(
-        x=_belief_axis(belief, low, high, label=label),
-        y=_upwards(float(max(prior.max(), posterior.max()))),
-        height=190.0,
-        compact=True,
-    )
-    plot.area(belief.shown(at), prior, "prior")
-    plot.line(belief.shown(at), prior, "prior", "prior")
-    ends = np.clip(belief.interval, *belief.shown([low, high]))
-    inside = np.linspace(ends[0], ends[1], 121)
-    transformed = np.log(inside / belief.factor) if belief.log else inside / belief.factor
-    density = np.array([belief.posterior.pdf(x) for x in transformed])
-    plot.area(inside, density, "posterior")
-    plot.line(belief.shown(at), posterior, "posterior", "posterior")
-    plot.entries.append(Entry("posterior", f"{belief.level_text} interval", "area"))
-    if belief.truth is not None:
-        plot.upright(belief.truth, "truth", "true value")
-    return plot
-
-
-def _belief_axis(belief: BeliefCurve, low: float, high: float, *, label: str) -> Axis:
-    ends = belief.shown([low, high])
-    return Axis(low=float(ends[0]), high=float(ends[1]), log=belief.log, label=label)
-
-
-def _upwards(highest: float) -> Axis:
-    return Axis(low=0.0, high=1.08 * highest, marked=False)

@@ -59,11 +59,9 @@ def summary_of(found: Estimate, truth: Mapping[str, float] | None = None) -> Est
         found: The estimate.
         truth: True values under the keys of its record, as far as known.
     """
-    from gendom.estimation import UNKNOWNS
     from gendom.viz import EstimateSummary
 
-    units = {u.name: u.unit for u in UNKNOWNS.values()}
-    return EstimateSummary(values=found.record, truth=truth, units=units)
+    return EstimateSummary(values=found.record, truth=truth)
 
 
 def arm_of_lift(clouds: CloudSequence, rope: RealRope) -> CloudSequence:

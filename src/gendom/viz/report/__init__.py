@@ -1,8 +1,8 @@
 """One HTML file about a recording: the lift, the estimate, the action.
 
 Everything is inside the file: it opens without a network, prints, and can be sent by mail.
-`summary` reads an estimate's record, `lift`, `estimate`, `search` and `action` make sections of
-what they are given, and `content` puts them in order.
+`summary` reads an estimate's record. `lift`, `estimate`, `posterior`, `search` and `action` make
+sections of what they are given, and `content` puts them in order.
 """
 
 from gendom.viz.report.action import ActionSummary, PolicyRun, ReachOutcome
@@ -18,10 +18,9 @@ from gendom.viz.report.content import (
 )
 from gendom.viz.report.lift import LiftPictures
 from gendom.viz.report.markup import Section, render_page
-from gendom.viz.report.summary import ESTIMATE_FORMAT, EstimateSummary
+from gendom.viz.report.summary import EstimateSummary
 
 __all__ = [
-    "ESTIMATE_FORMAT",
     "SUMMARY",
     "ActionSummary",
     "CameraViews",

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gendom.arguments import check_numbers, require
-from gendom.viz.charts import Swing, goal_chart, swing_chart
+from gendom.viz.charts import Axis, Plot
 from gendom.viz.clouds import CloudSequence
 from gendom.viz.report.lift import viewer
 from gendom.viz.report.markup import DASH, Section, cell, chart_figure, escaped, number, table
@@ -188,11 +188,31 @@ def _goal_figure(action: ActionSummary) -> str:
     reached = np.array([o.ours.reached for o in outcomes])
     missing = np.full_like(goals[0], np.nan)
     others = np.array([missing if o.without is None else o.without.reached for o in outcomes])
-    compared = any(o.without is not None for o in outcomes)
-    plot = goal_chart(goals, reached, others if compared else None)
-    one = goals.shape[1] == 1
-    title = "Reached distance [m] of each goal" if one else "Goals and places reached: height [m]"
-    return chart_figure(title, [plot])
+    groups = [(reached, "ours", "with the estimate")]
+    if any(o.without is not None for o in outcomes):
+        groups.append((others, "without", "without parameters"))
+    every = np.concatenate([goals, *(places for places, *_ in groups)])
+    if goals.shape[1] == 1:  # reached against goal, and the line on which they are equal
+        title = "Reached distance [m] of each goal"
+        ends = Axis.around(every, margin=0.08)
+        plot = Plot.to_scale(replace(ends, label="goal [m]"), ends)
+        diagonal = [plot.x.low, plot.x.high]
+        plot.line(diagonal, diagonal, "soft", "reached = goal", dashed=True)
+        for places, kind, label in groups:
+            plot.dots(goals[:, 0], places[:, 0], kind, label, square=kind == "without")
+        return chart_figure(title, [plot])
+    # the plane of the goals, each joined with the places reached
+    plot = Plot.to_scale(
+        Axis.around(every[:, 0], margin=0.1, label="along [m]"),
+        Axis.around(every[:, 1], margin=0.1),
+    )
+    for k, goal in enumerate(goals):
+        plot.cross(goal[0], goal[1], "ink", "" if k else "goal")
+    for places, kind, label in groups:
+        for goal, place in zip(goals, places, strict=True):
+            plot.line([goal[0], place[0]], [goal[1], place[1]], kind)
+        plot.dots(places[:, 0], places[:, 1], kind, label, square=kind == "without")
+    return chart_figure("Goals and places reached: height [m]", [plot])
 
 
 def _verdict(ours: float, without: float, goals: int) -> str:
@@ -210,22 +230,40 @@ def _verdict(ours: float, without: float, goals: int) -> str:
 
 
 def _swing_figure(outcome: ReachOutcome) -> str:
-    swings = []
-    for run, label, kind in (
+    """Paths of the tip in the plane of the swing, the rope at its two moments, and the goal."""
+    ways = (
         (outcome.without, "without parameters", "without"),
         (outcome.ours, "with the estimate", "ours"),
-    ):
-        if run is None or run.tip_path is None:
-            continue
-        shapes = []
-        for shape in (run.shape_at_release, run.shape_at_farthest):
-            if shape is not None and len(shape):
-                # A few hundred dots show the rope as well as thousands, in a smaller file.
-                shapes.append(shape[:: max(1, len(shape) // 250), ::2])
-        dashed = run is outcome.without
-        path = run.tip_path[:, ::2]
-        swings.append(Swing(label=label, kind=kind, dashed=dashed, tip_path=path, shapes=shapes))
-    plot = swing_chart(swings, outcome.goal)
+    )
+    drawn = []
+    for run, label, kind in ways:
+        if run is not None and run.tip_path is not None:
+            shapes = [s for s in (run.shape_at_release, run.shape_at_farthest) if s is not None]
+            # a few hundred dots show the rope as well as thousands, in a smaller file
+            shapes = [s[:: max(1, len(s) // 250), ::2] for s in shapes if len(s)]
+            drawn.append((run.tip_path[:, ::2], shapes, label, kind))
+    goal = outcome.goal
+    points = np.concatenate([p for path, shapes, *_ in drawn for p in (path, *shapes)])
+    plot = Plot.to_scale(
+        Axis.around(
+            np.append(points[:, 0], goal[0]),
+            margin=0.04,
+            label="distance along the goal's direction [m]",
+        ),
+        Axis.around(np.append(points[:, 1], goal[1:]), margin=0.04),
+    )
+    for path, shapes, label, kind in drawn:
+        for k, shape in enumerate(shapes):
+            plot.dots(shape[:, 0], shape[:, 1], kind, size=5.0, faint=k == 0)
+        plot.line(path[:, 0], path[:, 1], kind, f"tip, {label}", dashed=kind == "without")
+    for path, _, _, kind in drawn:
+        first, farthest = path[:1], path[[np.argmax(path[:, 0])]]
+        plot.dots(first[:, 0], first[:, 1], kind, size=9.0)
+        plot.dots(farthest[:, 0], farthest[:, 1], kind, size=9.0, square=True)
+    if len(goal) == 1:
+        plot.upright(goal[0], "ink", "goal")
+    else:
+        plot.cross(goal[0], goal[1], "ink", "goal")
     return chart_figure(
         "Paths of the rope's tip: height [m]",
         [plot],

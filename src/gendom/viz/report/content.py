@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from gendom.files import atomic_path
 from gendom.viz.report.action import ActionSummary, action_section
 from gendom.viz.report.estimate import (
-    beliefs_section,
     parameters_section,
     refusal_banner,
     verdict_banner,
@@ -25,6 +24,7 @@ from gendom.viz.report.markup import (
     render_page,
     table,
 )
+from gendom.viz.report.posterior import beliefs_section
 from gendom.viz.report.search import search_section
 from gendom.viz.report.summary import (
     EstimateSummary,

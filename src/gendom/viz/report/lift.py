@@ -1,5 +1,5 @@
 """The section of the lift: a film and a view that turns, driven by one slider (`viewer.js` brings
-them to life), residuals over time, and frames side by side."""
+them to life), and residuals over time."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from gendom.viz.charts import distance_chart
+from gendom.viz.charts import Axis, Plot
 from gendom.viz.clouds import CloudSequence, choose_view
 from gendom.viz.report.markup import Section, chart_figure, escaped
-from gendom.viz.report.summary import EstimateSummary, length_text
+from gendom.viz.report.summary import EstimateSummary
 
 # Bytes of all points before base64; two viewers then fit into a report of 2 MB.
 _BUDGET = 420_000
@@ -23,9 +24,6 @@ _UNHURRIED = 3.0  # seconds; a shorter motion is played slowly at first
 _SPEEDS = (("1", "real time"), ("0.5", "half speed"), ("0.25", "quarter speed"))
 
 _NAME = "lift"
-_STRIP_FRAMES = 6
-_STRIP_WIDTH = 240.0
-_STRIP_POINTS = 300
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +38,7 @@ class LiftPictures:
 
 
 def lift_section(lift: LiftPictures, summary: EstimateSummary | None = None) -> Section:
-    """Film and 3D view with one slider, residuals over time, and a filmstrip.
+    """Film and 3D view with one slider, and residuals over time.
 
     Raises:
         GendomError: The clouds have no points, or the view is unknown.
@@ -51,66 +49,8 @@ def lift_section(lift: LiftPictures, summary: EstimateSummary | None = None) -> 
     parts = [f"<p>{escaped(lift.note)}</p>"] if lift.note else []
     parts.append(viewer(clouds, name=_NAME, subject=subject, view=lift.view))
     parts.append(residual_charts(clouds, summary, scene_id(_NAME)))
-    if clouds.num_frames > 1:
-        parts.append(_filmstrip(clouds, lift.view))
     title = "The lift, recorded and simulated" if both else "The recorded lift"
     return Section(title=title, body="\n".join(part for part in parts if part))
-
-
-def _filmstrip(clouds: CloudSequence, view: str) -> str:
-    """Evenly spaced frames as drawings, which need no script and print well."""
-    axes = choose_view(clouds, view).axes
-    low, high = clouds.extent(axes)
-    names = choose_view(clouds, view).names
-    table = clouds.table_height if names and names[1] == "z" else None
-    if table is not None:
-        low[1] = min(low[1], table)
-    span = np.maximum(high - low, 1e-3)
-    low, span = low - 0.06 * span.max(), span + 0.12 * span.max()
-    scale = _STRIP_WIDTH / span[0]
-    height = min(scale * span[1], 1.3 * _STRIP_WIDTH)
-    scale = min(scale, height / span[1])
-    middle = low + span / 2.0
-
-    def places(points: np.ndarray) -> np.ndarray:
-        flat = (points @ axes.T - middle) * scale * np.array([1.0, -1.0])
-        return flat + np.array([_STRIP_WIDTH, height]) / 2.0
-
-    frames = []
-    for t in clouds.spread(_STRIP_FRAMES):
-        drawn = []
-        if table is not None:
-            y = height / 2.0 - (table - middle[1]) * scale
-            drawn.append(f'<path class="ground" d="M0 {y:.1f}H{_STRIP_WIDTH:g}"/>')
-        for kind, sequence, size in (
-            ("simulated", clouds.simulated, 4),
-            ("recorded", clouds.recorded, 2),
-        ):
-            if sequence is None:
-                continue
-            data = "".join(
-                f"M{x:.1f} {y:.1f}h0" for x, y in places(thinned(sequence[t], _STRIP_POINTS))
-            )
-            drawn.append(f'<path class="{kind} dots" stroke-width="{size}" d="{data}"/>')
-        if clouds.gripper is not None:
-            for x, y in places(clouds.gripper[t]):
-                drawn.append(f'<path class="ink line" d="M{x - 4:.1f} {y - 4:.1f}l8 8m0 -8l-8 8"/>')
-        said = f"{clouds.times[t]:.2f} s"
-        label = f"Frame {t + 1} of {clouds.num_frames}"
-        if clouds.chamfer is not None:
-            said += f" · {length_text(float(clouds.chamfer[t]))}"
-        frames.append(
-            f'<li><svg class="plot" viewBox="0 0 {_STRIP_WIDTH:g} {height:.1f}" role="img" '
-            f'aria-label="{label}">{"".join(drawn)}</svg><span>{escaped(said)}</span></li>'
-        )
-    caption = "Evenly spaced frames, first to last"
-    caption += f"; blue: {clouds.labels[0]}, orange: {clouds.labels[1]}" if clouds.simulated else ""
-    caption += "; cross: gripper" if clouds.gripper is not None else ""
-    caption += "; with the time and the Chamfer distance." if clouds.chamfer is not None else "."
-    return (
-        f'<h3>Frame by frame</h3><figure><ul class="strip">{"".join(frames)}</ul>'
-        f"<figcaption>{escaped(caption)}</figcaption></figure>"
-    )
 
 
 def scene_id(name: str) -> str:
@@ -282,10 +222,25 @@ def residual_charts(clouds: CloudSequence, summary: EstimateSummary | None, scen
         ),
     ]
     figures = [
-        chart_figure(name, [distance_chart(clouds.times, values, scene=scene)], said)
+        chart_figure(name, [_distance_chart(clouds.times, values, scene)], said)
         for values, name, said in residuals
         if len(values) == clouds.num_frames > 1
     ]
     if not figures:
         return ""
     return f'<h3>Residuals over time</h3><div class="pair">{"".join(figures)}</div>'
+
+
+def _distance_chart(times: np.ndarray, distance: npt.ArrayLike, scene: str) -> Plot:
+    """A distance [T] [m] against time [T] [s], in millimetres."""
+    millimetres = 1e3 * np.asarray(distance, dtype=float)
+    mean = float(millimetres.mean())
+    plot = Plot(
+        x=Axis(low=float(times[0]), high=float(times[-1]), label="time [s]"),
+        y=Axis(low=0.0, high=1.15 * max(float(millimetres.max()), 1e-6)),
+    )
+    plot.area(times, millimetres, "recorded")
+    plot.line(times, millimetres, "recorded")
+    plot.level(mean, "soft", f"mean {mean:.1f} mm")
+    plot.cursor(scene)
+    return plot

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gendom.viz.charts import SearchLine, search_chart
+from gendom.viz.charts import Axis, Plot
 from gendom.viz.report.markup import (
     DASH,
     Section,
@@ -25,6 +25,8 @@ from gendom.viz.report.summary import (
     property_text,
     quantity_text,
 )
+
+_SERIES = 6  # colours of `report.css` for the starts of a search
 
 
 def search_section(summary: EstimateSummary) -> Section | None:
@@ -108,14 +110,22 @@ def _search_charts(summary: EstimateSummary) -> list[str]:
         ("E", f"Young's modulus [{unit}]", factor),
         ("nu", "Poisson's ratio", 1.0),
     ):
-        lines = _search_lines(summary, key, scale)
+        stages = _stages(summary, key, scale)
         # what the lift does not determine hardly moves
-        if not lines or (key == "nu" and summary.determined(key) is False):
+        if not stages or (key == "nu" and summary.determined(key) is False):
             continue
         true = summary.true(key)
-        true = None if true is None else scale * true
-        positive = all((line.values > 0.0).all() for line in lines)
-        plot = search_chart(lines, log=key != "nu" and positive, truth=true)
+        ends = np.concatenate([numbers for *_, numbers in stages.values()])
+        ends = ends if true is None else np.append(ends, scale * true)
+        last = max(float(iterations[-1]) for iterations, _ in stages.values())
+        log = key != "nu" and bool((ends > 0.0).all())
+        plot = Plot(
+            x=Axis(low=0.5, high=max(last, 2.0) + 0.5, label="iteration"),
+            y=Axis.around(ends, log=log),
+        )
+        _draw_stages(plot, stages, _chosen_start(summary))
+        if true is not None:
+            plot.level(scale * true, "truth", "true value")
         note = ""
         if key == "loss":
             note = (
@@ -127,47 +137,46 @@ def _search_charts(summary: EstimateSummary) -> list[str]:
     return figures
 
 
-def _search_lines(summary: EstimateSummary, key: str, scale: float) -> list[SearchLine]:
-    """A line for each stage of each start, in the order of the search."""
+_Stages = dict[tuple[int, str], tuple[np.ndarray, np.ndarray]]
+
+
+def _stages(summary: EstimateSummary, key: str, scale: float) -> _Stages:
+    """[k] iterations and [k] values of each stage of each start. A stage begins where the one
+    before it has ended."""
     found: dict[tuple[int, str], list[tuple[float, float]]] = {}
     for entry in summary.values.get("history") or []:
         iteration, value = finite(entry.get("iteration")), finite(entry.get(key))
         if iteration is not None and value is not None:
             name = int(entry.get("start", 0)), str(entry.get("stage", ""))
             found.setdefault(name, []).append((iteration, scale * value))
-    chosen = _chosen_start(summary)
-    starts = sorted({start for start, _ in found})
-    final = [stage for start, stage in found if start == (chosen or 0)][-1:]
-    lines = []
-    for start in starts:
-        stages = [stage for begun, stage in found if begun == start]
-        before: tuple[float, float] | None = None
-        for k, stage in enumerate(stages):
-            points = sorted(found[start, stage])
-            # the last point of a stage is where the next one begins
-            joined = points if before is None else [before, *points]
-            before = points[-1]
-            label = f"start {start + 1}" if len(starts) > 1 else ""
-            if len({stage for _, stage in found}) > 1:
-                label = ", ".join(filter(None, (label, stage)))
-            last = k == len(stages) - 1
-            if last and len(starts) > 1 and start == chosen:
-                label += " (chosen)"
-            iterations, numbers = np.array(joined).T
-            lines.append(
-                SearchLine(
-                    start=start,
-                    label=label,
-                    iterations=iterations,
-                    values=numbers,
-                    early=[stage] != final,
-                )
-            )
-    return lines
+    stages: _Stages = {}
+    before: dict[int, tuple[float, float]] = {}
+    for name in sorted(found, key=lambda name: name[0]):  # by start; stages stay in their order
+        points = sorted(found[name])
+        first = [before[name[0]]] if name[0] in before else []
+        iterations, numbers = np.array([*first, *points]).T
+        stages[name] = iterations, numbers
+        before[name[0]] = points[-1]
+    return stages
+
+
+def _draw_stages(plot: Plot, stages: _Stages, chosen: int | None) -> None:
+    """A line for each; those before the search's last stage are dashed."""
+    several_starts = len({start for start, _ in stages}) > 1
+    several_stages = len({stage for _, stage in stages}) > 1
+    last = dict(list(stages))  # stage of each start
+    for (start, stage), (iterations, numbers) in stages.items():
+        label = f"start {start + 1}" if several_starts else ""
+        if several_stages:
+            label = ", ".join(filter(None, (label, stage)))
+        if several_starts and start == chosen and stage == last[start]:
+            label += " (chosen)"
+        kind, early = f"start-{start % _SERIES + 1}", stage != last.get(chosen or 0)
+        plot.line(iterations, numbers, kind, label, dashed=early, dots=True)
 
 
 def _chosen_start(summary: EstimateSummary) -> int | None:
-    """The start that ended at the estimate; in older files the one with the least distance."""
+    """The start that ended at the estimate; where several did or none, that of least distance."""
     starts = summary.values.get("starts") or []
     found = summary.value("E")
     ended = [finite((start.get("final") or {}).get("E")) for start in starts]

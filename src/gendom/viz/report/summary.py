@@ -5,14 +5,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
-from gendom.arguments import require
-
-ESTIMATE_FORMAT = "gendom-estimate/1"
 
 RATIOS = ("nu", "friction", "stiffness_slope")
 """Quantities without a unit, on a linear scale."""
@@ -29,32 +25,12 @@ _UNITS = {
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateSummary:
-    """What was estimated, and what is known besides.
-
-    Raises:
-        ParameterError: `values` has another format, or no Young's modulus or Poisson's ratio; or
-            an interval or a range that was searched is not a pair of numbers.
-    """
+    """What was estimated, and what is known besides."""
 
     values: Mapping[str, Any]
-    """The estimate's JSON object (gendom-estimate/1), SI units; other keys may be missing."""
+    """An estimate's record (gendom-estimate/1), in SI units."""
     truth: Mapping[str, float] | None = None
     """True values under the keys of `values`, as far as known."""
-    units: Mapping[str, str] = field(default_factory=dict)
-    """Unit of each unknown of the posterior, by name."""
-
-    def __post_init__(self):
-        found = self.values.get("format", ESTIMATE_FORMAT)
-        fix = f"give {ESTIMATE_FORMAT!r}"
-        require(found == ESTIMATE_FORMAT, f"is {found!r}", where="estimate.format", fix=fix)
-        for key in ("E", "nu"):
-            known = finite(self.values.get(key)) is not None
-            require(known, "is no number", where=f"estimate.{key}", fix="estimate again")
-        for name in ("intervals", "bounds"):
-            for key, ends in (self.values.get(name) or {}).items():
-                pair = key == "level" or ends is None or len(np.atleast_1d(ends)) == 2
-                where = f"estimate.{name}.{key}"
-                require(pair, f"is {ends!r}", where=where, fix="give [low, high]")
 
     def value(self, key: str) -> float | None:
         """What was estimated, in the unit of `values`."""
@@ -69,15 +45,12 @@ class EstimateSummary:
         return self._ends("intervals", key)
 
     def searched(self, key: str) -> tuple[float, float] | None:
-        """Lowest and highest value that was looked at; None: the file does not say."""
+        """Lowest and highest value that was looked at."""
         return self._ends("bounds", key)
 
     def _ends(self, name: str, key: str) -> tuple[float, float] | None:
         ends = (self.values.get(name) or {}).get(key)
-        if ends is None:
-            return None
-        low, high = (finite(end) for end in ends)
-        return None if low is None or high is None else (low, high)
+        return None if ends is None else (float(ends[0]), float(ends[1]))
 
     @property
     def level(self) -> float | None:
@@ -127,9 +100,7 @@ def quantity_text(key: str, value: float) -> str:
 
 def interval_text(key: str, interval: tuple[float, float]) -> str:
     """Both ends in one unit."""
-    factor, unit = (
-        pascal_unit(interval[1]) if key == "E" else _UNITS.get(key, (1.0, ""))
-    )
+    factor, unit = pascal_unit(interval[1]) if key == "E" else _UNITS.get(key, (1.0, ""))
     low, high = factor * interval[0], factor * interval[1]
     decimals = 3
     if key not in RATIOS:
