@@ -45,25 +45,11 @@ def is_recording(path: str | os.PathLike) -> bool:
     return Path(path).suffix.lower() in (".db3", ".bag")
 
 
-def find_recording(folder: str | os.PathLike) -> Path | None:
-    """The RealSense recording in a camera's folder; None: there is none.
-
-    Raises:
-        RecordingError: There are several.
-    """
-    folder = Path(folder)
-    found = sorted(filter(is_recording, folder.iterdir()))
-    what = f"holds {len(found)} recordings, {', '.join(p.name for p in found)}"
-    fix = "leave one in the camera's folder"
-    require(len(found) <= 1, what, where=str(folder), fix=fix, error=RecordingError)
-    return found[0] if found else None
-
-
 class RealSenseRecording:
     """A recording of a RealSense camera, as a `FrameSource`.
 
     Args:
-        path: The .db3 or .bag file; camera.toml is looked for beside it.
+        path: The .db3 or .bag file, or its folder; camera.toml is looked for beside it.
         name: The camera's name; by default that of its folder.
         on_warning: Called with every fault that does not prevent use.
 
@@ -81,6 +67,8 @@ class RealSenseRecording:
         on_warning: Callable[[Fault], None] = lambda _: None,
     ):
         self.path = Path(path)
+        if self.path.is_dir():
+            self.path = self.find(self.path) or self.path
         self._on_warning = on_warning
         self._bag = Bag(self._as_db3(), on_warning=on_warning)
         where = str(self.path)
@@ -122,6 +110,19 @@ class RealSenseRecording:
             what, fix = "does not say its depth unit", "record it with the RealSense SDK"
             raise RecordingError(what, where=str(self.path), fix=fix)
         return unit
+
+    @staticmethod
+    def find(folder: Path) -> Path | None:
+        """The recording in a camera's folder; None: there is none.
+
+        Raises:
+            RecordingError: There are several.
+        """
+        found = sorted(filter(is_recording, folder.iterdir()))
+        what = f"holds {len(found)} recordings, {', '.join(p.name for p in found)}"
+        fix = "leave one in the camera's folder"
+        require(len(found) <= 1, what, where=str(folder), fix=fix, error=RecordingError)
+        return found[0] if found else None
 
     def __len__(self) -> int:
         return len(self._depth)
