@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from gendom.cli.arguments import settings_of
 from gendom.cli.check import fault_entry
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Fault
@@ -58,9 +59,9 @@ class Command:
     """Leave cameras where their calibration says, though the table they see is not level."""
     sync_tolerance: float = PerceptionSettings.sync_tolerance
     """Largest difference of the time stamps of frames that belong together, in seconds."""
-    voxel: float = 0.005
+    voxel: float = PerceptionSettings.voxel
     """Edge in metres of the cubes that give one point each; 0 keeps all points."""
-    min_cluster: int = 10
+    min_cluster: int = PerceptionSettings.min_cluster
     """Connected points fewer than this are dropped."""
     frames: bool = False
     """Print the counts of every frame."""
@@ -70,18 +71,8 @@ class Command:
     def run(self) -> int:
         check_file(self.out, ".npz")
         warnings: list[Fault] = []
-        settings = PerceptionSettings(
-            workspace=self.workspace,
-            colour=self.colour,
-            pick=self.pick,
-            box=self.box,
-            colour_tolerance=self.colour_tolerance,
-            lightness_weight=self.lightness_weight,
-            find_table=not self.no_table,
-            level=not self.no_level,
-            sync_tolerance=self.sync_tolerance,
-            voxel=self.voxel,
-            min_cluster=self.min_cluster,
+        settings = settings_of(
+            PerceptionSettings, self, find_table=not self.no_table, level=not self.no_level
         )
         recorded = read_cameras(self.folder, cameras=self.cameras, on_warning=warnings.append)
         show = self.frames and not self.json
