@@ -11,6 +11,7 @@ from gendom.perception.folder import (
     read_cameras,
 )
 from gendom.perception.frames import (
+    CameraReader,
     Frame,
     FrameSource,
     FrameWriter,
@@ -29,6 +30,7 @@ __all__ = [
     "BoardView",
     "Calibration",
     "Camera",
+    "CameraReader",
     "CameraRecording",
     "CameraView",
     "CapsulePath",

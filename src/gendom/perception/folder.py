@@ -12,7 +12,8 @@
         colour/*.png         8 bit, of the depth's size and aligned with it
 
 Instead of frames.csv and pictures a camera may have a RealSense recording; then its camera.toml
-holds the pose only (`gendom.perception.realsense`).
+holds the pose only (`gendom.perception.realsense`). Other packages add kinds of folders by entry
+points ``gendom.cameras`` (`gendom.perception.CameraReader`).
 
 All times are seconds of one clock. Each frame is read separately when it is used, so a damaged or
 missing frame does not affect others.
@@ -36,10 +37,11 @@ from gendom.datasets.folder import read_gripper, read_object
 from gendom.errors import RecordingError
 from gendom.files import read_rows
 from gendom.perception.camera import Camera, read_camera, write_camera
-from gendom.perception.frames import Frame, FrameSource, Pictures, interpolate
+from gendom.perception.frames import CameraReader, Frame, FrameSource, Pictures, interpolate
 from gendom.perception.png import read_png
-from gendom.perception.realsense import RealSenseRecording, find_recording
+from gendom.perception.realsense import RealSenseRecording
 from gendom.perception.robot import CapsulePath, cut_off, read_shape
+from gendom.plugins import plugins
 
 _HEADER = "time,depth,colour"
 _ROUNDING = 1e-6  # [s]; files of different formats round the same time differently
@@ -112,6 +114,12 @@ class PngCamera:
         self._folder = Path(folder)
         self.camera: Camera = read_camera(self._folder / "camera.toml")
         self._rows = _read_frames(self._folder / "frames.csv", on_warning)
+
+    @staticmethod
+    def find(folder: Path) -> Path | None:
+        """frames.csv of a camera's folder."""
+        path = folder / "frames.csv"
+        return path if path.exists() else None
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -236,14 +244,14 @@ def read_cameras(
 
 
 def _open_camera(folder: Path, on_warning: Callable[[Fault], None]) -> FrameSource:
-    """A camera's folder of either kind."""
-    recording = find_recording(folder)
-    if recording is None:
-        return PngCamera(folder, on_warning=on_warning)
-    alone, what = not (folder / "frames.csv").exists(), f"holds frames.csv and {recording.name}"
+    """A camera's folder of any kind: one of ours, or of an entry point ``gendom.cameras``."""
+    readers: list[CameraReader] = [PngCamera, RealSenseRecording, *plugins("cameras").values()]
+    found = [(reader, path) for reader in readers if (path := reader.find(folder)) is not None]
+    what = f"holds {' and '.join(path.name for _, path in found)}"
     fix = "leave one of them in the camera's folder"
-    require(alone, what, where=str(folder), fix=fix, error=RecordingError)
-    return RealSenseRecording(recording, on_warning=on_warning)
+    require(len(found) <= 1, what, where=str(folder), fix=fix, error=RecordingError)
+    # Of an empty folder PngCamera tells what is missing.
+    return (found[0][0] if found else PngCamera)(folder, on_warning=on_warning)
 
 
 def _read_frames(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from gendom.arguments import require
+from gendom.datasets import Fault
 from gendom.errors import GendomError
 from gendom.perception.camera import Camera
 
@@ -56,6 +58,30 @@ class FrameSource(Protocol):
         ...
 
     def __iter__(self) -> Iterator[Frame]: ...
+
+
+class CameraReader(Protocol):
+    """A kind of recorded camera: a class of `FrameSource` with `find`.
+
+    The folder is cameras/NAME of a recording. `gendom.perception.read_camera` reads its
+    camera.toml.
+    """
+
+    def find(self, folder: Path) -> Path | None:
+        """The file that tells that a camera's folder is of this kind; None: it is not."""
+        ...
+
+    def __call__(self, folder: Path, *, on_warning: Callable[[Fault], None]) -> FrameSource:
+        """The folder's frames.
+
+        Args:
+            folder: One in which `find` finds a file.
+            on_warning: Called with every fault that does not prevent use.
+
+        Raises:
+            RecordingError: It cannot be read.
+        """
+        ...
 
 
 class FrameWriter(Protocol):

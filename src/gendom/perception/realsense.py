@@ -23,6 +23,7 @@ import sys
 import tempfile
 import weakref
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from gendom.installation import how_to_install
 from gendom.perception.alignment import Alignment
 from gendom.perception.camera import Camera, adopt_camera, write_camera
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
-from gendom.perception.rosbag import Bag, Entry, Stream
+from gendom.perception.rosbag import Bag, Entry
 
 _DEVICE_CLOCK = "Hardware Clock"
 
@@ -45,25 +46,11 @@ def is_recording(path: str | os.PathLike) -> bool:
     return Path(path).suffix.lower() in (".db3", ".bag")
 
 
-def find_recording(folder: str | os.PathLike) -> Path | None:
-    """The RealSense recording in a camera's folder; None: there is none.
-
-    Raises:
-        RecordingError: There are several.
-    """
-    folder = Path(folder)
-    found = sorted(filter(is_recording, folder.iterdir()))
-    what = f"holds {len(found)} recordings, {', '.join(p.name for p in found)}"
-    fix = "leave one in the camera's folder"
-    require(len(found) <= 1, what, where=str(folder), fix=fix, error=RecordingError)
-    return found[0] if found else None
-
-
 class RealSenseRecording:
     """A recording of a RealSense camera, as a `FrameSource`.
 
     Args:
-        path: The .db3 or .bag file; camera.toml is looked for beside it.
+        path: The .db3 or .bag file, or its folder; camera.toml is looked for beside it.
         name: The camera's name; by default that of its folder.
         on_warning: Called with every fault that does not prevent use.
 
@@ -81,24 +68,26 @@ class RealSenseRecording:
         on_warning: Callable[[Fault], None] = lambda _: None,
     ):
         self.path = Path(path)
+        if self.path.is_dir():
+            self.path = self.find(self.path) or self.path
         self._on_warning = on_warning
         self._bag = Bag(self._as_db3(), on_warning=on_warning)
         where = str(self.path)
-        depth = self._bag.stream("Depth")
+        name = name or self.path.resolve().parent.name
+        depth = self._bag.stream("Depth", name)
         if depth is None or not depth.entries:
             what = "has no depth pictures" if depth is None else "no depth picture can be read"
             raise RecordingError(what, where=where, fix="record the depth stream (Z16)")
         self._depth = depth.entries
-        name = name or self.path.resolve().parent.name
-        camera = _camera(name, depth, self._unit())
+        camera = replace(depth.camera, depth_unit=self._unit())
         self.camera: Camera = adopt_camera(self.path.with_name("camera.toml"), camera)
-        colour = self._bag.stream("Color")
+        colour = self._bag.stream("Color", f"{name}: colour")
         self._colour = [] if colour is None else colour.entries
         self._colour_times = np.array([entry.time for entry in self._colour])
         self._align: Alignment | None = None
         if colour is not None and self._colour:
             T = colour.T_stream_reference @ np.linalg.inv(depth.T_stream_reference)
-            self._align = Alignment(self.camera, _camera(f"{name}: colour", colour, 1.0), T)
+            self._align = Alignment(self.camera, colour.camera, T)
         if self._depth[0].domain == _DEVICE_CLOCK:
             on_warning(own_clock(where))
 
@@ -122,6 +111,19 @@ class RealSenseRecording:
             what, fix = "does not say its depth unit", "record it with the RealSense SDK"
             raise RecordingError(what, where=str(self.path), fix=fix)
         return unit
+
+    @staticmethod
+    def find(folder: Path) -> Path | None:
+        """The recording in a camera's folder; None: there is none.
+
+        Raises:
+            RecordingError: There are several.
+        """
+        found = sorted(filter(is_recording, folder.iterdir()))
+        what = f"holds {len(found)} recordings, {', '.join(p.name for p in found)}"
+        fix = "leave one in the camera's folder"
+        require(len(found) <= 1, what, where=str(folder), fix=fix, error=RecordingError)
+        return found[0] if found else None
 
     def __len__(self) -> int:
         return len(self._depth)
@@ -161,18 +163,6 @@ def own_clock(where: str) -> Fault:
     what = "its time stamps are of the camera's own clock"
     fix = "record with the option Global Time Enabled to compare them with other clocks"
     return Fault(what, where, fix, "warning")
-
-
-def _camera(name: str, stream: Stream, unit: float) -> Camera:
-    return Camera(
-        name=name,
-        width=stream.width,
-        height=stream.height,
-        K=stream.K,
-        T_world_camera=None,
-        depth_unit=unit,
-        distortion=stream.distortion,
-    )
 
 
 _CONVERT = "import sys, pyrealsense2; pyrealsense2.context().convert_bag_to_db3(*sys.argv[1:])"

@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
-from gendom.perception.camera import rigid
+from gendom.perception.camera import Camera, rigid
 from gendom.perception.png import decode_png
 
 _SQLITE = b"SQLite format 3\0"
@@ -70,12 +70,8 @@ class Entry:
 class Stream:
     """One stream of pictures."""
 
-    width: int
-    height: int
-    K: npt.NDArray[np.float64]
-    """[3, 3] [pixel]."""
-    distortion: tuple[float, ...]
-    """OpenCV's k1, k2, p1, p2, k3; empty: none."""
+    camera: Camera
+    """Size and intrinsics."""
     T_stream_reference: npt.NDArray[np.float64]
     """[4, 4] from the device's axes to the stream's [m]."""
     entries: list[Entry]
@@ -165,23 +161,25 @@ class Bag:
                 yield row, found
             row += 1
 
-    def stream(self, kind: str) -> Stream | None:
+    def stream(self, kind: str, name: str = "") -> Stream | None:
         """The first stream of a kind, "Depth" or "Color"; None: there is none.
+
+        Args:
+            kind: Of the stream.
+            name: What messages call its camera.
 
         Raises:
             RecordingError: Its geometry is missing, damaged or of a kind that cannot be used.
         """
-        names = sorted(name for name in self._topics if (m := _DATA.match(name)) and m[2] == kind)
-        if not names:
+        matches = [m for m in map(_DATA.match, sorted(self._topics)) if m and m[2] == kind]
+        if not matches:
             return None
-        match = _DATA.match(names[0])
-        assert match is not None
-        prefix = match[1]
+        topic, prefix = matches[0][0], matches[0][1]
         where = f"{prefix}/camera_info"
         try:
             info = self._values(where)
             width, height = int(info["width"]), int(info["height"])
-            fx, fy, cx, cy = (float(info[name]) for name in ("fx", "fy", "ppx", "ppy"))
+            fx, fy, cx, cy = (float(info[key]) for key in ("fx", "fy", "ppx", "ppy"))
             coefficients = tuple(float(k) for k in info["coeffs"].split(","))
             model = info["model"]
         except (KeyError, ValueError) as error:
@@ -193,14 +191,15 @@ class Bag:
         elif model not in known:
             what = f"{kind} has the distortion {model!r}, which is not known here"
             raise self._error(what, f"use a camera whose distortion is one of {', '.join(known)}")
-        return Stream(
-            width,
-            height,
-            np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
-            coefficients,
-            self._extrinsics(prefix),
-            list(self._entries(prefix, names[0])),
+        camera = Camera(
+            name=name or kind,
+            width=width,
+            height=height,
+            K=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+            T_world_camera=None,
+            distortion=coefficients,
         )
+        return Stream(camera, self._extrinsics(prefix), list(self._entries(prefix, topic)))
 
     def _extrinsics(self, prefix: str) -> npt.NDArray[np.float64]:
         topic = next((name for name in self._topics if name.startswith(f"{prefix}/tf/")), None)
