@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
-from gendom.errors import ParameterError, did_you_mean
+from gendom.errors import ParameterError
 from gendom.files import read_json
 from gendom.materials.names import with_current_names
 from gendom.progress import bar
@@ -56,16 +56,14 @@ TaskName = Annotated[str, _name(TASKS_HELP, _task)]
 
 
 def _method(word: str) -> str:
-    from gendom.estimation import METHODS
+    from gendom.estimation import find_method
 
-    if word not in METHODS:
-        fix = did_you_mean(word, METHODS) or f"choose from {', '.join(METHODS)}"
-        raise ParameterError(f"there is no method {word!r}", fix=fix)
+    find_method(word)
     return word
 
 
 MethodName = Annotated[str, _name(METHODS_HELP, _method)]
-"""The name of a method of estimation."""
+"""The name of a method of estimation, those of other packages included."""
 
 
 def settings_of(kind: type[Settings], command: Any, **others: Any) -> Settings:

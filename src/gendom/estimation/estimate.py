@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from gendom.arguments import require
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.discrepancy import discrepancy
-from gendom.estimation.methods import METHODS
+from gendom.estimation.methods import find_method
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
 from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.methods.search import estimated_noise
@@ -78,8 +77,7 @@ def estimate(
         KeyboardInterrupt: If interrupted before anything was found.
     """
     settings = settings or EstimateSettings()
-    what, fix = f"there is no method {settings.method!r}", f"choose one of {', '.join(METHODS)}"
-    require(settings.method in METHODS, what, fix=fix)
+    search = find_method(settings.method)
     times = [clock.perf_counter()]
     if isinstance(recordings, Recording):
         recordings = [recordings]
@@ -94,7 +92,7 @@ def estimate(
             # a glance shows where it differs
             problem.settings = replace(settings, starts=1, max_iterations=GLANCE)
         times.append(clock.perf_counter())
-        found = METHODS[settings.method](problem)
+        found = search(problem)
         if settings.method == "gauss-newton" and not found.interrupted and not refused:
             finer = problem.finer(found.best.vector)
             if finer is not problem:

@@ -1,7 +1,8 @@
 """The registry of unknowns: every number that can be estimated, defined once.
 
-A further unknown is one entry, of this package or of another: `register` it. Estimates, their
-files, reports, viewers and policies go by the registry.
+A further unknown is one entry. Other packages add theirs by an entry point of the group
+``gendom.unknowns`` whose object is an `Unknown`, or `register` it. Estimates, their files, reports,
+viewers and policies go by the registry.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from gendom.arguments import check_number, require
+from gendom.plugins import plugins
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,3 +245,8 @@ class Theta(Mapping[str, float]):
 def _theta(values: dict[str, float]) -> Theta:
     """For copies and other processes."""
     return Theta(**values)
+
+
+# last, so that their modules can import this one
+for _added in plugins("unknowns").values():
+    register(_added)
