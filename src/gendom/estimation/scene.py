@@ -236,12 +236,12 @@ class LiftScene:
             return self.density
         return self.density / theta.thickness**self.mass_power
 
-    def rise(self, theta: Theta) -> float:
-        """How much higher the middle of an object lies on its table than with the stated thickness
-        [m]."""
+    def rise(self, times: float) -> float:
+        """How much higher the middle of an object that is so many times as thick as stated lies on
+        its table [m]."""
         if self.recording.table_height is None or len(self.held) > 1:
             return 0.0
-        return 0.5 * (theta.thickness - 1.0) * self.body.thickness
+        return 0.5 * (times - 1.0) * self.body.thickness
 
     def finer(self, theta: Theta) -> LiftScene:
         """The same with the resolution that a cloth of this bending length needs, unless it has it
