@@ -62,7 +62,11 @@ def test_a_new_unknown_is_found_everywhere(unknown, rope_lift, tmp_path, capsys)
         assert unknown.title in "\n".join(name for name, *_ in found.rows())
 
     # the report and the viewer
-    assert unknown.title in report.read_text(encoding="utf-8").lower()
+    page = report.read_text(encoding="utf-8").lower()
+    assert unknown.title in page
+    if unknown.material:
+        assert f'class="name">{unknown.title}</td>' in page  # a row of the parameters
+        assert unknown.title in page.split("usable.", 1)[1].split("</p>", 1)[0]  # the verdict
     scene = LiftScene.of(rope_lift.seen(), rope_lift.settings)
     assert unknown.name in [p.name for p in _parameters(scene, found.theta)]
 

@@ -6,25 +6,18 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
-from gendom.errors import ParameterError
-from gendom.files import read_json
-from gendom.materials.names import with_current_names
 from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Progress
-    from gendom.materials.estimate import Estimate
 
 Settings = TypeVar("Settings")
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
-
-ESTIMATE_FORMAT = "gendom-estimate/1"
 
 METHODS_HELP = "gauss-newton|adam|differential-evolution"
 
@@ -91,48 +84,3 @@ def iterations_shown() -> Iterator[Callable[[Progress], None]]:
             show(progress.iteration, progress.most, note)
 
         yield told
-
-
-def read_estimate(path: Path, *, force: bool, kind: str | None = None) -> Estimate:
-    """The estimate of a file.
-
-    Raises:
-        GendomError: As `read_params`, or its numbers cannot be used.
-    """
-    from gendom.materials.estimate import Estimate
-
-    return Estimate.from_dict(read_params(path, force=force), str(path), kind=kind)
-
-
-def read_params(path: Path, *, force: bool) -> dict[str, Any]:
-    """The JSON object of an estimate's file.
-
-    Args:
-        path: What ``gendom estimate --out`` wrote, perhaps an older version's.
-        force: Take one whose verdict is not usable, too.
-
-    Raises:
-        GendomError: The file is missing, or no JSON.
-        ParameterError: It is no estimate, or not usable.
-    """
-    params = with_current_names(read_json(path))
-    if params.get("format") != ESTIMATE_FORMAT:
-        raise ParameterError(
-            f"has format {params.get('format')!r}, not {ESTIMATE_FORMAT!r}",
-            where=str(path),
-            fix="give a file written by gendom estimate",
-        )
-    verdict = params.get("verdict") or {}
-    if verdict.get("usable") is False and not force:
-        raise ParameterError(
-            f"is not usable: {', '.join(verdict.get('reasons', ()))}",
-            where=str(path),
-            fix="record the object again, or add --force",
-        )
-    if verdict.get("usable") is False and params.keys() <= {"format", "verdict"}:
-        raise ParameterError(
-            f"holds no numbers, since nothing was estimated: {', '.join(verdict['reasons'])}",
-            where=str(path),
-            fix="record the object again, or describe it by flags such as --E",
-        )
-    return params

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gendom.cli.arguments import ESTIMATE_FORMAT, MethodName, iterations_shown
+from gendom.cli.arguments import MethodName, iterations_shown
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError, SimulationError
@@ -172,7 +172,9 @@ class Command:
 
     def _refused(self, reasons: list[str]) -> int:
         """Print and write why a recording gives no estimate."""
-        record = {"format": ESTIMATE_FORMAT, "verdict": {"usable": False, "reasons": reasons}}
+        from gendom.materials.estimate import FORMAT
+
+        record = {"format": FORMAT, "verdict": {"usable": False, "reasons": reasons}}
         if self.json:
             print(to_json(record))
         for reason in reasons:

@@ -11,7 +11,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from gendom.cli.arguments import iterations_shown, read_params
+from gendom.cli.arguments import iterations_shown
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
@@ -54,6 +54,7 @@ class Command:
 
     def run(self) -> int:
         from gendom.estimation import chamfers, replay
+        from gendom.materials.estimate import read_record
         from gendom.sim import open_device
 
         if self.out is not None:
@@ -64,7 +65,7 @@ class Command:
         recording = Recording.read(self.recording)
         scene, theta = replay_setup(
             recording,
-            read_params(self.params, force=self.force),
+            read_record(self.params, even_unusable=self.force),
             str(self.params),
             self.device,
             self.engine,

@@ -70,6 +70,50 @@ class Verdict:
         return "usable" if self.usable else "not usable: " + "; ".join(self.reasons)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Derived:
+    """A number of the file that follows from E over density and other numbers."""
+
+    title: str
+    unit: str
+    form: str = ".4g"
+    needs: tuple[str, ...]
+    """The other numbers, by name."""
+    power: float = 1.0
+    """Exponent of E over density in it."""
+    thicker: float
+    """Exponent of the thickness, over `power`, with E over density as it is."""
+    heavier: float = 0.0
+    """Exponent of an assumed density."""
+
+
+def derived(kind: str, *, weighed: bool) -> dict[str, Derived]:
+    """The derived numbers of a rope or cloth, by name.
+
+    Args:
+        kind: Of the object.
+        weighed: Whether its mass is known: a thicker one is then less dense. Else its density is
+            assumed, and it is heavier.
+    """
+    small, volume = KINDS[kind].sizes[1], 2.0 if kind == "rope" else 1.0
+    title, unit = ("bending EI", "N m^2") if kind == "rope" else ("bending D", "N m")
+    heavier = 0.0 if weighed else 1.0
+    return {
+        "E": Derived(
+            title="Young's modulus", unit="Pa", needs=("density",),
+            thicker=-volume if weighed else 0.0, heavier=heavier,
+        ),
+        "bending_length": Derived(
+            title="bending length", unit="m", form=".4f", needs=(small,),
+            power=1.0 / 3.0, thicker=2.0,
+        ),
+        "bending_stiffness": Derived(
+            title=title, unit=unit, needs=("density", "nu", small),
+            thicker=2.0 if weighed else 2.0 + volume, heavier=heavier,
+        ),
+    }  # fmt: skip
+
+
 NOTHING_ESTIMATED = Posterior(
     prior=prior_of((), {}), mean=np.empty(0), covariance=np.empty((0, 0)), bases=()
 )
@@ -460,14 +504,16 @@ class Estimate(Shown):
         [low, high] by the names of the values; ``intervals`` is null where the verdict is not
         usable; ``recordings`` has the entries of each recording, those of the first are at the top
         level, too."""
-        intervals, bounds, known = self._ranges()
+        values = self._values()
+        intervals, bounds, known = self._ranges(values)
         object_ = {n: self.value(n) for n in (*SIZES[:-1], "mass")}
+        side = {"side": self.known["side"]} if "side" in self.known else {}
         entries: dict[str, Any] = {**self.about, "format": FORMAT}
         if self.posterior.bases:
             entries["theta"] = dict(self.theta)
         return {
             **entries,
-            **self._values(),
+            **values,
             "density_assumed": "mass" not in self.known,
             "density_sd": self.density_sd,
             "verdict": {"usable": self.usable, "reasons": list(self.verdict.reasons)},
@@ -475,36 +521,31 @@ class Estimate(Shown):
             "bounds": bounds,
             "identifiable": known,
             "posterior": self.posterior.to_dict(),
-            "object": {"kind": self.kind, **object_, **self._side()},
+            "object": {"kind": self.kind, **object_, **side},
         }
 
-    def _side(self) -> dict[str, float]:
-        return {"side": self.known["side"]} if "side" in self.known else {}
+    @property
+    def _derived(self) -> dict[str, Derived]:
+        return derived(self.kind, weighed="mass" in self.known)
 
     def _values(self) -> dict[str, float | None]:
         """The file's values: those that every object has, and what follows from them."""
         values = {n: self.value(n) for n, u in UNKNOWNS.items() if u.material}
         values["thickness"] = self.value(self._small) if "thickness" in self.names else None
-        values |= {"density": self.value("density")}
-        values |= dict.fromkeys(("E", "bending_length", "bending_stiffness"))
-        needs = {
-            "E": ("density",),
-            "bending_length": (self._small,),
-            "bending_stiffness": ("density", "nu", self._small),
-        }
-        for name, others in needs.items():
-            if all(self.value(other) is not None for other in ("E_over_rho", *others)):
-                values[name] = getattr(self, name)
+        values["density"] = self.value("density")
+        for name, number in self._derived.items():
+            known = all(self.value(other) is not None for other in ("E_over_rho", *number.needs))
+            values[name] = getattr(self, name) if known else None
         return values
 
     def _ranges(
-        self,
+        self, values: Mapping[str, float | None]
     ) -> tuple[dict[str, list[float]], dict[str, list[float]], dict[str, bool]]:
         """Intervals, searched ranges, and whether each value is determined, by name."""
         intervals: dict[str, list[float]] = {}
         bounds: dict[str, list[float]] = {}
         known: dict[str, bool] = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
-        posterior, values = self.posterior, self._values()
+        posterior = self.posterior
         for name in posterior.names:
             u = UNKNOWNS[name]
             if not u.material:
@@ -516,30 +557,16 @@ class Estimate(Shown):
             bounds[name] = [unit * u.value(float(end)) for end in ends]
             known[name] = posterior.determined(name)
         known["E"] = known["E_over_rho"]
-        if "E_over_rho" in posterior.names:
-            for name, thicker, power, other in self._powers():
-                value = values[name]
-                if value is None:
-                    continue
-                powers = {"E_over_rho": power, "thickness": power * thicker}
-                ends = posterior.factors(powers, self.level, other)
-                intervals[name] = [value * end for end in ends]
-                middle = self._estimated("E_over_rho")
-                bounds[name] = [value * (end / middle) ** power for end in bounds["E_over_rho"]]
+        for name, number in self._derived.items():
+            value, power = values[name], number.power
+            if "E_over_rho" not in posterior.names or value is None:
+                continue
+            powers = {"E_over_rho": power, "thickness": power * number.thicker}
+            ends = posterior.factors(powers, self.level, number.heavier * self.density_sd)
+            intervals[name] = [value * end for end in ends]
+            middle = self._estimated("E_over_rho")
+            bounds[name] = [value * (end / middle) ** power for end in bounds["E_over_rho"]]
         return intervals, bounds, known
-
-    def _powers(self) -> tuple[tuple[str, float, float, float], ...]:
-        """Values that follow from E over density: name, exponent of the thickness over that of
-        E over density, the latter, and the deviation of the density's logarithm."""
-        weighed = "mass" in self.known
-        mass, heavy = (self._mass_power, 0.0) if weighed else (0, self.density_sd)
-        # with a known mass, bending stiffness is proportional to the square; else the mass grows
-        weight = 2 if mass else 2 + self._mass_power
-        return (
-            ("E", -mass, 1.0, heavy),
-            ("bending_length", 2.0, 1.0 / 3.0, 0.0),
-            ("bending_stiffness", weight, 1.0, heavy),
-        )
 
     def save(self, path: str | Path) -> None:
         """Write ``estimate.json``, atomically.
@@ -550,43 +577,33 @@ class Estimate(Shown):
         write_json(path, self.record)
 
     @classmethod
-    def load(cls, path: str | Path, *, kind: str | None = None) -> Estimate:
+    def load(
+        cls, path: str | Path, *, kind: str | None = None, even_unusable: bool = True
+    ) -> Estimate:
         """Read what `save`, ``gendom estimate`` or ``gendom adapt`` wrote, perhaps of an earlier
         version.
 
         Args:
             path: The file.
             kind: Of the object, for files that do not say it.
+            even_unusable: Take one whose verdict is not usable, too.
 
         Raises:
             ParameterError: It is no estimate, or that of a recording that gave none.
             GendomError: It cannot be read.
         """
-        return Estimate.from_dict(read_json(path), str(path), kind=kind)
+        read = read_record(path, even_unusable=even_unusable)
+        return Estimate.from_dict(read, str(path), kind=kind)
 
     @classmethod
     def from_dict(
         cls, read: Mapping[str, Any], where: str = "estimate", *, kind: str | None = None
     ) -> Estimate:
         """Inverse of `record`; arguments and errors as of `load`."""
-        require(
-            read.get("format") == FORMAT,
-            f"has format {read.get('format')!r}, not {FORMAT!r}",
-            where=where,
-            fix="give a file written by gendom estimate",
-        )
-        verdict = read.get("verdict") or {}
-        reasons = tuple(verdict.get("reasons") or ())
-        require(
-            not read.keys() <= {"format", "verdict"},
-            f"holds no numbers, since nothing was estimated: {', '.join(reasons)}",
-            where=where,
-            fix="record the object again, or describe it by flags such as --E",
-        )
+        verdict = _checked_verdict(read, where)
         read = with_current_names(read)
         try:
-            return _from(read, Verdict(usable=verdict.get("usable", True), reasons=reasons), kind,
-                         where)  # fmt: skip
+            return _from(read, verdict, kind, where)
         except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
             if isinstance(error, GendomError):
                 raise
@@ -598,18 +615,10 @@ class Estimate(Shown):
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Name, value and interval of what was found, with units, for tables."""
-        rope, record = self.kind == "rope", self.record
-        titles = {
-            "E": ("Young's modulus", "Pa", ".4g"),
-            "E_over_rho": ("E / density", "m^2/s^2", ".4g"),
-            "bending_length": ("bending length", "m", ".4f"),
-            "bending_stiffness": (
-                *(("bending EI", "N m^2") if rope else ("bending D", "N m")), ".4g",
-            ),
-        }  # fmt: skip
-        for name, u in UNKNOWNS.items():
-            if u.material and name not in titles:
-                titles[name] = (u.title, "" if u.unit == "1" else u.unit, u.form)
+        record, ours = self.record, self._derived
+        every = ["E", "E_over_rho", *ours, *(n for n, u in UNKNOWNS.items() if u.material)]
+        shown = {name: ours.get(name) or UNKNOWNS[name] for name in every}
+        titles = {n: (q.title, "" if q.unit == "1" else q.unit, q.form) for n, q in shown.items()}
         titles["thickness"] = (self._small, "m", ".4g")
         titles["density"] = ("density", "kg/m^3", ".4g")
         rows = []
@@ -632,6 +641,51 @@ class Estimate(Shown):
 
 
 # ---- reading -----------------------------------------------------------------------------------
+
+
+def read_record(path: str | Path, *, even_unusable: bool = True) -> dict[str, Any]:
+    """The JSON document of an estimate's file with the present names of quantities.
+
+    Args:
+        path: The file, perhaps of an earlier version.
+        even_unusable: Take one whose verdict is not usable, too.
+
+    Raises:
+        ParameterError: It is no estimate, or not usable.
+        GendomError: It cannot be read.
+    """
+    read = with_current_names(read_json(path))
+    _checked_verdict(read, str(path), even_unusable=even_unusable)
+    return read
+
+
+def _checked_verdict(read: Mapping[str, Any], where: str, *, even_unusable: bool = True) -> Verdict:
+    """The verdict of an estimate's record.
+
+    Raises:
+        ParameterError: It has another format, is not usable, or holds no numbers.
+    """
+    require(
+        read.get("format") == FORMAT,
+        f"has format {read.get('format')!r}, not {FORMAT!r}",
+        where=where,
+        fix="give a file written by gendom estimate",
+    )
+    told = read.get("verdict") or {}
+    verdict = Verdict(usable=told.get("usable", True), reasons=tuple(told.get("reasons") or ()))
+    require(
+        even_unusable or verdict.usable is not False,
+        f"is not usable: {', '.join(verdict.reasons)}",
+        where=where,
+        fix="record the object again, or add --force",
+    )
+    require(
+        not read.keys() <= {"format", "verdict"},
+        f"holds no numbers, since nothing was estimated: {', '.join(verdict.reasons)}",
+        where=where,
+        fix="record the object again, or describe it by flags such as --E",
+    )
+    return verdict
 
 
 def _from(read: Mapping[str, Any], verdict: Verdict, kind: str | None, where: str) -> Estimate:

@@ -60,7 +60,7 @@ class Unknown:
     """The object (`Rope`, `Cloth`) with a value of it: makes a material's unknown count for tasks.
     """
     on_replay: Callable[[Any, float], None] | None = None
-    """Changes the inputs of a simulated world (`estimation.replay.WorldInputs`) to a value of it."""
+    """Changes the inputs of a simulated world (`estimation.replay.WorldInputs`) to a value."""
 
     @property
     def title(self) -> str:

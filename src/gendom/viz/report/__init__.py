@@ -18,10 +18,9 @@ from gendom.viz.report.content import (
 )
 from gendom.viz.report.lift import LiftPictures
 from gendom.viz.report.markup import Section, render_page
-from gendom.viz.report.summary import ESTIMATE_FORMAT, EstimateSummary
+from gendom.viz.report.summary import EstimateSummary
 
 __all__ = [
-    "ESTIMATE_FORMAT",
     "SUMMARY",
     "ActionSummary",
     "CameraViews",
