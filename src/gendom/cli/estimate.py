@@ -172,7 +172,7 @@ class Command:
 
     def _refused(self, reasons: list[str]) -> int:
         """Print and write why a recording gives no estimate."""
-        from gendom.materials.estimate import FORMAT
+        from gendom.materials.estimate_file import FORMAT
 
         record = {"format": FORMAT, "verdict": {"usable": False, "reasons": reasons}}
         if self.json:

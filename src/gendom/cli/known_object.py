@@ -58,7 +58,8 @@ class KnownObject:
         Raises:
             GendomError: The file cannot be used, or something that is needed is missing.
         """
-        from gendom.materials.estimate import HIDDEN, Estimate
+        from gendom.materials.estimate import Estimate
+        from gendom.materials.estimate_file import HIDDEN
 
         found = Estimate(kind=task.kind, known={})
         where = None if self.params is None else str(self.params)

@@ -54,7 +54,7 @@ class Command:
 
     def run(self) -> int:
         from gendom.estimation import chamfers, replay
-        from gendom.materials.estimate import read_record
+        from gendom.materials.estimate_file import read_record
         from gendom.sim import open_device
 
         if self.out is not None:

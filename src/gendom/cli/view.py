@@ -78,7 +78,7 @@ class Command:
         return 0
 
     def _model(self) -> Model:
-        from gendom.materials.estimate import read_record
+        from gendom.materials.estimate_file import read_record
         from gendom.viz.viewer.models import DatasetModel, RecordingModel
 
         shown, params = self.shown, self.params

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gendom.arguments import require
-from gendom.materials.estimate import FORMAT
+from gendom.materials.estimate_file import FORMAT
 from gendom.materials.unknowns import UNKNOWNS
 
 RATIOS = tuple(n for n, u in UNKNOWNS.items() if u.material and u.unit == "1" and not u.log)
