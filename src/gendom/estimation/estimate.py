@@ -36,10 +36,10 @@ from gendom.materials.unknowns import Theta
 STAGES: tuple[str, ...] = ("scene", "search", "intervals")
 """That take time; the verdict and replays for the result take the time of a few simulations."""
 
-GLANCE = 2
+ITERATIONS_IF_REFUSED = 2
 """`EstimateSettings.max_iterations` where a recording is refused whatever is found."""
 
-ASTRAY = 5.0
+FAILED_FIT = 5.0
 """Displacement of a cloth's model, over what is usable at most, from which on the search has gone
 astray: then it is as large as the deviation of how a corner is held."""
 
@@ -90,14 +90,14 @@ def estimate(
         refused = refused_before(problem)
         if refused:
             # a glance shows where it differs
-            problem.settings = replace(settings, starts=1, max_iterations=GLANCE)
+            problem.settings = replace(settings, starts=1, max_iterations=ITERATIONS_IF_REFUSED)
         times.append(clock.perf_counter())
         found = search(problem)
         if settings.method == "gauss-newton" and not found.interrupted and not refused:
             finer = problem.finer(found.best.vector)
             if finer is not problem:
                 problem, found = finer, refined(finer, found)
-            found = _nearer(problem, found)
+            found = _searched_widely(problem, found)
         times.append(clock.perf_counter())
         calibration = calibration or IntervalCalibration.of(problem.scene.kind, settings.frames)
         posterior = _posterior(problem, found, calibration)
@@ -110,13 +110,13 @@ def estimate(
         return result_of(problem, found, posterior, alone, verdict, seconds)
 
 
-def _nearer(problem: Problem, found: Found) -> Found:
+def _searched_widely(problem: Problem, found: Found) -> Found:
     """The result, or that of a search over the whole prior where a cloth moves otherwise than the
     best fit does: with a large displacement of the model every place fits, and steps end anywhere.
     """
     parts = zip(problem.parts, found.noise, strict=True)
     cloth = problem.scene.kind == "cloth" and problem.scene.thin
-    astray = any(displaced(part, noise, times=ASTRAY) for part, noise in parts)
+    astray = any(displaced(part, noise, times=FAILED_FIT) for part, noise in parts)
     if not cloth or not astray:
         return found
     try:
@@ -137,11 +137,11 @@ def _nearer(problem: Problem, found: Found) -> Found:
 def _posterior(problem: Problem, found: Found, calibration: IntervalCalibration) -> Posterior:
     covariance = found.covariance
     if covariance is None:
-        covariance = np.linalg.inv(problem.slopes(found.best, found.noise)[1])
+        covariance = np.linalg.inv(problem.gradient_and_hessian(found.best, found.noise)[1])
     added: float | NDArray[np.floating] = 0.0
     elsewhere = problem.settings.method != "gauss-newton" or found.interrupted
     if elsewhere and found.covariance is None:
-        added = _short_of(problem, found)
+        added = _newton_step(problem, found)
     # what moves otherwise than any simulated object gets no intervals
     if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
         added = np.hypot(added, discrepancy(problem, found, covariance, calibration))
@@ -154,10 +154,10 @@ def _posterior(problem: Problem, found: Found, calibration: IntervalCalibration)
     return posterior.with_assumed(assumed_thickness())
 
 
-def _short_of(problem: Problem, found: Found) -> NDArray[np.floating]:
+def _newton_step(problem: Problem, found: Found) -> NDArray[np.floating]:
     """[P] how far a result is from where the likelihood is greatest, as a Newton step says: other
     searches minimise something else, or end before."""
-    gradient, hessian = problem.slopes(found.best, found.noise)
+    gradient, hessian = problem.gradient_and_hessian(found.best, found.noise)
     return np.abs(np.linalg.solve(hessian, gradient))
 
 

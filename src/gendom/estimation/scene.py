@@ -425,7 +425,7 @@ def _hanging(
     if described.kind != "cloth" or described.grasp != "corner":
         return frames
     height = recording.gripper_position[:, 0, 2]
-    least = settings.hangs * max(described.width or 0.0, described.height or 0.0)
+    least = settings.hanging_rise * max(described.width or 0.0, described.height or 0.0)
     found = tuple(t for t in frames if height[t] - height[frames[0]] > least)
     return found if len(found) >= 5 else frames
 

@@ -31,13 +31,13 @@ from gendom.tasks.world import Simulation
 
 Array = NDArray[np.float64]
 
-SHARES = (1.0, 0.5, 0.25, 0.1)
+STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
 """Of a Gauss-Newton step, simulated side by side."""
 
-FARTHEST = 10.0
+LARGEST_REACHED = 10.0
 """In sizes of the object; what was reached farther away was not given in metres."""
 
-ENOUGH = 1e-3
+LEAST_GAIN = 1e-3
 """Gain in the sum of squares that ends the search."""
 
 
@@ -181,17 +181,17 @@ def adapting(
         H = J.T @ J + prior
         step = np.linalg.solve(H, J.T @ whitened(y - f) - prior @ (vector - belief.mean))
         # the best of some steps, if it pays
-        tried = yield from simulated([vector + share * step for share in SHARES])
+        tried = yield from simulated([vector + share * step for share in STEP_LENGTHS])
         costs = [
             cost(g, vector + share * step) if np.isfinite(g).all() else np.inf
-            for g, share in zip(tried, SHARES, strict=True)
+            for g, share in zip(tried, STEP_LENGTHS, strict=True)
         ]
         k = int(np.argmin(costs))
         gained = cost(f, vector) - costs[k]
         if not gained > 0.0:
             break
-        vector, f = vector + SHARES[k] * step, tried[k]
-        if gained < ENOUGH:
+        vector, f = vector + STEP_LENGTHS[k] * step, tried[k]
+        if gained < LEAST_GAIN:
             break
     weights = np.linalg.solve(K, y - f)
 
@@ -240,7 +240,7 @@ def _check(task: Task, executions: Sequence[Execution], item: Item) -> None:
                 where="executions",
             )
         for quantity, value in zip(task.goals, e.reached, strict=True):
-            if quantity.unit == "m" and abs(value) > FARTHEST * size_of(item):
+            if quantity.unit == "m" and abs(value) > LARGEST_REACHED * size_of(item):
                 raise ParameterError(
                     f"{quantity.name} is {value:g} m, and the {item.kind} {size_of(item):g} m",
                     where="reached",
